@@ -1,0 +1,1 @@
+"""Data only: platforms and scenarios as YAML."""

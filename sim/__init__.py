@@ -1,0 +1,1 @@
+"""The laboratory: world, lidar, real-time server, metrics."""

@@ -1,0 +1,1 @@
+"""The verbs that need the laboratory: swarmctl sim and swarmctl demo."""

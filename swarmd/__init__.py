@@ -1,0 +1,1 @@
+"""swarmd: a runtime for robot swarms."""

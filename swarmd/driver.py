@@ -1,0 +1,67 @@
+"""What a driver is: the only code that knows its robot."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from swarmd.values import Neighbor, Odometry, Platform, Scan, Twist, Value
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One line of `swarmd --check`: what was looked at, whether it is well, and the next step."""
+
+    subject: str
+    is_well: bool
+    text: str
+
+
+class Sink(Protocol):
+    """Where a driver puts what it hears; called on the loop's thread only."""
+
+    def scan(self, scan: Scan) -> None:
+        """A sweep as the sensor gave it; the core conditions it."""
+
+    def odometry(self, odometry: Odometry) -> None:
+        """A measured pose and twist."""
+
+    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
+        """The robots within hearing, if the body knows; never called means all members."""
+
+    def readings(self, values: Mapping[str, float]) -> None:
+        """Scalar sensors by name."""
+
+    def state(self, is_up: bool, text: str) -> None:
+        """The base is there, or is lost and why."""
+
+    def dropped(self, what: str) -> None:
+        """Count one input that could not be read."""
+
+
+class Driver(Protocol):
+    """Talks to one robot's base. `run` reconnects by itself and ends only when cancelled."""
+
+    is_simulated: bool
+
+    async def run(self, sink: Sink) -> None:
+        """Feed the sink until cancelled; sends zero on the way out."""
+
+    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+        """Hand over a safe command: never blocks, keeps no queue, drops while the base is lost.
+
+        The first command after a reconnect is zero.
+        """
+
+    async def check(self, seconds: float) -> tuple[Finding, ...]:
+        """What can be seen of the robot within `seconds`; moves nothing."""
+
+
+class DriverFactory(Protocol):
+    """How a driver is made; its entry point in group `swarmd.drivers` is one of these."""
+
+    def __call__(
+        self, *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
+    ) -> Driver:
+        """A driver that has not connected yet; ConfigError for options it does not know."""

@@ -1,0 +1,51 @@
+"""The one tree of errors.
+
+::
+
+    SwarmError
+    ├── ConfigError      a file, a key or a parameter is wrong; nothing was started, nothing moved
+    ├── CodecError       bytes that are not what the key promises; dropped and counted
+    ├── PluginError      a pattern or driver cannot be found, loaded or used on this robot
+    ├── DriverError      the robot's base cannot be reached or does not answer as it should
+    └── NetworkError     no session, no peers, no answer
+
+Every message says what, where, what was wanted and what to do, in one line.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from difflib import get_close_matches
+
+
+class SwarmError(Exception):
+    """Root of everything this project raises on purpose."""
+
+
+class ConfigError(SwarmError):
+    """A file, a key or a parameter is wrong."""
+
+
+class CodecError(SwarmError):
+    """Bytes that cannot be what their key promises."""
+
+
+class PluginError(SwarmError):
+    """A pattern or driver cannot be found, loaded or used."""
+
+
+class DriverError(SwarmError):
+    """The robot's base cannot be reached or misbehaves."""
+
+
+class NetworkError(SwarmError):
+    """No session, no peers or no answer."""
+
+
+def unknown(what: str, name: str, known: Iterable[str]) -> str:
+    """One line for an unknown name, with the nearest valid one or all of them."""
+    names = sorted(known)
+    close = get_close_matches(name, names, n=1, cutoff=0.6)
+    if close:
+        return f"no {what} {name!r}; did you mean {close[0]!r}?"
+    return f"no {what} {name!r}; there are: {', '.join(names) or 'none'}"

@@ -1,0 +1,204 @@
+"""What robots and operators say to each other: typed structs, no numpy (swarmctl imports them).
+
+Every float is bounded, since bounds also refuse NaN and infinity. Unknown fields are ignored, so
+that a newer peer can say more.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+Seconds = Annotated[float, Meta(ge=0.0, le=1e9)]
+Speed = Annotated[float, Meta(ge=-100.0, le=100.0)]
+Count = Annotated[int, Meta(ge=0, le=2**53)]
+Rate = Annotated[float, Meta(ge=0.0, le=1e6)]
+Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Name = Annotated[str, Meta(min_length=1, max_length=63)]
+Word = Annotated[str, Meta(max_length=64)]
+Line = Annotated[str, Meta(max_length=1000)]
+Scalar = (
+    bool
+    | Annotated[int, Meta(ge=-(2**53), le=2**53)]
+    | Annotated[float, Meta(ge=-1e300, le=1e300)]
+    | Annotated[str, Meta(max_length=256)]
+)
+
+
+class State(StrEnum):
+    """What a robot is doing, as its supervisor sees it."""
+
+    IDLE = "idle"
+    RUNNING = "running"
+    STOPPED = "stopped"
+    ESTOPPED = "estopped"
+    FAULTED = "faulted"
+
+
+class Reason(StrEnum):
+    """Why a robot stands: exactly one for every standstill."""
+
+    # idle
+    NEVER_ASKED = "never_asked"
+    FINISHED = "finished"
+    RESET = "reset"
+    # stopped, estopped, faulted
+    OPERATOR = "operator"
+    ESTOP = "estop"
+    LOOP_STALLED = "loop_stalled"
+    LOAD_FAILED = "load_failed"
+    DUPLICATE_ID = "duplicate_id"
+    QUARANTINED = "pattern_quarantined"
+    LEAVING = "leaving"
+    # holds: they zero the command without leaving running, until they have lasted
+    NO_SCAN = "no_scan"
+    INVALID_SCAN = "invalid_scan"
+    STALE_SCAN = "stale_scan"
+    FROZEN_SCAN = "frozen_scan"
+    STALE_ODOMETRY = "stale_odometry"
+    COMMAND_EXPIRED = "command_expired"
+    DRIVER_LOST = "driver_lost"
+    PATTERN_RESTARTING = "pattern_restarting"
+    # running, and still standing
+    NO_WISH = "no_wish"
+    PROTECTION = "protection"
+
+
+class Code(StrEnum):
+    """How a robot answers a request."""
+
+    APPLIED = "applied"
+    REFUSED = "refused"
+    FAILED = "failed"
+
+
+class Epoch(Struct, frozen=True):
+    """What an operator saw of a robot: which boot, and how often it has changed since."""
+
+    boot: Name
+    revision: Count
+
+
+class Request(Struct, frozen=True, kw_only=True):
+    """An operator's wish. `targets` None means everyone: stop and estop only.
+
+    `args` by verb: run {pattern, params, seconds?}, param {set}, reset {ids?, reason},
+    estop {scope: swarm | robots, reason}, forget {name}.
+    """
+
+    id: Name
+    operator: Annotated[str, Meta(min_length=1, max_length=128)]
+    verb: Name
+    targets: dict[Name, Epoch | None] | None = None
+    args: dict[Word, Scalar | dict[Word, Scalar | None] | list[Word] | None] = {}
+
+
+class Reply(Struct, frozen=True, kw_only=True):
+    """A robot's answer: its ack. `data` is what a query verb asked for."""
+
+    id: Name
+    robot: Name
+    code: Code
+    text: Line = ""
+    epoch: Epoch | None = None
+    data: dict[Word, Scalar | dict[Word, Scalar | None] | None] = {}
+
+
+class VerdictSummary(Struct, frozen=True, kw_only=True):
+    """The arbiter's latest decision, for members and describe."""
+
+    mode: Word = "potential_field"
+    is_active: bool = False
+    wish_linear: Speed = 0.0
+    wish_angular: Speed = 0.0
+    safe_linear: Speed = 0.0
+    safe_angular: Speed = 0.0
+    min_gap: Metres | None = None
+    scan_age: Seconds | None = None
+
+
+class Health(Struct, frozen=True, kw_only=True):
+    """How the daemon itself is doing. Rates in Hz, times in s, memory in bytes."""
+
+    scan_rate: Rate = 0.0
+    loop_p99: Seconds = 0.0
+    loop_stalls: Count = 0
+    host_restarts: Count = 0
+    dropped: dict[Word, Count] = {}
+    driver: Line = ""
+    driver_up: bool = False
+
+
+class Latch(Struct, frozen=True, kw_only=True):
+    """One emergency stop that has not been reset."""
+
+    issuer: Annotated[str, Meta(max_length=128)]
+    scope: Literal["swarm", "robots"]
+    reason: Line = ""
+
+
+class Param(Struct, frozen=True, kw_only=True):
+    """A parameter's value in force and the layer it comes from."""
+
+    value: Scalar | None
+    source: Word
+
+
+class Status(Struct, frozen=True, kw_only=True):
+    """All that others may know of a robot; published on change and at 1 Hz."""
+
+    robot: Name
+    instance: Name
+    platform: Word
+    driver: Word
+    host: Word
+    profile: Word
+    is_secured: bool
+    state: State
+    reason: Reason | None
+    detail: Line
+    pattern: Word | None
+    generation: Count
+    since: Seconds
+    epoch: Epoch
+    changed_by: Line
+    latches: dict[Name, Latch]
+    labels: tuple[Word, ...]
+    params: dict[Word, Param]
+    report: dict[Word, Scalar]
+    verdict: VerdictSummary
+    health: Health
+    uptime: Seconds
+    has_left: bool = False
+
+
+class Condition(StrEnum):
+    """Whether a member is there."""
+
+    ALIVE = "alive"
+    LEFT = "left"
+    FAILED = "failed"
+
+
+class Member(Struct, frozen=True, kw_only=True):
+    """One robot as another peer sees it. `age`: seconds since its condition last changed."""
+
+    robot: Name
+    instance: Name
+    condition: Condition
+    age: Seconds
+    status: Status | None = None
+
+
+class View(Struct, frozen=True, kw_only=True):
+    """A daemon's answer to `members`: itself, and every other robot it knows of.
+
+    Alive members come without their status: they answer for themselves.
+    """
+
+    robot: Name
+    status: Status
+    members: tuple[Member, ...]
+    roster: tuple[Name, ...] = ()
