@@ -1,0 +1,73 @@
+# make demo | test | check | bench | lock | clean. Everything lands in .venv and build/.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+ARGS ?=
+
+.PHONY: help demo test check format bench lock clean
+.DELETE_ON_ERROR:
+
+help:
+	@echo "make demo    seven simulated robots gather; about a minute and a half"
+	@echo "make test    all tests                            (ARGS='-k scan' picks some)"
+	@echo "make check   format, lint, types, and the wheel tried in a fresh environment"
+	@echo "make bench   the measurements, beside their budgets"
+	@echo "make clean   removes .venv, build and caches"
+	@echo "PYTHON=python3.12 picks the interpreter."
+
+demo: $(VENV)/installed
+	@$(BIN)/swarmctl demo $(ARGS)
+
+test: $(VENV)/tools
+	@$(BIN)/python -m pytest $(ARGS)
+
+check: $(VENV)/tools
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	.ci/try-wheel $(BIN)/python
+
+format: $(VENV)/tools
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: $(VENV)/tools
+	@for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+
+$(VENV)/made:
+	@command -v $(PYTHON) >/dev/null || { echo \
+	  "no $(PYTHON) here; swarmd needs Python 3.11 or newer, try: make PYTHON=python3.12" >&2; exit 1; }
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo \
+	  "$(PYTHON) is $$($(PYTHON) -V 2>&1); swarmd needs 3.11 or newer, try: make PYTHON=python3.12" >&2; exit 1; }
+	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { echo \
+	  "$(PYTHON) cannot make virtual environments; on Debian and Ubuntu: apt install python3-venv" >&2; exit 1; }
+	@rm -rf $(VENV)
+	@echo "Making $(VENV) with $$($(PYTHON) -V); this happens once."
+	@$(PYTHON) -m venv $(VENV)
+	@touch $@
+
+$(VENV)/installed: $(VENV)/made pyproject.toml constraints.txt
+	@echo "Installing swarmd with what the demo needs."
+	@$(PIP) install --constraint constraints.txt --editable '.[sim,plot]'
+	@touch $@
+
+# pip understands --group only from 25.1 on, and a new environment may hold an older one.
+$(VENV)/tools: $(VENV)/installed
+	@echo "Installing the tools for tests and checks."
+	@$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["dependency-groups"]["dev"], sep="\n")' > $(VENV)/dev.txt
+	@$(PIP) install --constraint constraints.txt --requirement $(VENV)/dev.txt
+	@touch $@
+
+# The newest versions that fit, in a fresh environment; run the checks before committing them.
+lock:
+	rm -rf build/lock && $(PYTHON) -m venv build/lock
+	build/lock/bin/pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
+	build/lock/bin/pip install --quiet --disable-pip-version-check '.[sim,plot]' --group dev
+	sed -n '/^#/p' constraints.txt > build/constraints.txt
+	build/lock/bin/pip freeze | grep -v '^swarmd' >> build/constraints.txt
+	mv build/constraints.txt constraints.txt
+
+clean:
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find swarmd patterns drivers sim config tests benchmarks examples -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,208 @@
+"""The shape of the house: where imports point, what is mapped and linked, how long things are."""
+
+from __future__ import annotations
+
+import ast
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+LINKED = ("patterns", "drivers", "sim", "config")
+CODE = ("swarmd", *LINKED)
+PROJECT: dict[str, Any] = tomllib.loads((ROOT / "pyproject.toml").read_text())
+SETUPTOOLS = PROJECT["tool"]["setuptools"]
+
+FORBIDDEN = {
+    "swarmd": ("swarmd.patterns", "swarmd.drivers", "swarmd.sim", "mujoco", "matplotlib"),
+    "patterns": (
+        *("swarmd.drivers", "swarmd.sim", "swarmd.network", "swarmd.daemon", "swarmd.cli"),
+        *("zenoh", "asyncio", "time", "mujoco", "os", "io", "pathlib", "socket", "threading"),
+        *("subprocess", "shutil", "tempfile"),
+    ),
+    "drivers": ("swarmd.patterns", "swarmd.sim", "mujoco"),
+    "sim": ("swarmd.patterns", "swarmd.drivers", "zenoh"),
+    "config": CODE,
+}
+# Modules that may break a rule of FORBIDDEN, with the reason.
+EXCEPTIONS: dict[tuple[str, str], str] = {}
+# Files over 400 lines and functions over 50, with the reason.
+LONG_FILES: dict[str, str] = {}
+LONG_FUNCTIONS: dict[str, str] = {}
+MAX_FILE_LINES = 400
+MAX_FUNCTION_LINES = 50
+
+
+def sources(*folders: str) -> list[Path]:
+    """Each Python file once: links are not followed."""
+    found = []
+    for folder in folders:
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            inside = path.relative_to(ROOT).parts
+            if not any((ROOT / Path(*inside[:n])).is_symlink() for n in range(1, len(inside))):
+                found.append(path)
+    return found
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
+    """(line, module) of each import, also of a name that might be a module itself."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name
+        elif isinstance(node, ast.ImportFrom):
+            yield node.lineno, "." * node.level + (node.module or "")
+            for alias in node.names:
+                yield node.lineno, f"{node.module}.{alias.name}"
+
+
+def is_within(module: str, package: str) -> bool:
+    return module == package or module.startswith(package + ".")
+
+
+def offences(path: Path, forbidden: tuple[str, ...]) -> list[str]:
+    return [
+        f"{name_of(path)}:{line} imports {module}"
+        for line, module in imports(ast.parse(path.read_text()))
+        if any(is_within(module, package) for package in forbidden)
+        and (name_of(path), module) not in EXCEPTIONS
+    ]
+
+
+@pytest.mark.parametrize("folder", FORBIDDEN)
+def test_imports_point_one_way(folder: str) -> None:
+    found = [line for path in sources(folder) for line in offences(path, FORBIDDEN[folder])]
+    assert found == []
+
+
+def test_an_import_the_wrong_way_is_found() -> None:
+    tree = ast.parse("def late():\n    from swarmd import sim\n    import zenoh.ext\n")
+    modules = {module for _, module in imports(tree)}
+    assert any(is_within(module, "swarmd.sim") for module in modules)
+    assert any(is_within(module, "zenoh") for module in modules)
+
+
+def test_one_file_has_one_import_name() -> None:
+    bare = (*LINKED, "tests", "benchmarks", "examples")
+    everything = sources(*CODE, "tests", "benchmarks", "examples")
+    found = [line for path in everything for line in offences(path, bare)]
+    relative = [
+        f"{name_of(path)}:{line}"
+        for path in everything
+        for line, module in imports(ast.parse(path.read_text()))
+        if module.startswith(".")
+    ]
+    assert found == []
+    assert relative == []
+
+
+def test_the_core_names_no_concrete_plugin() -> None:
+    plugins = PROJECT["project"]["entry-points"]
+    names = {
+        value.partition(":")[0]
+        for group in ("swarmd.patterns", "swarmd.drivers", "swarmd.commands")
+        for value in plugins[group].values()
+    }
+    found = [
+        f"{name_of(path)} names {name}"
+        for path in sources("swarmd")
+        for name in sorted(names)
+        if name in path.read_text()
+    ]
+    assert found == []
+
+
+@pytest.mark.parametrize("folder", LINKED)
+def test_folder_is_linked_listed_and_mapped(folder: str) -> None:
+    link = ROOT / "swarmd" / folder
+    assert link.is_symlink()
+    assert link.readlink() == Path("..") / folder
+    assert f"swarmd.{folder}" in SETUPTOOLS["packages"]
+    assert SETUPTOOLS["package-dir"][f"swarmd.{folder}"] == folder
+
+
+def test_every_folder_with_code_is_packaged() -> None:
+    expected = {}
+    for path in sources(*CODE):
+        folder = path.parent.relative_to(ROOT)
+        inside = folder if folder.parts[0] == "swarmd" else Path("swarmd") / folder
+        expected[".".join(inside.parts)] = folder.as_posix()
+    mapping = SETUPTOOLS["package-dir"]
+    assert sorted(SETUPTOOLS["packages"]) == sorted(expected)
+    assert {name: mapping.get(name, name.replace(".", "/")) for name in expected} == expected
+
+
+def test_every_package_has_an_init_that_only_reexports() -> None:
+    missing = [
+        p for p in SETUPTOOLS["packages"] if not (ROOT / _folder(p) / "__init__.py").exists()
+    ]
+    busy = [
+        name_of(path)
+        for path in sources(*CODE)
+        if path.name == "__init__.py" and name_of(path) != "swarmd/cli/__init__.py"
+        for node in ast.parse(path.read_text()).body
+        if not isinstance(node, ast.Import | ast.ImportFrom | ast.Expr | ast.Assign)
+    ]
+    assert missing == []
+    assert busy == []
+
+
+def test_entry_points_lead_to_files() -> None:
+    groups = PROJECT["project"]["entry-points"] | {"scripts": PROJECT["project"]["scripts"]}
+    missing = []
+    for group, entries in groups.items():
+        for name, value in entries.items():
+            module, _, attribute = value.partition(":")
+            if attribute not in _names_defined(module):
+                missing.append(f"{group}: {name} = {value}")
+    assert missing == []
+
+
+def test_files_are_short() -> None:
+    long = {
+        name_of(path)
+        for path in sources(*CODE, "tests", "benchmarks", "examples")
+        if len(path.read_text().splitlines()) > MAX_FILE_LINES
+    }
+    assert long == set(LONG_FILES)
+
+
+def test_functions_are_short() -> None:
+    long = {
+        f"{name_of(path)}:{node.name}"
+        for path in sources(*CODE, "tests", "benchmarks", "examples")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
+        and (node.end_lineno or 0) - node.lineno + 1 > MAX_FUNCTION_LINES
+    }
+    assert long == set(LONG_FUNCTIONS)
+
+
+def _folder(package: str) -> str:
+    mapping: dict[str, str] = SETUPTOOLS["package-dir"]
+    return mapping.get(package, package.replace(".", "/"))
+
+
+def _names_defined(module: str) -> set[str]:
+    """Top-level functions, classes and imported or assigned names of a module; empty if absent."""
+    path = ROOT / (module.replace(".", "/") + ".py")
+    if not path.exists():
+        path = ROOT / module.replace(".", "/") / "__init__.py"
+    if not path.exists():
+        return set()
+    names = set()
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        elif isinstance(node, ast.ImportFrom):
+            names.update(alias.asname or alias.name for alias in node.names)
+        elif isinstance(node, ast.Assign):
+            names.update(t.id for t in node.targets if isinstance(t, ast.Name))
+    return names
