@@ -1,0 +1,216 @@
+"""Platforms: one kind of robot a file, read and checked. The schema is this file's structs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Literal, cast
+
+import numpy as np
+from msgspec import Meta, Struct, to_builtins
+
+import swarmd.config
+from swarmd.angles import wrap
+from swarmd.errors import ConfigError, unknown
+from swarmd.layered import Layered
+from swarmd.messages import Scalar
+from swarmd.values import Limits, Platform, ScanSpec, Value
+from swarmd.yamlfile import read, shown
+
+Coordinate = Annotated[float, Meta(ge=-100.0, le=100.0)]
+Point = tuple[Coordinate, Coordinate]
+Positive = Annotated[float, Meta(gt=0.0, le=1000.0)]
+Parameters = dict[str, dict[str, Scalar | None]]
+Option = Scalar | list[Scalar] | dict[str, Scalar | list[Scalar]] | None
+Options = dict[str, Option]
+
+_SENSED = ("scan", "odometry", "neighbors")
+_OF_NEIGHBORS = ("neighbors.distance", "neighbors.bearing", "neighbors.heading")
+_READING = "reading:"
+
+
+class LimitsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What the base can do: m/s, rad/s; `lateral` 0 for bases that cannot move sideways."""
+
+    linear: Annotated[float, Meta(gt=0.0, le=20.0)]
+    angular: Annotated[float, Meta(gt=0.0, le=50.0)]
+    lateral: Annotated[float, Meta(ge=0.0, le=20.0)] = 0.0
+
+
+class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The range sensor: rays spread evenly over 360 degrees, rate in Hz, ranges in m."""
+
+    rays: Annotated[int, Meta(ge=1, le=10_000)]
+    rate: Annotated[float, Meta(gt=0.0, le=200.0)]
+    range_min: Annotated[float, Meta(ge=0.0, le=1000.0)]
+    range_max: Positive
+    first_bearing_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+    offset: Point = (0.0, 0.0)
+    zero: Literal["no_return", "too_close", "unknown", "lds"] = "no_return"
+    noisy: bool = True
+    max_gap_deg: Annotated[float, Meta(gt=0.0, le=180.0)] = 12.0
+
+
+class PresetSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One set of numbers for the arbiter: threshold in m from the sensor, rays that trigger it."""
+
+    threshold: Positive
+    rays: Annotated[int, Meta(ge=1, le=10_000)]
+    forward_bias: Annotated[float, Meta(ge=0.0, le=100.0)]
+
+
+class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The arbiter: its mode, the presets there are and the one in force."""
+
+    mode: Literal["potential_field"] = "potential_field"
+    preset: str
+    presets: dict[str, PresetSection]
+
+
+class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """All that may stand in a platform's file."""
+
+    description: str = ""
+    extends: str | None = None
+    limits: LimitsSection
+    footprint: list[Point]
+    scan: ScanSection
+    provides: list[str]
+    protection: ProtectionSection
+    patterns: Parameters = {}
+    drivers: dict[str, Options] = {}
+    body: dict[str, Annotated[float, Meta(ge=-1e6, le=1e6)]] = {}
+
+
+def platform_names() -> tuple[str, ...]:
+    """The platforms that come with the project."""
+    return tuple(sorted(path.stem for path in _folder().glob("*.yaml")))
+
+
+def load_platform(name: str, near: Path | None = None) -> Platform:
+    """The platform of that name, or of that file if it ends in .yaml (relative to `near`).
+
+    ConfigError names file, key, value, what was wanted and the nearest valid key.
+    """
+    path = _find(name, near or Path())
+    layers = Layered(*_chain(path))
+    file = layers.build(PlatformFile)
+    _check(layers, file)
+    return _platform(path.stem, file)
+
+
+def _folder() -> Path:
+    return Path(swarmd.config.__path__[0]).resolve() / "platforms"
+
+
+def _find(name: str, near: Path) -> Path:
+    if name.endswith(".yaml"):
+        return near / Path(name).expanduser()
+    if name not in platform_names():
+        raise ConfigError(
+            f"{unknown('platform', name, platform_names())} (or give a path ending in .yaml)"
+        )
+    return _folder() / f"{name}.yaml"
+
+
+def _chain(path: Path) -> Iterator[tuple[str, dict[str, object]]]:
+    """The file and those it extends, strongest first."""
+    seen: list[Path] = []
+    while True:
+        if path.resolve() in seen:
+            files = " -> ".join(shown(file) for file in (*seen, path))
+            raise ConfigError(f"{shown(path)}: extends itself: {files}; take one of them out")
+        seen.append(path.resolve())
+        data = read(path)
+        base = data.get("extends")
+        yield shown(path), data
+        if not isinstance(base, str):
+            return
+        try:
+            path = _find(base, path.parent)
+        except ConfigError as error:
+            raise ConfigError(f"{shown(path)}: extends: {error}") from error
+
+
+def _check(layers: Layered, file: PlatformFile) -> None:
+    scan, protection = file.scan, file.protection
+    if scan.range_min >= scan.range_max:
+        text = f"scan.range_min is {scan.range_min:g}"
+        raise layers.error(
+            ("scan", "range_min"), f"{text}; wanted less than scan.range_max ({scan.range_max:g})"
+        )
+    if protection.preset not in protection.presets:
+        fault = unknown("preset", protection.preset, protection.presets)
+        raise layers.error(("protection", "preset"), f"protection.preset: {fault}")
+    for name, preset in protection.presets.items():
+        if not scan.range_min < preset.threshold < scan.range_max:
+            key = ("protection", "presets", name, "threshold")
+            raise layers.error(
+                key,
+                f"{'.'.join(key)} is {preset.threshold:g}; wanted a range the sensor can measure,"
+                f" between {scan.range_min:g} and {scan.range_max:g}",
+            )
+    for index, word in enumerate(file.provides):
+        if word not in (*_SENSED, *_OF_NEIGHBORS) and not _is_reading(word):
+            words = (*_SENSED, *_OF_NEIGHBORS, f"{_READING}<name>")
+            raise layers.error(("provides", index), f"provides: {unknown('word', word, words)}")
+    fault = _shape_fault(file.footprint)
+    if fault:
+        raise layers.error(
+            ("footprint",),
+            f"footprint {fault}; wanted a convex polygon in m, counter-clockwise seen from above",
+        )
+
+
+def _is_reading(word: str) -> bool:
+    return word.startswith(_READING) and word.removeprefix(_READING).isidentifier()
+
+
+def _shape_fault(points: list[Point]) -> str:
+    """What keeps the points from being a convex counter-clockwise polygon; empty if nothing."""
+    if len(points) < 3:
+        return f"has {len(points)} corners"
+    edges = list(zip(points, points[1:] + points[:1], strict=True))
+    headings = [math.atan2(b[1] - a[1], b[0] - a[0]) for a, b in edges]
+    if any(a == b for a, b in edges):
+        return "has the same corner twice in a row"
+    turns = [wrap(b - a) for a, b in zip(headings, headings[1:] + headings[:1], strict=True)]
+    if all(turn < 0.0 for turn in turns):
+        return "runs clockwise"
+    if any(turn <= 0.0 for turn in turns):
+        corner = next(i for i, turn in enumerate(turns) if turn <= 0.0) + 1
+        return f"does not turn left at corner {corner % len(points)}"
+    if sum(turns) > 3.0 * math.pi:  # once around is 2 pi; a star goes around twice
+        return "crosses itself"
+    return ""
+
+
+def _platform(name: str, file: PlatformFile) -> Platform:
+    scan, protection = file.scan, file.protection
+    first = math.radians(scan.first_bearing_deg)
+    step = 2.0 * math.pi / scan.rays
+    return Platform(
+        name=name,
+        limits=Limits(**to_builtins(file.limits)),
+        footprint=np.array(file.footprint, dtype=np.float64),
+        scan=ScanSpec(
+            bearings=np.array([wrap(first + i * step) for i in range(scan.rays)]),
+            rate=scan.rate,
+            range_min=scan.range_min,
+            range_max=scan.range_max,
+            offset=scan.offset,
+            max_gap=math.radians(scan.max_gap_deg),
+            zero=scan.zero,
+            is_noisy=scan.noisy,
+        ),
+        provides=frozenset(file.provides),
+        protection={
+            "mode": protection.mode,
+            "preset": protection.preset,
+            **to_builtins(protection.presets[protection.preset]),
+        },
+        patterns=file.patterns,
+        drivers=cast(Mapping[str, Mapping[str, Value]], file.drivers),
+        body=file.body,
+    )
