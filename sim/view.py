@@ -1,0 +1,144 @@
+"""The live view of a fleet: a table of the robots beside a small map seen from above."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from swarmd.messages import State, Status
+
+ARROWS = "→↗↑↖←↙↓↘"
+COLOURS = {
+    State.IDLE: "cyan",
+    State.RUNNING: "green",
+    State.STOPPED: "yellow",
+    State.ESTOPPED: "bold red",
+    State.FAULTED: "bold magenta",
+}
+TABLE_WIDTH = 78
+MARGIN = 4  # the map's frame and the gap beside the table
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What is to be seen at one moment.
+
+    `poses` by robot: x, y in m and yaw in rad; the arena spans (width, height) m around the
+    origin. `statuses` holds a robot only once it has answered.
+    """
+
+    title: str
+    arena: tuple[float, float]
+    poses: Mapping[str, tuple[float, float, float]]
+    statuses: Mapping[str, Status]
+    footer: str = ""
+
+
+def render(scene: Scene, width: int, height: int) -> RenderableType:
+    """The whole view for a terminal of `width` by `height` characters."""
+    heading = Text(scene.title, style="bold", no_wrap=True, overflow="ellipsis")
+    footer = Text(scene.footer, style="dim", no_wrap=True, overflow="ellipsis")
+    table = table_of(scene)
+    rows = len(scene.poses) + 1
+    if width >= TABLE_WIDTH + MARGIN + 16:
+        size = map_size(scene.arena, width - TABLE_WIDTH - MARGIN, max(height - 5, 6))
+        both = Table.grid(padding=(0, 2))
+        both.add_row(table, map_of(scene, *size))
+        return Group(heading, both, footer)
+    if height - rows >= 11:
+        size = map_size(scene.arena, width - MARGIN, height - rows - 6)
+        return Group(heading, table, map_of(scene, *size), footer)
+    return Group(heading, table, footer)
+
+
+def table_of(scene: Scene) -> Table:
+    """One row a robot: name, state, reason, pattern, scan rate, loop p99, nearest obstacle."""
+    table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False, width=TABLE_WIDTH)
+    for title, width in (("name", 11), ("state", 9), ("reason", 18), ("pattern", 13)):
+        table.add_column(title, width=width, no_wrap=True)
+    for title, width in (("scan", 7), ("loop99", 7), ("near", 6)):
+        table.add_column(title, width=width, no_wrap=True, justify="right")
+    for number, robot in enumerate(scene.poses):
+        status = scene.statuses.get(robot)
+        if status is None:
+            table.add_row(_label(number, robot), Text("no answer", style="red"))
+            continue
+        near = status.verdict.min_gap
+        table.add_row(
+            _label(number, robot),
+            Text(status.state.value, style=COLOURS[status.state]),
+            status.reason.value if status.reason else "",
+            status.pattern or "",
+            f"{status.health.scan_rate:.1f} Hz",
+            f"{1000 * status.health.loop_p99:.1f} ms",
+            "-" if near is None else f"{near:.2f} m",
+        )
+    return table
+
+
+def map_size(arena: tuple[float, float], width: int, height: int) -> tuple[int, int]:
+    """Columns and rows inside the frame that keep the arena's shape; a character is 1 by 2."""
+    columns = min(width, 2 * height * arena[0] / arena[1])
+    return max(8, int(columns)), max(4, round(columns * arena[1] / arena[0] / 2))
+
+
+def map_of(scene: Scene, columns: int, rows: int) -> Text:
+    """The arena with one mark a robot, and an arrow where it heads."""
+    grid: list[list[tuple[str, str]]] = [[(" ", "")] * columns for _ in range(rows)]
+    cells = {
+        robot: cell_of(pose, scene.arena, columns, rows) for robot, pose in scene.poses.items()
+    }
+    for robot, (column, row) in cells.items():
+        octant = _octant(scene.poses[robot][2])
+        arrow = (column + _DX[octant], row - _DY[octant])
+        if 0 <= arrow[0] < columns and 0 <= arrow[1] < rows:
+            grid[arrow[1]][arrow[0]] = (ARROWS[octant], _colour(scene, robot))
+    for number, (robot, (column, row)) in enumerate(cells.items()):
+        grid[row][column] = (_mark(number), f"bold {_colour(scene, robot)}")
+    text = Text(no_wrap=True)
+    text.append("┌" + "─" * columns + "┐\n", style="dim")
+    for line in grid:
+        text.append("│", style="dim")
+        for character, style in line:
+            text.append(character, style=style)
+        text.append("│\n", style="dim")
+    text.append("└" + "─" * columns + "┘", style="dim")
+    return text
+
+
+def cell_of(
+    pose: Sequence[float], arena: tuple[float, float], columns: int, rows: int
+) -> tuple[int, int]:
+    """Column and row of a pose; row 0 is the arena's largest y."""
+    column = int((pose[0] / arena[0] + 0.5) * columns)
+    row = int((0.5 - pose[1] / arena[1]) * rows)
+    return min(max(column, 0), columns - 1), min(max(row, 0), rows - 1)
+
+
+_DX = (1, 1, 0, -1, -1, -1, 0, 1)
+_DY = (0, 1, 1, 1, 0, -1, -1, -1)
+
+
+def _octant(yaw: float) -> int:
+    return round(yaw / (math.pi / 4)) % 8
+
+
+def _mark(number: int) -> str:
+    marks = "123456789abcdefghijklmnopqrstuvwxyz"
+    return marks[number] if number < len(marks) else "*"
+
+
+def _label(number: int, robot: str) -> Text:
+    return Text(f"{_mark(number)} {robot}", no_wrap=True, overflow="ellipsis")
+
+
+def _colour(scene: Scene, robot: str) -> str:
+    status = scene.statuses.get(robot)
+    if status is None:
+        return "white"
+    return COLOURS[status.state].removeprefix("bold ")
