@@ -1,0 +1,152 @@
+"""Which patterns, drivers and verbs are installed: names only, nothing of a pattern is imported.
+
+Found by entry-point group (`swarmd.patterns`, `swarmd.drivers`, `swarmd.commands`) and, for
+patterns, as `<plugin_dir>/<name>.py` holding exactly one Pattern. Reading the metadata of all
+installed packages takes 40 ms and more, so the command line calls this only where it must.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+from swarmd.errors import ConfigError, PluginError, unknown
+from swarmd.keys import check_id, is_id
+
+if TYPE_CHECKING:
+    import click
+
+    from swarmd.driver import DriverFactory
+
+PATTERNS = "swarmd.patterns"
+DRIVERS = "swarmd.drivers"
+COMMANDS = "swarmd.commands"
+
+
+@dataclass(frozen=True, slots=True)
+class Origin:
+    """Where a pattern comes from.
+
+    `value` is `module:Class`, or the path of a file if `is_file`. `source` says it to a reader:
+    a distribution and its version, or the file. `rival` is another source of the same name.
+    """
+
+    value: str
+    source: str
+    is_file: bool = False
+    rival: str = ""
+
+
+def pattern_names(plugin_dir: Path | None) -> Mapping[str, Origin]:
+    """All patterns by name, installed and dropped in; PluginError if the folder is not there."""
+    found: dict[str, Origin] = {}
+    for name, origin in (*_installed_patterns(), *_dropped_in(plugin_dir)):
+        first = found.get(name)
+        found[name] = origin if first is None else replace(first, rival=origin.source)
+    return dict(sorted(found.items()))
+
+
+def find_pattern(name: str, plugin_dir: Path | None) -> Origin:
+    """Where the pattern of that name is; PluginError if there is none, or more than one."""
+    found = pattern_names(plugin_dir)
+    if name not in found:
+        raise PluginError(_bad_file_name(name, plugin_dir) or unknown("pattern", name, found))
+    origin = found[name]
+    if origin.rival:
+        raise PluginError(
+            f"pattern {name!r} is there twice: {origin.source} and {origin.rival}; rename one"
+        )
+    return origin
+
+
+def driver_names() -> tuple[str, ...]:
+    """The installed drivers."""
+    return tuple(sorted({point.name for point in entry_points(group=DRIVERS)}))
+
+
+def load_driver(name: str) -> DriverFactory:
+    """The driver of that name, imported: the one kind of plugin the daemon itself runs."""
+    return cast("DriverFactory", _load("driver", DRIVERS, name))
+
+
+def command_names() -> Mapping[str, str]:
+    """The verbs that plugins add to swarmctl, and the distribution each is from."""
+    return {point.name: _source(point) for point in sorted(entry_points(group=COMMANDS))}
+
+
+def load_command(name: str) -> click.Command:
+    """The verb of that name, imported; PluginError if there is none or its needs are missing."""
+    return cast("click.Command", _load("verb", COMMANDS, name))
+
+
+def how_to_install(missing: str, name: str, group: str = COMMANDS) -> str:
+    """The line for a plugin whose module `missing` is not installed."""
+    point = next(iter(entry_points(group=group, name=name)), None)
+    extra = _extra_with(point, missing) if point is not None else None
+    dist = point.dist.name if point is not None and point.dist is not None else ""
+    wanted = f"'{dist}[{extra}]'" if extra else missing
+    return f"{name!r} needs {missing}, which is not installed; run: pip install {wanted}"
+
+
+def _installed_patterns() -> Iterator[tuple[str, Origin]]:
+    for point in entry_points(group=PATTERNS):
+        yield point.name, Origin(point.value, _source(point))
+
+
+def _dropped_in(plugin_dir: Path | None) -> Iterator[tuple[str, Origin]]:
+    if plugin_dir is None:
+        return
+    if not plugin_dir.is_dir():
+        raise PluginError(
+            f"plugin_dir is {plugin_dir}, which is no folder; make it or leave it out"
+        )
+    for path in sorted(plugin_dir.glob("*.py")):
+        if is_id(path.stem) and path.is_file():
+            yield path.stem, Origin(str(path.resolve()), str(path), is_file=True)
+
+
+def _bad_file_name(name: str, plugin_dir: Path | None) -> str:
+    if plugin_dir is None or "/" in name or not (plugin_dir / f"{name}.py").is_file():
+        return ""
+    try:
+        check_id(name, f"{plugin_dir / name}.py: the pattern's name")
+    except ConfigError as error:
+        return str(error)
+    return ""
+
+
+def _load(what: str, group: str, name: str) -> object:
+    points = entry_points(group=group, name=name)
+    if not points:
+        known = (point.name for point in entry_points(group=group))
+        raise PluginError(unknown(what, name, known))
+    if len(points) > 1:
+        sources = " and ".join(_source(point) for point in points)
+        raise PluginError(f"{what} {name!r} is there twice: {sources}; uninstall one")
+    try:
+        return next(iter(points)).load()
+    except (ImportError, AttributeError, SyntaxError) as error:
+        point = next(iter(points))
+        missing = (error.name or "") if isinstance(error, ModuleNotFoundError) else ""
+        if missing and missing.partition(".")[0] != point.module.partition(".")[0]:
+            raise PluginError(how_to_install(missing, name, group)) from error
+        text = f"{what} {name!r} of {_source(point)} cannot be loaded: {error}"
+        raise PluginError(f"{text}; install it anew or tell its authors") from error
+
+
+def _source(point: EntryPoint) -> str:
+    return f"{point.dist.name} {point.dist.version}" if point.dist is not None else point.value
+
+
+def _extra_with(point: EntryPoint, module: str) -> str | None:
+    """The extra of the plugin's distribution that brings the module, going by names."""
+    root = module.partition(".")[0].lower().replace("_", "-")
+    for line in point.dist.requires or () if point.dist is not None else ():
+        match = re.match(r"([A-Za-z0-9._-]+).*extra\s*==\s*['\"]([\w-]+)['\"]", line)
+        if match and match[1].lower().replace("_", "-").split("-")[0] == root.split("-")[0]:
+            return match[2]
+    return None
