@@ -14,17 +14,13 @@ import swarmd.config
 from swarmd.angles import wrap
 from swarmd.errors import ConfigError, unknown
 from swarmd.layered import Layered
-from swarmd.messages import Scalar
+from swarmd.swarmfile import Options, Parameters
 from swarmd.values import Limits, Platform, ScanSpec, Value
 from swarmd.yamlfile import read, shown
 
 Coordinate = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Point = tuple[Coordinate, Coordinate]
 Positive = Annotated[float, Meta(gt=0.0, le=1000.0)]
-Parameters = dict[str, dict[str, Scalar | None]]
-Option = Scalar | list[Scalar] | dict[str, Scalar | list[Scalar]] | None
-Options = dict[str, Option]
-
 _SENSED = ("scan", "odometry", "neighbors")
 _OF_NEIGHBORS = ("neighbors.distance", "neighbors.bearing", "neighbors.heading")
 _READING = "reading:"
