@@ -1,0 +1,74 @@
+"""All that the author of a pattern imports."""
+
+from __future__ import annotations
+
+from swarmd.angles import difference, wrap
+from swarmd.behavior import Context, Make, MovementPattern, Pattern
+from swarmd.combined import CombinedPattern
+from swarmd.errors import ConfigError, PluginError
+from swarmd.fields import FieldKind, FieldResult, field_twist, potential_field
+from swarmd.params import P, Params, about
+from swarmd.rays import Gap, Ray, RayClusters, closest_points, clusters, gaps, nearest, sectors
+from swarmd.values import (
+    ZERO,
+    Array,
+    Inputs,
+    Message,
+    Neighbor,
+    Odometry,
+    Outputs,
+    Platform,
+    Pose,
+    Scalar,
+    Scan,
+    Twist,
+    Value,
+)
+from swarmd.votes import Ties, VoteWindow, majority, tally
+from swarmd.voting import VotingParams, VotingPattern
+
+__all__ = [
+    "ZERO",
+    "Array",
+    "CombinedPattern",
+    "ConfigError",
+    "Context",
+    "FieldKind",
+    "FieldResult",
+    "Gap",
+    "Inputs",
+    "Make",
+    "Message",
+    "MovementPattern",
+    "Neighbor",
+    "Odometry",
+    "Outputs",
+    "P",
+    "Params",
+    "Pattern",
+    "Platform",
+    "PluginError",
+    "Pose",
+    "Ray",
+    "RayClusters",
+    "Scalar",
+    "Scan",
+    "Ties",
+    "Twist",
+    "Value",
+    "VoteWindow",
+    "VotingParams",
+    "VotingPattern",
+    "about",
+    "closest_points",
+    "clusters",
+    "difference",
+    "field_twist",
+    "gaps",
+    "majority",
+    "nearest",
+    "potential_field",
+    "sectors",
+    "tally",
+    "wrap",
+]

@@ -1,0 +1,180 @@
+"""Parameters of patterns: typed, bounded, each with a unit, a meaning and a source.
+
+A pattern declares a frozen struct; `build` makes one from layers of values, weakest first, and
+says where each value came from. NaN and infinity are refused, whether or not there are bounds.
+"""
+
+from __future__ import annotations
+
+import math
+import types
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
+from typing import get_type_hints as type_hints
+
+import msgspec
+from msgspec import NODEFAULT, Meta, Struct
+
+from swarmd.errors import ConfigError, PluginError, unknown
+from swarmd.frames import Layers
+from swarmd.values import Scalar, Value
+
+_TYPES: Mapping[object, str] = {float: "float", int: "int", bool: "bool", str: "str"}
+
+
+class Params(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The parameters of one pattern: fields `name: Annotated[type, about(...)] = default`.
+
+    The type is float, int, bool, str or a Literal of strings, with `| None` if None means
+    something. A check over several fields goes into `__post_init__` and raises ValueError.
+    """
+
+
+P = TypeVar("P", bound=Params)
+
+
+def about(
+    description: str,
+    *,
+    ge: float | None = None,
+    le: float | None = None,
+    unit: str = "",
+    source: str = "",
+) -> Meta:
+    """What a parameter means, within which bounds, in which unit and where its default is from."""
+    return Meta(ge=ge, le=le, description=description, extra={"unit": unit, "source": source})
+
+
+@dataclass(frozen=True, slots=True)
+class ParamSpec:
+    """One parameter as tools show it. `default` None with `is_required`: there is none."""
+
+    name: str
+    type: str
+    unit: str
+    ge: float | None
+    le: float | None
+    default: Scalar | None
+    description: str
+    source: str
+    choices: tuple[str, ...] = ()
+    is_optional: bool = False
+    is_required: bool = False
+
+    @property
+    def wanted(self) -> str:
+        """What a value must be, in words: `a float from 0 to 2 m/s`."""
+        if self.choices:
+            text = "one of " + ", ".join(self.choices)
+        else:
+            article = "an" if self.type == "int" else "a"
+            text = f"{article} {self.type}" + _bounds(self.ge, self.le)
+        text += f" {self.unit}" if self.unit else ""
+        return text + (" or none" if self.is_optional else "")
+
+
+def schema(params_type: type[Params]) -> list[ParamSpec]:
+    """The parameters of a pattern, in the order of their declaration.
+
+    PluginError if one has a type that neither YAML nor the command line can give.
+    """
+    hints = type_hints(params_type, include_extras=True)
+    return [_spec(params_type, field, hints[field.name]) for field in _fields(params_type)]
+
+
+def build(
+    params_type: type[P], layers: Layers
+) -> tuple[P, Mapping[str, tuple[Scalar | None, str]]]:
+    """The parameters that the layers give, and for each its value and the layer it is from.
+
+    `layers` are (source, values), weakest first; what none gives is the pattern's own default,
+    source "pattern". Text is read as the type wants it ("0.15", "true"), since the command line
+    sends text. ConfigError with one line for the first value that is wrong.
+    """
+    specs = {spec.name: spec for spec in schema(params_type)}
+    hints = type_hints(params_type, include_extras=True)
+    values: dict[str, Scalar | None] = {}
+    sources = dict.fromkeys(specs, "pattern")
+    for source, given in layers:
+        for name, value in given.items():
+            if name not in specs:
+                raise ConfigError(f"{unknown('parameter', name, specs)} (from {source})")
+            values[name] = _convert(value, hints[name], specs[name], source)
+            sources[name] = source
+    for name, spec in specs.items():
+        if spec.is_required and name not in values:
+            raise ConfigError(f"parameter {name} has no default; give it {spec.wanted}")
+    try:
+        params = params_type(**values)
+    except ValueError as error:
+        raise ConfigError(f"parameters do not fit together: {error}") from error
+    return params, {name: (getattr(params, name), sources[name]) for name in specs}
+
+
+def _convert(value: Value, hint: Any, spec: ParamSpec, source: str) -> Scalar | None:
+    try:
+        # Only text is read leniently: a YAML `1` is no bool, a `true` no number.
+        converted = msgspec.convert(value, hint, strict=not isinstance(value, str))
+    except msgspec.ValidationError:
+        converted = math.nan
+    if isinstance(converted, float) and not math.isfinite(converted):
+        shown = f"{value!r} {spec.unit}".rstrip()
+        raise ConfigError(
+            f"parameter {spec.name} is {shown} (from {source}); wanted is {spec.wanted}"
+        )
+    return cast("Scalar | None", converted)
+
+
+def _spec(params_type: type[Params], field: Any, hint: Any) -> ParamSpec:
+    plain, meta, is_optional = _unwrap(hint)
+    choices = get_args(plain) if get_origin(plain) is Literal else ()
+    if plain not in _TYPES and not (choices and all(isinstance(c, str) for c in choices)):
+        raise PluginError(
+            f"{params_type.__name__}.{field.name} is a {plain}; "
+            "wanted is float, int, bool, str or a Literal of strings"
+        )
+    extra = meta.extra or {}
+    is_required = field.default is NODEFAULT and field.default_factory is NODEFAULT
+    return ParamSpec(
+        name=field.name,
+        type="str" if choices else _TYPES[plain],
+        unit=str(extra.get("unit", "")),
+        ge=meta.ge,
+        le=meta.le,
+        default=None if is_required else field.default,
+        description=meta.description or "",
+        source=str(extra.get("source", "")),
+        choices=choices,
+        is_optional=is_optional,
+        is_required=is_required,
+    )
+
+
+def _fields(params_type: type[Params]) -> tuple[Any, ...]:
+    return msgspec.structs.fields(params_type)
+
+
+def _unwrap(hint: Any) -> tuple[Any, Meta, bool]:
+    """The plain type, its meta and whether None is allowed."""
+    meta = Meta()
+    is_optional = False
+    while True:
+        if get_origin(hint) is Annotated:
+            hint, *extras = get_args(hint)
+            meta = next((extra for extra in extras if isinstance(extra, Meta)), meta)
+        elif get_origin(hint) in (Union, types.UnionType) and type(None) in get_args(hint):
+            others = [arm for arm in get_args(hint) if arm is not type(None)]
+            if len(others) != 1:
+                return hint, meta, True
+            hint, is_optional = others[0], True
+        else:
+            return hint, meta, is_optional
+
+
+def _bounds(ge: float | None, le: float | None) -> str:
+    if ge is not None and le is not None:
+        return f" from {ge:g} to {le:g}"
+    if ge is not None:
+        return f" of at least {ge:g}"
+    return "" if le is None else f" of at most {le:g}"

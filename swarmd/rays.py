@@ -1,0 +1,208 @@
+"""What the rays of a scan show: the nearest return, sectors, free gaps, objects.
+
+Rays may come in any order, number and spacing. Everywhere: NaN is unknown and left out, +inf is
+nothing seen, and what is nearer than `range_min` (or -inf) counts as being at `range_min`. A scan
+of None, as before the first one, shows nothing. Bearings are returned within [-pi, pi).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.values import Array, Scan
+
+_EMPTY = np.empty(0)
+_TWO_PI = 2.0 * math.pi
+
+
+class Ray(NamedTuple):
+    """One return: range in m, bearing in rad."""
+
+    range: float
+    bearing: float
+
+
+class Gap(NamedTuple):
+    """A free sector: bearing of its middle and width, in rad."""
+
+    bearing: float
+    width: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RayClusters:
+    """Objects as runs of neighbouring rays, one element of each array per object.
+
+    `ranges` (k,) m to the nearest ray, `bearings` (k,) rad of the middle, `widths` (k,) m across
+    the visible part, `counts` (k,) rays, `is_free` (k,) true if nothing nearer hides a side of it,
+    so that it is seen whole.
+    """
+
+    ranges: Array
+    bearings: Array
+    widths: Array
+    counts: NDArray[np.int64]
+    is_free: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        """The number of objects."""
+        return len(self.ranges)
+
+
+def nearest(scan: Scan | None, *, bearing: float = 0.0, half_width: float = math.pi) -> Ray | None:
+    """The nearest return within `half_width` rad of a bearing; None if nothing is seen there."""
+    ranges, bearings = _known(scan)
+    if half_width < math.pi:
+        is_inside = np.abs(_wrap(bearings - bearing)) <= half_width
+        ranges, bearings = ranges[is_inside], bearings[is_inside]
+    if not len(ranges):
+        return None
+    index = int(np.argmin(ranges))
+    if ranges[index] == math.inf:
+        return None
+    return Ray(float(ranges[index]), float(bearings[index]))
+
+
+def sectors(scan: Scan | None, count: int) -> Array:
+    """The nearest range in each of `count` equal sectors (count,); +inf where nothing is seen.
+
+    Sector 0 is centred ahead, the others follow counter-clockwise.
+    """
+    ranges, bearings = _known(scan)
+    result = np.full(count, math.inf)
+    np.minimum.at(result, _sector_of(bearings, count), ranges)
+    return result
+
+
+def closest_points(scan: Scan | None, *, within: float, count: int = 24) -> Array:
+    """Where surfaces come closest: (k, 2) of range in m and bearing in rad.
+
+    One point per robot, and one per straight wall (the foot of the perpendicular): the local
+    minima, among `count` equal sectors, of the ranges up to `within` m.
+    """
+    ranges, bearings = _known(scan)
+    is_seen = ranges <= within
+    ranges, bearings = ranges[is_seen], bearings[is_seen]
+    if not len(ranges):
+        return np.empty((0, 2))
+    # In order of falling range, the last to write into a sector is its nearest ray.
+    order = np.argsort(-ranges, kind="stable")
+    lowest = np.full((2, count), math.inf)
+    lowest[:, _sector_of(bearings, count)[order]] = ranges[order], bearings[order]
+    before, after = np.roll(lowest[0], 1), np.roll(lowest[0], -1)
+    is_minimum = (lowest[0] < before) & (lowest[0] <= after)
+    if count < 3 or not is_minimum.any():
+        is_minimum = lowest[0] == lowest[0].min()
+    return lowest[:, is_minimum & np.isfinite(lowest[0])].T
+
+
+def gaps(scan: Scan | None, *, beyond: float) -> list[Gap]:
+    """The free sectors, widest first: runs of rays that see nothing up to `beyond` m.
+
+    Unknown rays are not free. A scan that is free all round is one gap of 2 pi ahead.
+    """
+    if scan is None or not len(scan.ranges):
+        return []
+    bearings = _wrap(scan.bearings)
+    order = np.argsort(bearings, kind="stable")
+    bearings = bearings[order]
+    is_free = scan.ranges[order] > max(beyond, scan.range_min)
+    if is_free.all():
+        return [Gap(0.0, _TWO_PI)]
+    start = int(np.argmin(is_free))
+    bearings, is_free = np.roll(bearings, -start), np.roll(is_free, -start)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], is_free, [False])).astype(np.int8)))
+    found = []
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        width = float((bearings[end - 1] - bearings[first]) % _TWO_PI)
+        middle = float(bearings[first]) + 0.5 * width
+        found.append(Gap((middle + math.pi) % _TWO_PI - math.pi, width))
+    return sorted(found, key=lambda gap: -gap.width)
+
+
+def clusters(
+    scan: Scan | None, *, within: float, jump: float = 0.06, grazing: float = math.radians(10.0)
+) -> RayClusters:
+    """The objects up to `within` m.
+
+    Two neighbouring rays belong together if their ranges differ by less than `jump` m plus what a
+    surface seen at an angle of `grazing` rad makes between them, which grows with the range
+    (Borges and Aldon, "Line extraction in 2D range images for mobile robotics", 2004).
+    """
+    ranges, bearings = _known(scan)
+    order = np.argsort(bearings, kind="stable")
+    ranges, bearings = ranges[order], bearings[order]
+    if not len(ranges) or ranges.min() > within:
+        return RayClusters(_EMPTY, _EMPTY, _EMPTY, np.empty(0, np.int64), np.empty(0, np.bool_))
+    ranges = np.where(ranges <= within, ranges, math.inf)
+    steps = (np.roll(bearings, -1) - bearings) % _TWO_PI
+    spacing = float(np.median(steps)) if len(steps) > 1 else _TWO_PI
+    is_last = _is_last(ranges, steps, spacing, jump, grazing)
+    # Start behind a break, so that no object spans the end of the arrays.
+    shift = -(int(np.argmax(is_last)) + 1)
+    ranges, bearings = np.roll(ranges, shift), np.roll(bearings, shift)
+    ends = np.flatnonzero(np.roll(is_last, shift))
+    if not len(ends):
+        ends = np.array([len(ranges) - 1])
+    return _objects(ranges, bearings, ends, spacing)
+
+
+def _is_last(
+    ranges: Array, steps: Array, spacing: float, jump: float, grazing: float
+) -> NDArray[np.bool_]:
+    """(n,) true where a ray does not belong together with the one after it."""
+    after = np.roll(ranges, -1)
+    near = np.minimum(ranges, after)
+    is_seen = np.isfinite(ranges) & np.isfinite(after)
+    near = np.where(is_seen, near, 0.0)
+    difference = np.where(is_seen, np.abs(np.where(is_seen, ranges - after, 0.0)), math.inf)
+    allowed = jump + near * steps / math.tan(grazing)
+    # Up to two rays may be unknown in the middle of an object.
+    is_together = (difference <= allowed) & (steps < 3.5 * spacing) & (steps < math.pi / 2.0)
+    return ~is_together
+
+
+def _objects(
+    ranges: Array, bearings: Array, ends: NDArray[np.int64], spacing: float
+) -> RayClusters:
+    """The runs that end at `ends`; runs of rays that see nothing are left out."""
+    starts = np.concatenate(([0], ends[:-1] + 1))
+    is_seen = np.isfinite(ranges[starts])
+    lowest = np.minimum.reduceat(ranges, starts)[is_seen]
+    first, last = starts[is_seen], ends[is_seen]
+    before, after = ranges[first - 1], ranges[(last + 1) % len(ranges)]
+    spread = (bearings[last] - bearings[first]) % _TWO_PI
+    near, far = ranges[first], ranges[last]
+    chord = np.sqrt(np.maximum(near**2 + far**2 - 2.0 * near * far * np.cos(spread), 0.0))
+    return RayClusters(
+        ranges=lowest,
+        bearings=_wrap(bearings[first] + 0.5 * spread),
+        widths=chord + lowest * min(spacing, math.pi),
+        counts=last - first + 1,
+        is_free=(before > near) & (after > far),
+    )
+
+
+def _known(scan: Scan | None) -> tuple[Array, Array]:
+    """Ranges that are known, near ones at range_min, and their bearings within [-pi, pi)."""
+    if scan is None:
+        return _EMPTY, _EMPTY
+    is_known = ~np.isnan(scan.ranges)
+    ranges, bearings = scan.ranges, scan.bearings
+    if not is_known.all():
+        ranges, bearings = ranges[is_known], bearings[is_known]
+    return np.maximum(ranges, scan.range_min), _wrap(bearings)
+
+
+def _sector_of(bearings: Array, count: int) -> NDArray[np.int64]:
+    return np.rint(bearings * (count / _TWO_PI)).astype(np.int64) % count
+
+
+def _wrap(bearings: Array) -> Array:
+    wrapped: Array = (bearings + math.pi) % _TWO_PI - math.pi
+    return wrapped
