@@ -107,7 +107,7 @@ class Reply(Struct, frozen=True, kw_only=True):
 
 
 class VerdictSummary(Struct, frozen=True, kw_only=True):
-    """The arbiter's latest decision, for members and describe."""
+    """The arbiter's latest decision, and since `run` the share of ticks it was active in."""
 
     mode: Word = "potential_field"
     is_active: bool = False
@@ -117,6 +117,8 @@ class VerdictSummary(Struct, frozen=True, kw_only=True):
     safe_angular: Speed = 0.0
     min_gap: Metres | None = None
     scan_age: Seconds | None = None
+    duty: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    decisions: Count = 0
 
 
 class Health(Struct, frozen=True, kw_only=True):
@@ -137,6 +139,13 @@ class Latch(Struct, frozen=True, kw_only=True):
     issuer: Annotated[str, Meta(max_length=128)]
     scope: Literal["swarm", "robots"]
     reason: Line = ""
+
+
+class Event(Struct, frozen=True, kw_only=True):
+    """Something an operator cares about. `at` in s since the daemon started."""
+
+    at: Seconds
+    text: Line
 
 
 class Param(Struct, frozen=True, kw_only=True):
@@ -171,6 +180,7 @@ class Status(Struct, frozen=True, kw_only=True):
     verdict: VerdictSummary
     health: Health
     uptime: Seconds
+    events: tuple[Event, ...] = ()
     has_left: bool = False
 
 

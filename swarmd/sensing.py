@@ -95,13 +95,11 @@ def encode_scan(scan: Scan) -> bytes:
 
 
 def decode_scan(payload: bytes, spec: ScanSpec) -> Scan:
-    """A scan as the sensor gave it; CodecError if ranges and bearings do not agree."""
+    """A scan as the sensor gave it, not yet conditioned: even its lengths may disagree."""
     wire = _scan(payload)
     ranges = _floats(wire.ranges)
     if isinstance(wire.bearings, bytes):
         bearings = _floats(wire.bearings)
-        if len(bearings) != len(ranges):
-            raise CodecError(f"{len(ranges)} ranges but {len(bearings)} bearings")
     else:
         first, step = wire.bearings
         bearings = first + step * np.arange(len(ranges), dtype=np.float64)

@@ -1,0 +1,30 @@
+"""What a robot asks its shell to do after one event: values only, to be carried out at once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from swarmd.frames import Command
+from swarmd.latches import LatchRecord
+from swarmd.messages import Reply, Status
+from swarmd.protection.verdict import Verdict
+from swarmd.values import Twist, Value
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Actions:
+    """In this order: hand `twist` to the driver, write `latches` down, tell the `host`, publish.
+
+    `wish_seq` is the scan that the wish behind `twist` used (-1: none). `replies` answer earlier
+    requests too: run is answered when its pattern is ready.
+    """
+
+    twist: Twist
+    verdict: Verdict
+    wish_seq: int = -1
+    latches: LatchRecord | None = None
+    host: Command | None = None
+    messages: Mapping[str, Value] = field(default_factory=dict)
+    status: Status | None = None
+    replies: tuple[Reply, ...] = ()

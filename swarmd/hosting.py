@@ -1,0 +1,189 @@
+"""The robot's side of its pattern: loading, stepping, wishes and their expiry, faults. Pure."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from swarmd.frames import Ready, Stepped
+from swarmd.messages import Request
+from swarmd.values import Scalar, Twist
+
+LOAD_TIMEOUT = 3.0
+SILENT_AFTER = 1.0
+MIN_EXPIRY = 0.3
+FAULT_WINDOW = 60.0
+FAULTS_BEFORE_QUARANTINE = 4
+FIRST_BACKOFF = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What the pattern wants, since when, and from which scan (-1: none)."""
+
+    twist: Twist | None
+    at: float
+    scan_seq: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loading:
+    """A pattern on its way in. `request` None: a restart after a fault."""
+
+    generation: int
+    pattern: str
+    params: Mapping[str, Scalar | None]
+    seconds: float | None
+    since: float
+    request: Request | None
+
+
+@dataclass(slots=True, eq=False)
+class Running:
+    """The pattern in force."""
+
+    generation: int
+    pattern: str
+    params: Mapping[str, Scalar | None]
+    finish_at: float | None
+    rate: float
+    channels: frozenset[str]
+    values: Mapping[str, tuple[Scalar | None, str]]
+    wish: Wish
+
+    @property
+    def expiry(self) -> float:
+        """Seconds for which a wish holds: three steps, at least 0.3 s."""
+        return max(MIN_EXPIRY, 3.0 / self.rate)
+
+
+class Hosting:
+    """What is loaded, what is awaited from the host, and how often it has failed."""
+
+    def __init__(self) -> None:
+        self.generation = 0
+        self.running: Running | None = None
+        self.loading: Loading | None = None
+        self.restart_at: float | None = None
+        self.awaiting_since: float | None = None
+        self.stepped_generation = 0
+        self.last_step = -1.0
+        self.is_due = False
+        self.restarts = 0
+        self.quarantined: str | None = None
+        self._faults: deque[float] = deque()
+
+    def begin(
+        self,
+        pattern: str,
+        params: Mapping[str, Scalar | None],
+        seconds: float | None,
+        request: Request | None,
+        now: float,
+    ) -> Loading:
+        """A new generation is to be loaded; the one in force goes on until it is ready."""
+        self.generation += 1
+        self.loading = Loading(self.generation, pattern, params, seconds, now, request)
+        self.restart_at = None
+        return self.loading
+
+    def ready(self, event: Ready, now: float) -> Loading:
+        """Put the loaded pattern in force, without any wish yet."""
+        loading, self.loading = self.loading, None
+        assert loading is not None
+        finish_at = None if loading.seconds is None else now + loading.seconds
+        if loading.request is None and self.running is not None:
+            finish_at = self.running.finish_at
+        else:
+            self._faults.clear()
+        self.running = Running(
+            loading.generation,
+            loading.pattern,
+            loading.params,
+            finish_at,
+            event.rate,
+            event.channels,
+            event.params,
+            Wish(None, now, -1),
+        )
+        self.awaiting_since = None
+        self.last_step = -1.0
+        return loading
+
+    def stepped(self, event: Stepped, now: float) -> None:
+        """Take the outputs' wish as the newest."""
+        assert self.running is not None
+        self.awaiting_since = None
+        self.running.wish = Wish(event.outputs.twist, now, event.scan_seq)
+
+    def is_expired(self, now: float) -> bool:
+        """True if the last wish is too old, or there is no pattern."""
+        return self.running is None or now - self.running.wish.at >= self.running.expiry
+
+    def may_step(self, now: float, is_new_scan: bool) -> bool:
+        """True if a step is wanted now and the host is free; else it is remembered as due."""
+        running = self.running
+        if running is None or self.restart_at is not None or self.loading is not None:
+            return False
+        period = 1.0 / running.rate
+        if not (is_new_scan or self.is_due or now - self.last_step >= period - 1e-3):
+            return False
+        if self.awaiting_since is not None:
+            self.is_due = True
+            return False
+        return True
+
+    def stepping(self, now: float) -> float:
+        """A step goes out; the time since the one before (0 at the first)."""
+        assert self.running is not None
+        self.stepped_generation = self.running.generation
+        dt = 0.0 if self.last_step < 0.0 else now - self.last_step
+        self.last_step = now
+        self.awaiting_since = now
+        self.is_due = False
+        return dt
+
+    @property
+    def is_restarting(self) -> bool:
+        """True while a pattern that failed waits to be loaded again, or is being loaded."""
+        is_reloading = self.loading is not None and self.loading.request is None
+        return self.restart_at is not None or is_reloading
+
+    @property
+    def faults(self) -> int:
+        """How often the pattern failed within the last minute."""
+        return len(self._faults)
+
+    def fault(self, now: float) -> bool:
+        """Count a fault; True if the pattern is to be quarantined, else its restart is due."""
+        self.awaiting_since = None
+        self.loading = None
+        self.restarts += 1
+        self._faults.append(now)
+        while self._faults and now - self._faults[0] > FAULT_WINDOW:
+            self._faults.popleft()
+        if len(self._faults) >= FAULTS_BEFORE_QUARANTINE:
+            self.restart_at = None
+            return True
+        self.restart_at = now + FIRST_BACKOFF * 2.0 ** (len(self._faults) - 1)
+        return False
+
+    def end(self) -> None:
+        """Nothing is loaded any more that may be stepped; a step on its way is still awaited."""
+        self.running = None
+        self.loading = None
+        self.restart_at = None
+        self.is_due = False
+
+    def deadlines(self, now: float) -> tuple[float, ...]:
+        """The times at which something must be looked at, even between two ticks."""
+        running = self.running
+        candidates = (
+            None if running is None else running.wish.at + running.expiry,
+            None if running is None else running.finish_at,
+            None if self.loading is None else self.loading.since + LOAD_TIMEOUT,
+            None if self.awaiting_since is None else self.awaiting_since + SILENT_AFTER,
+            self.restart_at,
+        )
+        return tuple(at for at in candidates if at is not None and at > now)

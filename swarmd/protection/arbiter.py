@@ -1,0 +1,32 @@
+"""What every protection mode implements, and how a mode is made from a platform."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from swarmd.errors import ConfigError, unknown
+from swarmd.protection.potential_field import PotentialField
+from swarmd.protection.verdict import Decision
+from swarmd.values import Array, Odometry, Platform, Scan, Twist
+
+MODES = ("potential_field",)
+
+
+class Arbiter(Protocol):
+    """One mode. It is asked only when the fail-safe front has found nothing that forbids motion."""
+
+    mode: str
+
+    def observe(self, scan: Scan, points: Array, odometry: Odometry | None) -> None:
+        """Take in a new scan and its points (k, 2) in the base frame: all its geometry, once."""
+
+    def decide(self, wish: Twist, *, scan_age: float, odometry: Odometry | None) -> Decision:
+        """The safe command for a wish within limits; `scan_age` in s."""
+
+
+def make_arbiter(platform: Platform) -> Arbiter:
+    """The mode that the platform's file names; ConfigError if there is none such."""
+    mode = str(platform.protection.get("mode", "potential_field"))
+    if mode == "potential_field":
+        return PotentialField(platform)
+    raise ConfigError(f"platform {platform.name}: {unknown('protection mode', mode, MODES)}")

@@ -1,0 +1,47 @@
+"""What the arbiter decided, and on what grounds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from swarmd.messages import Reason
+from swarmd.values import Twist
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One obstacle that bounds the command: bearing rad, gap m to the footprint, cap m/s."""
+
+    bearing: float
+    gap: float
+    cap: float
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """An arbiter's answer to a wish; `is_active` if the wish did not pass as it was."""
+
+    twist: Twist
+    is_active: bool
+    rows: tuple[Row, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """A decision with its grounds.
+
+    `wish` is within the platform's limits, `safe` is what the driver gets. `reason` is the hold
+    that zeroed the command, or why the robot stands although it runs; None while it moves, and
+    outside `running`. `min_gap` in m from the footprint to the nearest return (None: nothing
+    seen), `scan_age` in s (None: no scan yet), `scan_seq` -1 without a scan.
+    """
+
+    mode: str
+    wish: Twist
+    safe: Twist
+    reason: Reason | None
+    is_active: bool
+    rows: tuple[Row, ...]
+    min_gap: float | None
+    scan_age: float | None
+    scan_seq: int

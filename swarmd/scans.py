@@ -1,0 +1,191 @@
+"""Conditioning: one function makes every driver's scan mean the same thing.
+
+Afterwards a range is a distance within [range_min, range_max], +inf (nothing seen) or -inf (too
+close to measure); no ray is unknown any more.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.messages import Reason
+from swarmd.values import Array, Odometry, Scan, ScanSpec
+
+FROZEN_AFTER = 10  # identical scans of a noisy sensor while the robot moves
+MOVES_LINEAR = 0.02
+MOVES_ANGULAR = 0.05
+NEAR_MARGIN = 0.10  # an LDS ray that was this close to range_min may vanish into a zero
+NEAR_SECTOR = math.radians(3.0)
+NEAR_MEMORY = 1.0
+
+Mask = NDArray[np.bool_]
+
+
+@dataclass(slots=True)
+class _Memory:
+    """Per direction: the last known range, when it was known, and when it was last near."""
+
+    bearings: Array
+    ranges: Array
+    known_at: Array
+    near_at: Array
+
+    def at(self, bearings: Array) -> _Memory:
+        """The memory seen along other bearings: that of the nearest remembered ray."""
+        if len(bearings) == len(self.bearings) and np.array_equal(bearings, self.bearings):
+            return self
+        if not len(self.bearings):
+            return _blank(bearings)
+        turn = 2.0 * math.pi
+        order = np.argsort(self.bearings % turn)
+        sorted_bearings = (self.bearings % turn)[order]
+        wanted = bearings % turn
+        right = np.searchsorted(sorted_bearings, wanted) % len(order)
+        left = right - 1
+        off_right = np.abs((sorted_bearings[right] - wanted + math.pi) % turn - math.pi)
+        off_left = np.abs((sorted_bearings[left] - wanted + math.pi) % turn - math.pi)
+        nearest = order[np.where(off_left < off_right, left, right)]
+        too_far = np.minimum(off_left, off_right) > 2.0 * turn / len(order)
+        known_at = np.where(too_far, -np.inf, self.known_at[nearest])
+        near_at = np.where(too_far, -np.inf, self.near_at[nearest])
+        return _Memory(bearings, self.ranges[nearest], known_at, near_at)
+
+
+def _blank(bearings: Array) -> _Memory:
+    n = len(bearings)
+    never = np.full(n, -np.inf)
+    return _Memory(bearings, np.full(n, np.nan), never, never.copy())
+
+
+class ScanConditioner:
+    """Conditions the scans of one sensor, remembering each ray for a moment.
+
+    `take` returns the conditioned scan, or the reason why this one is none: INVALID_SCAN (lengths
+    differ, no rays, fewer than half known, a sector wider than `max_gap` unknown) or FROZEN_SCAN
+    (stamp or sequence stands still; bit-identical scans of a noisy sensor while odometry moves).
+    """
+
+    def __init__(self, spec: ScanSpec) -> None:
+        self._spec = spec
+        self._memory = _blank(np.empty(0))
+        self._last: Scan | None = None
+        self._identical = 0
+
+    def take(self, scan: Scan, odometry: Odometry | None, now: float) -> Scan | Reason:
+        """Condition one scan that arrived at `now` (s on this machine's clock)."""
+        if scan.ranges.ndim != 1 or len(scan.ranges) == 0:
+            return Reason.INVALID_SCAN
+        if scan.ranges.shape != scan.bearings.shape or not np.isfinite(scan.bearings).all():
+            return Reason.INVALID_SCAN
+        if self._is_frozen(scan, odometry):
+            return Reason.FROZEN_SCAN
+        memory = self._memory.at(scan.bearings)
+        ranges = self._meanings(scan.ranges, memory, now)
+        known = ~np.isnan(ranges)
+        self._remember(scan.bearings, ranges, known, memory, now)
+        if 2 * np.count_nonzero(known) < len(ranges):
+            return Reason.INVALID_SCAN
+        if not known.all():
+            filled = _recall(ranges, known, memory, now - self._spec.stale_after)
+            ranges = _bridge(filled, scan.bearings, self._spec.max_gap)
+            if np.isnan(ranges).any():
+                return Reason.INVALID_SCAN
+        spec = self._spec
+        return Scan(scan.seq, scan.stamp, ranges, scan.bearings, spec.range_min, spec.range_max)
+
+    def _is_frozen(self, scan: Scan, odometry: Odometry | None) -> bool:
+        last, self._last = self._last, scan
+        if last is None:
+            return False
+        if scan.seq == last.seq or scan.stamp == last.stamp:
+            return True
+        is_same = (
+            self._spec.is_noisy
+            and np.array_equal(scan.ranges, last.ranges, equal_nan=True)
+            and bool((np.isfinite(scan.ranges) & (scan.ranges != 0.0)).any())
+        )
+        if not is_same:
+            self._identical = 0
+        elif odometry is not None and _moves(odometry):
+            self._identical += 1
+        return self._identical >= FROZEN_AFTER
+
+    def _meanings(self, raw: Array, memory: _Memory, now: float) -> Array:
+        """+inf, -inf, NaN or a distance within the sensor's range, for each ray."""
+        spec = self._spec
+        ranges = np.where(raw > spec.range_max, np.inf, raw)
+        ranges[(raw > 0.0) & (raw < spec.range_min)] = -np.inf
+        ranges[(raw < 0.0) & np.isfinite(raw)] = np.nan
+        zeros = raw == 0.0
+        if zeros.any():
+            ranges[zeros] = self._zeros(memory, now)[zeros]
+        return ranges
+
+    def _zeros(self, memory: _Memory, now: float) -> Array:
+        n = len(memory.bearings)
+        if self._spec.zero == "too_close":
+            return np.full(n, -np.inf)
+        if self._spec.zero == "unknown":
+            return np.full(n, np.nan)
+        if self._spec.zero == "no_return":
+            return np.full(n, np.inf)
+        was_near = _widen(memory.near_at >= now - NEAR_MEMORY, memory.bearings)
+        had_return = (memory.known_at >= now - self._spec.stale_after) & (memory.ranges < np.inf)
+        return np.where(was_near, -np.inf, np.where(had_return, np.nan, np.inf))
+
+    def _remember(
+        self, bearings: Array, ranges: Array, known: Mask, memory: _Memory, now: float
+    ) -> None:
+        is_near = known & (ranges < self._spec.range_min + NEAR_MARGIN)
+        self._memory = _Memory(
+            bearings,
+            np.where(known, ranges, memory.ranges),
+            np.where(known, now, memory.known_at),
+            np.where(is_near, now, memory.near_at),
+        )
+
+
+def _moves(odometry: Odometry) -> bool:
+    twist = odometry.twist
+    return (
+        abs(twist.linear) > MOVES_LINEAR
+        or abs(twist.lateral) > MOVES_LINEAR
+        or abs(twist.angular) > MOVES_ANGULAR
+    )
+
+
+def _widen(mask: Mask, bearings: Array) -> Mask:
+    """The mask, also true within NEAR_SECTOR of a ray where it is true."""
+    if not mask.any():
+        return mask
+    near = bearings[mask]
+    off = np.abs((bearings[:, None] - near[None, :] + math.pi) % (2.0 * math.pi) - math.pi)
+    return np.asarray(off.min(axis=1) <= NEAR_SECTOR + 1e-9)
+
+
+def _recall(ranges: Array, known: Mask, memory: _Memory, since: float) -> Array:
+    """Unknown rays filled with what they last were, if that was known since `since`."""
+    usable = ~known & (memory.known_at >= since)
+    return np.where(usable, memory.ranges, ranges)
+
+
+def _bridge(ranges: Array, bearings: Array, max_gap: float) -> Array:
+    """Unknown sectors up to `max_gap` rad filled with the nearer of their edges."""
+    unknown = np.isnan(ranges)
+    if not unknown.any() or unknown.all():
+        return ranges
+    start = int(np.argmin(unknown))  # a known ray, so that no sector wraps around the end
+    rolled = np.roll(ranges, -start)
+    angles = np.unwrap(np.roll(bearings, -start))
+    unknown = np.roll(unknown, -start)
+    edges = np.diff(np.concatenate(([0], unknown.view(np.int8), [0])))
+    direction = math.copysign(2.0 * math.pi, angles[-1] - angles[0])
+    for begin, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
+        after = angles[end] if end < len(angles) else angles[0] + direction
+        if abs(after - angles[begin - 1]) <= max_gap + 1e-9:
+            rolled[begin:end] = min(rolled[begin - 1], rolled[end % len(rolled)])
+    return np.roll(rolled, start)

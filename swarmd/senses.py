@@ -1,0 +1,139 @@
+"""What one robot has heard lately, and whether it is fresh enough to move on."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from swarmd.messages import Reason
+from swarmd.scans import ScanConditioner
+from swarmd.values import Inputs, Message, Neighbor, Odometry, Platform, Scan, Value
+
+ODOMETRY_STALE_AFTER = 0.5
+NEIGHBOR_FORGOTTEN_AFTER = 3.0
+INBOX = 256  # messages kept between two steps; older ones give way
+
+
+@dataclass(frozen=True, slots=True)
+class _Heard:
+    message: Message
+    at: float
+
+
+class Senses:
+    """Scan, odometry, neighbours, readings, messages and the driver's state, with their ages.
+
+    All times are in s on the robot's monotonic clock and handed in.
+    """
+
+    def __init__(self, platform: Platform) -> None:
+        self._spec = platform.scan
+        self._needs_odometry = "odometry" in platform.provides
+        self._conditioner = ScanConditioner(platform.scan)
+        self._scan_at: float | None = None
+        self._problem: Reason | None = None
+        self._odometry_at: float | None = None
+        self._scan_times: deque[float] = deque(maxlen=12)
+        self._is_new_scan = False
+        self._neighbors: tuple[Neighbor, ...] = ()
+        self._neighbors_at = 0.0
+        self._inbox: deque[_Heard] = deque(maxlen=INBOX)
+        self.scan: Scan | None = None
+        self.odometry: Odometry | None = None
+        self.readings: Mapping[str, float] = {}
+        self.is_driver_up = False
+        self.driver_text = "not connected yet"
+
+    def on_scan(self, scan: Scan, now: float) -> bool:
+        """Take in a driver's scan; True if it is a new, valid one."""
+        conditioned = self._conditioner.take(scan, self.odometry, now)
+        if isinstance(conditioned, Reason):
+            self._problem = conditioned
+            return False
+        self._problem = None
+        self._scan_at = now
+        self._scan_times.append(now)
+        self._is_new_scan = True
+        self.scan = conditioned
+        return True
+
+    def on_odometry(self, odometry: Odometry, now: float) -> None:
+        """Take in a measured pose and twist; one whose stamp stands still does not count."""
+        if self.odometry is None or odometry.stamp != self.odometry.stamp:
+            self._odometry_at = now
+        self.odometry = odometry
+
+    def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
+        """Take in who is near now."""
+        self._neighbors = neighbors
+        self._neighbors_at = now
+
+    def on_message(self, sender: str, channel: str, value: Value, now: float) -> bool:
+        """Keep what a neighbour said for the next step; False if its sender is none."""
+        if not any(neighbor.id == sender for neighbor in self.neighbors(now)):
+            return False
+        self._inbox.append(_Heard(Message(sender, channel, value, 0.0), now))
+        return True
+
+    def on_driver(self, is_up: bool, text: str) -> None:
+        """The base is there, or lost and why."""
+        self.is_driver_up = is_up
+        self.driver_text = text
+
+    def neighbors(self, now: float) -> tuple[Neighbor, ...]:
+        """Who is near, with ages as of now; nobody once that has not been heard for 3 s."""
+        passed = now - self._neighbors_at
+        if passed > NEIGHBOR_FORGOTTEN_AFTER:
+            return ()
+        return tuple(replace(neighbor, age=neighbor.age + passed) for neighbor in self._neighbors)
+
+    def scan_age(self, now: float) -> float | None:
+        """Seconds since the last valid scan arrived; None before the first."""
+        return None if self._scan_at is None else now - self._scan_at
+
+    def scan_rate(self, now: float) -> float:
+        """Valid scans a second over the last few; 0 once they have stopped."""
+        times = self._scan_times
+        if len(times) < 2 or now - times[-1] > 2.0 * self._spec.stale_after:
+            return 0.0
+        return (len(times) - 1) / max(times[-1] - times[0], 1e-6)
+
+    def hold(self, now: float) -> Reason | None:
+        """Why the robot must not move on what it senses; None if nothing forbids it."""
+        if not self.is_driver_up:
+            return Reason.DRIVER_LOST
+        age = self.scan_age(now)
+        if age is None:
+            return self._problem or Reason.NO_SCAN
+        if age > self._spec.stale_after:
+            return self._problem or Reason.STALE_SCAN
+        if self._needs_odometry and (
+            self._odometry_at is None or now - self._odometry_at > ODOMETRY_STALE_AFTER
+        ):
+            return Reason.STALE_ODOMETRY
+        return None
+
+    def stale_at(self) -> float | None:
+        """When the present scan will be too old; None before the first."""
+        return None if self._scan_at is None else self._scan_at + self._spec.stale_after
+
+    def inputs(self, now: float, dt: float) -> Inputs:
+        """All for one step; messages and the new-scan mark are handed out once."""
+        inputs = Inputs(
+            now=now,
+            dt=dt,
+            scan=self.scan,
+            is_new_scan=self._is_new_scan,
+            odometry=self.odometry,
+            neighbors=self.neighbors(now),
+            messages=tuple(replace(heard.message, age=now - heard.at) for heard in self._inbox),
+            readings=self.readings,
+        )
+        self._inbox.clear()
+        self._is_new_scan = False
+        return inputs
+
+    def forget_messages(self) -> None:
+        """Drop what was said to an earlier pattern."""
+        self._inbox.clear()

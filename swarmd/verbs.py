@@ -1,0 +1,156 @@
+"""What operators can ask of one robot, and when it refuses. Pure.
+
+Nothing late may start motion: run, reset and param set quote the epoch that the operator saw, and
+any other is refused. stop and estop quote nothing and are always taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from swarmd.conduct import Conduct, Turn
+from swarmd.frames import Layers, SetParams
+from swarmd.keys import is_id
+from swarmd.messages import Code, Latch, Reason, Request, State
+from swarmd.supervisor import Event as Change
+from swarmd.values import Scalar
+
+QUOTING = frozenset({"run", "reset", "param"})
+VERBS = frozenset({"run", "stop", "estop", "reset", "param"})
+MAX_SECONDS = 1e7
+
+
+class Verbs:
+    """Answers requests. `layers`: the configured parameters of a pattern, weakest first."""
+
+    def __init__(
+        self,
+        robot: str,
+        conduct: Conduct,
+        layers: Callable[[str], Layers],
+        standing: Callable[[], str],
+    ) -> None:
+        self._robot = robot
+        self._conduct = conduct
+        self._layers = layers
+        self._standing = standing
+
+    def answer(self, request: Request, turn: Turn) -> None:
+        """Carry the request out or refuse it; not even a reply if it names other robots."""
+        targets = request.targets
+        if targets is not None and self._robot not in targets:
+            return
+        if request.verb == "estop":
+            self._estop(request, turn)
+        elif request.verb == "stop":
+            self._stop(request, turn)
+        elif request.verb == "param" and "set" not in request.args:
+            self._conduct.reply(turn, request, Code.APPLIED, "")
+        elif request.verb not in VERBS:
+            self._refuse(request, turn, f"there is no verb {request.verb!r}")
+        elif targets is None:
+            self._refuse(request, turn, f"{request.verb} must name its targets")
+        elif targets[self._robot] != self._conduct.epoch:
+            by = self._conduct.changed_by
+            self._refuse(request, turn, f"robot changed since you looked, by {by}")
+        elif request.verb == "run":
+            self._run(request, turn)
+        elif request.verb == "reset":
+            self._reset(request, turn)
+        else:
+            self._set_params(request, turn)
+
+    def _refuse(self, request: Request, turn: Turn, text: str) -> None:
+        self._conduct.reply(turn, request, Code.REFUSED, text)
+
+    def _stop(self, request: Request, turn: Turn) -> None:
+        self._conduct.changed(f"{request.operator} (stop)")
+        detail = f"by {request.operator}"
+        self._conduct.end(Change.STOP, Reason.OPERATOR, detail, turn)
+        self._conduct.reply(turn, request, Code.APPLIED, self._standing())
+
+    def _estop(self, request: Request, turn: Turn) -> None:
+        latch_id = request.id if is_id(request.id) else "unnamed"
+        scope = request.args.get("scope")
+        latch = Latch(
+            issuer=request.operator,
+            scope="robots" if scope == "robots" else "swarm",
+            reason=str(request.args.get("reason") or ""),
+        )
+        self._conduct.latch(latch_id, latch, turn)
+        self._conduct.reply(turn, request, Code.APPLIED, self._standing())
+
+    def _run(self, request: Request, turn: Turn) -> None:
+        conduct = self._conduct
+        hosting, state = conduct.hosting, conduct.supervisor.state
+        pattern, params = request.args.get("pattern"), request.args.get("params") or {}
+        seconds = request.args.get("seconds")
+        if state in (State.ESTOPPED, State.FAULTED):
+            reason = conduct.supervisor.reason
+            text = f"{state} ({reason}) {conduct.supervisor.detail}; reset it first"
+            self._refuse(request, turn, text)
+        elif not isinstance(pattern, str) or not isinstance(params, dict):
+            self._refuse(request, turn, "run wants a pattern by name and params by name")
+        elif not _is_duration(seconds):
+            self._refuse(request, turn, f"seconds is {seconds!r}; wanted above 0 and up to 1e7")
+        elif hosting.quarantined == pattern:
+            self._refuse(request, turn, f"{pattern} is quarantined; reset the robot first")
+        elif hosting.loading is not None and hosting.loading.request is not None:
+            self._refuse(request, turn, f"still loading {hosting.loading.pattern}")
+        else:
+            conduct.changed(f"{request.operator} (run {pattern})")
+            duration = float(seconds) if isinstance(seconds, int | float) else None
+            hosting.begin(pattern, params, duration, request, turn.now)
+            conduct.load(pattern, self.layers(pattern, params), turn)
+
+    def layers(self, pattern: str, params: Mapping[str, Scalar | None]) -> Layers:
+        """All layers of a pattern's parameters, those of the request on top."""
+        return (*self._layers(pattern), ("runtime", dict(params)))
+
+    def _reset(self, request: Request, turn: Turn) -> None:
+        conduct = self._conduct
+        ids = request.args.get("ids") or []
+        if not isinstance(ids, list):
+            self._refuse(request, turn, "reset wants a list of ids")
+            return
+        state = conduct.supervisor.state
+        named = [latch_id for latch_id in ids if latch_id in conduct.latches.held]
+        if named:
+            conduct.latches.clear(named)
+            turn.is_latched = True
+        if conduct.latches.held:
+            text = f"still estopped {conduct.latch_text()}; look again and reset once more"
+            if named:
+                conduct.changed(f"{request.operator} (reset)")
+            self._refuse(request, turn, text)
+        elif conduct.duplicate is not None:
+            self._refuse(request, turn, f"this id is still held by {conduct.duplicate}")
+        elif state in (State.RUNNING, State.IDLE):
+            conduct.reply(turn, request, Code.APPLIED, f"{state}: nothing to reset")
+        else:
+            conduct.hosting.quarantined = None
+            conduct.changed(f"{request.operator} (reset)")
+            detail = str(request.args.get("reason") or f"by {request.operator}")
+            conduct.end(Change.RESET, Reason.RESET, detail, turn)
+            conduct.reply(turn, request, Code.APPLIED, "idle")
+
+    def _set_params(self, request: Request, turn: Turn) -> None:
+        conduct = self._conduct
+        values, running = request.args.get("set"), conduct.hosting.running
+        if not isinstance(values, dict) or not values:
+            self._refuse(request, turn, "param set wants values by name")
+        elif running is None or not conduct.is_running or conduct.hosting.is_restarting:
+            self._refuse(request, turn, "no pattern is running")
+        elif conduct.params_request is not None or conduct.hosting.loading is not None:
+            self._refuse(request, turn, "another change is on its way")
+        else:
+            conduct.changed(f"{request.operator} (param set)")
+            conduct.params_request = (request, turn.now)
+            turn.host = SetParams(running.generation, request.id, dict(values))
+
+
+def _is_duration(seconds: object) -> bool:
+    if seconds is None:
+        return True
+    is_number = isinstance(seconds, int | float) and not isinstance(seconds, bool)
+    return is_number and 0.0 < float(str(seconds)) <= MAX_SECONDS
