@@ -1,0 +1,161 @@
+"""The MuJoCo model of a world: walls, boxes, poles and one planar body per robot.
+
+A planar body slides along the world's x and y and turns about the vertical through its AXLE
+CENTRE, each joint driven by a velocity servo: 4 to 7 times cheaper than wheels, with the same
+tracking (docs of the fidelities: ARCHITECTURE). Bodies collide as their footprints, extruded to one
+common height, since everything stands on the same floor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+
+from swarmd.errors import ConfigError
+from swarmd.sim.arena import Arena
+from swarmd.values import Array, Platform
+
+COLLISION, BODY, HOUSING, FIXED = range(4)
+"""Groups of geoms: what collides; what is seen at its true height, twice; the arena."""
+
+_HEIGHT = 0.5
+_WALL = 0.1
+_GRAVITY = 9.81
+_FRICTION = 0.8
+# A servo closes 20/21 of its error in one step; stiffer brings nothing that can be measured.
+_STIFFNESS = 20.0
+
+
+def build_model(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujoco.MjModel:
+    """The compiled model; robot i owns qpos, qvel and ctrl 3i to 3i + 2 (x, y, yaw)."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep = dt
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.gravity = [0.0, 0.0, 0.0]
+    _add_arena(spec, arena)
+    for robot, platform in robots.items():
+        _add_robot(spec, robot, platform, dt)
+    return spec.compile()
+
+
+def _add_arena(spec: mujoco.MjSpec, arena: Arena) -> None:
+    x, y, half = arena.length / 2.0, arena.width / 2.0, _WALL / 2.0
+    for name, pos, size in (
+        ("wall_west", (-x - half, 0.0), (half, y + _WALL)),
+        ("wall_east", (x + half, 0.0), (half, y + _WALL)),
+        ("wall_south", (0.0, -y - half), (x + _WALL, half)),
+        ("wall_north", (0.0, y + half), (x + _WALL, half)),
+    ):
+        _add_box(spec.worldbody, name, pos, size)
+    for index, box in enumerate(arena.boxes):
+        size = (box.length / 2.0, box.width / 2.0)
+        geom = _add_box(spec.worldbody, f"box_{index}", (box.x, box.y), size)
+        geom.quat = [np.cos(box.yaw / 2.0), 0.0, 0.0, np.sin(box.yaw / 2.0)]
+    for index, pole in enumerate(arena.poles):
+        spec.worldbody.add_geom(
+            name=f"pole_{index}",
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            pos=[pole.x, pole.y, _HEIGHT / 2.0],
+            size=[pole.radius, _HEIGHT / 2.0, 0.0],
+            group=FIXED,
+            condim=1,
+        )
+
+
+def _add_box(
+    body: mujoco.MjsBody, name: str, pos: tuple[float, float], size: tuple[float, float]
+) -> mujoco.MjsGeom:
+    return body.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[*pos, _HEIGHT / 2.0],
+        size=[*size, _HEIGHT / 2.0],
+        group=FIXED,
+        condim=1,
+    )
+
+
+def _add_robot(spec: mujoco.MjSpec, robot: str, platform: Platform, dt: float) -> None:
+    mass = value(platform, "mass")
+    low, high = _rectangle(platform)
+    length, width = high - low
+    inertia = mass * (length**2 + width**2) / 12.0
+    body = spec.worldbody.add_body(name=robot)
+    body.explicitinertial = True
+    body.mass = mass
+    body.ipos = [0.0, 0.0, 0.0]
+    body.inertia = [inertia, inertia, inertia]
+    grip = _FRICTION * mass * _GRAVITY
+    twist = grip * value(platform, "wheel_separation") / 2.0
+    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    for axis, kind, direction, inert, limit in (
+        ("x", slide, [1.0, 0.0, 0.0], mass, grip),
+        ("y", slide, [0.0, 1.0, 0.0], mass, grip),
+        ("yaw", hinge, [0.0, 0.0, 1.0], inertia, twist),
+    ):
+        name = f"{robot}/{axis}"
+        body.add_joint(name=name, type=kind, axis=direction)
+        servo = spec.add_actuator(
+            name=name,
+            target=name,
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            forcelimited=True,
+            forcerange=[-limit, limit],
+        )
+        servo.set_to_velocity(kv=_STIFFNESS * inert / dt)
+    _add_shapes(body, robot, platform, low, high)
+
+
+def _add_shapes(
+    body: mujoco.MjsBody, robot: str, platform: Platform, low: Array, high: Array
+) -> None:
+    x, y = (low + high) / 2.0
+    half_x, half_y = (high - low) / 2.0
+    for name, height, group in (
+        ("", _HEIGHT, COLLISION),
+        ("/body", value(platform, "height"), BODY),
+    ):
+        body.add_geom(
+            name=f"{robot}{name}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[x, y, height / 2.0],
+            size=[half_x, half_y, height / 2.0],
+            group=group,
+            condim=1,
+            contype=int(group == COLLISION),
+            conaffinity=int(group == COLLISION),
+        )
+    bottom, top = value(platform, "height"), value(platform, "target_top")
+    body.add_geom(
+        name=f"{robot}/housing",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        pos=[*platform.scan.offset, (bottom + top) / 2.0],
+        size=[value(platform, "target_radius"), (top - bottom) / 2.0, 0.0],
+        group=HOUSING,
+        contype=0,
+        conaffinity=0,
+    )
+
+
+def value(platform: Platform, key: str) -> float:
+    """A number of the platform's `body` section; ConfigError if it is not there or not > 0."""
+    number = platform.body.get(key, 0.0)
+    if number > 0.0:
+        return float(number)
+    raise ConfigError(
+        f"platform {platform.name}: body.{key} is {platform.body.get(key)}; to be simulated it"
+        " must be greater than 0"
+    )
+
+
+def _rectangle(platform: Platform) -> tuple[Array, Array]:
+    corners = platform.footprint
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if len(corners) == 4 and np.isin(corners, (low, high)).all():
+        return low, high
+    raise ConfigError(
+        f"platform {platform.name}: footprint is no rectangle along x and y; the world simulates"
+        " only those"
+    )

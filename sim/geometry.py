@@ -1,0 +1,56 @@
+"""Plane geometry of convex polygons, vectorised: what lidar, metrics and layouts share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.values import Array
+
+
+def transform(points: Array, poses: Array) -> Array:
+    """Points (..., k, 2) of body frames at `poses` (..., 3) x, y, yaw, in the world frame."""
+    cos, sin = np.cos(poses[..., 2, None]), np.sin(poses[..., 2, None])
+    x = poses[..., 0, None] + cos * points[..., 0] - sin * points[..., 1]
+    y = poses[..., 1, None] + sin * points[..., 0] + cos * points[..., 1]
+    return np.stack((x, y), axis=-1)
+
+
+def radius(polygon: Array) -> float:
+    """The distance of the farthest corner of a (k, 2) polygon from its frame's origin."""
+    return float(np.hypot(polygon[:, 0], polygon[:, 1]).max())
+
+
+def gaps(a: Array, b: Array) -> Array:
+    """The exact distance in m of convex polygons a (..., k, 2) and b (..., m, 2); 0 in overlap.
+
+    Two convex shapes that do not overlap are nearest at a corner of one of them.
+    """
+    apart = np.minimum(_corner_distance(a, b), _corner_distance(b, a))
+    return np.where(overlaps(a, b), 0.0, apart)
+
+
+def overlaps(a: Array, b: Array) -> NDArray[np.bool_]:
+    """True where two counter-clockwise convex polygons (..., k, 2) share an inner point.
+
+    Separating axis theorem: apart if an edge of either has the whole other on its outer side.
+    """
+    return np.logical_not(_separates(a, b) | _separates(b, a))
+
+
+def _separates(a: Array, b: Array) -> NDArray[np.bool_]:
+    edge = np.roll(a, -1, axis=-2) - a
+    to = b[..., None, :, :] - a[..., :, None, :]
+    side = edge[..., :, None, 0] * to[..., 1] - edge[..., :, None, 1] * to[..., 0]
+    return np.any(np.all(side <= 0.0, axis=-1), axis=-1, keepdims=False)
+
+
+def _corner_distance(corners: Array, polygon: Array) -> Array:
+    """The distance of the nearest of the corners (..., k, 2) to the edges of the polygon."""
+    start = polygon[..., None, :, :]
+    edge = np.roll(polygon, -1, axis=-2)[..., None, :, :] - start
+    to = corners[..., :, None, :] - start
+    along = (to * edge).sum(axis=-1) / np.maximum((edge * edge).sum(axis=-1), 1e-300)
+    nearest = to - np.clip(along, 0.0, 1.0)[..., None] * edge
+    distance: Array = np.hypot(nearest[..., 0], nearest[..., 1]).min(axis=(-1, -2))
+    return distance
