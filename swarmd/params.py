@@ -26,8 +26,9 @@ _TYPES: Mapping[object, str] = {float: "float", int: "int", bool: "bool", str: "
 class Params(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The parameters of one pattern: fields `name: Annotated[type, about(...)] = default`.
 
-    The type is float, int, bool, str or a Literal of strings, with `| None` if None means
-    something. A check over several fields goes into `__post_init__` and raises ValueError.
+    The type is float, int, bool, str or a Literal of strings; `Annotated[int, about(...)] | None`
+    if None means something. A check over several fields is a `__post_init__` that raises
+    ValueError.
     """
 
 
@@ -80,6 +81,10 @@ def schema(params_type: type[Params]) -> list[ParamSpec]:
     PluginError if one has a type that neither YAML nor the command line can give.
     """
     hints = type_hints(params_type, include_extras=True)
+    try:
+        msgspec.inspect.type_info(params_type)
+    except TypeError as error:
+        raise PluginError(f"{params_type.__name__}: {error}") from error
     return [_spec(params_type, field, hints[field.name]) for field in _fields(params_type)]
 
 
@@ -113,13 +118,15 @@ def build(
 
 
 def _convert(value: Value, hint: Any, spec: ParamSpec, source: str) -> Scalar | None:
+    if spec.is_optional and value in ("none", "null"):
+        return None
     try:
         # Only text is read leniently: a YAML `1` is no bool, a `true` no number.
         converted = msgspec.convert(value, hint, strict=not isinstance(value, str))
     except msgspec.ValidationError:
         converted = math.nan
     if isinstance(converted, float) and not math.isfinite(converted):
-        shown = f"{value!r} {spec.unit}".rstrip()
+        shown = repr(value) if value is None else f"{value!r} {spec.unit}".rstrip()
         raise ConfigError(
             f"parameter {spec.name} is {shown} (from {source}); wanted is {spec.wanted}"
         )

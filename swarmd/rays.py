@@ -156,15 +156,15 @@ def _is_last(
     ranges: Array, steps: Array, spacing: float, jump: float, grazing: float
 ) -> NDArray[np.bool_]:
     """(n,) true where a ray does not belong together with the one after it."""
-    after = np.roll(ranges, -1)
-    near = np.minimum(ranges, after)
-    is_seen = np.isfinite(ranges) & np.isfinite(after)
-    near = np.where(is_seen, near, 0.0)
-    difference = np.where(is_seen, np.abs(np.where(is_seen, ranges - after, 0.0)), math.inf)
-    allowed = jump + near * steps / math.tan(grazing)
+    is_seen = np.isfinite(ranges)
+    here = np.where(is_seen, ranges, 0.0)
+    after = np.roll(here, -1)
+    allowed = jump + np.minimum(here, after) * steps / math.tan(grazing)
+    is_together = (np.abs(here - after) <= allowed) & is_seen & np.roll(is_seen, -1)
     # Up to two rays may be unknown in the middle of an object.
-    is_together = (difference <= allowed) & (steps < 3.5 * spacing) & (steps < math.pi / 2.0)
-    return ~is_together
+    is_together &= (steps < 3.5 * spacing) & (steps < math.pi / 2.0)
+    breaks: NDArray[np.bool_] = ~is_together
+    return breaks
 
 
 def _objects(

@@ -23,9 +23,9 @@ class VotingParams(Params, frozen=True, kw_only=True):
             "number of opinions; they are 0, 1, 2 ...", ge=1, le=1000, source="paper, experiment 2"
         ),
     ] = 3
-    initial: Annotated[
-        int | None, about("opinion to start with; none: a random one", ge=0, le=999)
-    ] = None
+    initial: (
+        Annotated[int, about("opinion to start with; none: a random one", ge=0, le=999)] | None
+    ) = None
     window: Annotated[
         float,
         about("length of the voting window", ge=0.1, le=600.0, unit="s", source="ROS2swarm"),
