@@ -1,0 +1,73 @@
+"""What patterns are, as JSON: printed by a host process, since tools never import plugin code."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from swarmd.behavior import MovementPattern, Pattern
+from swarmd.combined import CombinedPattern
+from swarmd.errors import SwarmError
+from swarmd.loading import Finder
+from swarmd.params import schema
+from swarmd.plugins import Origin, pattern_names
+from swarmd.settings import load_platform
+from swarmd.values import Platform
+from swarmd.voting import VotingPattern
+
+
+def print_catalog(names: Sequence[str], plugin_dir: str | None, platform: str) -> int:
+    """Print a JSON list of the named patterns (none: of all); 0, or 1 if a name is unknown."""
+    found = pattern_names(Path(plugin_dir) if plugin_dir else None)
+    finder = Finder({name: (origin.value, origin.is_file) for name, origin in found.items()})
+    robot = load_platform(platform)
+    stdout, sys.stdout = sys.stdout, sys.stderr  # what a plugin prints is not part of the answer
+    rows = [_describe(name, found.get(name), finder, robot) for name in names or found]
+    sys.stdout = stdout
+    print(json.dumps(rows))
+    return 1 if any(name not in found for name in names) else 0
+
+
+def _describe(
+    name: str, origin: Origin | None, finder: Finder, platform: Platform
+) -> dict[str, Any]:
+    try:
+        kind = finder(name)
+        params = schema(kind.params_type)
+        derived = kind.defaults(platform)
+    except Exception as error:  # a plugin may raise anything
+        text = str(error) if isinstance(error, SwarmError) else f"{type(error).__name__}: {error}"
+        return {"name": name, "error": text, "source": origin.source if origin else ""}
+    return {
+        "name": name,
+        "summary": (kind.__doc__ or "").strip().split("\n")[0],
+        "text": (kind.__doc__ or "").strip(),
+        "kind": _kind(kind),
+        "source": origin.source if origin else "",
+        "needs": sorted(kind.needs),
+        "missing": sorted(kind.needs - platform.provides),
+        "channels": {channel: of.__name__ for channel, of in dict(kind.channels).items()},
+        "rate": kind.rate,
+        "platform": platform.name,
+        "params": [
+            {
+                **asdict(spec),
+                "wanted": spec.wanted,
+                "default": derived.get(spec.name, spec.default),
+                "is_derived": spec.name in derived,
+            }
+            for spec in params
+        ],
+    }
+
+
+def _kind(kind: type[Pattern[Any]]) -> str:
+    if issubclass(kind, CombinedPattern):
+        return "combined"
+    if issubclass(kind, VotingPattern):
+        return "voting"
+    return "movement" if issubclass(kind, MovementPattern) else "pattern"

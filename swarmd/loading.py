@@ -1,0 +1,64 @@
+"""Imports a pattern's class from where it is found: the one place that imports plugin code."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import inspect
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from swarmd.behavior import Pattern
+from swarmd.errors import PluginError, unknown
+
+
+class Finder:
+    """From pattern names to classes. `origins`: name -> (module:Class or path, is it a file)."""
+
+    def __init__(self, origins: Mapping[str, tuple[str, bool]]) -> None:
+        self.origins = origins
+
+    def __call__(self, name: str) -> type[Pattern[Any]]:
+        """The class; PluginError if there is none of that name, or not exactly one."""
+        if name not in self.origins:
+            raise PluginError(unknown("pattern", name, self.origins))
+        value, is_file = self.origins[name]
+        return _from_file(Path(value)) if is_file else _from_entry_point(name, value)
+
+
+def _from_entry_point(name: str, value: str) -> type[Pattern[Any]]:
+    module_name, _, attribute = value.partition(":")
+    module = importlib.import_module(module_name)
+    kind = getattr(module, attribute, None)
+    if not isinstance(kind, type) or not issubclass(kind, Pattern):
+        raise PluginError(f"pattern {name!r}: {value} is no Pattern; ask its authors")
+    return kind
+
+
+def _from_file(path: Path) -> type[Pattern[Any]]:
+    module = _module(path)
+    kinds = [
+        value
+        for value in vars(module).values()
+        if isinstance(value, type)
+        and issubclass(value, Pattern)
+        and value.__module__ == module.__name__
+        and not inspect.isabstract(value)
+    ]
+    if len(kinds) != 1:
+        found = ", ".join(kind.__name__ for kind in kinds) or "none"
+        raise PluginError(f"{path} must hold exactly one Pattern; it holds {found}")
+    return kinds[0]
+
+
+def _module(path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(f"swarmd_plugin_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise PluginError(f"{path} cannot be read as Python")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module

@@ -1,0 +1,35 @@
+"""Process trees that leave nothing behind (Linux)."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+
+_PR_SET_PDEATHSIG = 1
+
+
+def die_with_parent(parent: int) -> None:
+    """End this process at once when its parent ends, even by kill -9.
+
+    `parent` is the expected parent's id: if that one has gone already, end now. The signal fires
+    when the *thread* that spawned this process ends, so spawn from one that stays.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
+        raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG)")
+    if os.getppid() != parent:
+        sys.exit(0)
+
+
+def how_it_ended(returncode: int | None) -> str:
+    """A process's end in words: `was killed by SIGKILL`, `ended with code 3`."""
+    if returncode is None:
+        return "ended"
+    if returncode < 0:
+        try:
+            return f"was killed by {signal.Signals(-returncode).name}"
+        except ValueError:
+            return f"was killed by signal {-returncode}"
+    return f"ended with code {returncode}"
