@@ -31,7 +31,9 @@ _WORD = 64  # the longest source that a status can name
 class DaemonSettings:
     """Everything one daemon is told, checked.
 
-    `state_dir` is shared by all daemons of a user: `<state_dir>/<swarm>/<id>` is this one's.
+    `platform_name` is what was asked for: a name, or the absolute path of a file. `labels` are
+    this robot's, `label_members` everyone's. `state_dir` is shared by all daemons of a user:
+    `<state_dir>/<swarm>/<id>` is this one's.
     `provenance`: key -> file, `--option`, `$VARIABLE`, `host name` or `default`.
     """
 
@@ -44,9 +46,11 @@ class DaemonSettings:
     multicast: bool
     lease: float | None
     platform: Platform
+    platform_name: str
     driver: str
     driver_options: Mapping[str, Value]
     labels: tuple[str, ...]
+    label_members: Mapping[str, tuple[str, ...]]
     parameters: ParametersSection
     roster: tuple[str, ...]
     state_dir: Path
@@ -97,9 +101,11 @@ def load_daemon_settings(
         multicast=file.multicast,
         lease=file.lease,
         platform=platform,
+        platform_name=_absolute(file.platform, near),
         driver=file.driver,
         driver_options=_driver_options(platform, file),
         labels=tuple(label for label, robots in file.labels.items() if robot in robots),
+        label_members={label: tuple(robots) for label, robots in file.labels.items()},
         parameters=file.parameters,
         roster=tuple(file.roster),
         state_dir=_path(layers, "state_dir", file.state_dir, config) or _state_dir(environ),
@@ -119,6 +125,11 @@ def _robot_id(layers: Layered, file: DaemonFile) -> str:
         return check_id(file.id, "id")
     except ConfigError as error:
         raise layers.error(("id",), str(error)) from error
+
+
+def _absolute(platform: str, near: Path) -> str:
+    is_file = platform.endswith(".yaml")
+    return str((near / Path(platform).expanduser()).absolute()) if is_file else platform
 
 
 def _driver_options(platform: Platform, file: DaemonFile) -> Mapping[str, Value]:

@@ -1,0 +1,149 @@
+"""`swarmd --check`: looks at everything a run would need and moves nothing."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import click
+
+from swarmd.cli.catalog import Row, describe_patterns
+from swarmd.driver import Finding
+from swarmd.errors import SwarmError, unknown
+from swarmd.plugins import load_driver, pattern_names
+from swarmd.settings import DaemonSettings
+
+_DRIVER_SECONDS = 3.0
+
+
+def check_daemon(settings: DaemonSettings) -> int:
+    """Print what was found, one line each; 0 if all is well, else 1."""
+    findings = list(_findings(settings))
+    width = max(len(finding.subject) for finding in findings)
+    for finding in findings:
+        mark = "ok  " if finding.is_well else "FAIL"
+        click.echo(f"{mark}  {finding.subject.ljust(width)}  {finding.text}")
+    bad = sum(not finding.is_well for finding in findings)
+    click.echo(
+        f"{len(findings)} checked, {bad} not well" if bad else f"{len(findings)} checked, all well"
+    )
+    return 1 if bad else 0
+
+
+def _findings(settings: DaemonSettings) -> Iterator[Finding]:
+    yield Finding("settings", True, f"robot {settings.id} of swarm {settings.swarm}")
+    yield Finding("platform", True, _platform_text(settings))
+    yield _network(settings)
+    yield _state_dir(settings.state_dir)
+    yield from _roster(settings)
+    yield from _patterns(settings)
+    yield from _driver(settings)
+
+
+def _platform_text(settings: DaemonSettings) -> str:
+    platform = settings.platform
+    protection = platform.protection
+    return (
+        f"{platform.name}: up to {platform.limits.linear:g} m/s and "
+        f"{platform.limits.angular:g} rad/s; protection {protection['mode']} "
+        f"({protection['preset']}) within {protection['threshold']:g} m"
+    )
+
+
+def _network(settings: DaemonSettings) -> Finding:
+    interface = settings.interface or "lo"
+    known = [name for _, name in socket.if_nameindex()]
+    if interface not in known:
+        return Finding("network", False, unknown("network interface", interface, known))
+    text = f"profile {settings.profile} on {interface}"
+    if settings.profile == "field":
+        text += "; without certificates anyone on this network can drive this robot"
+    return Finding("network", True, text)
+
+
+def _state_dir(folder: Path) -> Finding:
+    there = folder.absolute()
+    while not there.exists():
+        there = there.parent
+    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
+        return Finding("state_dir", True, str(folder))
+    text = f"{there} is not a folder this user may write to, so latches would be lost"
+    return Finding("state_dir", False, f"{text}; give --state-dir")
+
+
+def _roster(settings: DaemonSettings) -> Iterator[Finding]:
+    if settings.roster and settings.id not in settings.roster:
+        text = f"{unknown('robot in the roster', settings.id, settings.roster)}"
+        yield Finding("roster", False, text)
+
+
+def _patterns(settings: DaemonSettings) -> Iterator[Finding]:
+    try:
+        origins = pattern_names(settings.plugin_dir)
+        rows = describe_patterns((), settings.plugin_dir, settings.platform_name)
+    except SwarmError as error:
+        yield Finding("patterns", False, str(error))
+        return
+    for row in rows:
+        name = row["name"]
+        if origins[name].rival:
+            text = f"is there twice: {origins[name].source} and {origins[name].rival}"
+            yield Finding(f"pattern {name}", False, f"{text}; rename one")
+        elif "error" in row:
+            yield Finding(f"pattern {name}", False, row["error"])
+        elif row["missing"]:
+            text = f"not for this platform, which lacks {', '.join(row['missing'])}"
+            yield Finding(f"pattern {name}", True, text)
+        else:
+            yield Finding(f"pattern {name}", True, row["source"])
+    yield from _configured(settings, {row["name"]: row for row in rows})
+
+
+def _configured(settings: DaemonSettings, rows: Mapping[str, Row]) -> Iterator[Finding]:
+    """Faults in the parameters that the files configure for this robot's patterns."""
+    parameters = settings.parameters
+    own = [parameters.labels.get(label, {}) for label in settings.labels]
+    sections = (settings.platform.patterns, *own, parameters.robots.get(settings.id, {}))
+    for name in sorted({name for section in sections for name in section} - rows.keys()):
+        yield Finding("parameters", False, unknown("pattern", name, rows))
+    for name, row in rows.items():
+        specs = {spec["name"]: spec for spec in row.get("params", ())}
+        for source, values in settings.pattern_layers(name) if specs else ():
+            for key, value in values.items():
+                fault = _parameter_fault(specs, key, value)
+                if fault:
+                    yield Finding("parameters", False, f"{source}: {name}: {fault}")
+
+
+def _parameter_fault(specs: Mapping[str, Row], key: str, value: object) -> str:
+    """What the pattern host would object to, as far as names and bounds tell; else empty."""
+    if key not in specs:
+        return unknown("parameter", key, specs)
+    spec = specs[key]
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if is_number != (spec["type"] in ("int", "float")) and not isinstance(value, str | None):
+        return f"{key} is {value!r}; wanted {spec['wanted']}"
+    low, high = spec["ge"], spec["le"]
+    if isinstance(value, int | float) and not (
+        (low is None or value >= low) and (high is None or value <= high)
+    ):
+        return f"{key} is {value!r}; wanted {spec['wanted']}"
+    return ""
+
+
+def _driver(settings: DaemonSettings) -> Iterator[Finding]:
+    subject = f"driver {settings.driver}"
+    try:
+        make = load_driver(settings.driver)
+        driver = make(
+            swarm=settings.swarm,
+            robot=settings.id,
+            platform=settings.platform,
+            options=settings.driver_options,
+        )
+        yield from asyncio.run(driver.check(_DRIVER_SECONDS))
+    except SwarmError as error:
+        yield Finding(subject, False, str(error))

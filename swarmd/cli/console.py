@@ -1,0 +1,147 @@
+"""What every verb of swarmctl shares: the options that lead to the swarm, and how to answer."""
+
+from __future__ import annotations
+
+import functools
+import os
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, cast
+
+import click
+
+from swarmd.cli.arguments import Duration
+
+if TYPE_CHECKING:
+    from swarmd.network.operator import Operator
+    from swarmd.network.session import SessionSettings
+
+P = ParamSpec("P")
+R = TypeVar("R")
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+DEFAULT_SWARM = "default"
+
+_OPTIONS = (
+    click.option("--swarm", metavar="NAME", help="The swarm's name [$SWARM, or default]."),
+    click.option(
+        "--config",
+        type=click.Path(dir_okay=False, path_type=Path),
+        metavar="FILE",
+        help="swarm.yaml: swarm, profile, interface and seeds are taken from it [$SWARM_CONFIG].",
+    ),
+    click.option(
+        "--profile",
+        type=click.Choice(["dev", "field"]),
+        help="dev: robots of this machine; field: those on --interface.",
+    ),
+    click.option("--interface", metavar="NAME", help="The network interface, such as wlan0."),
+    click.option(
+        "--seed",
+        "seeds",
+        multiple=True,
+        metavar="ENDPOINT",
+        help="A robot to dial, such as tcp/10.0.0.5:7447; may be repeated.",
+    ),
+    click.option(
+        "-o", "--output", type=click.Choice(["table", "json"]), help="Form of the answer [table]."
+    ),
+    click.option("--timeout", type=Duration(), help="How long to wait for answers, such as 3s."),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Console:
+    """The options common to all verbs; None or empty where not given."""
+
+    swarm: str | None = None
+    config: Path | None = None
+    profile: str | None = None
+    interface: str | None = None
+    seeds: tuple[str, ...] = ()
+    output: str | None = None
+    timeout: float | None = None
+
+    @property
+    def is_json(self) -> bool:
+        """Whether the answer is to be JSON."""
+        return self.output == "json"
+
+    def over(self, below: Console) -> Console:
+        """These options where given, else those of `below`."""
+        given = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name)}
+        return replace(below, **given)
+
+    def session_settings(self) -> SessionSettings:
+        """How to meet the swarm; ConfigError for a file that is wrong."""
+        from swarmd.network.session import Profile, SessionSettings
+
+        if self.config is None:
+            return SessionSettings(
+                swarm=self.swarm or os.environ.get("SWARM") or DEFAULT_SWARM,
+                profile=cast(Profile, self.profile or "dev"),
+                interface=self.interface,
+                seeds=self.seeds,
+            )
+        from swarmd.swarmfile import load_swarm
+
+        overrides = {
+            "swarm": self.swarm,
+            "profile": self.profile,
+            "interface": self.interface,
+            "seeds": list(self.seeds) or None,
+        }
+        file = load_swarm(self.config, overrides, os.environ)
+        return SessionSettings(
+            swarm=file.swarm,
+            profile=file.profile,
+            interface=file.interface,
+            seeds=tuple(file.seeds),
+            multicast=file.multicast,
+            lease=file.lease,
+        )
+
+    def operator(self) -> Operator:
+        """The swarm's network, to be used with `with`; NetworkError if there is none."""
+        from swarmd.network.operator import Operator
+
+        return Operator(self.session_settings())
+
+
+def root_options(function: Callable[P, R]) -> Callable[..., R]:
+    """Take the common options before the verb: they hold unless the verb says otherwise."""
+
+    @functools.wraps(function)
+    def wrapper(*args: Any, **kwargs: Any) -> R:
+        ctx = click.get_current_context()
+        ctx.obj = _taken(kwargs).over(ctx.obj or Console(config=_config_of_environment()))
+        return function(*args, **kwargs)
+
+    return _with_options(wrapper)
+
+
+def common(function: Callable[Concatenate[Console, P], R]) -> Callable[..., R]:
+    """Give a verb the common options, as a Console, as its first argument."""
+
+    @functools.wraps(function)
+    def wrapper(*args: Any, **kwargs: Any) -> R:
+        below = click.get_current_context().find_object(Console) or Console()
+        return function(_taken(kwargs).over(below), *args, **kwargs)
+
+    return _with_options(wrapper)
+
+
+def _taken(kwargs: dict[str, Any]) -> Console:
+    return Console(**{field.name: kwargs.pop(field.name) for field in fields(Console)})
+
+
+def _with_options(function: Function) -> Function:
+    for option in reversed(_OPTIONS):
+        function = option(function)
+    return function
+
+
+def _config_of_environment() -> Path | None:
+    name = os.environ.get("SWARM_CONFIG")
+    return Path(name) if name else None

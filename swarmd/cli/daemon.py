@@ -1,0 +1,131 @@
+"""`swarmd`: the daemon of one robot. Reads its settings, then serves until it is told to end."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import os
+import sys
+from enum import IntEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+import click
+
+from swarmd.cli import run_cli
+from swarmd.cli.arguments import read_assignments
+from swarmd.errors import DriverError, NetworkError, SwarmError
+from swarmd.processes import die_with_parent as tie_to
+
+if TYPE_CHECKING:
+    from swarmd.settings import DaemonSettings
+
+
+class Exit(IntEnum):
+    """How the daemon ended."""
+
+    CLEAN = 0
+    INTERNAL = 1
+    CONFIG = 2
+    ID_HELD = 3
+    NETWORK = 4
+    DRIVER = 5
+
+
+_EPILOG = """\b
+Exit codes:
+  0  clean stop, zero was sent; with --check: all is well
+  1  internal error; with --check: something is not well
+  2  configuration or usage; nothing was started
+  3  the id is held by another daemon of this swarm
+  4  no network session
+  5  the driver cannot be used on this robot"""
+
+
+@click.command(epilog=_EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+@click.option(
+    "--config",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="The daemon's YAML file; the options below win over it.",
+)
+@click.option("--id", metavar="ID", help="The robot's id [the host name].")
+@click.option("--swarm", metavar="NAME", help="The swarm's name [$SWARM, or default].")
+@click.option("--platform", metavar="NAME", help="A platform, or a .yaml file [waffle_pi].")
+@click.option("--driver", metavar="NAME", help="What talks to the base [simulated].")
+@click.option("--driver-option", "driver_options", multiple=True, metavar="KEY=VALUE")
+@click.option("--profile", type=click.Choice(["dev", "field"]), help="This machine, or a network.")
+@click.option("--interface", metavar="NAME", help="The network interface for profile field.")
+@click.option("--seed", "seeds", multiple=True, metavar="ENDPOINT", help="A robot to dial.")
+@click.option("--state-dir", type=click.Path(file_okay=False), help="Where latches are kept.")
+@click.option("--plugin-dir", type=click.Path(file_okay=False), help="Folder of own patterns.")
+@click.option("--log-level", type=click.Choice(["debug", "info", "warning"]), default="info")
+@click.option("--die-with-parent", type=int, metavar="PID", hidden=True)
+@click.option("--check", is_flag=True, help="Look at everything, move nothing, and exit.")
+@click.option(
+    "--print-effective-config", is_flag=True, help="Show each setting with its source, and exit."
+)
+def swarmd(
+    config: Path | None,
+    log_level: str,
+    check: bool,
+    print_effective_config: bool,
+    driver_options: tuple[str, ...],
+    seeds: tuple[str, ...],
+    die_with_parent: int | None,
+    **options: str | None,
+) -> None:
+    """Guard and drive one robot: its driver, its protection, and one pattern in a child.
+
+    Ends on SIGTERM and SIGINT: zero is sent, the swarm is told, exit code 0.
+    """
+    overrides = {
+        **options,
+        "seeds": list(seeds) or None,
+        "driver_options": read_assignments(driver_options, "--driver-option") or None,
+        "die_with_parent": die_with_parent,
+    }
+    if die_with_parent is not None:
+        tie_to(die_with_parent)
+    # numpy comes with the settings; its BLAS would start a thread per core for 360 numbers.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from swarmd.settings import load_daemon_settings
+
+    settings = load_daemon_settings(config, overrides)
+    logging.basicConfig(
+        stream=sys.stderr,
+        level=log_level.upper(),
+        format=f"%(asctime)s {settings.id} %(levelname)s %(name)s: %(message)s",
+    )
+    if print_effective_config:
+        from swarmd.cli.effective import effective_config
+
+        click.echo(effective_config(settings), nl=False)
+    elif check:
+        from swarmd.cli.check import check_daemon
+
+        click.get_current_context().exit(check_daemon(settings))
+    else:
+        click.get_current_context().exit(_serve(settings))
+
+
+def main(args: list[str] | None = None) -> NoReturn:
+    """Run swarmd and exit with its code; every error is one line on stderr."""
+    sys.exit(run_cli(swarmd, args, "swarmd", exit_code_of))
+
+
+def exit_code_of(error: SwarmError) -> int:
+    """The exit code that tells a supervisor what kind of error it was."""
+    if isinstance(error, NetworkError):
+        return Exit.NETWORK
+    return Exit.DRIVER if isinstance(error, DriverError) else Exit.CONFIG
+
+
+def _serve(settings: DaemonSettings) -> int:
+    from swarmd.daemon import serve
+
+    return asyncio.run(serve(settings))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,77 @@
+"""How swarmctl speaks: results on stdout as a table or JSON, everything else on stderr."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import click
+
+API_VERSION = "swarm/v1"
+NOTHING = "-"
+
+_COLOURS = {
+    "running": "green",
+    "applied": "green",
+    "alive": "green",
+    "estopped": "red",
+    "faulted": "red",
+    "failed": "red",
+    "refused": "red",
+    "no answer": "red",
+    "stopped": "yellow",
+    "left": "yellow",
+}
+
+
+def print_json(kind: str, content: Mapping[str, Any]) -> None:
+    """One JSON document on stdout, with the version of its form and its kind."""
+    document = {"apiVersion": API_VERSION, "kind": kind, **content}
+    click.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Aligned columns on stdout; states in colour on a terminal, unless NO_COLOR is set."""
+    widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
+    is_coloured = has_colour(sys.stdout.isatty())
+    for row in (header, *rows):
+        cells = [_cell(text, width, is_coloured) for text, width in zip(row, widths, strict=True)]
+        click.echo("  ".join(cells).rstrip(), color=is_coloured)
+
+
+def print_section(title: str, rows: Sequence[tuple[str, str]]) -> None:
+    """A heading and `name  value` lines below it; nothing if there are none."""
+    if not rows:
+        return
+    width = max(len(name) for name, _ in rows)
+    click.echo(title)
+    for name, value in rows:
+        click.echo(f"  {name.ljust(width)}  {value}")
+
+
+def warn(text: str) -> None:
+    """A line for the operator that is no result."""
+    click.echo(text, err=True)
+
+
+def has_colour(is_terminal: bool) -> bool:
+    """Whether to colour: on a terminal, unless NO_COLOR says otherwise (no-color.org)."""
+    return is_terminal and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+
+
+def seconds(value: float) -> str:
+    """A time span as a reader wants it: `3 ms`, `1.2 s`, `5 min`, `3 h`."""
+    if value < 0.9995:
+        return f"{value * 1000:.0f} ms"
+    if value < 99.95:
+        return f"{value:.1f} s"
+    return f"{value / 60:.0f} min" if value < 5400 else f"{value / 3600:.0f} h"
+
+
+def _cell(text: str, width: int, is_coloured: bool) -> str:
+    padded = text.ljust(width)
+    colour = _COLOURS.get(text) if is_coloured else None
+    return click.style(padded, fg=colour) if colour else padded
