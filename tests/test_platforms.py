@@ -1,0 +1,202 @@
+"""Platform files: the shipped ones, and every way one of them can be wrong."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from swarmd.errors import ConfigError
+from swarmd.platforms import load_platform, platform_names
+
+GOOD: dict[str, Any] = {
+    "description": "a test robot",
+    "limits": {"linear": 0.26, "angular": 1.82},
+    "footprint": [[-0.2, -0.15], [0.1, -0.15], [0.1, 0.15], [-0.2, 0.15]],
+    "scan": {
+        "rays": 4,
+        "rate": 5.0,
+        "range_min": 0.12,
+        "range_max": 3.5,
+        "offset": [-0.064, 0.0],
+        "zero": "lds",
+        "max_gap_deg": 90.0,
+    },
+    "provides": ["scan", "odometry", "reading:light"],
+    "protection": {
+        "mode": "potential_field",
+        "preset": "paper",
+        "presets": {
+            "paper": {"threshold": 0.5, "rays": 5, "forward_bias": 2.0},
+            "repo": {"threshold": 0.3, "rays": 5, "forward_bias": 2.0},
+        },
+    },
+    "patterns": {"attraction": {"range_max": 2.0}},
+    "drivers": {"simulated": {"endpoint": "tcp/127.0.0.1:1"}},
+    "body": {"mass": 1.8},
+}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def write(folder: Path, data: dict[str, Any], name: str = "x.yaml") -> str:
+    (folder / name).write_text(yaml.safe_dump(data, sort_keys=False))
+    return name
+
+
+def with_value(path: str, value: object) -> dict[str, Any]:
+    """GOOD with the value at a dotted path replaced."""
+    data: dict[str, Any] = yaml.safe_load(yaml.safe_dump(GOOD))
+    at = data
+    *above, last = path.split(".")
+    for key in above:
+        at = at[key]
+    at[last] = value
+    return data
+
+
+@pytest.mark.parametrize("name", ["burger", "waffle_pi", "jackal"])
+def test_shipped_platforms_load(name: str) -> None:
+    platform = load_platform(name)
+    assert name in platform_names()
+    assert platform.name == name
+    assert platform.limits.linear > 0.0
+    assert platform.scan.range_min < float(platform.protection["threshold"]) < 4.0
+
+
+def test_gives_every_value_in_its_type(folder: Path) -> None:
+    platform = load_platform(write(folder, GOOD))
+    assert platform.name == "x"
+    assert (platform.limits.linear, platform.limits.lateral) == (0.26, 0.0)
+    assert platform.footprint.shape == (4, 2)
+    assert platform.footprint.dtype == np.float64
+    assert platform.scan.offset == (-0.064, 0.0)
+    assert platform.scan.max_gap == pytest.approx(math.pi / 2)
+    assert platform.scan.zero == "lds"
+    assert platform.provides == {"scan", "odometry", "reading:light"}
+    assert platform.patterns == {"attraction": {"range_max": 2.0}}
+    assert platform.drivers == {"simulated": {"endpoint": "tcp/127.0.0.1:1"}}
+    assert platform.body == {"mass": 1.8}
+
+
+def test_spreads_rays_evenly_from_the_first_bearing_within_half_a_turn(folder: Path) -> None:
+    platform = load_platform(write(folder, with_value("scan.first_bearing_deg", 45.0)))
+    assert np.degrees(platform.scan.bearings) == pytest.approx([45.0, 135.0, -135.0, -45.0])
+
+
+def test_flattens_the_preset_in_force(folder: Path) -> None:
+    platform = load_platform(write(folder, with_value("protection.preset", "repo")))
+    assert platform.protection == {
+        "mode": "potential_field",
+        "preset": "repo",
+        "threshold": 0.3,
+        "rays": 5,
+        "forward_bias": 2.0,
+    }
+
+
+def test_a_variant_changes_only_what_it_says(folder: Path) -> None:
+    write(folder, GOOD)
+    variant = {"extends": "./x.yaml", "limits": {"linear": 0.1}, "protection": {"preset": "repo"}}
+    platform = load_platform(write(folder, variant, "slow.yaml"))
+    assert (platform.name, platform.limits.linear, platform.limits.angular) == ("slow", 0.1, 1.82)
+    assert platform.protection["threshold"] == 0.3
+
+
+def test_a_variant_of_a_shipped_platform(folder: Path) -> None:
+    variant = {"extends": "waffle_pi", "limits": {"linear": 0.05}}
+    platform = load_platform(write(folder, variant, "slow.yaml"))
+    assert platform.limits.linear == 0.05
+    assert platform.limits.angular == load_platform("waffle_pi").limits.angular
+
+
+def test_a_fault_in_the_base_names_the_base(folder: Path) -> None:
+    write(folder, with_value("limits.linear", -0.2))
+    write(folder, {"extends": "x.yaml", "description": "variant"}, "slow.yaml")
+    with pytest.raises(ConfigError, match=r"^x\.yaml: limits\.linear is -0\.2; wanted a number"):
+        load_platform("slow.yaml")
+
+
+def test_refuses_circles_of_extends(folder: Path) -> None:
+    write(folder, {"extends": "b.yaml"}, "a.yaml")
+    write(folder, {"extends": "a.yaml"}, "b.yaml")
+    with pytest.raises(ConfigError, match=r"a\.yaml -> b\.yaml -> a\.yaml; take one of them out"):
+        load_platform("a.yaml")
+
+
+def test_refuses_an_unknown_base(folder: Path) -> None:
+    with pytest.raises(ConfigError, match=r"^x\.yaml: extends: no platform 'wafle_pi'; did you me"):
+        load_platform(write(folder, {"extends": "wafle_pi"}))
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "fault"),
+    [
+        ("limits.linear", -0.2, "limits.linear is -0.2; wanted a number above 0"),
+        ("limits.linear", math.nan, "limits.linear is nan; wanted a number above 0"),
+        ("limits.liner", 0.2, "limits has no key 'liner'; did you mean 'linear'?"),
+        ("scan.range_min", 4.0, "scan.range_min is 4; wanted less than scan.range_max (3.5)"),
+        ("scan.zero", "lsd", "scan.zero is 'lsd'; wanted "),
+        ("scan.rays", 0, "scan.rays is 0; wanted a whole number of at least 1"),
+        ("scan.offset", [0.0], "scan.offset is [0.0]; wanted [a number"),
+        ("provides", ["scam"], "provides: no word 'scam'; did you mean 'scan'?"),
+        ("provides", ["reading:"], "provides: no word 'reading:'"),
+        ("protection.mode", "of", "protection.mode is 'of'; wanted potential_field"),
+        ("protection.preset", "papr", "protection.preset: no preset 'papr'; did you mean 'paper'?"),
+        (
+            "protection.presets.repo.threshold",
+            3.5,
+            "protection.presets.repo.threshold is 3.5; wanted a range the sensor can measure, "
+            "between 0.12 and 3.5",
+        ),
+        (
+            "protection.presets.paper.threshold",
+            0.1,
+            "protection.presets.paper.threshold is 0.1; wanted a range the sensor can measure",
+        ),
+        ("patterns.attraction", 3, "patterns.attraction is 3; wanted keys and values"),
+        ("patterns.attraction.range_max", math.inf, "patterns.attraction.range_max is inf"),
+        ("drivers.simulated.endpoint", math.nan, "drivers.simulated.endpoint is nan"),
+        ("body.mass", "heavy", "body.mass is 'heavy'; wanted a number"),
+        ("footprint", [[0, 0], [1, 0]], "footprint has 2 corners; wanted a convex polygon"),
+        ("footprint", [[0, 0], [0, 1], [1, 1], [1, 0]], "footprint runs clockwise; wanted"),
+        ("footprint", [[0, 0], [1, 0], [1, 0], [0, 1]], "footprint has the same corner twice"),
+        (
+            "footprint",
+            [[0, 0], [2, 0], [1, 0.5], [2, 2], [0, 2]],
+            "footprint does not turn left at corner 2; wanted",
+        ),
+        ("footprint", [[0, 0], [1, 0], [2, 0], [0, 1]], "footprint does not turn left at corner 1"),
+        (
+            "footprint",
+            [[math.cos(a), math.sin(a)] for a in (0.0, 2.513, 5.027, 7.540, 10.053)],
+            "footprint crosses itself; wanted",
+        ),
+    ],
+)
+def test_refuses_in_one_line(folder: Path, path: str, value: object, fault: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load_platform(write(folder, with_value(path, value)))
+    assert str(caught.value).startswith(f"x.yaml: {fault}")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("key", ["limits", "footprint", "scan", "provides", "protection"])
+def test_refuses_a_file_that_lacks_a_section(folder: Path, key: str) -> None:
+    data = {name: value for name, value in GOOD.items() if name != key}
+    with pytest.raises(ConfigError, match=rf"^x\.yaml: {key} is missing; wanted"):
+        load_platform(write(folder, data))
+
+
+@pytest.mark.parametrize("name", ["wafle_pi", "Waffle_Pi", "../platforms/waffle_pi", ""])
+def test_refuses_unknown_names(name: str) -> None:
+    with pytest.raises(ConfigError, match=rf"^no platform '{name}'; "):
+        load_platform(name)

@@ -1,0 +1,140 @@
+"""Finding plugins by name, with distributions laid out as pip would."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from swarmd import plugins
+from swarmd.errors import PluginError
+
+
+@pytest.fixture
+def outsider(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """An installed distribution `outsider` 2.1 with a plugin of every kind."""
+    site = tmp_path / "site"
+    info = site / "outsider-2.1.dist-info"
+    info.mkdir(parents=True)
+    (info / "METADATA").write_text(
+        "Metadata-Version: 2.1\nName: outsider\nVersion: 2.1\n"
+        "Requires-Dist: numpy\n"
+        'Requires-Dist: absent-core>=4; extra == "far"\nProvides-Extra: far\n'
+    )
+    (info / "entry_points.txt").write_text(
+        "[swarmd.patterns]\nswirl = outsider_ok:Swirl\n"
+        "[swarmd.drivers]\n"
+        "kit = outsider_ok:Kit\nneedy = outsider_needy:Kit\nlost = outsider_ok:Nothing\n"
+        "broken = outsider_broken:Kit\ngone = outsider_gone:Kit\n"
+        "[swarmd.commands]\nwave = outsider_ok:wave\nfar = outsider_needy:wave\n"
+    )
+    (site / "outsider_ok.py").write_text("Kit = object()\nwave = object()\n")
+    (site / "outsider_needy.py").write_text("import absent.deep\n")
+    (site / "outsider_broken.py").write_text("def (\n")
+    monkeypatch.syspath_prepend(str(site))
+    return site
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    made = tmp_path / "own"
+    made.mkdir()
+    return made
+
+
+def test_finds_the_patterns_that_come_with_it() -> None:
+    found = plugins.pattern_names(None)
+    assert {"attraction", "drive", "random_walk"} <= set(found)
+    assert found["drive"].value == "swarmd.patterns.drive:Drive"
+    assert found["drive"].source.startswith("swarmd ")
+
+
+@pytest.mark.usefixtures("outsider")
+def test_finds_an_outsiders_pattern_the_same_way() -> None:
+    assert plugins.find_pattern("swirl", None) == plugins.Origin(
+        "outsider_ok:Swirl", "outsider 2.1"
+    )
+
+
+def test_finds_patterns_in_the_drop_in_folder_and_leaves_other_files_alone(folder: Path) -> None:
+    for name in ("spin.py", "_hidden.py", "Big.py", "notes.txt"):
+        (folder / name).touch()
+    (folder / "folder.py").mkdir()
+    found = plugins.pattern_names(folder).items()
+    assert [name for name, origin in found if origin.is_file] == ["spin"]
+    spin = plugins.find_pattern("spin", folder)
+    assert spin.value == str((folder / "spin.py").resolve())
+    assert spin.source == str(folder / "spin.py")
+
+
+def test_a_name_that_is_there_twice_is_listed_and_refused(folder: Path) -> None:
+    (folder / "drive.py").touch()
+    assert plugins.pattern_names(folder)["drive"].rival == str(folder / "drive.py")
+    with pytest.raises(PluginError, match=r"'drive' is there twice: swarmd .* and .*; rename one"):
+        plugins.find_pattern("drive", folder)
+
+
+def test_an_unknown_pattern_is_answered_with_the_nearest(folder: Path) -> None:
+    with pytest.raises(PluginError, match=r"^no pattern 'driv'; did you mean 'drive'\?$"):
+        plugins.find_pattern("driv", folder)
+
+
+def test_a_file_that_no_key_could_name_is_answered_with_the_rule(folder: Path) -> None:
+    (folder / "Big.py").touch()
+    with pytest.raises(PluginError, match=r"Big\.py: the pattern's name is 'Big'; wanted are 1 to"):
+        plugins.find_pattern("Big", folder)
+
+
+def test_a_drop_in_folder_that_is_not_there_is_told(folder: Path) -> None:
+    with pytest.raises(PluginError, match="which is no folder; make it or leave it out"):
+        plugins.pattern_names(folder / "none")
+
+
+@pytest.mark.usefixtures("outsider")
+def test_loads_a_driver_and_a_verb() -> None:
+    import outsider_ok  # type: ignore[import-not-found]  # made by the fixture
+
+    assert plugins.load_driver("kit") is outsider_ok.Kit
+    assert plugins.load_command("wave") is outsider_ok.wave
+    assert "kit" in plugins.driver_names()
+    assert plugins.command_names()["wave"] == "outsider 2.1"
+
+
+@pytest.mark.usefixtures("outsider")
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("kitt", r"no driver 'kitt'; did you mean 'kit'\?"),
+        (
+            "needy",
+            r"'needy' needs absent, which is not installed; run: pip install 'outsider\[far\]'",
+        ),
+        ("lost", r"driver 'lost' of outsider 2\.1 cannot be loaded: module 'outsider_ok' has no"),
+        ("broken", r"driver 'broken' of outsider 2\.1 cannot be loaded: .*"),
+        ("gone", r"driver 'gone' of outsider 2\.1 cannot be loaded: No module named 'outsider_g"),
+    ],
+)
+def test_a_driver_that_cannot_be_had_is_told_in_one_line(name: str, fault: str) -> None:
+    with pytest.raises(PluginError, match=f"^{fault}") as caught:
+        plugins.load_driver(name)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.usefixtures("outsider")
+def test_a_verb_whose_needs_are_missing_says_what_installs_them() -> None:
+    with pytest.raises(PluginError, match=r"run: pip install 'outsider\[far\]'$"):
+        plugins.load_command("far")
+
+
+def test_a_module_that_no_extra_brings_is_named_itself() -> None:
+    assert plugins.how_to_install("scapy", "sim").endswith("run: pip install scapy")
+
+
+def test_discovery_imports_no_pattern() -> None:
+    code = (
+        "import sys; from swarmd.plugins import pattern_names; pattern_names(None);"
+        "sys.exit(any(m.startswith('swarmd.patterns') or m == 'numpy' for m in sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
