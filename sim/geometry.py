@@ -42,7 +42,8 @@ def _separates(a: Array, b: Array) -> NDArray[np.bool_]:
     edge = np.roll(a, -1, axis=-2) - a
     to = b[..., None, :, :] - a[..., :, None, :]
     side = edge[..., :, None, 0] * to[..., 1] - edge[..., :, None, 1] * to[..., 0]
-    return np.any(np.all(side <= 0.0, axis=-1), axis=-1, keepdims=False)
+    separated: NDArray[np.bool_] = np.asarray(np.any(np.all(side <= 0.0, axis=-1), axis=-1))
+    return separated
 
 
 def _corner_distance(corners: Array, polygon: Array) -> Array:

@@ -7,9 +7,7 @@ steps give bit-identical poses. Robot i of `ids` is row i of every array.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from typing import Literal
+from collections.abc import Mapping
 
 import mujoco
 import numpy as np
@@ -17,29 +15,10 @@ import numpy as np
 from swarmd.errors import ConfigError
 from swarmd.sim import bodies
 from swarmd.sim.arena import Arena
-from swarmd.sim.lidar import Indices, Lidar
-from swarmd.sim.visibility import Scene
+from swarmd.sim.lidar import Indices
+from swarmd.sim.ranging import RangeSensors, Visibility
+from swarmd.sim.touch import Contact, Touches, fastest
 from swarmd.values import Array, Neighbor, Odometry, Platform, Pose, Scan, Twist
-
-Visibility = Literal["body", "real"]
-
-
-@dataclass(frozen=True, slots=True)
-class Contact:
-    """Two things that touch: robot ids, or `wall_east`, `box_0`, `pole_0` for `b`.
-
-    `speed_a` and `speed_b` in m/s: how fast each one's surface moves towards the other.
-    """
-
-    a: str
-    b: str
-    speed_a: float
-    speed_b: float
-
-    @property
-    def closing_speed(self) -> float:
-        """The speed of approach in m/s, negative while they separate."""
-        return self.speed_a + self.speed_b
 
 
 class World:
@@ -60,42 +39,26 @@ class World:
         `visibility`: what a range sensor sees of another robot: its whole footprint, or only what
         the sensor's plane really meets. `body` is the default since the published behaviours need
         it: with true heights a Waffle Pi sees of another a lidar housing 0.11 m wide, 3 rays at
-        2 m, and protection that counts more than 5 rays is blind beyond 0.9 m.
+        2 m, and protection that asks for more than 5 rays begins to see it only at 1 m.
         """
-        if starts.shape != (len(robots), 3):
-            raise ConfigError(f"{len(robots)} robots but start poses of shape {starts.shape}")
-        self.ids = tuple(robots)
-        self.dt = dt
-        self.platforms = tuple(robots.values())
-        self.arena = arena
-        self.radio_range = radio_range
+        n = len(robots)
+        if starts.shape != (n, 3):
+            raise ConfigError(f"{n} robots, but start poses of shape {starts.shape}")
+        self.ids, self.platforms = tuple(robots), tuple(robots.values())
+        self.arena, self.radio_range, self.dt = arena, radio_range, dt
         self.model = bodies.build_model(robots, arena, dt)
         self.data = mujoco.MjData(self.model)
-        self._starts = np.array(starts, dtype=np.float64)
-        self.data.qpos[:] = self._starts.ravel()
+        self.data.qpos[:] = starts.ravel()
         mujoco.mj_forward(self.model, self.data)
-        self._limits = np.array(
-            [[p.limits.linear, p.limits.angular, p.limits.lateral] for p in self.platforms]
-        ).reshape(-1, 3)
-        self._gains = np.array([_accelerations(p) for p in self.platforms]).reshape(-1, 3) * dt
-        self._wanted = np.zeros((len(robots), 3))
-        self._driven = np.zeros((len(robots), 3))
+        self._starts = starts.copy()
+        self._limits = np.array([_limits(p) for p in self.platforms]).reshape(n, 3)
+        self._gains = np.array([_accelerations(p) for p in self.platforms]).reshape(n, 3) * dt
+        self._wanted, self._driven = np.zeros((n, 3)), np.zeros((n, 3))
         self._steps = 0
-        self._seq = np.zeros(len(robots), dtype=np.int64)
-        self._touching: dict[tuple[str, str], Contact] = {}
-        self._owners = self.model.geom_bodyid - 1
-        names = list(dict.fromkeys(p.name for p in self.platforms))
-        self._kinds = np.array([names.index(p.name) for p in self.platforms], dtype=np.intp)
-        first = [self.platforms[list(self._kinds).index(i)] for i in range(len(names))]
-        self._lidars = [Lidar(platform.scan) for platform in first]
-        self._scenes = [
-            Scene(
-                arena,
-                self.platforms,
-                plane=bodies.value(p, "scan_height") if visibility == "real" else None,
-            )
-            for p in first
-        ]
+        self._seq = [0] * n
+        self._touches = Touches(self.model)
+        self._contacts: list[Contact] = []
+        self._sensors = RangeSensors(self.platforms, arena, visibility)
 
     @property
     def time(self) -> float:
@@ -113,11 +76,12 @@ class World:
 
     def step(self, k: int = 1) -> None:
         """Advance by `k` steps of `dt`."""
-        self._touching = {}
+        contacts: list[Contact] = []
         for _ in range(k):
-            self._step()
+            contacts += self._step()
+        self._contacts = fastest(contacts)
 
-    def _step(self) -> None:
+    def _step(self) -> list[Contact]:
         data = self.data
         self._driven += np.clip(self._wanted - self._driven, -self._gains, self._gains)
         linear, angular, lateral = self._driven.T
@@ -127,32 +91,10 @@ class World:
         data.ctrl[0::3] = cos * linear - sin * lateral
         data.ctrl[1::3] = sin * linear + cos * lateral
         data.ctrl[2::3] = angular
-        before = data.qpos.copy(), data.qvel.copy()
+        qpos, qvel = data.qpos.copy(), data.qvel.copy()
         mujoco.mj_step(self.model, data)
         self._steps += 1
-        if data.ncon:
-            for contact in self._contacts_of(*before):
-                known = self._touching.get((contact.a, contact.b))
-                if known is None or contact.closing_speed > known.closing_speed:
-                    self._touching[contact.a, contact.b] = contact
-
-    def _contacts_of(self, qpos: Array, qvel: Array) -> Iterator[Contact]:
-        """Each touching pair of geoms, at the poses and velocities before the step."""
-        found = self.data.contact
-        for geoms, depth, place, frame in zip(
-            found.geom, found.dist, found.pos, found.frame, strict=True
-        ):
-            if depth > 0.0:
-                continue
-            a, b = (int(geom) for geom in geoms)
-            speeds = (
-                _speed_at(place, frame[:3], self._owners[a], qpos, qvel),
-                -_speed_at(place, frame[:3], self._owners[b], qpos, qvel),
-            )
-            if (self._owners[b] < 0, b) < (self._owners[a] < 0, a):  # the robot first, then by row
-                a, b, speeds = b, a, speeds[::-1]
-            names = (self.model.geom(a).name, self.model.geom(b).name)
-            yield Contact(*names, *speeds)
+        return self._touches.after_step(data, qpos, qvel) if data.ncon else []
 
     def poses(self) -> Array:
         """(n, 3) x, y in m and yaw in rad (not wrapped) in the world frame: truth."""
@@ -167,23 +109,16 @@ class World:
 
     def contacts(self) -> list[Contact]:
         """The pairs that touched during the last call of `step`, each with its fastest approach."""
-        return list(self._touching.values())
+        return list(self._contacts)
 
     def scans(self, robots: Indices) -> list[Scan]:
         """A fresh sweep of each of `robots` (m,), taken in one instant."""
-        poses = self.poses()
-        scans: dict[int, Scan] = {}
-        for kind in np.unique(self._kinds[robots]):
-            observers = robots[self._kinds[robots] == kind]
-            targets = self._scenes[kind].targets(poses)
-            ranges = self._lidars[kind].cast(poses[observers], observers, targets)
-            for robot, row in zip(observers, ranges, strict=True):
-                scans[int(robot)] = self._scan(int(robot), row)
-        return [scans[int(robot)] for robot in robots]
+        ranges = self._sensors.cast(self.poses(), robots)
+        return [self._scan(int(robot), row) for robot, row in zip(robots, ranges, strict=True)]
 
     def _scan(self, robot: int, ranges: Array) -> Scan:
         spec = self.platforms[robot].scan
-        seq = int(self._seq[robot])
+        seq = self._seq[robot]
         self._seq[robot] += 1
         return Scan(seq, self.time, ranges, spec.bearings, spec.range_min, spec.range_max)
 
@@ -212,6 +147,11 @@ class World:
         return {}
 
 
+def _limits(platform: Platform) -> tuple[float, float, float]:
+    limits = platform.limits
+    return limits.linear, limits.angular, limits.lateral
+
+
 def _accelerations(platform: Platform) -> tuple[float, float, float]:
     linear = bodies.value(platform, "linear_acceleration")
     return linear, bodies.value(platform, "angular_acceleration"), linear
@@ -222,14 +162,3 @@ def _relative(pose: Array, start: Array) -> Pose:
     cos, sin = math.cos(start[2]), math.sin(start[2])
     yaw = (pose[2] - start[2] + math.pi) % (2.0 * math.pi) - math.pi
     return Pose(float(cos * x + sin * y), float(cos * y - sin * x), float(yaw))
-
-
-def _speed_at(place: Array, normal: Array, robot: int, qpos: Array, qvel: Array) -> float:
-    """The speed along `normal` of the robot's surface at `place`; 0 for the arena (-1)."""
-    if robot < 0:
-        return 0.0
-    x, y, _ = qpos[3 * robot : 3 * robot + 3]
-    vx, vy, angular = qvel[3 * robot : 3 * robot + 3]
-    vx -= angular * (place[1] - y)
-    vy += angular * (place[0] - x)
-    return float(vx * normal[0] + vy * normal[1])

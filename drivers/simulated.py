@@ -1,0 +1,259 @@
+"""The simulated body: a robot of a world process, spoken to over the `hw/*` keys."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+
+import zenoh
+
+from swarmd import keys
+from swarmd.driver import Finding, Sink
+from swarmd.errors import CodecError, ConfigError, unknown
+from swarmd.handover import hand_over
+from swarmd.network.session import open_with
+from swarmd.sensing import (
+    decode_neighbors,
+    decode_odometry,
+    decode_readings,
+    decode_scan,
+    encode_command,
+)
+from swarmd.values import ZERO, Neighbor, Odometry, Platform, Scan, Twist, Value
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7790"
+SILENCE = 1.0
+"""Seconds without any sample after which the body counts as lost."""
+
+_OPTIONS = frozenset({"endpoint"})
+_WATCH_PERIOD = 0.1
+_SENSES = ("scan", "odometry", "neighbors", "readings")
+
+
+class SimulatedDriver:
+    """Talks to one body of a world process through a Zenoh session of its own."""
+
+    is_simulated = True
+
+    def __init__(
+        self, *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
+    ) -> None:
+        """Not connected yet. Option `endpoint`: where the world listens."""
+        self._robot, self._swarm, self._platform = robot, swarm, platform
+        self._endpoint = _endpoint(options)
+        self._commands: zenoh.Publisher | None = None
+        self._is_up = False
+        self._owes_zero = True
+        self._heard = -math.inf
+
+    async def run(self, sink: Sink) -> None:
+        """Feed the sink until cancelled; the session reconnects by itself."""
+        loop = asyncio.get_running_loop()
+        sink.state(False, f"no body yet at {self._endpoint}")
+        session = await asyncio.to_thread(self._open)
+        try:
+            self._commands = session.declare_publisher(
+                self._key("cmd_vel"),
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.REAL_TIME,
+                express=True,
+            )
+            inbox = _Inbox(loop, lambda name, payload: self._take(sink, name, payload))
+            for name in _SENSES:
+                session.declare_subscriber(self._key(name), inbox.receiver(name, self._key(name)))
+            while True:
+                await asyncio.sleep(_WATCH_PERIOD)
+                self._watch(sink, loop.time())
+        finally:
+            self._put(ZERO, -1, -1)
+            self._commands, self._is_up, self._owes_zero = None, False, True
+            session.close()
+
+    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+        """Send a safe command; dropped while the body is lost, zero the first time it is back."""
+        if not self._is_up:
+            return
+        if self._owes_zero:
+            self._owes_zero = False
+            twist = ZERO
+        self._put(twist, scan_seq, wish_seq)
+
+    async def check(self, seconds: float) -> tuple[Finding, ...]:
+        """Whether scans and odometry come and commands have a taker; moves nothing."""
+        seen = _Seen()
+        task = asyncio.create_task(self.run(seen))
+        try:
+            async with asyncio.timeout(seconds):
+                await seen.everything.wait()
+        except TimeoutError:
+            pass  # what is missing stands in the findings
+        finally:
+            has_taker = self._commands is not None and _has_subscriber(self._commands)
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+        return self._findings(seen, has_taker)
+
+    def _findings(self, seen: _Seen, has_taker: bool) -> tuple[Finding, ...]:
+        where = f"from {self._robot} of swarm {self._swarm} at {self._endpoint}"
+        hint = "start the world first (swarmctl sim up), or correct driver_options.endpoint"
+        rays = len(self._platform.scan.bearings)
+        scan = seen.last_scan
+        return (
+            Finding(
+                "scan",
+                scan is not None,
+                f"{len(scan.ranges)} rays, the platform has {rays}"
+                if scan is not None
+                else f"none {where}; {hint}",
+            ),
+            Finding(
+                "odometry",
+                seen.last_odometry is not None,
+                "arrives" if seen.last_odometry is not None else f"none {where}; {hint}",
+            ),
+            Finding(
+                "cmd_vel",
+                has_taker,
+                "the body listens" if has_taker else f"no body takes commands; {hint}",
+            ),
+        )
+
+    def _open(self) -> zenoh.Session:
+        options: dict[str, object] = {
+            "mode": "peer",
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            "listen/endpoints": [],
+            "connect/endpoints": [self._endpoint],
+            "connect/timeout_ms": 0,
+            "connect/exit_on_failure": False,
+            "connect/retry": {
+                "period_init_ms": 500,
+                "period_max_ms": 500,
+                "period_increase_factor": 1.0,
+            },
+            # A body that dies closes its socket; one that is frozen keeps its link.
+            "transport/link/tx/lease": 60_000,
+            "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+            "transport/shared_memory/enabled": False,
+        }
+        return open_with(options, what=f"the body of {self._robot} at {self._endpoint}")
+
+    def _key(self, name: str) -> str:
+        return keys.build(self._swarm, self._robot, "hw", name)
+
+    def _put(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+        if self._commands is not None:
+            self._commands.put(encode_command(twist, scan_seq, wish_seq))
+
+    def _take(self, sink: Sink, name: str, payload: bytes) -> None:
+        try:
+            deliver = self._decode(sink, name, payload)
+        except CodecError:
+            sink.dropped(f"hw/{name}")
+            return
+        self._heard = asyncio.get_running_loop().time()
+        if not self._is_up:
+            self._is_up = self._owes_zero = True
+            sink.state(True, f"body at {self._endpoint}")
+        deliver()
+
+    def _decode(self, sink: Sink, name: str, payload: bytes) -> Callable[[], None]:
+        if name == "scan":
+            return partial(sink.scan, decode_scan(payload, self._platform.scan))
+        if name == "odometry":
+            return partial(sink.odometry, decode_odometry(payload))
+        if name == "neighbors":
+            return partial(sink.neighbors, decode_neighbors(payload))
+        return partial(sink.readings, decode_readings(payload))
+
+    def _watch(self, sink: Sink, now: float) -> None:
+        if self._is_up and now - self._heard > SILENCE:
+            self._is_up = False
+            sink.state(False, f"nothing from {self._endpoint} for {SILENCE:g} s")
+
+
+class _Inbox:
+    """Hands the newest sample of each sense to the loop.
+
+    Only the newest: after a stall of the loop the older ones would be history.
+    """
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, take: Callable[[str, bytes], None]) -> None:
+        self._loop, self._take = loop, take
+        self._lock = threading.Lock()
+        self._waiting: dict[str, bytes] = {}
+
+    def receiver(self, name: str, key: str) -> Callable[[zenoh.Sample], None]:
+        """A Zenoh callback for one sense; samples on other keys than `key` are left out."""
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            if str(sample.key_expr) != key:
+                return
+            payload = sample.payload.to_bytes()
+            with self._lock:
+                is_first = name not in self._waiting
+                self._waiting[name] = payload
+            if is_first:
+                hand_over(self._loop, self._deliver, name)
+
+        return on_sample
+
+    def _deliver(self, name: str) -> None:
+        with self._lock:
+            payload = self._waiting.pop(name)
+        self._take(name, payload)
+
+
+@dataclass(slots=True)
+class _Seen:
+    """A sink that only looks."""
+
+    everything: asyncio.Event = field(default_factory=asyncio.Event)
+    last_scan: Scan | None = None
+    last_odometry: Odometry | None = None
+
+    def scan(self, scan: Scan) -> None:
+        self.last_scan = scan
+        self._look()
+
+    def odometry(self, odometry: Odometry) -> None:
+        self.last_odometry = odometry
+        self._look()
+
+    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
+        pass
+
+    def readings(self, values: Mapping[str, float]) -> None:
+        pass
+
+    def state(self, is_up: bool, text: str) -> None:
+        pass
+
+    def dropped(self, what: str) -> None:
+        pass
+
+    def _look(self) -> None:
+        if self.last_scan is not None and self.last_odometry is not None:
+            self.everything.set()
+
+
+def _has_subscriber(publisher: zenoh.Publisher) -> bool:
+    # The stubs call it a bool; it is an object with that attribute.
+    return bool(getattr(publisher.matching_status, "matching", False))
+
+
+def _endpoint(options: Mapping[str, Value]) -> str:
+    for name in options:
+        if name not in _OPTIONS:
+            raise ConfigError(f"driver simulated: {unknown('option', name, _OPTIONS)}")
+    endpoint = options.get("endpoint", DEFAULT_ENDPOINT)
+    if not isinstance(endpoint, str) or not endpoint.startswith("tcp/"):
+        raise ConfigError(
+            f"driver simulated: endpoint is {endpoint!r}; wanted is such as {DEFAULT_ENDPOINT}"
+        )
+    return endpoint

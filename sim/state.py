@@ -1,0 +1,68 @@
+"""What the world says of itself to viewers and whoever runs it: truth, never for a robot."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+from swarmd.codec import MAX_SENSE, Decoder
+from swarmd.messages import Count, Line, Metres, Name, Rate, Seconds
+
+Action = Literal["start", "finish", "poses"]
+Triple = tuple[Metres, Metres, Metres]
+
+
+class WorldState(Struct, frozen=True, kw_only=True):
+    """The world at one moment; row i of each list is robot `ids[i]`.
+
+    `time` s of simulation, `real_time_factor` over the last second (0 before there is one),
+    `poses` x, y in m and yaw in rad, `twists` linear, angular, lateral in each base frame,
+    `commanded` whether a fresh command is in force. Touches so far, since recording began:
+    `contacts` between robots, `arena_contacts` with walls, boxes and poles. `recorded` s so far.
+    `overruns`: steps that came late, `dropped`: messages that could not be read.
+    """
+
+    time: Seconds
+    real_time_factor: Rate
+    arena: tuple[Metres, Metres]
+    ids: tuple[Name, ...]
+    poses: tuple[Triple, ...]
+    twists: tuple[Triple, ...]
+    commanded: tuple[bool, ...]
+    contacts: Count
+    arena_contacts: Count
+    is_recording: bool
+    recorded: Seconds
+    overruns: Count
+    dropped: Count
+
+
+class WorldRequest(Struct, frozen=True, kw_only=True):
+    """`start`: begin the recording here. `finish`: end and write it. `poses`: the state now."""
+
+    action: Action
+
+
+class WorldReply(Struct, frozen=True, kw_only=True):
+    """The state after the action; `path` of the trace once it is written, else empty."""
+
+    is_done: bool
+    text: Line
+    state: WorldState
+    path: Annotated[str, Meta(max_length=4096)] = ""
+
+
+decode_state = Decoder(WorldState, MAX_SENSE)
+decode_request = Decoder(WorldRequest)
+decode_reply = Decoder(WorldReply, MAX_SENSE)
+
+
+def state_key(swarm: str) -> str:
+    """The key on which the state is published."""
+    return f"world/{swarm}/state"
+
+
+def control_key(swarm: str) -> str:
+    """The key at which the world answers requests."""
+    return f"world/{swarm}/control"

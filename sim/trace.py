@@ -1,0 +1,141 @@
+"""Traces: what happened in a run, as arrays; the only input of metrics."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.errors import SwarmError
+from swarmd.values import Array, Platform
+
+ARENA = -1
+"""The index that stands for walls, boxes and poles in a contact."""
+
+VERSION = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """A run of n robots over T instants; row i of every (T, n, ...) array is robot `ids[i]`.
+
+    `t` (T,) s. `pose` (T, n, 3) x, y in m, yaw in rad (not wrapped), world frame, truth. `safe`
+    (T, n, 3) linear, angular, lateral: the command in force at the body. `contact_t` (c,),
+    `contact_pair` (c, 2) robot indices, the second ARENA for a wall, and `contact_speed` (c, 2)
+    m/s at which each surface moved towards the other: one row for every step of a touch.
+    `platforms` by name, each with its footprint (k, 2); `meta` holds arena, seed and the like.
+
+    What only the robots themselves know is None unless they said it: `wish` (T, n, 3), `state`
+    and `reason` (T, n) words, `active` (T, n) bool: protection has replaced or cut the wish.
+    """
+
+    ids: tuple[str, ...]
+    t: Array
+    pose: Array
+    safe: Array
+    contact_t: Array
+    contact_pair: NDArray[np.int64]
+    contact_speed: Array
+    platforms: tuple[str, ...]
+    footprints: Mapping[str, Array]
+    meta: Mapping[str, Any] = field(default_factory=dict)
+    wish: Array | None = None
+    state: NDArray[np.str_] | None = None
+    reason: NDArray[np.str_] | None = None
+    active: NDArray[np.bool_] | None = None
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first instant to the last."""
+        return float(self.t[-1] - self.t[0]) if len(self.t) else 0.0
+
+    def footprint(self, robot: int) -> Array:
+        """The (k, 2) footprint of robot `robot` in its base frame."""
+        return self.footprints[self.platforms[robot]]
+
+    def save(self, path: Path) -> None:
+        """Write an .npz; the file appears whole or not at all."""
+        arrays = {f.name: getattr(self, f.name) for f in fields(self)}
+        head = {
+            "version": VERSION,
+            "ids": self.ids,
+            "platforms": self.platforms,
+            "footprints": {name: shape.tolist() for name, shape in self.footprints.items()},
+            "meta": dict(self.meta),
+        }
+        kept = {k: v for k, v in arrays.items() if isinstance(v, np.ndarray)}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_name(f".{path.name}.partial")
+        with partial.open("wb") as file:
+            np.savez_compressed(file, allow_pickle=False, head=np.array(json.dumps(head)), **kept)
+        partial.replace(path)
+
+
+def load_trace(path: Path) -> Trace:
+    """The trace of a file; SwarmError if it is none."""
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        head = json.loads(str(arrays.pop("head")))
+        if head.pop("version") != VERSION:
+            raise SwarmError(f"{path}: a trace of another version; this reads {VERSION}")
+        head["ids"], head["platforms"] = tuple(head["ids"]), tuple(head["platforms"])
+        head["footprints"] = {k: np.array(v) for k, v in head["footprints"].items()}
+        return Trace(**head, **arrays)
+    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+        raise SwarmError(f"{path}: not a trace: {error}") from error
+
+
+class Recorder:
+    """Gathers a trace of truth and commands while a world runs."""
+
+    def __init__(
+        self, ids: Sequence[str], platforms: Sequence[Platform], meta: Mapping[str, Any]
+    ) -> None:
+        self._ids = tuple(ids)
+        self._index = {robot: i for i, robot in enumerate(ids)}
+        self._platforms = tuple(p.name for p in platforms)
+        self._footprints = {p.name: p.footprint for p in platforms}
+        self._meta = dict(meta)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything: the recording begins here."""
+        self._t: list[float] = []
+        self._pose: list[Array] = []
+        self._safe: list[Array] = []
+        self._contacts: list[tuple[float, int, int, float, float]] = []
+
+    def add(self, time: float, pose: Array, safe: Array) -> None:
+        """One instant: poses and commands (n, 3), which are copied."""
+        self._t.append(time)
+        self._pose.append(pose.copy())
+        self._safe.append(safe.copy())
+
+    def touch(self, time: float, a: str, b: str, speed_a: float, speed_b: float) -> None:
+        """One step of a touch between robot `a` and `b`, a robot or part of the arena."""
+        pair = self._index[a], self._index.get(b, ARENA)
+        self._contacts.append((time, *pair, speed_a, speed_b))
+
+    def trace(self, **meta: Any) -> Trace:
+        """All since the last `clear`; `meta` is added to what the recorder was made with."""
+        n = len(self._ids)
+        contacts = np.array(self._contacts, dtype=np.float64).reshape(-1, 5)
+        return Trace(
+            ids=self._ids,
+            t=np.array(self._t, dtype=np.float64),
+            pose=np.array(self._pose, dtype=np.float64).reshape(-1, n, 3),
+            safe=np.array(self._safe, dtype=np.float64).reshape(-1, n, 3),
+            contact_t=contacts[:, 0],
+            contact_pair=contacts[:, 1:3].astype(np.int64),
+            contact_speed=contacts[:, 3:],
+            platforms=self._platforms,
+            footprints=self._footprints,
+            meta={**self._meta, **meta},
+        )
