@@ -175,7 +175,8 @@ class Conduct:
             self.fault("its twist is not finite", turn)
             return
         self.report = event.outputs.report
-        turn.messages = self.outbox.take(event.outputs.messages, running.channels, turn.now)
+        said = self.outbox.take(event.outputs.messages, running.channels, turn.now)
+        turn.messages = {running.full_name(channel): value for channel, value in said.items()}
         if event.outputs.done is not None:
             self.end(Change.FINISH, Reason.FINISHED, event.outputs.done, turn)
 

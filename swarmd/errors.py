@@ -8,6 +8,7 @@
     ├── PluginError      a pattern or driver cannot be found, loaded or used on this robot
     ├── DriverError      the robot's base cannot be reached or does not answer as it should
     └── NetworkError     no session, no peers, no answer
+        └── IdHeldError  the robot's id belongs to another daemon of the swarm
 
 Every message says what, where, what was wanted and what to do, in one line.
 """
@@ -40,6 +41,10 @@ class DriverError(SwarmError):
 
 class NetworkError(SwarmError):
     """No session, no peers or no answer."""
+
+
+class IdHeldError(NetworkError):
+    """The robot's id belongs to another daemon of this swarm."""
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> str:

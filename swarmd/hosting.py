@@ -52,6 +52,17 @@ class Running:
     values: Mapping[str, tuple[Scalar | None, str]]
     wish: Wish
 
+    def channel(self, name: str) -> str | None:
+        """What the pattern itself calls `<pattern>/<channel>`; None if it does not listen to it."""
+        if name in self.channels:
+            return name
+        pattern, _, channel = name.partition("/")
+        return channel if pattern == self.pattern and channel in self.channels else None
+
+    def full_name(self, channel: str) -> str:
+        """The `<pattern>/<channel>` of one of its channels, as all robots know it."""
+        return channel if "/" in channel else f"{self.pattern}/{channel}"
+
     @property
     def expiry(self) -> float:
         """Seconds for which a wish holds: three steps, at least 0.3 s."""

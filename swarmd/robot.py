@@ -82,9 +82,14 @@ class Robot:
         """Scalar sensors by name."""
         self._senses.readings = readings
 
-    def on_message(self, sender: str, channel: str, value: Value, now: float) -> bool:
-        """A neighbour's pattern said something; False if the sender is no neighbour."""
-        return self._senses.on_message(sender, channel, value, now)
+    def on_message(self, sender: str, name: str, value: Value, now: float) -> bool:
+        """A pattern said something on `<pattern>/<channel>`; False if its robot is no neighbour.
+
+        What the running pattern does not listen to is dropped in silence.
+        """
+        running = self._conduct.hosting.running
+        channel = None if running is None else running.channel(name)
+        return channel is None or self._senses.on_message(sender, channel, value, now)
 
     def on_driver(self, is_up: bool, text: str, now: float) -> Actions:
         """The base is there, or lost and why."""

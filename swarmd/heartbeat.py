@@ -1,0 +1,57 @@
+"""The guardian's beat: 20 ticks a second against absolute deadlines, and one timer in between."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+
+PERIOD = 0.05
+KEPT = 400
+
+
+class Heartbeat:
+    """Calls `tick` every 50 ms, and once at `wake_in` seconds if that is sooner."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, tick: Callable[[], None]) -> None:
+        self._loop = loop
+        self._tick = tick
+        self._next = loop.time() + PERIOD
+        self._handle = loop.call_at(self._next, self._beat)
+        self._wake: asyncio.TimerHandle | None = None
+        self._lateness: deque[float] = deque(maxlen=KEPT)
+        self.stalls = 0
+
+    @property
+    def p99(self) -> float:
+        """The 99th percentile of how late the last ticks were, in s."""
+        ranked = sorted(self._lateness)
+        return ranked[int(0.99 * (len(ranked) - 1))] if ranked else 0.0
+
+    def wake_in(self, seconds: float | None) -> None:
+        """Arm the timer, replacing the one before; None: the next tick is soon enough."""
+        if self._wake is not None:
+            self._wake.cancel()
+            self._wake = None
+        if seconds is None:
+            return
+        at = self._loop.time() + seconds
+        if at < self._next:
+            self._wake = self._loop.call_at(at, self._tick)
+
+    def stop(self) -> None:
+        """No more ticks."""
+        self._handle.cancel()
+        self.wake_in(None)
+
+    def _beat(self) -> None:
+        now = self._loop.time()
+        late = max(now - self._next, 0.0)
+        self._lateness.append(late)
+        if late > 1.0:
+            self.stalls += 1
+        self._next += PERIOD
+        if self._next <= now:  # hopelessly late: begin anew rather than catch up
+            self._next = now + PERIOD
+        self._handle = self._loop.call_at(self._next, self._beat)
+        self._tick()

@@ -1,0 +1,49 @@
+"""Keeps the latch record of one robot on disk, so that no restart forgets an emergency stop."""
+
+from __future__ import annotations
+
+import logging
+import os
+from pathlib import Path
+
+from swarmd.codec import Decoder, encode
+from swarmd.errors import CodecError
+from swarmd.latches import LatchRecord
+from swarmd.messages import Latch
+
+log = logging.getLogger(__name__)
+
+
+class LatchFile:
+    """The file `latches` in a robot's state folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "latches"
+        self._decode = Decoder(LatchRecord)
+
+    def read(self) -> LatchRecord:
+        """What was written last; empty if nothing was. An unreadable file latches."""
+        try:
+            return self._decode(self.path.read_bytes())
+        except FileNotFoundError:
+            return LatchRecord()
+        except (OSError, CodecError) as error:
+            log.warning("%s cannot be read (%s): estopped until reset", self.path, error)
+            reason = f"{self.path.name} could not be read: {error}"
+            latch = Latch(issuer="swarmd", scope="robots", reason=reason[:300])
+            return LatchRecord(held={"unreadable": latch})
+
+    def write(self, record: LatchRecord) -> bool:
+        """Write it down and wait until it is on the disk; False, with a log line, if that fails."""
+        temporary = self.path.with_suffix(".new")
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            with temporary.open("wb") as file:
+                file.write(encode(record))
+                file.flush()
+                os.fsync(file.fileno())
+            temporary.replace(self.path)
+        except OSError as error:
+            log.error("%s cannot be written (%s): latched in memory only", self.path, error)
+            return False
+        return True
