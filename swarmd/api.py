@@ -9,6 +9,7 @@ from swarmd.errors import ConfigError, PluginError
 from swarmd.fields import FieldKind, FieldResult, field_twist, potential_field
 from swarmd.params import P, Params, about
 from swarmd.rays import Gap, Ray, RayClusters, closest_points, clusters, gaps, nearest, sectors
+from swarmd.steering import from_base, keep_clear, steer
 from swarmd.values import (
     ZERO,
     Array,
@@ -64,11 +65,14 @@ __all__ = [
     "clusters",
     "difference",
     "field_twist",
+    "from_base",
     "gaps",
+    "keep_clear",
     "majority",
     "nearest",
     "potential_field",
     "sectors",
+    "steer",
     "tally",
     "wrap",
 ]

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.values import Array, Scan
+
+T = TypeVar("T", bound=np.generic)
 
 _EMPTY = np.empty(0)
 _TWO_PI = 2.0 * math.pi
@@ -94,7 +96,7 @@ def closest_points(scan: Scan | None, *, within: float, count: int = 24) -> Arra
     order = np.argsort(-ranges, kind="stable")
     lowest = np.full((2, count), math.inf)
     lowest[:, _sector_of(bearings, count)[order]] = ranges[order], bearings[order]
-    before, after = np.roll(lowest[0], 1), np.roll(lowest[0], -1)
+    before, after = _rolled(lowest[0], count - 1), _rolled(lowest[0], 1)
     is_minimum = (lowest[0] < before) & (lowest[0] <= after)
     if count < 3 or not is_minimum.any():
         is_minimum = lowest[0] == lowest[0].min()
@@ -115,7 +117,7 @@ def gaps(scan: Scan | None, *, beyond: float) -> list[Gap]:
     if is_free.all():
         return [Gap(0.0, _TWO_PI)]
     start = int(np.argmin(is_free))
-    bearings, is_free = np.roll(bearings, -start), np.roll(is_free, -start)
+    bearings, is_free = _rolled(bearings, start), _rolled(is_free, start)
     edges = np.flatnonzero(np.diff(np.concatenate(([False], is_free, [False])).astype(np.int8)))
     found = []
     for first, end in zip(edges[::2], edges[1::2], strict=True):
@@ -140,13 +142,13 @@ def clusters(
     if not len(ranges) or ranges.min() > within:
         return RayClusters(_EMPTY, _EMPTY, _EMPTY, np.empty(0, np.int64), np.empty(0, np.bool_))
     ranges = np.where(ranges <= within, ranges, math.inf)
-    steps = (np.roll(bearings, -1) - bearings) % _TWO_PI
-    spacing = float(np.median(steps)) if len(steps) > 1 else _TWO_PI
+    steps = (_rolled(bearings, 1) - bearings) % _TWO_PI
+    spacing = float(np.sort(steps)[len(steps) // 2]) if len(steps) > 1 else _TWO_PI
     is_last = _is_last(ranges, steps, spacing, jump, grazing)
     # Start behind a break, so that no object spans the end of the arrays.
-    shift = -(int(np.argmax(is_last)) + 1)
-    ranges, bearings = np.roll(ranges, shift), np.roll(bearings, shift)
-    ends = np.flatnonzero(np.roll(is_last, shift))
+    shift = int(np.argmax(is_last)) + 1
+    ranges, bearings = _rolled(ranges, shift), _rolled(bearings, shift)
+    ends = np.flatnonzero(_rolled(is_last, shift))
     if not len(ends):
         ends = np.array([len(ranges) - 1])
     return _objects(ranges, bearings, ends, spacing)
@@ -158,9 +160,9 @@ def _is_last(
     """(n,) true where a ray does not belong together with the one after it."""
     is_seen = np.isfinite(ranges)
     here = np.where(is_seen, ranges, 0.0)
-    after = np.roll(here, -1)
+    after = _rolled(here, 1)
     allowed = jump + np.minimum(here, after) * steps / math.tan(grazing)
-    is_together = (np.abs(here - after) <= allowed) & is_seen & np.roll(is_seen, -1)
+    is_together = (np.abs(here - after) <= allowed) & is_seen & _rolled(is_seen, 1)
     # Up to two rays may be unknown in the middle of an object.
     is_together &= (steps < 3.5 * spacing) & (steps < math.pi / 2.0)
     breaks: NDArray[np.bool_] = ~is_together
@@ -206,3 +208,8 @@ def _sector_of(bearings: Array, count: int) -> NDArray[np.int64]:
 def _wrap(bearings: Array) -> Array:
     wrapped: Array = (bearings + math.pi) % _TWO_PI - math.pi
     return wrapped
+
+
+def _rolled(array: NDArray[T], by: int) -> NDArray[T]:
+    """The array starting at element `by`; np.roll takes three times as long."""
+    return np.concatenate((array[by:], array[:by]))

@@ -1,0 +1,233 @@
+"""Dispersion: the robots spread until nothing is nearer than a distance.
+
+Source of law "paper": Kaiser et al., ICRA 2022, pattern "dispersion", and its code ROS2swarm: a
+repulsive potential field, always at full speed.
+
+Law "settling" is ours. Each surface, robot or wall, pushes once, with its nearest point and the
+more the nearer it is; the robot stands where the pushes cancel, so that it comes to rest also
+where there is no room for the distance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+import numpy as np
+
+from swarmd.api import (
+    ZERO,
+    Array,
+    ConfigError,
+    Context,
+    Inputs,
+    MovementPattern,
+    Params,
+    Platform,
+    Scalar,
+    Scan,
+    Twist,
+    Value,
+    about,
+    closest_points,
+    field_twist,
+    from_base,
+    keep_clear,
+    potential_field,
+    steer,
+)
+
+# Push, as a share of full speed, below which a moving robot stops and above which it starts.
+_DOZE, _WAKE = 0.08, 0.16
+
+
+class DispersionParams(Params, frozen=True):
+    """The law, speeds and distances; those of law "paper" come last."""
+
+    law: Annotated[
+        Literal["settling", "paper"],
+        about("settling: comes to rest; paper: the original equations"),
+    ] = "settling"
+    speed: Annotated[
+        float,
+        about(
+            "highest speed",
+            ge=0.0,
+            le=2.0,
+            unit="m/s",
+            source="ROS2swarm: the platform's limit, 0.5 m/s at most",
+        ),
+    ] = 0.2
+    turn: Annotated[
+        float,
+        about(
+            "highest turn rate",
+            ge=0.0,
+            le=4.0,
+            unit="rad/s",
+            source="ROS2swarm: the platform's limit",
+        ),
+    ] = 1.82
+    distance: Annotated[
+        float,
+        about(
+            "range to keep free all round, walls included; more than the protection threshold",
+            ge=0.05,
+            le=100.0,
+            unit="m",
+            source="paper, experiment 2, opinion 1: twice the protection threshold",
+        ),
+    ] = 1.0
+    ramp: Annotated[
+        float,
+        about(
+            "how much too near something must be to push at full speed",
+            ge=0.05,
+            le=20.0,
+            unit="m",
+            source="ours: 0.6 times the protection threshold",
+        ),
+    ] = 0.3
+    spacing: Annotated[
+        float,
+        about(
+            "distance from the axle that no motion may lead below",
+            ge=0.05,
+            le=20.0,
+            unit="m",
+            source="ours: 1.2 times the protection threshold plus the lidar's offset",
+        ),
+    ] = 0.6
+    paper_range: Annotated[
+        float,
+        about(
+            "law paper: reach of the field",
+            ge=0.1,
+            le=100.0,
+            unit="m",
+            source="ROS2swarm: all that the lidar reaches",
+        ),
+    ] = 3.5
+    bias: Annotated[
+        float, about("law paper: forward bias", ge=-100.0, le=100.0, source="ROS2swarm")
+    ] = 1.0
+    rays: Annotated[
+        int,
+        about("law paper: alone if no more rays see anything", ge=0, le=10000, source="ROS2swarm"),
+    ] = 1
+    linear_if_alone: Annotated[
+        float,
+        about(
+            "law paper: speed if alone", ge=-2.0, le=2.0, unit="m/s", source="ROS2swarm 1.0: stop"
+        ),
+    ] = 0.0
+    angular_if_alone: Annotated[
+        float,
+        about(
+            "law paper: turn rate if alone",
+            ge=-4.0,
+            le=4.0,
+            unit="rad/s",
+            source="ROS2swarm 1.0: stop",
+        ),
+    ] = 0.0
+
+
+class Dispersion(MovementPattern[DispersionParams]):
+    """Drives away from what is nearer than a distance and stands where nothing is."""
+
+    params_type = DispersionParams
+    is_symmetric = True
+
+    def __init__(self, params: DispersionParams, context: Context) -> None:
+        _check(params, context.platform)
+        super().__init__(params, context)
+        self._is_settled = True
+
+    @classmethod
+    def defaults(cls, platform: Platform) -> Mapping[str, Value]:
+        """Speeds from the limits, distances from the protection."""
+        threshold = float(platform.protection["threshold"])
+        return {
+            "speed": min(platform.limits.linear, 0.5),
+            "turn": min(platform.limits.angular, 4.0),
+            "distance": 2.0 * threshold,
+            "ramp": 0.6 * threshold,
+            "spacing": 1.2 * threshold + math.hypot(*platform.scan.offset),
+            "paper_range": platform.scan.range_max,
+        }
+
+    def update(self, params: DispersionParams) -> None:
+        """Take over changed parameters; ConfigError if protection forbids the distance."""
+        _check(params, self.context.platform)
+        super().update(params)
+
+    def report(self) -> Mapping[str, Scalar]:
+        """What it is doing: spread or settled."""
+        if self.params.law == "paper":
+            return {"state": "paper"}
+        return {"state": "settled" if self._is_settled else "spread"}
+
+    def drive(self, inputs: Inputs) -> Twist:
+        """One command from the latest scan."""
+        if inputs.scan is None:
+            return ZERO
+        if self.params.law == "paper":
+            return self._follow_field(inputs.scan)
+        return self._settle(inputs.scan)
+
+    def _follow_field(self, scan: Scan) -> Twist:
+        params = self.params
+        field = potential_field(
+            scan.ranges,
+            scan.bearings,
+            range_max=params.paper_range,
+            range_min=scan.range_min,
+            bias=params.bias,
+            ray_threshold=params.rays,
+            kind="repulsion",
+            ignore_near=True,
+        )
+        if field.is_alone:
+            return Twist(linear=params.linear_if_alone, angular=params.angular_if_alone)
+        return field_twist(field.vector, params.speed, params.turn)
+
+    def _settle(self, scan: Scan) -> Twist:
+        params = self.params
+        offset = self.context.platform.scan.offset
+        # From the axle, so that a turn on the spot, which moves the lidar, changes nothing; and
+        # what is too little of a push to start must not be too near.
+        distance = params.distance + math.hypot(*offset) + _WAKE * params.ramp
+        reach = max(distance, params.spacing + params.ramp) + math.hypot(*offset)
+        points = from_base(closest_points(scan, within=reach), offset)
+        push = self._push(points, distance)
+        vector = keep_clear(push, points, spacing=params.spacing, brake=params.ramp)
+        self._is_settled = math.hypot(*vector) <= (_WAKE if self._is_settled else _DOZE)
+        if self._is_settled:
+            return ZERO
+        return steer(
+            vector,
+            params.speed,
+            params.turn,
+            points=points,
+            spacing=params.spacing,
+            brake=params.ramp,
+            may_back=True,
+        )
+
+    def _push(self, points: Array, distance: float) -> Array:
+        """The sum over the surfaces nearer than `distance`; at most 1 long."""
+        weights = np.clip((distance - points[:, 0]) / self.params.ramp, 0.0, None)
+        x = -float(weights @ np.cos(points[:, 1]))
+        y = -float(weights @ np.sin(points[:, 1]))
+        return np.array([x, y]) / max(1.0, math.hypot(x, y))
+
+
+def _check(params: DispersionParams, platform: Platform) -> None:
+    threshold = float(platform.protection["threshold"])
+    if params.distance <= threshold:
+        raise ConfigError(
+            f"parameter distance is {params.distance:g} m; wanted is more than {threshold:g} m, "
+            f"the distance that the protection of {platform.name} keeps anyway"
+        )

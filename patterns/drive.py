@@ -1,0 +1,56 @@
+"""Drive: straight ahead, or along a circle.
+
+Source: pattern "drive" of Kaiser et al., ICRA 2022 (ROS2swarm).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated
+
+from swarmd.api import Inputs, MovementPattern, Params, Platform, Twist, Value, about
+
+
+class DriveParams(Params, frozen=True):
+    """How fast and how curved."""
+
+    speed: Annotated[
+        float,
+        about(
+            "speed; negative drives backwards",
+            ge=-2.0,
+            le=2.0,
+            unit="m/s",
+            source="ROS2swarm: the platform's limit, 0.5 m/s at most",
+        ),
+    ] = 0.2
+    turn: Annotated[
+        float,
+        about(
+            "turn rate, counter-clockwise positive",
+            ge=-4.0,
+            le=4.0,
+            unit="rad/s",
+            source="ROS2swarm",
+        ),
+    ] = 0.0
+
+
+class Drive(MovementPattern[DriveParams]):
+    """Drives straight ahead, or along a circle, until something else ends it.
+
+    It looks at nothing; protection alone keeps it from what is in the way.
+    """
+
+    params_type = DriveParams
+    needs = frozenset[str]()
+    is_symmetric = True
+
+    @classmethod
+    def defaults(cls, platform: Platform) -> Mapping[str, Value]:
+        """The platform's speed, but no more than ROS2swarm lets its fastest robot drive."""
+        return {"speed": min(platform.limits.linear, 0.5)}
+
+    def drive(self, inputs: Inputs) -> Twist:
+        """The same at every step."""
+        return Twist(linear=self.params.speed, angular=self.params.turn)

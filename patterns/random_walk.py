@@ -1,0 +1,145 @@
+"""Random walk: straight for a random time, then a turn of random speed and duration.
+
+Source: pattern "random walk" of Kaiser et al., ICRA 2022, with the times of ROS2swarm. Ours: it
+turns away from what is ahead before protection must (`clearance` 0 switches that off), and it
+starts at once instead of after 5 s.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Annotated
+
+import numpy as np
+
+from swarmd.api import (
+    Context,
+    Inputs,
+    MovementPattern,
+    Params,
+    Platform,
+    Ray,
+    Scalar,
+    Twist,
+    Value,
+    about,
+    nearest,
+)
+
+# rad to each side of ahead: what lies further aside is passed.
+_AHEAD = math.radians(60.0)
+
+
+class RandomWalkParams(Params, frozen=True):
+    """Speeds, times and how far ahead it looks."""
+
+    speed: Annotated[
+        float,
+        about(
+            "speed when straight",
+            ge=0.0,
+            le=2.0,
+            unit="m/s",
+            source="ROS2swarm: the platform's limit, 0.5 m/s at most",
+        ),
+    ] = 0.2
+    turn: Annotated[
+        float,
+        about(
+            "turn rates are between a fifth and four fifths of it",
+            ge=0.0,
+            le=4.0,
+            unit="rad/s",
+            source="ROS2swarm: the platform's limit",
+        ),
+    ] = 1.82
+    turn_time: Annotated[
+        float,
+        about(
+            "longest duration of a turn",
+            ge=0.0,
+            le=60.0,
+            unit="s",
+            source="ours: 6 rad / turn, near ROS2swarm's 2.0, 3.5 and 1.0 s by platform",
+        ),
+    ] = 3.3
+    straight_min: Annotated[
+        float, about("shortest straight", ge=0.0, le=600.0, unit="s", source="ROS2swarm")
+    ] = 10.0
+    straight_max: Annotated[
+        float, about("longest straight", ge=0.0, le=600.0, unit="s", source="ROS2swarm")
+    ] = 15.0
+    clearance: Annotated[
+        float,
+        about(
+            "turns away when something ahead is nearer; 0: never",
+            ge=0.0,
+            le=20.0,
+            unit="m",
+            source="ours: 1.6 times the protection threshold, to stop and turn before it acts",
+        ),
+    ] = 0.8
+
+    def __post_init__(self) -> None:
+        """Check that the shortest straight is not longer than the longest."""
+        if self.straight_min > self.straight_max:
+            raise ValueError(
+                f"straight_min is {self.straight_min:g} s, straight_max {self.straight_max:g} s"
+            )
+
+
+class RandomWalk(MovementPattern[RandomWalkParams]):
+    """Goes straight for a random time, then turns by a random amount, and so on."""
+
+    params_type = RandomWalkParams
+
+    def __init__(self, params: RandomWalkParams, context: Context) -> None:
+        super().__init__(params, context)
+        self._rate = 0.0
+        self._until = -math.inf
+        self._is_turning = True
+
+    @classmethod
+    def defaults(cls, platform: Platform) -> Mapping[str, Value]:
+        """Speeds from the limits, turns of some 1.5 rad on average, clearance from protection."""
+        return {
+            "speed": min(platform.limits.linear, 0.5),
+            "turn": min(platform.limits.angular, 4.0),
+            "turn_time": 6.0 / platform.limits.angular,
+            "clearance": 1.6 * float(platform.protection["threshold"]),
+        }
+
+    def report(self) -> Mapping[str, Scalar]:
+        """Whether it goes straight or turns."""
+        return {"state": "turn" if self._is_turning else "straight"}
+
+    def drive(self, inputs: Inputs) -> Twist:
+        """Straight or a turn, changing when the time is up or something is ahead."""
+        blocking = self._blocking(inputs)
+        if self._is_turning and inputs.now >= self._until and blocking is None:
+            self._go_straight(inputs.now)
+        elif not self._is_turning and (blocking is not None or inputs.now >= self._until):
+            self._start_turn(inputs.now, blocking)
+        if self._is_turning:
+            return Twist(angular=self._rate)
+        return Twist(linear=self.params.speed)
+
+    def _blocking(self, inputs: Inputs) -> Ray | None:
+        """The nearest return ahead within the clearance."""
+        ray = nearest(inputs.scan, half_width=_AHEAD)
+        return ray if ray is not None and ray.range < self.params.clearance else None
+
+    def _go_straight(self, now: float) -> None:
+        self._is_turning = False
+        low, high = self.params.straight_min, self.params.straight_max
+        self._until = now + float(self.context.rng.uniform(low, high))
+
+    def _start_turn(self, now: float, blocking: Ray | None) -> None:
+        self._is_turning = True
+        rng = self.context.rng
+        self._until = now + float(rng.uniform(0.0, self.params.turn_time))
+        sign = float(rng.choice((-1.0, 1.0)))
+        if blocking is not None:
+            sign = -float(np.sign(blocking.bearing)) or sign
+        self._rate = sign * float(rng.uniform(0.2, 0.8)) * self.params.turn
