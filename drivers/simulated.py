@@ -55,6 +55,7 @@ class SimulatedDriver:
         loop = asyncio.get_running_loop()
         sink.state(False, f"no body yet at {self._endpoint}")
         session = await asyncio.to_thread(self._open)
+        inbox = _Inbox(loop, lambda name, payload: self._take(sink, name, payload))
         try:
             self._commands = session.declare_publisher(
                 self._key("cmd_vel"),
@@ -62,13 +63,13 @@ class SimulatedDriver:
                 priority=zenoh.Priority.REAL_TIME,
                 express=True,
             )
-            inbox = _Inbox(loop, lambda name, payload: self._take(sink, name, payload))
             for name in _SENSES:
                 session.declare_subscriber(self._key(name), inbox.receiver(name, self._key(name)))
             while True:
                 await asyncio.sleep(_WATCH_PERIOD)
                 self._watch(sink, loop.time())
         finally:
+            inbox.close()
             self._put(ZERO, -1, -1)
             self._commands, self._is_up, self._owes_zero = None, False, True
             session.close()
@@ -187,6 +188,11 @@ class _Inbox:
         self._loop, self._take = loop, take
         self._lock = threading.Lock()
         self._waiting: dict[str, bytes] = {}
+        self._is_closed = False
+
+    def close(self) -> None:
+        """Deliver nothing from now on, not even what is on its way."""
+        self._is_closed = True
 
     def receiver(self, name: str, key: str) -> Callable[[zenoh.Sample], None]:
         """A Zenoh callback for one sense; samples on other keys than `key` are left out."""
@@ -206,7 +212,8 @@ class _Inbox:
     def _deliver(self, name: str) -> None:
         with self._lock:
             payload = self._waiting.pop(name)
-        self._take(name, payload)
+        if not self._is_closed:
+            self._take(name, payload)
 
 
 @dataclass(slots=True)

@@ -15,6 +15,7 @@ import numpy as np
 from swarmd.errors import ConfigError
 from swarmd.sim import bodies
 from swarmd.sim.arena import Arena
+from swarmd.sim.drives import Drives
 from swarmd.sim.lidar import Indices
 from swarmd.sim.ranging import RangeSensors, Visibility
 from swarmd.sim.touch import Contact, Touches, fastest
@@ -51,9 +52,7 @@ class World:
         self.data.qpos[:] = starts.ravel()
         mujoco.mj_forward(self.model, self.data)
         self._starts = starts.copy()
-        self._limits = np.array([_limits(p) for p in self.platforms]).reshape(n, 3)
-        self._gains = np.array([_accelerations(p) for p in self.platforms]).reshape(n, 3) * dt
-        self._wanted, self._driven = np.zeros((n, 3)), np.zeros((n, 3))
+        self._drives = Drives(self.platforms, dt)
         self._steps = 0
         self._seq = [0] * n
         self._touches = Touches(self.model)
@@ -70,9 +69,7 @@ class World:
 
         Held within each platform's limits, as a base's firmware would; what is not finite is 0.
         """
-        self._wanted = np.clip(
-            np.where(np.isfinite(twists), twists, 0.0), -self._limits, self._limits
-        )
+        self._drives.set(twists)
 
     def step(self, k: int = 1) -> None:
         """Advance by `k` steps of `dt`."""
@@ -83,15 +80,9 @@ class World:
 
     def _step(self) -> list[Contact]:
         data = self.data
-        self._driven += np.clip(self._wanted - self._driven, -self._gains, self._gains)
-        linear, angular, lateral = self._driven.T
-        # Half a step ahead, the heading at which this step's displacement is a chord of the arc.
-        yaw = data.qpos[2::3] + angular * (self.dt / 2.0)
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        data.ctrl[0::3] = cos * linear - sin * lateral
-        data.ctrl[1::3] = sin * linear + cos * lateral
-        data.ctrl[2::3] = angular
         qpos, qvel = data.qpos.copy(), data.qvel.copy()
+        force = self._drives.forces(qpos.reshape(-1, 3), qvel.reshape(-1, 3))
+        data.qfrc_applied[:] = force.ravel()
         mujoco.mj_step(self.model, data)
         self._steps += 1
         return self._touches.after_step(data, qpos, qvel) if data.ncon else []
@@ -145,16 +136,6 @@ class World:
     def readings(self, robot: int) -> Mapping[str, float]:
         """Scalar sensors by name: none of the platforms has one yet."""
         return {}
-
-
-def _limits(platform: Platform) -> tuple[float, float, float]:
-    limits = platform.limits
-    return limits.linear, limits.angular, limits.lateral
-
-
-def _accelerations(platform: Platform) -> tuple[float, float, float]:
-    linear = bodies.value(platform, "linear_acceleration")
-    return linear, bodies.value(platform, "angular_acceleration"), linear
 
 
 def _relative(pose: Array, start: Array) -> Pose:
