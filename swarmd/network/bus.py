@@ -1,0 +1,382 @@
+"""The bus over Zenoh: one robot's ear and mouth, used by the daemon on its loop.
+
+Order of use in a daemon::
+
+    session = open_session(settings)
+    bus = ZenohBus(session, swarm="lab", robot="tb3-01")  # hears of members from here on
+    claim = await claim_id(session, ..., on_duplicate=...)  # may raise NetworkError
+    bus.serve_view(robot_status, roster)  # state/status and control/members
+    bus.serve("control", "run", on_run)  # on_run(query): query.payload, query.reply(bytes)
+    bus.serve("safety", "estop", on_estop)
+    bus.listen("msg", "*/*", on_message)  # on_message(key, payload)
+    bus.publish("state", "status", encode(status))
+    ...
+    bus.publish("state", "status", encode(left))  # has_left=True
+    claim.release(); bus.close(); session.close()
+
+Zenoh calls from its own threads; each callback checks key, kind and size, and puts the bytes into
+a lane (`intake.py`). Nothing raises into Zenoh. Undecodable payloads are for the handler to count:
+`bus.drop("control/run:malformed")`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import zenoh
+from zenoh.handlers import Callback
+
+from swarmd.clock import Clock, boottime
+from swarmd.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE, Decoder, encode
+from swarmd.errors import CodecError
+from swarmd.keys import ANY, Key, build, parse
+from swarmd.messages import Condition, Member, Request, Status, View
+from swarmd.network.contract import SAFETY, Listener, MemberListener, Query, Server
+from swarmd.network.intake import Drops, Lane
+from swarmd.network.membership import Membership
+
+# Tokens and emergency stops are not to be lost in a crowd: a longer lane, without breath.
+WIDE = 4096
+MAX_REPLIES = 1024
+_LIMITS = {"msg": MAX_MESSAGE, "sense": MAX_SENSE, "hw": MAX_SENSE}
+_URGENT = frozenset({SAFETY, "hw"})
+
+_status = Decoder(Status)
+_request = Decoder(Request)
+
+
+class ZenohQuery:
+    """A query, answered on this robot's own key. See `contract.Query`."""
+
+    __slots__ = ("_key", "_query", "payload")
+
+    def __init__(self, query: zenoh.Query | None, key: str, payload: bytes) -> None:
+        self._query = query
+        self._key = key
+        self.payload = payload
+
+    def reply(self, payload: bytes) -> None:
+        """Answer once; nothing happens for a plain put or after the first time."""
+        query, self._query = self._query, None
+        if query is None:
+            return
+        try:
+            query.reply(self._key, payload)
+            query.drop()
+        except zenoh.ZError:  # the asker or the session is gone
+            return
+
+    def drop(self) -> None:
+        """Let the asker know that nothing comes."""
+        query, self._query = self._query, None
+        if query is not None:
+            query.drop()
+
+
+class ZenohBus:
+    """See `contract.Bus`; built on the loop's thread, on which all handlers run."""
+
+    def __init__(
+        self, session: zenoh.Session, *, swarm: str, robot: str, clock: Clock = boottime
+    ) -> None:
+        self.swarm = swarm
+        self.robot = robot
+        self._session = session
+        self._loop = asyncio.get_running_loop()
+        self._clock = clock
+        self._drops = Drops()
+        self._membership = Membership(robot)
+        self._callbacks: list[MemberListener] = []
+        self._publishers: dict[tuple[str, str, bool], zenoh.Publisher] = {}
+        self._entities: list[zenoh.Subscriber[None] | zenoh.Queryable[None]] = []
+        self._lanes: list[Lane] = []
+        self._served: set[tuple[str, str]] = set()
+        self._is_closed = False
+        self._watch_tokens()
+        self.listen("state", "status", self._on_status)
+
+    @property
+    def members(self) -> Mapping[str, Member]:
+        """The other robots, by id."""
+        return self._membership.members(self._clock())
+
+    @property
+    def duplicates(self) -> Mapping[str, tuple[str, ...]]:
+        """Other robots' ids that two living daemons hold, with their instances."""
+        return self._membership.duplicates
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """What was dropped so far, by kind, such as `control/run:key`."""
+        return self._drops.counts()
+
+    def drop(self, kind: str, count: int = 1) -> None:
+        """Count something that could not be read."""
+        self._drops.add(kind, count)
+
+    def publish(self, plane: str, name: str, payload: bytes, *, express: bool = False) -> None:
+        """Say something on the own key; dropped, never waited for, where a link is congested."""
+        if self._is_closed:
+            return
+        try:
+            self._publisher(plane, name, express).put(payload)
+        except zenoh.ZError:
+            self._drops.add(f"{plane}/{name}:unsent")
+
+    def listen(self, plane: str, name: str, handler: Listener) -> None:
+        """Hear other robots' `<plane>/<name>`; `handler(key, payload)` runs on the loop."""
+        wanted = name.split("/")
+        kind = f"{plane}/{name}"
+
+        def accepts(key: Key | None) -> bool:
+            return (
+                key is not None
+                and key.swarm == self.swarm
+                and key.plane == plane
+                and key.robot != self.robot
+                and _matches(key.name, wanted)
+            )
+
+        self._subscribe(build(self.swarm, ANY, plane, name), kind, plane, accepts, handler)
+
+    def serve(self, plane: str, name: str, handler: Server) -> None:
+        """Answer queries on the own key or `*` in its place; `safety` also takes plain puts."""
+        if (plane, name) in self._served:
+            raise ValueError(f"{plane}/{name} is served already")
+        self._served.add((plane, name))
+        own = build(self.swarm, self.robot, plane, name)
+        accepted = frozenset({own, build(self.swarm, ANY, plane, name)})
+        kind = f"{plane}/{name}"
+        lane = self._lane(kind, is_wide=plane == SAFETY)
+
+        def on_query(query: zenoh.Query) -> None:
+            taken = self._take_query(query, accepted, kind, lane)
+            if taken is None or not lane.offer(handler, ZenohQuery(query, own, taken)):
+                query.drop()
+
+        self._entities.append(self._session.declare_queryable(own, on_query))
+        if plane == SAFETY:
+            self._subscribe(
+                own,
+                f"{kind}:put",
+                plane,
+                lambda key: key == Key(self.swarm, self.robot, plane, name),
+                lambda _key, payload: handler(ZenohQuery(None, own, payload)),
+            )
+
+    def serve_view(self, status: Callable[[], Status], roster: tuple[str, ...] = ()) -> None:
+        """Answer `state/status` and `control/members` from `status()` and the membership."""
+
+        def on_status(query: Query) -> None:
+            query.reply(encode(status()))
+
+        def on_members(query: Query) -> None:
+            if self._is_excused(query.payload):
+                query.drop()
+            else:
+                query.reply(encode(self.view(status(), roster)))
+
+        self.serve("state", "status", on_status)
+        self.serve("control", "members", on_members)
+
+    def view(self, status: Status, roster: tuple[str, ...] = ()) -> View:
+        """This robot's status and what it knows of the others."""
+        return View(
+            robot=self.robot,
+            status=status,
+            members=tuple(_brief(member) for member in self.members.values()),
+            roster=roster,
+        )
+
+    def on_member(self, callback: MemberListener) -> None:
+        """Be told of each member whose instance or condition changed."""
+        self._callbacks.append(callback)
+
+    def forget(self, robot: str) -> bool:
+        """Take a robot that is not alive off the list."""
+        return self._membership.forget(robot)
+
+    async def ask(
+        self, plane: str, name: str, payload: bytes = b"", *, timeout: float = 1.0
+    ) -> list[tuple[str, bytes]]:
+        """Other robots' answers on `<plane>/<name>` as (robot, payload), within `timeout` s.
+
+        Returns when all that could be reached have answered: silence is not absence.
+        """
+        answers: list[tuple[str, bytes]] = []
+        done = asyncio.Event()
+        lane = Lane(self._loop, self._drops, f"ask {plane}/{name}", capacity=WIDE, breath=0.0)
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            sample = reply.ok
+            if sample is None:
+                return
+            key = parse(str(sample.key_expr))
+            if key is None or (key.swarm, key.plane, key.name) != (self.swarm, plane, name):
+                self._drops.add(f"{lane.kind}:key")
+            elif key.robot != self.robot:
+                lane.offer(answers.append, (key.robot, sample.payload.to_bytes()))
+
+        try:
+            self._session.get(
+                build(self.swarm, ANY, plane, name),
+                Callback(on_reply, lambda: lane.offer(done.set), indirect=False),
+                target=zenoh.QueryTarget.ALL,
+                consolidation=zenoh.ConsolidationMode.NONE,
+                congestion_control=zenoh.CongestionControl.DROP,
+                timeout=timeout,
+                payload=payload,
+            )
+            async with asyncio.timeout(timeout + 0.5):
+                await done.wait()
+        except (zenoh.ZError, TimeoutError):
+            self._drops.add(f"{lane.kind}:timeout")
+        finally:
+            lane.close()
+        return answers[:MAX_REPLIES]
+
+    def close(self) -> None:
+        """Fall silent: nothing is heard, answered or published any more. Idempotent."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        for lane in self._lanes:
+            lane.close()
+        for entity in (*self._entities, *self._publishers.values()):
+            try:
+                entity.undeclare()
+            except zenoh.ZError:  # the session has closed before
+                continue
+
+    def _publisher(self, plane: str, name: str, express: bool) -> zenoh.Publisher:
+        publisher = self._publishers.get((plane, name, express))
+        if publisher is None:
+            urgent = plane in _URGENT
+            publisher = self._session.declare_publisher(
+                build(self.swarm, self.robot, plane, name),
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.REAL_TIME if urgent else zenoh.Priority.DATA,
+                express=express or urgent,
+            )
+            self._publishers[(plane, name, express)] = publisher
+        return publisher
+
+    def _subscribe(
+        self,
+        key_expr: str,
+        kind: str,
+        plane: str,
+        accepts: Callable[[Key | None], bool],
+        handler: Listener,
+    ) -> None:
+        lane = self._lane(kind, is_wide=plane == SAFETY)
+        limit = _LIMITS.get(plane, MAX_CONTROL)
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            if lane.is_full():
+                return
+            key = parse(str(sample.key_expr))
+            if not accepts(key) or sample.kind != zenoh.SampleKind.PUT:
+                self._drops.add(f"{kind}:key")
+            elif len(sample.payload) > limit:
+                self._drops.add(f"{kind}:oversized")
+            else:
+                lane.offer(handler, key, sample.payload.to_bytes())
+
+        self._entities.append(
+            self._session.declare_subscriber(
+                key_expr, on_sample, allowed_origin=zenoh.Locality.REMOTE
+            )
+        )
+
+    def _take_query(
+        self, query: zenoh.Query, accepted: frozenset[str], kind: str, lane: Lane
+    ) -> bytes | None:
+        if lane.is_full():
+            return None
+        if str(query.key_expr) not in accepted:
+            self._drops.add(f"{kind}:key")
+            return None
+        payload = query.payload
+        if payload is None:
+            return b""
+        if len(payload) > MAX_CONTROL:
+            self._drops.add(f"{kind}:oversized")
+            return None
+        return payload.to_bytes()
+
+    def _lane(self, kind: str, *, is_wide: bool = False) -> Lane:
+        wide: dict[str, Any] = {"capacity": WIDE, "breath": 0.0} if is_wide else {}
+        lane = Lane(self._loop, self._drops, kind, **wide)
+        self._lanes.append(lane)
+        return lane
+
+    def _watch_tokens(self) -> None:
+        lane = self._lane("alive", is_wide=True)
+
+        def on_token(sample: zenoh.Sample) -> None:
+            key = parse(str(sample.key_expr))
+            if key is None or (key.swarm, key.plane) != (self.swarm, "alive"):
+                self._drops.add("alive:key")
+            elif key.robot != self.robot:
+                is_there = sample.kind == zenoh.SampleKind.PUT
+                lane.offer(self._on_token, key.robot, key.name, is_there)
+
+        self._entities.append(
+            self._session.liveliness().declare_subscriber(
+                build(self.swarm, ANY, "alive", ANY), on_token, history=True
+            )
+        )
+
+    def _on_token(self, robot: str, instance: str, is_there: bool) -> None:
+        event = self._membership.on_alive if is_there else self._membership.on_gone
+        if event(robot, instance, self._clock()):
+            self._tell(robot)
+
+    def _on_status(self, key: Key, payload: bytes) -> None:
+        try:
+            status = _status(payload)
+        except CodecError:
+            self._drops.add("state/status:malformed")
+            return
+        if status.robot != key.robot:
+            self._drops.add("state/status:key")
+        elif self._membership.on_status(status, self._clock()):
+            self._tell(key.robot)
+
+    def _tell(self, robot: str) -> None:
+        member = self._membership.member(robot, self._clock())
+        if member is not None:
+            for callback in self._callbacks:
+                callback(member)
+
+    def _is_excused(self, payload: bytes) -> bool:
+        """True if the asker has this robot's answer already, or asks for nothing readable."""
+        if not payload:
+            return False
+        try:
+            known = _request(payload).args.get("except")
+        except CodecError:
+            self._drops.add("control/members:malformed")
+            return True
+        return isinstance(known, list) and self.robot in known
+
+
+def _matches(name: str, wanted: list[str]) -> bool:
+    chunks = name.split("/")
+    return len(chunks) == len(wanted) and all(
+        want in (ANY, chunk) for chunk, want in zip(chunks, wanted, strict=True)
+    )
+
+
+def _brief(member: Member) -> Member:
+    if member.condition is not Condition.ALIVE:
+        return member
+    return Member(
+        robot=member.robot,
+        instance=member.instance,
+        condition=member.condition,
+        age=member.age,
+    )

@@ -1,0 +1,166 @@
+"""Who is in the swarm, as one peer sees it: pure, events in, members out.
+
+Tokens say who is there, statuses say how they are; the two come on different threads and may
+overtake each other, so that the outcome never depends on how they interleave. A robot is
+
+- alive while at least one of its instances holds a token and has not said `left`,
+- left when its latest instance said so, before or after its token went,
+- failed when its last token went without a word; it stays listed until it is forgotten.
+
+Times are in s on the caller's monotonic clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from swarmd.messages import Condition, Member, Status
+
+MAX_MEMBERS = 512
+MAX_INSTANCES = 8
+
+
+@dataclass(slots=True)
+class _Record:
+    """`seen`: instances that held a token, oldest first; `statuses` also of those yet to come."""
+
+    seen: list[str] = field(default_factory=list)
+    alive: set[str] = field(default_factory=set)
+    left: set[str] = field(default_factory=set)
+    statuses: dict[str, Status] = field(default_factory=dict)
+    shown: tuple[str, Condition] | None = None
+    since: float = 0.0
+
+
+class Membership:
+    """The other robots of a swarm; `own` is never among them.
+
+    Each event method says whether a member's instance or condition changed. Bounded: of more
+    than `MAX_MEMBERS` robots the new ones are ignored, of one robot's many instances the oldest
+    are dropped.
+    """
+
+    def __init__(self, own: str) -> None:
+        self._own = own
+        self._records: dict[str, _Record] = {}
+        self.ignored = 0
+
+    def on_alive(self, robot: str, instance: str, now: float) -> bool:
+        """A token appeared."""
+        record = self._record(robot)
+        if record is None:
+            return False
+        if instance not in record.alive:
+            record.alive.add(instance)
+            _renew(record.seen, instance)
+        return self._settle(record, now)
+
+    def on_gone(self, robot: str, instance: str, now: float) -> bool:
+        """A token vanished: its holder left, died, or cannot be reached."""
+        record = self._records.get(robot)
+        if record is None or instance not in record.alive:
+            return False
+        record.alive.discard(instance)
+        return self._settle(record, now)
+
+    def on_status(self, status: Status, now: float) -> bool:
+        """A robot spoke; with `has_left` it said that it is leaving."""
+        record = self._record(status.robot)
+        if record is None:
+            return False
+        record.statuses.pop(status.instance, None)
+        record.statuses[status.instance] = status
+        if status.has_left:
+            record.left.add(status.instance)
+        return self._settle(record, now)
+
+    def on_left(self, robot: str, instance: str, now: float) -> bool:
+        """A robot said that it is leaving."""
+        record = self._record(robot)
+        if record is None:
+            return False
+        record.left.add(instance)
+        return self._settle(record, now)
+
+    def forget(self, robot: str) -> bool:
+        """Take a robot off the list; False if it is alive or unknown."""
+        record = self._records.get(robot)
+        if record is None or record.shown is None or record.shown[1] is Condition.ALIVE:
+            return False
+        del self._records[robot]
+        return True
+
+    def member(self, robot: str, now: float) -> Member | None:
+        """One member, or None if it was never seen or is forgotten."""
+        record = self._records.get(robot)
+        if record is None or record.shown is None:
+            return None
+        instance, condition = record.shown
+        return Member(
+            robot=robot,
+            instance=instance,
+            condition=condition,
+            age=max(0.0, now - record.since),
+            status=record.statuses.get(instance),
+        )
+
+    def members(self, now: float) -> dict[str, Member]:
+        """All members by id, in the order of their names."""
+        found = ((robot, self.member(robot, now)) for robot in sorted(self._records))
+        return {robot: member for robot, member in found if member is not None}
+
+    @property
+    def duplicates(self) -> Mapping[str, tuple[str, ...]]:
+        """Robot ids that more than one living instance holds, with those instances."""
+        return {
+            robot: tuple(sorted(record.alive - record.left))
+            for robot, record in self._records.items()
+            if len(record.alive - record.left) > 1
+        }
+
+    def _record(self, robot: str) -> _Record | None:
+        if robot == self._own:
+            return None
+        record = self._records.get(robot)
+        if record is None:
+            if len(self._records) >= MAX_MEMBERS:
+                self.ignored += 1
+                return None
+            record = self._records[robot] = _Record()
+        return record
+
+    def _settle(self, record: _Record, now: float) -> bool:
+        _prune(record)
+        shown = _shown(record)
+        if shown == record.shown:
+            return False
+        record.shown, record.since = shown, now
+        return True
+
+
+def _shown(record: _Record) -> tuple[str, Condition] | None:
+    for instance in reversed(record.seen):
+        if instance in record.alive and instance not in record.left:
+            return instance, Condition.ALIVE
+    if not record.seen:
+        return None
+    last = record.seen[-1]
+    return last, Condition.LEFT if last in record.left else Condition.FAILED
+
+
+def _renew(seen: list[str], instance: str) -> None:
+    if instance in seen:
+        seen.remove(instance)
+    seen.append(instance)
+
+
+def _prune(record: _Record) -> None:
+    for instance in record.seen[:-MAX_INSTANCES]:
+        record.alive.discard(instance)
+    del record.seen[:-MAX_INSTANCES]
+    known = set(record.seen)
+    for strange in [name for name in record.statuses if name not in known][:-MAX_INSTANCES]:
+        del record.statuses[strange]
+    if len(record.left) > 4 * MAX_INSTANCES:
+        record.left &= known
