@@ -105,6 +105,12 @@ def read_targets(
     return Targets(names, is_all, exclude)
 
 
+def check_name(name: str, known: Collection[str]) -> None:
+    """NoTarget, with the nearest name, unless the robot is known."""
+    if name not in known:
+        raise NoTarget(f"{unknown('robot', name, known)}; see `swarmctl members`")
+
+
 def read_assignments(words: Iterable[str], what: str = "-p") -> dict[str, Value]:
     """`key=value` words as a mapping; numbers as numbers, all else as text."""
     values: dict[str, Value] = {}

@@ -14,7 +14,7 @@ import click
 
 from swarmd.cli import run_cli
 from swarmd.cli.arguments import read_assignments
-from swarmd.errors import DriverError, NetworkError, SwarmError
+from swarmd.errors import DriverError, IdHeldError, NetworkError, SwarmError
 from swarmd.processes import die_with_parent as tie_to
 
 if TYPE_CHECKING:
@@ -116,6 +116,10 @@ def main(args: list[str] | None = None) -> NoReturn:
 
 def exit_code_of(error: SwarmError) -> int:
     """The exit code that tells a supervisor what kind of error it was."""
+    if isinstance(error, IdHeldError):
+        return Exit.ID_HELD
+    if isinstance(error, IdHeldError):
+        return Exit.ID_HELD
     if isinstance(error, NetworkError):
         return Exit.NETWORK
     return Exit.DRIVER if isinstance(error, DriverError) else Exit.CONFIG

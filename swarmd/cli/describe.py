@@ -1,0 +1,114 @@
+"""`swarmctl describe`: all about one robot, and why it stands."""
+
+from __future__ import annotations
+
+import click
+from msgspec import to_builtins
+
+from swarmd.cli.arguments import check_name
+from swarmd.cli.console import Console, common
+from swarmd.cli.output import NOTHING, print_json, print_section, seconds
+from swarmd.cli.reasons import why
+from swarmd.messages import Condition, Member, Status
+
+
+@click.command()
+@click.argument("robot")
+@common
+def describe(console: Console, robot: str) -> None:
+    """All about one ROBOT, and why it stands."""
+    with console.operator() as operator:
+        view = operator.members()
+    check_name(robot, view.members)
+    member = view.members[robot]
+    if console.is_json:
+        print_json("Member", {"member": to_builtins(member), "why": why(member)})
+        return
+    click.echo(f"{robot}: {why(member)}")
+    if member.status is not None:
+        for title, rows in sections(member, member.status):
+            print_section(title, rows)
+
+
+def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, str]]]]:
+    """Everything in a status, in groups of (name, value) lines; empty groups among them."""
+    seen = "now" if member.condition is Condition.ALIVE else f"{seconds(member.age)} ago"
+    return [
+        ("Robot", _robot(status, seen)),
+        ("State", _state(status)),
+        ("Emergency stops", [(i, _latch(status, i)) for i in sorted(status.latches)]),
+        ("Protection", _protection(status)),
+        ("Parameters", _parameters(status)),
+        ("Report", [(name, _value(value)) for name, value in status.report.items()]),
+        ("Health", _health(status)),
+        ("Dropped", [(kind, str(count)) for kind, count in sorted(status.health.dropped.items())]),
+        ("Events", [(f"{seconds(status.uptime - e.at)} ago", e.text) for e in status.events[-10:]]),
+    ]
+
+
+def _robot(status: Status, seen: str) -> list[tuple[str, str]]:
+    secured = "with certificates" if status.is_secured else "without certificates"
+    return [
+        ("platform", status.platform),
+        ("driver", f"{status.driver} {'(up)' if status.health.driver_up else '(lost)'}"),
+        ("host", status.host),
+        ("network", f"profile {status.profile}, {secured}"),
+        ("labels", ", ".join(status.labels) or NOTHING),
+        ("instance", status.instance),
+        ("up for", seconds(status.uptime)),
+        ("seen", seen),
+    ]
+
+
+def _state(status: Status) -> list[tuple[str, str]]:
+    return [
+        ("state", f"{status.state} for {seconds(status.since)}"),
+        ("reason", status.reason or NOTHING),
+        ("detail", status.detail or NOTHING),
+        ("pattern", status.pattern or NOTHING),
+        ("generation", str(status.generation)),
+        ("revision", str(status.epoch.revision)),
+        ("changed by", status.changed_by or NOTHING),
+    ]
+
+
+def _latch(status: Status, latch_id: str) -> str:
+    latch = status.latches[latch_id]
+    reason = f": {latch.reason}" if latch.reason else ""
+    return f"by {latch.issuer}, for {latch.scope}{reason}"
+
+
+def _protection(status: Status) -> list[tuple[str, str]]:
+    verdict = status.verdict
+    gap, age = verdict.min_gap, verdict.scan_age
+    return [
+        ("mode", f"{verdict.mode}, {'active' if verdict.is_active else 'clear'}"),
+        ("wish", f"{verdict.wish_linear:.3f} m/s, {verdict.wish_angular:.3f} rad/s"),
+        ("safe", f"{verdict.safe_linear:.3f} m/s, {verdict.safe_angular:.3f} rad/s"),
+        ("nearest", NOTHING if gap is None else f"{gap:.2f} m"),
+        ("scan age", NOTHING if age is None else seconds(age)),
+        ("active for", f"{verdict.duty:.0%} of {verdict.decisions} decisions since run"),
+    ]
+
+
+def _parameters(status: Status) -> list[tuple[str, str]]:
+    width = max((len(_value(param.value)) for param in status.params.values()), default=0)
+    return [
+        (name, f"{_value(param.value).ljust(width)}  from {param.source}")
+        for name, param in status.params.items()
+    ]
+
+
+def _health(status: Status) -> list[tuple[str, str]]:
+    health = status.health
+    return [
+        ("scan rate", f"{health.scan_rate:.1f} Hz"),
+        ("loop p99", seconds(health.loop_p99)),
+        ("loop stalls", str(health.loop_stalls)),
+        ("host restarts", str(health.host_restarts)),
+        ("driver", health.driver or NOTHING),
+    ]
+
+
+def _value(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

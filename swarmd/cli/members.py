@@ -1,0 +1,104 @@
+"""`swarmctl members`: who is in the swarm and how they are; `members forget` removes one."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping
+
+import click
+from msgspec import to_builtins
+
+from swarmd.cli.answer import finish
+from swarmd.cli.arguments import check_name
+from swarmd.cli.console import Console, common
+from swarmd.cli.output import NOTHING, print_json, print_table, seconds
+from swarmd.messages import Condition, Member, Status
+
+HEADER = ("NAME", "STATE", "REASON", "PATTERN", "GEN", "PROTECTION", "SCAN", "LOOP99", "SEEN")
+
+
+@click.group(invoke_without_command=True)
+@common
+def members(console: Console) -> None:
+    """Who is in the swarm, and how they are.
+
+    Robots that failed stay listed until they return or `members forget NAME` removes them.
+    """
+    ctx = click.get_current_context()
+    ctx.obj = console
+    if ctx.invoked_subcommand is not None:
+        return
+    with console.operator() as operator:
+        view = operator.members()
+    known, notes = view.members, tuple(health(view.members, view.roster))
+    if console.is_json:
+        rows = [to_builtins(known[name]) for name in sorted(known)]
+        print_json("Members", {"members": rows, "roster": list(view.roster), "notes": list(notes)})
+        return
+    print_table(HEADER, [row(known[name]) for name in sorted(known)])
+    for note in notes:
+        click.echo(f"# {note}")
+
+
+@members.command()
+@click.argument("name")
+@common
+def forget(console: Console, name: str) -> None:
+    """Take a robot that failed or left off every list."""
+    with console.operator() as operator:
+        view = operator.members()
+        check_name(name, view.members)
+        outcome = operator.forget(name)
+    finish(console, "forget", outcome)
+
+
+def row(member: Member) -> tuple[str, ...]:
+    """A member's line in the table; what a silent one was last known to do is marked `?`."""
+    status = member.status
+    if member.condition is not Condition.ALIVE:
+        pattern = f"{status.pattern}?" if status is not None and status.pattern else NOTHING
+        dashes = (NOTHING,) * 5
+        return (member.robot, member.condition, NOTHING, pattern, *dashes[1:], _seen(member))
+    if status is None:
+        return (member.robot, "unknown", *(NOTHING,) * 6, _seen(member))
+    return (
+        member.robot,
+        status.state,
+        status.reason or NOTHING,
+        status.pattern or NOTHING,
+        str(status.generation),
+        protection(status),
+        f"{status.health.scan_rate:.1f} Hz",
+        seconds(status.health.loop_p99),
+        _seen(member),
+    )
+
+
+def protection(status: Status) -> str:
+    """Whether the arbiter changes what the pattern wishes: `clear`, `active`."""
+    return "active" if status.verdict.is_active else "clear"
+
+
+def health(members: Mapping[str, Member], roster: Collection[str]) -> Iterator[str]:
+    """Lines that say what is not as it should be, the count first."""
+    alive = [m for m in members.values() if m.condition is Condition.ALIVE]
+    yield f"{len(alive)}/{len(set(members) | set(roster))} alive"
+    for condition in (Condition.FAILED, Condition.LEFT):
+        gone = [m for m in members.values() if m.condition is condition]
+        if gone:
+            names = ", ".join(f"{m.robot} ({seconds(m.age)} ago)" for m in gone)
+            yield f"{condition}: {names}"
+    unseen = sorted(set(roster) - set(members))
+    if unseen:
+        yield f"in the roster and never seen: {', '.join(unseen)}"
+    statuses = [m.status for m in alive if m.status is not None]
+    lost = [
+        f"{s.robot} ({s.health.driver or s.driver})" for s in statuses if not s.health.driver_up
+    ]
+    if lost:
+        yield f"driver lost: {', '.join(lost)}"
+    if any(s.profile == "field" and not s.is_secured for s in statuses):
+        yield "WARNING: no certificates: anyone on this network can drive these robots"
+
+
+def _seen(member: Member) -> str:
+    return "now" if member.condition is Condition.ALIVE else f"{seconds(member.age)} ago"

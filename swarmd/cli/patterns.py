@@ -1,0 +1,95 @@
+"""`swarmctl patterns`: which there are on this machine, and what each can be told."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from swarmd.cli.catalog import Row, describe_patterns
+from swarmd.cli.console import Console, common
+from swarmd.cli.output import NOTHING, print_json, print_section, print_table
+
+_plugin_dir = click.option(
+    "--plugin-dir",
+    type=click.Path(file_okay=False, path_type=Path),
+    envvar="SWARM_PLUGIN_DIR",
+    help="Folder of one-file patterns besides the installed ones [$SWARM_PLUGIN_DIR].",
+)
+_platform = click.option(
+    "--platform", default="waffle_pi", help="Whose derived defaults to show [waffle_pi]."
+)
+
+
+@click.group(invoke_without_command=True)
+@common
+def patterns(console: Console) -> None:
+    """The patterns there are on this machine, and their parameters."""
+    ctx = click.get_current_context()
+    ctx.obj = console
+    if ctx.invoked_subcommand is None:
+        ctx.invoke(list_patterns)
+
+
+@patterns.command("list")
+@_plugin_dir
+@_platform
+@common
+def list_patterns(console: Console, plugin_dir: Path | None, platform: str) -> None:
+    """All patterns, a line each."""
+    rows = describe_patterns((), plugin_dir, platform)
+    if console.is_json:
+        print_json("Patterns", {"patterns": rows})
+        return
+    table = [
+        (
+            row["name"],
+            row.get("kind", NOTHING),
+            ", ".join(row.get("needs", ())) or NOTHING,
+            row["source"],
+            f"cannot be loaded: {row['error']}" if "error" in row else row["summary"],
+        )
+        for row in rows
+    ]
+    print_table(("NAME", "KIND", "NEEDS", "FROM", "SUMMARY"), table)
+
+
+@patterns.command("show")
+@click.argument("name")
+@_plugin_dir
+@_platform
+@common
+def show_pattern(console: Console, name: str, plugin_dir: Path | None, platform: str) -> None:
+    """All about one pattern: what it needs, says, and can be told."""
+    (row,) = describe_patterns((name,), plugin_dir, platform)
+    if "error" in row:
+        raise click.UsageError(row["error"])
+    if console.is_json:
+        print_json("Pattern", {"pattern": row})
+        return
+    click.echo(f"{name}: {row['text']}\n")
+    print_section("Pattern", _about(row))
+    click.echo(f"Parameters on {row['platform']}")
+    header = ("NAME", "DEFAULT", "WANTED", "MEANING", "SOURCE")
+    print_table(header, [_param(spec) for spec in row["params"]])
+
+
+def _about(row: Row) -> list[tuple[str, str]]:
+    channels = (f"{name} ({kind})" for name, kind in row["channels"].items())
+    lacking = f" (lacking: {', '.join(row['missing'])})" if row["missing"] else ""
+    return [
+        ("kind", row["kind"]),
+        ("from", row["source"]),
+        ("needs", (", ".join(row["needs"]) or NOTHING) + lacking),
+        ("says", ", ".join(channels) or NOTHING),
+        ("rate", f"{row['rate']:g} Hz"),
+    ]
+
+
+def _param(spec: dict[str, Any]) -> tuple[str, ...]:
+    value = spec["default"]
+    default = f"{value:.6g}" if isinstance(value, float) else str(value)
+    default = "required" if spec["is_required"] else default
+    source = "platform" if spec["is_derived"] else spec["source"]
+    return (spec["name"], default, spec["wanted"], spec["description"], source or NOTHING)

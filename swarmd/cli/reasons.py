@@ -1,0 +1,68 @@
+"""Why a robot stands, in one sentence that ends with what to do."""
+
+from __future__ import annotations
+
+from swarmd.cli.output import seconds
+from swarmd.messages import Condition, Member, Reason, State, Status
+
+_SENTENCES = {
+    Reason.NEVER_ASKED: "it was never asked to run; `swarmctl run PATTERN {robot}` starts it",
+    Reason.FINISHED: "its pattern has finished{detail}; `swarmctl run` starts one again",
+    Reason.RESET: "it was reset{detail}; `swarmctl run PATTERN {robot}` starts it",
+    Reason.OPERATOR: "an operator stopped it{detail}; `swarmctl run PATTERN {robot}` starts it",
+    Reason.ESTOP: "it was emergency-stopped{latches}; `swarmctl reset {robot}` clears that",
+    Reason.LOOP_STALLED: "its daemon was held up for over 1 s{detail}; look at its host, then run",
+    Reason.LOAD_FAILED: "its pattern could not be loaded{detail}; correct it, then run",
+    Reason.DUPLICATE_ID: "another daemon holds its id{detail}; stop one of them, then reset",
+    Reason.QUARANTINED: "its pattern failed again and again{detail}; correct it, then reset",
+    Reason.LEAVING: "its daemon is ending",
+    Reason.NO_SCAN: "no scan has come from its sensor{detail}; look at the driver",
+    Reason.INVALID_SCAN: "its scans lack too many rays{detail}; look at the sensor",
+    Reason.STALE_SCAN: "its last scan is too old{age}; look at the sensor and the driver",
+    Reason.FROZEN_SCAN: "its scans repeat themselves{detail}; look at the sensor",
+    Reason.STALE_ODOMETRY: "its odometry is too old{detail}; look at the driver",
+    Reason.COMMAND_EXPIRED: "its pattern has fallen silent{detail}; it is replaced if that lasts",
+    Reason.DRIVER_LOST: "its base is out of reach{driver}; look at the driver",
+    Reason.PATTERN_RESTARTING: "its pattern failed and is being loaded again{detail}",
+    Reason.NO_WISH: "its pattern wishes to stand",
+    Reason.PROTECTION: "protection holds it{gap}",
+}
+
+
+def why(member: Member) -> str:
+    """One sentence: what the robot does, and if it stands, why and what to do."""
+    status = member.status
+    if member.condition is not Condition.ALIVE:
+        last = f"; last known: {status.state}" if status is not None else ""
+        forget = f"`swarmctl members forget {member.robot}` takes it off the list"
+        return f"{member.condition} {seconds(member.age)} ago{last}; {forget}"
+    if status is None:
+        return "alive, but it has not told how it is yet; ask again"
+    reason = status.reason
+    if reason is None:
+        return f"{status.state}, {status.pattern or 'no pattern'}, and moving"
+    sentence = _SENTENCES[reason].format(
+        robot=member.robot,
+        detail=f" ({status.detail})" if status.detail else "",
+        latches=_latches(status),
+        age=_age(status),
+        driver=f" ({status.health.driver})" if status.health.driver else "",
+        gap=_gap(status),
+    )
+    doing = f"{status.state}, {status.pattern}," if status.state is State.RUNNING else status.state
+    return f"{doing} and stands because {sentence}"
+
+
+def _latches(status: Status) -> str:
+    issuers = sorted({latch.issuer for latch in status.latches.values()})
+    return f" by {', '.join(issuers)}" if issuers else ""
+
+
+def _age(status: Status) -> str:
+    age = status.verdict.scan_age
+    return f" ({seconds(age)})" if age is not None else ""
+
+
+def _gap(status: Status) -> str:
+    gap = status.verdict.min_gap
+    return f": the nearest obstacle is {gap:.2f} m away" if gap is not None else ""

@@ -1,0 +1,57 @@
+"""`swarmctl reset`: clear the emergency stops that were seen, and faults; moves nothing."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+
+import click
+
+from swarmd.cli.answer import finish
+from swarmd.cli.arguments import read_targets
+from swarmd.cli.console import Console, common
+from swarmd.cli.output import warn
+from swarmd.cli.targets import target_options
+from swarmd.messages import Latch, Member
+
+
+@click.command()
+@target_options
+@click.option("--reason", default="", help="Why it is safe again; shown by `describe`.")
+@click.option("-y", "--yes", is_flag=True, help="Do not ask back.")
+@common
+def reset(
+    console: Console,
+    names: tuple[str, ...],
+    is_all: bool,
+    exclude: tuple[str, ...],
+    reason: str,
+    yes: bool,
+) -> None:
+    """Clear emergency stops and faults of TARGETS, which become idle; moves nothing.
+
+    Only the emergency stops that are there now are cleared: one that comes meanwhile stays.
+    """
+    targets = read_targets("reset", names, is_all, exclude, needed=True)
+    with console.operator() as operator:
+        view = operator.members()
+        chosen = targets.select(view.members)
+        latches = held_by({name: view.members[name] for name in chosen})
+        for latch_id, latch in latches.items():
+            text = f" ({latch.reason})" if latch.reason else ""
+            warn(f"clears {latch_id}, by {latch.issuer}, for {latch.scope}{text}")
+        if not yes and sys.stdin.isatty() and not _confirmed(chosen):
+            raise click.ClickException("nothing was sent")
+        args = {"ids": sorted(latches), "reason": reason}
+        outcome = operator.request("reset", chosen, args, console.timeout)
+    finish(console, "reset", outcome)
+
+
+def held_by(members: Mapping[str, Member]) -> dict[str, Latch]:
+    """The emergency stops of these robots, by id."""
+    statuses = [member.status for member in members.values() if member.status is not None]
+    return {latch_id: latch for status in statuses for latch_id, latch in status.latches.items()}
+
+
+def _confirmed(names: tuple[str, ...]) -> bool:
+    return click.confirm(f"Reset {', '.join(names)}?", err=True)

@@ -1,0 +1,47 @@
+"""`swarmctl run`: start a pattern on robots, on those that are as the operator saw them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from swarmd.cli.answer import finish
+from swarmd.cli.arguments import Duration, read_assignments, read_targets
+from swarmd.cli.console import Console, common
+from swarmd.cli.targets import target_options
+from swarmd.keys import is_id
+
+
+@click.command()
+@click.argument("pattern")
+@target_options
+@click.option(
+    "-p", "params", multiple=True, metavar="KEY=VALUE", help="A parameter; may be repeated."
+)
+@click.option("--for", "duration", type=Duration(), help="Finish after this long, such as 60s.")
+@common
+def run(
+    console: Console,
+    pattern: str,
+    names: tuple[str, ...],
+    is_all: bool,
+    exclude: tuple[str, ...],
+    params: tuple[str, ...],
+    duration: float | None,
+) -> None:
+    """Start PATTERN on TARGETS: names, globs such as 'tb3-*', or --all.
+
+    An answer `applied` means that the pattern is loaded and will be stepped. Robots that changed
+    since they were looked at refuse: look at `swarmctl members` and ask again.
+    """
+    targets = read_targets("run", names, is_all, exclude, needed=True)
+    if not is_id(pattern):
+        raise click.UsageError(f"{pattern!r} is no pattern's name; see `swarmctl patterns`")
+    args: dict[str, Any] = {"pattern": pattern, "params": read_assignments(params)}
+    if duration is not None:
+        args["seconds"] = duration
+    with console.operator() as operator:
+        view = operator.members()
+        outcome = operator.request("run", targets.select(view.members), args, console.timeout)
+    finish(console, "run", outcome)

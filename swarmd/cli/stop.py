@@ -1,0 +1,42 @@
+"""`swarmctl stop` and `swarmctl estop`: taken by robots in every state; without names by all."""
+
+from __future__ import annotations
+
+import click
+
+from swarmd.cli.answer import finish
+from swarmd.cli.arguments import read_targets
+from swarmd.cli.console import Console, common
+from swarmd.cli.targets import target_options
+
+
+@click.command()
+@target_options
+@common
+def stop(console: Console, names: tuple[str, ...], is_all: bool, exclude: tuple[str, ...]) -> None:
+    """Stop robots; without names all of them. They need a `run` to move again."""
+    targets = read_targets("stop", names, is_all, exclude, needed=False)
+    with console.operator() as operator:
+        outcome = operator.stop(targets)
+    finish(console, "stop", outcome)
+
+
+@click.command()
+@target_options
+@click.option("--reason", default="", help="Kept with the latch, and shown by `describe`.")
+@common
+def estop(
+    console: Console,
+    names: tuple[str, ...],
+    is_all: bool,
+    exclude: tuple[str, ...],
+    reason: str,
+) -> None:
+    """Emergency stop, latched; without names all robots. Never asks back.
+
+    Robots hold it through restarts, and robots that join take it over, until `swarmctl reset`.
+    """
+    targets = read_targets("estop", names, is_all, exclude, needed=False)
+    with console.operator() as operator:
+        outcome = operator.estop(targets, reason=reason)
+    finish(console, "estop", outcome)
