@@ -128,8 +128,8 @@ def read_assignments(words: Iterable[str], what: str = "-p") -> dict[str, Value]
 
 def _number(text: str) -> int | float | str:
     """The number that the text is in JSON's way, if it is one that can be sent; else the text."""
-    if re.fullmatch(r"-?(0|[1-9]\d*)", text) and abs(int(text)) <= _MAX_INTEGER:
-        return int(text)
+    if re.fullmatch(r"-?(0|[1-9]\d*)", text):
+        return int(text) if len(text) < 20 and abs(int(text)) <= _MAX_INTEGER else text
     if re.fullmatch(r"-?(0|[1-9]\d*)?(\.\d*)?([eE][-+]?\d+)?", text):
         try:
             number = float(text)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +69,7 @@ def show_pattern(console: Console, name: str, plugin_dir: Path | None, platform:
     if console.is_json:
         print_json("Pattern", {"pattern": row})
         return
-    click.echo(f"{name}: {row['text']}\n")
+    click.echo(f"{name}: {inspect.cleandoc(row['text'])}\n")
     print_section("Pattern", _about(row))
     click.echo(f"Parameters on {row['platform']}")
     header = ("NAME", "DEFAULT", "WANTED", "MEANING", "SOURCE")

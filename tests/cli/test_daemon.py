@@ -1,0 +1,118 @@
+"""`swarmd` as a command: settings, checks and exit codes, each in a process of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from swarmd.settings import load_daemon_settings
+
+
+def swarmd(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "HOME": str(cwd), "SWARM": ""}
+    return subprocess.run(
+        [sys.executable, "-m", "swarmd.cli.daemon", *args],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        env=environment,
+        timeout=60,
+        check=False,
+    )
+
+
+def test_help_documents_every_exit_code(tmp_path: Path) -> None:
+    done = swarmd("--help", cwd=tmp_path)
+    assert done.returncode == 0
+    for code in range(6):
+        assert f"\n    {code}  " in done.stdout
+    assert "--die-with-parent" not in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("args", "fault"),
+    [
+        (["--platform", "wafle_pi"], "no platform 'wafle_pi'; did you mean 'waffle_pi'?"),
+        (["--id", "TB3"], "--id: id is 'TB3'; wanted are 1 to 63"),
+        (["--driver", "simulted"], "no driver 'simulted'; did you mean 'simulated'?"),
+        (["--config", "none.yaml"], "none.yaml: cannot be read: No such file"),
+        (["--config", "twice.yaml"], "twice.yaml:2: key 'id' stands twice, first in line 1"),
+        (["--config", "typo.yaml"], "typo.yaml: no key 'plattform'; did you mean 'platform'?"),
+        (["--config", "range.yaml"], "range.yaml: lease is 0; wanted a number of at least 0.2"),
+        (["--profile", "field"], "--profile: profile field needs `interface`"),
+        (["--profile", "feld"], "Invalid value for '--profile': 'feld' is not one of"),
+        (["--driver-option", "x"], "--driver-option 'x' is no key=value"),
+        (["--chek"], "No such option '--chek'. (Did you mean one of: '--check'"),
+        (["--driver-option", "endpont=x"], "endpont"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_2(tmp_path: Path, args: list[str], fault: str) -> None:
+    (tmp_path / "twice.yaml").write_text("id: a\nid: b")
+    (tmp_path / "typo.yaml").write_text("id: a\nplattform: burger")
+    (tmp_path / "range.yaml").write_text("id: a\nlease: 0")
+    done = swarmd(*args, *([] if "--id" in args else ["--id", "r1"]), cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("error: ")
+    assert fault in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_the_effective_configuration_names_sources_and_reads_back_the_same(tmp_path: Path) -> None:
+    (tmp_path / "swarm.yaml").write_text("swarm: lab\nroster: [r1, r2]\nlabels: {red: [r1]}")
+    (tmp_path / "r.yaml").write_text(
+        "swarm_file: swarm.yaml\nplatform: burger\ndriver_options: {endpoint: tcp/127.0.0.1:9}"
+    )
+    done = swarmd("--config", "r.yaml", "--id", "r1", "--print-effective-config", cwd=tmp_path)
+    lines = [line.split("  #") for line in done.stdout.splitlines() if "  #" in line]
+    sources = {line[0].split(":")[0]: line[-1].strip() for line in lines}
+    assert done.returncode == 0
+    assert sources["id"] == "--id"
+    assert sources["swarm"] == "swarm.yaml"
+    assert sources["platform"] == "r.yaml"
+    assert sources["lease"] == "default"
+    (tmp_path / "again.yaml").write_text(done.stdout)
+    first = load_daemon_settings(tmp_path / "r.yaml", {"id": "r1"}, {"HOME": str(tmp_path)})
+    again = load_daemon_settings(tmp_path / "again.yaml", {}, {})
+    for key in ("id", "swarm", "roster", "labels", "driver_options", "state_dir", "platform_name"):
+        assert getattr(again, key) == getattr(first, key)
+
+
+def test_check_looks_at_everything_and_moves_nothing(tmp_path: Path) -> None:
+    (tmp_path / "own").mkdir()
+    (tmp_path / "own/broken.py").write_text("import nothing_of_that_name")
+    (tmp_path / "r.yaml").write_text(
+        "id: r1\nplugin_dir: own\nroster: [r2]\n"
+        "driver_options: {endpoint: tcp/127.0.0.1:9}\n"
+        "parameters: {labels: {}, robots: {}}\nlabels: {}\n"
+    )
+    done = swarmd("--config", "r.yaml", "--check", cwd=tmp_path)
+    assert done.returncode == 1
+    found = {line[6:].split("  ")[0]: line[:4].strip() for line in done.stdout.splitlines()[:-1]}
+    assert found["settings"] == found["platform"] == found["pattern drive"] == "ok"
+    assert found["pattern broken"] == "FAIL"
+    assert found["roster"] == "FAIL"
+    assert "No module named 'nothing_of_that_name'" in done.stdout
+    assert "not well" in done.stdout.splitlines()[-1]
+    assert not (tmp_path / ".local").exists()
+
+
+def test_check_finds_parameters_that_no_pattern_takes(tmp_path: Path) -> None:
+    (tmp_path / "r.yaml").write_text(
+        "id: r1\nlabels: {red: [r1]}\nparameters:\n"
+        "  labels: {red: {drve: {linear: 0.1}}}\n"
+        "  robots: {r1: {drive: {sped: 0.1, speed: 1000}}}\n"
+    )
+    done = swarmd("--config", "r.yaml", "--check", cwd=tmp_path)
+    assert "no pattern 'drve'; did you mean 'drive'?" in done.stdout
+    assert "robot: drive: no parameter 'sped'; did you mean 'speed'?" in done.stdout
+    assert "robot: drive: speed is 1000; wanted a float" in done.stdout
+
+
+def test_a_parent_that_has_ended_already_starts_nothing(tmp_path: Path) -> None:
+    done = swarmd("--id", "r1", "--die-with-parent", "1", "--check", cwd=tmp_path)
+    assert done.stdout == ""
