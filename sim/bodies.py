@@ -39,19 +39,19 @@ def build_model(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujo
 def _add_arena(spec: mujoco.MjSpec, arena: Arena) -> None:
     x, y, half = arena.length / 2.0, arena.width / 2.0, _WALL / 2.0
     for name, pos, size in (
-        ("wall_west", (-x - half, 0.0), (half, y + _WALL)),
-        ("wall_east", (x + half, 0.0), (half, y + _WALL)),
-        ("wall_south", (0.0, -y - half), (x + _WALL, half)),
-        ("wall_north", (0.0, y + half), (x + _WALL, half)),
+        ("wall/west", (-x - half, 0.0), (half, y + _WALL)),
+        ("wall/east", (x + half, 0.0), (half, y + _WALL)),
+        ("wall/south", (0.0, -y - half), (x + _WALL, half)),
+        ("wall/north", (0.0, y + half), (x + _WALL, half)),
     ):
         _add_box(spec.worldbody, name, pos, size)
     for index, box in enumerate(arena.boxes):
         size = (box.length / 2.0, box.width / 2.0)
-        geom = _add_box(spec.worldbody, f"box_{index}", (box.x, box.y), size)
+        geom = _add_box(spec.worldbody, f"box/{index}", (box.x, box.y), size)
         geom.quat = [np.cos(box.yaw / 2.0), 0.0, 0.0, np.sin(box.yaw / 2.0)]
     for index, pole in enumerate(arena.poles):
         spec.worldbody.add_geom(
-            name=f"pole_{index}",
+            name=f"pole/{index}",
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,
             pos=[pole.x, pole.y, _HEIGHT / 2.0],
             size=[pole.radius, _HEIGHT / 2.0, 0.0],
@@ -74,7 +74,7 @@ def _add_box(
 
 
 def _add_robot(spec: mujoco.MjSpec, robot: str, platform: Platform) -> None:
-    body = spec.worldbody.add_body(name=robot)
+    body = spec.worldbody.add_body(name=f"robot/{robot}")
     body.explicitinertial = True
     body.mass = value(platform, "mass")
     body.ipos = [0.0, 0.0, 0.0]

@@ -16,6 +16,9 @@ from swarmd.sim.geometry import gaps, radius, transform
 from swarmd.sim.trace import ARENA, Trace
 from swarmd.values import Array
 
+WALLS = "the arena"
+"""Stands for walls, boxes and poles among robot ids; no id holds a blank."""
+
 
 def distance_to_centroid(trace: Trace) -> Array:
     """(T,) the robots' mean distance in m to the mean of their positions (axle centres)."""
@@ -54,22 +57,22 @@ def largest_cluster(trace: Trace, link: float) -> NDArray[np.int64]:
 
 
 def contact_episodes(trace: Trace) -> dict[tuple[str, str], int]:
-    """How often each pair touched; `arena` stands for walls, boxes and poles."""
+    """How often each pair touched; WALLS stands for walls, boxes and poles."""
     episodes = Episodes()
     for time, (a, b) in zip(trace.contact_t, trace.contact_pair, strict=True):
-        other = "arena" if b == ARENA else trace.ids[b]
+        other = WALLS if b == ARENA else trace.ids[b]
         episodes.add(float(time), trace.ids[a], other)
     return episodes.counts
 
 
 def contacts_between_robots(trace: Trace) -> int:
     """The number of touches of two robots."""
-    return sum(n for pair, n in contact_episodes(trace).items() if "arena" not in pair)
+    return sum(n for pair, n in contact_episodes(trace).items() if WALLS not in pair)
 
 
 def contacts_with_arena(trace: Trace) -> int:
     """The number of touches of a robot with a wall, box or pole."""
-    return sum(n for pair, n in contact_episodes(trace).items() if "arena" in pair)
+    return sum(n for pair, n in contact_episodes(trace).items() if WALLS in pair)
 
 
 def minimum_gap(trace: Trace) -> float:

@@ -12,7 +12,7 @@ from swarmd.values import Array
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Two things that touch: robot ids, or `wall_east`, `box_0`, `pole_0` for `b`.
+    """Two things that touch: robot ids, or `wall/east`, `box/0`, `pole/0` for `b`.
 
     `speed_a` and `speed_b` in m/s: how fast each one's surface moves towards the other.
     """

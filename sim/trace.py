@@ -80,7 +80,7 @@ class Trace:
 def load_trace(path: Path) -> Trace:
     """The trace of a file; SwarmError if it is none."""
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         head = json.loads(str(arrays.pop("head")))
         if head.pop("version") != VERSION:
@@ -88,7 +88,15 @@ def load_trace(path: Path) -> Trace:
         head["ids"], head["platforms"] = tuple(head["ids"]), tuple(head["platforms"])
         head["footprints"] = {k: np.array(v) for k, v in head["footprints"].items()}
         return Trace(**head, **arrays)
-    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+    except (
+        OSError,
+        EOFError,
+        ValueError,
+        KeyError,
+        TypeError,
+        AttributeError,
+        zipfile.BadZipFile,
+    ) as error:
         raise SwarmError(f"{path}: not a trace: {error}") from error
 
 

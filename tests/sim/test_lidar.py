@@ -49,7 +49,7 @@ def oracle(world: World, robot: int, visibility: Visibility) -> Array:
     vectors = np.stack((np.cos(headings), np.sin(headings), np.zeros(rays)), axis=-1)
     found = np.zeros(rays, dtype=np.int32)
     distance = np.zeros(rays)
-    body = world.model.body(world.ids[robot]).id
+    body = world.model.body(f"robot/{world.ids[robot]}").id
     mujoco.mj_multiRay(
         world.model, world.data, place, vectors.ravel(), groups, True, body,
         found, distance, None, rays, 1e6,

@@ -1,0 +1,96 @@
+"""Traces survive the disk and are written whole or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarmd.errors import SwarmError
+from swarmd.platforms import load_platform
+from swarmd.sim.trace import ARENA, Recorder, Trace, load_trace
+
+IDS = ("a", "b")
+
+
+def recorded() -> Trace:
+    platforms = [load_platform("burger"), load_platform("jackal")]
+    recorder = Recorder(IDS, platforms, {"arena": "6x6", "seed": 3})
+    for k in range(10):
+        recorder.add(0.1 * k, np.full((2, 3), float(k)), np.full((2, 3), -float(k)))
+    recorder.touch(0.25, "a", "b", 0.1, 0.2)
+    recorder.touch(0.35, "b", "wall/east", 0.3, 0.0)
+    return recorder.trace(seconds=1.0)
+
+
+def test_comes_back_from_the_disk_as_it_was(tmp_path: Path) -> None:
+    trace = recorded()
+    path = tmp_path / "deep" / "run.npz"
+    trace.save(path)
+    again = load_trace(path)
+    for name in ("t", "pose", "safe", "contact_t", "contact_pair", "contact_speed"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(trace, name))
+    assert again.ids == IDS
+    assert again.platforms == ("burger", "jackal")
+    np.testing.assert_array_equal(again.footprint(1), load_platform("jackal").footprint)
+    assert again.meta == {"arena": "6x6", "seed": 3, "seconds": 1.0}
+    assert again.wish is None
+    assert again.active is None
+    assert [file.name for file in path.parent.iterdir()] == ["run.npz"]
+
+
+def test_keeps_what_robots_said_of_themselves(tmp_path: Path) -> None:
+    trace = recorded()
+    said = Trace(
+        trace.ids, trace.t, trace.pose, trace.safe,
+        trace.contact_t, trace.contact_pair, trace.contact_speed,
+        trace.platforms, trace.footprints,
+        wish=trace.safe, state=np.full((10, 2), "running"), active=np.ones((10, 2), dtype=bool),
+    )  # fmt: skip
+    said.save(tmp_path / "run.npz")
+    again = load_trace(tmp_path / "run.npz")
+    assert again.state is not None
+    assert again.state[3, 1] == "running"
+    assert again.active is not None
+    assert again.active.all()
+    assert again.reason is None
+
+
+def test_contacts_hold_rows_of_robots_and_the_arena() -> None:
+    np.testing.assert_array_equal(recorded().contact_pair, [[0, 1], [1, ARENA]])
+
+
+def test_clearing_begins_anew() -> None:
+    recorder = Recorder(IDS, [load_platform("burger")] * 2, {})
+    recorder.add(0.0, np.zeros((2, 3)), np.zeros((2, 3)))
+    recorder.touch(0.0, "a", "b", 0.0, 0.0)
+    recorder.clear()
+    trace = recorder.trace()
+    assert trace.pose.shape == (0, 2, 3)
+    assert trace.contact_pair.shape == (0, 2)
+    assert trace.duration == 0.0
+
+
+def test_recorder_keeps_copies() -> None:
+    recorder = Recorder(("a",), [load_platform("burger")], {})
+    pose = np.zeros((1, 3))
+    recorder.add(0.0, pose, pose)
+    pose[:] = 9.0
+    np.testing.assert_array_equal(recorder.trace().pose, 0.0)
+
+
+@pytest.mark.parametrize("content", [b"", b"rubbish", b"PK\x03\x04rubbish"])
+def test_a_file_that_is_no_trace_is_one_clear_error(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "run.npz"
+    path.write_bytes(content)
+    with pytest.raises(SwarmError, match="not a trace"):
+        load_trace(path)
+
+
+def test_other_arrays_than_a_trace_are_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "run.npz", numbers=np.arange(3))
+    with pytest.raises(SwarmError, match="not a trace"):
+        load_trace(tmp_path / "run.npz")
+    with pytest.raises(SwarmError, match="not a trace"):
+        load_trace(tmp_path / "missing.npz")
