@@ -36,6 +36,7 @@ from swarmd.messages import Condition, Member, Request, Status, View
 from swarmd.network.contract import SAFETY, Listener, MemberListener, Query, Server
 from swarmd.network.intake import Drops, Lane
 from swarmd.network.membership import Membership
+from swarmd.network.session import undeclare
 
 # Tokens and emergency stops are not to be lost in a crowd: a longer lane, without breath.
 WIDE = 4096
@@ -244,11 +245,7 @@ class ZenohBus:
         self._is_closed = True
         for lane in self._lanes:
             lane.close()
-        for entity in (*self._entities, *self._publishers.values()):
-            try:
-                entity.undeclare()
-            except zenoh.ZError:  # the session has closed before
-                continue
+        undeclare(*self._entities, *self._publishers.values())
 
     def _publisher(self, plane: str, name: str, express: bool) -> zenoh.Publisher:
         publisher = self._publishers.get((plane, name, express))

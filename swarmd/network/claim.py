@@ -28,6 +28,7 @@ from swarmd.clock import Clock, boottime
 from swarmd.errors import IdHeldError
 from swarmd.handover import hand_over
 from swarmd.keys import ANY, build, parse
+from swarmd.network.session import undeclare
 
 MAX_RIVALS = 64
 
@@ -95,11 +96,7 @@ class Claim:
 
     def release(self) -> None:
         """Give the id up; publish `left` before. Harmless on a closed session."""
-        for entity in (self._watch, self._alive):
-            try:
-                entity.undeclare()
-            except zenoh.ZError:  # the session has closed
-                continue
+        undeclare(self._watch, self._alive)
 
 
 async def claim_id(
@@ -143,10 +140,10 @@ async def claim_id(
         alive = liveliness.declare_token(build(swarm, robot, "alive", instance))
         is_owner = True
     except BaseException:
-        watch.undeclare()
+        undeclare(watch)
         raise
     finally:
-        claiming.undeclare()
+        undeclare(claiming)
     return Claim(alive, watch, rivals)
 
 

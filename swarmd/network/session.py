@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import json
 import re
@@ -13,7 +14,7 @@ import socket
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import zenoh
 
@@ -139,6 +140,16 @@ def open_with(options: Mapping[str, object], what: str) -> zenoh.Session:
         return zenoh.open(config)
     except zenoh.ZError as error:
         raise NetworkError(f"no session for {what}: {_explain(str(error), options)}") from error
+
+
+def undeclare(*entities: Any) -> None:
+    """Undeclare tokens, subscribers, queryables, publishers; harmless once the session closed.
+
+    `Any`, since Zenoh's own stubs leave `undeclare` without a return type.
+    """
+    for entity in entities:
+        with contextlib.suppress(zenoh.ZError):
+            entity.undeclare()
 
 
 def _check(settings: SessionSettings) -> None:
