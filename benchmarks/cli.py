@@ -1,0 +1,76 @@
+"""swarmctl cold, as a user types it: `--help` and `members`, beside a bare Python.
+
+Budget: `swarmctl members` within 0.3 s. Seven daemons without a world are its members.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+BUDGET = 0.3
+RUNS = 30
+ROBOTS = 7
+
+Process = subprocess.Popen[bytes]
+
+
+def swarmctl(*words: str) -> list[str]:
+    return [str(Path(sys.executable).with_name("swarmctl")), *words]
+
+
+def start(robot: str, swarm: str, folder: Path) -> Process:
+    """A daemon that is tied to this process."""
+    command = [sys.executable, "-m", "swarmd.cli.daemon", "--id", robot, "--swarm", swarm]
+    command += ["--state-dir", str(folder), "--die-with-parent", str(os.getpid())]
+    return subprocess.Popen(command, stderr=subprocess.DEVNULL)
+
+
+def timed(command: Sequence[str]) -> tuple[float, str]:
+    """Seconds from start to end of a command, and what it printed."""
+    begin = time.perf_counter()
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    return time.perf_counter() - begin, done.stdout
+
+
+def report(what: str, seconds: Sequence[float], budget: float | None = None) -> None:
+    ordered = sorted(seconds)
+    text = f"{what:34} median {statistics.median(ordered) * 1000:4.0f} ms"
+    text += f"  p99 {ordered[min(len(ordered) - 1, int(len(ordered) * 0.99))] * 1000:4.0f} ms"
+    print(text + (f"  (budget {budget * 1000:.0f} ms)" if budget is not None else ""))
+
+
+def main() -> None:
+    swarm = f"bench-{secrets.token_hex(4)}"
+    with tempfile.TemporaryDirectory() as folder:
+        daemons = [start(f"r{i}", swarm, Path(folder)) for i in range(1, ROBOTS + 1)]
+        try:
+            members = swarmctl("members", "--swarm", swarm)
+            deadline = time.monotonic() + 30.0
+            while f"{ROBOTS}/{ROBOTS} alive" not in timed(members)[1]:
+                if time.monotonic() > deadline:
+                    sys.exit(f"no {ROBOTS} daemons within 30 s")
+            found = [timed(members) for _ in range(RUNS)]
+            bare = [timed([sys.executable, "-c", ""])[0] for _ in range(RUNS)]
+            helped = [timed(swarmctl("--help"))[0] for _ in range(RUNS)]
+        finally:
+            for daemon in daemons:
+                daemon.terminate()
+            for daemon in daemons:
+                daemon.wait(timeout=10)
+    complete = sum(f"{ROBOTS}/{ROBOTS} alive" in text for _, text in found)
+    report("python -c '' (yardstick)", bare)
+    report("swarmctl --help", helped)
+    report("swarmctl members", [seconds for seconds, _ in found], BUDGET)
+    print(f"members named all {ROBOTS} robots in {complete} of {RUNS} runs")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,54 @@
+"""All that a status holds is shown, in groups."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+
+from swarmd.cli.describe import sections
+from swarmd.messages import Member, Status
+
+MakeMember = Callable[..., Member]
+
+
+def shown(member: Member) -> dict[str, dict[str, str]]:
+    assert member.status is not None
+    return {title: dict(rows) for title, rows in sections(member, member.status)}
+
+
+def test_shows_parameters_with_their_sources(make_member: MakeMember) -> None:
+    assert shown(make_member())["Parameters"] == {
+        "speed": "0.2  from runtime",
+        "turn": "0    from robot",
+    }
+
+
+def test_shows_what_protection_makes_of_the_wish(make_member: MakeMember) -> None:
+    rows = shown(make_member())["Protection"]
+    assert rows["mode"] == "potential_field, active"
+    assert rows["wish"] == "0.200 m/s, 0.000 rad/s"
+    assert rows["safe"] == "0.100 m/s, 0.000 rad/s"
+    assert rows["nearest"] == "0.61 m"
+
+
+def test_shows_who_stopped_it_and_why(estopped: Member) -> None:
+    assert shown(estopped)["Emergency stops"] == {"e1": "by bob@desk, for swarm: smoke"}
+
+
+def test_shows_events_by_their_age(make_member: MakeMember) -> None:
+    assert shown(make_member())["Events"] == {"3.0 s ago": "loading drive"}
+
+
+def test_leaves_no_field_of_a_status_out(make_member: MakeMember) -> None:
+    """Whatever is added to Status must be thought of here too."""
+    member = make_member()
+    assert member.status is not None
+    text = repr(sections(member, member.status))
+    left_out = {"robot", "has_left", "epoch", "is_secured"}  # in the title, or within other lines
+    for field in msgspec.structs.fields(Status):
+        value = getattr(member.status, field.name)
+        if field.name not in left_out and isinstance(value, str) and value:
+            assert value in text, field.name
+    assert "revision" in text
+    assert "without certificates" in text

@@ -1,0 +1,74 @@
+"""How answers look."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from swarmd.cli.output import has_colour, print_json, print_section, print_table, seconds
+
+
+def test_json_carries_the_version_of_its_form(capsys: pytest.CaptureFixture[str]) -> None:
+    print_json("Members", {"members": [{"robot": "r1"}]})
+    assert json.loads(capsys.readouterr().out) == {
+        "apiVersion": "swarm/v1",
+        "kind": "Members",
+        "members": [{"robot": "r1"}],
+    }
+
+
+def test_a_table_is_aligned_and_plain_where_nobody_looks(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    print_table(("NAME", "STATE"), [("r1", "running"), ("robot-2", "failed")])
+    assert capsys.readouterr().out == "NAME     STATE\nr1       running\nrobot-2  failed\n"
+
+
+def test_an_empty_table_is_its_header(capsys: pytest.CaptureFixture[str]) -> None:
+    print_table(("NAME", "STATE"), [])
+    assert capsys.readouterr().out == "NAME  STATE\n"
+
+
+def test_an_empty_section_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:
+    print_section("Nothing", [])
+    print_section("Some", [("a", "1"), ("long", "2")])
+    assert capsys.readouterr().out == "Some\n  a     1\n  long  2\n"
+
+
+@pytest.mark.parametrize(
+    ("is_terminal", "variables", "expected"),
+    [
+        (True, {}, True),
+        (False, {}, False),
+        (True, {"NO_COLOR": "1"}, False),
+        (True, {"NO_COLOR": ""}, True),
+        (True, {"TERM": "dumb"}, False),
+    ],
+)
+def test_colours_only_on_a_terminal_that_wants_them(
+    monkeypatch: pytest.MonkeyPatch,
+    is_terminal: bool,
+    variables: dict[str, str],
+    expected: bool,
+) -> None:
+    monkeypatch.delenv("NO_COLOR", raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert has_colour(is_terminal) is expected
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        (0.0, "0 ms"),
+        (0.0041, "4 ms"),
+        (0.9999, "1.0 s"),
+        (38.0, "38.0 s"),
+        (600.0, "10 min"),
+        (9000.0, "2 h"),
+    ],
+)
+def test_time_spans_are_short(value: float, text: str) -> None:
+    assert seconds(value) == text

@@ -1,0 +1,53 @@
+"""Every standstill is explained in one sentence that says what to do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import pytest
+
+from swarmd.cli.reasons import why
+from swarmd.messages import Condition, Member, Reason, State
+
+MakeMember = Callable[..., Member]
+
+
+@pytest.mark.parametrize("reason", Reason)
+def test_there_is_a_sentence_for_every_reason(make_member: MakeMember, reason: Reason) -> None:
+    text = why(make_member(state=State.STOPPED, reason=reason, detail="the detail"))
+    assert text.startswith("stopped and stands because ")
+    assert "{" not in text
+    assert "\n" not in text
+
+
+def test_a_moving_robot_is_said_to_move(make_member: MakeMember) -> None:
+    assert why(make_member()) == "running, drive, and moving"
+
+
+def test_an_emergency_stop_names_its_issuer_and_the_way_out(estopped: Member) -> None:
+    assert why(estopped) == (
+        "estopped and stands because it was emergency-stopped by bob@desk;"
+        " `swarmctl reset r2` clears that"
+    )
+
+
+def test_a_robot_that_protection_holds_says_how_near_the_obstacle_is(
+    make_member: MakeMember,
+) -> None:
+    text = why(make_member(reason=Reason.PROTECTION))
+    assert text == (
+        "running, drive, and stands because protection holds it:"
+        " the nearest obstacle is 0.61 m away"
+    )
+
+
+def test_a_failed_robot_says_since_when_and_how_it_was(make_member: MakeMember) -> None:
+    text = why(make_member(condition=Condition.FAILED, age=38.0))
+    assert text == (
+        "failed 38.0 s ago; last known: running; `swarmctl members forget r1` takes it off the list"
+    )
+
+
+def test_a_robot_without_a_status_is_to_be_asked_again() -> None:
+    member = Member(robot="r1", instance="x", condition=Condition.ALIVE, age=0.0)
+    assert why(member) == "alive, but it has not told how it is yet; ask again"
