@@ -217,8 +217,12 @@ class Dispersion(MovementPattern[DispersionParams]):
         )
 
     def _push(self, points: Array, distance: float) -> Array:
-        """The sum over the surfaces nearer than `distance`; at most 1 long."""
+        """The sum over the surfaces nearer than `distance`; at most 1 long.
+
+        Where all push hard, for want of room, only their differences count.
+        """
         weights = np.clip((distance - points[:, 0]) / self.params.ramp, 0.0, None)
+        weights /= max(1.0, float(weights.max(initial=0.0)))
         x = -float(weights @ np.cos(points[:, 1]))
         y = -float(weights @ np.sin(points[:, 1]))
         return np.array([x, y]) / max(1.0, math.hypot(x, y))

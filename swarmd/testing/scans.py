@@ -1,0 +1,139 @@
+"""Builders of scans, for tests of patterns and of whatever else reads one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.random import Generator
+
+from swarmd.values import Array, Platform, Pose, Scan
+
+ORIGIN = Pose()
+
+
+class Disc(NamedTuple):
+    """A round body: centre x, y and radius, in m."""
+
+    x: float
+    y: float
+    radius: float = 0.1
+
+
+def scan_of(
+    platform: Platform,
+    discs: Sequence[Disc] = (),
+    *,
+    room: float | None = None,
+    pose: Pose = ORIGIN,
+    seq: int = 0,
+    noise: float = 0.0,
+    rng: Generator | None = None,
+) -> Scan:
+    """What the platform's lidar sees at `pose` of discs, in a square room of that side.
+
+    Discs and room, which is centred, are in the frame of `pose`; by default the robot is at its
+    origin. `noise` is the standard deviation in m. A range beyond range_max is +inf, one below
+    range_min -inf.
+    """
+    spec = platform.scan
+    cos, sin = np.cos(spec.bearings + pose.yaw), np.sin(spec.bearings + pose.yaw)
+    x = pose.x + spec.offset[0] * math.cos(pose.yaw) - spec.offset[1] * math.sin(pose.yaw)
+    y = pose.y + spec.offset[0] * math.sin(pose.yaw) + spec.offset[1] * math.cos(pose.yaw)
+    ranges = np.full(len(spec.bearings), math.inf)
+    if room is not None:
+        ranges = np.minimum(_to_wall(0.5 * room, x, cos), _to_wall(0.5 * room, y, sin))
+    for disc in discs:
+        along = (disc.x - x) * cos + (disc.y - y) * sin
+        half = disc.radius**2 - ((disc.x - x) ** 2 + (disc.y - y) ** 2 - along**2)
+        hit = along - np.sqrt(np.maximum(half, 0.0))
+        is_hit = (half >= 0.0) & (along > 0.0)
+        ranges = np.where(is_hit, np.minimum(ranges, hit), ranges)
+    if noise > 0.0:
+        ranges = ranges + (rng or np.random.default_rng(seq)).normal(0.0, noise, len(ranges))
+    ranges = np.where(ranges > spec.range_max, math.inf, ranges)
+    ranges = np.where(ranges < spec.range_min, -math.inf, ranges)
+    return scan_from(platform, ranges, spec.bearings, seq=seq)
+
+
+def scan_from(platform: Platform, ranges: Array, bearings: Array, *, seq: int = 0) -> Scan:
+    """A scan of these rays with the platform's range limits."""
+    spec = platform.scan
+    return Scan(seq, seq / spec.rate, ranges, bearings, spec.range_min, spec.range_max)
+
+
+def odd_scans(platform: Platform) -> Mapping[str, Scan]:
+    """Scans that no pattern may stumble over, by what is odd about them."""
+    bearings = platform.scan.bearings
+    n = len(bearings)
+    rng = np.random.default_rng(0)
+    reach = platform.scan.range_max
+    few = np.linspace(-math.pi, math.pi, 7, endpoint=False)
+    many = np.linspace(0.0, 2.0 * math.pi, 4 * n, endpoint=False)
+    holed = np.where(rng.random(n) < 0.2, math.nan, rng.uniform(0.2, reach, n))
+    kinds: dict[str, tuple[Array, Array]] = {
+        "no rays": (np.empty(0), np.empty(0)),
+        "one ray": (np.array([1.0]), np.array([0.3])),
+        "two rays": (np.array([0.4, math.inf]), np.array([3.0, -3.0])),
+        "nothing seen": (np.full(n, math.inf), bearings),
+        "all unknown": (np.full(n, math.nan), bearings),
+        "all too near": (np.full(n, -math.inf), bearings),
+        "all zero": (np.zeros(n), bearings),
+        "all below range_min": (np.full(n, 0.5 * platform.scan.range_min), bearings),
+        "all at range_max": (np.full(n, reach), bearings),
+        "all equal": (np.full(n, 0.5 * reach), bearings),
+        "noise": (rng.uniform(-1.0, 2.0 * reach, n), bearings),
+        "holes": (holed, bearings),
+        "seven rays": (np.array([0.3, 1.0, math.nan, math.inf, 0.5, -math.inf, 2.0]), few),
+        "more rays": (rng.uniform(0.2, reach, 4 * n), many),
+        "unsorted": (rng.uniform(0.2, reach, n), rng.permutation(bearings)),
+    }
+    return {name: scan_from(platform, *rays) for name, rays in kinds.items()}
+
+
+def busy_scans(platform: Platform, count: int, *, seed: int = 0) -> list[Scan]:
+    """Scans with three to six discs at random places in a room, sensor noise included."""
+    rng = np.random.default_rng(seed)
+    threshold = float(platform.protection["threshold"])
+    near, far = 1.2 * threshold, 0.9 * platform.scan.range_max
+    scans = []
+    for seq in range(count):
+        discs = []
+        for _ in range(int(rng.integers(3, 7))):
+            distance, bearing = rng.uniform(near, far), rng.uniform(-math.pi, math.pi)
+            radius = float(rng.uniform(0.1, 0.2)) * threshold / 0.5
+            discs.append(Disc(distance * math.cos(bearing), distance * math.sin(bearing), radius))
+        room = float(rng.uniform(2.2, 3.0)) * platform.scan.range_max
+        scans.append(scan_of(platform, discs, room=room, seq=seq, noise=0.01, rng=rng))
+    return scans
+
+
+def mirrored(scan: Scan) -> Scan:
+    """The scan with left and right exchanged."""
+    ranges, bearings = scan.ranges[::-1].copy(), -scan.bearings[::-1]
+    return Scan(scan.seq, scan.stamp, ranges, bearings, scan.range_min, scan.range_max)
+
+
+def reordered(scan: Scan, rng: Generator) -> Scan:
+    """The same rays in another order, their bearings counted from another start."""
+    order = rng.permutation(len(scan.ranges))
+    bearings = (scan.bearings[order] + math.pi) % (2.0 * math.pi) - math.pi
+    ranges = scan.ranges[order]
+    return Scan(scan.seq, scan.stamp, ranges, bearings, scan.range_min, scan.range_max)
+
+
+def read_only(scan: Scan) -> Scan:
+    """A copy whose arrays raise ValueError when they are written to."""
+    ranges, bearings = scan.ranges.copy(), scan.bearings.copy()
+    ranges.flags.writeable = bearings.flags.writeable = False
+    return Scan(scan.seq, scan.stamp, ranges, bearings, scan.range_min, scan.range_max)
+
+
+def _to_wall(half: float, start: float, direction: Array) -> Array:
+    """Range to the two walls at -half and half across one axis; inf along them."""
+    wall = np.where(direction > 0.0, half - start, -half - start)
+    result = np.full(len(direction), math.inf)
+    np.divide(wall, direction, out=result, where=np.abs(direction) > 1e-12)
+    return result

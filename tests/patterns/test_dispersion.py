@@ -1,0 +1,136 @@
+"""Dispersion: one step at a time, and seven robots on paper."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from swarmd.errors import ConfigError
+from swarmd.patterns.dispersion import Dispersion
+from swarmd.settings import load_platform
+from swarmd.testing.flatland import Course, Flatland
+from swarmd.testing.pattern_contract import PatternContract, Subject
+from swarmd.testing.scans import Disc, scan_from, scan_of
+from swarmd.values import Inputs, Scan, Twist, Value
+
+WAFFLE = load_platform("waffle_pi")
+
+
+class TestDispersion(PatternContract):
+    pattern = Dispersion
+
+
+class TestDispersionOfThePaper(PatternContract):
+    pattern = Dispersion
+    params = {"law": "paper"}  # noqa: RUF012 - read only
+
+
+def wish(scan: Scan, **params: Value) -> Twist:
+    """The first wish on a scan."""
+    pattern = Subject(Dispersion, WAFFLE, params).make()
+    twist = pattern.step(Inputs(now=0.0, dt=0.0, scan=scan)).twist
+    assert twist is not None
+    return twist
+
+
+def spread_out(platform: str, seed: int, *, room: float, **params: Value) -> Course:
+    """Seven robots start at the corners and the middle of a hexagon, turned at random."""
+    kind = load_platform(platform)
+    rng = np.random.default_rng(seed)
+    radius = 1.6 * float(kind.protection["threshold"])
+    angles = np.arange(6) * math.pi / 3
+    poses = np.zeros((7, 3))
+    poses[:6, 0], poses[:6, 1] = radius * np.cos(angles), radius * np.sin(angles)
+    poses[:, 2] = rng.uniform(-math.pi, math.pi, 7)
+    subject = Subject(Dispersion, kind, params)
+    patterns = [subject.make(100 * seed + i) for i in range(7)]
+    return Flatland(kind, patterns, poses, room=room, seed=seed).run(60.0)
+
+
+def test_stands_where_nothing_is_near() -> None:
+    assert wish(scan_of(WAFFLE, [Disc(1.3, 0.0)], room=3.0)) == Twist()
+
+
+def test_drives_away_from_what_is_behind() -> None:
+    twist = wish(scan_of(WAFFLE, [Disc(-0.8, 0.0)]))
+    assert twist.linear > 0.1
+    assert abs(twist.angular) < 0.1
+
+
+def test_backs_slowly_away_from_what_is_ahead() -> None:
+    twist = wish(scan_of(WAFFLE, [Disc(0.8, 0.0)]))
+    assert -0.131 <= twist.linear < -0.05
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_turns_its_back_or_front_to_the_side_that_is_free(side: float) -> None:
+    ahead = wish(scan_of(WAFFLE, [Disc(-0.3, 0.7 * side)]))
+    assert ahead.angular * side < 0.0
+    assert ahead.linear >= 0.0
+
+
+def test_a_wall_pushes_like_a_robot_at_the_same_range() -> None:
+    wall = scan_of(WAFFLE, room=1.5)
+    single = np.where(np.abs(wall.bearings - math.pi) < math.pi / 4, wall.ranges, math.inf)
+    from_wall = wish(scan_from(WAFFLE, single, wall.bearings))
+    from_robot = wish(scan_of(WAFFLE, [Disc(-0.8, 0.0, 0.05)]))
+    assert from_wall.linear == pytest.approx(from_robot.linear, abs=0.02)
+
+
+def test_the_push_falls_with_the_range() -> None:
+    speeds = [wish(scan_of(WAFFLE, [Disc(-x, 0.0)])).linear for x in (0.9, 1.0, 1.1)]
+    assert speeds[0] > speeds[1] > speeds[2] > 0.0
+
+
+@pytest.mark.parametrize("distance", [0.4, 0.5])
+def test_a_distance_that_protection_keeps_anyway_is_refused(distance: float) -> None:
+    with pytest.raises(ConfigError, match=rf"distance is {distance:g} m; wanted is more than 0.5"):
+        Subject(Dispersion, WAFFLE, {"distance": distance}).make()
+
+
+def test_such_a_distance_is_refused_while_running_and_the_old_one_stays() -> None:
+    pattern = Subject(Dispersion, WAFFLE, {}).make()
+    good = pattern.params
+    bad = type(good)(distance=0.3)
+    with pytest.raises(ConfigError, match=r"distance is 0\.3 m"):
+        pattern.update(bad)
+    assert pattern.params is good
+
+
+@pytest.mark.parametrize(
+    ("ranges", "bearings"),
+    [([1.0, 2.0, 0.5], [0.5, 2.0, -1.0]), ([0.2, 0.3], [3.0, -3.0])],
+)
+def test_the_law_of_the_paper_is_its_equations(
+    ranges: Sequence[float], bearings: Sequence[float]
+) -> None:
+    # Weights 1 - r / 3.5 m, away from the sum, the bias of 1 along x.
+    x = 1.0 - sum((1.0 - r / 3.5) * math.cos(b) for r, b in zip(ranges, bearings, strict=True))
+    y = -sum((1.0 - r / 3.5) * math.sin(b) for r, b in zip(ranges, bearings, strict=True))
+    length = math.hypot(x, y)
+    twist = wish(scan_from(WAFFLE, np.array(ranges), np.array(bearings)), law="paper")
+    assert twist.linear == pytest.approx(0.26 * x / length)
+    assert twist.angular == pytest.approx(1.82 * math.asin(y / length))
+
+
+def test_the_law_of_the_paper_stops_when_alone() -> None:
+    assert wish(scan_of(WAFFLE), law="paper") == Twist()
+
+
+@pytest.mark.parametrize("platform", ["burger", "waffle_pi"])
+@pytest.mark.parametrize("seed", range(2))
+def test_seven_robots_keep_the_distance_and_come_to_rest(platform: str, seed: int) -> None:
+    course = spread_out(platform, seed, room=6.0)
+    # 3 cm: three standard deviations of the lidar's noise.
+    assert course.nearest[-100:].min() >= 0.97
+    assert np.abs(course.speeds[-100:]).max() < 0.01
+
+
+def test_they_come_to_rest_also_where_there_is_no_room() -> None:
+    course = spread_out("waffle_pi", 0, room=4.0, distance=2.0)
+    threshold = float(WAFFLE.protection["threshold"])
+    assert course.nearest[-100:].min() > threshold
+    assert np.abs(course.speeds[-200:]).mean() < 0.1 * WAFFLE.limits.linear

@@ -1,0 +1,33 @@
+"""Driving straight on."""
+
+from __future__ import annotations
+
+import pytest
+
+from swarmd.patterns.drive import Drive
+from swarmd.settings import load_platform
+from swarmd.testing.pattern_contract import PatternContract, Subject
+from swarmd.values import Inputs, Twist
+
+
+class TestDrive(PatternContract):
+    pattern = Drive
+
+
+def drive(**params: float) -> Twist | None:
+    pattern = Subject(Drive, load_platform("burger"), params).make()
+    return pattern.step(Inputs(now=0.0, dt=0.0)).twist
+
+
+def test_drives_at_the_platforms_speed_without_being_told() -> None:
+    assert drive() == Twist(linear=0.22)
+
+
+def test_drives_a_circle_when_told_to_turn() -> None:
+    assert drive(speed=0.1, turn=-0.5) == Twist(linear=0.1, angular=-0.5)
+
+
+@pytest.mark.parametrize("platform", ["burger", "waffle_pi", "jackal"])
+def test_no_platform_is_driven_faster_than_ros2swarm_did(platform: str) -> None:
+    speed = Drive.defaults(load_platform(platform))["speed"]
+    assert speed == {"burger": 0.22, "waffle_pi": 0.26, "jackal": 0.5}[platform]
