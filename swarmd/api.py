@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 from swarmd.angles import difference, wrap
 from swarmd.behavior import Context, Make, MovementPattern, Pattern
 from swarmd.combined import CombinedPattern
@@ -30,6 +32,7 @@ from swarmd.voting import VotingParams, VotingPattern
 
 __all__ = [
     "ZERO",
+    "Annotated",
     "Array",
     "CombinedPattern",
     "ConfigError",

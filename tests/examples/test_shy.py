@@ -1,0 +1,58 @@
+"""The example pattern, found and loaded as a user's own file would be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.behavior import Pattern
+from swarmd.loading import Finder
+from swarmd.plugins import find_pattern
+from swarmd.settings import load_platform
+from swarmd.testing.flatland import Flatland
+from swarmd.testing.pattern_contract import PatternContract, Subject
+from swarmd.testing.scans import Disc, scan_of
+from swarmd.values import Inputs, Twist
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+BURGER = load_platform("burger")
+
+
+def load() -> type[Pattern[Any]]:
+    origin = find_pattern("shy", EXAMPLES)
+    return Finder({"shy": (origin.value, origin.is_file)})("shy")
+
+
+class TestShy(PatternContract):
+    pattern = load()
+
+
+def test_it_is_fifteen_lines_long() -> None:
+    lines = (EXAMPLES / "shy.py").read_text().splitlines()
+    assert sum(1 for line in lines if line.strip()) == 15
+
+
+@pytest.mark.parametrize(
+    ("disc", "twist"),
+    [
+        (Disc(2.0, 0.0), Twist(linear=0.15)),
+        (Disc(0.5, 0.2), Twist(angular=1.0)),
+        (Disc(0.5, -0.2), Twist(angular=1.0)),
+        (Disc(-0.5, 0.2), Twist(linear=0.15)),
+    ],
+)
+def test_it_turns_while_something_is_near_ahead(disc: Disc, twist: Twist) -> None:
+    pattern = Subject(load(), BURGER, {}).make()
+    assert pattern.step(Inputs(now=0.0, dt=0.0, scan=scan_of(BURGER, [disc]))).twist == twist
+
+
+def test_five_shy_robots_never_get_stuck() -> None:
+    subject = Subject(load(), BURGER, {})
+    poses = np.array([[x, 0.0, x] for x in (-2.0, -1.0, 0.0, 1.0, 2.0)])
+    world = Flatland(BURGER, [subject.make(i) for i in range(5)], poses, room=6.0)
+    course = world.run(90.0)
+    in_ten_seconds = np.abs(course.speeds).reshape(9, 100, 5).mean(axis=1)
+    assert in_ten_seconds.min() > 0.02
