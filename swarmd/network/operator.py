@@ -1,0 +1,354 @@
+"""The operator's side: how swarmctl meets a swarm, asks it, and makes sure of its answers.
+
+Synchronous, without asyncio and numpy, since a command must start fast::
+
+    with Operator(settings) as operator:
+        view = operator.members()
+        outcome = operator.request("run", view.epochs(names), {"pattern": "attraction"})
+        outcome = operator.halt("estop", args={"scope": "swarm", "reason": "..."})
+
+Zenoh's threads only put what they hear into tables under one lock; the caller's thread waits.
+Queries use DROP, since a reply inherits the query's congestion control and must not block a
+daemon's loop; what may get lost is repeated.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import getpass
+import os
+import socket
+import threading
+import time
+import uuid
+from collections.abc import Callable, Iterable, Mapping
+from types import TracebackType
+from typing import Any, Literal, Self
+
+import zenoh
+from zenoh.handlers import Callback
+
+from swarmd.codec import MAX_CONTROL, Decoder, encode
+from swarmd.errors import CodecError
+from swarmd.keys import ANY, Key, build, parse
+from swarmd.messages import Epoch, Reply, Request, View
+from swarmd.network.halting import Halting, Select
+from swarmd.network.requests import Acks, Outcome
+from swarmd.network.scouting import swarms_in_reach
+from swarmd.network.session import MAX_WIRE, SessionSettings, open_session, undeclare
+from swarmd.network.views import Gathering, MembersView
+
+GATHER = 1.0
+HALT = 3.0
+# Rounds are quick while links come up, then spare the network, in s.
+ROUND = 0.015
+SLOW_ROUND = 0.1
+QUICK_FOR = 0.2
+
+Args = dict[str, Any]
+HaltVerb = Literal["stop", "estop"]
+
+_view = Decoder(View, MAX_WIRE)
+_reply = Decoder(Reply, MAX_CONTROL)
+
+
+def operator_name() -> str:
+    """Who asks, such as `anna@laptop`."""
+    try:
+        user = getpass.getuser()
+    except (OSError, KeyError):
+        user = f"uid{os.getuid()}"
+    return f"{user}@{socket.gethostname()}"[:128]
+
+
+class Operator:
+    """A visitor in a swarm: a context manager that holds one session.
+
+    `settings` are those of the swarm; the session takes any free port. `roster` names robots
+    that are expected whether or not anyone has seen them. NetworkError if there is no session.
+    """
+
+    def __init__(
+        self, settings: SessionSettings, *, name: str | None = None, roster: Iterable[str] = ()
+    ) -> None:
+        self.settings = settings.as_operator()
+        self.name = name or operator_name()
+        self._roster = frozenset(roster)
+        self._news = threading.Condition()
+        self._tokens: dict[str, set[str]] = {}
+        self._links = 0
+        self._gathering: Gathering | None = None
+        self._version = 0
+        self._session = open_session(self.settings)
+        self._listeners = self._watch()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the network."""
+        undeclare(*self._listeners)
+        self._session.close()
+
+    @property
+    def links(self) -> int:
+        """How many links the session has had so far; 0: nobody was met."""
+        return self._links
+
+    def members(self, *, timeout: float = GATHER) -> MembersView:
+        """Who is there: as soon as all that are alive have answered, at most `timeout` s."""
+        gathering = self._gather()
+        pace = Pace(time.monotonic(), timeout)
+        while True:
+            with self._news:
+                now, version = time.monotonic(), self._version
+                if gathering.is_complete(now) or pace.is_over(now):
+                    return gathering.result(now)
+            if pace.is_due(now):
+                self._ask_members(gathering)
+            self._wait(version, pace.pause(now))
+
+    def request(
+        self,
+        verb: str,
+        targets: Mapping[str, Epoch | None],
+        args: Args | None = None,
+        *,
+        timeout: float = 5.0,
+        absent: Iterable[str] = (),
+        warnings: Iterable[str] = (),
+    ) -> Outcome:
+        """Ask the robots in `targets`, which quotes the epoch seen of each; nobody else answers.
+
+        Returns as soon as all have answered. `absent` count as silent without being asked.
+        """
+        request = self._new(verb, dict(targets), args)
+        acks = Acks(request.id)
+        started = time.monotonic()
+        if targets:
+            on_reply = self._on_ack(acks, "control", verb)
+            self._get(self._key(ANY, "control", verb), encode(request), timeout, on_reply)
+            with self._news:
+                self._news.wait_for(lambda: not acks.missing(targets), timeout)
+        with self._news:
+            return acks.outcome(
+                {*targets, *absent},
+                warnings=tuple(warnings),
+                seconds=time.monotonic() - started,
+            )
+
+    def halt(
+        self,
+        verb: HaltVerb,
+        *,
+        select: Select | None = None,
+        args: Args | None = None,
+        timeout: float = HALT,
+    ) -> Outcome:
+        """Stop or e-stop: at once on every link, again for each that has not acked, all named.
+
+        `select` picks robots from the names known so far and is asked again as more appear;
+        None is everyone. Returns when every robot that must ack has, else after `timeout` s.
+        """
+        request = self._new(verb, None if select is None else {}, args)
+        gathering = self._gather()
+        pace = Pace(time.monotonic(), timeout)
+        halting = Halting(request, select, gathering, pace.started)
+        links = -1
+        while True:
+            with self._news:
+                now, version = time.monotonic(), self._version
+                if halting.is_done(now) or pace.is_over(now):
+                    return halting.outcome(now)
+                news, links = self._links != links, self._links
+            if news or pace.is_due(now):
+                self._send_halt(halting, verb, to_all=news and halting.is_for_all)
+                self._ask_members(gathering)
+            self._wait(version, pace.pause(now))
+
+    def stop(self, **options: Any) -> Outcome:
+        """`halt("stop", ...)`."""
+        return self.halt("stop", **options)
+
+    def estop(self, **options: Any) -> Outcome:
+        """`halt("estop", ...)`."""
+        return self.halt("estop", **options)
+
+    def swarms(self, *, timeout: float = 0.3) -> tuple[str, ...]:
+        """The names of all swarms that can be seen from here, for those who meet nobody."""
+        return swarms_in_reach(self._session, self.settings, timeout)
+
+    def _new(
+        self, verb: str, targets: dict[str, Epoch | None] | None, args: Args | None
+    ) -> Request:
+        return Request(
+            id=uuid.uuid4().hex[:12],
+            operator=self.name,
+            verb=verb,
+            targets=targets,
+            args=args or {},
+        )
+
+    def _gather(self) -> Gathering:
+        now = time.monotonic()
+        gathering = Gathering(now, self._roster)
+        with self._news:
+            for robot, instances in self._tokens.items():
+                for instance in instances:
+                    gathering.on_token(robot, instance, True, now)
+            self._gathering = gathering
+        return gathering
+
+    def _ask_members(self, gathering: Gathering) -> None:
+        with self._news:
+            known = sorted(gathering.answered)
+
+        def on_view(key: Key, payload: bytes) -> None:
+            view = _view(payload)
+            if view.robot == key.robot:
+                gathering.on_view(view, time.monotonic())
+
+        self._get(
+            self._key(ANY, "control", "members"),
+            encode(self._new("members", None, {"except": known})),
+            GATHER,
+            self._checked("control", "members", on_view),
+        )
+
+    def _send_halt(self, halting: Halting, verb: HaltVerb, *, to_all: bool) -> None:
+        """To everyone while links are new, and to each known robot that has not acked."""
+        plane = "safety" if verb == "estop" else "control"
+        with self._news:
+            payload, names = halting.payload(), halting.pending()
+        on_reply = self._on_ack(halting.acks, plane, verb)
+        if to_all:
+            self._get(self._key(ANY, plane, verb), payload, HALT, on_reply)
+        for name in names:
+            key = self._key(name, plane, verb)
+            if verb == "estop":
+                self._put(key, payload)
+            self._get(key, payload, HALT, on_reply)
+
+    def _put(self, key: str, payload: bytes) -> None:
+        self._session.put(
+            key,
+            payload,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.REAL_TIME,
+            express=True,
+        )
+
+    def _on_ack(self, acks: Acks, plane: str, name: str) -> Callable[[zenoh.Reply], None]:
+        def on_ack(key: Key, payload: bytes) -> None:
+            acks.on_reply(key.robot, _reply(payload))
+
+        return self._checked(plane, name, on_ack)
+
+    def _checked(
+        self, plane: str, name: str, handler: Callable[[Key, bytes], None]
+    ) -> Callable[[zenoh.Reply], None]:
+        swarm = self.settings.swarm
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            sample = reply.ok
+            if sample is None or len(sample.payload) > MAX_WIRE:
+                return
+            key = parse(str(sample.key_expr))
+            if key is None or (key.swarm, key.plane, key.name) != (swarm, plane, name):
+                return
+            payload = sample.payload.to_bytes()
+            with self._news, contextlib.suppress(CodecError):
+                handler(key, payload)
+                self._tell()
+
+        return on_reply
+
+    def _get(
+        self, key: str, payload: bytes, timeout: float, on_reply: Callable[[zenoh.Reply], None]
+    ) -> None:
+        self._session.get(
+            key,
+            Callback(on_reply, indirect=False),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.INTERACTIVE_HIGH,
+            express=True,
+            timeout=timeout,
+            payload=payload,
+        )
+
+    def _watch(self) -> tuple[Any, ...]:
+        def on_link(event: zenoh.LinkEvent) -> None:
+            if event.kind == zenoh.SampleKind.PUT:
+                with self._news:
+                    self._links += 1
+                    self._announce(lambda gathering, now: gathering.on_link(now))
+
+        def on_token(sample: zenoh.Sample) -> None:
+            key = parse(str(sample.key_expr))
+            if key is not None and (key.swarm, key.plane) == (self.settings.swarm, "alive"):
+                with self._news:
+                    self._on_token(key.robot, key.name, sample.kind == zenoh.SampleKind.PUT)
+
+        links = self._session.info.declare_link_events_listener(on_link, history=True)
+        tokens = self._session.liveliness().declare_subscriber(
+            build(self.settings.swarm, ANY, "alive", ANY), on_token, history=True
+        )
+        return tokens, links
+
+    def _on_token(self, robot: str, instance: str, is_there: bool) -> None:
+        instances = self._tokens.setdefault(robot, set())
+        if is_there:
+            instances.add(instance)
+        else:
+            instances.discard(instance)
+        self._announce(lambda gathering, now: gathering.on_token(robot, instance, is_there, now))
+
+    def _announce(self, tell: Callable[[Gathering, float], None]) -> None:
+        if self._gathering is not None:
+            tell(self._gathering, time.monotonic())
+        self._tell()
+
+    def _tell(self) -> None:
+        self._version += 1
+        self._news.notify_all()
+
+    def _wait(self, version: int, timeout: float) -> None:
+        with self._news:
+            self._news.wait_for(lambda: self._version != version, timeout)
+
+    def _key(self, robot: str, plane: str, name: str) -> str:
+        return build(self.settings.swarm, robot, plane, name)
+
+
+class Pace:
+    """When to ask again: quick rounds while links come up, then slow ones, until `timeout`."""
+
+    def __init__(self, now: float, timeout: float) -> None:
+        self.started = now
+        self._end = now + timeout
+        self._next = now
+
+    def is_over(self, now: float) -> bool:
+        """True once the time is up."""
+        return now >= self._end
+
+    def is_due(self, now: float) -> bool:
+        """True once a round; the next is due later."""
+        if now < self._next:
+            return False
+        self._next = now + (ROUND if now - self.started < QUICK_FOR else SLOW_ROUND)
+        return True
+
+    def pause(self, now: float) -> float:
+        """How long to wait for news before looking again."""
+        return max(0.001, min(self._next, self._end) - now)

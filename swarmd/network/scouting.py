@@ -1,0 +1,89 @@
+"""Which swarms can be seen from here: for an operator who meets nobody in the one that was named.
+
+Swarms meet on one of 64 multicast ports by their name. All are scouted at once; whoever answers
+is dialled, and its tokens tell the names.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable
+
+import zenoh
+
+from swarmd.errors import NetworkError
+from swarmd.keys import ANY, build, parse
+from swarmd.network.session import (
+    FIRST_PORT,
+    MULTICAST_ADDRESS,
+    PORTS,
+    SessionSettings,
+    open_with,
+    session_options,
+)
+
+_TOKENS = build(ANY, ANY, "alive", ANY)
+
+
+def swarms_in_reach(
+    session: zenoh.Session, settings: SessionSettings, timeout: float
+) -> tuple[str, ...]:
+    """Names of swarms with a living daemon, sorted; takes about `timeout` s."""
+    found = set(_names(session, timeout))
+    if settings.multicast:
+        locators = _scout(settings.interface or "lo", timeout)
+        if locators:
+            found |= _names_at(locators, settings, timeout)
+    return tuple(sorted(found))
+
+
+def _names(session: zenoh.Session, timeout: float) -> set[str]:
+    replies = session.liveliness().get(_TOKENS, timeout=timeout)
+    keys = (parse(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None)
+    return {key.swarm for key in keys if key is not None}
+
+
+def _names_at(locators: Iterable[str], settings: SessionSettings, timeout: float) -> set[str]:
+    options = session_options(settings) | {
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "connect/endpoints": sorted(locators),
+        "open/return_conditions/connect_scouted": True,
+    }
+    try:
+        session = open_with(options, what="a look around")
+    except NetworkError:
+        return set()
+    try:
+        return _poll(session, timeout)
+    finally:
+        session.close()
+
+
+def _poll(session: zenoh.Session, timeout: float) -> set[str]:
+    """Names, asked again until links and tokens had time to come up."""
+    found: set[str] = set()
+    end = time.monotonic() + timeout
+    while time.monotonic() < end:
+        found |= _names(session, timeout)
+        time.sleep(0.02)
+    return found
+
+
+def _scout(interface: str, timeout: float) -> set[str]:
+    scouts = []
+    for port in range(FIRST_PORT, FIRST_PORT + PORTS):
+        config = zenoh.Config()
+        config.insert_json5("scouting/multicast/interface", json.dumps(interface))
+        config.insert_json5("scouting/multicast/address", json.dumps(f"{MULTICAST_ADDRESS}:{port}"))
+        scouts.append(zenoh.scout(what="peer", config=config))
+    time.sleep(timeout)
+    locators: set[str] = set()
+    for scout in scouts:
+        hello = scout.try_recv()
+        while hello is not None:
+            locators.update(hello.locators)
+            hello = scout.try_recv()
+        scout.stop()
+    return locators

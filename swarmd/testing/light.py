@@ -1,0 +1,215 @@
+"""A swarm without bodies: real sessions, membership and acks, for tests of the network and the CLI.
+
+In one process::
+
+    async with LightDaemon(settings, "tb3-01") as daemon: ...
+
+or as a process of its own, one session each, ready when it has printed `ready`::
+
+    python -m swarmd.testing.light --swarm lab tb3-01 tb3-02
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import secrets
+import sys
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+import msgspec
+import zenoh
+
+from swarmd.codec import Decoder, encode
+from swarmd.errors import CodecError
+from swarmd.messages import (
+    Code,
+    Epoch,
+    Health,
+    Reason,
+    Reply,
+    Request,
+    State,
+    Status,
+    VerdictSummary,
+)
+from swarmd.network.bus import ZenohBus
+from swarmd.network.claim import Claim, claim_id
+from swarmd.network.contract import Query
+from swarmd.network.session import SessionSettings, open_session
+
+VERBS = ("run", "stop", "reset", "param", "forget")
+
+_request = Decoder(Request)
+
+Answer = Callable[[Request], Code]
+
+
+def light_status(robot: str, instance: str, *, has_left: bool = False) -> Status:
+    """The status of an idle robot that has nothing."""
+    return Status(
+        robot=robot,
+        instance=instance,
+        platform="none",
+        driver="none",
+        host="here",
+        profile="dev",
+        is_secured=False,
+        state=State.IDLE,
+        reason=Reason.NEVER_ASKED,
+        detail="",
+        pattern=None,
+        generation=0,
+        since=0.0,
+        epoch=Epoch(boot=instance, revision=0),
+        changed_by="",
+        latches={},
+        labels=(),
+        params={},
+        report={},
+        verdict=VerdictSummary(),
+        health=Health(),
+        uptime=0.0,
+        has_left=has_left,
+    )
+
+
+class LightDaemon:
+    """One peer that is a member, answers for itself, and acks what names it with `answer`."""
+
+    def __init__(
+        self,
+        settings: SessionSettings,
+        robot: str,
+        *,
+        answer: Answer = lambda _request: Code.APPLIED,
+        roster: tuple[str, ...] = (),
+    ) -> None:
+        self.robot = robot
+        self.instance = secrets.token_hex(6)
+        self.settings = settings
+        self.requests: list[Request] = []
+        self.duplicates: list[str] = []
+        self._answer = answer
+        self._roster = roster
+
+    async def __aenter__(self) -> Self:
+        await self.start()
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.leave()
+
+    async def start(self) -> None:
+        """Open, serve and claim; NetworkError if the id is taken."""
+        self.session: zenoh.Session = await asyncio.to_thread(open_session, self.settings)
+        self.bus = ZenohBus(self.session, swarm=self.settings.swarm, robot=self.robot)
+        self.bus.serve_view(self.status, self._roster)
+        for verb in VERBS:
+            self.bus.serve("control", verb, self._on_query)
+        self.bus.serve("safety", "estop", self._on_query)
+        try:
+            self.claim: Claim = await claim_id(
+                self.session,
+                swarm=self.settings.swarm,
+                robot=self.robot,
+                instance=self.instance,
+                settle=self.settings.settle,
+                lease=self.settings.lease_seconds,
+                on_duplicate=self.duplicates.append,
+            )
+        except BaseException:
+            self.vanish()
+            raise
+
+    def status(self) -> Status:
+        """What it says of itself."""
+        return light_status(self.robot, self.instance)
+
+    def leave(self) -> None:
+        """Say so, and go."""
+        left = msgspec.structs.replace(self.status(), has_left=True)
+        self.bus.publish("state", "status", encode(left))
+        self.claim.release()
+        self.vanish()
+
+    def vanish(self) -> None:
+        """Go without a word."""
+        self.bus.close()
+        self.session.close()
+
+    def _on_query(self, query: Query) -> None:
+        try:
+            request = _request(query.payload)
+        except CodecError:
+            self.bus.drop("request:malformed")
+            query.drop()
+            return
+        if request.targets is not None and self.robot not in request.targets:
+            query.drop()
+            return
+        self.requests.append(request)
+        reply = Reply(
+            id=request.id,
+            robot=self.robot,
+            code=self._answer(request),
+            epoch=self.status().epoch,
+        )
+        query.reply(encode(reply))
+
+
+async def serve(settings: SessionSettings, robots: list[str]) -> None:
+    """Run these robots until cancelled; prints `ready` once all have their ids."""
+    daemons = [LightDaemon(settings, robot) for robot in robots]
+    try:
+        await asyncio.gather(*(daemon.start() for daemon in daemons))
+        print("ready", flush=True)
+        await asyncio.Event().wait()
+    finally:
+        for daemon in daemons:
+            daemon.vanish()
+
+
+def main() -> None:
+    """Command line; ends with its standard input, so that nothing outlives a test."""
+    parser = argparse.ArgumentParser(description="robots without bodies")
+    parser.add_argument("--swarm", required=True)
+    parser.add_argument("--profile", choices=("dev", "field"), default="dev")
+    parser.add_argument("--interface")
+    parser.add_argument("--listen", action="append", default=[])
+    parser.add_argument("--seed", action="append", default=[])
+    parser.add_argument("--no-multicast", action="store_true")
+    parser.add_argument("robots", nargs="+")
+    args = parser.parse_args()
+    settings = SessionSettings(
+        swarm=args.swarm,
+        profile=args.profile,
+        interface=args.interface,
+        listen=tuple(args.listen),
+        seeds=tuple(args.seed),
+        multicast=not args.no_multicast,
+    )
+    asyncio.run(_until_stdin_ends(settings, args.robots))
+
+
+async def _until_stdin_ends(settings: SessionSettings, robots: list[str]) -> None:
+    reader = asyncio.StreamReader()
+    loop = asyncio.get_running_loop()
+    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    running = asyncio.create_task(serve(settings, robots))
+    ended = asyncio.create_task(reader.read())
+    await asyncio.wait({running, ended}, return_when=asyncio.FIRST_COMPLETED)
+    running.cancel()
+    ended.cancel()
+    await asyncio.gather(running, ended, return_exceptions=True)
+
+
+if __name__ == "__main__":
+    main()
