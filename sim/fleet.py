@@ -25,6 +25,7 @@ from typing import IO
 import yaml
 
 from swarmd.errors import NetworkError, SwarmError
+from swarmd.processes import how_it_ended
 
 GRACE = 2.0  # s between TERM and KILL
 WORLD_READY = 30.0  # s; MuJoCo's first import from a cold disk is slow
@@ -34,7 +35,7 @@ WORLD_READY = 30.0  # s; MuJoCo's first import from a cold disk is slow
 class FleetSpec:
     """What to start. `robots`: platform by id; `folder` holds configuration, logs and state.
 
-    `trace`, if given, is where the world writes what happened when it ends.
+    `trace`, if given, is where the world writes what happened, `seconds` of simulation of it.
     """
 
     swarm: str
@@ -45,6 +46,7 @@ class FleetSpec:
     seed: int = 0
     plugin_dir: Path | None = None
     trace: Path | None = None
+    seconds: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,8 +59,7 @@ class Child:
 
     def epitaph(self) -> str:
         """One line on how it ended, with its last words and where to read on."""
-        code = self.process.poll()
-        how = f"ended with code {code}" if code is None or code >= 0 else _killed_by(-code)
+        how = how_it_ended(self.process.poll())
         return f"{self.name} {how}: {_last_line(self.log)} (log: {self.log})"
 
 
@@ -131,7 +132,8 @@ def world_command(spec: FleetSpec) -> list[str]:
     command = ["swarmd.sim.server", "--swarm", spec.swarm, "--robots", robots]
     command += ["--arena", spec.arena, "--layout", spec.layout, "--seed", str(spec.seed)]
     command += ["--endpoint", "tcp/127.0.0.1:0"]
-    return command + (["--trace", str(spec.trace)] if spec.trace else [])
+    command += ["--trace", str(spec.trace)] if spec.trace else []
+    return command + (["--seconds", str(spec.seconds)] if spec.seconds else [])
 
 
 def daemon_config(spec: FleetSpec, robot: str, endpoint: str) -> dict[str, object]:
@@ -150,7 +152,13 @@ def daemon_config(spec: FleetSpec, robot: str, endpoint: str) -> dict[str, objec
     return config
 
 
-def raise_on_term() -> None:
+def started_at() -> float:
+    """When this process was started, on the clock of `swarmd.clock` (to 10 ms)."""
+    fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
+    return int(fields[19]) / os.sysconf("SC_CLK_TCK")
+
+
+def end_on_signals() -> None:
     """Make SIGTERM and SIGHUP end this process through its `finally` blocks."""
 
     def leave(number: int, frame: FrameType | None) -> None:
@@ -216,13 +224,6 @@ def _end(children: list[Child]) -> None:
             child.process.wait()
         if child.process.stdout is not None:
             child.process.stdout.close()
-
-
-def _killed_by(number: int) -> str:
-    try:
-        return f"was ended by {signal.Signals(number).name}"
-    except ValueError:
-        return f"was ended by signal {number}"
 
 
 def _last_line(log: Path) -> str:

@@ -1,0 +1,70 @@
+"""What `demo` and `sim up` share: which robots, where, and what must be installed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from swarmd.errors import PluginError
+
+if TYPE_CHECKING:
+    from swarmd.values import Platform
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+MAX_ROBOTS = 50
+
+_OPTIONS = (
+    click.option(
+        "-n", "count", type=click.IntRange(1, MAX_ROBOTS), default=7, help="How many robots [7]."
+    ),
+    click.option("--platform", default="waffle_pi", show_default=True, help="Which kind."),
+    click.option(
+        "--arena",
+        metavar="LxW[,THING]",
+        help="Size in m, such as 6x6; ,box:x:y:l:w:deg and ,pole:x:y:r put things in it.",
+    ),
+    click.option(
+        "--layout",
+        metavar="NAME[:SIZE]",
+        help="Where they start: row, paper, grid, ring, random or list.",
+    ),
+    click.option("--seed", type=int, default=0, show_default=True, help="Of random layouts."),
+    click.option(
+        "--plugin-dir",
+        type=click.Path(exists=True, file_okay=False, path_type=Path),
+        envvar="SWARM_PLUGIN_DIR",
+        help="Folder of one-file patterns besides the installed ones [$SWARM_PLUGIN_DIR].",
+    ),
+)
+
+
+def fleet_options(function: Function) -> Function:
+    """Give a verb `count`, `platform`, `arena`, `layout`, `seed` and `plugin_dir`."""
+    for option in reversed(_OPTIONS):
+        function = option(function)
+    return function
+
+
+def need(*modules: str) -> None:
+    """PluginError with the line that installs them, if one of `modules` is not there."""
+    for module in modules:
+        if find_spec(module) is None:
+            raise PluginError(
+                f"this verb needs {module}, which is not installed;"
+                " run: pip install 'swarmd[sim,plot]'"
+            )
+
+
+def stage_for(platform: Platform, count: int) -> tuple[str, str]:
+    """Arena and layout that suit a platform: distances in its protection threshold.
+
+    Robots start well apart, and walls stay out of the way.
+    """
+    threshold = float(platform.protection.get("threshold", 0.5))
+    side = max(12.0, 4.0 * count**0.5 + 2.0) * threshold
+    return f"{side:g}x{side:g}", f"random:{0.6 * threshold:g}"
