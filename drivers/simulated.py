@@ -139,7 +139,9 @@ class SimulatedDriver:
             },
             # A body that dies closes its socket; one that is frozen keeps its link.
             "transport/link/tx/lease": 60_000,
+            # Sending never waits; without room for a burst the newest would be dropped: a zero.
             "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+            "transport/link/tx/queue/size/real_time": 16,
             "transport/shared_memory/enabled": False,
         }
         return open_with(options, what=f"the body of {self._robot} at {self._endpoint}")

@@ -6,6 +6,7 @@ viewers dial the world, and meet nobody else there.
 
 from __future__ import annotations
 
+import contextlib
 import re
 import socket
 import threading
@@ -18,7 +19,7 @@ import zenoh
 
 from swarmd import keys
 from swarmd.codec import encode
-from swarmd.errors import ConfigError, NetworkError, SwarmError
+from swarmd.errors import CodecError, ConfigError, NetworkError, SwarmError
 from swarmd.network.session import open_with
 from swarmd.network.sockets import tune_sockets
 from swarmd.sim.state import (
@@ -42,7 +43,8 @@ _OPTIONS: dict[str, object] = {
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "transport/link/tx/lease": round(LEASE * 1000),
-    # The loop never waits for a robot that does not read.
+    # The loop never waits for a robot that does not read; the sending thread may lag by a burst.
+    "transport/link/tx/queue/size/real_time": 16,
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
     "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 0,
     "transport/shared_memory/enabled": False,
@@ -168,7 +170,8 @@ class WorldView:
         """Call `handler` with each state (10 Hz) on a thread of the network's."""
 
         def on_sample(sample: zenoh.Sample) -> None:
-            handler(decode_state(sample.payload.to_bytes()))
+            with contextlib.suppress(CodecError):  # a stranger's
+                handler(decode_state(sample.payload.to_bytes()))
 
         self._session.declare_subscriber(state_key(self._swarm), on_sample)
 

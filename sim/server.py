@@ -12,7 +12,8 @@ import json
 import logging
 import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
@@ -37,9 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.basicConfig(
         level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(message)s"
     )
-    signals = _Signals()
     try:
-        _serve(options, signals)
+        with _told_to_end() as is_over:
+            _serve(options, is_over)
     except ConfigError as error:
         print(error, file=sys.stderr)
         return 2
@@ -65,23 +66,23 @@ def parse_robots(text: str) -> dict[str, Platform]:
     return robots
 
 
-class _Signals:
-    """Notes that SIGTERM or SIGINT came."""
+@contextmanager
+def _told_to_end() -> Iterator[Callable[[], bool]]:
+    """Whether SIGTERM or SIGINT has come; the old handlers are back afterwards."""
+    came: list[int] = []
 
-    def __init__(self) -> None:
-        self._came = False
-        for number in (signal.SIGTERM, signal.SIGINT):
-            signal.signal(number, self._note)
+    def note(number: int, frame: FrameType | None) -> None:
+        came.append(number)
 
-    def came(self) -> bool:
-        """True once one of them came."""
-        return self._came
-
-    def _note(self, number: int, frame: FrameType | None) -> None:
-        self._came = True
+    before = {number: signal.signal(number, note) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield lambda: bool(came)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
-def _serve(options: argparse.Namespace, signals: _Signals) -> None:
+def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
     swarm = check_id(options.swarm, "swarm")
     robots = parse_robots(options.robots)
     world = _make_world(options, robots)
@@ -98,7 +99,7 @@ def _serve(options: argparse.Namespace, signals: _Signals) -> None:
         # What is alive now stays: a collection would only walk through all of it again.
         gc.collect()
         gc.freeze()
-        RealTimeWorld(world, link, record).run(signals.came)
+        RealTimeWorld(world, link, record).run(is_over)
     finally:
         link.close()
 

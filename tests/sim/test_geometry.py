@@ -49,7 +49,7 @@ def test_agrees_with_a_dense_sampling_of_both_outlines() -> None:
     apart = 0
     for _ in range(60):
         a = at(SQUARE * [1.0, 0.4], 0.0, 0.0, rng.uniform(-3.0, 3.0))
-        b = at(TRIANGLE, *rng.uniform(-2.0, 2.0, 2), rng.uniform(-3.0, 3.0))
+        b = transform(TRIANGLE, rng.uniform(-2.0, 2.0, 3))
         difference = boundary(a, 200)[:, None] - boundary(b, 200)[None]
         sampled = np.hypot(difference[..., 0], difference[..., 1]).min()
         exact = float(gaps(a, b))

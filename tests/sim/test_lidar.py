@@ -14,7 +14,8 @@ from swarmd.sim import bodies
 from swarmd.sim.arena import Arena, Box, Pole, parse_arena
 from swarmd.sim.layouts import parse_layout
 from swarmd.sim.lidar import Lidar, Targets
-from swarmd.sim.world import Visibility, World
+from swarmd.sim.ranging import Visibility
+from swarmd.sim.world import World
 from swarmd.values import Array, ScanSpec
 
 OBSTACLES = "7x6,box:1:1:0.5:0.3:30,box:-2:-1:0.2:1.5:-75,pole:-2:2:0.1,pole:2:-2:0.3,pole:0:0:0.02"
@@ -86,8 +87,9 @@ def test_at_true_height_a_waffle_sees_of_a_waffle_only_the_lidar_housing() -> No
     starts = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     arena = Arena(20.0, 20.0)
     widths = {}
-    for visibility in ("body", "real"):
-        world = World(robots, arena, starts, visibility=visibility)  # type: ignore[arg-type]
+    sights: tuple[Visibility, ...] = ("body", "real")
+    for visibility in sights:
+        world = World(robots, arena, starts, visibility=visibility)
         widths[visibility] = np.isfinite(world.scans(np.array([0]))[0].ranges).sum()
     assert widths["real"] == 2 * math.floor(math.degrees(math.asin(0.055 / 1.0))) + 1
     assert widths["body"] == 21

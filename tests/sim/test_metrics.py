@@ -22,7 +22,7 @@ def run(pose: Array, contacts: list[tuple[float, int, int]] | None = None) -> Tr
     rows = np.array(contacts or [], dtype=np.float64).reshape(-1, 3)
     return Trace(
         ids=tuple(f"r{i}" for i in range(n)),
-        t=np.arange(instants) * 0.1,
+        t=np.linspace(0.0, 0.1 * (instants - 1), instants),
         pose=pose,
         safe=np.zeros_like(pose),
         contact_t=rows[:, 0],

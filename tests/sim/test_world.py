@@ -296,4 +296,5 @@ def corners(world: World, robot: int) -> Array:
     x, y, yaw = world.poses()[robot]
     cos, sin = math.cos(yaw), math.sin(yaw)
     turn = np.array([[cos, -sin], [sin, cos]])
-    return world.platforms[robot].footprint @ turn.T + [x, y]
+    placed: Array = world.platforms[robot].footprint @ turn.T + [x, y]
+    return placed
