@@ -15,7 +15,6 @@ from swarmd.cli.arguments import Duration
 
 if TYPE_CHECKING:
     from swarmd.network.operator import Operator
-    from swarmd.network.session import SessionSettings
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -73,18 +72,28 @@ class Console:
         given = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name)}
         return replace(below, **given)
 
-    def session_settings(self) -> SessionSettings:
-        """How to meet the swarm; ConfigError for a file that is wrong."""
+    def operator(self) -> Operator:
+        """The swarm's network, to be used with `with`.
+
+        ConfigError for a file or option that is wrong, NetworkError if there is no network.
+        """
+        from swarmd.network.operator import Operator
         from swarmd.network.session import Profile, SessionSettings
 
-        if self.config is None:
-            return SessionSettings(
-                swarm=self.swarm or os.environ.get("SWARM") or DEFAULT_SWARM,
-                profile=cast(Profile, self.profile or "dev"),
-                interface=self.interface,
-                seeds=self.seeds,
-            )
-        from swarmd.swarmfile import load_swarm
+        if self.config is not None:
+            return self._operator_of_file(self.config)
+        settings = SessionSettings(
+            swarm=self.swarm or os.environ.get("SWARM") or DEFAULT_SWARM,
+            profile=cast(Profile, self.profile or "dev"),
+            interface=self.interface,
+            seeds=self.seeds,
+        )
+        return Operator(settings)
+
+    def _operator_of_file(self, config: Path) -> Operator:
+        from swarmd.network.operator import Operator
+        from swarmd.network.session import SessionSettings
+        from swarmd.swarmfile import load_swarm  # YAML, which most commands do without
 
         overrides = {
             "swarm": self.swarm,
@@ -92,8 +101,8 @@ class Console:
             "interface": self.interface,
             "seeds": list(self.seeds) or None,
         }
-        file = load_swarm(self.config, overrides, os.environ)
-        return SessionSettings(
+        file = load_swarm(config, overrides, os.environ)
+        settings = SessionSettings(
             swarm=file.swarm,
             profile=file.profile,
             interface=file.interface,
@@ -101,12 +110,7 @@ class Console:
             multicast=file.multicast,
             lease=file.lease,
         )
-
-    def operator(self) -> Operator:
-        """The swarm's network, to be used with `with`; NetworkError if there is none."""
-        from swarmd.network.operator import Operator
-
-        return Operator(self.session_settings())
+        return Operator(settings, roster=file.roster)
 
 
 def root_options(function: Callable[P, R]) -> Callable[..., R]:

@@ -6,6 +6,7 @@ import click
 from msgspec import to_builtins
 
 from swarmd.cli.arguments import check_name
+from swarmd.cli.asking import meet
 from swarmd.cli.console import Console, common
 from swarmd.cli.output import NOTHING, print_json, print_section, seconds
 from swarmd.cli.reasons import why
@@ -18,7 +19,7 @@ from swarmd.messages import Condition, Member, Status
 def describe(console: Console, robot: str) -> None:
     """All about one ROBOT, and why it stands."""
     with console.operator() as operator:
-        view = operator.members()
+        view = meet(operator)
     check_name(robot, view.members)
     member = view.members[robot]
     if console.is_json:

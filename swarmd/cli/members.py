@@ -2,18 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
 
 import click
 from msgspec import to_builtins
 
 from swarmd.cli.answer import finish
 from swarmd.cli.arguments import check_name
+from swarmd.cli.asking import meet
 from swarmd.cli.console import Console, common
 from swarmd.cli.output import NOTHING, print_json, print_table, seconds
 from swarmd.messages import Condition, Member, Status
+from swarmd.network.requests import REFUSED
+
+if TYPE_CHECKING:
+    from swarmd.network.views import MembersView
 
 HEADER = ("NAME", "STATE", "REASON", "PATTERN", "GEN", "PROTECTION", "SCAN", "LOOP99", "SEEN")
+
+
+class Refused(click.ClickException):
+    """What is asked cannot be; exit code 7."""
+
+    exit_code = REFUSED
 
 
 @click.group(invoke_without_command=True)
@@ -28,13 +40,14 @@ def members(console: Console) -> None:
     if ctx.invoked_subcommand is not None:
         return
     with console.operator() as operator:
-        view = operator.members()
-    known, notes = view.members, tuple(health(view.members, view.roster))
+        view = meet(operator)
+    notes = tuple(health(view))
     if console.is_json:
-        rows = [to_builtins(known[name]) for name in sorted(known)]
-        print_json("Members", {"members": rows, "roster": list(view.roster), "notes": list(notes)})
+        rows = [to_builtins(member) for member in view.members.values()]
+        roster = sorted(view.roster)
+        print_json("Members", {"members": rows, "roster": roster, "notes": list(notes)})
         return
-    print_table(HEADER, [row(known[name]) for name in sorted(known)])
+    print_table(HEADER, [row(member) for member in view.members.values()])
     for note in notes:
         click.echo(f"# {note}")
 
@@ -45,10 +58,12 @@ def members(console: Console) -> None:
 def forget(console: Console, name: str) -> None:
     """Take a robot that failed or left off every list."""
     with console.operator() as operator:
-        view = operator.members()
+        view = meet(operator)
         check_name(name, view.members)
-        outcome = operator.forget(name)
-    finish(console, "forget", outcome)
+        if view.members[name].condition is Condition.ALIVE:
+            raise Refused(f"{name} is alive; only robots that failed or left can be forgotten")
+        outcome = operator.request("forget", view.epochs(view.alive), {"name": name})
+    finish(console, "members forget", outcome)
 
 
 def row(member: Member) -> tuple[str, ...]:
@@ -59,7 +74,7 @@ def row(member: Member) -> tuple[str, ...]:
         dashes = (NOTHING,) * 5
         return (member.robot, member.condition, NOTHING, pattern, *dashes[1:], _seen(member))
     if status is None:
-        return (member.robot, "unknown", *(NOTHING,) * 6, _seen(member))
+        return (member.robot, "no answer", *(NOTHING,) * 6, _seen(member))
     return (
         member.robot,
         status.state,
@@ -78,18 +93,20 @@ def protection(status: Status) -> str:
     return "active" if status.verdict.is_active else "clear"
 
 
-def health(members: Mapping[str, Member], roster: Collection[str]) -> Iterator[str]:
+def health(view: MembersView) -> Iterator[str]:
     """Lines that say what is not as it should be, the count first."""
-    alive = [m for m in members.values() if m.condition is Condition.ALIVE]
-    yield f"{len(alive)}/{len(set(members) | set(roster))} alive"
+    members, alive = view.members, [view.members[name] for name in view.alive]
+    yield f"{len(alive)}/{len(members.keys() | view.roster)} alive"
     for condition in (Condition.FAILED, Condition.LEFT):
         gone = [m for m in members.values() if m.condition is condition]
         if gone:
-            names = ", ".join(f"{m.robot} ({seconds(m.age)} ago)" for m in gone)
-            yield f"{condition}: {names}"
-    unseen = sorted(set(roster) - set(members))
-    if unseen:
-        yield f"in the roster and never seen: {', '.join(unseen)}"
+            yield f"{condition}: " + ", ".join(f"{m.robot} ({seconds(m.age)} ago)" for m in gone)
+    if view.silent:
+        yield f"alive, but no answer: {', '.join(view.silent)}"
+    if view.absent:
+        yield f"in the roster and never seen: {', '.join(view.absent)}"
+    if view.duplicates:
+        yield f"two daemons hold one id: {', '.join(sorted(view.duplicates))}; stop one of each"
     statuses = [m.status for m in alive if m.status is not None]
     lost = [
         f"{s.robot} ({s.health.driver or s.driver})" for s in statuses if not s.health.driver_up

@@ -8,6 +8,7 @@ import click
 
 from swarmd.cli.answer import finish
 from swarmd.cli.arguments import read_assignments, read_targets
+from swarmd.cli.asking import ask, choose, meet
 from swarmd.cli.console import Console, common
 from swarmd.cli.output import NOTHING, print_json, print_table
 from swarmd.cli.targets import target_options
@@ -34,7 +35,7 @@ def get_params(
     """The parameters in force, and where each comes from; without names of all robots."""
     targets = read_targets("param get", names, is_all, exclude, needed=False)
     with console.operator() as operator:
-        view = operator.members()
+        view = meet(operator)
     chosen = {name: view.members[name] for name in targets.select(view.members)}
     _check_keys(keys, chosen)
     if console.is_json:
@@ -70,9 +71,9 @@ def set_params(
     values = read_assignments(words)
     targets = read_targets("param set", robots, is_all, exclude, needed=True)
     with console.operator() as operator:
-        view = operator.members()
-        chosen = targets.select(view.members)
-        outcome = operator.request("param", chosen, {"set": values}, console.timeout)
+        view = meet(operator)
+        expected = choose(view, targets)
+        outcome = ask(operator, view, "param", expected, {"set": values}, console.timeout)
     finish(console, "param set", outcome)
 
 

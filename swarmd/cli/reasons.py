@@ -40,7 +40,7 @@ def why(member: Member) -> str:
         return "alive, but it has not told how it is yet; ask again"
     reason = status.reason
     if reason is None:
-        return f"{status.state}, {status.pattern or 'no pattern'}, and moving"
+        return f"{status.state} {status.pattern or 'no pattern'}, and moves"
     sentence = _SENTENCES[reason].format(
         robot=member.robot,
         detail=f" ({status.detail})" if status.detail else "",
@@ -49,8 +49,9 @@ def why(member: Member) -> str:
         driver=f" ({status.health.driver})" if status.health.driver else "",
         gap=_gap(status),
     )
-    doing = f"{status.state}, {status.pattern}," if status.state is State.RUNNING else status.state
-    return f"{doing} and stands because {sentence}"
+    if status.state is State.RUNNING:
+        return f"running {status.pattern}, and stands: {sentence}"
+    return f"{status.state}: {sentence}"
 
 
 def _latches(status: Status) -> str:

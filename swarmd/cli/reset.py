@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable
 
 import click
 
 from swarmd.cli.answer import finish
 from swarmd.cli.arguments import read_targets
+from swarmd.cli.asking import ask, choose, meet
 from swarmd.cli.console import Console, common
 from swarmd.cli.output import warn
 from swarmd.cli.targets import target_options
@@ -34,22 +35,22 @@ def reset(
     """
     targets = read_targets("reset", names, is_all, exclude, needed=True)
     with console.operator() as operator:
-        view = operator.members()
-        chosen = targets.select(view.members)
-        latches = held_by({name: view.members[name] for name in chosen})
+        view = meet(operator)
+        expected = choose(view, targets)
+        latches = held_by(view.members[name] for name in expected.asked)
         for latch_id, latch in latches.items():
             text = f" ({latch.reason})" if latch.reason else ""
             warn(f"clears {latch_id}, by {latch.issuer}, for {latch.scope}{text}")
-        if not yes and sys.stdin.isatty() and not _confirmed(chosen):
+        if not yes and sys.stdin.isatty() and not _confirmed(expected.asked):
             raise click.ClickException("nothing was sent")
         args = {"ids": sorted(latches), "reason": reason}
-        outcome = operator.request("reset", chosen, args, console.timeout)
+        outcome = ask(operator, view, "reset", expected, args, console.timeout)
     finish(console, "reset", outcome)
 
 
-def held_by(members: Mapping[str, Member]) -> dict[str, Latch]:
+def held_by(members: Iterable[Member]) -> dict[str, Latch]:
     """The emergency stops of these robots, by id."""
-    statuses = [member.status for member in members.values() if member.status is not None]
+    statuses = [member.status for member in members if member.status is not None]
     return {latch_id: latch for status in statuses for latch_id, latch in status.latches.items()}
 
 

@@ -8,6 +8,7 @@ import click
 
 from swarmd.cli.answer import finish
 from swarmd.cli.arguments import Duration, read_assignments, read_targets
+from swarmd.cli.asking import ask, choose, meet
 from swarmd.cli.console import Console, common
 from swarmd.cli.targets import target_options
 from swarmd.keys import is_id
@@ -42,6 +43,6 @@ def run(
     if duration is not None:
         args["seconds"] = duration
     with console.operator() as operator:
-        view = operator.members()
-        outcome = operator.request("run", targets.select(view.members), args, console.timeout)
+        view = meet(operator)
+        outcome = ask(operator, view, "run", choose(view, targets), args, console.timeout)
     finish(console, "run", outcome)

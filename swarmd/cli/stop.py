@@ -6,6 +6,7 @@ import click
 
 from swarmd.cli.answer import finish
 from swarmd.cli.arguments import read_targets
+from swarmd.cli.asking import halt
 from swarmd.cli.console import Console, common
 from swarmd.cli.targets import target_options
 
@@ -17,7 +18,7 @@ def stop(console: Console, names: tuple[str, ...], is_all: bool, exclude: tuple[
     """Stop robots; without names all of them. They need a `run` to move again."""
     targets = read_targets("stop", names, is_all, exclude, needed=False)
     with console.operator() as operator:
-        outcome = operator.stop(targets)
+        outcome = halt(operator, "stop", targets, {})
     finish(console, "stop", outcome)
 
 
@@ -37,6 +38,8 @@ def estop(
     Robots hold it through restarts, and robots that join take it over, until `swarmctl reset`.
     """
     targets = read_targets("estop", names, is_all, exclude, needed=False)
+    # A stop of everyone is taken over by robots that join or return; one of some is not.
+    args = {"scope": "swarm" if targets.is_everyone else "robots", "reason": reason}
     with console.operator() as operator:
-        outcome = operator.estop(targets, reason=reason)
+        outcome = halt(operator, "estop", targets, args)
     finish(console, "estop", outcome)

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 from swarmd.cli.members import HEADER, health, row
 from swarmd.messages import Condition, Health, Member, Reason, State
+from swarmd.network.views import MembersView
 
 MakeMember = Callable[..., Member]
 
@@ -41,11 +42,16 @@ def test_marks_what_a_failed_robot_was_last_known_to_do(make_member: MakeMember)
 
 def test_lists_a_robot_that_has_not_told_how_it_is() -> None:
     member = Member(robot="r1", instance="x", condition=Condition.ALIVE, age=0.0)
-    assert line(member)["STATE"] == "unknown"
+    assert line(member)["STATE"] == "no answer"
 
 
 def notes(*members: Member, roster: tuple[str, ...] = ()) -> list[str]:
-    return list(health({member.robot: member for member in members}, roster))
+    view = MembersView(
+        members={member.robot: member for member in members},
+        answered=frozenset(member.robot for member in members),
+        roster=frozenset(roster),
+    )
+    return list(health(view))
 
 
 def test_says_nothing_but_the_count_if_all_are_well(make_member: MakeMember) -> None:
