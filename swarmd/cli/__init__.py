@@ -32,7 +32,7 @@ _EXIT_CODES = """\b
 Exit codes:
   0  all robots that were meant have applied it
   1  failed
-  2  usage: nothing was sent
+  2  usage, or no such pattern or parameter: nothing moved
   3  partial: some applied it, some did not
   4  no robot was meant
   5  nobody answered in time

@@ -108,11 +108,12 @@ def health(view: MembersView) -> Iterator[str]:
     if view.duplicates:
         yield f"two daemons hold one id: {', '.join(sorted(view.duplicates))}; stop one of each"
     statuses = [m.status for m in alive if m.status is not None]
-    lost = [
-        f"{s.robot} ({s.health.driver or s.driver})" for s in statuses if not s.health.driver_up
-    ]
-    if lost:
-        yield f"driver lost: {', '.join(lost)}"
+    lost: dict[str, list[str]] = {}
+    for status in statuses:
+        if not status.health.driver_up:
+            lost.setdefault(status.health.driver or status.driver, []).append(status.robot)
+    for text, names in lost.items():
+        yield f"driver lost: {', '.join(names)} ({text})"
     if any(s.profile == "field" and not s.is_secured for s in statuses):
         yield "WARNING: no certificates: anyone on this network can drive these robots"
 

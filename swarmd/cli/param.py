@@ -47,6 +47,9 @@ def get_params(
         for key, found in _plain(member, keys)["params"].items()
     ]
     print_table(("NAME", "PATTERN", "PARAMETER", "VALUE", "FROM"), rows)
+    idle = [name for name, member in chosen.items() if not _plain(member, ())["params"]]
+    if idle:
+        click.echo(f"# no pattern is running on {', '.join(idle)}")
 
 
 @param.command("set")

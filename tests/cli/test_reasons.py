@@ -15,19 +15,18 @@ MakeMember = Callable[..., Member]
 @pytest.mark.parametrize("reason", Reason)
 def test_there_is_a_sentence_for_every_reason(make_member: MakeMember, reason: Reason) -> None:
     text = why(make_member(state=State.STOPPED, reason=reason, detail="the detail"))
-    assert text.startswith("stopped and stands because ")
+    assert text.startswith("stopped: ")
     assert "{" not in text
     assert "\n" not in text
 
 
 def test_a_moving_robot_is_said_to_move(make_member: MakeMember) -> None:
-    assert why(make_member()) == "running, drive, and moving"
+    assert why(make_member()) == "running drive, and moves"
 
 
 def test_an_emergency_stop_names_its_issuer_and_the_way_out(estopped: Member) -> None:
     assert why(estopped) == (
-        "estopped and stands because it was emergency-stopped by bob@desk;"
-        " `swarmctl reset r2` clears that"
+        "estopped: it was emergency-stopped by bob@desk; `swarmctl reset r2` clears that"
     )
 
 
@@ -36,8 +35,7 @@ def test_a_robot_that_protection_holds_says_how_near_the_obstacle_is(
 ) -> None:
     text = why(make_member(reason=Reason.PROTECTION))
     assert text == (
-        "running, drive, and stands because protection holds it:"
-        " the nearest obstacle is 0.61 m away"
+        "running drive, and stands: protection holds it: the nearest obstacle is 0.61 m away"
     )
 
 
