@@ -16,6 +16,7 @@ MIN_EXPIRY = 0.3
 FAULT_WINDOW = 60.0
 FAULTS_BEFORE_QUARANTINE = 4
 FIRST_BACKOFF = 0.1
+ROUNDING = 1e-6  # a deadline is kept, not missed by the last bit of a float
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +131,8 @@ class Hosting:
 
     def is_expired(self, now: float) -> bool:
         """True if the last wish is too old, or there is no pattern."""
-        return self.running is None or now - self.running.wish.at >= self.running.expiry
+        running = self.running
+        return running is None or now >= running.wish.at + running.expiry - ROUNDING
 
     def may_step(self, now: float, is_new_scan: bool) -> bool:
         """True if a step is wanted now and the host is free; else it is remembered as due."""
