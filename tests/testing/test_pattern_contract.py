@@ -1,0 +1,215 @@
+"""The contract finds what it is for: each broken pattern fails the test that is named."""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import pytest
+
+from swarmd.behavior import MovementPattern, Pattern
+from swarmd.errors import SwarmError
+from swarmd.params import Params, about
+from swarmd.rays import nearest
+from swarmd.testing.pattern_contract import PatternContract
+from swarmd.values import Inputs, Outputs, Twist
+
+pytest_plugins = ["pytester"]
+
+
+class Good(MovementPattern[Params]):
+    """Turns towards the nearest thing."""
+
+    is_symmetric = True
+
+    def drive(self, inputs: Inputs) -> Twist:
+        near = nearest(inputs.scan)
+        return Twist(0.1, near.bearing / 4.0) if near else Twist()
+
+
+class OneSided(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        near = nearest(inputs.scan)
+        return Twist(0.1, abs(near.bearing) / 4.0) if near else Twist()
+
+
+class FirstRay(Good):
+    is_symmetric = False
+
+    def drive(self, inputs: Inputs) -> Twist:
+        assert inputs.scan is not None
+        return Twist(float(0.01 * np.clip(inputs.scan.ranges[0], 0.0, 5.0)))
+
+
+class NotANumber(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        assert inputs.scan is not None
+        return Twist(float(np.mean(inputs.scan.ranges)) if len(inputs.scan.ranges) else 0.0)
+
+
+class TooFast(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        return Twist(9.0)
+
+
+class NeedsAScan(Good):
+    def step(self, inputs: Inputs) -> Outputs:
+        assert inputs.scan is not None
+        return Outputs()
+
+
+class Writes(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        assert inputs.scan is not None
+        inputs.scan.ranges[:] = 1.0
+        return Twist()
+
+
+class Gambles(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        return Twist(0.1 * random.random())
+
+
+class Unseeded(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        return Twist(0.1 * float(np.random.default_rng().random()))
+
+
+class SeedsTheShared(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        random.seed(0)
+        return Twist(0.1 * random.random())
+
+
+class ReadsTheClock(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        return Twist(0.0 * time.monotonic())
+
+
+class OpensAFile(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        with open(__file__) as file:
+            return Twist(0.0 * len(file.readline()))
+
+
+class SpeaksOutOfTurn(Good):
+    def step(self, inputs: Inputs) -> Outputs:
+        return Outputs(messages={"undeclared": 1})
+
+
+class SaysTooMuch(Good):
+    channels = {"words": str}  # noqa: RUF012 - read only
+
+    def step(self, inputs: Inputs) -> Outputs:
+        return Outputs(messages={"words": "a" * 5000})
+
+
+class ReportsAList(Good):
+    def step(self, inputs: Inputs) -> Outputs:
+        return Outputs(report={"seen": [1, 2]})  # type: ignore[dict-item]  # the mistake
+
+
+class TrustsMessages(Good):
+    channels = {"words": float}  # noqa: RUF012 - read only
+
+    def step(self, inputs: Inputs) -> Outputs:
+        said = [message.value for message in inputs.messages if message.channel == "words"]
+        return Outputs(twist=Twist(sum(value for value in said if isinstance(value, float))))
+
+
+class UndescribedParams(Params, frozen=True):
+    speed: float = 0.1
+
+
+class Undescribed(Good):
+    params_type = UndescribedParams
+
+
+class UnboundedParams(Params, frozen=True):
+    speed: Annotated[float, about("how fast", ge=0.0)] = 0.1
+
+
+class Unbounded(Good):
+    params_type = UnboundedParams
+
+
+class BadDefaultParams(Params, frozen=True):
+    speed: Annotated[float, about("how fast", ge=0.0, le=1.0)] = 0.1
+
+
+class BadDefault(Good):
+    params_type = BadDefaultParams
+
+    @classmethod
+    def defaults(cls, platform: Any) -> dict[str, float]:
+        return {"speed": 5.0}
+
+
+class Hurried(Good):
+    rate = 1000.0
+
+
+class Forgets(Good):
+    def update(self, params: Params) -> None:
+        raise NotImplementedError
+
+
+class Overflows(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        return Twist(0.01 * inputs.dt)
+
+
+def run(kind: type[Pattern[Any]], test: str) -> None:
+    contract: Any = type("Contract", (PatternContract,), {"pattern": kind})
+    check: Callable[[Any], None] = getattr(contract(), test)
+    check(contract.subject("burger"))
+
+
+TESTS = sorted(name for name in dir(PatternContract) if name.startswith("test_"))
+
+
+@pytest.mark.parametrize("test", TESTS)
+def test_a_good_pattern_passes(test: str) -> None:
+    run(Good, test)
+
+
+@pytest.mark.parametrize(
+    ("kind", "test", "reason"),
+    [
+        (OneSided, "test_mirrored_scans_give_mirrored_wishes", "mirrored scan"),
+        (FirstRay, "test_the_order_of_rays_means_nothing", "reordered scan"),
+        (NotANumber, "test_odd_scans_give_sane_wishes", "the wish is"),
+        (TooFast, "test_odd_scans_give_sane_wishes", "the wish is"),
+        (NeedsAScan, "test_runs_without_a_scan", "scan is not None"),
+        (Writes, "test_inputs_are_left_alone", "read-only"),
+        (Gambles, "test_the_same_seed_gives_the_same_run", ""),
+        (Unseeded, "test_the_same_seed_gives_the_same_run", ""),
+        (SeedsTheShared, "test_the_same_seed_gives_the_same_run", "other than context.rng"),
+        (ReadsTheClock, "test_touches_nothing_outside", "may not call time.monotonic"),
+        (OpensAFile, "test_touches_nothing_outside", "may not call builtins.open"),
+        (SpeaksOutOfTurn, "test_outputs_are_plain", "not in channels"),
+        (SaysTooMuch, "test_outputs_are_plain", "bytes; at most"),
+        (ReportsAList, "test_outputs_are_plain", "report seen is a list"),
+        (TrustsMessages, "test_odd_scans_give_sane_wishes", "the wish is"),
+        (Undescribed, "test_parameters_are_described", "no description"),
+        (Unbounded, "test_parameters_are_described", "no bounds"),
+        (BadDefault, "test_defaults_are_valid", "from derived"),
+        (Hurried, "test_defaults_are_valid", "outside 1 to 50 Hz"),
+        (Forgets, "test_parameters_can_be_set_while_it_runs", ""),
+        (Overflows, "test_survives_a_jump_of_time", "the wish is"),
+    ],
+)
+def test_a_broken_pattern_fails(kind: type[Pattern[Any]], test: str, reason: str) -> None:
+    errors = (AssertionError, NotImplementedError, ValueError, SwarmError)
+    with pytest.raises(errors, match=reason):
+        run(kind, test)
+
+
+def test_pytest_runs_every_test_for_every_platform(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(Path(__file__).with_name("sample_contract.txt").read_text())
+    result = pytester.runpytest("-q", "-p", "no:cacheprovider")
+    result.assert_outcomes(passed=2 * len(TESTS))
