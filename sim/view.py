@@ -22,6 +22,7 @@ COLOURS = {
 }
 TABLE_WIDTH = 78
 MARGIN = 4  # the map's frame and the gap beside the table
+MAP = (48, 22)  # columns and rows at most
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +83,11 @@ def table_of(scene: Scene) -> Table:
 
 
 def map_size(arena: tuple[float, float], width: int, height: int) -> tuple[int, int]:
-    """Columns and rows inside the frame that keep the arena's shape; a character is 1 by 2."""
-    columns = min(width, 2 * height * arena[0] / arena[1])
+    """Columns and rows inside the frame that keep the arena's shape; a character is 1 by 2.
+
+    At most `width` by `height`, and no more than a glance takes in.
+    """
+    columns = min(width, MAP[0], 2 * min(height, MAP[1]) * arena[0] / arena[1])
     return max(8, int(columns)), max(4, round(columns * arena[1] / arena[0] / 2))
 
 

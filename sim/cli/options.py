@@ -66,5 +66,5 @@ def stage_for(platform: Platform, count: int) -> tuple[str, str]:
     Robots start well apart, and walls stay out of the way.
     """
     threshold = float(platform.protection.get("threshold", 0.5))
-    side = max(12.0, 4.0 * count**0.5 + 2.0) * threshold
-    return f"{side:g}x{side:g}", f"random:{0.6 * threshold:g}"
+    side = round(max(8.0, 4.0 * count**0.5 + 2.0) * threshold, 1)
+    return f"{side:g}x{side:g}", f"random:{0.6 * threshold:.2f}"

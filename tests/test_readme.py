@@ -1,0 +1,72 @@
+"""What the documents promise: code as in the examples, links that lead somewhere, real verbs."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import click
+import pytest
+
+from swarmd.cli import VERBS, cli
+
+ROOT = Path(__file__).resolve().parent.parent
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
+LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
+BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def name_of(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return [text for kind, text in BLOCK.findall(page.read_text()) if kind == language]
+
+
+def commands(page: Path) -> list[list[str]]:
+    """The words of each `swarmctl` line in a block, without comments."""
+    lines = [line for block in blocks(page, "") for line in block.splitlines()]
+    found = [re.match(r"(?:\w+=\S+ )?swarmctl\s+(.+?)(?:\s+#.*)?$", line) for line in lines]
+    return [shlex.split(match[1]) for match in found if match]
+
+
+def test_the_pattern_in_the_readme_is_the_example() -> None:
+    assert (ROOT / "examples" / "shy.py").read_text() in blocks(ROOT / "README.md", "python")
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_links_lead_to_files(page: Path) -> None:
+    targets = [target for target in LINK.findall(page.read_text()) if "://" not in target]
+    assert [t for t in targets if not (page.parent / t).exists()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_commands_are_as_swarmctl_takes_them(page: Path) -> None:
+    wrong = []
+    for words in commands(page):
+        with click.Context(cli) as ctx:
+            try:
+                _parse(cli, ctx, words)
+            except click.UsageError as error:
+                wrong.append(f"{' '.join(words)}: {error.format_message()}")
+            except click.exceptions.Exit:  # --help
+                continue
+    assert wrong == []
+
+
+def test_the_readme_shows_the_verbs_of_every_day() -> None:
+    shown = {words[0] for words in commands(ROOT / "README.md")}
+    assert {"members", "run", "stop", "estop", "reset", "describe", "demo", "sim"} <= shown
+    assert shown - {"demo", "sim", "--swarm"} <= set(VERBS)
+
+
+def _parse(command: click.Command, ctx: click.Context, words: list[str]) -> None:
+    """Parse the words of a command line down to its verb, and run nothing."""
+    made = command.make_context(command.name, words, parent=ctx)
+    if isinstance(command, click.Group) and made._protected_args:
+        rest = [*made._protected_args, *made.args]
+        _, verb, rest = command.resolve_command(made, rest)
+        assert verb is not None
+        _parse(verb, made, rest)
