@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Callable
 from importlib import import_module
-from typing import NoReturn, cast
+from typing import Any, NoReturn, cast
 
 import click
 
@@ -59,7 +59,22 @@ class Verbs(click.Group):
 
         if cmd_name not in plugins.command_names():
             return None
-        return plugins.load_command(cmd_name)
+        try:
+            return plugins.load_command(cmd_name)
+        except PluginError as error:
+            raise click.ClickException(str(error)) from error
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the verb; a plugin's that lacks a library says what installs it."""
+        try:
+            return super().invoke(ctx)
+        except ModuleNotFoundError as error:
+            verb, missing = ctx.invoked_subcommand, error.name
+            if verb is None or verb in VERBS or not missing or missing.startswith("swarmd"):
+                raise
+            from swarmd import plugins
+
+            raise click.ClickException(plugins.how_to_install(missing, verb)) from error
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -1,0 +1,230 @@
+"""`swarmctl` as a user runs it, where no swarm is needed: what it loads, refuses and leaves."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from swarmd.cli import VERBS, run_cli
+from swarmd.errors import ConfigError, NetworkError, SwarmError
+from swarmd.testing.processes import unique_swarm
+
+LOADED = """
+import json, sys
+from swarmd.cli import main
+try:
+    main(sys.argv[1:])
+finally:
+    print(json.dumps(sorted(sys.modules)), file=sys.stderr)
+"""
+HEAVY = {"numpy", "rich", "yaml", "asyncio", "mujoco", "matplotlib", "swarmd.patterns"}
+
+
+def swarmctl(*args: str, cwd: Path, **environ: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-c", "from swarmd.cli import main; main()", *args],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        env={**os.environ, "HOME": str(cwd), "SWARM": unique_swarm(), **environ},
+        timeout=60,
+        check=False,
+    )
+
+
+def loaded(*args: str) -> set[str]:
+    """The modules that a command has loaded by its end."""
+    done = subprocess.run(
+        [sys.executable, "-c", LOADED, *args],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "SWARM": unique_swarm()},
+        timeout=60,
+        check=False,
+    )
+    return set(json.loads(done.stderr.splitlines()[-1]))
+
+
+def test_help_loads_nothing_heavy() -> None:
+    assert not loaded("--help") & HEAVY
+
+
+@pytest.mark.parametrize(
+    "args", [["members"], ["run", "drive", "--all"], ["stop"], ["estop"], ["param", "get"]]
+)
+def test_a_verb_loads_nothing_heavy_and_reads_no_package_metadata(args: list[str]) -> None:
+    assert not loaded(*args) & (HEAVY | {"importlib.metadata"})
+
+
+def test_help_lists_the_verbs_of_core_and_plugins_and_every_exit_code(tmp_path: Path) -> None:
+    done = swarmctl("--help", cwd=tmp_path)
+    assert done.returncode == 0
+    for verb in (*VERBS, "sim", "demo"):
+        assert f"\n  {verb} " in done.stdout
+    for code in (*range(8), 130):
+        assert f"\n    {code}  " in done.stdout
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_every_verb_explains_itself(tmp_path: Path, verb: str) -> None:
+    done = swarmctl(verb, "--help", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith(f"Usage: swarmctl {verb} ")
+
+
+def test_says_its_version(tmp_path: Path) -> None:
+    assert swarmctl("--version", cwd=tmp_path).stdout.startswith("swarmctl 0.")
+
+
+@pytest.mark.parametrize(
+    ("args", "fault"),
+    [
+        (["mebers"], "no verb 'mebers'; did you mean 'members'?"),
+        (["dmo"], "no verb 'dmo'; did you mean 'demo'?"),
+        (["--swrm", "x", "members"], "No such option '--swrm'. Did you mean '--swarm'?"),
+        (["members", "-o", "xml"], "Invalid value for '-o'"),
+        (["members", "forgt", "r1"], "No such command 'forgt'"),
+        (["run"], "Missing argument 'PATTERN'"),
+        (["run", "drive"], "run needs targets; add robot names, a glob such as 'tb3-*', or --all"),
+        (["run", "../x", "--all"], "'../x' is no pattern's name"),
+        (["run", "drive", "r1", "--all"], "run takes names or --all, not both"),
+        (["run", "drive", "**", "--for", "x"], "'x' is no duration; wanted such as 60s"),
+        (["run", "drive", "r1", "-p", "speed"], "-p 'speed' is no key=value"),
+        (["stop", "a/b"], "'a/b' is no robot's name"),
+        (["reset"], "reset needs targets"),
+        (["param", "set", "speed=1"], "param set needs targets"),
+        (["param", "set", "r1"], "param set needs values; add KEY=VALUE"),
+        (["patterns", "show", "driv"], "no pattern 'driv'; did you mean 'drive'?"),
+        (["patterns", "list", "--platform", "wafle_pi"], "did you mean 'waffle_pi'?"),
+        (["--swarm", "A B", "members"], "swarm is 'A B'; wanted are"),
+        (["--profile", "field", "members"], "profile field needs `interface`"),
+        (["--config", "none.yaml", "members"], "none.yaml: cannot be read: No such file"),
+        (["--seed", "x", "members"], "seeds has 'x'; wanted"),
+    ],
+)
+def test_a_mistake_is_one_line_and_exit_2(tmp_path: Path, args: list[str], fault: str) -> None:
+    done = swarmctl(*args, cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert fault in done.stderr
+    assert done.stderr.startswith("error: ")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "args",
+    [
+        ["members"],
+        ["describe", "r1"],
+        ["run", "drive", "--all"],
+        ["stop"],
+        ["stop", "r1"],
+        ["estop"],
+        ["reset", "--all", "--yes"],
+        ["param", "get"],
+        ["param", "set", "--all", "speed=1"],
+        ["members", "forget", "r1"],
+    ],
+)
+def test_without_a_daemon_every_verb_ends_with_6_and_writes_nothing(
+    tmp_path: Path, args: list[str]
+) -> None:
+    swarm = unique_swarm()
+    done = swarmctl(*args, cwd=tmp_path, SWARM=swarm)
+    assert (done.returncode, done.stdout) == (6, "")
+    assert done.stderr.startswith(f"error: no daemon of swarm '{swarm}' can be reached")
+    assert done.stderr.count("\n") == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_network_interface_that_is_not_there_is_told(tmp_path: Path) -> None:
+    done = swarmctl("--profile", "field", "--interface", "wlan77", "members", cwd=tmp_path)
+    assert done.returncode == 6
+    assert "no network interface 'wlan77' on this machine; there are: " in done.stderr
+
+
+def test_the_swarm_comes_from_the_file_that_is_named(tmp_path: Path) -> None:
+    (tmp_path / "swarm.yaml").write_text("swarm: from-file")
+    named = swarmctl("members", "--config", "swarm.yaml", cwd=tmp_path)
+    assert "no daemon of swarm 'from-file'" in named.stderr
+    by_environment = swarmctl("members", cwd=tmp_path, SWARM_CONFIG="swarm.yaml")
+    assert "no daemon of swarm 'from-file'" in by_environment.stderr
+    overridden = swarmctl("members", "--config", "swarm.yaml", "--swarm", "other", cwd=tmp_path)
+    assert "no daemon of swarm 'other'" in overridden.stderr
+
+
+def test_lists_patterns_with_their_needs(tmp_path: Path) -> None:
+    (tmp_path / "broken.py").write_text("import nothing_of_that_name")
+    done = swarmctl("patterns", "list", "--plugin-dir", ".", "-o", "json", cwd=tmp_path)
+    answer = json.loads(done.stdout)
+    rows = {row["name"]: row for row in answer["patterns"]}
+    assert (done.returncode, answer["apiVersion"]) == (0, "swarm/v1")
+    assert rows["attraction"]["needs"] == ["scan"]
+    assert "nothing_of_that_name" in rows["broken"]["error"]
+
+
+def test_shows_what_a_pattern_can_be_told(tmp_path: Path) -> None:
+    done = swarmctl("patterns", "show", "drive", "--platform", "burger", cwd=tmp_path)
+    speed = next(line for line in done.stdout.splitlines() if line.startswith("speed "))
+    assert done.returncode == 0
+    assert "0.22" in speed
+    assert "a float from -2 to 2 m/s" in speed
+
+
+def test_a_plugins_verb_whose_needs_are_missing_says_what_installs_them(tmp_path: Path) -> None:
+    info = tmp_path / "outsider-1.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text(
+        'Name: outsider\nVersion: 1\nRequires-Dist: absent-core; extra == "far"\n'
+    )
+    (info / "entry_points.txt").write_text(
+        "[swarmd.commands]\nearly = outsider_early:go\nlate = outsider_late:go\n"
+    )
+    (tmp_path / "outsider_early.py").write_text("import absent\n")
+    (tmp_path / "outsider_late.py").write_text(
+        "import click\n@click.command()\ndef go():\n    import absent.deep\n"
+    )
+    for verb in ("early", "late"):
+        done = swarmctl(verb, cwd=tmp_path, PYTHONPATH=str(tmp_path))
+        assert done.returncode == 1
+        assert done.stderr == (
+            f"error: '{verb}' needs absent, which is not installed;"
+            " run: pip install 'outsider[far]'\n"
+        )
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (ConfigError("x"), 2),
+        (NetworkError("x"), 6),
+        (SwarmError("x"), 1),
+        (KeyboardInterrupt(), 130),
+    ],
+)
+def test_every_error_is_one_line_with_its_code(
+    capsys: pytest.CaptureFixture[str], error: BaseException, code: int
+) -> None:
+    @click.command()
+    def fail() -> None:
+        raise error
+
+    from swarmd.cli import exit_code_of
+
+    assert run_cli(fail, [], "swarmctl", exit_code_of) == code
+    assert capsys.readouterr().err.count("\n") <= 2
+
+
+def test_a_reader_that_has_seen_enough_is_no_traceback(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", "from swarmd.cli import main; main()", "--help"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait(30) == 1
