@@ -124,11 +124,19 @@ class Membership:
             return None
         record = self._records.get(robot)
         if record is None:
-            if len(self._records) >= MAX_MEMBERS:
+            if len(self._records) >= MAX_MEMBERS and not self._make_room():
                 self.ignored += 1
                 return None
             record = self._records[robot] = _Record()
         return record
+
+    def _make_room(self) -> bool:
+        """Drop a robot that spoke but never held a token."""
+        for robot, record in self._records.items():
+            if record.shown is None:
+                del self._records[robot]
+                return True
+        return False
 
     def _settle(self, record: _Record, now: float) -> bool:
         _prune(record)

@@ -1,0 +1,124 @@
+"""Sessions by profile."""
+
+from __future__ import annotations
+
+import socket
+from dataclasses import replace
+
+import pytest
+import zenoh
+
+from swarmd.errors import ConfigError, NetworkError
+from swarmd.network.session import (
+    FIRST_PORT,
+    PORTS,
+    SessionSettings,
+    open_session,
+    scouting_port,
+    session_options,
+)
+
+
+def field(**changes: object) -> SessionSettings:
+    return replace(
+        SessionSettings(swarm="lab", profile="field", interface="wlan0"),
+        **changes,  # type: ignore[arg-type]  # the tests name fields
+    )
+
+
+def test_dev_stays_on_loopback() -> None:
+    options = session_options(SessionSettings(swarm="lab"))
+    assert options["scouting/multicast/interface"] == "lo"
+    assert options["listen/endpoints"] == ["tcp/127.0.0.1:0"]
+    assert options["scouting/gossip/enabled"] is False
+    assert options["transport/link/tx/lease"] == 2000
+
+
+def test_field_binds_the_named_interface_alone() -> None:
+    options = session_options(field())
+    assert options["scouting/multicast/interface"] == "wlan0"
+    assert options["listen/endpoints"] == ["tcp/0.0.0.0:7447#iface=wlan0"]
+    assert options["transport/link/tx/lease"] == 3000
+
+
+def test_field_binds_its_own_endpoints_to_the_interface_too() -> None:
+    options = session_options(field(listen=("tcp/10.0.0.5:7001",)))
+    assert options["listen/endpoints"] == ["tcp/10.0.0.5:7001#iface=wlan0"]
+
+
+def test_field_dials_its_seeds_and_again_within_a_second() -> None:
+    options = session_options(field(seeds=("tcp/10.0.0.5:7447",), multicast=False))
+    assert options["scouting/multicast/enabled"] is False
+    assert options["scouting/gossip/enabled"] is True
+    assert options["connect/endpoints"] == ["tcp/10.0.0.5:7447"]
+    retry = options["connect/retry"]
+    assert isinstance(retry, dict)
+    assert retry["period_max_ms"] == 1000
+
+
+def test_an_operator_takes_any_port_so_that_it_fits_beside_a_daemon() -> None:
+    visitor = field(listen=("tcp/10.0.0.5:7447",)).as_operator()
+    assert session_options(visitor)["listen/endpoints"] == ["tcp/0.0.0.0:0#iface=wlan0"]
+    assert not visitor.wait_for_peers
+
+
+def test_the_scouting_port_follows_from_the_name() -> None:
+    ports = {scouting_port(f"class-{number}") for number in range(500)}
+    assert ports <= set(range(FIRST_PORT, FIRST_PORT + PORTS))
+    assert len(ports) == PORTS
+    assert scouting_port("class-1") == scouting_port("class-1")
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        (SessionSettings(swarm="Lab"), "swarm is 'Lab'"),
+        (field(interface=None), "needs `interface`"),
+        (field(multicast=False), "needs `seeds`"),
+        (field(seeds=("10.0.0.5",)), "seeds has '10.0.0.5'"),
+        (field(seeds=("tcp/10.0.0.5:0",)), "needs its port"),
+        (field(listen=("tcp/10.0.0.5:70000",)), "listen has 'tcp/10.0.0.5:70000'"),
+        (field(lease=0.0), "lease is 0 s"),
+        (SessionSettings(swarm="lab", listen=("tcp/0.0.0.0:0",)), "dev stays on this machine"),
+        (SessionSettings(swarm="lab", seeds=("tcp/10.0.0.5:7447",)), "dev stays on this machine"),
+    ],
+)
+def test_a_wrong_setting_is_named_in_one_line(settings: SessionSettings, words: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        session_options(settings)
+    assert words in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_zenoh_knows_every_option(settings: SessionSettings) -> None:
+    session = open_session(settings)
+    assert not session.is_closed()
+    session.close()
+
+
+def test_a_port_in_use_is_one_clear_line(settings: SessionSettings) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        with pytest.raises(NetworkError, match="in use on this machine") as caught:
+            open_session(replace(settings, listen=(endpoint,)))
+    assert endpoint in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert "/root/" not in str(caught.value)
+
+
+def test_an_unknown_interface_is_named_with_those_there_are(settings: SessionSettings) -> None:
+    with pytest.raises(NetworkError, match=r"no network interface 'wlan9'.*\blo\b"):
+        open_session(replace(settings, profile="field", interface="wlan9"))
+
+
+def test_sessions_of_one_swarm_meet(settings: SessionSettings) -> None:
+    one = open_session(settings)
+    other = open_session(settings)
+    try:
+        heard = one.liveliness().declare_subscriber("swarm/**", zenoh.handlers.FifoChannel(8))
+        token = other.liveliness().declare_token(f"swarm/{settings.swarm}/a/alive/1")
+        assert str(heard.recv().key_expr) == f"swarm/{settings.swarm}/a/alive/1"
+        del token
+    finally:
+        one.close()
+        other.close()
