@@ -90,6 +90,11 @@ class _Host:
         self.socket.close()
         self._signal()
 
+    def reap(self) -> None:
+        """Wait for the end of a host that was killed."""
+        if self._pidfd >= 0:
+            self._on_end()
+
     def _signal(self) -> None:
         try:
             os.killpg(self.process.pid, signal.SIGKILL)
@@ -113,7 +118,9 @@ class _Host:
     def _on_end(self) -> None:
         self._loop.remove_reader(self._pidfd)
         os.close(self._pidfd)
+        self._pidfd = -1
         code = self.process.wait()
+        self._owner.buried(self)
         self._signal()  # what the pattern may have forked
         if self.socket.fileno() >= 0:
             self._on_readable()
@@ -140,6 +147,7 @@ class ProcessRunner:
         self._pause = FIRST_RESPAWN
         self._respawn: asyncio.TimerHandle | None = None
         self._is_closed = False
+        self._dying: list[_Host] = []
         self.dropped = 0
         self._host: _Host | None = _Host(loop, self)
 
@@ -177,9 +185,14 @@ class ProcessRunner:
         self._is_closed = True
         if self._respawn is not None:
             self._respawn.cancel()
-        if self._host is not None:
-            self._host.kill()
-            self._host = None
+        self._kill()
+        for host in list(self._dying):
+            host.reap()
+
+    def buried(self, host: _Host) -> None:
+        """A host's process has been waited for."""
+        if host in self._dying:
+            self._dying.remove(host)
 
     def on_frame(self, host: _Host, frame: bytes) -> None:
         """A host said something."""
@@ -216,10 +229,14 @@ class ProcessRunner:
         return {name: (origin.value, origin.is_file) for name, origin in found.items()}
 
     def _replace(self) -> None:
+        self._kill()
+        self._start_again()
+
+    def _kill(self) -> None:
         if self._host is not None:
             self._host.kill()
+            self._dying.append(self._host)
             self._host = None
-        self._start_again()
 
     def _start_again(self) -> None:
         if self._host is None and not self._is_closed:

@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+from swarmd.latches import HELD, OVERFLOW, REMEMBERED, Latches
+from swarmd.latchfile import LatchFile
+from swarmd.messages import Latch
+
+SWARM = Latch(issuer="alice", scope="swarm")
+
+
+def test_reset_clears_only_the_ids_it_names() -> None:
+    latches = Latches()
+    latches.add("a", SWARM)
+    latches.add("b", SWARM)
+    latches.clear(["a"])
+    assert set(latches.held) == {"b"}
+
+
+def test_a_peers_view_cannot_return_what_was_reset_but_an_estop_can() -> None:
+    latches = Latches()
+    latches.add("a", SWARM)
+    latches.clear(["a"])
+    assert latches.take_over({"a": SWARM}) == ()
+    assert not latches.held
+    assert latches.add("a", SWARM)
+    assert set(latches.held) == {"a"}
+
+
+def test_what_was_reset_is_remembered_over_a_restart() -> None:
+    latches = Latches()
+    latches.add("a", SWARM)
+    latches.clear(["a"])
+    again = Latches(latches.record())
+    assert again.take_over({"a": SWARM, "b": SWARM}) == ("b",)
+
+
+def test_a_flood_of_estops_stays_latched_within_bounds() -> None:
+    latches = Latches()
+    for n in range(10_000):
+        latches.add(f"e{n}", SWARM)
+    assert len(latches.held) == HELD + 1
+    assert OVERFLOW in latches.held
+    latches.clear(f"e{n}" for n in range(10_000))
+    assert set(latches.held) == {OVERFLOW}
+    assert len(latches.record().cleared) == REMEMBERED
+
+
+def test_the_file_gives_back_what_was_written(tmp_path: Path) -> None:
+    latches = Latches()
+    latches.add("a", SWARM)
+    file = LatchFile(tmp_path / "deep" / "down")
+    assert file.read() == Latches().record()
+    assert file.write(latches.record())
+    assert LatchFile(tmp_path / "deep" / "down").read() == latches.record()
+
+
+def test_an_unreadable_file_latches(tmp_path: Path) -> None:
+    file = LatchFile(tmp_path)
+    file.path.write_bytes(b"rubbish")
+    assert Latches(file.read()).held
+
+
+def test_an_unwritable_disk_is_reported_not_raised(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    assert not LatchFile(tmp_path / "file" / "state").write(Latches().record())

@@ -1,0 +1,177 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from swarmd.messages import Reason
+from swarmd.scans import FROZEN_AFTER, ScanConditioner
+from swarmd.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
+
+BEARINGS = np.radians(np.arange(0.0, 360.0, 1.0))
+SPEC = ScanSpec(BEARINGS, 5.0, 0.12, 3.5)
+DRIVING = Odometry(0.0, Pose(), Twist(0.2))
+
+
+def sweep(ranges: Array | float, seq: int, bearings: Array = BEARINGS) -> Scan:
+    filled = np.broadcast_to(np.asarray(ranges, dtype=np.float64), bearings.shape).copy()
+    return Scan(seq, seq * 0.2, filled, bearings, 0.0, 100.0)
+
+
+def conditioned(conditioner: ScanConditioner, ranges: Array | float, seq: int) -> Array:
+    scan = conditioner.take(sweep(ranges, seq), DRIVING, seq * 0.2)
+    assert isinstance(scan, Scan), scan
+    return scan.ranges
+
+
+def test_limits_come_from_the_platform_not_from_the_message() -> None:
+    scan = ScanConditioner(SPEC).take(sweep(1.0, 1), None, 0.0)
+    assert isinstance(scan, Scan)
+    assert (scan.range_min, scan.range_max) == (0.12, 3.5)
+
+
+def test_too_near_is_near_and_too_far_is_nothing() -> None:
+    ranges = np.full(360, 1.0)
+    ranges[:4] = [0.05, 9.0, np.inf, -np.inf]
+    got = conditioned(ScanConditioner(SPEC), ranges, 1)
+    assert got[:5].tolist() == [-np.inf, np.inf, np.inf, -np.inf, 1.0]
+
+
+@pytest.mark.parametrize(
+    ("zero", "meaning"), [("no_return", np.inf), ("too_close", -np.inf), ("unknown", 1.0)]
+)
+def test_zero_means_what_the_platform_says(zero: str, meaning: float) -> None:
+    conditioner = ScanConditioner(replace(SPEC, zero=zero))
+    ranges = np.full(360, 1.0)
+    ranges[7] = 0.0
+    assert conditioned(conditioner, ranges, 1)[7] == meaning
+
+
+def test_an_lds_zero_is_too_close_where_something_was_near_just_before() -> None:
+    conditioner = ScanConditioner(replace(SPEC, zero="lds"))
+    before = np.full(360, 2.0)
+    before[100] = 0.2
+    conditioned(conditioner, before, 1)
+    after = np.full(360, 2.0)
+    after[98:103] = 0.0
+    after[110] = 0.0
+    got = conditioned(conditioner, after, 2)
+    assert (got[98:103] == -np.inf).all()
+    assert got[110] == 2.0  # a drop-out: the ray had a return, so it keeps its last range
+
+
+def test_an_lds_zero_is_no_return_where_nothing_was_seen_before() -> None:
+    conditioner = ScanConditioner(replace(SPEC, zero="lds"))
+    before = np.full(360, 2.0)
+    before[50] = np.inf
+    conditioned(conditioner, before, 1)
+    after = np.full(360, 2.0)
+    after[50] = 0.0
+    assert conditioned(conditioner, after, 2)[50] == np.inf
+
+
+def test_an_unknown_ray_keeps_its_last_range_for_stale_after_only() -> None:
+    conditioner = ScanConditioner(SPEC)
+    conditioned(conditioner, 1.0, 1)
+    lost = np.full(360, 2.0)
+    lost[5:40] = np.nan  # wider than may be bridged
+    for seq in range(2, 5):
+        assert (conditioned(conditioner, lost, seq)[5:40] == 1.0).all()
+    assert conditioner.take(sweep(lost, 5), DRIVING, 1.0) is Reason.INVALID_SCAN
+
+
+def test_a_narrow_unknown_sector_takes_the_nearer_of_its_edges() -> None:
+    ranges = np.full(360, 3.0)
+    ranges[20:31] = np.nan
+    ranges[19] = 1.5
+    got = conditioned(ScanConditioner(SPEC), ranges, 1)
+    assert (got[20:31] == 1.5).all()
+
+
+def test_an_unknown_sector_across_the_first_ray_is_bridged_too() -> None:
+    ranges = np.full(360, 3.0)
+    ranges[-5:] = np.nan
+    ranges[:5] = np.nan
+    ranges[5] = 0.7
+    got = conditioned(ScanConditioner(SPEC), ranges, 1)
+    assert (got[:5] == 0.7).all()
+    assert (got[-5:] == 0.7).all()
+
+
+@pytest.mark.parametrize("width", [12, 13])
+def test_a_sector_wider_than_max_gap_makes_the_scan_invalid(width: int) -> None:
+    ranges = np.full(360, 3.0)
+    ranges[20 : 20 + width - 1] = np.nan  # the gap reaches from known ray to known ray
+    got = ScanConditioner(SPEC).take(sweep(ranges, 1), None, 0.0)
+    assert isinstance(got, Scan) == (width <= 12)
+
+
+def test_fewer_than_half_known_rays_are_no_scan_even_with_a_memory() -> None:
+    conditioner = ScanConditioner(SPEC)
+    conditioned(conditioner, 1.0, 1)
+    ranges = np.full(360, 1.0)
+    ranges[:181] = np.nan
+    assert conditioner.take(sweep(ranges, 2), DRIVING, 0.4) is Reason.INVALID_SCAN
+
+
+def test_every_second_ray_unknown_is_still_a_scan() -> None:
+    ranges = np.full(360, 1.0)
+    ranges[::2] = np.nan
+    assert (conditioned(ScanConditioner(SPEC), ranges, 1) == 1.0).all()
+
+
+def test_the_number_of_rays_may_change_and_the_memory_follows_the_bearing() -> None:
+    conditioner = ScanConditioner(SPEC)
+    before = np.full(360, 2.0)
+    before[90] = 0.5
+    conditioned(conditioner, before, 1)
+    bearings = np.linspace(0.0, 2.0 * math.pi, 355, endpoint=False)
+    ranges = np.full(355, 2.0)
+    lost = int(np.argmin(np.abs(bearings - math.pi / 2)))
+    ranges[lost] = np.nan
+    scan = conditioner.take(sweep(ranges, 2, bearings), DRIVING, 0.4)
+    assert isinstance(scan, Scan)
+    assert scan.ranges[lost] == 0.5
+
+
+@pytest.mark.parametrize("same", ["seq", "stamp"])
+def test_a_sequence_or_stamp_that_stands_still_is_frozen(same: str) -> None:
+    conditioner = ScanConditioner(SPEC)
+    first = sweep(1.0, 1)
+    conditioner.take(first, None, 0.0)
+    again = replace(first, stamp=0.4) if same == "seq" else replace(first, seq=2)
+    assert conditioner.take(again, None, 0.2) is Reason.FROZEN_SCAN
+
+
+def test_ten_identical_scans_while_driving_are_frozen_for_a_noisy_sensor() -> None:
+    conditioner = ScanConditioner(SPEC)
+    results = [conditioner.take(sweep(1.0, n), DRIVING, n * 0.2) for n in range(FROZEN_AFTER + 2)]
+    assert all(isinstance(one, Scan) for one in results[:FROZEN_AFTER])
+    assert results[FROZEN_AFTER + 1] is Reason.FROZEN_SCAN
+
+
+@pytest.mark.parametrize("why", ["standing", "exact_sensor", "empty_arena"])
+def test_identical_scans_are_no_fault_where_they_are_to_be_expected(why: str) -> None:
+    spec = replace(SPEC, is_noisy=why != "exact_sensor")
+    odometry = Odometry(0.0, Pose(), Twist()) if why == "standing" else DRIVING
+    seen = np.inf if why == "empty_arena" else 1.0
+    conditioner = ScanConditioner(spec)
+    for n in range(30):
+        assert isinstance(conditioner.take(sweep(seen, n), odometry, n * 0.2), Scan)
+
+
+@given(arrays(np.float64, st.integers(0, 40)), st.integers(0, 41))
+def test_any_garbage_gives_a_clean_scan_or_a_reason(ranges: Array, n: int) -> None:
+    bearings = np.linspace(-math.pi, math.pi, n)
+    got = ScanConditioner(SPEC).take(Scan(1, 0.0, ranges, bearings, 0.0, 1.0), None, 0.0)
+    if isinstance(got, Scan):
+        known = np.isfinite(got.ranges)
+        assert not np.isnan(got.ranges).any()
+        assert ((got.ranges[known] >= 0.12) & (got.ranges[known] <= 3.5)).all()
+    else:
+        assert got is Reason.INVALID_SCAN
