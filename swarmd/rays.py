@@ -142,7 +142,8 @@ def clusters(
     if not len(ranges) or ranges.min() > within:
         return RayClusters(_EMPTY, _EMPTY, _EMPTY, np.empty(0, np.int64), np.empty(0, np.bool_))
     ranges = np.where(ranges <= within, ranges, math.inf)
-    steps = (_rolled(bearings, 1) - bearings) % _TWO_PI
+    steps = _rolled(bearings, 1) - bearings
+    steps[-1] += _TWO_PI
     spacing = float(np.sort(steps)[len(steps) // 2]) if len(steps) > 1 else _TWO_PI
     is_last = _is_last(ranges, steps, spacing, jump, grazing)
     # Start behind a break, so that no object spans the end of the arrays.
@@ -164,7 +165,7 @@ def _is_last(
     allowed = jump + np.minimum(here, after) * steps / math.tan(grazing)
     is_together = (np.abs(here - after) <= allowed) & is_seen & _rolled(is_seen, 1)
     # Up to two rays may be unknown in the middle of an object.
-    is_together &= (steps < 3.5 * spacing) & (steps < math.pi / 2.0)
+    is_together &= steps < min(3.5 * spacing, 0.5 * math.pi)
     breaks: NDArray[np.bool_] = ~is_together
     return breaks
 
@@ -180,11 +181,13 @@ def _objects(
     before, after = ranges[first - 1], ranges[(last + 1) % len(ranges)]
     spread = (bearings[last] - bearings[first]) % _TWO_PI
     near, far = ranges[first], ranges[last]
-    chord = np.sqrt(np.maximum(near**2 + far**2 - 2.0 * near * far * np.cos(spread), 0.0))
+    # |near - far e^(i spread)|, written so that it cannot be the root of less than 0.
+    chord = np.hypot(near - far, 2.0 * np.sqrt(near * far) * np.sin(0.5 * spread))
     return RayClusters(
         ranges=lowest,
         bearings=_wrap(bearings[first] + 0.5 * spread),
-        widths=chord + lowest * min(spacing, math.pi),
+        # What surrounds the robot, as a room does, has near ends and is wide all the same.
+        widths=np.maximum(chord, spread * lowest) + lowest * min(spacing, math.pi),
         counts=last - first + 1,
         is_free=(before > near) & (after > far),
     )
@@ -194,10 +197,10 @@ def _known(scan: Scan | None) -> tuple[Array, Array]:
     """Ranges that are known, near ones at range_min, and their bearings within [-pi, pi)."""
     if scan is None:
         return _EMPTY, _EMPTY
-    is_known = ~np.isnan(scan.ranges)
     ranges, bearings = scan.ranges, scan.bearings
-    if not is_known.all():
-        ranges, bearings = ranges[is_known], bearings[is_known]
+    is_unknown = np.isnan(ranges)
+    if is_unknown.any():
+        ranges, bearings = ranges[~is_unknown], bearings[~is_unknown]
     return np.maximum(ranges, scan.range_min), _wrap(bearings)
 
 

@@ -132,6 +132,13 @@ def test_a_room_is_one_object_all_round() -> None:
     assert found.counts.tolist() == [360]
 
 
+@pytest.mark.parametrize("open_rays", [0, 1, 5, 20])
+def test_a_room_is_wide_however_narrow_its_door(open_rays: int) -> None:
+    room = scan_of(BURGER, room=3.0)
+    room.ranges[:open_rays] = INF
+    assert clusters(room, within=10.0).widths.tolist() == [pytest.approx(9.0, abs=1.0)]
+
+
 def test_a_wall_seen_at_a_flat_angle_does_not_fall_to_pieces() -> None:
     # 0.3 m beside a wall, neighbouring rays are up to 0.4 m apart on it.
     beside = scan_of(BURGER, [Disc(0.0, 500.3, 500.0)])
