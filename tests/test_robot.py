@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from itertools import pairwise
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
@@ -14,9 +14,10 @@ from swarmd.api import Inputs, MovementPattern, Outputs, Params, Pattern, Scan, 
 from swarmd.frames import Died, Kill, Load, Ready, Step, Stepped
 from swarmd.messages import Code, Epoch, Latch, Reason, State
 from swarmd.testing.story import Story, empty_scan
+from swarmd.values import Neighbor
 
 
-class SpeedParams(Params):
+class SpeedParams(Params, frozen=True):
     speed: Annotated[float, about("forward", ge=-1.0, le=1.0, unit="m/s")] = 0.2
 
 
@@ -69,7 +70,7 @@ class Listener(Pattern[Params]):
         return Outputs(messages={"count": 3, "other": 1}, report={"heard": str(self.heard)})
 
 
-PATTERNS = {
+PATTERNS: dict[str, type[Pattern[Any]]] = {
     "forward": Forward,
     "raiser": Raiser,
     "finisher": Finisher,
@@ -187,7 +188,6 @@ def test_a_pattern_that_keeps_raising_is_restarted_with_backoff_then_quarantined
 
 
 def test_a_raising_pattern_zeroes_with_the_very_event() -> None:
-    story = started("raiser")
     story = Story(patterns=PATTERNS)
     story.advance(1.0)
     story.ask("run", pattern="raiser")
@@ -469,7 +469,7 @@ def test_a_reset_that_crosses_a_second_estop_leaves_it_latched() -> None:
     partly = story.ask("reset", ids=["e1"])
     assert partly is not None
     assert partly.code is Code.REFUSED
-    assert story.status.state is State.ESTOPPED
+    assert standing_state(story)[0] is State.ESTOPPED
     story.ask("reset", ids=["e2"])
     assert standing_state(story) == (State.IDLE, Reason.RESET)
 
@@ -484,7 +484,7 @@ def test_a_peers_swarm_wide_latch_is_taken_over_unless_it_was_reset_here() -> No
     assert standing_state(story) == (State.ESTOPPED, Reason.ESTOP)
     story.ask("reset", ids=["e9"])
     story.carry_out(story.robot.on_latches(swarm_wide, story.now))
-    assert story.status.state is State.IDLE
+    assert standing_state(story)[0] is State.IDLE
 
 
 @pytest.mark.parametrize("verb", ["stop", "estop"])
@@ -577,8 +577,6 @@ def test_the_pattern_is_stepped_at_its_rate_and_on_every_new_scan() -> None:
 
 
 def test_only_neighbours_are_heard_and_only_on_its_own_channels() -> None:
-    from swarmd.values import Neighbor
-
     story = started("listener")
     story.robot.on_neighbors((Neighbor("tb3-02", 0.0),), story.now)
     assert story.robot.on_message("tb3-02", "listener/count", 7, story.now)

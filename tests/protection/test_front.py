@@ -32,15 +32,17 @@ def ahead(distance: float, rays: int, platform: Platform = WAFFLE) -> Scan:
     return scan_of(ranges, platform)
 
 
-def decide(protection: Protection, wish: Twist | None = WISH, **changed: object) -> Verdict:
-    grounds: dict[str, object] = {
-        "is_running": True,
-        "hold": None,
-        "scan_age": 0.05,
-        "odometry": None,
-        **changed,
-    }
-    return protection.decide(wish, **grounds)  # type: ignore[arg-type]  # a table of cases
+def decide(
+    protection: Protection,
+    wish: Twist | None = WISH,
+    *,
+    is_running: bool = True,
+    hold: Reason | None = None,
+    scan_age: float | None = 0.05,
+) -> Verdict:
+    return protection.decide(
+        wish, is_running=is_running, hold=hold, scan_age=scan_age, odometry=None
+    )
 
 
 def test_a_wish_passes_where_nothing_is_near() -> None:
@@ -57,15 +59,15 @@ def test_nothing_moves_before_the_first_scan() -> None:
     assert verdict.reason is Reason.NO_SCAN
 
 
-@pytest.mark.parametrize("case", [{"is_running": False}, {"hold": Reason.STALE_SCAN}])
+@pytest.mark.parametrize(("is_running", "hold"), [(False, None), (True, Reason.STALE_SCAN)])
 def test_exactly_zero_outside_running_and_under_a_hold_even_with_something_near(
-    case: dict[str, object],
+    is_running: bool, hold: Reason | None
 ) -> None:
     protection = Protection(WAFFLE)
     protection.observe(ahead(0.2, 40), None)
-    verdict = decide(protection, **case)
+    verdict = decide(protection, is_running=is_running, hold=hold)
     assert verdict.safe == ZERO
-    assert verdict.reason is case.get("hold")
+    assert verdict.reason is hold
 
 
 @pytest.mark.parametrize(
