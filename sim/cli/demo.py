@@ -68,14 +68,14 @@ def demo(
     )
     find_pattern(pattern, plugin_dir)
     kind = load_platform(platform)
-    usual_arena, usual_layout = stage_for(kind, count)
+    arena, layout = stage_for(kind, count, arena, layout, seed)
     folder = new_folder(Path("runs"))
     spec = FleetSpec(
         swarm=f"demo-{secrets.token_hex(3)}",
         robots=dict.fromkeys(robot_ids(kind.name, count), platform),
         folder=folder / "logs",
-        arena=arena or usual_arena,
-        layout=layout or usual_layout,
+        arena=arena,
+        layout=layout,
         seed=seed,
         plugin_dir=plugin_dir,
         trace=folder / "trace.npz",

@@ -60,11 +60,19 @@ def need(*modules: str) -> None:
             )
 
 
-def stage_for(platform: Platform, count: int) -> tuple[str, str]:
-    """Arena and layout that suit a platform: distances in its protection threshold.
+def stage_for(
+    platform: Platform, count: int, arena: str | None, layout: str | None, seed: int
+) -> tuple[str, str]:
+    """Arena and layout as wanted, or such as suit the platform; ConfigError if they cannot be.
 
-    Robots start well apart, and walls stay out of the way.
+    The usual ones go by the protection threshold: robots start apart, walls are out of the way.
     """
+    from swarmd.sim.arena import parse_arena
+    from swarmd.sim.layouts import parse_layout
+
     threshold = float(platform.protection.get("threshold", 0.5))
     side = round(max(8.0, 4.0 * count**0.5 + 2.0) * threshold, 1)
-    return f"{side:g}x{side:g}", f"random:{0.6 * threshold:.2f}"
+    arena = arena or f"{side:g}x{side:g}"
+    layout = layout or f"random:{0.6 * threshold:.2f}"
+    parse_layout(layout, [platform.footprint] * count, parse_arena(arena), seed=seed)
+    return arena, layout

@@ -65,14 +65,14 @@ def up(
     given = swarm or (ctx.find_object(Console) or Console()).swarm
     name = check_id(given or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
     kind = load_platform(platform)
-    usual_arena, usual_layout = stage_for(kind, count)
+    arena, layout = stage_for(kind, count, arena, layout, seed)
     with _folder(keep) as folder:
         spec = FleetSpec(
             swarm=name,
             robots=dict.fromkeys(robot_ids(kind.name, count), platform),
             folder=folder,
-            arena=arena or usual_arena,
-            layout=layout or usual_layout,
+            arena=arena,
+            layout=layout,
             seed=seed,
             plugin_dir=plugin_dir,
         )

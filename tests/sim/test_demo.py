@@ -1,0 +1,213 @@
+"""`swarmctl demo` and `swarmctl sim up` as a user runs them, and how a demo is judged."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+from swarmd.messages import Epoch, Health, Reason, State, Status, VerdictSummary
+from swarmd.sim.cli.demo import new_folder
+from swarmd.sim.summary import duties, mean_duty, problems_of
+from swarmd.testing.processes import unique_swarm
+
+SWARMCTL = str(Path(sys.executable).with_name("swarmctl"))
+RAISES = '''
+from swarmd.api import Inputs, MovementPattern, Params, Twist
+
+class Clumsy(MovementPattern[Params]):
+    """Fails after a while."""
+
+    steps = 0
+
+    def drive(self, inputs: Inputs) -> Twist:
+        self.steps += 1
+        if self.steps > 5:
+            raise ValueError("stumbled")
+        return Twist(linear=0.05)
+'''
+
+
+def status(robot: str, **changes: Any) -> Status:
+    plain = Status(
+        robot=robot,
+        instance="abc",
+        platform="waffle_pi",
+        driver="simulated",
+        host="here",
+        profile="dev",
+        is_secured=False,
+        state=State.RUNNING,
+        reason=None,
+        detail="",
+        pattern="attraction",
+        generation=1,
+        since=0.0,
+        epoch=Epoch("abc", 1),
+        changed_by="",
+        latches={},
+        labels=(),
+        params={},
+        report={},
+        verdict=VerdictSummary(),
+        health=Health(),
+        uptime=1.0,
+    )
+    return replace(plain, **changes)
+
+
+def problem(**end: Any) -> tuple[str, ...]:
+    return problems_of(["a"], {"a": status("a")}, {"a": status("a", **end)}, contacts=0)
+
+
+def demo(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [SWARMCTL, "demo", *words]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
+
+
+def running_with(word: str) -> list[str]:
+    """The command lines of living processes in which a word occurs."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            line = path.read_bytes().replace(b"\0", b" ").decode()
+        except OSError:
+            continue
+        if word in line:
+            found.append(line)
+    return found
+
+
+def test_robots_that_ran_to_the_end_are_no_problem() -> None:
+    assert problem() == ()
+    assert problem(state=State.IDLE, reason=Reason.FINISHED) == ()
+
+
+@pytest.mark.parametrize(
+    ("end", "line"),
+    [
+        ({"state": State.STOPPED, "reason": Reason.STALE_SCAN}, r"a ended stopped \(stale_scan\)"),
+        ({"state": State.FAULTED, "detail": "it raised"}, r"a ended faulted: it raised"),
+        ({"state": State.IDLE, "reason": Reason.RESET}, r"a ended idle \(reset\)"),
+        ({"instance": "other"}, r"a was restarted"),
+        ({"generation": 2}, r"a was told to do something else"),
+        ({"generation": 2, "health": Health(host_restarts=1)}, r"a: its pattern failed"),
+    ],
+)
+def test_a_robot_that_did_not_run_to_the_end_is_a_problem(end: dict[str, Any], line: str) -> None:
+    (found,) = problem(**end)
+    assert re.match(line, found)
+
+
+def test_a_silent_robot_and_a_touch_are_problems() -> None:
+    found = problems_of(["a", "b"], {"a": status("a"), "b": status("b")}, {"a": status("a")}, 2)
+    assert found == ("b did not answer at the end", "robots touched one another 2 times")
+
+
+def test_duty_is_weighted_by_decisions() -> None:
+    statuses = {
+        "a": status("a", verdict=VerdictSummary(duty=0.5, decisions=300)),
+        "b": status("b", verdict=VerdictSummary(duty=0.1, decisions=100)),
+        "c": status("c"),
+    }
+    assert mean_duty(statuses) == pytest.approx(0.4)
+    assert duties(statuses) == {"a": 0.5, "b": 0.1}
+    assert mean_duty({"c": status("c")}) is None
+
+
+def test_each_run_has_a_folder_of_its_own(tmp_path: Path) -> None:
+    folders = {new_folder(tmp_path / "runs") for _ in range(3)}
+    assert len(folders) == 3
+    assert all(folder.is_dir() for folder in folders)
+
+
+@pytest.mark.integration
+def test_demo_runs_to_the_end_and_leaves_its_results(tmp_path: Path) -> None:
+    done = demo(tmp_path, "-n", "3", "--seconds", "4", "--platform", "burger", "-o", "json")
+    assert done.returncode == 0, done.stderr
+    answer = json.loads(done.stdout)
+    assert answer["apiVersion"] == "swarm/v1"
+    assert answer["problems"] == []
+    assert answer["numbers"]["seconds"] == pytest.approx(4.0, abs=0.1)
+    assert answer["numbers"]["contacts"] == 0
+    assert answer["seconds_to_moving"] > 0.0
+    folder = tmp_path / answer["folder"]
+    assert json.loads((folder / "summary.json").read_text())["robots"] == answer["robots"]
+    assert (folder / "trajectories.png").read_bytes().startswith(b"\x89PNG")
+    print(f"all moving after {answer['seconds_to_moving']} s")
+
+
+@pytest.mark.integration
+def test_demo_without_a_terminal_prints_the_summary_alone(tmp_path: Path) -> None:
+    done = demo(tmp_path, "-n", "2", "--seconds", "2")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("Summary\n")
+    assert "\x1b" not in done.stdout
+
+
+@pytest.mark.integration
+def test_demo_fails_if_a_pattern_fails(tmp_path: Path) -> None:
+    (tmp_path / "clumsy.py").write_text(RAISES)
+    words = ("-n", "2", "--seconds", "3", "--pattern", "clumsy", "--plugin-dir", str(tmp_path))
+    done = demo(tmp_path, *words)
+    assert done.returncode == 1
+    assert "problem: tb3-01" in done.stderr
+    assert "problem: tb3-02" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--pattern", "atraction"], "did you mean 'attraction'?"),
+        (["--platform", "waffle"], "no platform 'waffle'"),
+        (["--arena", "1x1"], "no room for robot"),
+        (["--layout", "circle"], "no layout 'circle'"),
+        (["--seconds", "soon"], "no duration"),
+        (["-p", "speed"], "no key=value"),
+        (["-n", "0"], "0 is not in the range"),
+    ],
+)
+def test_what_cannot_be_is_one_line_and_starts_nothing(
+    tmp_path: Path, words: Sequence[str], line: str
+) -> None:
+    done = demo(tmp_path, *words)
+    assert done.returncode == 2
+    assert line in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.integration
+def test_a_parameter_that_cannot_be_is_refused(tmp_path: Path) -> None:
+    done = demo(tmp_path, "-n", "2", "--seconds", "2", "-p", "sped=1")
+    assert done.returncode == 2
+    assert "did you mean 'speed'?" in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.integration
+def test_sim_up_serves_a_second_terminal_until_interrupted(tmp_path: Path) -> None:
+    swarm = unique_swarm()
+    command = [SWARMCTL, "sim", "up", "-n", "2", "--swarm", swarm]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=tmp_path) as process:
+        assert process.stdout is not None
+        try:
+            assert "2 robots are up" in process.stdout.readline()
+            run = [SWARMCTL, "--swarm", swarm, "run", "dispersion", "--all"]
+            told = subprocess.run(run, capture_output=True, text=True, timeout=30)
+            again = subprocess.run(command, capture_output=True, text=True, timeout=30)
+        finally:
+            process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+    assert told.returncode == 0, told.stdout + told.stderr
+    assert "2 targeted, 2 applied" in told.stdout
+    assert again.returncode == 2
+    assert f"swarm '{swarm}' already has tb3-01, tb3-02" in again.stderr
+    assert running_with(swarm) == []
