@@ -14,6 +14,7 @@ import secrets
 import signal
 import socket
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import msgspec
 
@@ -72,6 +73,9 @@ class Daemon:
         self._settings = settings
         self._driver = driver
         self._loop = asyncio.get_running_loop()
+        self._loop.set_exception_handler(self._on_crash)
+        self._crash: BaseException | None = None
+        self._crashed = asyncio.Event()
         self._boot = secrets.token_hex(6)
         self._notify = Notifier()
         self._latches = LatchFile(settings.state_dir / settings.swarm / settings.id)
@@ -111,11 +115,14 @@ class Daemon:
             gc.freeze()
             self._notify("READY=1")
             log.info("ready in swarm %s as %s", self._settings.swarm, self._boot)
-            stopping = asyncio.create_task(stop.wait())
-            await asyncio.wait({driving, stopping}, return_when=asyncio.FIRST_COMPLETED)
-            stopping.cancel()
+            ends = {driving, *(asyncio.create_task(e.wait()) for e in (stop, self._crashed))}
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+            for end in ends - {driving}:
+                end.cancel()
             if driving.done():
                 driving.result()
+            if self._crash is not None:
+                raise self._crash
         finally:
             self._notify("STOPPING=1")
             self._leave()
@@ -134,6 +141,13 @@ class Daemon:
                 log.warning("driver %s: %s", self._settings.driver, error)
                 self.state(False, str(error))
                 await asyncio.sleep(DRIVER_PAUSE)
+
+    def _on_crash(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """A callback of ours raised: a guardian that cannot think must not let the body move."""
+        loop.default_exception_handler(context)
+        self._driver.send(ZERO, -1, -1)
+        self._crash = self._crash or context.get("exception") or RuntimeError(context["message"])
+        self._crashed.set()
 
     async def _join(self) -> None:
         settings = self._settings

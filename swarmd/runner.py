@@ -114,6 +114,8 @@ class _Host:
                 return
             self.has_answered = True
             self._owner.on_frame(self, b"" if flags & socket.MSG_TRUNC else frame)
+            if self.socket.fileno() < 0:  # what it said led to its end
+                return
 
     def _on_end(self) -> None:
         self._loop.remove_reader(self._pidfd)
