@@ -209,7 +209,7 @@ class Operator:
 
     def _ask_members(self, gathering: Gathering) -> None:
         with self._news:
-            known = sorted(gathering.answered)
+            known = sorted(gathering.settled)
 
         def on_view(key: Key, payload: bytes) -> None:
             view = _view(payload)

@@ -108,6 +108,15 @@ class Gathering:
         return frozenset(robot for robot, views in self._views.items() if views)
 
     @property
+    def settled(self) -> frozenset[str]:
+        """Who has answered with every instance that holds a token: two, if two hold one id."""
+        return frozenset(
+            robot
+            for robot in self.answered
+            if self._tokens.get(robot, set()) <= self._views[robot].keys()
+        )
+
+    @property
     def known(self) -> frozenset[str]:
         """Every name that a token, a daemon or the roster mentions, whatever became of it."""
         said = {member.robot for view in self._all() for member in view.members}
@@ -127,10 +136,10 @@ class Gathering:
 
     def is_complete(self, now: float) -> bool:
         """True once everyone alive has answered, and they agree or there was no more news."""
-        answered = self.answered
-        if not answered or not self.alive <= answered:
+        settled = self.settled
+        if not settled or not self.alive <= settled:
             return False
-        return self._agree(answered) or now - self._news >= QUIET
+        return self._agree(settled) or now - self._news >= QUIET
 
     def result(self, now: float) -> MembersView:
         """All that is known by now."""
@@ -148,14 +157,17 @@ class Gathering:
             members=dict(sorted(members.items())),
             answered=self.answered,
             roster=frozenset(self._roster),
-            duplicates={
-                robot: tuple(sorted(views))
-                for robot, views in self._views.items()
-                if len(views) > 1
-            },
+            duplicates=self._duplicates(),
             is_complete=self.is_complete(now),
             seconds=now - self._started,
         )
+
+    def _duplicates(self) -> dict[str, tuple[str, ...]]:
+        found = {
+            robot: self._tokens.get(robot, set()) | self._views.get(robot, {}).keys()
+            for robot in sorted(self.alive)
+        }
+        return {robot: tuple(sorted(some)) for robot, some in found.items() if len(some) > 1}
 
     def _all(self) -> list[View]:
         return [view for views in self._views.values() for view in views.values()]

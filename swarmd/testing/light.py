@@ -15,15 +15,17 @@ import argparse
 import asyncio
 import secrets
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 import msgspec
 import zenoh
 
 from swarmd.codec import Decoder, encode
 from swarmd.errors import CodecError
+from swarmd.keys import build
 from swarmd.messages import (
     Code,
     Epoch,
@@ -44,7 +46,8 @@ VERBS = ("run", "stop", "reset", "param", "forget")
 
 _request = Decoder(Request)
 
-Answer = Callable[[Request], Code]
+# How to answer a request; None: not at all.
+Answer = Callable[[Request], Code | None]
 
 
 def light_status(robot: str, instance: str, *, has_left: bool = False) -> Status:
@@ -86,7 +89,9 @@ class LightDaemon:
         *,
         answer: Answer = lambda _request: Code.APPLIED,
         roster: tuple[str, ...] = (),
+        is_claiming: bool = True,
     ) -> None:
+        """`is_claiming` False takes the id without asking, as two that met too late do."""
         self.robot = robot
         self.instance = secrets.token_hex(6)
         self.settings = settings
@@ -94,6 +99,8 @@ class LightDaemon:
         self.duplicates: list[str] = []
         self._answer = answer
         self._roster = roster
+        self._is_claiming = is_claiming
+        self._claim: Claim | zenoh.LivelinessToken | None = None
 
     async def __aenter__(self) -> Self:
         await self.start()
@@ -115,8 +122,12 @@ class LightDaemon:
         for verb in VERBS:
             self.bus.serve("control", verb, self._on_query)
         self.bus.serve("safety", "estop", self._on_query)
+        if not self._is_claiming:
+            key = build(self.settings.swarm, self.robot, "alive", self.instance)
+            self._claim = self.session.liveliness().declare_token(key)
+            return
         try:
-            self.claim: Claim = await claim_id(
+            self._claim = await claim_id(
                 self.session,
                 swarm=self.settings.swarm,
                 robot=self.robot,
@@ -137,11 +148,11 @@ class LightDaemon:
         """Say so, and go."""
         left = msgspec.structs.replace(self.status(), has_left=True)
         self.bus.publish("state", "status", encode(left))
-        self.claim.release()
         self.vanish()
 
     def vanish(self) -> None:
-        """Go without a word."""
+        """Go without a word. Idempotent."""
+        self._claim = None  # the session takes the token along
         self.bus.close()
         self.session.close()
 
@@ -156,13 +167,53 @@ class LightDaemon:
             query.drop()
             return
         self.requests.append(request)
-        reply = Reply(
-            id=request.id,
-            robot=self.robot,
-            code=self._answer(request),
-            epoch=self.status().epoch,
-        )
-        query.reply(encode(reply))
+        code = self._answer(request)
+        if code is not None:
+            reply = Reply(id=request.id, robot=self.robot, code=code, epoch=self.status().epoch)
+            query.reply(encode(reply))
+
+
+class LightSwarm:
+    """Light daemons on a loop of their own, for code that blocks; by name, until `close`."""
+
+    def __init__(self, settings: SessionSettings, robots: Sequence[str], **options: Any) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
+        self._thread.start()
+        self._daemons = {robot: LightDaemon(settings, robot, **options) for robot in robots}
+        asyncio.run_coroutine_threadsafe(self._start(), self._loop).result()
+
+    def __getitem__(self, robot: str) -> LightDaemon:
+        return self._daemons[robot]
+
+    def call(self, function: Callable[[], object]) -> None:
+        """Call it on the daemons' loop, and wait for it."""
+
+        async def now() -> None:
+            function()
+
+        asyncio.run_coroutine_threadsafe(now(), self._loop).result()
+
+    def until(self, condition: Callable[[], bool], timeout: float = 20.0) -> None:
+        """Wait for a condition that is looked at on the daemons' loop; TimeoutError."""
+
+        async def look() -> None:
+            async with asyncio.timeout(timeout):
+                while not condition():
+                    await asyncio.sleep(0.005)
+
+        asyncio.run_coroutine_threadsafe(look(), self._loop).result()
+
+    def close(self) -> None:
+        """Let all vanish."""
+        for daemon in self._daemons.values():
+            self.call(daemon.vanish)
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    async def _start(self) -> None:
+        await asyncio.gather(*(daemon.start() for daemon in self._daemons.values()))
 
 
 async def serve(settings: SessionSettings, robots: list[str]) -> None:

@@ -1,0 +1,135 @@
+"""Profile field on real interfaces: cables that are cut without a word, and healed.
+
+Eight peers in three network namespaces on one bridge. What is proved: the peers that vanish are
+failed once their lease is over, those that stay go on hearing each other meanwhile (without the
+socket tuner they hear nothing for about 10 s), and all is as before soon after the cable is back.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from swarmd.network.session import SessionSettings
+
+pytestmark = pytest.mark.integration
+
+SURVIVOR = Path(__file__).with_name("survivor.py")
+ADDRESSES = {"a": "10.77.0.1", "b": "10.77.0.2", "far": "10.77.0.3"}
+STAYING = {"a": ("a", 7447), "b": ("b", 7447)}
+VANISHING = {f"v{number}": ("far", 7447 + number) for number in range(6)}
+PEERS = STAYING | VANISHING
+# A stalled receiver is held for 10 s by Zenoh's linger; the lease here is 2 s.
+STALLED = 5.0
+
+
+class Peer:
+    """One survivor.py in its namespace; its events, and the condition it last saw of each."""
+
+    def __init__(self, name: str, namespace: str, swarm: str) -> None:
+        side, port = PEERS[name]
+        seeds = [
+            word
+            for other, (where, number) in PEERS.items()
+            if other != name
+            for word in ("--seed", f"tcp/{ADDRESSES[where]}:{number}")
+        ]
+        self._changed = threading.Condition()
+        self._process = subprocess.Popen(
+            ["ip", "netns", "exec", namespace, sys.executable, str(SURVIVOR), name,
+             "--swarm", swarm, "--interface", "eth0",
+             "--listen", f"tcp/{ADDRESSES[side]}:{port}", *seeds],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        self.conditions: dict[str, str] = {}
+        self.gaps: list[dict[str, float]] = []
+        self.is_ready = False
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def until(self, condition: Any) -> None:
+        with self._changed:
+            assert self._changed.wait_for(lambda: condition(self), 30.0), self.conditions
+
+    def silences(self) -> dict[str, float]:
+        """The longest silence of each other peer since this was last asked, in s."""
+        assert self._process.stdin is not None
+        count = len(self.gaps)
+        self._process.stdin.write("gaps\n")
+        self._process.stdin.flush()
+        self.until(lambda peer: len(peer.gaps) > count)
+        return self.gaps[-1]
+
+    def end(self) -> None:
+        try:
+            self._process.communicate(timeout=10.0)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.communicate()
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            event = json.loads(line)
+            with self._changed:
+                if "member" in event:
+                    self.conditions[event["member"]] = event["condition"]
+                elif "gaps" in event:
+                    self.gaps.append(event["gaps"])
+                self.is_ready |= "ready" in event
+                self._changed.notify_all()
+
+
+@pytest.fixture
+def peers(namespaces: Any, settings: SessionSettings) -> Iterator[dict[str, Peer]]:
+    sides = {side: namespaces.join(side, address) for side, address in ADDRESSES.items()}
+    made = {name: Peer(name, sides[side], settings.swarm) for name, (side, _) in PEERS.items()}
+    try:
+        for peer in made.values():
+            peer.until(lambda peer: peer.is_ready)
+        yield made
+    finally:
+        for peer in made.values():
+            peer.end()
+
+
+def alive(names: set[str]) -> Any:
+    return lambda peer: {n for n, c in peer.conditions.items() if c == "alive"} == names
+
+
+def test_peers_that_vanish_fail_and_do_not_stall_the_others(
+    namespaces: Any, peers: dict[str, Peer]
+) -> None:
+    everyone = set(PEERS)
+    for name, peer in peers.items():
+        peer.until(alive(everyone - {name}))
+    peers["a"].silences()
+    peers["b"].silences()
+
+    cut_at = time.monotonic()
+    namespaces.cut("far")
+    peers["a"].until(alive({"b"}))
+    peers["b"].until(alive({"a"}))
+    noticed = time.monotonic() - cut_at
+    for name in VANISHING:
+        peers[name].until(alive(set(VANISHING) - {name}))
+    gap = max(peers["a"].silences()["b"], peers["b"].silences()["a"])
+    assert {peers["a"].conditions[name] for name in VANISHING} == {"failed"}
+    assert gap < STALLED
+
+    heal_at = time.monotonic()
+    namespaces.heal("far")
+    for name, peer in peers.items():
+        peer.until(alive(everyone - {name}))
+    healed = time.monotonic() - heal_at
+    gap = max(gap, peers["a"].silences()["b"], peers["b"].silences()["a"])
+    assert gap < STALLED
+    print(f"noticed {noticed:.2f} s, longest silence {gap:.2f} s, healed {healed:.2f} s")

@@ -1,0 +1,235 @@
+"""The operator's side against light daemons: real sessions, real processes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from swarmd.messages import Code, Condition, Epoch, Request
+from swarmd.network.operator import Operator, operator_name
+from swarmd.network.requests import NO_TARGET, PARTIAL, REFUSED
+from swarmd.network.session import SessionSettings
+from swarmd.testing.light import LightSwarm
+
+Robots = Callable[..., LightSwarm]
+
+
+@pytest.fixture
+def robots(settings: SessionSettings) -> Iterator[Robots]:
+    """Starts light daemons on a loop of their own; all are gone after the test."""
+    made: list[LightSwarm] = []
+
+    def start(*names: str, **options: Any) -> LightSwarm:
+        swarm = LightSwarm(settings, names, **options)
+        made.append(swarm)
+        return swarm
+
+    yield start
+    for swarm in made:
+        swarm.close()
+
+
+def test_members_come_with_their_own_status(settings: SessionSettings, robots: Robots) -> None:
+    swarm = robots("a", "b", "c")
+    with Operator(settings) as operator:
+        view = operator.members()
+    assert view.is_complete
+    assert view.alive == ("a", "b", "c")
+    assert view.answered == {"a", "b", "c"}
+    assert view.epochs(["b"]) == {"b": Epoch(boot=swarm["b"].instance, revision=0)}
+
+
+def test_a_single_robot_is_found(settings: SessionSettings, robots: Robots) -> None:
+    robots("a")
+    with Operator(settings) as operator:
+        view = operator.members()
+    assert view.is_complete
+    assert view.alive == ("a",)
+
+
+def test_nobody_is_an_empty_view(settings: SessionSettings) -> None:
+    with Operator(settings) as operator:
+        view = operator.members()
+        assert (view.members, operator.links) == ({}, 0)
+        assert operator.request("run", {}).exit_code == NO_TARGET
+        assert operator.stop(timeout=0.2).exit_code == NO_TARGET
+
+
+def test_those_that_left_or_failed_are_listed(settings: SessionSettings, robots: Robots) -> None:
+    swarm = robots("a", "polite", "rude")
+    swarm.call(swarm["polite"].leave)
+    swarm.call(swarm["rude"].vanish)
+    swarm.until(lambda: swarm["a"].bus.members["rude"].condition is Condition.FAILED)
+    with Operator(settings) as operator:
+        members = operator.members().members
+    assert {name: member.condition for name, member in members.items()} == {
+        "a": Condition.ALIVE,
+        "polite": Condition.LEFT,
+        "rude": Condition.FAILED,
+    }
+
+
+def test_a_request_reaches_its_targets_alone(settings: SessionSettings, robots: Robots) -> None:
+    swarm = robots("a", "b", "c")
+    with Operator(settings, name="anna@laptop") as operator:
+        targets = operator.members().epochs(["a", "b"])
+        outcome = operator.request("run", targets, {"pattern": "attraction"})
+    assert outcome.line == "2 targeted, 2 applied"
+    [request] = swarm["a"].requests
+    assert request == replace_id(request.id, targets)
+    assert swarm["b"].requests == [request]
+    assert swarm["c"].requests == []
+
+
+def replace_id(id: str, targets: dict[str, Epoch | None]) -> Request:
+    return Request(
+        id=id,
+        operator="anna@laptop",
+        verb="run",
+        targets=targets,
+        args={"pattern": "attraction"},
+    )
+
+
+def test_refusals_and_silence_are_named(settings: SessionSettings, robots: Robots) -> None:
+    robots("a")
+    robots("b", answer=lambda request: Code.REFUSED)
+    robots("c", answer=lambda request: None)
+    with Operator(settings) as operator:
+        targets = operator.members().epochs(["a", "b", "c"])
+        outcome = operator.request("run", targets, timeout=0.3, absent=["d"])
+    assert outcome.line == "4 targeted, 1 applied, 1 refused (b), 2 no answer (c, d)"
+    assert outcome.exit_code == PARTIAL
+
+
+def test_all_refused(settings: SessionSettings, robots: Robots) -> None:
+    robots("a", answer=lambda request: Code.REFUSED)
+    with Operator(settings) as operator:
+        outcome = operator.request("run", operator.members().epochs(["a"]))
+    assert outcome.exit_code == REFUSED
+
+
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+def test_a_halt_reaches_everyone_without_waiting_for_members(
+    settings: SessionSettings, robots: Robots, verb: str
+) -> None:
+    swarm = robots("a", "b", "c")
+    with Operator(settings) as operator:
+        outcome = operator.halt(verb, args={"reason": "test"})  # type: ignore[arg-type]
+    assert outcome.line == "3 targeted, 3 applied"
+    for name in "abc":
+        heard = swarm[name].requests
+        assert {(one.verb, one.targets, one.args["reason"]) for one in heard} == {
+            (verb, None, "test")
+        }
+        assert len({one.id for one in heard}) == 1
+
+
+def test_a_halt_is_repeated_until_everyone_acked(settings: SessionSettings, robots: Robots) -> None:
+    swarm = robots("a")
+    deaf = robots("deaf", answer=lambda request: Code.APPLIED if count() > 5 else None)
+
+    def count() -> int:
+        return len(deaf["deaf"].requests)
+
+    with Operator(settings) as operator:
+        outcome = operator.stop(timeout=20.0)
+    assert outcome.line == "2 targeted, 2 applied"
+    assert len(swarm["a"].requests) < count()
+
+
+def test_one_that_does_not_ack_a_halt_is_named(settings: SessionSettings, robots: Robots) -> None:
+    robots("a")
+    robots("deaf", answer=lambda request: None)
+    with Operator(settings) as operator:
+        outcome = operator.estop(timeout=0.5)
+    assert outcome.line == "2 targeted, 1 applied, 1 no answer (deaf)"
+    assert outcome.exit_code == PARTIAL
+
+
+def test_a_failed_robot_is_named_by_a_halt(settings: SessionSettings, robots: Robots) -> None:
+    swarm = robots("a", "lost")
+    swarm.call(swarm["lost"].vanish)
+    swarm.until(lambda: swarm["a"].bus.members["lost"].condition is Condition.FAILED)
+    with Operator(settings) as operator:
+        outcome = operator.estop(timeout=0.5)
+    assert outcome.line == "2 targeted, 1 applied, 1 no answer (lost)"
+
+
+def test_a_halt_reaches_a_robot_that_joins_while_it_goes_on(
+    settings: SessionSettings, robots: Robots
+) -> None:
+    robots("a")
+    starting = threading.Thread(target=lambda: robots("late"))
+    with Operator(settings, roster=["late"]) as operator:
+        starting.start()
+        outcome = operator.estop(timeout=20.0)
+        starting.join()
+    assert outcome.line == "2 targeted, 2 applied"
+
+
+def test_a_halt_of_some_leaves_the_others(settings: SessionSettings, robots: Robots) -> None:
+    swarm = robots("a", "b", "c")
+    with Operator(settings) as operator:
+        outcome = operator.stop(select=lambda names: [name for name in names if name in "ac"])
+    assert outcome.line == "2 targeted, 2 applied"
+    assert swarm["b"].requests == []
+
+
+def test_two_daemons_with_one_id_show(settings: SessionSettings, robots: Robots) -> None:
+    robots("a", "b")
+    robots("a", is_claiming=False)
+    with Operator(settings) as operator:
+        view = operator.members()
+        outcome = operator.stop(timeout=0.5)
+    assert list(view.duplicates) == ["a"]
+    assert outcome.duplicates == ("a",)
+
+
+def test_other_swarms_can_be_seen(settings: SessionSettings, robots: Robots) -> None:
+    robots("a")
+    with Operator(replace(settings, swarm="nobody-is-here")) as operator:
+        assert settings.swarm in operator.swarms()
+
+
+def test_the_operator_has_a_name() -> None:
+    assert "@" in operator_name()
+
+
+@pytest.mark.integration
+def test_twenty_daemons_ack_each_of_fifty_cold_operators(settings: SessionSettings) -> None:
+    names = [f"tb3-{number:02d}" for number in range(1, 21)]
+    processes = [start_process(settings, names[part::4]) for part in range(4)]
+    took: list[float] = []
+    try:
+        for process in processes:
+            assert process.stdout is not None
+            assert process.stdout.readline() == "ready\n"
+        for _ in range(50):
+            started = time.monotonic()
+            with Operator(settings) as operator:
+                view = operator.members()
+                outcome = operator.request("run", view.epochs(view.alive), {"pattern": "x"})
+            took.append(time.monotonic() - started)
+            assert outcome.line == "20 targeted, 20 applied"
+    finally:
+        for process in processes:
+            process.communicate("")
+    print(f"median {1e3 * sorted(took)[25]:.0f} ms, longest {1e3 * max(took):.0f} ms")
+
+
+def start_process(settings: SessionSettings, names: list[str]) -> subprocess.Popen[str]:
+    """Ends with its standard input."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "swarmd.testing.light", "--swarm", settings.swarm, *names],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
