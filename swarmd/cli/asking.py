@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from swarmd.network.views import MembersView
 
 PATIENCE = 5.0
+HALTING = 3.0
 
 
 class Unreachable(click.ClickException):
@@ -74,14 +75,18 @@ def ask(
 
 
 def halt(
-    operator: Operator, verb: Literal["stop", "estop"], targets: Targets, args: Mapping[str, Any]
+    operator: Operator,
+    verb: Literal["stop", "estop"],
+    targets: Targets,
+    args: Mapping[str, Any],
+    timeout: float | None,
 ) -> Outcome:
     """Stop whom the targets name, at once; names that nobody knows of count as not answering.
 
     Unreachable if nobody was met, NoTarget if nobody was meant.
     """
     select = None if targets.is_everyone else targets.matching
-    outcome = operator.halt(verb, select=select, args=dict(args))
+    outcome = operator.halt(verb, select=select, args=dict(args), timeout=timeout or HALTING)
     if outcome.targeted and set(targets.unseen) <= {*outcome.replies, *outcome.missing}:
         return outcome
     view = meet(operator)

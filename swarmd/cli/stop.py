@@ -18,7 +18,7 @@ def stop(console: Console, names: tuple[str, ...], is_all: bool, exclude: tuple[
     """Stop robots; without names all of them. They need a `run` to move again."""
     targets = read_targets("stop", names, is_all, exclude, needed=False)
     with console.operator() as operator:
-        outcome = halt(operator, "stop", targets, {})
+        outcome = halt(operator, "stop", targets, {}, console.timeout)
     finish(console, "stop", outcome)
 
 
@@ -41,5 +41,5 @@ def estop(
     # A stop of everyone is taken over by robots that join or return; one of some is not.
     args = {"scope": "swarm" if targets.is_everyone else "robots", "reason": reason}
     with console.operator() as operator:
-        outcome = halt(operator, "estop", targets, args)
+        outcome = halt(operator, "estop", targets, args, console.timeout)
     finish(console, "estop", outcome)

@@ -1,0 +1,318 @@
+"""The verbs of swarmctl against real daemons (without a world: their bodies are lost)."""
+
+from __future__ import annotations
+
+import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from swarmd.testing.processes import DaemonProcess, unique_swarm, wait_until
+
+pytestmark = pytest.mark.integration
+
+ROBOTS = ("r1", "r2", "r3")
+NOWHERE = "tcp/127.0.0.1:9"
+HANGS = """
+from swarmd.api import Outputs, Params, Pattern
+while True:
+    pass
+"""
+
+
+class Swarm:
+    """Three daemons and a terminal."""
+
+    def __init__(self, folder: Path) -> None:
+        self.name = unique_swarm()
+        self.plugins = folder / "own"
+        self.plugins.mkdir()
+        (self.plugins / "hangs.py").write_text(HANGS)
+        self.home = folder / "home"
+        self.home.mkdir()
+        self.daemons = {robot: self._start(robot, folder) for robot in ROBOTS}
+
+    def _start(self, robot: str, folder: Path) -> DaemonProcess:
+        return DaemonProcess(
+            folder / robot,
+            swarm=self.name,
+            robot=robot,
+            endpoint=NOWHERE,
+            plugin_dir=self.plugins,
+            options={"labels": {"red": ["r1"]}},
+        )
+
+    @property
+    def environment(self) -> dict[str, str]:
+        return {**os.environ, "HOME": str(self.home), "SWARM": self.name}
+
+    def ctl(self, *args: str) -> subprocess.CompletedProcess[str]:
+        """A swarmctl command; its standard input is no terminal."""
+        return subprocess.run(
+            [sys.executable, "-c", "from swarmd.cli import main; main()", *args],
+            capture_output=True,
+            text=True,
+            stdin=subprocess.DEVNULL,
+            cwd=self.home,
+            env=self.environment,
+            timeout=60,
+            check=False,
+        )
+
+    def json(self, *args: str) -> Any:
+        answer = json.loads(self.ctl(*args, "-o", "json").stdout)
+        assert answer["apiVersion"] == "swarm/v1"
+        return answer
+
+    def status(self, robot: str) -> Any:
+        return self.json("describe", robot)["member"]["status"]
+
+    def is_alive(self, *robots: str) -> bool:
+        conditions = {m["robot"]: m["condition"] for m in self.json("members").get("members", [])}
+        return all(conditions.get(robot) == "alive" for robot in robots)
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Swarm]:
+    swarm = Swarm(tmp_path_factory.mktemp("swarm"))
+    try:
+        for daemon in swarm.daemons.values():
+            daemon.wait_ready()
+        yield swarm
+    finally:
+        for daemon in swarm.daemons.values():
+            daemon.kill()
+
+
+@pytest.fixture
+def swarm(running: Swarm) -> Iterator[Swarm]:
+    """The swarm, all stopped, without emergency stops; thawed and reset at the end."""
+    running.ctl("stop")
+    yield running
+    for daemon in running.daemons.values():
+        daemon.thaw()
+    wait_until(lambda: running.is_alive(*ROBOTS), "all alive again")
+    running.ctl("reset", "--all")
+    assert list(running.home.iterdir()) == []  # no verb has written a file
+
+
+def last_line(done: subprocess.CompletedProcess[str]) -> str:
+    return done.stdout.splitlines()[-1]
+
+
+def test_members_lists_everyone_and_what_is_not_well(swarm: Swarm) -> None:
+    done = swarm.ctl("members")
+    lines = done.stdout.splitlines()
+    assert (done.returncode, done.stderr) == (0, "")
+    assert lines[0].split()[:4] == ["NAME", "STATE", "REASON", "PATTERN"]
+    assert [line.split()[0] for line in lines[1:4]] == list(ROBOTS)
+    assert lines[4] == "# 3/3 alive"
+    assert lines[5].startswith("# driver lost: r1, r2, r3 (")
+
+
+def test_run_ends_with_the_line_that_counts(swarm: Swarm) -> None:
+    done = swarm.ctl("run", "drive", "r1", "r[23]", "-p", "speed=0.1", "--for", "60s")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert last_line(done) == "3 targeted, 3 applied"
+    assert swarm.status("r2")["params"]["speed"] == {"value": 0.1, "source": "runtime"}
+
+
+def test_run_in_json_keeps_stdout_parseable(swarm: Swarm) -> None:
+    answer = swarm.json("run", "drive", "--all", "--exclude", "r3")
+    assert (answer["kind"], answer["exit_code"]) == ("Outcome", 0)
+    assert answer["applied"] == ["r1", "r2"]
+    assert answer["line"] == "2 targeted, 2 applied"
+
+
+@pytest.mark.parametrize(
+    ("args", "fault"),
+    [
+        (["run", "driv", "--all"], "no pattern 'driv'; did you mean 'drive'?"),
+        (["run", "drive", "r1", "-p", "sped=1"], "no parameter 'sped'; did you mean 'speed'?"),
+        (["run", "drive", "r1", "-p", "speed=99"], "parameter speed is 99 m/s (from runtime)"),
+        (["run", "drive", "r1", "-p", "speed=nan"], "parameter speed is 'nan' m/s (from runtime)"),
+        (["param", "set", "r1", "sped=1"], "no parameter 'sped'; did you mean 'speed'?"),
+        (["param", "set", "r1", "speed=99"], "parameter speed is 99 m/s"),
+    ],
+)
+def test_a_mistake_that_only_robots_can_see_is_one_line_and_exit_2_and_changes_nothing(
+    swarm: Swarm, args: list[str], fault: str
+) -> None:
+    swarm.ctl("run", "drive", "r1", "-p", "speed=0.1")
+    before = swarm.status("r1")
+    done = swarm.ctl(*args)
+    after = swarm.status("r1")
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ")
+    assert fault in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert after["params"] == before["params"]
+    assert after["state"] == before["state"]
+
+
+@pytest.mark.parametrize("verb", ["run drive", "stop", "estop", "reset", "describe"])
+def test_a_robot_nobody_knows_ends_with_4_and_the_nearest(swarm: Swarm, verb: str) -> None:
+    done = swarm.ctl(*verb.split(), "r11")
+    assert (done.returncode, done.stdout) == (4, "")
+    assert "no robot 'r11'; did you mean 'r1'?" in done.stderr
+
+
+def test_a_mistyped_exclusion_sends_nothing(swarm: Swarm) -> None:
+    done = swarm.ctl("run", "drive", "--all", "--exclude", "r4")
+    assert done.returncode == 4
+    assert swarm.status("r1")["state"] != "running"
+
+
+def test_estop_is_held_until_reset_names_it(swarm: Swarm) -> None:
+    stopped = swarm.ctl("estop", "--reason", "smoke")
+    assert (stopped.returncode, last_line(stopped)) == (0, "3 targeted, 3 applied")
+    refused = swarm.ctl("run", "drive", "--all")
+    assert (refused.returncode, last_line(refused)) == (
+        7,
+        "3 targeted, 0 applied, 3 refused (r1, r2, r3)",
+    )
+    ((latch_id, latch),) = swarm.status("r2")["latches"].items()
+    assert (latch["scope"], latch["reason"]) == ("swarm", "smoke")
+    reset = swarm.ctl("reset", "--all", "--reason", "out")
+    assert reset.returncode == 0
+    assert f"clears {latch_id}, by {latch['issuer']}, for swarm (smoke)" in reset.stderr
+    assert [swarm.status(robot)["state"] for robot in ROBOTS] == ["idle"] * 3
+
+
+def test_an_estop_of_some_is_none_of_the_swarm(swarm: Swarm) -> None:
+    assert last_line(swarm.ctl("estop", "r1")) == "1 targeted, 1 applied"
+    assert [latch["scope"] for latch in swarm.status("r1")["latches"].values()] == ["robots"]
+    assert swarm.status("r2")["latches"] == {}
+
+
+def test_a_frozen_daemon_is_named_by_estop_and_the_answer_is_partial(swarm: Swarm) -> None:
+    swarm.daemons["r2"].freeze()
+    done = swarm.ctl("estop")
+    assert done.returncode == 3
+    assert last_line(done) == "3 targeted, 2 applied, 1 no answer (r2)"
+
+
+def test_stop_stops_whom_it_can_and_counts_the_name_nobody_knows(swarm: Swarm) -> None:
+    done = swarm.ctl("stop", "r1", "r11")
+    assert done.returncode == 3
+    assert last_line(done) == "2 targeted, 1 applied, 1 no answer (r11)"
+    assert "no robot 'r11'; did you mean 'r1'?" in done.stderr
+
+
+def test_nobody_answering_in_time_ends_with_5(swarm: Swarm) -> None:
+    swarm.daemons["r3"].freeze()
+    done = swarm.ctl("run", "drive", "r3", "--timeout", "500ms")
+    assert (done.returncode, last_line(done)) == (5, "1 targeted, 0 applied, 1 no answer (r3)")
+
+
+def test_a_pattern_that_cannot_be_loaded_ends_with_1(swarm: Swarm) -> None:
+    done = swarm.ctl("run", "hangs", "r1", "--timeout", "10s")
+    assert (done.returncode, last_line(done)) == (1, "1 targeted, 0 applied, 1 failed (r1)")
+
+
+def test_another_swarm_is_answered_with_the_names_there_are(swarm: Swarm) -> None:
+    done = swarm.ctl("members", "--swarm", unique_swarm())
+    assert done.returncode == 6
+    assert swarm.name in done.stderr
+
+
+def test_param_set_changes_the_running_pattern_and_param_get_tells_the_source(
+    swarm: Swarm,
+) -> None:
+    swarm.ctl("run", "drive", "--all")
+    done = swarm.ctl("param", "set", "r1", "speed=0.05", "-p", "turn=0.5")
+    assert (done.returncode, last_line(done)) == (0, "1 targeted, 1 applied")
+    wait_until(lambda: "0.05" in swarm.ctl("param", "get", "r1").stdout, "speed 0.05 in force")
+    rows = [line.split() for line in swarm.ctl("param", "get", "-k", "turn").stdout.splitlines()]
+    assert rows[1] == ["r1", "drive", "turn", "0.5", "runtime"]
+    assert rows[2][:4] == ["r2", "drive", "turn", "0.0"]
+    assert swarm.ctl("param", "get", "-k", "trun").returncode == 2
+
+
+def test_param_get_says_where_nothing_runs(swarm: Swarm) -> None:
+    assert last_line(swarm.ctl("param", "get", "r1")) == "# no pattern is running on r1"
+
+
+def test_describe_says_why_it_stands_and_shows_everything(swarm: Swarm) -> None:
+    lines = swarm.ctl("describe", "r1").stdout.splitlines()
+    assert lines[0].startswith("r1: stopped: an operator stopped it (by ")
+    assert {"Robot", "State", "Protection", "Health", "Events"} <= set(lines)
+    assert "  labels    red" in lines
+
+
+def test_an_alive_robot_is_not_forgotten(swarm: Swarm) -> None:
+    done = swarm.ctl("members", "forget", "r1")
+    assert (done.returncode, done.stdout) == (7, "")
+    assert "r1 is alive" in done.stderr
+
+
+def in_terminal(swarm: Swarm, act: Callable[[int, int], None], *args: str) -> tuple[int, str]:
+    """Exit code and screen of a command in a terminal; `act(pid, terminal)` on its question."""
+    pid, terminal = pty.fork()
+    if pid == 0:
+        os.chdir(swarm.home)
+        command = [sys.executable, "-c", "from swarmd.cli import main; main()", *args]
+        os.execve(sys.executable, command, swarm.environment)
+    screen = b""
+    try:
+        while b"[y/N]" not in screen:
+            screen += os.read(terminal, 1024)
+        act(pid, terminal)
+        while piece := os.read(terminal, 1024):
+            screen += piece
+    except OSError:  # how Linux says that the other end of a terminal is closed
+        pass
+    finally:
+        os.close(terminal)
+    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), screen.decode()
+
+
+@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
+@pytest.mark.parametrize(
+    ("act", "code", "state"),
+    [
+        (lambda pid, terminal: os.write(terminal, b"y\n"), 0, "idle"),
+        (lambda pid, terminal: os.write(terminal, b"n\n"), 1, "estopped"),
+        (lambda pid, terminal: os.write(terminal, b"\x03"), 130, "estopped"),
+        (lambda pid, terminal: os.kill(pid, signal.SIGINT), 130, "estopped"),
+    ],
+    ids=["yes", "no", "ctrl-c", "sigint"],
+)
+def test_reset_asks_back_on_a_terminal(
+    swarm: Swarm, act: Callable[[int, int], None], code: int, state: str
+) -> None:
+    swarm.ctl("estop", "r1")
+    found, screen = in_terminal(swarm, act, "reset", "r1")
+    assert found == code, screen
+    assert "Reset r1?" in screen
+    assert swarm.status("r1")["state"] == state
+
+
+def test_a_robot_that_was_killed_is_listed_until_it_is_forgotten(
+    tmp_path: Path,
+) -> None:
+    swarm = Swarm(tmp_path)
+    try:
+        for daemon in swarm.daemons.values():
+            daemon.wait_ready()
+        wait_until(lambda: swarm.is_alive(*ROBOTS), "all alive")
+        swarm.daemons["r3"].kill()
+        wait_until(lambda: "# failed: r3 (" in swarm.ctl("members").stdout, "r3 listed as failed")
+        done = swarm.ctl("run", "drive", "--all")
+        assert (done.returncode, last_line(done)) == (
+            3,
+            "3 targeted, 2 applied, 1 no answer (r3)",
+        )
+        assert swarm.ctl("members", "forget", "r3").returncode == 0
+        assert "r3" not in swarm.ctl("members").stdout
+        assert swarm.ctl("run", "drive", "--all").returncode == 0
+    finally:
+        for daemon in swarm.daemons.values():
+            daemon.kill()
