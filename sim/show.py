@@ -166,15 +166,13 @@ class Show:
         return Scene(
             title=(
                 f"{self._play.pattern}, {len(self._robots)} {self._play.platform}:"
-                f" {state.recorded:.0f} of {self._play.seconds:.0f} s"
+                f" {state.recorded:.0f} of {self._play.seconds:.0f} s,"
+                f" {state.real_time_factor:.2f} times real time, contacts {state.contacts}"
             ),
             arena=state.arena,
             poses=dict(zip(state.ids, state.poses, strict=True)),
             statuses=statuses,
-            footer=(
-                f"{state.real_time_factor:.2f} times real time, contacts {state.contacts}."
-                f" In another terminal: SWARM={self._fleet.spec.swarm} swarmctl members"
-            ),
+            footer=f"In another terminal: SWARM={self._fleet.spec.swarm} swarmctl members",
         )
 
     def _summary(

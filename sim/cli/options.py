@@ -65,13 +65,14 @@ def stage_for(
 ) -> tuple[str, str]:
     """Arena and layout as wanted, or such as suit the platform; ConfigError if they cannot be.
 
-    The usual ones go by the protection threshold: robots start apart, walls are out of the way.
+    The usual arena is 1.8 times as wide as the sensor reaches, so that a robot sees some others and
+    none sees all, and gives each robot room for three protection thresholds squared.
     """
     from swarmd.sim.arena import parse_arena
     from swarmd.sim.layouts import parse_layout
 
     threshold = float(platform.protection.get("threshold", 0.5))
-    side = round(max(8.0, 4.0 * count**0.5 + 2.0) * threshold, 1)
+    side = round(max(1.8 * platform.scan.range_max, 3.0 * threshold * count**0.5), 1)
     arena = arena or f"{side:g}x{side:g}"
     layout = layout or f"random:{0.6 * threshold:.2f}"
     parse_layout(layout, [platform.footprint] * count, parse_arena(arena), seed=seed)

@@ -137,7 +137,7 @@ def _folder(keep: Path | None) -> Iterator[Path]:
     try:
         yield folder
     except SwarmError:
-        is_wanted = True
+        is_wanted = any(folder.iterdir())  # there are logs to read
         raise
     finally:
         if not is_wanted:
