@@ -259,9 +259,10 @@ class Daemon:
 
     def _forget(self, request: Request, query: Query) -> None:
         name = str(request.args.get("name") or "")
-        is_done = self._bus is not None and self._bus.forget(name)
+        assert self._bus is not None
+        is_done = self._bus.forget(name) or name not in self._bus.members
         code = Code.APPLIED if is_done else Code.REFUSED
-        text = f"forgot {name}" if is_done else f"{name} is alive, or not known here"
+        text = f"forgot {name}" if is_done else f"{name} is alive"
         reply = Reply(id=request.id, robot=self._robot.id, code=code, text=text[:300])
         query.reply(encode(reply))
 
