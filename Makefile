@@ -50,6 +50,7 @@ $(VENV)/made:
 $(VENV)/installed: $(VENV)/made pyproject.toml constraints.txt
 	@echo "Installing swarmd with what the demo needs."
 	@$(PIP) install --constraint constraints.txt --editable '.[sim,plot]'
+	@$(BIN)/python -m compileall -q swarmd patterns drivers sim config
 	@touch $@
 
 # pip understands --group only from 25.1 on, and a new environment may hold an older one.
