@@ -16,9 +16,9 @@ from swarmd.values import Twist, Value
 class Actions:
     """In this order: hand `twist` to the driver, write `latches` down, tell the `host`, publish.
 
-    `messages`
-    are by `<pattern>/<channel>`. `wish_seq` is the scan that the wish behind `twist` used (-1: none). `replies` answer earlier
-    requests too: run is answered when its pattern is ready.
+    `messages` are by `<pattern>/<channel>`. `wish_seq` is the scan that the wish behind `twist`
+    used (-1: none). `replies` answer earlier requests too: run is answered when its pattern is
+    ready.
     """
 
     twist: Twist

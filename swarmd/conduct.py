@@ -168,8 +168,6 @@ class Conduct:
                 hosting.awaiting_since = None
             return
         hosting.stepped(event, turn.now)
-        if not self.is_running:
-            return
         twist = event.outputs.twist
         if twist is not None and not twist.is_finite:
             self.fault("its twist is not finite", turn)
@@ -215,7 +213,6 @@ class Conduct:
         if loading is not None and loading.request is not None:
             self.fail_load(text, turn)
         elif hosting.fault(turn.now):
-            hosting.quarantined = running.pattern
             detail = f"{running.pattern} failed {hosting.faults} times, last: {text}"
             self.end(Change.FAULT, Reason.QUARANTINED, detail, turn)
 

@@ -83,7 +83,6 @@ class Hosting:
         self.last_step = -1.0
         self.is_due = False
         self.restarts = 0
-        self.quarantined: str | None = None
         self._faults: deque[float] = deque()
 
     def begin(

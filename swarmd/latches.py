@@ -40,7 +40,6 @@ class Latches:
         """Latch; True if it was not held yet."""
         if latch_id not in self._held and len(self._held) >= HELD:
             latch_id = OVERFLOW
-        self._cleared.pop(latch_id, None)
         is_new = latch_id not in self._held
         self._held[latch_id] = latch
         return is_new

@@ -93,8 +93,6 @@ class Verbs:
             self._refuse(request, turn, "run wants a pattern by name and params by name")
         elif not _is_duration(seconds):
             self._refuse(request, turn, f"seconds is {seconds!r}; wanted above 0 and up to 1e7")
-        elif hosting.quarantined == pattern:
-            self._refuse(request, turn, f"{pattern} is quarantined; reset the robot first")
         elif hosting.loading is not None and hosting.loading.request is not None:
             self._refuse(request, turn, f"still loading {hosting.loading.pattern}")
         else:
@@ -128,7 +126,6 @@ class Verbs:
         elif state in (State.RUNNING, State.IDLE):
             conduct.reply(turn, request, Code.APPLIED, f"{state}: nothing to reset")
         else:
-            conduct.hosting.quarantined = None
             conduct.changed(f"{request.operator} (reset)")
             detail = str(request.args.get("reason") or f"by {request.operator}")
             conduct.end(Change.RESET, Reason.RESET, detail, turn)

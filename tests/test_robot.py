@@ -516,6 +516,33 @@ def test_a_load_that_hangs_fails_after_three_seconds_and_stops_the_body() -> Non
     assert story.status.state is State.STOPPED
 
 
+def test_a_load_that_hangs_in_an_idle_robot_fails_after_three_seconds() -> None:
+    story = Story(patterns=PATTERNS)
+    story.advance(1.0)
+    story.is_hung = True
+    run = story.request("run", pattern="forward")
+    assert story.send(run) is None
+    story.advance(2.9)
+    assert not any(reply.id == run.id for reply in story.replies)
+    story.advance(0.15)
+    answer = next(reply for reply in story.replies if reply.id == run.id)
+    assert answer.code is Code.FAILED
+    assert "loading took more than 3 s" in answer.text
+    assert isinstance(story.sent[-1], Kill)
+    assert standing_state(story) == (State.IDLE, Reason.NEVER_ASKED)
+
+
+def test_a_host_that_hangs_is_replaced_even_if_its_robot_was_stopped_meanwhile() -> None:
+    story = started()
+    story.is_hung = True
+    story.advance(0.2)
+    story.ask("stop")
+    story.sent.clear()
+    story.advance(1.1)
+    assert [type(command) for command in story.sent] == [Kill]
+    assert standing_state(story) == (State.STOPPED, Reason.OPERATOR)
+
+
 def test_outputs_of_an_older_generation_are_dropped() -> None:
     story = started(speed=0.1)
     old = story.status.generation

@@ -42,8 +42,8 @@ class Protection:
     ) -> Verdict:
         """The safe command for a wish (None: stands), with its grounds.
 
-        Exactly zero outside `running`, under any hold and before the first scan. Limits are
-        applied to the wish, and to what comes back, here and nowhere else.
+        Exactly zero outside `running`, under any hold and before the first scan. The limits are
+        applied to the wish, so that an arbiter can rely on them, and to what it gives back.
         """
         limits = self._platform.limits
         wanted = limits.clip(wish) if wish is not None and wish.is_finite else ZERO

@@ -3,7 +3,7 @@
 Source: Kaiser et al., ICRA 2022, section III: any obstacle within the threshold suppresses the
 pattern's command, and a repulsive potential field drives instead, at full speed. It promises
 nothing; it is here because it is the paper's. Our deviations: rays below range_min count as
-range_min (in the original they count as free), and the command stays within the limits.
+range_min (in the original they count as free), and the front holds the command within the limits.
 """
 
 from __future__ import annotations
@@ -39,8 +39,7 @@ class PotentialField:
         if field.is_alone:
             self._evasion = None
             return
-        wanted = field_twist(field.vector, self._limits.linear, self._limits.angular)
-        self._evasion = self._limits.clip(wanted)
+        self._evasion = field_twist(field.vector, self._limits.linear, self._limits.angular)
 
     def decide(self, wish: Twist, *, scan_age: float, odometry: Odometry | None) -> Decision:
         """The evading command if there is something to evade, else the wish."""

@@ -84,7 +84,8 @@ def test_a_wish_that_is_no_number_is_none(wish: Twist) -> None:
 def test_limits_hold_for_every_component() -> None:
     protection = Protection(WAFFLE)
     protection.observe(scan_of(np.full(360, np.inf)), None)
-    assert decide(protection, Twist(9.0, -9.0, 9.0)).safe == Twist(0.26, -1.82, 0.0)
+    verdict = decide(protection, Twist(9.0, -9.0, 9.0))
+    assert verdict.safe == verdict.wish == Twist(0.26, -1.82, 0.0)
 
 
 @pytest.mark.parametrize(("rays", "is_active"), [(5, False), (6, True)])
@@ -115,7 +116,15 @@ def test_turns_away_from_what_is_on_its_left() -> None:
     ranges[45:136] = 0.3
     protection = Protection(WAFFLE)
     protection.observe(scan_of(ranges), None)
-    assert decide(protection).safe.angular < 0.0
+    assert decide(protection).safe.angular == -1.82  # the paper's law alone would give 2.86
+
+
+def test_drives_on_towards_something_narrow_as_the_papers_law_does() -> None:
+    protection = Protection(WAFFLE)
+    protection.observe(ahead(0.4, 8), None)
+    verdict = decide(protection, Twist(0.1))
+    assert verdict.is_active
+    assert verdict.safe.linear == pytest.approx(0.26, rel=1e-3)
 
 
 def test_too_close_to_measure_is_as_near_as_can_be_not_free() -> None:
