@@ -170,7 +170,7 @@ def end_on_signals() -> None:
 
 def _spawn(name: str, arguments: Iterable[str], folder: Path, *, stdout: int) -> Child:
     log = folder / f"{name}.log"
-    command = [sys.executable, "-m", *arguments, "--die-with-parent", str(os.getpid())]
+    command = [sys.executable, "-P", "-m", *arguments, "--die-with-parent", str(os.getpid())]
     with log.open("ab") as sink:
         process = subprocess.Popen(
             command,

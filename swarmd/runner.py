@@ -69,7 +69,8 @@ class _Host:
         ours.setblocking(False)
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 18)
         theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 18)
-        command = [sys.executable, "-m", "swarmd.host"]
+        # -P: a random.py where this is called is not to shadow a module.
+        command = [sys.executable, "-P", "-m", "swarmd.host"]
         command += ["--fd", str(theirs.fileno()), "--parent", str(os.getpid())]
         with theirs:
             self.process = subprocess.Popen(

@@ -231,3 +231,14 @@ def test_a_reader_that_has_seen_enough_is_no_traceback(tmp_path: Path) -> None:
         process.stdout.close()
         assert process.stderr.read() == b""
         assert process.wait(30) == 1
+
+
+def test_files_that_happen_to_lie_where_it_is_called_are_not_imported(tmp_path: Path) -> None:
+    for name in ("json", "random", "numpy", "swarmd"):
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('the wrong file')")
+    command = [str(Path(sys.executable).with_name("swarmctl")), "patterns"]
+    done = subprocess.run(
+        command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "\nattraction " in done.stdout
