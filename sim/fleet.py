@@ -170,6 +170,7 @@ def end_on_signals() -> None:
 
 def _spawn(name: str, arguments: Iterable[str], folder: Path, *, stdout: int) -> Child:
     log = folder / f"{name}.log"
+    # -P: a random.py where this is called is not to shadow a module.
     command = [sys.executable, "-P", "-m", *arguments, "--die-with-parent", str(os.getpid())]
     with log.open("ab") as sink:
         process = subprocess.Popen(

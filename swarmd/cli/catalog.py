@@ -22,18 +22,11 @@ def describe_patterns(names: Sequence[str], plugin_dir: Path | None, platform: s
     A pattern that cannot be loaded has a row with `error`. PluginError if the child fails, as
     with a plugin whose import hangs or ends the process.
     """
-    command = [
-        sys.executable,
-        "-P",
-        "-m",
-        "swarmd.host",
-        "--describe",
-        *names,
-        "--platform",
-        platform,
-    ]
+    # -P: a random.py where this is called is not to shadow a module.
+    command = [sys.executable, "-P", "-m", "swarmd.host", "--platform", platform]
     if plugin_dir is not None:
         command += ["--plugin-dir", str(plugin_dir)]
+    command += ["--describe", *names]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     try:
         done = subprocess.run(
