@@ -29,19 +29,19 @@ import zenoh
 from zenoh.handlers import Callback
 
 from swarmd.clock import Clock, boottime
-from swarmd.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE, Decoder, encode
+from swarmd.codec import MAX_CONTROL, Decoder, encode
 from swarmd.errors import CodecError
 from swarmd.keys import ANY, Key, build, parse
-from swarmd.messages import Condition, Member, Request, Status, View
+from swarmd.messages import Member, Request, Status, View
 from swarmd.network.contract import SAFETY, Listener, MemberListener, Query, Server
 from swarmd.network.intake import Drops, Lane
 from swarmd.network.membership import Membership
+from swarmd.network.rules import brief, limit_of, matches
 from swarmd.network.session import undeclare
 
 # Tokens and emergency stops are not to be lost in a crowd: a longer lane, without breath.
 WIDE = 4096
 MAX_REPLIES = 1024
-_LIMITS = {"msg": MAX_MESSAGE, "sense": MAX_SENSE, "hw": MAX_SENSE}
 _URGENT = frozenset({SAFETY, "hw"})
 
 _status = Decoder(Status)
@@ -128,7 +128,6 @@ class ZenohBus:
 
     def listen(self, plane: str, name: str, handler: Listener) -> None:
         """Hear other robots' `<plane>/<name>`; `handler(key, payload)` runs on the loop."""
-        wanted = name.split("/")
         kind = f"{plane}/{name}"
 
         def accepts(key: Key | None) -> bool:
@@ -137,7 +136,7 @@ class ZenohBus:
                 and key.swarm == self.swarm
                 and key.plane == plane
                 and key.robot != self.robot
-                and _matches(key.name, wanted)
+                and matches(key.name, name)
             )
 
         self._subscribe(build(self.swarm, ANY, plane, name), kind, plane, accepts, handler)
@@ -187,7 +186,7 @@ class ZenohBus:
         return View(
             robot=self.robot,
             status=status,
-            members=tuple(_brief(member) for member in self.members.values()),
+            members=tuple(brief(member) for member in self.members.values()),
             roster=roster,
         )
 
@@ -269,7 +268,7 @@ class ZenohBus:
         handler: Listener,
     ) -> None:
         lane = self._lane(kind, is_wide=plane == SAFETY)
-        limit = _LIMITS.get(plane, MAX_CONTROL)
+        limit = limit_of(plane)
 
         def on_sample(sample: zenoh.Sample) -> None:
             if lane.is_full():
@@ -359,21 +358,3 @@ class ZenohBus:
             self._drops.add("control/members:malformed")
             return True
         return isinstance(known, list) and self.robot in known
-
-
-def _matches(name: str, wanted: list[str]) -> bool:
-    chunks = name.split("/")
-    return len(chunks) == len(wanted) and all(
-        want in (ANY, chunk) for chunk, want in zip(chunks, wanted, strict=True)
-    )
-
-
-def _brief(member: Member) -> Member:
-    if member.condition is not Condition.ALIVE:
-        return member
-    return Member(
-        robot=member.robot,
-        instance=member.instance,
-        condition=member.condition,
-        age=member.age,
-    )
