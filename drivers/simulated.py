@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import math
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,8 +12,8 @@ import zenoh
 
 from swarmd import keys
 from swarmd.driver import Finding, Sink
+from swarmd.drivers.inbox import Inbox
 from swarmd.errors import CodecError, ConfigError, unknown
-from swarmd.handover import hand_over
 from swarmd.network.session import open_with
 from swarmd.sensing import (
     decode_neighbors,
@@ -54,8 +53,8 @@ class SimulatedDriver:
         """Feed the sink until cancelled; the session reconnects by itself."""
         loop = asyncio.get_running_loop()
         sink.state(False, f"no body yet at {self._endpoint}")
-        session = await asyncio.to_thread(self._open)
-        inbox = _Inbox(loop, lambda name, payload: self._take(sink, name, payload))
+        session = await _opened(self._open)
+        inbox = Inbox(loop, lambda name, payload: self._take(sink, name, payload))
         try:
             self._commands = session.declare_publisher(
                 self._key("cmd_vel"),
@@ -130,8 +129,7 @@ class SimulatedDriver:
             "scouting/gossip/enabled": False,
             "listen/endpoints": [],
             "connect/endpoints": [self._endpoint],
-            "connect/timeout_ms": 0,
-            "connect/exit_on_failure": False,
+            # Retries for ever, as long as connect/timeout_ms is left alone: 0 there means once.
             "connect/retry": {
                 "period_init_ms": 500,
                 "period_max_ms": 500,
@@ -180,44 +178,6 @@ class SimulatedDriver:
             sink.state(False, f"nothing from {self._endpoint} for {SILENCE:g} s")
 
 
-class _Inbox:
-    """Hands the newest sample of each sense to the loop.
-
-    Only the newest: after a stall of the loop the older ones would be history.
-    """
-
-    def __init__(self, loop: asyncio.AbstractEventLoop, take: Callable[[str, bytes], None]) -> None:
-        self._loop, self._take = loop, take
-        self._lock = threading.Lock()
-        self._waiting: dict[str, bytes] = {}
-        self._is_closed = False
-
-    def close(self) -> None:
-        """Deliver nothing from now on, not even what is on its way."""
-        self._is_closed = True
-
-    def receiver(self, name: str, key: str) -> Callable[[zenoh.Sample], None]:
-        """A Zenoh callback for one sense; samples on other keys than `key` are left out."""
-
-        def on_sample(sample: zenoh.Sample) -> None:
-            if str(sample.key_expr) != key:
-                return
-            payload = sample.payload.to_bytes()
-            with self._lock:
-                is_first = name not in self._waiting
-                self._waiting[name] = payload
-            if is_first:
-                hand_over(self._loop, self._deliver, name)
-
-        return on_sample
-
-    def _deliver(self, name: str) -> None:
-        with self._lock:
-            payload = self._waiting.pop(name)
-        if not self._is_closed:
-            self._take(name, payload)
-
-
 @dataclass(slots=True)
 class _Seen:
     """A sink that only looks."""
@@ -249,6 +209,21 @@ class _Seen:
     def _look(self) -> None:
         if self.last_scan is not None and self.last_odometry is not None:
             self.everything.set()
+
+
+async def _opened(open_it: Callable[[], zenoh.Session]) -> zenoh.Session:
+    """The session, opened in a thread; closed at once if nobody waits for it any more."""
+    opening = asyncio.ensure_future(asyncio.to_thread(open_it))
+    try:
+        return await asyncio.shield(opening)
+    except asyncio.CancelledError:
+        opening.add_done_callback(_close_if_open)
+        raise
+
+
+def _close_if_open(opening: asyncio.Future[zenoh.Session]) -> None:
+    if not opening.cancelled() and opening.exception() is None:
+        opening.result().close()
 
 
 def _has_subscriber(publisher: zenoh.Publisher) -> bool:

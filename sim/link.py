@@ -201,8 +201,6 @@ def dialling(endpoint: str) -> dict[str, object]:
     return {
         "listen/endpoints": [],
         "connect/endpoints": [endpoint],
-        "connect/timeout_ms": 0,
-        "connect/exit_on_failure": False,
         "connect/retry": {
             "period_init_ms": 500,
             "period_max_ms": 500,
