@@ -29,12 +29,13 @@ _TOKENS = build(ANY, ANY, "alive", ANY)
 def swarms_in_reach(
     session: zenoh.Session, settings: SessionSettings, timeout: float
 ) -> tuple[str, ...]:
-    """Names of swarms with a living daemon, sorted; takes about `timeout` s."""
-    found = set(_names(session, timeout))
-    if settings.multicast:
-        locators = _scout(settings.interface or "lo", timeout)
-        if locators:
-            found |= _names_at(locators, settings, timeout)
+    """Names of swarms with a living daemon, sorted; takes up to three times `timeout` s."""
+    if not settings.multicast:
+        return tuple(sorted(_poll(session, timeout)))
+    found = _names(session, timeout)
+    locators = _scout(settings.interface or "lo", timeout)
+    if locators:
+        found |= _names_at(locators, settings, timeout)
     return tuple(sorted(found))
 
 
