@@ -12,7 +12,7 @@ help:
 	@echo "make demo    seven simulated robots gather; about a minute and a half"
 	@echo "make test    all tests                            (ARGS='-k scan' picks some)"
 	@echo "make check   format, lint, types, and the wheel tried in a fresh environment"
-	@echo "make bench   the measurements, beside their budgets"
+	@echo "make bench   the measurements, beside their budgets (ARGS=latency picks one)"
 	@echo "make clean   removes .venv, build and caches"
 	@echo "PYTHON=python3.12 picks the interpreter."
 
@@ -33,7 +33,7 @@ format: $(VENV)/tools
 	$(BIN)/ruff check --fix .
 
 bench: $(VENV)/tools
-	@for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python $$file || exit 1; done
+	@$(BIN)/python -m benchmarks $(ARGS)
 
 $(VENV)/made:
 	@command -v $(PYTHON) >/dev/null || { echo \

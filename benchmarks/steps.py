@@ -1,7 +1,4 @@
-"""One pattern step, and one potential field beside a plain-Python loop, at 360 rays.
-
-Budget: 100 us for the median step in a hot loop.
-"""
+"""One pattern step, and one potential field beside a plain-Python loop, at 360 rays, hot."""
 
 from __future__ import annotations
 
@@ -14,9 +11,11 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from itertools import cycle
+from statistics import median
 
 import numpy as np
 
+from benchmarks.table import Row, print_table
 from swarmd.fields import potential_field
 from swarmd.loading import Finder
 from swarmd.plugins import pattern_names
@@ -25,7 +24,7 @@ from swarmd.testing.pattern_contract import Subject
 from swarmd.testing.scans import Disc, scan_from, scan_of
 from swarmd.values import Inputs, Platform, Pose, Scan
 
-BUDGET_US = 100.0
+BUDGET = "p50 100 us"
 CALLS = 5000
 WARM = 500
 PAPER: Mapping[str, str] = {"law": "paper"}
@@ -58,8 +57,8 @@ def vector_field(scan: Scan, *, range_max: float, bias: float = 2.0) -> object:
     )
 
 
-def measure(call: Callable[[], object]) -> tuple[float, float]:
-    """Median and 99th percentile in us."""
+def measure(call: Callable[[], object]) -> Sequence[float]:
+    """Seconds of each of many calls in a row."""
     times = np.empty(CALLS)
     for _ in range(WARM):
         call()
@@ -67,12 +66,8 @@ def measure(call: Callable[[], object]) -> tuple[float, float]:
         start = time.perf_counter_ns()
         call()
         times[index] = time.perf_counter_ns() - start
-    p50, p99 = np.percentile(times, [50, 99]) / 1e3
-    return float(p50), float(p99)
-
-
-def show(name: str, timing: tuple[float, float], remark: str) -> None:
-    print(f"{name:<34} p50 {timing[0]:7.1f} us   p99 {timing[1]:7.1f} us   {remark}")
+    seconds: Sequence[float] = (times / 1e9).tolist()
+    return seconds
 
 
 def steps(scans: Sequence[Scan]) -> Iterator[Inputs]:
@@ -81,7 +76,7 @@ def steps(scans: Sequence[Scan]) -> Iterator[Inputs]:
         yield Inputs(now=0.1 * tick, dt=0.1, scan=scan, is_new_scan=tick % 2 == 0)
 
 
-def measure_patterns(scans: Sequence[Scan]) -> None:
+def pattern_rows(scans: Sequence[Scan]) -> Iterator[Row]:
     found = pattern_names(None)
     finder = Finder({name: (origin.value, origin.is_file) for name, origin in found.items()})
     platform = load_platform("waffle_pi")
@@ -89,15 +84,15 @@ def measure_patterns(scans: Sequence[Scan]) -> None:
         for params in LAWS.get(name, ({},)):
             step = Subject(finder(name), platform, params).make().step
             timing = measure(map(step, steps(scans)).__next__)
-            remark = f"budget {BUDGET_US:.0f} us, {timing[0] / BUDGET_US:4.0%} of it"
-            show(" ".join((name, *params.values())), timing, remark)
+            yield Row(" ".join(("step of", name, *params.values())), timing, BUDGET)
 
 
-def measure_fields(scans: Sequence[Scan], range_max: float, what: str) -> None:
+def field_rows(scans: Sequence[Scan], range_max: float, what: str) -> Iterator[Row]:
     loop = measure(map(partial(loop_field, range_max=range_max), cycle(scans)).__next__)
     fast = measure(map(partial(vector_field, range_max=range_max), cycle(scans)).__next__)
-    show(f"field, {what}, plain loop", loop, "yardstick")
-    show(f"field, {what}, numpy", fast, f"{loop[0] / fast[0]:.0f} times faster")
+    ratio = median(loop) / median(fast)
+    yield Row(f"field, {what}, plain loop", loop, note="yardstick")
+    yield Row(f"field, {what}, numpy", fast, note=f"{ratio:.0f} times as fast, in the median")
 
 
 def in_an_arena(platform: Platform, count: int) -> list[Scan]:
@@ -113,14 +108,18 @@ def in_an_arena(platform: Platform, count: int) -> list[Scan]:
     return scans
 
 
-def main() -> None:
+def rows() -> Iterator[Row]:
     platform = load_platform("waffle_pi")
     scans = in_an_arena(platform, 100)
-    print(f"{CALLS} calls each, {len(scans[0].ranges)} rays, seven robots in a room of 6 m")
-    measure_patterns(scans)
-    measure_fields(scans, 0.5, "few rays near")
+    yield from pattern_rows(scans)
+    yield from field_rows(scans, 0.5, "few rays near")
     everywhere = np.random.default_rng(0).uniform(0.2, 3.4, 360)
-    measure_fields([scan_from(platform, everywhere, platform.scan.bearings)], 3.5, "all rays near")
+    near = [scan_from(platform, everywhere, platform.scan.bearings)]
+    yield from field_rows(near, 3.5, "all rays near")
+
+
+def main() -> None:
+    print_table("Pattern steps and fields, 360 rays, hot", rows())
 
 
 if __name__ == "__main__":

@@ -92,9 +92,12 @@ def test_an_import_the_wrong_way_is_found() -> None:
 
 
 def test_one_file_has_one_import_name() -> None:
-    bare = (*LINKED, "tests", "benchmarks", "examples")
+    bare = (*LINKED, "tests", "examples")
     everything = sources(*CODE, "tests", "benchmarks", "examples")
     found = [line for path in everything for line in offences(path, bare)]
+    # Benchmarks are run as modules, from the root, and share their table.
+    others = sources(*CODE, "tests", "examples")
+    found += [line for path in others for line in offences(path, ("benchmarks",))]
     relative = [
         f"{name_of(path)}:{line}"
         for path in everything

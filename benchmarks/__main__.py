@@ -1,0 +1,36 @@
+"""All benchmarks, one after the other: `python -m benchmarks [NAME...]`, about ten minutes."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Mapping
+
+from benchmarks import cli, latency, mesh, protection, resources, startup, steps, switch
+from benchmarks.table import machine
+
+ALL: Mapping[str, Callable[[], None]] = {
+    "steps": steps.main,
+    "protection": protection.main,
+    "latency": lambda: latency.main([]),
+    "resources": lambda: resources.main([]),
+    "startup": startup.main,
+    "cli": cli.main,
+    "mesh": mesh.main,
+    "switch": lambda: switch.main([]),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"of: {', '.join(ALL)}")
+    names = parser.parse_args().names or list(ALL)
+    for name in names:
+        if name not in ALL:
+            parser.error(f"no benchmark {name!r}; there are {', '.join(ALL)}")
+    print(f"Measured on {machine()}. Rows with a budget are asserted nowhere.")
+    for name in names:
+        ALL[name]()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,167 @@
+"""From a scan to the command it leads to: seven live daemons, one world, all on this machine.
+
+Reflex: from the scan's put at the world to the first command back in the world's Zenoh callback
+whose verdict used that scan. Full: to the first whose wish used it. The bodies apply a command
+with the next 100 Hz step, up to 10 ms later; that is not counted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.swarm import Swarm
+from benchmarks.table import Row, print_table
+from swarmd.messages import State
+
+ROBOTS = 7
+SECONDS = 62.0  # 5 Hz: over 300 scans of each robot
+CYCLES = 15  # of run, endless loops, stopped
+SILENCE = 1.5  # s after which the last looping host has been killed
+
+Times = Mapping[tuple[str, int], int]
+"""By robot and scan: a stamp in ns."""
+
+STAGES = (
+    ("reflex: world's put -> driver's Zenoh thread", "put", "thread"),
+    ("reflex: Zenoh thread -> loop", "thread", "loop"),
+    ("reflex: loop -> scan decoded", "loop", "decoded"),
+    ("reflex: decoded -> condition, protect, to the put", "decoded", "safe_sent"),
+    ("reflex: put -> world's callback", "safe_sent", "safe_back"),
+    ("full: safe command's put -> step sent to host", "safe_sent", "to_host"),
+    ("full: step sent -> host has it", "to_host", "host_in"),
+    ("full: host decodes, steps, encodes", "host_in", "host_out"),
+    ("full: host's answer -> daemon has it", "host_out", "from_host"),
+    ("full: decode, protect again, to the put", "from_host", "wish_sent"),
+    ("full: put -> world's callback", "wish_sent", "wish_back"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Stamps:
+    """What the world saw: when each scan went out, and when it first came back."""
+
+    put: Times
+    safe_back: Times
+    wish_back: Times
+
+
+def read_stamps(swarm: Swarm) -> Stamps:
+    """The stamps of a closed swarm."""
+    with np.load(swarm.folder / "world.npz") as file:
+        scans, commands = file["scans"].tolist(), file["commands"].tolist()
+    safe: dict[tuple[str, int], int] = {}
+    wish: dict[tuple[str, int], int] = {}
+    for at, robot, scan_seq, wish_seq in commands:
+        safe.setdefault((robot, scan_seq), at)
+        wish.setdefault((robot, wish_seq), at)
+    return Stamps({(robot, seq): at for at, robot, seq in scans}, safe, wish)
+
+
+def read_borders(swarm: Swarm) -> dict[str, dict[tuple[str, int], int]]:
+    """The stamps of stamped daemons, by border."""
+    found: dict[str, dict[tuple[str, int], int]] = {}
+    for robot in swarm.robots:
+        borders = json.loads((swarm.folder / f"{robot}.json").read_text())
+        for border, times in borders.items():
+            some = found.setdefault(border, {})
+            some.update({(robot, int(seq)): at for seq, at in times.items()})
+    return found
+
+
+def between(start: Times, end: Times, span: tuple[int, int]) -> tuple[list[float], int]:
+    """Seconds from start to end of all scans put within `span`, and how many never ended."""
+    chosen = [key for key, at in start.items() if span[0] <= at < span[1]]
+    return [(end[key] - start[key]) / 1e9 for key in chosen if key in end], sum(
+        key not in end for key in chosen
+    )
+
+
+def run_for(swarm: Swarm, pattern: str, seconds: float) -> tuple[int, int]:
+    """Run a pattern for a while; the span in ns, without the first second."""
+    swarm.run(pattern)
+    time.sleep(1.0)
+    start = time.monotonic_ns()
+    time.sleep(seconds)
+    return start, time.monotonic_ns() - 100_000_000
+
+
+def row(what: str, budget: str, timing: tuple[list[float], int], note: str = "") -> Row:
+    samples, lost = timing
+    if lost:
+        note = f"{note}; {lost} scans without" if note else f"{lost} scans without"
+    return Row(what, samples, budget, note)
+
+
+def healthy(seconds: float) -> Iterator[Row]:
+    """Reflex and full while all patterns run as they should."""
+    with Swarm(ROBOTS) as swarm:
+        span = run_for(swarm, "attraction", seconds)
+        swarm.close()
+        stamps = read_stamps(swarm)
+    reflex = between(stamps.put, stamps.safe_back, span)
+    full = between(stamps.put, stamps.wish_back, span)
+    yield row("reflex, 7 live daemons", "p50 1.5 ms, p99 5 ms", reflex)
+    yield row("full, 7 live daemons", "p50 2 ms, p99 8 ms", full)
+
+
+def staged(seconds: float) -> Iterator[Row]:
+    """Where the time goes: the same with stamps at every border."""
+    with Swarm(ROBOTS, is_stamped=True) as swarm:
+        span = run_for(swarm, "timed", seconds)
+        swarm.close()
+        stamps, borders = read_stamps(swarm), read_borders(swarm)
+    times: dict[str, Times] = {
+        **borders,
+        "put": stamps.put,
+        "safe_back": stamps.safe_back,
+        "wish_back": stamps.wish_back,
+    }
+    for what, start, end in STAGES:
+        budget = "p50 200 us" if end == "host_out" else ""
+        chosen = {k: times[start][k] for k in times[start] if span[0] <= stamps.put.get(k, 0)}
+        chosen = {k: at for k, at in chosen.items() if stamps.put[k] < span[1]}
+        seconds_each = [(times[end][k] - at) / 1e9 for k, at in chosen.items() if k in times[end]]
+        yield Row(what, seconds_each, budget)
+
+
+def looping(cycles: int) -> Iterator[Row]:
+    """Reflex while every pattern loops for ever.
+
+    Each host is killed after 1 s of silence and started again, into the next endless loop, until
+    the robot has been held for 2 s and stands as stopped; then they are all told to run again.
+    """
+    spans: list[tuple[int, int]] = []
+    with Swarm(ROBOTS) as swarm:
+        for _ in range(cycles):
+            swarm.run("endless")
+            start = time.monotonic_ns()
+            swarm.wait_all(State.STOPPED)
+            spans.append((start, time.monotonic_ns() - 100_000_000))
+            time.sleep(SILENCE)
+        swarm.close()
+        stamps = read_stamps(swarm)
+    timings = [between(stamps.put, stamps.safe_back, span) for span in spans]
+    samples = [value for timing, _ in timings for value in timing]
+    lost = sum(lost for _, lost in timings)
+    note = "hosts loop for 1 s, are killed and replaced, and loop again"
+    yield row("reflex, all 7 patterns loop", "p99 20 ms", (samples, lost), note)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=SECONDS)
+    parser.add_argument("--cycles", type=int, default=CYCLES)
+    options = parser.parse_args(arguments)
+    print_table("Latency", healthy(options.seconds))
+    print_table("Latency by stage", staged(options.seconds))
+    print_table("Latency beside endless loops", looping(options.cycles))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,135 @@
+"""The daemon, stamping each stage that a scan passes through.
+
+`python -m benchmarks.stamped_daemon CONFIG.yaml STAMPS.json PARENT`. It is the daemon as it is,
+with stamps (ns, CLOCK_MONOTONIC) at the borders between its parts; `plugins/timed.py` stamps within
+the pattern host. Of each scan only the first time at each border counts.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import os
+import signal
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from time import monotonic_ns
+from typing import Any
+
+import zenoh
+
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
+from swarmd import daemon as daemon_module
+from swarmd.daemon import Daemon
+from swarmd.drivers import simulated
+from swarmd.drivers.inbox import Inbox
+from swarmd.frames import Command, Event, Step, Stepped
+from swarmd.processes import die_with_parent
+from swarmd.runner import ProcessRunner
+from swarmd.settings import load_daemon_settings
+from swarmd.values import Scan, Twist
+
+
+class Stamps:
+    """By border: when each scan first came there."""
+
+    def __init__(self) -> None:
+        self.by_border: dict[str, dict[int, int]] = defaultdict(dict)
+        self.thread = self.loop = self.frame = 0
+
+    def put(self, border: str, seq: int, at: int | None = None) -> None:
+        self.by_border[border].setdefault(seq, monotonic_ns() if at is None else at)
+
+
+STAMPS = Stamps()  # of this process, which is one measurement
+
+
+class StampedDriver(simulated.SimulatedDriver):
+    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+        STAMPS.put("safe_sent", scan_seq)
+        STAMPS.put("wish_sent", wish_seq)
+        super().send(twist, scan_seq, wish_seq)
+
+
+class StampedRunner(ProcessRunner):
+    def send(self, command: Command) -> None:
+        super().send(command)
+        if isinstance(command, Step) and command.inputs.scan is not None:
+            STAMPS.put("to_host", command.inputs.scan.seq)
+
+    def on_frame(self, host: Any, frame: bytes) -> None:
+        STAMPS.frame = monotonic_ns()
+        super().on_frame(host, frame)
+
+    def events(self) -> Iterable[Event]:
+        for event in super().events():
+            if isinstance(event, Stepped):
+                STAMPS.put("from_host", event.scan_seq, STAMPS.frame)
+                self._note_host(event)
+            yield event
+
+    def _note_host(self, event: Stepped) -> None:
+        report = event.outputs.report
+        if "seq" in report:
+            STAMPS.put("host_in", int(report["seq"]), int(report["came"]))
+            STAMPS.put("host_out", int(report["seq"]), int(report["went"]))
+
+
+class StampedDaemon(Daemon):
+    def scan(self, scan: Scan) -> None:
+        STAMPS.put("thread", scan.seq, STAMPS.thread)
+        STAMPS.put("loop", scan.seq, STAMPS.loop)
+        STAMPS.put("decoded", scan.seq)
+        super().scan(scan)
+
+
+class StampedInbox(Inbox):
+    """Stamps scans on the network's thread and on the loop, just before they are read."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, take: Callable[[str, bytes], None]) -> None:
+        def take_stamped(name: str, payload: bytes) -> None:
+            STAMPS.loop = monotonic_ns()
+            take(name, payload)
+
+        super().__init__(loop, take_stamped)
+
+    def receiver(self, name: str, key: str) -> Callable[[zenoh.Sample], None]:
+        receive = super().receiver(name, key)
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            if name == "scan":
+                STAMPS.thread = monotonic_ns()
+            receive(sample)
+
+        return on_sample
+
+
+async def serve(config: Path) -> None:
+    loop, stop = asyncio.get_running_loop(), asyncio.Event()
+    loop.add_signal_handler(signal.SIGTERM, stop.set)
+    settings = load_daemon_settings(config, {})
+    driver = StampedDriver(
+        swarm=settings.swarm,
+        robot=settings.id,
+        platform=settings.platform,
+        options=settings.driver_options,
+    )
+    await StampedDaemon(settings, driver).run(stop)
+
+
+def main() -> None:
+    config, stamps, parent = sys.argv[1:]
+    die_with_parent(int(parent))
+    logging.basicConfig(stream=sys.stderr, level=logging.INFO)
+    setattr(simulated, "Inbox", StampedInbox)  # noqa: B010
+    setattr(daemon_module, "ProcessRunner", StampedRunner)  # noqa: B010
+    asyncio.run(serve(Path(config)))
+    Path(stamps).write_text(json.dumps(STAMPS.by_border))
+
+
+if __name__ == "__main__":
+    main()

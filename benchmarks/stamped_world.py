@@ -1,0 +1,65 @@
+"""The world process, stamping each scan as it is published and each command as it arrives.
+
+`python -m benchmarks.stamped_world FILE.npz ...` with the options of `swarmd.sim.server`. Stamps
+are in ns on CLOCK_MONOTONIC, taken just before the scan's put and first in the Zenoh callback that
+receives commands: the bodies apply a command with the next 100 Hz step.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable
+from functools import partial
+from pathlib import Path
+from time import monotonic_ns
+
+import numpy as np
+import zenoh
+
+from swarmd import keys
+from swarmd.platforms import load_platform
+from swarmd.sensing import decode_command, decode_scan
+from swarmd.sim import server
+from swarmd.sim.link import WorldLink
+
+
+class StampedLink(WorldLink):
+    """A world's link that remembers when what went out and came in."""
+
+    def __init__(self, swarm: str, ids: Iterable[str], endpoint: str, *, path: Path) -> None:
+        self._path = path
+        self._puts: list[tuple[int, str, bytes]] = []
+        self._came: list[tuple[int, str, bytes]] = []
+        super().__init__(swarm, ids, endpoint)
+
+    def publish(self, robot: str, name: str, payload: bytes) -> None:
+        if name == "scan":
+            self._puts.append((monotonic_ns(), robot, payload))
+        super().publish(robot, name, payload)
+
+    def _on_command(self, sample: zenoh.Sample) -> None:
+        self._came.append((monotonic_ns(), str(sample.key_expr), sample.payload.to_bytes()))
+        super()._on_command(sample)
+
+    def close(self) -> None:
+        super().close()
+        spec = load_platform("waffle_pi").scan
+        puts = [(at, robot, decode_scan(scan, spec).seq) for at, robot, scan in self._puts]
+        came = []
+        for at, key, payload in self._came:
+            parsed, command = keys.parse(key), decode_command(payload)
+            if parsed is not None:
+                came.append((at, parsed.robot, command.scan_seq, command.wish_seq))
+        scans = np.array(puts, dtype=[("at", "i8"), ("robot", "U64"), ("seq", "i8")])
+        kind = [("at", "i8"), ("robot", "U64"), ("scan_seq", "i8"), ("wish_seq", "i8")]
+        np.savez(self._path, scans=scans, commands=np.array(came, dtype=kind))
+
+
+def main() -> int:
+    link = partial(StampedLink, path=Path(sys.argv[1]))
+    setattr(server, "WorldLink", link)  # noqa: B010  # all else is the server as it is
+    return server.main(sys.argv[2:])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,181 @@
+"""A measured swarm: one world process and its daemons, as real processes on this machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import yaml
+
+from swarmd.messages import State, Status
+from swarmd.network.operator import Operator
+from swarmd.network.requests import Outcome
+from swarmd.network.session import SessionSettings
+
+HERE = Path(__file__).parent
+PLUGINS = HERE / "plugins"
+PATIENCE = 60.0  # s
+GRACE = 5.0  # s between TERM and KILL
+LOOK = 0.05
+
+Process = subprocess.Popen[bytes]
+
+
+class Swarm:
+    """`count` Waffle Pis in a world with MuJoCo at 100 Hz, ready to be told to run.
+
+    A context manager. The world stamps scans and commands at its Zenoh session; the stamps are in
+    `folder` after `close`. `is_stamped` daemons also stamp each stage in between.
+    """
+
+    def __init__(self, count: int, *, is_stamped: bool = False) -> None:
+        self.name = f"bench-{secrets.token_hex(3)}"
+        self.robots = tuple(f"tb3-{number:02d}" for number in range(1, count + 1))
+        self.daemons: dict[str, Process] = {}
+        self.world: Process | None = None
+        self._is_stamped = is_stamped
+        self._exit = ExitStack()
+
+    def __enter__(self) -> Self:
+        self.folder = Path(self._exit.enter_context(tempfile.TemporaryDirectory()))
+        try:
+            self._start()
+        except BaseException:
+            self.__exit__(None, None, None)
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+        self._exit.close()
+
+    def close(self) -> None:
+        """End all processes; the stamps are written by then."""
+        end(self.daemons.values())
+        if self.world is not None:
+            end([self.world])
+
+    def run(self, pattern: str, **params: Any) -> Outcome:
+        """Run a pattern on all robots; SystemExit unless all of them have it."""
+        args = {"pattern": pattern, "params": params}
+        view = self.operator.members()
+        outcome = self.operator.request("run", view.epochs(self.robots), args)
+        if len(outcome.applied) != len(self.robots):
+            sys.exit(f"run {pattern}: {outcome.line} {outcome}")
+        return outcome
+
+    def reset(self) -> None:
+        """Take all robots out of `faulted`."""
+        view = self.operator.members()
+        self.operator.request("reset", view.epochs(self.robots), {"reason": "benchmark"})
+
+    def statuses(self) -> Mapping[str, Status]:
+        """What each robot says of itself now."""
+        members = self.operator.members().members
+        return {r: m.status for r, m in members.items() if m.status is not None}
+
+    def wait(self, condition: Callable[[Mapping[str, Status]], bool], what: str) -> None:
+        """Until the statuses are as wanted; SystemExit with the logs' last lines if never."""
+        deadline = time.monotonic() + PATIENCE
+        while not condition(self.statuses()):
+            if time.monotonic() > deadline:
+                sys.exit(f"no {what} within {PATIENCE:.0f} s: {self._last_words()}")
+            time.sleep(LOOK)
+
+    def wait_ready(self) -> None:
+        """Until every daemon has its body and scans."""
+        self.wait(lambda seen: all(self._is_ready(seen.get(r)) for r in self.robots), "ready swarm")
+
+    def wait_all(self, state: State) -> None:
+        """Until every robot is in `state`."""
+        self.wait(
+            lambda seen: all(r in seen and seen[r].state is state for r in self.robots), str(state)
+        )
+
+    def _is_ready(self, status: Status | None) -> bool:
+        return status is not None and status.health.driver_up and status.health.scan_rate > 3.0
+
+    def _start(self) -> None:
+        self.world = self._spawn_world()
+        assert self.world.stdout is not None
+        line = self.world.stdout.readline()
+        if not line:
+            sys.exit(f"the world did not start: {self._last_words()}")
+        endpoint = json.loads(line)["endpoint"]
+        for robot in self.robots:
+            self.daemons[robot] = self._spawn(robot, self._daemon_command(robot, endpoint))
+        self.operator = self._exit.enter_context(Operator(SessionSettings(swarm=self.name)))
+        self.wait_ready()
+
+    def _spawn_world(self) -> Process:
+        robots = ",".join(f"{robot}:waffle_pi" for robot in self.robots)
+        command = ["benchmarks.stamped_world", str(self.folder / "world.npz"), "--swarm", self.name]
+        side = 6 if len(self.robots) <= 9 else 9
+        command += ["--robots", robots, "--arena", f"{side}x{side}", "--layout", "grid:1.0"]
+        command += ["--endpoint", "tcp/127.0.0.1:0", "--die-with-parent", str(os.getpid())]
+        return self._spawn("world", command, stdout=subprocess.PIPE)
+
+    def _daemon_command(self, robot: str, endpoint: str) -> list[str]:
+        config = self.folder / f"{robot}.yaml"
+        settings: dict[str, object] = {
+            "id": robot,
+            "swarm": self.name,
+            "platform": "waffle_pi",
+            "driver": "simulated",
+            "driver_options": {"endpoint": endpoint},
+            "state_dir": str(self.folder / "state"),
+            "plugin_dir": str(PLUGINS),
+        }
+        config.write_text(yaml.safe_dump(settings))
+        if self._is_stamped:
+            stamps = str(self.folder / f"{robot}.json")
+            return ["benchmarks.stamped_daemon", str(config), stamps, str(os.getpid())]
+        tie = ["--die-with-parent", str(os.getpid())]
+        return ["swarmd.cli.daemon", "--config", str(config), *tie]
+
+    def _spawn(self, name: str, arguments: Sequence[str], stdout: int | None = None) -> Process:
+        with (self.folder / f"{name}.log").open("ab") as log:
+            return subprocess.Popen(
+                [sys.executable, "-m", *arguments],
+                stdin=subprocess.DEVNULL,
+                stdout=log if stdout is None else stdout,
+                stderr=log,
+                cwd=HERE.parent,
+                start_new_session=True,
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            )
+
+    def _last_words(self) -> str:
+        texts = {log.stem: log.read_text(errors="replace") for log in self.folder.glob("*.log")}
+        return "; ".join(f"{name}: {text.strip()[-200:]}" for name, text in sorted(texts.items()))
+
+
+def end(processes: Iterable[Process]) -> None:
+    """TERM, and KILL for what is left after a while."""
+    some = list(processes)
+    for process in some:
+        process.terminate()
+    deadline = time.monotonic() + GRACE
+    for process in some:
+        try:
+            process.wait(timeout=max(0.0, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.stdout is not None:
+            process.stdout.close()

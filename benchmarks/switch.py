@@ -1,0 +1,58 @@
+"""A swarm-wide switch from the key press: `swarmctl run PATTERN --all` with 20 running daemons.
+
+The time is that of the whole swarmctl process, from its start to its end; it ends when every robot
+has said that the pattern is loaded. All hosts are warm. `stop` and `estop` are timed alike.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from itertools import cycle
+from pathlib import Path
+
+from benchmarks.swarm import Swarm
+from benchmarks.table import Row, print_table
+
+ROBOTS = 20
+RUNS = 30
+
+
+def timed(swarm: Swarm, *words: str) -> float:
+    """Seconds of one swarmctl that all robots must ack; SystemExit if one does not."""
+    command = [str(Path(sys.executable).with_name("swarmctl")), *words, "--swarm", swarm.name]
+    start = time.perf_counter()
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    seconds = time.perf_counter() - start
+    if done.returncode:
+        sys.exit(f"{' '.join(words)} ended with {done.returncode}: {done.stdout}{done.stderr}")
+    return seconds
+
+
+def rows(robots: int = ROBOTS, runs: int = RUNS) -> Iterator[Row]:
+    patterns = cycle(("attraction", "dispersion", "random_walk"))
+    with Swarm(robots) as swarm:
+        for _ in range(3):  # what each host imports, it imports once
+            swarm.run(next(patterns))
+        switches = [timed(swarm, "run", next(patterns), "--all") for _ in range(runs)]
+        requests = [swarm.run(next(patterns)).seconds for _ in range(runs)]
+        stops = [timed(swarm, "stop") for _ in range(runs)]
+    note = "process start to end"
+    yield Row(f"swarmctl run --all, {robots} daemons", switches, "0.3 s", f"{note}, all acked")
+    yield Row(f"its request alone, {robots} daemons", requests, note="in an open session")
+    yield Row(f"swarmctl stop, {robots} daemons", stops, note=note)
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", type=int, default=ROBOTS)
+    parser.add_argument("--runs", type=int, default=RUNS)
+    options = parser.parse_args(arguments)
+    print_table("Switching a swarm", rows(options.robots, options.runs))
+
+
+if __name__ == "__main__":
+    main()

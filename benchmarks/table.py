@@ -1,0 +1,85 @@
+"""The one form in which all benchmarks print: what | budget | p50 | p99 | max | n | note."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+import numpy as np
+
+HEAD = ("what", "budget", "p50", "p99", "max", "n", "note")
+SCALES = {"s": ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"))}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
+    """One measured quantity. `unit`: s (shown as s, ms or us), MB, % or x (times)."""
+
+    what: str
+    samples: Sequence[float]
+    budget: str = ""
+    note: str = ""
+    unit: str = "s"
+
+    def cells(self) -> tuple[str, ...]:
+        """The texts of the columns."""
+        if not len(self.samples):
+            return (self.what, self.budget, "-", "-", "-", "0", self.note or "nothing measured")
+        p50, p99, most = np.percentile(self.samples, [50, 99, 100])
+        shown = (show(float(value), self.unit) for value in (p50, p99, most))
+        return (self.what, self.budget, *shown, str(len(self.samples)), self.note)
+
+
+def show(value: float, unit: str) -> str:
+    """A value with three digits and the unit that suits its size."""
+    scales = SCALES.get(unit, ((1.0, unit),))
+    size, name = next((one for one in scales if abs(value) >= one[0]), scales[-1])
+    return f"{value / size:.3g} {name}"
+
+
+def print_table(title: str, rows: Iterable[Row]) -> None:
+    """A heading with the load average before and after, and the rows as a Markdown table."""
+    before = os.getloadavg()
+    cells = [HEAD, *(row.cells() for row in rows)]
+    after = os.getloadavg()
+    load = " -> ".join(" ".join(f"{one:.1f}" for one in some) for some in (before, after))
+    print(f"\n### {title}\n\nLoad average (1, 5, 15 min) {load}\n")
+    widths = [max(len(row[column]) for row in cells) for column in range(len(HEAD))]
+    for number, row in enumerate(cells):
+        print(_line(row, widths))
+        if number == 0:
+            print(_line(["-" * width for width in widths], widths))
+    sys.stdout.flush()
+
+
+def _line(cells: Iterable[str], widths: Sequence[int]) -> str:
+    return "| " + " | ".join(c.ljust(w) for c, w in zip(cells, widths, strict=True)) + " |"
+
+
+def machine() -> str:
+    """One line on what this was measured on."""
+    versions = ", ".join(f"{name} {version(name)}" for name in _packages())
+    return (
+        f"{os.cpu_count()} x {_cpu()}, {_memory()}, {platform.system()} {platform.release()},"
+        f" Python {platform.python_version()}, {versions}"
+    )
+
+
+def _packages() -> Iterator[str]:
+    yield from ("eclipse-zenoh", "numpy", "msgspec", "mujoco-core")
+
+
+def _cpu() -> str:
+    for line in Path("/proc/cpuinfo").read_text().splitlines():
+        if line.startswith("model name"):
+            return line.partition(":")[2].strip()
+    return platform.machine()
+
+
+def _memory() -> str:
+    return f"{os.sysconf('SC_PAGE_SIZE') * os.sysconf('SC_PHYS_PAGES') / 2**30:.0f} GiB"
