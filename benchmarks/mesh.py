@@ -10,14 +10,13 @@ import asyncio
 import secrets
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import zenoh
-from benchmarks.table import Row, machine, print_table
 
+from benchmarks.table import Row, print_table
 from swarmd.network.claim import claim_id
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings, open_session
@@ -188,20 +187,16 @@ def flood(swarm: str) -> None:
     publisher = session.declare_publisher(
         f"swarm/{swarm}/stranger/msg/x/y", congestion_control=zenoh.CongestionControl.BLOCK
     )
-    met = threading.Event()
-    publisher.declare_matching_listener(lambda status: status.matching and met.set())
-    if not publisher.matching_status.matching:
-        met.wait(10.0)
+    tokens = session.liveliness().declare_subscriber(
+        f"swarm/{swarm}/flooded/alive/*", zenoh.handlers.FifoChannel(1), history=True
+    )
+    tokens.recv()  # by now the bus has declared what it listens to
     for _ in range(FLOOD):
         publisher.put(bytes(100))
     session.close()
 
 
 def main() -> None:
-    if len(sys.argv) == 3 and sys.argv[1] == "--flood":
-        flood(sys.argv[2])
-        return
-    print(machine())
     rows = [yardstick(), claims(), *flooded()]
     for count in (7, 20):
         where = settings()
@@ -212,4 +207,7 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:2] == ["--flood"]:
+        flood(sys.argv[2])
+    else:
+        main()

@@ -17,8 +17,9 @@ from dataclasses import dataclass, field
 
 from swarmd.messages import Condition, Member, Status
 
-MAX_MEMBERS = 512
-MAX_INSTANCES = 8
+# Each of which may hold a status of 64 kB.
+MAX_MEMBERS = 256
+MAX_INSTANCES = 4
 
 
 @dataclass(slots=True)
