@@ -6,9 +6,10 @@ settles and is drawn to walls more than to robots.
 
 Law "settling" is ours. It is drawn only to what may be a robot: objects no wider than
 `object_width` that nothing nearer hides. The pull of each falls to nothing at `spacing`, what is
-near only limits the speed towards it, and the robot stands once little pull is left. Limits: a
-robot within some 0.2 m of a wall is not told from it, a pillar is taken for a robot, and groups
-further apart than `range` do not find each other.
+near only limits the speed towards it, and the robot stands once little pull is left. One that has
+stood for a while with few others in sight, and hears of more, looks for them. Limits: a robot
+within some 0.2 m of a wall is not told from it, a pillar is taken for a robot, and groups of four
+and more that are further apart than `range` do not find each other.
 """
 
 from __future__ import annotations
@@ -43,15 +44,19 @@ from swarmd.api import (
 
 # Pull, as a share of full speed, below which a moving robot stops and above which it starts.
 _DOZE, _WAKE = 0.12, 0.25
-# A robot that sees so few others may stand in a line, which hides the rest.
+# A robot that sees so few others may stand in a line, which hides the rest, or in a group that
+# has lost the rest. It first steps aside, then leads its group away to look, each for so many s,
+# at such a share of the speed; its patience doubles from try to try, until it is content.
 _FEW = 2
 _SIDESTEP_TIME, _SIDESTEP_SPEED = 3.0, 0.6
+_LEAD_TIME, _LEAD_SPEED = 12.0, 0.6
 _PATIENCE, _PATIENCE_MAX = 3.0, 40.0
 # While searching the heading drifts by up to so much, rad, for so long, s.
 _DRIFT = 0.4
 _DRIFT_TIME = (2.0, 5.0)
-# Fewer rays are noise: at 1 degree a lidar's own housing gives two at 3 m.
-_OBJECT_RAYS = 2
+# Nearer than this share of `range` an object is seen with what is beside it: beyond, a wall that
+# is half out of range comes in pieces.
+_SURE = 0.95
 
 
 class AttractionParams(Params, frozen=True):
@@ -186,7 +191,7 @@ class Attraction(MovementPattern[AttractionParams]):
         }
 
     def report(self) -> Mapping[str, Scalar]:
-        """What it is doing: search, gather, settled or sidestep."""
+        """What it is doing: search, gather, settled, sidestep or lead."""
         return {"state": "paper" if self.params.law == "paper" else self._state}
 
     def drive(self, inputs: Inputs) -> Twist:
@@ -195,7 +200,7 @@ class Attraction(MovementPattern[AttractionParams]):
             return ZERO
         if self.params.law == "paper":
             return self._follow_field(inputs.scan)
-        return self._settle(inputs.scan, inputs.now)
+        return self._settle(inputs.scan, inputs.now, len(inputs.neighbors))
 
     def _follow_field(self, scan: Scan) -> Twist:
         params = self.params
@@ -213,24 +218,28 @@ class Attraction(MovementPattern[AttractionParams]):
             return Twist(linear=params.linear_if_alone, angular=params.angular_if_alone)
         return field_twist(field.vector, params.speed, params.turn)
 
-    def _settle(self, scan: Scan, now: float) -> Twist:
+    def _settle(self, scan: Scan, now: float, heard: int) -> Twist:
         params = self.params
         offset = self.context.platform.scan.offset
         spacing = params.spacing - params.slack
         reach = spacing + params.brake + math.hypot(*offset)
         points = from_base(closest_points(scan, within=reach), offset)
-        robots = from_base(self._robots(scan), offset)
+        robots, seen = self._robots(scan)
+        robots = from_base(robots, offset)
         pull = keep_clear(self._pull(robots), points, spacing=spacing, brake=params.brake)
-        self._enter(self._next_state(now, len(robots), math.hypot(*pull)), now)
+        is_few = seen <= _FEW and not 0 < heard <= seen
+        self._enter(self._next_state(now, len(robots), seen, is_few, math.hypot(*pull)), now)
         if self._state == "settled":
             return ZERO
         vector = pull
         if self._state == "search":
             vector = self._wander(now)
+        elif self._state == "lead":
+            vector = _LEAD_SPEED * self._wander(now) - self._nearest(robots)
         elif self._state == "sidestep":
             vector = self._aside(robots)
         vector = keep_clear(vector, points, spacing=spacing, brake=params.brake)
-        if self._state == "search" and math.hypot(*vector) < _WAKE:
+        if self._state in ("search", "lead") and math.hypot(*vector) < _WAKE:
             return Twist(angular=math.copysign(0.5 * params.turn, self._drift))
         return steer(
             vector,
@@ -242,12 +251,14 @@ class Attraction(MovementPattern[AttractionParams]):
             may_back=bool(len(points)) and float(points[:, 0].min()) < spacing,
         )
 
-    def _robots(self, scan: Scan) -> Array:
-        """(k, 2) range and bearing of what may be robots."""
+    def _robots(self, scan: Scan) -> tuple[Array, int]:
+        """(k, 2) range and bearing of what may be robots, and how many with the half hidden."""
         objects = clusters(scan, within=self.params.range)
-        is_robot = objects.is_free & (objects.counts >= _OBJECT_RAYS)
-        is_robot &= objects.widths <= self.params.object_width
-        return np.column_stack((objects.ranges[is_robot], objects.bearings[is_robot]))
+        is_narrow = objects.widths <= self.params.object_width
+        is_narrow &= objects.ranges <= _SURE * self.params.range
+        is_robot = is_narrow & objects.is_free
+        robots = np.column_stack((objects.ranges[is_robot], objects.bearings[is_robot]))
+        return robots, int(np.count_nonzero(is_narrow))
 
     def _pull(self, robots: Array) -> Array:
         """The sum over the robots, each 0 at `spacing` and 1 from twice that; at most 1 long."""
@@ -256,27 +267,35 @@ class Attraction(MovementPattern[AttractionParams]):
         y = float(weights @ np.sin(robots[:, 1]))
         return np.array([x, y]) / max(1.0, math.hypot(x, y))
 
-    def _next_state(self, now: float, seen: int, pull: float) -> str:
-        if seen == 0:
+    def _next_state(self, now: float, robots: int, seen: int, is_few: bool, pull: float) -> str:
+        if robots == 0:
             return "search"
         if seen > self._most_seen:
             self._most_seen, self._patience = seen, _PATIENCE
-        if self._state == "sidestep" and now - self._since < _SIDESTEP_TIME:
-            return "sidestep"
+            self._state = "gather" if self._state == "lead" else self._state
+        for state, time in (("sidestep", _SIDESTEP_TIME), ("lead", _LEAD_TIME)):
+            if self._state == state and now - self._since < time:
+                return state
         if pull > (_DOZE if self._state == "gather" else _WAKE):
             return "gather"
         is_bored = self._state == "settled" and now - self._since > self._patience
-        if seen <= _FEW and is_bored and self._patience < _PATIENCE_MAX:
-            return "sidestep"
+        if is_few and is_bored and self._patience < _PATIENCE_MAX:
+            return "sidestep" if self._patience == _PATIENCE else "lead"
         return "settled"
 
     def _enter(self, state: str, now: float) -> None:
         if state == self._state:
             return
         self._state, self._since = state, now
-        if state == "sidestep":
+        if state in ("sidestep", "lead"):
             self._patience *= 2.0
             self._side = float(self.context.rng.choice((-1.0, 1.0)))
+
+    def _nearest(self, robots: Array) -> Array:
+        """Towards the nearest robot if it is near: who leads goes where the others are not."""
+        near, bearing = robots[np.argmin(robots[:, 0])].tolist()
+        weight = min(max(2.0 - near / self.params.spacing, 0.0), 1.0)
+        return np.array([weight * math.cos(bearing), weight * math.sin(bearing)])
 
     def _aside(self, robots: Array) -> Array:
         """Around the nearest robot, so that a line of robots folds up."""
