@@ -126,6 +126,17 @@ def test_a_word_that_could_widen_a_key_is_no_name(name: str) -> None:
         read_targets("stop", (name,), False, (), needed=False)
 
 
+@pytest.mark.parametrize(
+    ("names", "exclude", "is_everyone"),
+    [((), (), True), (("r1",), (), False), ((), ("r1",), False), (("*",), ("r1",), False)],
+)
+def test_only_a_halt_that_names_nobody_is_for_everyone(
+    names: tuple[str, ...], exclude: tuple[str, ...], is_everyone: bool
+) -> None:
+    found = read_targets("estop", names, False, exclude, needed=False)
+    assert found.is_everyone is is_everyone
+
+
 def test_motion_needs_targets_and_says_what_to_add() -> None:
     with pytest.raises(
         click.UsageError, match=r"run needs targets; add robot names, a glob .* --a"

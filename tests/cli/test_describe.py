@@ -7,7 +7,7 @@ from collections.abc import Callable
 import msgspec
 
 from swarmd.cli.describe import sections
-from swarmd.messages import Member, Status
+from swarmd.messages import Member, Reason, Status
 
 MakeMember = Callable[..., Member]
 
@@ -30,6 +30,26 @@ def test_shows_what_protection_makes_of_the_wish(make_member: MakeMember) -> Non
     assert rows["wish"] == "0.200 m/s, 0.000 rad/s"
     assert rows["safe"] == "0.100 m/s, 0.000 rad/s"
     assert rows["nearest"] == "0.61 m"
+
+
+def test_shows_what_it_does_and_who_said_so(make_member: MakeMember) -> None:
+    member = make_member(reason=Reason.NO_WISH, detail="thinks")
+    assert shown(member)["State"] == {
+        "state": "running for 3.0 s",
+        "reason": "no_wish",
+        "detail": "thinks",
+        "pattern": "drive",
+        "generation": "42",
+        "revision": "7",
+        "changed by": "ann@desk (run drive)",
+    }
+
+
+def test_shows_who_it_is(make_member: MakeMember) -> None:
+    rows = shown(make_member())["Robot"]
+    assert rows["labels"] == "red"
+    assert rows["driver"] == "simulated (up)"
+    assert rows["up for"] == "2 min"
 
 
 def test_shows_who_stopped_it_and_why(estopped: Member) -> None:

@@ -40,6 +40,11 @@ def test_marks_what_a_failed_robot_was_last_known_to_do(make_member: MakeMember)
     assert shown["SEEN"] == "38.0 s ago"
 
 
+def test_has_no_pattern_to_mark_where_none_ran(make_member: MakeMember) -> None:
+    shown = line(make_member(condition=Condition.LEFT, age=1.0, pattern=None))
+    assert (shown["STATE"], shown["PATTERN"]) == ("left", "-")
+
+
 def test_lists_a_robot_that_has_not_told_how_it_is() -> None:
     member = Member(robot="r1", instance="x", condition=Condition.ALIVE, age=0.0)
     assert line(member)["STATE"] == "no answer"
@@ -79,6 +84,23 @@ def test_names_whose_driver_is_lost(make_member: MakeMember) -> None:
 
 
 def test_warns_that_anyone_on_an_open_network_can_drive(make_member: MakeMember) -> None:
-    open_to_all = make_member(profile="field")
-    assert "anyone on this network can drive these robots" in notes(open_to_all)[-1]
+    open_to_all = make_member("r2", profile="field")
+    text = notes(make_member(profile="field", is_secured=True), open_to_all)[-1]
+    assert "anyone on this network can drive these robots" in text
     assert notes(make_member(profile="field", is_secured=True)) == ["1/1 alive"]
+
+
+def test_names_the_ids_that_two_daemons_hold(make_member: MakeMember) -> None:
+    view = MembersView(
+        members={"r1": make_member()},
+        answered=frozenset({"r1"}),
+        duplicates={"r1": ("a", "b")},
+    )
+    assert list(health(view))[1] == "two daemons hold one id: r1; stop one of each"
+
+
+def test_names_who_is_there_and_does_not_answer(make_member: MakeMember) -> None:
+    view = MembersView(
+        members={"r1": make_member(), "r2": make_member("r2")}, answered=frozenset({"r1"})
+    )
+    assert list(health(view))[1] == "alive, but no answer: r2"
