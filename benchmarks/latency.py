@@ -21,7 +21,7 @@ from swarmd.messages import State
 
 ROBOTS = 7
 SECONDS = 62.0  # 5 Hz: over 300 scans of each robot
-CYCLES = 15  # of run, endless loops, stopped
+CYCLES = 10  # of run, endless loops, quarantine, reset
 SILENCE = 1.5  # s after which the last looping host has been killed
 
 Times = Mapping[tuple[str, int], int]
@@ -133,17 +133,18 @@ def staged(seconds: float) -> Iterator[Row]:
 def looping(cycles: int) -> Iterator[Row]:
     """Reflex while every pattern loops for ever.
 
-    Each host is killed after 1 s of silence and started again, into the next endless loop, until
-    the robot has been held for 2 s and stands as stopped; then they are all told to run again.
+    Each host is killed after 1 s of silence and started again, into the next endless loop; with
+    the fourth the pattern is quarantined. Then all are reset and told to run again.
     """
     spans: list[tuple[int, int]] = []
     with Swarm(ROBOTS) as swarm:
         for _ in range(cycles):
             swarm.run("endless")
             start = time.monotonic_ns()
-            swarm.wait_all(State.STOPPED)
+            swarm.wait_none(State.RUNNING)
             spans.append((start, time.monotonic_ns() - 100_000_000))
             time.sleep(SILENCE)
+            swarm.reset()
         swarm.close()
         stamps = read_stamps(swarm)
     timings = [between(stamps.put, stamps.safe_back, span) for span in spans]

@@ -80,7 +80,7 @@ class Swarm:
         return outcome
 
     def reset(self) -> None:
-        """Take all robots out of `faulted`."""
+        """Take all robots out of `faulted` or `stopped`."""
         view = self.operator.members()
         self.operator.request("reset", view.epochs(self.robots), {"reason": "benchmark"})
 
@@ -101,10 +101,11 @@ class Swarm:
         """Until every daemon has its body and scans."""
         self.wait(lambda seen: all(self._is_ready(seen.get(r)) for r in self.robots), "ready swarm")
 
-    def wait_all(self, state: State) -> None:
-        """Until every robot is in `state`."""
+    def wait_none(self, state: State) -> None:
+        """Until no robot is in `state`."""
         self.wait(
-            lambda seen: all(r in seen and seen[r].state is state for r in self.robots), str(state)
+            lambda seen: all(r in seen and seen[r].state is not state for r in self.robots),
+            f"end of {state}",
         )
 
     def _is_ready(self, status: Status | None) -> bool:
