@@ -1,0 +1,208 @@
+"""A swarm of real daemons on loopback, the operators that work it, and an eye that only looks."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import pytest
+import zenoh
+
+from swarmd.codec import Decoder
+from swarmd.keys import build
+from swarmd.messages import Condition, State, Status, View
+from swarmd.network.operator import Operator
+from swarmd.network.session import MAX_WIRE, SessionSettings, open_session
+from swarmd.settings import load_platform
+from swarmd.testing.body import Body
+from swarmd.testing.processes import CAP, DaemonProcess, unique_swarm, wait_until
+from swarmd.values import Value
+
+SWARMCTL = (sys.executable, "-c", "from swarmd.cli import main; main()")
+
+T = TypeVar("T", bound=msgspec.Struct)
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """How a `swarmctl` ended."""
+
+    code: int
+    out: str
+    err: str
+
+    @property
+    def json(self) -> dict[str, Any]:
+        """What it said with `-o json`."""
+        answer: dict[str, Any] = json.loads(self.out)
+        return answer
+
+
+class Swarm:
+    """Daemons under one swarm name; all of them, bodies and sessions are gone after `close`."""
+
+    def __init__(self, folder: Path) -> None:
+        self.name = unique_swarm()
+        self.folder = folder
+        self._left = contextlib.ExitStack()
+        self._lives = 0
+        self._session: zenoh.Session | None = None
+        self._operator: Operator | None = None
+
+    def close(self) -> None:
+        """End everything, the latest first."""
+        self._left.close()
+
+    # Making
+
+    def body(self, robot: str) -> Body:
+        """A body for this robot, with clear sweeps."""
+        body = Body(load_platform("waffle_pi"), swarm=self.name, robot=robot)
+        return self._left.enter_context(body)
+
+    def spawn(
+        self, robot: str, body: Body | None = None, options: Mapping[str, Value] | None = None
+    ) -> DaemonProcess:
+        """A daemon that is starting; without a body its driver finds nobody.
+
+        All lives of one robot share its state, each has a log of its own.
+        """
+        self._lives += 1
+        daemon = DaemonProcess(
+            self.folder / f"life{self._lives}",
+            swarm=self.name,
+            robot=robot,
+            endpoint="tcp/127.0.0.1:9" if body is None else body.endpoint,
+            options={"state_dir": str(self.folder / "state"), **(options or {})},
+        )
+        return self._left.enter_context(daemon)
+
+    def start(
+        self, robot: str, body: Body | None = None, options: Mapping[str, Value] | None = None
+    ) -> DaemonProcess:
+        """A daemon that is ready."""
+        return self.spawn(robot, body, options).wait_ready()
+
+    @property
+    def settings(self) -> SessionSettings:
+        """How to meet this swarm."""
+        return SessionSettings(swarm=self.name)
+
+    @property
+    def session(self) -> zenoh.Session:
+        """A session of nobody in particular."""
+        if self._session is None:
+            self._session = open_session(self.settings)
+            self._left.callback(self._session.close)
+        return self._session
+
+    @property
+    def operator(self) -> Operator:
+        """An operator in this process."""
+        if self._operator is None:
+            self._operator = self._left.enter_context(Operator(self.settings, name="zoe@test"))
+        return self._operator
+
+    # Working it
+
+    def begin(self, *words: str, user: str = "anna") -> subprocess.Popen[str]:
+        """A `swarmctl` by this user, under way; hand it to `finish`."""
+        return subprocess.Popen(
+            [*SWARMCTL, *words],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            stdin=subprocess.DEVNULL,
+            text=True,
+            env={**os.environ, "LOGNAME": user, "SWARM": self.name},
+        )
+
+    def finish(self, process: subprocess.Popen[str]) -> Finished:
+        """How it ended."""
+        with process:
+            out, err = process.communicate(timeout=CAP)
+            return Finished(process.returncode, out, err)
+
+    def ctl(self, *words: str, user: str = "anna") -> Finished:
+        """A `swarmctl` from start to end."""
+        return self.finish(self.begin(*words, user=user))
+
+    def run_drive(self, *robots: str) -> None:
+        """All these robots drive."""
+        done = self.ctl("run", "drive", *robots)
+        assert done.code == 0, done
+
+    # Looking
+
+    def look(self, robot: str, plane: str, name: str, kind: type[T]) -> list[T]:
+        """What every daemon under this id answers on a key; only to the eye, nothing changes."""
+        replies = self.session.get(
+            build(self.name, robot, plane, name),
+            target=zenoh.QueryTarget.ALL,
+            consolidation=zenoh.ConsolidationMode.NONE,
+            timeout=5.0,
+        )
+        decode = Decoder(kind, MAX_WIRE)
+        return [decode(reply.ok.payload.to_bytes()) for reply in replies if reply.ok is not None]
+
+    def statuses(self, robot: str) -> list[Status]:
+        """The statuses of all daemons that hold this id."""
+        return self.look(robot, "state", "status", Status)
+
+    def status(self, robot: str) -> Status:
+        """The robot's status; waits until one is heard."""
+        found: list[Status] = []
+
+        def look() -> bool:
+            found[:] = self.statuses(robot)
+            return bool(found)
+
+        wait_until(look, f"{robot} answers")
+        return found[0]
+
+    def conditions(self, peer: str) -> dict[str, Condition]:
+        """How `peer` sees the others."""
+        views = self.look(peer, "control", "members", View)
+        return {member.robot: member.condition for view in views for member in view.members}
+
+    def await_condition(self, peer: str, robot: str, condition: Condition) -> float:
+        """Wait until `peer` lists the robot so; the seconds it took."""
+        began = time.monotonic()
+        wait_until(
+            lambda: self.conditions(peer).get(robot) is condition,
+            f"{peer} lists {robot} as {condition}",
+        )
+        return time.monotonic() - began
+
+    def await_status(self, robot: str, what: str, holds: Callable[[Status], bool]) -> Status:
+        """The first status of the robot, whichever daemon's it is, for which `holds` is true."""
+        found: list[Status] = []
+
+        def look() -> bool:
+            found[:] = [status for status in self.statuses(robot) if holds(status)]
+            return bool(found)
+
+        wait_until(look, f"{robot} is {what}")
+        return found[0]
+
+    def await_state(self, robot: str, state: State) -> Status:
+        """The first status of the robot in this state."""
+        return self.await_status(robot, state, lambda status: status.state is state)
+
+
+@pytest.fixture
+def swarm(tmp_path: Path) -> Iterator[Swarm]:
+    """A swarm without robots yet, under a name of its own."""
+    made = Swarm(tmp_path)
+    try:
+        yield made
+    finally:
+        made.close()

@@ -1,0 +1,148 @@
+"""Emergency stops across a swarm: who holds them, who takes them over, and what clears them."""
+
+from __future__ import annotations
+
+import signal
+from typing import TYPE_CHECKING
+
+import pytest
+
+from swarmd.clock import boottime
+from swarmd.messages import Code, State
+
+if TYPE_CHECKING:
+    from tests.swarm.conftest import Swarm
+
+pytestmark = pytest.mark.integration
+
+
+def test_a_daemon_started_after_an_estop_of_all_is_estopped(swarm: Swarm) -> None:
+    swarm.start("r1")
+    assert swarm.ctl("estop", "--all", "--reason", "smoke").code == 0
+    held = dict(swarm.status("r1").latches)
+    assert [(latch.scope, latch.reason) for latch in held.values()] == [("swarm", "smoke")]
+
+    body = swarm.body("r2")
+    started = boottime()
+    swarm.start("r2", body)
+    newcomer = swarm.await_state("r2", State.ESTOPPED)
+    assert dict(newcomer.latches) == held
+    body.wait_zero(started)
+    done = swarm.ctl("run", "drive", "r2")
+    assert done.code == 7
+    assert "reset it first" in done.out
+    assert not body.moved_since(started)
+
+
+def test_an_estop_of_one_robot_is_not_taken_over_by_newcomers(swarm: Swarm) -> None:
+    swarm.start("r1")
+    assert swarm.ctl("estop", "r1").code == 0
+    swarm.start("r2")
+    assert swarm.status("r1").state is State.ESTOPPED
+    assert swarm.status("r2").state is State.IDLE
+
+
+def test_a_newcomer_takes_over_from_any_peer_even_if_the_issuer_is_gone(swarm: Swarm) -> None:
+    """The latch wanders from robot to robot, each of which knew only the one before."""
+    first = swarm.start("r1")
+    assert swarm.ctl("estop").code == 0
+    held = set(swarm.status("r1").latches)
+    second = swarm.start("r2")
+    swarm.await_state("r2", State.ESTOPPED)
+    first.kill()
+    swarm.start("r3")
+    third = swarm.await_state("r3", State.ESTOPPED)
+    assert set(third.latches) == held
+    second.kill()
+    swarm.start("r1")  # and the disk of the first one remembers
+    assert set(swarm.await_state("r1", State.ESTOPPED).latches) == held
+
+
+def test_a_reset_that_crosses_a_second_estop_leaves_every_robot_estopped(swarm: Swarm) -> None:
+    body = swarm.body("r1")
+    swarm.start("r1", body)
+    swarm.start("r2")
+    assert swarm.ctl("estop", user="anna").code == 0
+    seen = swarm.operator.members()
+    first = set(swarm.status("r1").latches)
+
+    assert swarm.ctl("estop", user="ben").code == 0
+    began = boottime()
+    args = {"ids": sorted(first), "reason": "it was a drill"}
+    outcome = swarm.operator.request("reset", seen.epochs(("r1", "r2")), args)
+    assert {name: reply.code for name, reply in outcome.replies.items()} == {
+        "r1": Code.REFUSED,
+        "r2": Code.REFUSED,
+    }
+    assert all("changed since you looked, by ben@" in r.text for r in outcome.replies.values())
+
+    # Nor with a fresh look, if only the first is named: the second stays.
+    fresh = swarm.operator.members()
+    outcome = swarm.operator.request("reset", fresh.epochs(("r1", "r2")), args)
+    assert outcome.exit_code == 7
+    for robot in ("r1", "r2"):
+        status = swarm.status(robot)
+        assert status.state is State.ESTOPPED
+        assert [latch.issuer.split("@")[0] for latch in status.latches.values()] == ["ben"]
+    assert not body.moved_since(began)
+
+    assert swarm.ctl("reset", "--all").code == 0
+    assert {swarm.status(robot).state for robot in ("r1", "r2")} == {State.IDLE}
+    assert not body.moved_since(began)  # re-armed is not moving
+
+
+def test_resets_and_estops_at_once_never_clear_a_stop_that_was_not_seen(swarm: Swarm) -> None:
+    robots = ("r1", "r2")
+    for robot in robots:
+        swarm.start(robot)
+    for crossing in range(5):
+        assert swarm.ctl("estop", "--reason", f"first {crossing}").code == 0
+        resetting = swarm.begin("reset", "--all")
+        stopping = swarm.begin("estop", "--reason", f"second {crossing}")
+        reset, estop = swarm.finish(resetting), swarm.finish(stopping)
+        assert estop.code == 0, estop
+        was_seen = f"(second {crossing})" in reset.err
+        for robot in robots:
+            status = swarm.status(robot)
+            reasons = {latch.reason for latch in status.latches.values()}
+            assert was_seen or f"second {crossing}" in reasons, (reset, reasons)
+            assert status.state is (State.ESTOPPED if reasons else State.IDLE)
+        print(f"crossing {crossing}: the reset {'saw' if was_seen else 'missed'} the second stop")
+
+
+def test_an_estop_with_one_daemon_frozen_names_it_and_holds_it_after_the_thaw(
+    swarm: Swarm,
+) -> None:
+    bodies = {robot: swarm.body(robot) for robot in ("r1", "r2", "r3")}
+    daemons = {robot: swarm.start(robot, body) for robot, body in bodies.items()}
+    swarm.run_drive("--all")
+    for body in bodies.values():
+        body.wait_moving()
+
+    daemons["r3"].freeze()
+    done = swarm.ctl("estop", "--reason", "smoke")
+    assert done.code == 3
+    assert done.out.splitlines()[-1] == "3 targeted, 2 applied, 1 no answer (r3)"
+    assert {swarm.status(robot).state for robot in ("r1", "r2")} == {State.ESTOPPED}
+
+    thawed = boottime()
+    daemons["r3"].send(signal.SIGCONT)
+    status = swarm.await_state("r3", State.ESTOPPED)
+    assert [latch.reason for latch in status.latches.values()] == ["smoke"]
+    assert not bodies["r3"].moved_since(thawed)
+
+
+def test_an_estop_that_nobody_acks_is_no_success(swarm: Swarm) -> None:
+    daemons = [swarm.start(robot) for robot in ("r1", "r2")]
+    for daemon in daemons:
+        daemon.freeze()
+    done = swarm.ctl("estop")
+    assert (done.code, done.out) == (6, "")
+    assert done.err.startswith(f"error: no daemon of swarm '{swarm.name}' can be reached")
+
+    # With a roster, those that must be there are named even if nobody can tell of them.
+    roster = swarm.folder / "swarm.yaml"
+    roster.write_text(f"swarm: {swarm.name}\nroster: [r1, r2]\n")
+    done = swarm.ctl("estop", "--config", str(roster))
+    assert done.code == 5
+    assert done.out.splitlines()[-1] == "2 targeted, 0 applied, 2 no answer (r1, r2)"

@@ -1,0 +1,109 @@
+"""Robots that go: killed, frozen, told to end; how their peers list them, and how they return."""
+
+from __future__ import annotations
+
+import signal
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from swarmd.clock import boottime
+from swarmd.messages import Condition, Reason, State
+
+if TYPE_CHECKING:
+    from tests.swarm.conftest import Swarm
+
+pytestmark = pytest.mark.integration
+
+
+def test_a_killed_daemon_is_listed_as_failed_and_returns_idle(swarm: Swarm) -> None:
+    body = swarm.body("r1")
+    first = swarm.start("r1", body)
+    swarm.start("r2")
+    swarm.run_drive("r1")
+    body.wait_moving()
+    before = swarm.status("r1")
+    assert before.state is State.RUNNING
+
+    first.kill()
+    print(f"failed after {swarm.await_condition('r2', 'r1', Condition.FAILED):.3f} s")
+    assert not swarm.statuses("r1")
+
+    returned = boottime()
+    swarm.start("r1", body)
+    print(f"alive again {swarm.await_condition('r2', 'r1', Condition.ALIVE):.3f} s after ready")
+    body.wait_zero(returned)  # it has the body again
+    after = swarm.status("r1")
+    assert (after.state, after.reason) == (State.IDLE, Reason.NEVER_ASKED)
+    assert after.instance != before.instance
+    assert not body.moved_since(returned)
+
+
+def test_a_frozen_daemon_fails_after_its_lease_and_is_alive_once_thawed(swarm: Swarm) -> None:
+    body = swarm.body("r1")
+    daemon = swarm.start("r1", body)
+    swarm.start("r2")
+    swarm.run_drive("r1")
+    body.wait_moving()
+
+    daemon.freeze()
+    print(f"failed after {swarm.await_condition('r2', 'r1', Condition.FAILED):.3f} s")
+    listed = swarm.ctl("members", "-o", "json").json
+    assert {m["robot"]: m["condition"] for m in listed["members"]} == {
+        "r1": "failed",
+        "r2": "alive",
+    }
+
+    thawed = boottime()
+    daemon.thaw()
+    print(f"alive again after {swarm.await_condition('r2', 'r1', Condition.ALIVE):.3f} s")
+    status = swarm.status("r1")
+    assert (status.state, status.reason) == (State.STOPPED, Reason.LOOP_STALLED)
+    body.wait_zero(thawed)
+    assert not body.moved_since(thawed)
+
+
+def test_a_daemon_told_to_end_commands_zero_and_is_listed_as_left(swarm: Swarm) -> None:
+    body = swarm.body("r1")
+    daemon = swarm.start("r1", body)
+    swarm.start("r2")
+    swarm.run_drive("r1")
+    body.wait_moving()
+
+    began = time.monotonic()
+    assert daemon.terminate() == 0
+    print(f"ended after {time.monotonic() - began:.3f} s")
+    swarm.await_condition("r2", "r1", Condition.LEFT)
+    assert body.commands[-1].twist.is_zero
+    done = swarm.ctl("stop")  # nobody waits for a robot that said goodbye
+    assert (done.code, done.out.splitlines()[-1]) == (0, "1 targeted, 1 applied")
+
+
+def test_interrupting_a_daemon_is_a_clean_end_as_well(swarm: Swarm) -> None:
+    daemon = swarm.start("r1")
+    swarm.start("r2")
+    daemon.send(signal.SIGINT)
+    assert daemon.process.wait(30.0) == 0
+    swarm.await_condition("r2", "r1", Condition.LEFT)
+
+
+def test_a_failed_robot_stays_listed_until_it_is_forgotten_everywhere(swarm: Swarm) -> None:
+    swarm.start("r2")
+    swarm.start("r3")
+    daemon = swarm.start("r1")
+    for peer in ("r2", "r3"):
+        swarm.await_condition(peer, "r1", Condition.ALIVE)
+    done = swarm.ctl("members", "forget", "r1")
+    assert done.code == 7
+    assert done.err == "error: r1 is alive; only robots that failed or left can be forgotten\n"
+
+    daemon.kill()
+    for peer in ("r2", "r3"):
+        swarm.await_condition(peer, "r1", Condition.FAILED)
+    done = swarm.ctl("run", "drive", "--all")
+    assert (done.code, "no answer (r1)" in done.out) == (3, True)
+    assert swarm.ctl("members", "forget", "r1").code == 0
+    assert swarm.conditions("r2") == {"r3": Condition.ALIVE}
+    assert swarm.conditions("r3") == {"r2": Condition.ALIVE}
+    assert swarm.ctl("run", "drive", "--all").code == 0

@@ -1,0 +1,78 @@
+"""Two operators at the same robots: one of them wins, the other is told who."""
+
+from __future__ import annotations
+
+import re
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING
+
+import pytest
+
+from swarmd.network.operator import Operator
+
+if TYPE_CHECKING:
+    from tests.swarm.conftest import Finished, Swarm
+
+pytestmark = pytest.mark.integration
+
+ROBOTS = ("r1", "r2", "r3")
+TOLD = re.compile(r"robot changed since you looked, by (\w+)@\S+ \(run \w+\)|still loading \w+")
+ROUNDS = 20
+
+
+def test_of_two_that_looked_at_the_same_moment_one_wins_each_robot(swarm: Swarm) -> None:
+    for robot in ROBOTS:
+        swarm.start(robot)
+    with (
+        Operator(swarm.settings, name="anna@desk") as anna,
+        Operator(swarm.settings, name="ben@field") as ben,
+        ThreadPoolExecutor(2) as pool,
+    ):
+        for _ in range(ROUNDS // 2):
+            looks = [(one, one.members().epochs(ROBOTS)) for one in (anna, ben)]
+            asked = [
+                pool.submit(one.request, "run", epochs, {"pattern": "drive", "params": {}})
+                for one, epochs in looks
+            ]
+            first, second = (future.result() for future in asked)
+            assert sorted((*first.applied, *second.applied)) == sorted(ROBOTS)
+            for outcome, winner in ((first, "ben"), (second, "anna")):
+                assert set(outcome.applied) | set(outcome.refused) == set(ROBOTS)
+                for robot in outcome.refused:
+                    told = TOLD.match(outcome.replies[robot].text)
+                    assert told, outcome.replies[robot]
+                    assert told[1] in (winner, None)
+
+
+def test_of_two_swarmctl_at_once_the_loser_is_told_by_name(swarm: Swarm) -> None:
+    """Until each has lost a robot to the other's request between its own look and its own run."""
+    for robot in ROBOTS:
+        swarm.start(robot)
+    losers: list[str] = []
+    for number in range(ROUNDS):
+        users = ("anna", "ben") if number % 2 else ("ben", "anna")
+        begun = [swarm.begin("run", "drive", "--all", "-o", "json", user=user) for user in users]
+        done = dict(zip(users, map(swarm.finish, begun), strict=True))
+        for robot in ROBOTS:
+            losers += losers_of(robot, done)
+        for finished in done.values():
+            codes = {reply["code"] for reply in finished.json["replies"].values()}
+            assert finished.code == {"applied": 0, "refused": 7}.get("".join(codes), 3)
+        if len(set(losers)) == 2:
+            break
+    print(f"after {number + 1} rounds lost: {losers}")
+    assert losers
+
+
+def losers_of(robot: str, done: dict[str, Finished]) -> list[str]:
+    """Who was refused this robot, having checked that the other got it and is named."""
+    replies = {user: finished.json["replies"][robot] for user, finished in done.items()}
+    losers = [user for user, reply in replies.items() if reply["code"] == "refused"]
+    assert len(losers) < 2, replies
+    for loser in losers:
+        (winner,) = replies.keys() - {loser}
+        assert replies[winner]["code"] == "applied"
+        told = TOLD.match(replies[loser]["text"])
+        assert told, replies
+        assert told[1] in (winner, None)
+    return losers
