@@ -27,6 +27,7 @@ import yaml
 from swarmd.errors import NetworkError, SwarmError
 from swarmd.processes import how_it_ended
 
+WORLD = "world"
 GRACE = 2.0  # s between TERM and KILL
 WORLD_READY = 30.0  # s; MuJoCo's first import from a cold disk is slow
 
@@ -90,14 +91,22 @@ class Fleet:
 
     @property
     def pids(self) -> Mapping[str, int]:
-        """Process ids by name; the world's name is `world`."""
+        """Process ids by name; the world's is `WORLD`."""
         return {child.name: child.process.pid for child in self._children()}
 
-    def check(self) -> None:
-        """SwarmError if a child has ended: which, how, its last words and its log."""
-        for child in self._children():
-            if child.process.poll() is not None:
-                raise SwarmError(child.epitaph())
+    def ended(self) -> Mapping[str, str]:
+        """One line for each child that has ended, by name: how, its last words and its log."""
+        return {
+            child.name: child.epitaph()
+            for child in self._children()
+            if child.process.poll() is not None
+        }
+
+    def check(self, *names: str) -> None:
+        """SwarmError if a child has ended, of `names` or any."""
+        for name, line in self.ended().items():
+            if not names or name in names:
+                raise SwarmError(line)
 
     def stop(self) -> None:
         """End every child: TERM, after 2 s KILL. The world goes last, to see all others stop."""
@@ -111,7 +120,7 @@ class Fleet:
     def _start(self) -> None:
         spec = self.spec
         spec.folder.mkdir(parents=True, exist_ok=True)
-        self._world = _spawn("world", world_command(spec), spec.folder, stdout=subprocess.PIPE)
+        self._world = _spawn(WORLD, world_command(spec), spec.folder, stdout=subprocess.PIPE)
         self.endpoint = _await_endpoint(self._world)
         for robot in spec.robots:
             config = spec.folder / f"{robot}.yaml"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,11 @@ def name_of(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
 def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
     """(line, module) of each import, also of a name that might be a module itself."""
     for node in ast.walk(tree):
@@ -73,7 +79,7 @@ def is_within(module: str, package: str) -> bool:
 def offences(path: Path, forbidden: tuple[str, ...]) -> list[str]:
     return [
         f"{name_of(path)}:{line} imports {module}"
-        for line, module in imports(ast.parse(path.read_text()))
+        for line, module in imports(tree_of(path))
         if any(is_within(module, package) for package in forbidden)
         and (name_of(path), module) not in EXCEPTIONS
     ]
@@ -104,7 +110,7 @@ def test_one_file_has_one_import_name() -> None:
     relative = [
         f"{name_of(path)}:{line}"
         for path in everything
-        for line, module in imports(ast.parse(path.read_text()))
+        for line, module in imports(tree_of(path))
         if module.startswith(".")
     ]
     assert found == []
@@ -155,7 +161,7 @@ def test_every_package_has_an_init_that_only_reexports() -> None:
         name_of(path)
         for path in sources(*CODE)
         if path.name == "__init__.py" and name_of(path) != "swarmd/cli/__init__.py"
-        for node in ast.parse(path.read_text()).body
+        for node in tree_of(path).body
         if not isinstance(node, ast.Import | ast.ImportFrom | ast.Expr | ast.Assign)
     ]
     assert missing == []
@@ -186,7 +192,7 @@ def test_functions_are_short() -> None:
     long = {
         f"{name_of(path)}:{node.name}"
         for path in sources(*CODE, "tests", "benchmarks", "examples")
-        for node in ast.walk(ast.parse(path.read_text()))
+        for node in ast.walk(tree_of(path))
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
         and (node.end_lineno or 0) - node.lineno + 1 > MAX_FUNCTION_LINES
     }
@@ -206,7 +212,7 @@ def _names_defined(module: str) -> set[str]:
     if not path.exists():
         return set()
     names = set()
-    for node in ast.parse(path.read_text()).body:
+    for node in tree_of(path).body:
         if isinstance(node, ast.FunctionDef | ast.ClassDef):
             names.add(node.name)
         elif isinstance(node, ast.ImportFrom):

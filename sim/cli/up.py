@@ -9,12 +9,12 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import click
 
 from swarmd.cli.console import DEFAULT_SWARM, Console
-from swarmd.cli.output import print_section
+from swarmd.cli.output import print_section, warn
 from swarmd.errors import ConfigError, SwarmError
 from swarmd.sim.cli.options import fleet_options, need, stage_for
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
     from swarmd.network.operator import Operator
-    from swarmd.sim.fleet import FleetSpec
+    from swarmd.sim.fleet import Fleet, FleetSpec
 
 LOOK = 1.0  # s between two looks at the processes
 
@@ -80,7 +80,7 @@ def up(
 
 
 def serve(spec: FleetSpec) -> None:
-    """Keep a fleet up until Ctrl-C or SIGTERM; SwarmError if one of its processes ends."""
+    """Keep a fleet up until Ctrl-C or SIGTERM; SwarmError if it cannot be, or its world ends."""
     from swarmd.network.operator import Operator
     from swarmd.network.session import SessionSettings
     from swarmd.sim.fleet import Fleet, end_on_signals
@@ -93,10 +93,25 @@ def serve(spec: FleetSpec) -> None:
             await_up(operator, fleet, tuple(spec.robots))
             tell(spec)
             with suppress(KeyboardInterrupt):
-                while True:
-                    fleet.check()
-                    time.sleep(LOOK)
+                watch(fleet)
             click.echo("ending all")
+
+
+def watch(fleet: Fleet) -> NoReturn:
+    """Tell of daemons that end; SwarmError if the world does.
+
+    The others go on: to kill a robot is one of the things a simulated swarm is for.
+    """
+    from swarmd.sim.fleet import WORLD
+
+    told: set[str] = set()
+    while True:
+        fleet.check(WORLD)
+        for name, line in fleet.ended().items():
+            if name not in told:
+                told.add(name)
+                warn(f"{line}; to start it again: swarmd --config {fleet.spec.folder}/{name}.yaml")
+        time.sleep(LOOK)
 
 
 def refuse_taken(operator: Operator, robots: Collection[str]) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -17,7 +18,7 @@ from msgspec.structs import replace
 from swarmd.messages import Epoch, Health, Reason, State, Status, VerdictSummary
 from swarmd.sim.cli.demo import new_folder
 from swarmd.sim.summary import duties, mean_duty, problems_of
-from swarmd.testing.processes import unique_swarm
+from swarmd.testing.processes import unique_swarm, wait_until
 
 SWARMCTL = str(Path(sys.executable).with_name("swarmctl"))
 RAISES = '''
@@ -71,6 +72,17 @@ def problem(**end: Any) -> tuple[str, ...]:
 def demo(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     command = [SWARMCTL, "demo", *words]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
+
+
+def members(swarm: str) -> str:
+    command = [SWARMCTL, "--swarm", swarm, "members"]
+    return subprocess.run(command, capture_output=True, text=True, timeout=30).stdout
+
+
+def pid_with(word: str) -> int:
+    """The process id of the one process in whose command line a word occurs."""
+    done = subprocess.run(["pgrep", "-f", word], capture_output=True, text=True, timeout=30)
+    return int(done.stdout)
 
 
 def running_with(word: str) -> list[str]:
@@ -190,6 +202,28 @@ def test_a_parameter_that_cannot_be_is_refused(tmp_path: Path) -> None:
     done = demo(tmp_path, "-n", "2", "--seconds", "2", "-p", "sped=1")
     assert done.returncode == 2
     assert "did you mean 'speed'?" in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.integration
+def test_sim_up_goes_on_when_a_daemon_is_killed_and_it_can_be_started_again(tmp_path: Path) -> None:
+    swarm = unique_swarm()
+    command = [SWARMCTL, "sim", "up", "-n", "2", "--swarm", swarm, "--keep", str(tmp_path)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        config = str(tmp_path / "tb3-02.yaml")
+        try:
+            assert "2 robots are up" in process.stdout.readline()
+            os.kill(pid_with(config), signal.SIGKILL)
+            assert process.stderr.readline().startswith("tb3-02 was killed by SIGKILL: ")
+            again = [sys.executable, "-m", "swarmd.cli.daemon", "--config", config]
+            with subprocess.Popen(again, stderr=subprocess.DEVNULL) as second:
+                wait_until(lambda: "2/2 alive" in members(swarm), "tb3-02 is back")
+                second.terminate()
+        finally:
+            process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
 
 
 @pytest.mark.integration
