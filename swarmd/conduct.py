@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from swarmd.frames import (
     Command,
@@ -75,6 +75,7 @@ class Conduct:
         self.events: deque[Event] = deque(maxlen=EVENTS)
         self.params_request: tuple[Request, float] | None = None
         self.hold_since: float | None = None
+        self._load: Load | None = None
         if self.latches.held:
             self.supervisor.apply(Change.ESTOP, Reason.ESTOP, self.latch_text(), now)
 
@@ -235,7 +236,9 @@ class Conduct:
             if request is not None:
                 self.reply(turn, request, Code.REFUSED, f"{reason} while it was being loaded")
         self.hosting.end()
-        self.params_request = None
+        if self.params_request is not None:
+            overtaken, self.params_request = self.params_request[0], None
+            self.reply(turn, overtaken, Code.REFUSED, f"{reason} before the pattern answered")
         self.hold_since = None
         before = self.supervisor.state
         self.supervisor.apply(change, reason, detail[:LINE], turn.now)
@@ -248,7 +251,7 @@ class Conduct:
         """Ask the host for the pattern that `hosting.begin` announced."""
         generation = self.hosting.generation
         identity = self._identity
-        turn.host = Load(
+        turn.host = self._load = Load(
             generation,
             pattern,
             layers,
@@ -297,8 +300,7 @@ class Conduct:
             self.fail_load(f"loading took more than {LOAD_TIMEOUT:.0f} s", turn)
         if hosting.awaiting_since is not None and now - hosting.awaiting_since >= SILENT_AFTER:
             hosting.awaiting_since = None
-            turn.host = Kill("silent")
-            self.fault(f"gave no answer for {SILENT_AFTER:.0f} s", turn)
+            self._end_silent_host(turn)
         if self.params_request is not None and now - self.params_request[1] >= LOAD_TIMEOUT:
             request, self.params_request = self.params_request[0], None
             self.reply(turn, request, Code.FAILED, "the pattern did not answer")
@@ -310,12 +312,24 @@ class Conduct:
             return None
         return self._held(hold, turn)
 
+    def _end_silent_host(self, turn: Turn) -> None:
+        """The host hangs in a step; what waits behind that step is loaded in a new one."""
+        hosting, text = self.hosting, f"gave no answer for {SILENT_AFTER:.0f} s"
+        if hosting.loading is None or self._load is None:
+            turn.host = Kill("silent")
+            self.fault(text, turn)
+            return
+        self.note(f"the pattern before {hosting.loading.pattern} {text}", turn.now)
+        hosting.loading = replace(hosting.loading, since=turn.now)
+        turn.host = replace(self._load, is_fresh=True)
+
     def _held(self, hold: Reason | None, turn: Turn) -> Reason | None:
         if hold is None and self.hosting.is_restarting:
             hold = Reason.PATTERN_RESTARTING
         if hold is None and self.hosting.is_expired(turn.now):
             hold = Reason.COMMAND_EXPIRED
-        if hold is None:
+        is_switching = hold is Reason.COMMAND_EXPIRED and self.hosting.loading is not None
+        if hold is None or is_switching:  # a load has a limit of its own
             self.hold_since = None
         elif self.hold_since is None:
             self.hold_since = turn.now

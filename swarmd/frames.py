@@ -15,7 +15,10 @@ Layers = tuple[tuple[str, Mapping[str, Value]], ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Load:
-    """Load a pattern. `layers`: parameters by source, weakest first, above its defaults."""
+    """Load a pattern. `layers`: parameters by source, weakest first, above its defaults.
+
+    `is_fresh`: in a new host, since the present one hangs.
+    """
 
     generation: int
     pattern: str
@@ -23,6 +26,7 @@ class Load:
     robot: str
     platform: Platform
     seed: int
+    is_fresh: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

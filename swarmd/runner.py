@@ -48,6 +48,8 @@ class InlineRunner:
         if isinstance(command, Kill):
             self._stage = self._make()
             return
+        if isinstance(command, Load) and command.is_fresh:
+            self._stage = self._make()
         event = self._stage.handle(command)
         if event is not None:
             self._events.append(event)
@@ -164,6 +166,8 @@ class ProcessRunner:
         if isinstance(command, Kill):
             self._replace()
             return
+        if isinstance(command, Load) and command.is_fresh:
+            self._replace()
         self._generation = command.generation
         try:
             frame = encode_command(command, self._origins(command))
