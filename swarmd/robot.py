@@ -171,10 +171,10 @@ class Robot:
         )
 
     def _enter(self, now: float) -> Turn:
-        """Begin a turn. A loop that was over 1 s late stops before it reads what waited."""
+        """Begin a turn. A loop that stood for over 1 s stops before it reads what waited."""
         turn = Turn(now)
         late = now - self._beat
-        if late > STALLED_AFTER + TICK:
+        if late > STALLED_AFTER:
             self._beat = now
             self._conduct.stall(late, turn)
         return turn

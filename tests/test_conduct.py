@@ -127,3 +127,11 @@ def test_a_change_of_parameters_that_a_stop_overtakes_is_answered(verb: str) -> 
     reply = answer(story, change)
     assert reply is not None
     assert reply.code is Code.REFUSED
+
+
+def test_a_loop_that_stood_still_for_over_a_second_is_stalled_wherever_in_its_beat() -> None:
+    story = driving()
+    story.advance(1.0 + 1e-6, ticks=False)
+    story.carry_out(story.robot.tick(story.now))
+    assert story.twist.is_zero
+    assert standing(story) == (State.STOPPED, Reason.LOOP_STALLED)
