@@ -11,6 +11,8 @@ from benchmarks.table import machine
 ALL: Mapping[str, Callable[[], None]] = {
     "steps": steps.main,
     "protection": protection.main,
+    "lidar": lidar.main,
+    "world": world.main,
     "latency": lambda: latency.main([]),
     "resources": lambda: resources.main([]),
     "startup": startup.main,

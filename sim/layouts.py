@@ -9,7 +9,7 @@ import numpy as np
 
 from swarmd.errors import ConfigError, unknown
 from swarmd.sim.arena import Arena
-from swarmd.sim.geometry import gaps, transform
+from swarmd.sim.geometry import gaps, radius, transform
 from swarmd.values import Array
 
 NAMES = ("row", "paper", "grid", "ring", "random", "list")
@@ -35,8 +35,9 @@ def parse_layout(text: str, footprints: Sequence[Array], arena: Arena, *, seed: 
         poses = _regular(name, n, _number(text, rest, 1.5 if name == "ring" else 1.0))
     else:
         raise ConfigError(unknown("layout", name, NAMES))
+    floor = _Floor(footprints, arena)
     for index in range(n):
-        fault = _fault(index, footprints, poses, arena)
+        fault = floor.fault(index, poses)
         if fault:
             raise ConfigError(f"layout {text!r}: robot {index} {fault}; take more space or fewer")
     return poses
@@ -74,10 +75,11 @@ def _random(footprints: Sequence[Array], arena: Arena, clearance: float, seed: i
     rng = np.random.default_rng(seed)
     low = np.array([-arena.length / 2.0, -arena.width / 2.0, -math.pi])
     poses = np.zeros((len(footprints), 3))
+    floor = _Floor(footprints, arena)
     for index in range(len(footprints)):
         for _ in range(_TRIES):
             poses[index] = rng.uniform(low, -low)
-            if not _fault(index, footprints, poses, arena, clearance):
+            if not floor.fault(index, poses, clearance):
                 break
         else:
             raise ConfigError(
@@ -87,22 +89,30 @@ def _random(footprints: Sequence[Array], arena: Arena, clearance: float, seed: i
     return poses
 
 
-def _fault(
-    index: int, footprints: Sequence[Array], poses: Array, arena: Arena, clearance: float = 0.0
-) -> str:
-    """What the robot is too near to, walls or those placed before it; empty if nothing."""
-    body = transform(footprints[index], poses[index])
-    reach = np.array([arena.length, arena.width]) / 2.0 - clearance
-    if not np.isfinite(poses[index]).all() or (np.abs(body) >= reach).any():
-        return "is not inside the walls"
-    things = [box.corners for box in arena.boxes]
-    things += [_polygon_around(circle) for circle in arena.circles]
-    if any(float(gaps(body, thing)) <= clearance for thing in things):
-        return "stands in a box or pole"
-    for other in range(index):
-        if float(gaps(body, transform(footprints[other], poses[other]))) <= clearance:
-            return f"touches robot {other}"
-    return ""
+class _Floor:
+    """Knows what stands where, to tell what a robot would be too near to."""
+
+    def __init__(self, footprints: Sequence[Array], arena: Arena) -> None:
+        self._footprints, self._arena = footprints, arena
+        self._reaches = np.array([radius(footprint) for footprint in footprints])
+        self._things = [box.corners for box in arena.boxes]
+        self._things += [_polygon_around(circle) for circle in arena.circles]
+
+    def fault(self, index: int, poses: Array, clearance: float = 0.0) -> str:
+        """What is wrong with the pose of robot `index`, given those before it; empty if nothing."""
+        body = transform(self._footprints[index], poses[index])
+        inside = np.array([self._arena.length, self._arena.width]) / 2.0 - clearance
+        if not np.isfinite(poses[index]).all() or (np.abs(body) >= inside).any():
+            return "is not inside the walls"
+        if any(float(gaps(body, thing)) <= clearance for thing in self._things):
+            return "stands in a box or pole"
+        apart = np.hypot(*(poses[:index, :2] - poses[index, :2]).T)
+        apart -= self._reaches[:index] + self._reaches[index]
+        for other in np.nonzero(apart <= clearance)[0].tolist():
+            shape = transform(self._footprints[other], poses[other])
+            if float(gaps(body, shape)) <= clearance:
+                return f"touches robot {other}"
+        return ""
 
 
 def _polygon_around(circle: Array) -> Array:

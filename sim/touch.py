@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
+import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.values import Array
 
@@ -28,59 +30,58 @@ class Contact:
         return self.speed_a + self.speed_b
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Touch:
+    """The touching points of one step: geoms (c, 2), robots first, and speeds (c, 2)."""
+
+    geoms: NDArray[np.intp]
+    speeds: Array
+
+
 class Touches:
     """Reads the touching pairs of planar robots out of a model's contacts."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
-        # Body 0 is the arena; robot i is body i + 1.
-        self._robots = [int(body) - 1 for body in model.geom_bodyid]
+        # Body 0 is the arena; robot i is body i + 1. Robots come first, in order of their rows.
+        self._robots = np.array(model.geom_bodyid, dtype=np.intp) - 1
+        self._order = np.where(self._robots < 0, model.nbody, self._robots)
         self._names = [model.geom(geom).name for geom in range(model.ngeom)]
 
-    def after_step(self, data: mujoco.MjData, qpos: Array, qvel: Array) -> list[Contact]:
-        """The pairs in touch, each with its fastest approach, robots in order.
+    def after_step(self, data: mujoco.MjData, qpos: Array, qvel: Array) -> Touch:
+        """The points in touch in the step that was just made.
 
         `qpos` and `qvel` are those before the step: MuJoCo finds contacts there, and the solver
         has not yet stopped what was about to collide.
         """
         found = data.contact
-        touching: dict[tuple[int, int], Contact] = {}
-        for geoms, depth, place, frame in zip(
-            found.geom, found.dist, found.pos, found.frame, strict=True
-        ):
-            if depth <= 0.0:
-                a, b = (int(geom) for geom in geoms)
-                speed_a = self._speed(a, place, frame[:3], qpos, qvel)
-                speed_b = -self._speed(b, place, frame[:3], qpos, qvel)
-                if self._order(b) < self._order(a):
-                    a, b, speed_a, speed_b = b, a, speed_b, speed_a
-                contact = Contact(self._names[a], self._names[b], speed_a, speed_b)
-                touching[a, b] = _faster(touching.get((a, b)), contact)
-        return [touching[pair] for pair in sorted(touching)]
+        is_touching = found.dist <= 0.0
+        geoms = found.geom[is_touching].astype(np.intp)
+        place, normal = found.pos[is_touching, :2], found.frame[is_touching, :2]
+        poses = np.concatenate((qpos.reshape(-1, 3), np.zeros((1, 3))))
+        twists = np.concatenate((qvel.reshape(-1, 3), np.zeros((1, 3))))
+        speeds = np.empty((len(geoms), 2))
+        for side, sign in ((0, 1.0), (1, -1.0)):
+            robot = self._robots[geoms[:, side]]  # -1, the row of zeros, is the arena's
+            lever = place - poses[robot, :2]
+            vx = twists[robot, 0] - twists[robot, 2] * lever[:, 1]
+            vy = twists[robot, 1] + twists[robot, 2] * lever[:, 0]
+            speeds[:, side] = sign * (vx * normal[:, 0] + vy * normal[:, 1])
+        turned = self._order[geoms[:, 1]] < self._order[geoms[:, 0]]
+        geoms[turned] = geoms[turned, ::-1]
+        speeds[turned] = speeds[turned, ::-1]
+        return Touch(geoms, speeds)
 
-    def _order(self, geom: int) -> tuple[bool, int]:
-        """Robots in order, then the arena."""
-        return self._robots[geom] < 0, geom
-
-    def _speed(self, geom: int, place: Array, normal: Array, qpos: Array, qvel: Array) -> float:
-        """The speed along `normal` of a geom's surface at `place`; 0 for the arena."""
-        robot = self._robots[geom]
-        if robot < 0:
-            return 0.0
-        x, y, _ = qpos[3 * robot : 3 * robot + 3]
-        vx, vy, angular = qvel[3 * robot : 3 * robot + 3]
-        vx, vy = vx - angular * (place[1] - y), vy + angular * (place[0] - x)
-        return float(vx * normal[0] + vy * normal[1])
-
-
-def fastest(contacts: Iterable[Contact]) -> list[Contact]:
-    """One contact for each pair: its fastest approach."""
-    found: dict[tuple[str, str], Contact] = {}
-    for contact in contacts:
-        found[contact.a, contact.b] = _faster(found.get((contact.a, contact.b)), contact)
-    return list(found.values())
-
-
-def _faster(known: Contact | None, contact: Contact) -> Contact:
-    if known is None or contact.closing_speed > known.closing_speed:
-        return contact
-    return known
+    def contacts(self, steps: Sequence[Touch]) -> list[Contact]:
+        """Each pair once, with its fastest approach in any of the steps; robots in order."""
+        if not steps:
+            return []
+        geoms = np.concatenate([step.geoms for step in steps])
+        speeds = np.concatenate([step.speeds for step in steps])
+        order = np.lexsort((-speeds.sum(axis=1), geoms[:, 1], geoms[:, 0]))
+        _, first = np.unique(geoms[order], axis=0, return_index=True)
+        return [
+            Contact(self._names[a], self._names[b], float(speed_a), float(speed_b))
+            for (a, b), (speed_a, speed_b) in zip(
+                geoms[order[first]], speeds[order[first]], strict=True
+            )
+        ]

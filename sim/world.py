@@ -18,7 +18,7 @@ from swarmd.sim.arena import Arena
 from swarmd.sim.drives import Drives
 from swarmd.sim.lidar import Indices
 from swarmd.sim.ranging import RangeSensors, Visibility
-from swarmd.sim.touch import Contact, Touches, fastest
+from swarmd.sim.touch import Contact, Touch, Touches
 from swarmd.values import Array, Neighbor, Odometry, Platform, Pose, Scan, Twist
 
 
@@ -56,7 +56,7 @@ class World:
         self._steps = 0
         self._seq = [0] * n
         self._touches = Touches(self.model)
-        self._contacts: list[Contact] = []
+        self._touching: list[Touch] = []
         self._sensors = RangeSensors(self.platforms, arena, visibility)
 
     @property
@@ -73,19 +73,19 @@ class World:
 
     def step(self, k: int = 1) -> None:
         """Advance by `k` steps of `dt`."""
-        contacts: list[Contact] = []
+        self._touching = []
         for _ in range(k):
-            contacts += self._step()
-        self._contacts = fastest(contacts)
+            self._step()
 
-    def _step(self) -> list[Contact]:
+    def _step(self) -> None:
         data = self.data
         qpos, qvel = data.qpos.copy(), data.qvel.copy()
         force = self._drives.forces(qpos.reshape(-1, 3), qvel.reshape(-1, 3))
         data.qfrc_applied[:] = force.ravel()
         mujoco.mj_step(self.model, data)
         self._steps += 1
-        return self._touches.after_step(data, qpos, qvel) if data.ncon else []
+        if data.ncon:
+            self._touching.append(self._touches.after_step(data, qpos, qvel))
 
     def poses(self) -> Array:
         """(n, 3) x, y in m and yaw in rad (not wrapped) in the world frame: truth."""
@@ -100,7 +100,7 @@ class World:
 
     def contacts(self) -> list[Contact]:
         """The pairs that touched during the last call of `step`, each with its fastest approach."""
-        return list(self._contacts)
+        return self._touches.contacts(self._touching)
 
     def scans(self, robots: Indices) -> list[Scan]:
         """A fresh sweep of each of `robots` (m,), taken in one instant."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -13,15 +14,16 @@ from swarmd.platforms import load_platform
 from swarmd.sim import bodies
 from swarmd.sim.arena import Arena, Box, Pole, parse_arena
 from swarmd.sim.layouts import parse_layout
-from swarmd.sim.lidar import Lidar, Targets
+from swarmd.sim.lidar import Lidar
 from swarmd.sim.ranging import Visibility
+from swarmd.sim.visibility import shapes_of
 from swarmd.sim.world import World
 from swarmd.values import Array, ScanSpec
 
 OBSTACLES = "7x6,box:1:1:0.5:0.3:30,box:-2:-1:0.2:1.5:-75,pole:-2:2:0.1,pole:2:-2:0.3,pole:0:0:0.02"
 TIGHT = "4x4"
 MIXED = ("burger", "waffle_pi", "jackal", "waffle_pi", "burger", "jackal", "burger")
-NO_CIRCLES = (np.zeros((0, 3)), np.zeros(0, dtype=np.intp))
+FIELD = Arena(20.0, 20.0)
 
 
 def world_of(kinds: Sequence[str], arena: str, seed: int, visibility: Visibility) -> World:
@@ -116,49 +118,67 @@ def test_measures_from_the_sensor_not_from_the_axle() -> None:
     assert ranges[behind] == pytest.approx(2.0 + 0.5 - 0.064, abs=1e-12)
 
 
+def look(spec: ScanSpec, arena: Arena, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> Array:
+    """What a sensor alone in an arena sees."""
+    lidar = Lidar(spec, shapes_of(arena, (), plane=None))
+    ranges: Array = lidar.cast(np.array([[x, y, yaw]]), np.array([0]))[0]
+    return ranges
+
+
 @pytest.mark.parametrize(
     ("distance", "expected"),
     [(0.11, -np.inf), (0.13, 0.13), (3.4, 3.4), (3.6, np.inf)],
 )
 def test_too_near_and_too_far_are_told_apart(distance: float, expected: float) -> None:
     spec = ScanSpec(np.array([0.0]), 5.0, 0.12, 3.5)
-    wall = np.array([[[distance, 1.0], [distance, -1.0]]])
-    targets = Targets(wall, np.array([-1]), *NO_CIRCLES)
-    ranges = Lidar(spec).cast(np.zeros((1, 3)), np.array([0]), targets)
-    assert ranges[0, 0] == pytest.approx(expected)
+    assert look(spec, Arena(20.0, 20.0), x=10.0 - distance)[0] == pytest.approx(expected)
 
 
 def test_takes_any_number_of_rays_in_any_direction() -> None:
     bearings = np.radians([40.0, -40.0, 20.0, 0.0, 170.0, -170.0, 359.0])
-    spec = ScanSpec(bearings, 10.0, 0.0, 10.0)
-    segments = Arena(4.0, 4.0).segments
-    targets = Targets(segments, np.full(4, -1), *NO_CIRCLES)
-    ranges = Lidar(spec).cast(np.zeros((1, 3)), np.array([0]), targets)[0]
+    ranges = look(ScanSpec(bearings, 10.0, 0.0, 10.0), Arena(4.0, 4.0))
     expected = 2.0 / np.maximum(np.abs(np.cos(bearings)), np.abs(np.sin(bearings)))
     np.testing.assert_allclose(ranges, expected, atol=1e-12)
 
 
 def test_no_ray_slips_through_a_corner() -> None:
     corners = np.radians([45.0, 135.0, -135.0, -45.0])
-    spec = ScanSpec(corners, 10.0, 0.0, 10.0)
-    targets = Targets(Arena(4.0, 4.0).segments, np.full(4, -1), *NO_CIRCLES)
-    turns = np.linspace(-7.0, 7.0, 501)
-    for turn in turns:
-        rotated = ScanSpec(corners - turn, 10.0, 0.0, 10.0)
-        pose = np.array([[0.0, 0.0, turn]])
-        ranges = Lidar(rotated).cast(pose, np.array([0]), targets)
+    for turn in np.linspace(-7.0, 7.0, 501):
+        ranges = look(ScanSpec(corners - turn, 10.0, 0.0, 10.0), Arena(4.0, 4.0), yaw=turn)
         np.testing.assert_allclose(ranges, math.sqrt(8.0), atol=1e-9)
-    assert Lidar(spec).cast(np.zeros((1, 3)), np.array([0]), targets).shape == (1, 4)
 
 
 def test_a_surface_seen_edge_on_never_counts_as_near() -> None:
     spec = ScanSpec(np.radians(np.arange(360.0)), 5.0, 0.12, 3.5)
     # The sensor stands on the line of the box's southern face.
     arena = Arena(20.0, 20.0, boxes=(Box(1.5, 0.5, 1.0, 1.0),), poles=(Pole(0.0, 3.0, 0.1),))
-    for offset in (0.0, 1e-17, -1e-17, 1e-13, -1e-13):
-        pose = np.array([[0.0, offset, 0.0]])
-        targets = Targets(arena.segments, np.full(8, -1), arena.circles, np.array([-1]))
-        ranges = Lidar(spec).cast(pose, np.array([0]), targets)
+    for y in (0.0, 1e-17, -1e-17, 1e-13, -1e-13):
+        ranges = look(spec, arena, y=y)
         assert not np.isneginf(ranges).any()
         assert not np.isnan(ranges).any()
-        assert ranges[0, 90] == pytest.approx(2.9)
+        assert ranges[90] == pytest.approx(2.9)
+
+
+def test_sees_footprints_of_any_number_of_corners_in_one_swarm() -> None:
+    # A triangle, whose tip points at the first robot, beside a rectangle of the same reach.
+    box = load_platform("burger")
+    triangle = np.array([[-0.2, 0.0], [0.2, -0.2], [0.2, 0.2]])
+    wedge = replace(box, name="wedge", footprint=triangle)
+    lidar = Lidar(
+        replace(box.scan, offset=(0.0, 0.0)), shapes_of(FIELD, (box, wedge, box), plane=None)
+    )
+    poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, math.pi / 2.0]])
+    ranges = lidar.cast(poses, np.array([0]))[0]
+    assert ranges[0] == pytest.approx(0.8)
+    assert ranges[90] == pytest.approx(1.0 - 0.102)
+    slant = math.radians(5.0)
+    # The face from (0.8, 0) to (1.2, 0.2) along the ray at 5 degrees.
+    along = 0.8 * 0.2 / (0.4 * math.sin(slant) * -1.0 + 0.2 * math.cos(slant))
+    assert ranges[5] == pytest.approx(along)
+
+
+def test_no_robot_sees_itself_even_where_its_sensor_stands_beside_its_body() -> None:
+    platform = load_platform("burger")
+    outside = replace(platform, scan=replace(platform.scan, offset=(0.5, 0.0)))
+    world = World({"a": outside}, FIELD, np.zeros((1, 3)))
+    assert np.isposinf(world.scans(np.array([0]))[0].ranges).all()

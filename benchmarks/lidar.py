@@ -1,0 +1,84 @@
+"""One 360-ray sweep by the number of robots, beside MuJoCo's ray caster: `benchmarks.lidar`.
+
+One Waffle Pi a square metre. Several at once is what lockstep asks for (1000 robots at 5 Hz: 50 a
+step), one what the real-time server does.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+
+import mujoco
+import numpy as np
+
+from benchmarks.table import Row, print_table
+from swarmd.platforms import load_platform
+from swarmd.sim import bodies
+from swarmd.sim.arena import Arena
+from swarmd.sim.layouts import parse_layout
+from swarmd.sim.world import World
+
+SIZES = (7, 100, 1000)
+BATCH = 50
+SECONDS = 1.0
+
+
+def make_world(n: int) -> World:
+    platform = load_platform("waffle_pi")
+    side = max(4.0, n**0.5 + 1.0)
+    arena = Arena(side, side)
+    starts = parse_layout("grid:1.0", [platform.footprint] * n, arena, seed=0)
+    starts[:, 2] = np.random.default_rng(0).uniform(-3.0, 3.0, n)
+    return World({f"r{i}": platform for i in range(n)}, arena, starts)
+
+
+def samples(work: Callable[[], object], per: int) -> list[float]:
+    """Seconds for one of the `per` things that each call of `work` does, over SECONDS."""
+    taken: list[float] = []
+    end = time.perf_counter() + SECONDS
+    while not taken or time.perf_counter() < end:
+        start = time.perf_counter()
+        work()
+        taken.append((time.perf_counter() - start) / per)
+    return taken
+
+
+def mujoco_sweep(world: World) -> Callable[[], None]:
+    rays = len(world.platforms[0].scan.bearings)
+    headings = world.platforms[0].scan.bearings
+    vectors = np.stack((np.cos(headings), np.sin(headings), np.zeros(rays)), axis=-1).ravel()
+    groups = np.zeros(6, dtype=np.uint8)
+    groups[[bodies.COLLISION, bodies.FIXED]] = 1
+    place = [*world.poses()[0, :2], 0.25]
+    found, distance = np.zeros(rays, dtype=np.int32), np.zeros(rays)
+
+    def sweep() -> None:
+        mujoco.mj_multiRay(
+            world.model, world.data, place, vectors, groups, True, 1,
+            found, distance, None, rays, 3.5,
+        )  # fmt: skip
+
+    return sweep
+
+
+def rows() -> Iterator[Row]:
+    for n in SIZES:
+        yield from rows_of(make_world(n))
+
+
+def rows_of(world: World) -> Iterator[Row]:
+    n = len(world.ids)
+    batch = np.arange(min(n, BATCH))
+    together = samples(lambda: world.scans(batch), len(batch))
+    yield Row(f"sweep, {n} robots, {len(batch)} at once", together)
+    yield Row(f"sweep, {n} robots, one", samples(lambda: world.scans(batch[:1]), 1))
+    yield Row(f"sweep, {n} robots, mj_multiRay", samples(mujoco_sweep(world), 1))
+
+
+def main() -> None:
+    print_table("Range sensor, 360 rays", rows())
+
+
+if __name__ == "__main__":
+    main()
