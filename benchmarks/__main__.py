@@ -5,7 +5,18 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Mapping
 
-from benchmarks import cli, latency, lidar, protection, resources, startup, steps, switch, world
+from benchmarks import (
+    cli,
+    latency,
+    lidar,
+    mesh,
+    protection,
+    resources,
+    startup,
+    steps,
+    switch,
+    world,
+)
 from benchmarks.table import machine
 
 ALL: Mapping[str, Callable[[], None]] = {
