@@ -80,8 +80,8 @@ def members(swarm: str) -> str:
 
 
 def pid_with(word: str) -> int:
-    """The process id of the one process in whose command line a word occurs."""
-    done = subprocess.run(["pgrep", "-f", word], capture_output=True, text=True, timeout=30)
+    """The process id of the oldest process in whose command line a word occurs."""
+    done = subprocess.run(["pgrep", "-o", "-f", word], capture_output=True, text=True, timeout=30)
     return int(done.stdout)
 
 
@@ -217,6 +217,7 @@ def test_sim_up_goes_on_when_a_daemon_is_killed_and_it_can_be_started_again(tmp_
             assert "2 robots are up" in process.stdout.readline()
             os.kill(pid_with(config), signal.SIGKILL)
             assert process.stderr.readline().startswith("tb3-02 was killed by SIGKILL: ")
+            wait_until(lambda: "1/2 alive" in members(swarm), "tb3-02 is listed as failed")
             again = [sys.executable, "-m", "swarmd.cli.daemon", "--config", config]
             with subprocess.Popen(again, stderr=subprocess.DEVNULL) as second:
                 wait_until(lambda: "2/2 alive" in members(swarm), "tb3-02 is back")
