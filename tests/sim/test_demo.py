@@ -79,23 +79,17 @@ def members(swarm: str) -> str:
     return subprocess.run(command, capture_output=True, text=True, timeout=30).stdout
 
 
-def pid_with(word: str) -> int:
-    """The process id of the oldest process in whose command line a word occurs."""
-    done = subprocess.run(["pgrep", "-o", "-f", word], capture_output=True, text=True, timeout=30)
-    return int(done.stdout)
-
-
-def running_with(word: str) -> list[str]:
-    """The command lines of living processes in which a word occurs."""
-    found = []
+def running_with(word: str) -> dict[int, str]:
+    """The command lines of living processes in which a word occurs, oldest first."""
+    found = {}
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:
             line = path.read_bytes().replace(b"\0", b" ").decode()
         except OSError:
             continue
         if word in line:
-            found.append(line)
-    return found
+            found[int(path.parent.name)] = line
+    return dict(sorted(found.items()))
 
 
 def test_robots_that_ran_to_the_end_are_no_problem() -> None:
@@ -215,7 +209,7 @@ def test_sim_up_goes_on_when_a_daemon_is_killed_and_it_can_be_started_again(tmp_
         config = str(tmp_path / "tb3-02.yaml")
         try:
             assert "2 robots are up" in process.stdout.readline()
-            os.kill(pid_with(config), signal.SIGKILL)
+            os.kill(next(iter(running_with(config))), signal.SIGKILL)
             assert process.stderr.readline().startswith("tb3-02 was killed by SIGKILL: ")
             wait_until(lambda: "1/2 alive" in members(swarm), "tb3-02 is listed as failed")
             again = [sys.executable, "-m", "swarmd.cli.daemon", "--config", config]
@@ -245,4 +239,4 @@ def test_sim_up_serves_a_second_terminal_until_interrupted(tmp_path: Path) -> No
     assert "2 targeted, 2 applied" in told.stdout
     assert again.returncode == 2
     assert f"swarm '{swarm}' already has tb3-01, tb3-02" in again.stderr
-    assert running_with(swarm) == []
+    assert running_with(swarm) == {}
