@@ -11,14 +11,16 @@ import sys
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from swarmd.errors import CodecError, PluginError, unknown
 from swarmd.frames import Command, Died, Event, Failed, Kill, Load, Refused
 from swarmd.framing import decode_event, encode_command
 from swarmd.plugins import Origin, pattern_names
 from swarmd.processes import how_it_ended
-from swarmd.stage import Stage
+
+if TYPE_CHECKING:
+    from swarmd.stage import Stage  # for patterns: 7 MB of numpy.random that a guardian can spare
 
 OUT_OF_MEMORY = 77
 FIRST_RESPAWN = 0.05

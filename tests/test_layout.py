@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import subprocess
+import sys
 import tomllib
 from collections.abc import Iterator
 from functools import cache
@@ -131,6 +133,12 @@ def test_the_core_names_no_concrete_plugin() -> None:
         if name in path.read_text()
     ]
     assert found == []
+
+
+def test_the_guardian_leaves_to_the_host_what_only_patterns_need() -> None:
+    code = "import sys, swarmd.daemon; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"swarmd.behavior", "swarmd.api", "numpy.random"} & set(done.stdout.split())
 
 
 @pytest.mark.parametrize("folder", LINKED)
