@@ -45,6 +45,21 @@ def test_in_a_loop_that_keeps_up_each_is_delivered() -> None:
     assert [payload for _, payload in asyncio.run(run())] == [b"0", b"1", b"2"]
 
 
+def test_what_was_overtaken_is_counted() -> None:
+    async def run() -> list[str]:
+        dropped: list[str] = []
+        loop = asyncio.get_running_loop()
+        inbox = Inbox(loop, lambda name, payload: None, dropped.append)
+        for name in ("scan", "scan", "odometry", "scan"):
+            inbox.put(name, b"")
+        await settle()
+        inbox.put("scan", b"")
+        await settle()
+        return dropped
+
+    assert asyncio.run(run()) == ["scan:overtaken", "scan:overtaken"]
+
+
 def test_nothing_is_delivered_after_closing_not_even_what_was_on_its_way() -> None:
     async def run() -> Taken:
         taken: Taken = []
