@@ -90,12 +90,17 @@ class StampedDaemon(Daemon):
 class StampedInbox(Inbox):
     """Stamps scans on the network's thread and on the loop, just before they are read."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, take: Callable[[str, bytes], None]) -> None:
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        take: Callable[[str, bytes], None],
+        dropped: Callable[[str], None],
+    ) -> None:
         def take_stamped(name: str, payload: bytes) -> None:
             STAMPS.loop = monotonic_ns()
             take(name, payload)
 
-        super().__init__(loop, take_stamped)
+        super().__init__(loop, take_stamped, dropped)
 
     def receiver(self, name: str, key: str) -> Callable[[zenoh.Sample], None]:
         receive = super().receiver(name, key)

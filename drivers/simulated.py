@@ -54,7 +54,11 @@ class SimulatedDriver:
         loop = asyncio.get_running_loop()
         sink.state(False, f"no body yet at {self._endpoint}")
         session = await _opened(self._open)
-        inbox = Inbox(loop, lambda name, payload: self._take(sink, name, payload))
+        inbox = Inbox(
+            loop,
+            lambda name, payload: self._take(sink, name, payload),
+            lambda what: sink.dropped(f"hw/{what}"),
+        )
         try:
             self._commands = session.declare_publisher(
                 self._key("cmd_vel"),
