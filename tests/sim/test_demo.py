@@ -1,23 +1,18 @@
-"""`swarmctl demo` and `swarmctl sim up` as a user runs them, and how a demo is judged."""
+"""`swarmctl demo` and `swarmctl sim up` as a user runs them."""
 
 from __future__ import annotations
 
 import json
 import os
-import re
 import signal
 import subprocess
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import pytest
-from msgspec.structs import replace
 
-from swarmd.messages import Epoch, Health, Reason, State, Status, VerdictSummary
 from swarmd.sim.cli.demo import new_folder
-from swarmd.sim.summary import duties, mean_duty, problems_of
 from swarmd.testing.processes import unique_swarm, wait_until
 
 SWARMCTL = str(Path(sys.executable).with_name("swarmctl"))
@@ -35,38 +30,6 @@ class Clumsy(MovementPattern[Params]):
             raise ValueError("stumbled")
         return Twist(linear=0.05)
 '''
-
-
-def status(robot: str, **changes: Any) -> Status:
-    plain = Status(
-        robot=robot,
-        instance="abc",
-        platform="waffle_pi",
-        driver="simulated",
-        host="here",
-        profile="dev",
-        is_secured=False,
-        state=State.RUNNING,
-        reason=None,
-        detail="",
-        pattern="attraction",
-        generation=1,
-        since=0.0,
-        epoch=Epoch("abc", 1),
-        changed_by="",
-        latches={},
-        labels=(),
-        params={},
-        report={},
-        verdict=VerdictSummary(),
-        health=Health(),
-        uptime=1.0,
-    )
-    return replace(plain, **changes)
-
-
-def problem(**end: Any) -> tuple[str, ...]:
-    return problems_of(["a"], {"a": status("a")}, {"a": status("a", **end)}, contacts=0)
 
 
 def demo(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
@@ -90,43 +53,6 @@ def running_with(word: str) -> dict[int, str]:
         if word in line:
             found[int(path.parent.name)] = line
     return dict(sorted(found.items()))
-
-
-def test_robots_that_ran_to_the_end_are_no_problem() -> None:
-    assert problem() == ()
-    assert problem(state=State.IDLE, reason=Reason.FINISHED) == ()
-
-
-@pytest.mark.parametrize(
-    ("end", "line"),
-    [
-        ({"state": State.STOPPED, "reason": Reason.STALE_SCAN}, r"a ended stopped \(stale_scan\)"),
-        ({"state": State.FAULTED, "detail": "it raised"}, r"a ended faulted: it raised"),
-        ({"state": State.IDLE, "reason": Reason.RESET}, r"a ended idle \(reset\)"),
-        ({"instance": "other"}, r"a was restarted"),
-        ({"generation": 2}, r"a was told to do something else"),
-        ({"generation": 2, "health": Health(host_restarts=1)}, r"a: its pattern failed"),
-    ],
-)
-def test_a_robot_that_did_not_run_to_the_end_is_a_problem(end: dict[str, Any], line: str) -> None:
-    (found,) = problem(**end)
-    assert re.match(line, found)
-
-
-def test_a_silent_robot_and_a_touch_are_problems() -> None:
-    found = problems_of(["a", "b"], {"a": status("a"), "b": status("b")}, {"a": status("a")}, 2)
-    assert found == ("b did not answer at the end", "robots touched one another 2 times")
-
-
-def test_duty_is_weighted_by_decisions() -> None:
-    statuses = {
-        "a": status("a", verdict=VerdictSummary(duty=0.5, decisions=300)),
-        "b": status("b", verdict=VerdictSummary(duty=0.1, decisions=100)),
-        "c": status("c"),
-    }
-    assert mean_duty(statuses) == pytest.approx(0.4)
-    assert duties(statuses) == {"a": 0.5, "b": 0.1}
-    assert mean_duty({"c": status("c")}) is None
 
 
 def test_each_run_has_a_folder_of_its_own(tmp_path: Path) -> None:
