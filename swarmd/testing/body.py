@@ -87,6 +87,10 @@ class Body:
         ranges = np.full(len(spec.bearings), distance)
         return Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max)
 
+    def put(self, key: str, payload: bytes) -> None:
+        """Say anything on any key, to whoever is linked to this body."""
+        self._session.put(key, payload)
+
     def wait(self, what: Callable[[Commanded], bool], since: float = 0.0) -> Commanded:
         """The first command after `since` for which `what` holds; AssertionError after 30 s."""
         deadline = time.monotonic() + CAP
