@@ -20,6 +20,7 @@ class LatchFile:
     def __init__(self, folder: Path) -> None:
         self.path = folder / "latches"
         self._decode = Decoder(LatchRecord)
+        self._written: LatchRecord | None = None
 
     def read(self) -> LatchRecord:
         """What was written last; empty if nothing was. An unreadable file latches."""
@@ -34,7 +35,12 @@ class LatchFile:
             return LatchRecord(held={"unreadable": latch})
 
     def write(self, record: LatchRecord) -> bool:
-        """Write it down and wait until it is on the disk; False, with a log line, if that fails."""
+        """Write it down and wait until it is on the disk; False, with a log line, if that fails.
+
+        What was written last is not written again: an operator repeats an estop on every link.
+        """
+        if record == self._written:
+            return True
         temporary = self.path.with_suffix(".new")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -46,4 +52,5 @@ class LatchFile:
         except OSError as error:
             log.error("%s cannot be written (%s): latched in memory only", self.path, error)
             return False
+        self._written = record
         return True

@@ -34,6 +34,7 @@ class Verbs:
         self._conduct = conduct
         self._layers = layers
         self._standing = standing
+        self._last_stop = ("", -1)  # its id, and the revision that it led to
 
     def answer(self, request: Request, turn: Turn) -> None:
         """Carry the request out or refuse it; not even a reply if it names other robots."""
@@ -64,10 +65,13 @@ class Verbs:
         self._conduct.reply(turn, request, Code.REFUSED, text)
 
     def _stop(self, request: Request, turn: Turn) -> None:
-        self._conduct.changed(f"{request.operator} (stop)")
-        detail = f"by {request.operator}"
-        self._conduct.end(Change.STOP, Reason.OPERATOR, detail, turn)
-        self._conduct.reply(turn, request, Code.APPLIED, self._standing())
+        conduct = self._conduct
+        # An operator repeats a stop on every new link: that is one change, told to all peers once.
+        if self._last_stop != (request.id, conduct.revision):
+            conduct.changed(f"{request.operator} (stop)")
+            self._last_stop = (request.id, conduct.revision)
+        conduct.end(Change.STOP, Reason.OPERATOR, f"by {request.operator}", turn)
+        conduct.reply(turn, request, Code.APPLIED, self._standing())
 
     def _estop(self, request: Request, turn: Turn) -> None:
         latch_id = request.id if is_id(request.id) else "unnamed"

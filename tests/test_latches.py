@@ -2,7 +2,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from swarmd.latches import HELD, OVERFLOW, REMEMBERED, Latches
+from swarmd.latches import HELD, OVERFLOW, REMEMBERED, Latches, LatchRecord
 from swarmd.latchfile import LatchFile
 from swarmd.messages import Latch
 
@@ -53,6 +53,25 @@ def test_the_file_gives_back_what_was_written(tmp_path: Path) -> None:
     assert file.read() == Latches().record()
     assert file.write(latches.record())
     assert LatchFile(tmp_path / "deep" / "down").read() == latches.record()
+
+
+def test_a_repeated_estop_is_not_written_again(tmp_path: Path) -> None:
+    file = LatchFile(tmp_path / "state")
+    record = LatchRecord(held={"e1": Latch(issuer="anna", scope="swarm")})
+    assert file.write(record)
+    written = file.path.stat().st_mtime_ns, file.path.stat().st_ino
+    assert file.write(LatchRecord(held=dict(record.held)))
+    assert (file.path.stat().st_mtime_ns, file.path.stat().st_ino) == written
+
+
+def test_what_could_not_be_written_is_tried_again(tmp_path: Path) -> None:
+    blocker = tmp_path / "state"
+    blocker.write_text("in the way")
+    file, record = LatchFile(blocker), LatchRecord(cleared=("e1",))
+    assert not file.write(record)
+    blocker.unlink()
+    assert file.write(record)
+    assert LatchFile(blocker).read() == record
 
 
 def test_an_unreadable_file_latches(tmp_path: Path) -> None:

@@ -133,6 +133,22 @@ def test_stop_zeroes_at_once_and_needs_a_run() -> None:
     assert story.twist.linear > 0.0
 
 
+def test_a_repeated_stop_is_one_change_and_stops_all_the_same() -> None:
+    story = started()
+    stop = story.request("stop")
+    first, again = story.send(stop), story.send(stop)
+    assert first is not None
+    assert again is not None
+    assert (again.code, again.epoch) == (Code.APPLIED, first.epoch)
+    story.ask("run", pattern="forward")
+    story.advance(0.2)
+    last = story.send(stop)
+    assert last is not None
+    assert last.epoch != first.epoch
+    assert story.twist.is_zero
+    assert standing_state(story) == (State.STOPPED, Reason.OPERATOR)
+
+
 def test_a_wish_expires_after_three_steps_and_not_a_tick_later() -> None:
     story = started()
     last = story.now
