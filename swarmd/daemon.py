@@ -177,11 +177,11 @@ class Daemon:
         for verb in ("stop", "reset", "param", "forget"):
             bus.serve("control", verb, self._on_request(verb))
         bus.serve_view(lambda: self._with_health(self._robot.status(boottime())), settings.roster)
-        bus.listen("state", "status", self._on_peer_status)
+        bus.on_status(self._on_peer_status)
         bus.listen("msg", "*/*", self._on_message)
         bus.on_member(lambda member: self._tell_neighbors())
         for robot, payload in await bus.ask("state", "status", timeout=ASK_PEERS):
-            self._on_peer_status(Key(settings.swarm, robot, "state", "status"), payload)
+            self._on_answered_status(robot, payload)
         bus.serve("control", "run", self._on_request("run"))
         self._tell_neighbors()
         self._publish(self._robot.status(boottime()))
@@ -266,12 +266,16 @@ class Daemon:
         reply = Reply(id=request.id, robot=self._robot.id, code=code, text=text[:300])
         query.reply(encode(reply))
 
-    def _on_peer_status(self, key: Key, payload: bytes) -> None:
+    def _on_answered_status(self, robot: str, payload: bytes) -> None:
         try:
             status = self._status(payload)
         except CodecError:
-            return  # the bus counts it
-        if status.latches and status.robot == key.robot:
+            return  # a stranger's; the bus counts what is published
+        if status.robot == robot:
+            self._on_peer_status(status)
+
+    def _on_peer_status(self, status: Status) -> None:
+        if status.latches:
             self._carry_out(self._robot.on_latches(status.latches, boottime()))
 
     def _on_message(self, key: Key, payload: bytes) -> None:

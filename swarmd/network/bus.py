@@ -33,7 +33,14 @@ from swarmd.codec import MAX_CONTROL, Decoder, encode
 from swarmd.errors import CodecError
 from swarmd.keys import ANY, Key, build, parse
 from swarmd.messages import Member, Request, Status, View
-from swarmd.network.contract import SAFETY, Listener, MemberListener, Query, Server
+from swarmd.network.contract import (
+    SAFETY,
+    Listener,
+    MemberListener,
+    Query,
+    Server,
+    StatusListener,
+)
 from swarmd.network.intake import Drops, Lane
 from swarmd.network.membership import Membership
 from swarmd.network.rules import brief, limit_of, matches
@@ -90,6 +97,7 @@ class ZenohBus:
         self._drops = Drops()
         self._membership = Membership(robot)
         self._callbacks: list[MemberListener] = []
+        self._status_callbacks: list[StatusListener] = []
         self._publishers: dict[tuple[str, str, bool], zenoh.Publisher] = {}
         self._entities: list[zenoh.Subscriber[None] | zenoh.Queryable[None]] = []
         self._lanes: list[Lane] = []
@@ -193,6 +201,10 @@ class ZenohBus:
     def on_member(self, callback: MemberListener) -> None:
         """Be told of each member whose instance or condition changed."""
         self._callbacks.append(callback)
+
+    def on_status(self, callback: StatusListener) -> None:
+        """Be told of each status that another robot publishes."""
+        self._status_callbacks.append(callback)
 
     def forget(self, robot: str) -> bool:
         """Take a robot that is not alive off the list."""
@@ -339,8 +351,11 @@ class ZenohBus:
             return
         if status.robot != key.robot:
             self._drops.add("state/status:key")
-        elif self._membership.on_status(status, self._clock()):
+            return
+        if self._membership.on_status(status, self._clock()):
             self._tell(key.robot)
+        for callback in self._status_callbacks:
+            callback(status)
 
     def _tell(self, robot: str) -> None:
         member = self._membership.member(robot, self._clock())

@@ -30,6 +30,7 @@ class Query(Protocol):
 Listener = Callable[[Key, bytes], None]
 Server = Callable[[Query], None]
 MemberListener = Callable[[Member], None]
+StatusListener = Callable[[Status], None]
 
 
 class Bus(Protocol):
@@ -66,6 +67,9 @@ class Bus(Protocol):
 
     def on_member(self, callback: MemberListener) -> None:
         """Be told of each member that came, went, left, or was replaced by a new instance."""
+
+    def on_status(self, callback: StatusListener) -> None:
+        """Be told of each status that another robot publishes on its own key."""
 
     def forget(self, robot: str) -> bool:
         """Take a robot that is not alive off the list; False if there is none such."""

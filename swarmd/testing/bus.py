@@ -21,7 +21,14 @@ from swarmd.codec import MAX_CONTROL, Decoder, encode
 from swarmd.errors import CodecError
 from swarmd.keys import ANY, Key, build, parse
 from swarmd.messages import Member, Status, View
-from swarmd.network.contract import SAFETY, Listener, MemberListener, Query, Server
+from swarmd.network.contract import (
+    SAFETY,
+    Listener,
+    MemberListener,
+    Query,
+    Server,
+    StatusListener,
+)
 from swarmd.network.membership import Membership
 from swarmd.network.rules import brief, limit_of, matches
 
@@ -108,6 +115,7 @@ class MemoryBus:
         self._listeners: list[tuple[str, str, Listener]] = []
         self._servers: dict[tuple[str, str], Server] = {}
         self._callbacks: list[MemberListener] = []
+        self._status_callbacks: list[StatusListener] = []
         self._drops: dict[str, int] = {}
         for other in medium.buses.values():
             medium.send(other.on_token, robot, instance, True)
@@ -161,6 +169,10 @@ class MemoryBus:
     def on_member(self, callback: MemberListener) -> None:
         """Be told of each member whose instance or condition changed."""
         self._callbacks.append(callback)
+
+    def on_status(self, callback: StatusListener) -> None:
+        """Be told of each status that another robot publishes."""
+        self._status_callbacks.append(callback)
 
     def forget(self, robot: str) -> bool:
         """Take a robot that is not alive off the list."""
@@ -234,8 +246,11 @@ class MemoryBus:
             return
         if status.robot != key.robot:
             self.drop("state/status:key")
-        elif self._membership.on_status(status, self._medium.clock()):
+            return
+        if self._membership.on_status(status, self._medium.clock()):
             self._tell(key.robot)
+        for callback in self._status_callbacks:
+            callback(status)
 
     def _tell(self, robot: str) -> None:
         member = self._membership.member(robot, self._medium.clock())

@@ -14,7 +14,7 @@ import zenoh
 
 from swarmd.codec import MAX_CONTROL, MAX_MESSAGE, Decoder, encode
 from swarmd.keys import Key
-from swarmd.messages import Condition, Member, View
+from swarmd.messages import Condition, Member, Status, View
 from swarmd.network.bus import ZenohBus
 from swarmd.network.contract import Query
 from swarmd.network.session import SessionSettings, open_session
@@ -295,6 +295,18 @@ def test_tokens_and_words_make_members(play: Play) -> None:
         assert not stage.bus.forget("nobody")
         assert stage.bus.forget("a")
         assert stage.bus.members == {}
+
+    play(story)
+
+
+def test_statuses_are_told_once_each(play: Play) -> None:
+    async def story(stage: Stage) -> None:
+        heard: list[Status] = []
+        stage.bus.on_status(heard.append)
+        stage.put("b/state/status", encode(light_status("a", "1")))
+        stage.put("a/state/status", encode(light_status("a", "1")))
+        await stage.until(lambda: bool(heard) and "state/status:key" in stage.bus.dropped)
+        assert [status.robot for status in heard] == ["a"]
 
     play(story)
 

@@ -8,7 +8,7 @@ import pytest
 
 from swarmd.codec import MAX_MESSAGE, Decoder, encode
 from swarmd.keys import Key
-from swarmd.messages import Condition, Member, View
+from swarmd.messages import Condition, Member, Status, View
 from swarmd.network.contract import Bus, Query
 from swarmd.testing.bus import MemoryBus, MemoryMedium
 from swarmd.testing.light import light_status
@@ -121,6 +121,15 @@ def test_views_tell_of_the_others(medium: MemoryMedium, a: Bus, b: Bus) -> None:
     assert view.roster == ("a", "b", "c")
     assert [member.robot for member in view.members] == ["b"]
     assert asyncio.run(b.ask("state", "status")) == [("a", encode(light_status("a", "1")))]
+
+
+def test_statuses_are_told(medium: MemoryMedium, a: Bus, b: Bus) -> None:
+    heard: list[Status] = []
+    a.on_status(heard.append)
+    b.publish("state", "status", encode(light_status("a", "1")))
+    b.publish("state", "status", encode(light_status("b", "1")))
+    medium.deliver()
+    assert [status.robot for status in heard] == ["b"]
 
 
 def test_leaving_and_vanishing(medium: MemoryMedium, a: Bus, b: Bus) -> None:
