@@ -112,11 +112,10 @@ class Lidar:
         pair, ray = self._covered(high - turn, high)
         direction, along = self._directions[ray], along[pair]
         slope = direction[:, 0] * along[:, 1] - direction[:, 1] * along[:, 0]
-        far = np.sqrt(np.maximum((a * a).sum(axis=-1), (b * b).sum(axis=-1)))[pair]
-        # A surface seen edge-on has no slope; its far end bounds what the seam may add.
-        distance = np.full(len(far), np.inf)
+        # A surface seen edge-on has no slope, and is not seen.
+        distance = np.full(len(slope), np.inf)
         np.divide(side[pair], slope, out=distance, where=slope < 0.0)
-        _lower(nearest, edges.scan[pair], ray, np.minimum(distance, far))
+        _lower(nearest, edges.scan[pair], ray, distance)
 
     def _meet_circles(
         self, nearest: Array, sensors: Array, poses: Array, observers: Indices
