@@ -8,7 +8,7 @@ from msgspec import to_builtins
 from swarmd.cli.arguments import check_name
 from swarmd.cli.asking import meet
 from swarmd.cli.console import Console, common
-from swarmd.cli.output import NOTHING, print_json, print_section, seconds
+from swarmd.cli.output import NOTHING, number, print_json, print_section, seconds
 from swarmd.cli.reasons import why
 from swarmd.messages import Condition, Member, Status
 
@@ -40,7 +40,7 @@ def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, 
         ("Emergency stops", [(i, _latch(status, i)) for i in sorted(status.latches)]),
         ("Protection", _protection(status)),
         ("Parameters", _parameters(status)),
-        ("Report", [(name, _value(value)) for name, value in status.report.items()]),
+        ("Report", [(name, number(value)) for name, value in status.report.items()]),
         ("Health", _health(status)),
         ("Dropped", [(kind, str(count)) for kind, count in sorted(status.health.dropped.items())]),
         ("Events", [(f"{seconds(status.uptime - e.at)} ago", e.text) for e in status.events[-10:]]),
@@ -93,9 +93,9 @@ def _protection(status: Status) -> list[tuple[str, str]]:
 
 
 def _parameters(status: Status) -> list[tuple[str, str]]:
-    width = max((len(_value(param.value)) for param in status.params.values()), default=0)
+    width = max((len(number(param.value)) for param in status.params.values()), default=0)
     return [
-        (name, f"{_value(param.value).ljust(width)}  from {param.source}")
+        (name, f"{number(param.value).ljust(width)}  from {param.source}")
         for name, param in status.params.items()
     ]
 
@@ -109,7 +109,3 @@ def _health(status: Status) -> list[tuple[str, str]]:
         ("host restarts", str(health.host_restarts)),
         ("driver", health.driver or NOTHING),
     ]
-
-
-def _value(value: object) -> str:
-    return f"{value:.6g}" if isinstance(value, float) else str(value)

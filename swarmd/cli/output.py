@@ -71,6 +71,11 @@ def seconds(value: float) -> str:
     return f"{value / 60:.0f} min" if value < 5400 else f"{value / 3600:.0f} h"
 
 
+def number(value: object) -> str:
+    """A value as a reader wants it: floats with six digits."""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
 def _cell(text: str, width: int, is_coloured: bool) -> str:
     padded = text.ljust(width)
     colour = _COLOURS.get(text) if is_coloured else None

@@ -10,7 +10,7 @@ from swarmd.cli.answer import finish
 from swarmd.cli.arguments import read_assignments, read_targets
 from swarmd.cli.asking import ask, choose, meet
 from swarmd.cli.console import Console, common
-from swarmd.cli.output import NOTHING, print_json, print_table
+from swarmd.cli.output import NOTHING, number, print_json, print_table
 from swarmd.cli.targets import target_options
 from swarmd.errors import unknown
 from swarmd.messages import Member
@@ -42,7 +42,7 @@ def get_params(
         print_json("Params", {"robots": {name: _plain(m, keys) for name, m in chosen.items()}})
         return
     rows = [
-        (name, _pattern(member), key, str(found["value"]), str(found["source"]))
+        (name, _pattern(member), key, number(found["value"]), str(found["source"]))
         for name, member in chosen.items()
         for key, found in _plain(member, keys)["params"].items()
     ]

@@ -10,7 +10,7 @@ import click
 
 from swarmd.cli.catalog import Row, describe_patterns
 from swarmd.cli.console import Console, common
-from swarmd.cli.output import NOTHING, print_json, print_section, print_table
+from swarmd.cli.output import NOTHING, number, print_json, print_section, print_table
 
 _plugin_dir = click.option(
     "--plugin-dir",
@@ -89,8 +89,6 @@ def _about(row: Row) -> list[tuple[str, str]]:
 
 
 def _param(spec: dict[str, Any]) -> tuple[str, ...]:
-    value = spec["default"]
-    default = f"{value:.6g}" if isinstance(value, float) else str(value)
-    default = "required" if spec["is_required"] else default
+    default = "required" if spec["is_required"] else number(spec["default"])
     source = "platform" if spec["is_derived"] else spec["source"]
     return (spec["name"], default, spec["wanted"], spec["description"], source or NOTHING)

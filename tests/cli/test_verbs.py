@@ -233,7 +233,7 @@ def test_param_set_changes_the_running_pattern_and_param_get_tells_the_source(
     wait_until(lambda: "0.05" in swarm.ctl("param", "get", "r1").stdout, "speed 0.05 in force")
     rows = [line.split() for line in swarm.ctl("param", "get", "-k", "turn").stdout.splitlines()]
     assert rows[1] == ["r1", "drive", "turn", "0.5", "runtime"]
-    assert rows[2][:4] == ["r2", "drive", "turn", "0.0"]
+    assert rows[2][:4] == ["r2", "drive", "turn", "0"]
     assert swarm.ctl("param", "get", "-k", "trun").returncode == 2
 
 
