@@ -28,6 +28,7 @@ from swarmd.sim.trace import load_trace
 from swarmd.sim.view import Scene
 
 LOOK = 0.5  # s between two looks at the robots: what a terminal can show without much load
+PATIENT = 3.0  # s for the two looks that decide whether all went well
 SILENT = 5.0  # s after which a world that says nothing counts as lost
 STARTING = 20.0  # s, and ...
 STARTING_EACH = 1.0  # ... s more for each robot: slow machines, cold disks
@@ -133,10 +134,10 @@ class Show:
         start = self._world.ask("start").state
         self._watch.begin(start)
         self._run(view)
-        before = statuses_of(self._operator.members())
+        before = statuses_of(self._operator.members(timeout=PATIENT))
         self._look_on(before)
         wall = time.monotonic() - started
-        after = statuses_of(self._operator.members())
+        after = statuses_of(self._operator.members(timeout=PATIENT))
         end = self._world.ask("finish").state
         stopped = self._operator.halt("stop")
         return self._summary(trace, began, end.recorded / wall, before, after, stopped)
@@ -160,7 +161,11 @@ class Show:
                 statuses = statuses_of(self._operator.members(timeout=LOOK))
                 self._on_scene(self._scene(state, statuses))
                 next_look = time.monotonic() + LOOK
-            state = self._watch.wait(since=state.time)
+            try:
+                state = self._watch.wait(since=state.time)
+            except NetworkError:
+                self._fleet.check()  # it knows better why, if the world has ended
+                raise
 
     def _scene(self, state: WorldState, statuses: Mapping[str, Status]) -> Scene:
         return Scene(
