@@ -55,9 +55,9 @@ def potential_field(
     1 - r / range_max, or r / range_max for "attraction". `bias` is added along x (subtracted for
     "attraction2"). With a `range_max` of 0 nothing is within range.
     """
-    is_near = ranges < range_min
     is_seen = ranges < range_max
-    is_seen = is_seen & ~is_near & (ranges > 0.0) if ignore_near else is_seen | is_near
+    if ignore_near:
+        is_seen &= (ranges >= range_min) & (ranges > 0.0)
     if range_max <= 0.0:
         is_seen = np.zeros(len(ranges), dtype=np.bool_)
     count = int(np.count_nonzero(is_seen))

@@ -154,6 +154,8 @@ def test_parts_draw_from_generators_of_their_own() -> None:
     assert isinstance(first, Talker)
     assert isinstance(second, Talker)
     assert first.draw != second.draw
+    assert first.context.rng is not second.context.rng
+    assert first.context.rng is not pattern.context.rng
 
 
 def test_parameters_derive_from_the_platform_below_all_other_layers() -> None:

@@ -120,8 +120,9 @@ def test_a_ray_at_or_beyond_range_max_does_not_count(distance: float) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_range_max_of_zero_is_no_field(kind: FieldKind) -> None:
-    result = field(np.full(360, 0.3), high=0.0, kind=kind)
+@pytest.mark.parametrize("distance", [0.3, 0.0, -INF])
+def test_a_range_max_of_zero_is_no_field(kind: FieldKind, distance: float) -> None:
+    result = field(np.full(360, distance), high=0.0, kind=kind)
     assert result.is_alone
     assert result.count == 0
 

@@ -27,6 +27,8 @@ def test_points_are_moved_from_the_sensor_to_the_base() -> None:
     points = from_base(np.array([[1.0, 0.0], [1.0, math.pi], [1.0, math.pi / 2]]), (-0.5, 0.0))
     expected = [[0.5, 0.0], [1.5, math.pi], [math.hypot(0.5, 1.0), math.atan2(1.0, -0.5)]]
     np.testing.assert_allclose(points, expected)
+    left = from_base(np.array([[1.0, math.pi / 2]]), (0.0, 0.5))
+    np.testing.assert_allclose(left, [[1.5, math.pi / 2]])
 
 
 def test_without_points_nothing_changes() -> None:

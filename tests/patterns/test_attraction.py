@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import groupby
+from types import MappingProxyType
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from swarmd.settings import load_platform
 from swarmd.testing.flatland import Course, Flatland
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_from, scan_of
-from swarmd.values import Array, Inputs, Scan, Twist, Value
+from swarmd.values import Array, Inputs, Neighbor, Scalar, Scan, Twist, Value
 
 WAFFLE = load_platform("waffle_pi")
 PLATFORMS = ("burger", "waffle_pi")
@@ -29,19 +31,32 @@ class TestAttractionOfThePaper(PatternContract):
     params = {"law": "paper", "angular_if_alone": 0.0}  # noqa: RUF012 - read only
 
 
-def wish(scan: Scan, *, steps: int = 2, **params: Value) -> Twist:
-    """The wish after some steps at 10 Hz on one scan."""
-    pattern = Subject(Attraction, WAFFLE, params).make()
-    inputs = (Inputs(now=0.1 * i, dt=0.1, scan=scan) for i in range(steps))
-    twist = [pattern.step(i) for i in inputs][-1].twist
-    assert twist is not None
-    return twist
+def steps(
+    *scans: Scan, seed: int = 0, heard: int = 0, params: Mapping[str, Value] = MappingProxyType({})
+) -> Iterator[tuple[Twist, Scalar]]:
+    """Wish and state at 10 Hz, one step a scan; `heard`: how many neighbours are heard."""
+    pattern = Subject(Attraction, WAFFLE, params).make(seed)
+    neighbors = tuple(Neighbor(f"robot-{i + 2}", 0.1) for i in range(heard))
+    for index, scan in enumerate(scans):
+        outputs = pattern.step(Inputs(0.1 * index, 0.1, scan, neighbors=neighbors))
+        assert outputs.twist is not None
+        yield outputs.twist, outputs.report["state"]
 
 
-def state(scan: Scan, *, steps: int = 2, **params: Value) -> object:
-    pattern = Subject(Attraction, WAFFLE, params).make()
-    inputs = (Inputs(now=0.1 * i, dt=0.1, scan=scan) for i in range(steps))
-    return [pattern.step(i) for i in inputs][-1].report["state"]
+def wish(scan: Scan, *, count: int = 2, seed: int = 0, **params: Value) -> Twist:
+    """The wish after so many steps on one scan."""
+    return list(steps(*[scan] * count, seed=seed, params=params))[-1][0]
+
+
+def state(scan: Scan, *, count: int = 2, heard: int = 0) -> Scalar:
+    """The state after so many steps on one scan."""
+    return list(steps(*[scan] * count, heard=heard))[-1][1]
+
+
+def story(scan: Scan, seconds: float, *, heard: int = 0) -> list[Scalar]:
+    """The states that follow each other while it sees but this scan."""
+    states = [state for _, state in steps(*[scan] * round(10 * seconds), heard=heard)]
+    return [state for state, _ in groupby(states)]
 
 
 def gather(platform: str, poses: Array, *, room: float, seconds: float, seed: int) -> Course:
@@ -115,8 +130,16 @@ def test_stands_at_its_spacing() -> None:
 
 
 def test_gives_way_to_what_comes_too_near_by_backing() -> None:
-    scan = scan_of(WAFFLE, [Disc(0.6, 0.0), Disc(-2.5, 0.0)])
-    assert wish(scan, steps=3).linear <= 0.0
+    twist = wish(scan_of(WAFFLE, [Disc(0.6, 0.0), Disc(-2.5, 0.0)]))
+    # Half of 0.26 m/s at most.
+    assert -0.131 <= twist.linear < -0.05
+
+
+def test_starts_at_a_stronger_pull_than_it_stops_at() -> None:
+    # The pull of a robot whose near side is 0.85 m from the axle: 0.19, between the two.
+    far, between = scan_of(WAFFLE, [Disc(2.0, 0.0)]), scan_of(WAFFLE, [Disc(0.95, 0.0)])
+    assert state(between) == "settled"
+    assert list(steps(far, between))[-1][1] == "gather"
 
 
 def test_stands_between_two_robots_at_equal_distance() -> None:
@@ -148,20 +171,60 @@ def test_searches_when_it_sees_nobody() -> None:
 
 def test_does_not_press_against_the_wall_while_it_searches() -> None:
     near = scan_of(WAFFLE, room=1.3)
-    assert all(wish(near, steps=n).linear < 0.05 for n in range(1, 20))
+    assert all(wish(near, count=n).linear < 0.05 for n in range(1, 20))
 
 
-def test_steps_aside_when_it_has_stood_long_with_few_in_sight() -> None:
+def test_keeps_away_from_a_wall_beside_it_while_it_searches() -> None:
+    left = scan_of(WAFFLE, [Disc(0.0, 50.5, 50.0)])
+    assert all(wish(left, count=1, seed=seed).angular < 0.0 for seed in range(10))
+
+
+def test_the_piece_of_a_wall_between_two_robots_is_no_robot() -> None:
+    gate = [Disc(0.8, 0.3, 0.1), Disc(0.8, -0.3, 0.1)]
+    behind = scan_of(WAFFLE, gate, room=4.0)
+    assert wish(behind) == wish(scan_of(WAFFLE, gate)) == Twist()
+
+
+def test_the_piece_of_a_wall_within_reach_is_no_robot() -> None:
+    # The wall's foot is 10 mm nearer than the reach, so that only 0.5 m of it are seen.
+    wall = [Disc(1002.43, 0.0, 1000.0)]
+    scan = scan_of(WAFFLE, wall)
+    assert state(scan_of(WAFFLE, [Disc(2.43, 0.0, 0.1)])) == "gather"
+    assert [s for _, s in steps(scan, scan, params={"range": 2.5})] == ["search", "search"]
+
+
+def test_with_few_in_sight_it_steps_aside_and_then_leads_until_it_is_content() -> None:
     beside = scan_of(WAFFLE, [Disc(0.85, 0.0)])
-    assert state(beside, steps=28) == "settled"
-    assert state(beside, steps=40) == "sidestep"
-    assert state(beside, steps=75) == "settled"
+    looks = ["sidestep", "settled", "lead", "settled", "lead", "settled", "lead", "settled"]
+    assert story(beside, 300.0) == ["settled", *looks]
+
+
+def test_its_patience_doubles_from_try_to_try() -> None:
+    beside = scan_of(WAFFLE, [Disc(0.85, 0.0)])
+    states = [state for _, state in steps(*[beside] * 1200)]
+    stands = [len(list(run)) for state, run in groupby(states) if state == "settled"]
+    np.testing.assert_allclose(stands[:4], [30, 60, 120, 240], atol=3)
+
+
+def test_who_sees_all_that_it_hears_does_not_look_for_more() -> None:
+    beside = scan_of(WAFFLE, [Disc(0.85, 0.0)])
+    assert story(beside, 60.0, heard=1) == ["settled"]
+    assert "lead" in story(beside, 60.0, heard=2)
+
+
+def test_it_leads_away_from_the_others() -> None:
+    beside = scan_of(WAFFLE, [Disc(0.85, 0.0)])
+    leading = [twist for twist, state in steps(*[beside] * 300) if state == "lead"]
+    assert len(leading) > 50
+    # It faces the other one and turns round before it drives.
+    assert np.mean([abs(twist.angular) for twist in leading]) > 1.0
+    assert max(twist.linear for twist in leading) < 0.02
 
 
 def test_stands_still_for_good_among_many() -> None:
     ring = [Disc(0.85 * math.cos(a), 0.85 * math.sin(a)) for a in (0.0, 2.0, 4.0)]
     scan = scan_of(WAFFLE, ring)
-    assert all(state(scan, steps=n) == "settled" for n in (2, 40, 200))
+    assert all(state(scan, count=n) == "settled" for n in (2, 40, 200))
 
 
 @pytest.mark.parametrize(
@@ -182,6 +245,11 @@ def test_the_law_of_the_paper_is_its_equations(
     twist = wish(scan_from(WAFFLE, np.array(ranges), np.array(bearings)), law="paper")
     assert twist.linear == pytest.approx(0.26 * x / length)
     assert twist.angular == pytest.approx(1.82 * math.asin(y / length))
+
+
+def test_the_law_of_the_paper_overlooks_what_is_too_near() -> None:
+    near = scan_from(WAFFLE, np.full(3, -math.inf), np.array([0.1, 0.2, 0.3]))
+    assert wish(near, law="paper") == Twist(angular=1.0)
 
 
 def test_the_law_of_the_paper_spins_when_alone() -> None:

@@ -120,6 +120,11 @@ def test_the_law_of_the_paper_stops_when_alone() -> None:
     assert wish(scan_of(WAFFLE), law="paper") == Twist()
 
 
+def test_the_law_of_the_paper_overlooks_what_is_too_near() -> None:
+    near = scan_from(WAFFLE, np.full(3, -math.inf), np.array([0.1, 0.2, 0.3]))
+    assert wish(near, law="paper") == Twist()
+
+
 @pytest.mark.parametrize("platform", ["burger", "waffle_pi"])
 @pytest.mark.parametrize("seed", range(2))
 def test_seven_robots_keep_the_distance_and_come_to_rest(platform: str, seed: int) -> None:

@@ -66,16 +66,26 @@ def test_adopts_the_majority_of_its_neighbours() -> None:
 
 
 def test_its_own_opinion_is_no_vote() -> None:
-    assert opinion_after(make("a", initial=0), {"a": 0, "b": 1}) == 1
+    assert opinion_after(make("a", initial=0, ties="lowest"), {"a": 0, "b": 1}) == 1
+
+
+def test_another_channel_is_not_listened_to() -> None:
+    pattern = make("a", initial=0)
+    pattern.step(Inputs(now=0.0, dt=0.0))
+    elsewhere = (Message("b", "weather", 2, 0.0),)
+    pattern.step(Inputs(now=4.0, dt=4.0, messages=elsewhere))
+    pattern.step(Inputs(now=5.0, dt=1.0))
+    assert pattern.opinion == 0
 
 
 def test_keeps_its_opinion_when_it_hears_nobody() -> None:
     assert opinion_after(make("a", initial=2), {}) == 2
 
 
-@pytest.mark.parametrize(("ties", "opinion"), [("lowest", 1), ("keep", 0)])
+@pytest.mark.parametrize(("ties", "opinion"), [("lowest", 1), ("keep", 3)])
 def test_between_equals_it_does_as_told(ties: str, opinion: int) -> None:
-    assert opinion_after(make("a", initial=0, ties=ties), {"b": 2, "c": 1}) == opinion
+    pattern = make("a", opinions=4, initial=3, ties=ties)
+    assert opinion_after(pattern, {"b": 2, "c": 1}) == opinion
 
 
 def test_between_equals_chance_decides_by_default() -> None:
@@ -106,14 +116,30 @@ def test_a_robot_that_fell_silent_does_not_vote() -> None:
     assert outputs.report == {"opinion": 2, "heard": 1}
 
 
-def test_shares_at_once_then_every_second_and_after_each_decision() -> None:
-    pattern = make("a", initial=1, window=5.0, share_period=2.0)
+@pytest.mark.parametrize(
+    ("window", "period", "times"),
+    [(5.0, 2.0, [0.0, 2.0, 4.0, 5.0, 7.0, 9.0, 10.0]), (4.0, 3.0, [0.0, 2.0, 4.0, 6.0, 8.0, 10.0])],
+)
+def test_shares_at_once_then_regularly_and_after_each_window(
+    window: float, period: float, times: list[float]
+) -> None:
+    pattern = make("a", initial=1, window=window, share_period=period)
     shared = [
         now
         for now in np.arange(0.0, 11.0, 0.5).tolist()
         if pattern.step(Inputs(now=now, dt=0.5)).messages
     ]
-    assert shared == [0.0, 2.0, 4.0, 5.0, 7.0, 9.0, 10.0]
+    assert shared == times
+
+
+def test_a_changed_window_holds_from_the_next_one_on() -> None:
+    pattern = make("a", initial=0)
+    pattern.step(Inputs(now=0.0, dt=0.0))
+    pattern.update(make("a", initial=0, window=2.0).params)
+    pattern.step(Inputs(now=5.0, dt=5.0))
+    pattern.step(Inputs(now=6.0, dt=1.0, messages=hear({"b": 2})))
+    assert pattern.step(Inputs(now=6.9, dt=0.9)).report["opinion"] == 0
+    assert pattern.step(Inputs(now=7.0, dt=0.1)).report["opinion"] == 2
 
 
 def test_an_opinion_that_no_longer_exists_is_drawn_anew() -> None:

@@ -60,6 +60,15 @@ def test_turns_in_place_both_ways_at_a_fifth_to_four_fifths_of_the_turn_rate() -
     assert np.abs(rates).max() <= 0.8
 
 
+def test_turns_last_up_to_the_turn_time() -> None:
+    twists = walk(lambda now: FREE, 600.0, straight_min=0.1, straight_max=0.1, turn_time=3.0)
+    is_turn = np.array([twist.linear == 0.0 for twist in twists]).astype(int)
+    edges = np.flatnonzero(np.diff(is_turn, prepend=0, append=0))
+    lengths = 0.1 * (edges[1::2] - edges[::2])
+    assert 2.5 < lengths.max() <= 3.1
+    assert lengths.min() < 0.5
+
+
 @pytest.mark.parametrize(("side", "turn"), [(0.2, -1.0), (-0.2, 1.0)])
 def test_turns_away_from_what_is_ahead(side: float, turn: float) -> None:
     ahead = scan_of(PLATFORM, [Disc(0.7, side)])
