@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.settings import load_daemon_settings
+from swarmd.settings import load_daemon_settings, load_platform
+from swarmd.testing.body import Body
+from swarmd.testing.processes import unique_swarm
 
 
 def swarmd(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -116,3 +118,14 @@ def test_check_finds_parameters_that_no_pattern_takes(tmp_path: Path) -> None:
 def test_a_parent_that_has_ended_already_starts_nothing(tmp_path: Path) -> None:
     done = swarmd("--id", "r1", "--die-with-parent", "1", "--check", cwd=tmp_path)
     assert done.stdout == ""
+
+
+@pytest.mark.integration
+def test_check_is_well_with_a_body_and_moves_nothing(tmp_path: Path) -> None:
+    swarm = unique_swarm()
+    with Body(load_platform("burger"), swarm=swarm, robot="r1") as body:
+        args = ["--id", "r1", "--swarm", swarm, "--platform", "burger", "--check"]
+        done = swarmd(*args, "--driver-option", f"endpoint={body.endpoint}", cwd=tmp_path)
+        assert done.returncode == 0, done.stdout
+        assert done.stdout.splitlines()[-1].endswith("checked, all well")
+        assert all(command.twist.is_zero for command in body.commands)
