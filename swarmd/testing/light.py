@@ -97,6 +97,7 @@ class LightDaemon:
         self.settings = settings
         self.requests: list[Request] = []
         self.duplicates: list[str] = []
+        self.on_duplicate: Callable[[str], object] = self.duplicates.append
         self._answer = answer
         self._roster = roster
         self._is_claiming = is_claiming
@@ -134,7 +135,7 @@ class LightDaemon:
                 instance=self.instance,
                 settle=self.settings.settle,
                 lease=self.settings.lease_seconds,
-                on_duplicate=self.duplicates.append,
+                on_duplicate=lambda instance: self.on_duplicate(instance),
             )
         except BaseException:
             self.vanish()

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -31,33 +31,39 @@ PEERS = STAYING | VANISHING
 STALLED = 5.0
 
 
+Places = Mapping[str, tuple[str, int]]
+
+
 class Peer:
     """One survivor.py in its namespace; its events, and the condition it last saw of each."""
 
-    def __init__(self, name: str, namespace: str, swarm: str) -> None:
-        side, port = PEERS[name]
+    def __init__(
+        self, name: str, namespace: str, swarm: str, places: Places, *, robot: str | None = None
+    ) -> None:
+        side, port = places[name]
         seeds = [
             word
-            for other, (where, number) in PEERS.items()
+            for other, (where, number) in places.items()
             if other != name
             for word in ("--seed", f"tcp/{ADDRESSES[where]}:{number}")
         ]
         self._changed = threading.Condition()
         self._process = subprocess.Popen(
-            ["ip", "netns", "exec", namespace, sys.executable, str(SURVIVOR), name,
+            ["ip", "netns", "exec", namespace, sys.executable, str(SURVIVOR), robot or name,
              "--swarm", swarm, "--interface", "eth0",
              "--listen", f"tcp/{ADDRESSES[side]}:{port}", *seeds],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
         self.conditions: dict[str, str] = {}
         self.gaps: list[dict[str, float]] = []
-        self.is_ready = False
+        self.instance: str | None = None
+        self.duplicates: list[str] = []
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
     def until(self, condition: Any) -> None:
         with self._changed:
-            assert self._changed.wait_for(lambda: condition(self), 30.0), self.conditions
+            assert self._changed.wait_for(lambda: condition(self), 30.0), vars(self)
 
     def silences(self) -> dict[str, float]:
         """The longest silence of each other peer since this was last asked, in s."""
@@ -84,17 +90,26 @@ class Peer:
                     self.conditions[event["member"]] = event["condition"]
                 elif "gaps" in event:
                     self.gaps.append(event["gaps"])
-                self.is_ready |= "ready" in event
+                elif "duplicate" in event:
+                    self.duplicates.append(event["duplicate"])
+                elif "ready" in event:
+                    self.instance = event["instance"]
                 self._changed.notify_all()
+
+
+def is_ready(peer: Peer) -> bool:
+    return peer.instance is not None
 
 
 @pytest.fixture
 def peers(namespaces: Any, settings: SessionSettings) -> Iterator[dict[str, Peer]]:
     sides = {side: namespaces.join(side, address) for side, address in ADDRESSES.items()}
-    made = {name: Peer(name, sides[side], settings.swarm) for name, (side, _) in PEERS.items()}
+    made = {
+        name: Peer(name, sides[side], settings.swarm, PEERS) for name, (side, _) in PEERS.items()
+    }
     try:
         for peer in made.values():
-            peer.until(lambda peer: peer.is_ready)
+            peer.until(is_ready)
         yield made
     finally:
         for peer in made.values():
@@ -133,3 +148,26 @@ def test_peers_that_vanish_fail_and_do_not_stall_the_others(
     gap = max(gap, peers["a"].silences()["b"], peers["b"].silences()["a"])
     assert gap < STALLED
     print(f"noticed {noticed:.2f} s, longest silence {gap:.2f} s, healed {healed:.2f} s")
+
+
+def test_two_that_took_one_id_on_either_side_of_a_cut_are_told_when_it_heals(
+    namespaces: Any, settings: SessionSettings
+) -> None:
+    places = {"one": ("a", 7447), "other": ("far", 7447)}
+    sides = {side: namespaces.join(side, ADDRESSES[side]) for side, _ in places.values()}
+    namespaces.cut("far")
+    both = {
+        name: Peer(name, sides[side], settings.swarm, places, robot="tb3-01")
+        for name, (side, _) in places.items()
+    }
+    one, other = both.values()
+    try:
+        one.until(is_ready)
+        other.until(is_ready)
+        assert not one.duplicates
+        namespaces.heal("far")
+        one.until(lambda peer: other.instance in peer.duplicates)
+        other.until(lambda peer: one.instance in peer.duplicates)
+    finally:
+        one.end()
+        other.end()
