@@ -180,7 +180,7 @@ def test_keeps_away_from_a_wall_beside_it_while_it_searches() -> None:
 
 
 def test_the_piece_of_a_wall_between_two_robots_is_no_robot() -> None:
-    gate = [Disc(0.8, 0.3, 0.1), Disc(0.8, -0.3, 0.1)]
+    gate = [Disc(0.84, 0.2, 0.1), Disc(0.84, -0.2, 0.1)]
     behind = scan_of(WAFFLE, gate, room=4.0)
     assert wish(behind) == wish(scan_of(WAFFLE, gate)) == Twist()
 
