@@ -90,9 +90,11 @@ def test_minimum_gap_is_between_footprints_not_centres() -> None:
     assert metrics.minimum_gap(run(pose)) == pytest.approx(2.0 - 0.254 - 0.215)
 
 
-def test_minimum_gap_looks_at_every_pair_and_instant() -> None:
-    rng = np.random.default_rng(4)
-    pose = rng.uniform(-4.0, 4.0, (30, 5, 3))
+@pytest.mark.parametrize("seed", range(5))
+def test_minimum_gap_looks_at_every_pair_and_instant(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    pose = rng.uniform(-40.0, 40.0, (30, 5, 3))
+    pose[..., 2] = rng.uniform(-3.0, 3.0, (30, 5))
     whole = metrics.minimum_gap(run(pose))
     each = [
         metrics.minimum_gap(run(pose[k : k + 1, [a, b]]))
@@ -100,7 +102,14 @@ def test_minimum_gap_looks_at_every_pair_and_instant() -> None:
         for a in range(5)
         for b in range(a)
     ]
-    assert whole == min(each)
+    assert whole == min(each) > 0.0
+
+
+def test_minimum_gap_is_found_where_the_centres_are_not_the_nearest() -> None:
+    # Nose to tail and 0.52 m apart they almost touch; side by side at 0.50 m they do not.
+    apart = np.array([[[0.0, 0.0, 0.0], [0.52, 0.0, 0.0]], [[0.0, 0.0, 0.0], [0.0, 0.50, 0.0]]])
+    assert metrics.minimum_gap(run(apart)) == pytest.approx(0.52 - 0.508)
+    assert metrics.minimum_gap(run(apart[::-1])) == pytest.approx(0.52 - 0.508)
 
 
 def test_minimum_gap_is_zero_in_touch_and_infinite_alone() -> None:

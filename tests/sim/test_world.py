@@ -180,9 +180,16 @@ def test_contacts_of_all_steps_of_one_call_are_told() -> None:
     (contact,) = bumper.contacts()
     assert (contact.a, contact.b) == ("a", "b")
     assert contact.closing_speed > 0.2  # of the first touch, not of the rest that followed
-    apart = pair("waffle_pi", 3.0)
-    drive(apart, (0.26, 0.0, 0.0), 0.5)
-    assert apart.contacts() == []
+
+
+def test_contacts_are_those_of_the_last_call_only() -> None:
+    bumper = pair("waffle_pi", 0.18)
+    drive(bumper, (0.26, 0.0, 0.0), 0.5)
+    assert bumper.contacts()
+    drive(bumper, (-0.26, 0.0, 0.0), 0.5)
+    assert bumper.contacts()  # they touched while they slowed down
+    drive(bumper, (-0.26, 0.0, 0.0), 0.5)
+    assert bumper.contacts() == []
 
 
 def test_a_pile_neither_sinks_in_nor_blows_up() -> None:
