@@ -64,7 +64,10 @@ class AttractionParams(Params, frozen=True):
 
     law: Annotated[
         Literal["settling", "paper"],
-        about("settling: comes to rest at a spacing; paper: the original equations"),
+        about(
+            "settling: comes to rest at a spacing; paper: the original equations",
+            source="ours: the original drives at full speed for ever",
+        ),
     ] = "settling"
     speed: Annotated[
         float,

@@ -47,7 +47,10 @@ class DispersionParams(Params, frozen=True):
 
     law: Annotated[
         Literal["settling", "paper"],
-        about("settling: comes to rest; paper: the original equations"),
+        about(
+            "settling: comes to rest; paper: the original equations",
+            source="ours: the original drives at full speed for ever",
+        ),
     ] = "settling"
     speed: Annotated[
         float,

@@ -24,7 +24,11 @@ class VotingParams(Params, frozen=True, kw_only=True):
         ),
     ] = 3
     initial: (
-        Annotated[int, about("opinion to start with; none: a random one", ge=0, le=999)] | None
+        Annotated[
+            int,
+            about("opinion to start with; none: a random one", ge=0, le=999, source="paper"),
+        ]
+        | None
     ) = None
     window: Annotated[
         float,

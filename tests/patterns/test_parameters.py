@@ -1,0 +1,55 @@
+"""What holds for the parameters of every built-in pattern."""
+
+from __future__ import annotations
+
+import pytest
+
+from swarmd.assembly import full_layers
+from swarmd.loading import Finder
+from swarmd.params import build, schema
+from swarmd.plugins import pattern_names
+from swarmd.settings import load_platform, platform_names
+
+FOUND = {name: o for name, o in pattern_names(None).items() if o.value.startswith("swarmd.")}
+FIND = Finder({name: (origin.value, False) for name, origin in FOUND.items()})
+# Numbers that are counts, shares or weights.
+WITHOUT_UNIT = {"bias", "rays", "opinions", "initial"}
+
+
+@pytest.mark.parametrize("name", FOUND)
+def test_each_has_a_meaning_a_source_and_a_unit(name: str) -> None:
+    for spec in schema(FIND(name).params_type):
+        assert spec.description
+        assert spec.source, f"{name}.{spec.name} names no source"
+        is_number = spec.type in ("int", "float") and spec.name not in WITHOUT_UNIT
+        assert not is_number or spec.unit, f"{name}.{spec.name} has no unit"
+
+
+@pytest.mark.parametrize("name", FOUND)
+@pytest.mark.parametrize("platform", platform_names())
+def test_what_platform_files_say_of_a_pattern_is_valid(name: str, platform: str) -> None:
+    robot = load_platform(platform)
+    kind = FIND(name)
+    layers = (("platform", robot.patterns.get(name, {})),)
+    build(kind.params_type, full_layers(kind, robot, layers))
+
+
+@pytest.mark.parametrize(
+    ("pattern", "platform", "reach"),
+    [
+        ("attraction", "burger", 2.0),
+        ("attraction", "waffle_pi", 2.0),
+        ("attraction", "jackal", 3.0),
+        ("dispersion", "burger", 3.5),
+        ("dispersion", "waffle_pi", 3.5),
+        ("dispersion", "jackal", 4.0),
+    ],
+)
+def test_the_original_laws_reach_as_far_as_they_did(
+    pattern: str, platform: str, reach: float
+) -> None:
+    robot = load_platform(platform)
+    kind = FIND(pattern)
+    layers = full_layers(kind, robot, (("platform", robot.patterns.get(pattern, {})),))
+    _, params = build(kind.params_type, layers)
+    assert params["paper_range"][0] == reach
