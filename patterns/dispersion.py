@@ -39,7 +39,7 @@ from swarmd.api import (
 )
 
 # Push, as a share of full speed, below which a moving robot stops and above which it starts.
-_DOZE, _WAKE = 0.08, 0.16
+_DOZE, _WAKE = 0.12, 0.25
 
 
 class DispersionParams(Params, frozen=True):

@@ -134,8 +134,9 @@ def test_seven_robots_keep_the_distance_and_come_to_rest(platform: str, seed: in
     assert np.abs(course.speeds[-100:]).max() < 0.01
 
 
-def test_they_come_to_rest_also_where_there_is_no_room() -> None:
-    course = spread_out("waffle_pi", 0, room=4.0, distance=2.0)
+@pytest.mark.parametrize("seed", range(3))
+def test_they_come_to_rest_also_where_there_is_no_room(seed: int) -> None:
+    course = spread_out("waffle_pi", seed, room=4.0, distance=2.0)
     threshold = float(WAFFLE.protection["threshold"])
     assert course.nearest[-100:].min() > threshold
     assert np.abs(course.speeds[-200:]).mean() < 0.1 * WAFFLE.limits.linear
