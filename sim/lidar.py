@@ -47,6 +47,14 @@ class _Edges:
     start: Array
     along: Array
 
+    def joined(self, other: _Edges) -> _Edges:
+        """These and those."""
+        return _Edges(
+            np.concatenate((self.scan, other.scan)),
+            np.concatenate((self.start, other.start)),
+            np.concatenate((self.along, other.along)),
+        )
+
 
 class Lidar:
     """Casts the sweeps of all sensors of one kind at once."""
@@ -72,9 +80,10 @@ class Lidar:
         sensors = poses[observers].copy()
         sensors[:, :2] += _turn(np.array(self._spec.offset), sensors[:, 2])
         nearest = np.full((len(observers), len(self._spec.bearings)), np.inf)
-        for edges in (self._walls(sensors), self._edges(sensors, poses, observers)):
-            self._meet_edges(nearest, edges)
-        self._meet_circles(nearest, sensors, poses, observers)
+        walls, edges = self._walls(sensors), self._edges(sensors, poses, observers)
+        self._meet_edges(nearest, walls.joined(edges))
+        if len(self._shapes.poles) or len(self._shapes.discs):
+            self._meet_circles(nearest, sensors, poses, observers)
         nearest[nearest > self._spec.range_max] = np.inf
         nearest[nearest < self._spec.range_min] = -np.inf
         return nearest
@@ -154,7 +163,11 @@ def _turn(vectors: Array, yaw: Array) -> Array:
     """Vectors (..., 2) turned counter-clockwise by `yaw` (...) rad."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     x, y = vectors[..., 0], vectors[..., 1]
-    return np.stack((cos * x - sin * y, sin * x + cos * y), axis=-1)
+    ahead = cos * x - sin * y
+    turned = np.empty((*ahead.shape, 2))  # np.stack would take longer than all the rest
+    turned[..., 0] = ahead
+    turned[..., 1] = sin * x + cos * y
+    return turned
 
 
 def _lower(nearest: Array, scan: Indices, ray: Indices, distance: Array) -> None:
