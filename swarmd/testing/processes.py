@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 import uuid
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
 
@@ -38,6 +38,7 @@ class DaemonProcess:
     """One `swarmd` in a process of its own; a context manager.
 
     `folder` keeps its configuration, state and log, so that a second one can be a restart.
+    `prefix` is a command that becomes the daemon in the same process, as `ip netns exec NAME`.
     """
 
     def __init__(
@@ -50,6 +51,7 @@ class DaemonProcess:
         platform: str = "waffle_pi",
         plugin_dir: Path | None = None,
         options: Mapping[str, Value] | None = None,
+        prefix: Sequence[str] = (),
     ) -> None:
         self.robot = robot
         self.swarm = swarm
@@ -68,7 +70,7 @@ class DaemonProcess:
             settings["plugin_dir"] = str(plugin_dir)
         config.write_text(yaml.safe_dump(settings))
         self.log = folder / f"{robot}.log"
-        command = [sys.executable, "-m", "swarmd.cli.daemon", "--config", str(config)]
+        command = [*prefix, sys.executable, "-m", "swarmd.cli.daemon", "--config", str(config)]
         command += ["--die-with-parent", str(os.getpid())]
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(command, stdout=log, stderr=log)

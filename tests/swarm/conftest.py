@@ -8,7 +8,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -48,11 +48,24 @@ class Finished:
 
 
 class Swarm:
-    """Daemons under one swarm name; all of them, bodies and sessions are gone after `close`."""
+    """Daemons under one swarm name; all of them, bodies and sessions are gone after `close`.
 
-    def __init__(self, folder: Path) -> None:
-        self.name = unique_swarm()
+    `prefix` is what every process is begun with, such as `ip netns exec NAME`; `config` the
+    swarm.yaml of every process.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        name: str | None = None,
+        prefix: Sequence[str] = (),
+        config: Path | None = None,
+    ) -> None:
+        self.name = name or unique_swarm()
         self.folder = folder
+        self._prefix = tuple(prefix)
+        self.config = config
         self._left = contextlib.ExitStack()
         self._lives = 0
         self._session: zenoh.Session | None = None
@@ -77,12 +90,14 @@ class Swarm:
         All lives of one robot share its state, each has a log of its own.
         """
         self._lives += 1
+        shared = {} if self.config is None else {"swarm_file": str(self.config)}
         daemon = DaemonProcess(
             self.folder / f"life{self._lives}",
             swarm=self.name,
             robot=robot,
             endpoint="tcp/127.0.0.1:9" if body is None else body.endpoint,
-            options={"state_dir": str(self.folder / "state"), **(options or {})},
+            options={"state_dir": str(self.folder / "state"), **shared, **(options or {})},
+            prefix=self._prefix,
         )
         return self._left.enter_context(daemon)
 
@@ -116,13 +131,14 @@ class Swarm:
 
     def begin(self, *words: str, user: str = "anna") -> subprocess.Popen[str]:
         """A `swarmctl` by this user, under way; hand it to `finish`."""
+        shared = {} if self.config is None else {"SWARM_CONFIG": str(self.config)}
         return subprocess.Popen(
-            [*SWARMCTL, *words],
+            [*self._prefix, *SWARMCTL, *words],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             stdin=subprocess.DEVNULL,
             text=True,
-            env={**os.environ, "LOGNAME": user, "SWARM": self.name},
+            env={**os.environ, "LOGNAME": user, "SWARM": self.name, **shared},
         )
 
     def finish(self, process: subprocess.Popen[str]) -> Finished:
@@ -202,6 +218,16 @@ class Swarm:
 def swarm(tmp_path: Path) -> Iterator[Swarm]:
     """A swarm without robots yet, under a name of its own."""
     made = Swarm(tmp_path)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+@pytest.fixture(scope="module")
+def shared_swarm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Swarm]:
+    """A swarm for all tests of a module."""
+    made = Swarm(tmp_path_factory.mktemp("swarm"))
     try:
         yield made
     finally:

@@ -1,0 +1,271 @@
+"""Profile field between two network namespaces: static seeds, no multicast, a cable that is cut."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+import yaml
+
+from swarmd.testing.processes import CAP, DaemonProcess, unique_swarm, wait_until
+from swarmd.values import Value
+
+if TYPE_CHECKING:
+    from tests.conftest import Namespaces
+    from tests.swarm.conftest import Swarm
+
+pytestmark = pytest.mark.integration
+
+HERE = Path(__file__).parent
+ADDRESSES = {"a": "10.78.0.1", "b": "10.78.0.2"}
+ROBOTS: dict[str, tuple[str, ...]] = {"a": ("r1", "r2"), "b": ("r3", "r4")}
+PORTS = (7447, 7448)
+SEEDS = [f"tcp/{address}:{port}" for address in ADDRESSES.values() for port in PORTS]
+
+
+class Talker:
+    """A process that answers each line with one of JSON."""
+
+    def __init__(self, command: Sequence[str]) -> None:
+        pipe = subprocess.PIPE
+        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
+
+    def say(self, word: str) -> None:
+        """Say it, and do not wait."""
+        assert self._process.stdin is not None
+        self._process.stdin.write(f"{word}\n")
+        self._process.stdin.flush()
+
+    def hear(self) -> Any:
+        """Its next answer."""
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        assert line, f"it ended with {self._process.wait(CAP)}"
+        return json.loads(line)
+
+    def ask(self, word: str) -> Any:
+        """Its answer to this."""
+        self.say(word)
+        return self.hear()
+
+    def close(self) -> None:
+        """Have it end, as it does with its input."""
+        with self._process:
+            self._process.communicate(timeout=CAP)
+
+
+class Side:
+    """One namespace: its robots with their bodies, and whoever works them from there."""
+
+    def __init__(
+        self, swarm: Swarm, prefix: Sequence[str], address: str, robots: Sequence[str]
+    ) -> None:
+        self.swarm = swarm
+        self.robots = robots
+        self._prefix = prefix
+        self._address = address
+        self._left = contextlib.ExitStack()
+        self._left.callback(swarm.close)
+        script = str(HERE / "bodies.py")
+        self.bodies = self.talk([sys.executable, script, "--swarm", swarm.name, *robots])
+        self._endpoints = self.bodies.hear()["endpoints"]
+
+    def close(self) -> None:
+        """End all of it."""
+        self._left.close()
+
+    def talk(self, command: Sequence[str]) -> Talker:
+        """A process of this namespace."""
+        made = Talker([*self._prefix, *command])
+        self._left.callback(made.close)
+        return made
+
+    def spawn(self, robot: str) -> DaemonProcess:
+        """The robot's daemon, starting."""
+        own = f"tcp/{self._address}:{PORTS[self.robots.index(robot)]}"
+        options: dict[str, Value] = {
+            "listen": [own],
+            "seeds": [seed for seed in SEEDS if seed != own],
+            "driver_options": {"endpoint": self._endpoints[robot]},
+        }
+        return self.swarm.spawn(robot, options=options)
+
+    def conditions(self) -> dict[str, str]:
+        """How the members are seen from here."""
+        done = self.swarm.ctl("members", "-o", "json")
+        return {member["robot"]: member["condition"] for member in done.json["members"]}
+
+    def await_conditions(self, **wanted: str) -> None:
+        """Wait until they are seen so."""
+        began = time.monotonic()
+        wait_until(lambda: self.conditions() == wanted, f"{self.robots} see {wanted}")
+        print(f"{self.robots} see {wanted} after {time.monotonic() - began:.1f} s")
+
+
+Field = dict[str, Side]
+
+
+@pytest.fixture
+def lease() -> float:
+    """Seconds until a side that is cut off counts as gone."""
+    return 1.5
+
+
+@pytest.fixture
+def robots() -> dict[str, tuple[str, ...]]:
+    """Who is where."""
+    return ROBOTS
+
+
+@pytest.fixture
+def field(
+    tmp_path: Path,
+    swarm: Swarm,
+    namespaces: Namespaces,
+    robots: dict[str, tuple[str, ...]],
+    lease: float,
+) -> Iterator[Field]:
+    """Two sides with bodies and without daemons yet."""
+    name = unique_swarm()
+    settings = {"swarm": name, "profile": "field", "interface": "eth0", "multicast": False}
+    config = tmp_path / "swarm.yaml"
+    config.write_text(yaml.safe_dump({**settings, "seeds": SEEDS, "lease": lease}))
+    with contextlib.ExitStack() as left:
+        made: Field = {}
+        for side, address in ADDRESSES.items():
+            prefix = ("ip", "netns", "exec", namespaces.join(side, address))
+            there = type(swarm)(tmp_path / side, name=name, prefix=prefix, config=config)
+            made[side] = Side(there, prefix, address, robots[side])
+            left.callback(made[side].close)
+        yield made
+
+
+def start(field: Field) -> None:
+    """All daemons, ready."""
+    daemons = [side.spawn(robot) for side in field.values() for robot in side.robots]
+    for daemon in daemons:
+        daemon.wait_ready()
+
+
+ALL_ALIVE = dict.fromkeys(("r1", "r2", "r3", "r4"), "alive")
+
+
+def test_a_swarm_cut_in_two_is_stopped_side_by_side_and_nothing_stale_moves_it(
+    field: Field, namespaces: Namespaces
+) -> None:
+    a, b = field["a"], field["b"]
+    start(field)
+    for side in (a, b):
+        side.await_conditions(**ALL_ALIVE)
+    done = a.swarm.ctl("run", "drive", "--all")
+    assert (done.code, done.out.splitlines()[-1]) == (0, "4 targeted, 4 applied")
+    for side in (a, b):
+        side.bodies.ask("moving")
+    late = a.talk([sys.executable, str(HERE / "late_operator.py"), str(a.swarm.config)])
+    assert late.ask("look") == {"seen": ["r1", "r2", "r3", "r4"]}
+
+    namespaces.cut("b")
+    done = b.swarm.ctl("stop")  # those who stop on one side are told whom it did not reach
+    assert (done.code, done.out.splitlines()[-1]) == (
+        3,
+        "4 targeted, 2 applied, 2 no answer (r1, r2)",
+    )
+    b.bodies.ask("standing")
+    b.bodies.ask("mark")
+    a.bodies.ask("moving")  # the other side is autonomous
+
+    a.await_conditions(r1="alive", r2="alive", r3="failed", r4="failed")
+    b.await_conditions(r1="failed", r2="failed", r3="alive", r4="alive")
+    done = a.swarm.ctl("stop")
+    assert (done.code, done.out.splitlines()[-1]) == (
+        3,
+        "4 targeted, 2 applied, 2 no answer (r3, r4)",
+    )
+    a.bodies.ask("standing")
+    a.bodies.ask("mark")
+    assert late.ask("run").keys() == {"r1", "r2", "r3", "r4"}
+
+    namespaces.heal("b")
+    for side in (a, b):
+        side.await_conditions(**ALL_ALIVE)
+    answers = late.ask("run")
+    assert {name: answer[0] for name, answer in answers.items()} == dict.fromkeys(
+        ALL_ALIVE, "refused"
+    )
+    for side in (a, b):
+        assert not any(side.bodies.ask("mark")["mark"].values())
+
+    done = b.swarm.ctl("run", "drive", "--all")
+    assert (done.code, done.out.splitlines()[-1]) == (0, "4 targeted, 4 applied")
+    for side in (a, b):
+        side.bodies.ask("moving")
+
+
+@pytest.mark.parametrize("lease", [10.0])
+def test_a_run_that_a_short_cut_held_up_is_refused_when_it_arrives(
+    field: Field, namespaces: Namespaces
+) -> None:
+    """The links outlive the cut, and deliver afterwards what was asked during it."""
+    a, b = field["a"], field["b"]
+    start(field)
+    a.await_conditions(**ALL_ALIVE)
+    late = a.talk([sys.executable, str(HERE / "late_operator.py"), str(a.swarm.config)])
+    assert late.ask("look") == {"seen": ["r1", "r2", "r3", "r4"]}
+    local = b.swarm.begin("run", "drive", "r3", "r4", user="ben")
+    assert b.swarm.finish(local).code == 0
+    b.bodies.ask("moving")
+
+    namespaces.cut("b")
+    late.say("run")
+    stopping = b.swarm.begin("stop", "r3", "r4", user="ben")
+    b.bodies.ask("standing")
+    b.bodies.ask("mark")
+    namespaces.heal("b")
+    answers = late.hear()
+    assert {name: answer and answer[0] for name, answer in answers.items()} == {
+        "r1": "applied",
+        "r2": "applied",
+        "r3": "refused",
+        "r4": "refused",
+    }
+    assert answers["r3"][1].startswith("robot changed since you looked, by ben@")
+    assert b.swarm.finish(stopping).code == 0
+    assert not any(b.bodies.ask("mark")["mark"].values())
+
+
+@pytest.mark.parametrize("robots", [{"a": ("r1",), "b": ("r1",)}])
+def test_one_id_on_both_sides_of_a_cut_is_faulted_on_both_when_it_heals(
+    field: Field, namespaces: Namespaces
+) -> None:
+    namespaces.cut("b")
+    start(field)
+    sides = list(field.values())
+    for side in sides:
+        assert side.swarm.ctl("run", "drive", "r1").code == 0
+        side.bodies.ask("moving")
+
+    healed = time.monotonic()
+    namespaces.heal("b")
+    for side in sides:
+        side.bodies.ask("standing")
+    print(f"both stand {time.monotonic() - healed:.1f} s after the cut has healed")
+    for side in sides:
+        wait_until(
+            lambda: "duplicate_id" in side.swarm.ctl("describe", "r1").out,  # noqa: B023
+            "it says why",
+        )
+        side.bodies.ask("standing")
+        side.bodies.ask("mark")
+    for side in sides:
+        note = "# two daemons hold one id: r1; stop one of each"
+        wait_until(lambda: note in side.swarm.ctl("members").out, "both are met")  # noqa: B023
+        assert side.swarm.ctl("run", "drive", "r1").code == 7
+    for side in sides:
+        assert not any(side.bodies.ask("mark")["mark"].values())

@@ -1,0 +1,44 @@
+"""Twenty daemons and an operator who comes fresh each time: every robot acks, every time."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from typing import TYPE_CHECKING
+
+import pytest
+
+from swarmd.messages import State
+
+if TYPE_CHECKING:
+    from tests.swarm.conftest import Swarm
+
+pytestmark = pytest.mark.integration
+
+ROBOTS = tuple(f"tb3-{number:02}" for number in range(1, 21))
+RUNS = 50
+
+
+def test_fifty_cold_runs_in_a_row_each_get_twenty_acks(swarm: Swarm) -> None:
+    """Without bodies: a pattern is loaded and acked all the same, and stands for want of scans."""
+    began = time.monotonic()
+    daemons = [swarm.spawn(robot) for robot in ROBOTS]
+    for daemon in daemons:
+        daemon.wait_ready()
+    print(f"{len(ROBOTS)} daemons ready after {time.monotonic() - began:.1f} s")
+    seconds = []
+    for number in range(RUNS):
+        pattern = ("drive", "random_walk")[number % 2]
+        began = time.monotonic()
+        done = swarm.ctl("run", pattern, "--all", "-o", "json")
+        seconds.append(time.monotonic() - began)
+        assert done.code == 0, (number, done)
+        assert tuple(done.json["applied"]) == ROBOTS, (number, done.json["line"])
+        assert done.json["line"] == "20 targeted, 20 applied"
+    print(f"a cold run: median {statistics.median(seconds):.3f} s, worst {max(seconds):.3f} s")
+    for robot in ROBOTS:
+        status = swarm.status(robot)
+        assert status.generation == RUNS
+        assert status.state in (State.RUNNING, State.STOPPED)
+    done = swarm.ctl("stop")
+    assert (done.code, done.out.splitlines()[-1]) == (0, "20 targeted, 20 applied")
