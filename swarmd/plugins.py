@@ -8,7 +8,7 @@ installed packages takes 40 ms and more, so the command line calls this only whe
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -41,10 +41,25 @@ class Origin:
     rival: str = ""
 
 
-def pattern_names(plugin_dir: Path | None) -> Mapping[str, Origin]:
-    """All patterns by name, installed and dropped in; PluginError if the folder is not there."""
+def installed_patterns() -> Mapping[str, Origin]:
+    """The patterns of installed packages by name."""
+    return _merged(_installed())
+
+
+def pattern_names(
+    plugin_dir: Path | None, installed: Mapping[str, Origin] | None = None
+) -> Mapping[str, Origin]:
+    """All patterns by name, installed and dropped in; PluginError if the folder is not there.
+
+    `installed` are those of packages, if they were read before.
+    """
+    some = _installed() if installed is None else installed.items()
+    return _merged((*some, *_dropped_in(plugin_dir)))
+
+
+def _merged(origins: Iterable[tuple[str, Origin]]) -> Mapping[str, Origin]:
     found: dict[str, Origin] = {}
-    for name, origin in (*_installed_patterns(), *_dropped_in(plugin_dir)):
+    for name, origin in origins:
         first = found.get(name)
         found[name] = origin if first is None else replace(first, rival=origin.source)
     return dict(sorted(found.items()))
@@ -92,7 +107,7 @@ def how_to_install(missing: str, name: str, group: str = COMMANDS) -> str:
     return f"{name!r} needs {missing}, which is not installed; run: pip install {wanted}"
 
 
-def _installed_patterns() -> Iterator[tuple[str, Origin]]:
+def _installed() -> Iterator[tuple[str, Origin]]:
     for point in entry_points(group=PATTERNS):
         yield point.name, Origin(point.value, _source(point))
 

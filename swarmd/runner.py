@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Protocol
 from swarmd.errors import CodecError, PluginError, unknown
 from swarmd.frames import Command, Died, Event, Failed, Kill, Load, Refused
 from swarmd.framing import decode_event, encode_command
-from swarmd.plugins import Origin, pattern_names
+from swarmd.plugins import installed_patterns, pattern_names
 from swarmd.processes import how_it_ended
 
 if TYPE_CHECKING:
@@ -148,6 +148,7 @@ class ProcessRunner:
     ) -> None:
         self._loop = loop
         self._plugin_dir = plugin_dir
+        self._installed = installed_patterns()
         self._wake = wake
         self._events: deque[Event] = deque()
         self._generation = 0
@@ -232,7 +233,10 @@ class ProcessRunner:
     def _origins(self, command: Command) -> Mapping[str, tuple[str, bool]]:
         if not isinstance(command, Load):
             return {}
-        found: Mapping[str, Origin] = pattern_names(self._plugin_dir)
+        found = pattern_names(self._plugin_dir, self._installed)
+        if command.pattern not in found:  # perhaps installed meanwhile; reading that takes 2 ms
+            self._installed = installed_patterns()
+            found = pattern_names(self._plugin_dir, self._installed)
         if command.pattern not in found:
             raise PluginError(unknown("pattern", command.pattern, found))
         return {name: (origin.value, origin.is_file) for name, origin in found.items()}
