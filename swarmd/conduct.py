@@ -40,6 +40,7 @@ class Turn:
     """What one event leads to, gathered until it is settled."""
 
     now: float
+    is_beat: bool = False
     host: Command | None = None
     is_latched: bool = False
     is_new_scan: bool = False

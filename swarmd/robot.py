@@ -139,6 +139,7 @@ class Robot:
     def tick(self, now: float) -> Actions:
         """20 times a second, and at `wake_at`: ages, expiries, latches."""
         turn = self._enter(now)
+        turn.is_beat = True
         self._beat = now
         if self._conduct.is_running:
             self._duty.decisions += 1
@@ -194,7 +195,8 @@ class Robot:
             latches=conduct.latches.record() if turn.is_latched else None,
             host=turn.host,
             messages=turn.messages,
-            status=self._news(now),
+            # Acks first: what all peers hear of may wait for the tick, an emergency stop may not.
+            status=self._news(now) if turn.is_beat or turn.is_latched else None,
             replies=turn.replies,
         )
 
