@@ -39,22 +39,32 @@ class Commanded:
 
 
 class Body:
-    """One robot's body; a context manager. `endpoint` is where the daemon's driver finds it."""
+    """One robot's body; a context manager.
+
+    `endpoint` is where the daemon's driver finds it; one that is given is that of a body which
+    was there before and returns.
+    """
 
     def __init__(
-        self, platform: Platform, *, swarm: str, robot: str, rate: float | None = None
+        self,
+        platform: Platform,
+        *,
+        swarm: str,
+        robot: str,
+        rate: float | None = None,
+        endpoint: str | None = None,
     ) -> None:
         self.platform = platform
         self.robot = robot
         self.scans: ScanScript = self.clear
         self.odometry: Twist | None = Twist()
         self.commands: list[Commanded] = []
-        self._swarm = swarm
+        self.swarm = swarm
         self._period = 1.0 / (rate or platform.scan.rate)
         self._changed = threading.Condition()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._publish, name=f"body {robot}", daemon=True)
-        self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
+        self.endpoint = endpoint or f"tcp/127.0.0.1:{_free_port()}"
         config = zenoh.Config()
         for path, value in (
             ("mode", "peer"),
@@ -77,9 +87,14 @@ class Body:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self._stopping.set()
-        self._thread.join(CAP)
-        self._session.close()
+        self.close()
+
+    def close(self) -> None:
+        """Be gone, as a body whose plug is pulled; harmless if it is already."""
+        if not self._stopping.is_set():
+            self._stopping.set()
+            self._thread.join(CAP)
+            self._session.close()
 
     def clear(self, seq: int, stamp: float, distance: float = 3.0) -> Scan:
         """A sweep in which every ray returns `distance` m."""
@@ -117,7 +132,7 @@ class Body:
             return any(one.at > since and not one.twist.is_zero for one in self.commands)
 
     def _key(self, name: str) -> str:
-        return keys.build(self._swarm, self.robot, "hw", name)
+        return keys.build(self.swarm, self.robot, "hw", name)
 
     def _on_command(self, sample: zenoh.Sample) -> None:
         try:

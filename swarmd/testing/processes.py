@@ -37,8 +37,9 @@ def wait_until(condition: Callable[[], bool], what: str, cap: float = CAP) -> No
 class DaemonProcess:
     """One `swarmd` in a process of its own; a context manager.
 
-    `folder` keeps its configuration, state and log, so that a second one can be a restart.
-    `prefix` is a command that becomes the daemon in the same process, as `ip netns exec NAME`.
+    `folder` keeps its configuration, state and log, so that a second one can be a restart;
+    `environ` is added to this process's environment. `prefix` is a command that becomes the
+    daemon in the same process, such as `ip netns exec NAME`.
     """
 
     def __init__(
@@ -51,6 +52,7 @@ class DaemonProcess:
         platform: str = "waffle_pi",
         plugin_dir: Path | None = None,
         options: Mapping[str, Value] | None = None,
+        environ: Mapping[str, str] | None = None,
         prefix: Sequence[str] = (),
     ) -> None:
         self.robot = robot
@@ -70,10 +72,13 @@ class DaemonProcess:
             settings["plugin_dir"] = str(plugin_dir)
         config.write_text(yaml.safe_dump(settings))
         self.log = folder / f"{robot}.log"
+        self._begin = self.log.stat().st_size if self.log.exists() else 0
         command = [*prefix, sys.executable, "-m", "swarmd.cli.daemon", "--config", str(config)]
         command += ["--die-with-parent", str(os.getpid())]
         with self.log.open("ab") as log:
-            self.process = subprocess.Popen(command, stdout=log, stderr=log)
+            self.process = subprocess.Popen(
+                command, stdout=log, stderr=log, env={**os.environ, **(environ or {})}
+            )
 
     def __enter__(self) -> DaemonProcess:
         return self
@@ -93,8 +98,10 @@ class DaemonProcess:
         return self
 
     def text(self) -> str:
-        """Its log so far."""
-        return self.log.read_text()
+        """Its log so far, without that of an earlier life."""
+        with self.log.open("rb") as log:
+            log.seek(self._begin)
+            return log.read().decode(errors="replace")
 
     def send(self, number: signal.Signals) -> None:
         """Send it a signal."""
@@ -140,3 +147,12 @@ def children(pid: int) -> list[int]:
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
         found += [int(child) for child in task.read_text().split()]
     return sorted(found)
+
+
+def is_running(pid: int) -> bool:
+    """True while a process runs; one that has ended and waits to be reaped does not."""
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] not in ("Z", "X")
