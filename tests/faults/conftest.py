@@ -1,0 +1,249 @@
+"""One robot on the bench: a scripted body, its real daemon, an operator, and a listening peer."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import pytest
+import zenoh
+
+from swarmd.clock import boottime
+from swarmd.codec import Decoder
+from swarmd.keys import build
+from swarmd.messages import Code, Epoch, Reason, Reply, State, Status
+from swarmd.network.operator import Operator
+from swarmd.network.session import SessionSettings, open_session
+from swarmd.settings import load_platform
+from swarmd.testing.body import Body, Commanded
+from swarmd.testing.processes import CAP, DaemonProcess, unique_swarm, wait_until
+from swarmd.values import Twist
+
+ROBOT = "tb3-01"
+PLUGINS = Path(__file__).parent / "plugins"
+
+
+@dataclass(frozen=True, slots=True)
+class Heard:
+    """A status as it was published. `at` on CLOCK_BOOTTIME in s, when it arrived."""
+
+    at: float
+    status: Status
+
+
+class Witness:
+    """A peer that only listens: every status that the robot publishes, in order."""
+
+    def __init__(self, swarm: str) -> None:
+        self.heard: list[Heard] = []
+        self._decode = Decoder(Status)
+        self._news = threading.Condition()
+        self.session = open_session(SessionSettings(swarm=swarm))
+        self._key = build(swarm, ROBOT, "state", "status")
+        self._subscriber = self.session.declare_subscriber(self._key, self._on_status)
+
+    def __enter__(self) -> Witness:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.session.close()
+
+    def ask(self) -> Status | None:
+        """The robot's status now; None if it does not answer within a second."""
+        for reply in self.session.get(self._key, timeout=1.0):
+            if reply.ok is not None:
+                return self._decode(reply.ok.payload.to_bytes())
+        return None
+
+    def wait(self, what: str, holds: Callable[[Status], bool], since: float = 0.0) -> Heard:
+        """The first status published after `since` for which `holds`; AssertionError after 30 s."""
+        deadline = time.monotonic() + CAP
+        with self._news:
+            while True:
+                for heard in self.heard:
+                    if heard.at > since and holds(heard.status):
+                        return heard
+                left = deadline - time.monotonic()
+                assert left > 0.0, f"never {what}; at last {self._last()}"
+                self._news.wait(left)
+
+    def _last(self) -> str:
+        said = [f"{h.status.state} ({h.status.reason}) {h.status.detail}" for h in self.heard[-5:]]
+        return f"{said} {self.heard[-1].status.events if self.heard else ''}"
+
+    def _on_status(self, sample: zenoh.Sample) -> None:
+        status = self._decode(sample.payload.to_bytes())
+        with self._news:
+            self.heard.append(Heard(boottime(), status))
+            self._news.notify_all()
+
+
+class Bench:
+    """A body and a daemon in a swarm of their own; `start` begins each of the daemon's lives."""
+
+    def __init__(self, folder: Path) -> None:
+        self.swarm = unique_swarm()
+        self.folder = folder
+        self.state = folder / "state" / self.swarm / ROBOT
+        self._plugins = folder / "plugins"
+        shutil.copytree(PLUGINS, self._plugins, ignore=shutil.ignore_patterns("__pycache__"))
+        self._left = contextlib.ExitStack()
+        platform = load_platform("waffle_pi")
+        self.body = self._left.enter_context(Body(platform, swarm=self.swarm, robot=ROBOT))
+        self.witness = self._left.enter_context(Witness(self.swarm))
+        self.daemon: DaemonProcess
+
+    def close(self) -> None:
+        """End everything, the latest first."""
+        self._left.close()
+
+    # Its lives
+
+    def start(self, environ: Mapping[str, str] | None = None) -> float:
+        """A daemon that is ready, has its body and can be asked; when it was begun."""
+        begun = boottime()
+        self.spawn(environ).wait_ready()
+        self.witness.wait("with its body", lambda status: status.health.driver_up, begun)
+        self.operator = self._left.enter_context(self._operator())
+        wait_until(lambda: ROBOT in self.operator.members().answered, "it answers the operator")
+        return begun
+
+    def spawn(self, environ: Mapping[str, str] | None = None) -> DaemonProcess:
+        """A daemon that is starting, in the folder of those before."""
+        self.daemon = self._left.enter_context(
+            DaemonProcess(
+                self.folder,
+                swarm=self.swarm,
+                robot=ROBOT,
+                endpoint=self.body.endpoint,
+                plugin_dir=self._plugins,
+                environ=environ,
+            )
+        )
+        return self.daemon
+
+    def replace_body(self, body: Body) -> None:
+        """Another body at the place of the one before; close that one first."""
+        self.body = self._left.enter_context(body)
+
+    def _operator(self) -> Operator:
+        return Operator(SessionSettings(swarm=self.swarm), name="zoe@test")
+
+    # Working it
+
+    def status(self) -> Status:
+        """What it answers now, or as soon as it does."""
+        found: list[Status] = []
+
+        def look() -> bool:
+            found.extend(one for one in (self.witness.ask(),) if one is not None)
+            return bool(found)
+
+        wait_until(look, f"it answers; its log: {self.daemon.text()[-2000:]}")
+        return found[0]
+
+    def ask(self, verb: str, *, epoch: Epoch | None = None, **args: Any) -> Reply:
+        """Its answer to a request that quotes the epoch it has now, or the one given."""
+        targets = {ROBOT: epoch or self.status().epoch}
+        outcome = self.operator.request(verb, targets, args, timeout=10.0)
+        assert not outcome.missing, f"no answer to {verb}; its log: {self.daemon.text()[-2000:]}"
+        return outcome.replies[ROBOT]
+
+    def run(self, pattern: str, **params: float) -> Reply:
+        """Its answer to `run`."""
+        return self.ask("run", pattern=pattern, params=params)
+
+    def drive(self, pattern: str = "drive") -> Commanded:
+        """It runs and moves: the first command that did."""
+        asked = boottime()
+        reply = self.run(pattern)
+        assert reply.code is Code.APPLIED, reply.text
+        return self.body.wait_moving(asked)
+
+    def halt(self, verb: Literal["stop", "estop"]) -> Reply:
+        """Its ack of stop or estop."""
+        outcome = self.operator.halt(verb, args={"reason": "test"} if verb == "estop" else {})
+        reply = outcome.replies[ROBOT]
+        assert reply.code is Code.APPLIED, reply.text
+        return reply
+
+    def calm(self) -> None:
+        """It stands, senses and can be run again, whatever was before."""
+        self.body.scans, self.body.odometry = self.body.clear, Twist()
+        self.halt("stop")
+        status = self.status()
+        if status.state in (State.ESTOPPED, State.FAULTED):
+            reply = self.ask("reset", ids=list(status.latches))
+            assert reply.code is Code.APPLIED, reply.text
+        wait_until(lambda: _senses(self.status()), "it senses again")
+
+    # Looking at it
+
+    def await_state(self, state: State, reason: Reason, since: float = 0.0) -> Heard:
+        """When it first said so after `since`."""
+        return self.witness.wait(
+            f"{state} ({reason})",
+            lambda status: status.state is state and status.reason is reason,
+            since,
+        )
+
+    def await_reason(self, reason: Reason, since: float = 0.0) -> Heard:
+        """When it first said, after `since`, that it stands for this reason."""
+        return self.witness.wait(reason, lambda status: status.reason is reason, since)
+
+    def await_event(self, text: str, since: float = 0.0) -> Heard:
+        """When it first listed, after `since`, an event that holds this text."""
+        return self.witness.wait(
+            f"event {text!r}",
+            lambda status: any(text in event.text for event in status.events),
+            since,
+        )
+
+    def moves_not(self, since: float, scans: int = 5) -> None:
+        """All commands after `since` are zero, also those upon the next few scans."""
+        now = boottime()
+        wait_until(
+            lambda: len({one.scan_seq for one in self.body.commands if one.at > now}) > scans,
+            f"{scans} more scans were answered",
+        )
+        assert not self.body.moved_since(since)
+
+    def lives(self, boot: str) -> None:
+        """The guardian that was booted as `boot` answers, and commands its body as ever."""
+        assert self.daemon.process.poll() is None
+        assert self.status().epoch.boot == boot
+        now, before = boottime(), len(self.body.commands)
+        self.body.wait(lambda command: len(self.body.commands) >= before + 5, now)
+
+
+def _senses(status: Status) -> bool:
+    age = status.verdict.scan_age
+    return status.health.driver_up and age is not None and age < 0.3
+
+
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    """A robot for all tests of a module, which thereby show that its guardian survives them."""
+    with contextlib.closing(Bench(tmp_path_factory.mktemp("bench"))) as made:
+        made.start()
+        yield made
+
+
+@pytest.fixture
+def robot(shared: Bench) -> Bench:
+    """The module's robot; it stands and can be run."""
+    shared.calm()
+    return shared
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    """A robot of the test's own, not started yet."""
+    with contextlib.closing(Bench(tmp_path)) as made:
+        yield made

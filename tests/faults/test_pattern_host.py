@@ -1,0 +1,190 @@
+"""Patterns that fail in every way: the body stops, the guardian lives, the reason is right."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import pytest
+
+from swarmd.clock import boottime
+from swarmd.hosting import FIRST_BACKOFF
+from swarmd.messages import Code, Reason, State
+from swarmd.testing.processes import is_running, wait_until
+
+if TYPE_CHECKING:
+    from tests.faults.conftest import Bench
+
+pytestmark = pytest.mark.integration
+
+
+def test_a_killed_host_stops_the_body_at_once_and_its_pattern_comes_back(robot: Bench) -> None:
+    robot.drive()
+    boot, pid = robot.status().epoch.boot, robot.daemon.host_pid()
+
+    killed = boottime()
+    os.kill(pid, signal.SIGKILL)
+    zero = robot.body.wait_zero(killed)
+    again = robot.body.wait_moving(zero.at)
+    print(f"zero after {zero.at - killed:.4f} s, moving again after {again.at - killed:.3f} s")
+
+    robot.await_reason(Reason.PATTERN_RESTARTING, killed)
+    robot.await_event("drive failed: its process was killed by SIGKILL", killed)
+    robot.await_event("drive restarted", killed)
+    assert again.at - killed > FIRST_BACKOFF
+    assert robot.daemon.host_pid() != pid
+    robot.lives(boot)
+
+
+def test_a_stopped_host_is_outlived_by_its_wish_then_replaced(robot: Bench) -> None:
+    robot.drive()
+    boot, pid = robot.status().epoch.boot, robot.daemon.host_pid()
+
+    stopped = boottime()
+    os.kill(pid, signal.SIGSTOP)
+    expired = robot.await_reason(Reason.COMMAND_EXPIRED, stopped)
+    zero = robot.body.wait_zero(stopped)
+    failed = robot.await_event("drive failed: gave no answer for 1 s", stopped)
+    again = robot.body.wait_moving(zero.at)
+    print(f"zero after {zero.at - stopped:.3f} s, moving again after {again.at - stopped:.3f} s")
+
+    assert expired.status.state is State.RUNNING
+    assert again.at > failed.at
+    wait_until(lambda: not is_running(pid), "the stopped host is gone")
+    robot.lives(boot)
+
+
+def test_an_endless_loop_stops_the_body_and_never_the_guardian(robot: Bench) -> None:
+    moving = robot.drive("looper")
+    boot = robot.status().epoch.boot
+
+    zero = robot.body.wait_zero(moving.at)
+    robot.lives(boot)  # all the while
+    robot.await_reason(Reason.COMMAND_EXPIRED, moving.at)
+    failed = robot.await_event("looper failed: gave no answer for 1 s", moving.at)
+    print(
+        f"zero {zero.at - moving.at:.3f} s and killed {failed.at - moving.at:.3f} s after it began"
+    )
+    hung = [c for c in robot.body.commands if failed.at - 0.5 < c.at < failed.at]
+    assert hung
+    assert all(command.twist.is_zero for command in hung)
+    assert failed.status.state is State.RUNNING
+    robot.await_event("looper restarted", moving.at)
+
+
+def test_an_operator_can_stop_a_pattern_that_hangs_and_run_another(robot: Bench) -> None:
+    moving = robot.drive("looper")
+    robot.body.wait_zero(moving.at)  # hangs since 0.3 s
+
+    stopped = boottime()
+    robot.halt("stop")
+    print(f"acked after {boottime() - stopped:.3f} s")
+    robot.await_state(State.STOPPED, Reason.OPERATOR, stopped)
+    moving = robot.drive()
+    print(f"another drives {moving.at - stopped:.3f} s after the stop")
+    assert robot.status().pattern == "drive"
+
+
+def test_a_pattern_that_keeps_raising_is_restarted_with_backoff_then_quarantined(
+    robot: Bench,
+) -> None:
+    begun = robot.drive("raiser").at
+    boot = robot.status().epoch.boot
+    end = robot.await_state(State.FAULTED, Reason.QUARANTINED, begun)
+    assert "raiser failed 4 times" in end.status.detail
+    assert "ZeroDivisionError" in end.status.detail
+    assert "(raiser.py:" in end.status.detail
+
+    events = [event for event in end.status.events if event.text.startswith("raiser ")]
+    words = [event.text.split()[1].rstrip(":") for event in events]
+    assert words == ["failed", "restarted"] * 3 + ["failed"]
+    pauses = [b.at - a.at for a, b in pairwise(events)][0::2]
+    print("restarted after", ", ".join(f"{pause:.3f} s" for pause in pauses))
+    assert all(pause > FIRST_BACKOFF * 2**n for n, pause in enumerate(pauses))
+
+    zero = robot.body.wait_zero(end.at)
+    refused = robot.run("drive")
+    assert refused.code is Code.REFUSED
+    assert "raiser failed 4 times" in refused.text
+    robot.moves_not(zero.at)
+    robot.lives(boot)
+    assert robot.ask("reset").code is Code.APPLIED
+    robot.moves_not(zero.at)
+    robot.drive()
+
+
+@pytest.mark.parametrize(
+    ("pattern", "why"),
+    [
+        ("hoarder", "its process needed more memory than it may have"),
+        ("quitter", "its process ended with code 0"),
+        ("crasher", "its process was killed by SIGSEGV"),
+        ("babbler", "the pattern host said something unreadable"),
+    ],
+)
+def test_a_pattern_that_keeps_ending_its_host_is_quarantined_for_the_right_reason(
+    robot: Bench, pattern: str, why: str
+) -> None:
+    moving = robot.drive(pattern)
+    boot = robot.status().epoch.boot
+    zero = robot.body.wait_zero(moving.at)
+    robot.await_event(f"{pattern} failed: {why}", moving.at)
+    end = robot.await_state(State.FAULTED, Reason.QUARANTINED, moving.at)
+    print(f"zero after {zero.at - moving.at:.3f} s, quarantined after {end.at - moving.at:.3f} s")
+    assert why in end.status.detail
+    robot.moves_not(robot.body.wait_zero(end.at).at)
+    robot.lives(boot)
+
+
+def test_a_child_that_a_dying_pattern_leaves_behind_hides_nothing_and_dies_too(
+    robot: Bench,
+) -> None:
+    moving = robot.drive("forker")
+    boot = robot.status().epoch.boot
+    zero = robot.body.wait_zero(moving.at)
+    robot.await_event("forker failed: its process ended with code 3", moving.at)
+    again = robot.body.wait_moving(zero.at)
+    print(f"zero after {zero.at - moving.at:.3f} s, moving again {again.at - zero.at:.3f} s later")
+    left = [int(pid) for pid in re.findall(r"left a child: (\d+)", robot.daemon.text())]
+    assert left
+    wait_until(lambda: not any(is_running(pid) for pid in left), "the children are gone")
+    robot.lives(boot)
+
+
+def test_what_a_pattern_prints_goes_to_the_log_and_disturbs_nothing(robot: Bench) -> None:
+    moving = robot.drive("talker")
+    robot.body.wait(lambda command: command.scan_seq > moving.scan_seq + 5, moving.at)
+    status = robot.status()
+    assert status.state is State.RUNNING
+    assert not any("talker failed" in event.text for event in status.events)
+    assert "hello from a pattern" in robot.daemon.text()
+
+
+def test_an_import_that_never_ends_stops_a_driving_robot_and_is_given_up(robot: Bench) -> None:
+    moving = robot.drive()
+    boot = robot.status().epoch.boot
+
+    asked = boottime()
+    reply = robot.run("endless_import")
+    print(f"given up after {boottime() - asked:.3f} s")
+    assert reply.code is Code.FAILED
+    assert "loading took more than 3 s" in reply.text
+    robot.await_state(State.STOPPED, Reason.LOAD_FAILED, moving.at)
+    zero = robot.body.wait_zero(asked)
+    robot.moves_not(zero.at)
+    robot.lives(boot)
+    robot.drive()
+
+
+def test_an_import_that_never_ends_leaves_an_idle_robot_idle(robot: Bench) -> None:
+    asked = boottime()
+    before = robot.status()
+    reply = robot.run("endless_import")
+    assert reply.code is Code.FAILED
+    status = robot.status()
+    assert (status.state, status.reason) == (before.state, before.reason)
+    assert "endless_import was not loaded" in status.events[-1].text
+    robot.moves_not(asked)

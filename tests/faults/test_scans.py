@@ -1,0 +1,179 @@
+"""Sweeps that stop, freeze or are spoiled, and a body that goes: stopped, with the right reason."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from swarmd.clock import boottime
+from swarmd.codec import encode
+from swarmd.messages import Reason, State
+from swarmd.sensing import ScanWire
+from swarmd.testing.body import Body
+from swarmd.values import Array, Platform, Scan, ScanSpec, Twist
+
+if TYPE_CHECKING:
+    from tests.faults.conftest import Bench
+
+pytestmark = pytest.mark.integration
+
+Sweep = Callable[[ScanSpec, int, float], Scan | bytes | None]
+
+OF_SCANS = frozenset({Reason.NO_SCAN, Reason.STALE_SCAN, Reason.INVALID_SCAN, Reason.FROZEN_SCAN})
+
+
+def sweep(spec: ScanSpec, seq: int, stamp: float, ranges: Array) -> Scan:
+    return Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max)
+
+
+def none(spec: ScanSpec, seq: int, stamp: float) -> None:
+    return None
+
+
+def frozen(spec: ScanSpec, seq: int, stamp: float) -> Scan:
+    return sweep(spec, 1, 0.05, np.full(len(spec.bearings), 3.0))
+
+
+def all_unknown(spec: ScanSpec, seq: int, stamp: float) -> Scan:
+    return sweep(spec, seq, stamp, np.full(len(spec.bearings), np.nan))
+
+
+def sector_lost(spec: ScanSpec, seq: int, stamp: float) -> Scan:
+    in_sector = np.abs(spec.bearings - math.pi) <= math.radians(15.0)
+    return sweep(spec, seq, stamp, np.where(in_sector, np.nan, 3.0))
+
+
+def of_different_length(spec: ScanSpec, seq: int, stamp: float) -> bytes:
+    ranges = np.full(len(spec.bearings) - 7, 3.0)
+    bearings = spec.bearings.astype("<f4").tobytes()
+    return encode(ScanWire(seq, stamp, ranges.astype("<f4").tobytes(), bearings))
+
+
+def garbage(spec: ScanSpec, seq: int, stamp: float) -> bytes:
+    return bytes(range(seq % 200, seq % 200 + 50))
+
+
+def changing_rays(spec: ScanSpec, seq: int, stamp: float) -> Scan:
+    n = len(spec.bearings) - 10 + 5 * (seq % 5)
+    bearings = np.linspace(0.0, 2.0 * math.pi, n, endpoint=False)
+    return replace(sweep(spec, seq, stamp, np.full(n, 3.0)), bearings=bearings)
+
+
+def a_tenth_unknown(spec: ScanSpec, seq: int, stamp: float) -> Scan:
+    unknown = np.random.default_rng(seq).random(len(spec.bearings)) < 0.1
+    return sweep(spec, seq, stamp, np.where(unknown, np.nan, 3.0))
+
+
+def script(platform: Platform, source: Sweep) -> Callable[[int, float], Scan | bytes | None]:
+    return lambda seq, stamp: source(platform.scan, seq, stamp)
+
+
+@pytest.mark.parametrize(
+    ("source", "reason"),
+    [
+        (none, Reason.STALE_SCAN),
+        (frozen, Reason.FROZEN_SCAN),
+        (all_unknown, Reason.INVALID_SCAN),
+        (sector_lost, Reason.INVALID_SCAN),
+        (of_different_length, Reason.INVALID_SCAN),
+        (garbage, Reason.STALE_SCAN),
+    ],
+)
+def test_bad_scans_stop_a_driving_robot_and_good_ones_do_not_start_it(
+    robot: Bench, source: Sweep, reason: Reason
+) -> None:
+    moving = robot.drive()
+    robot.body.scans = script(robot.body.platform, source)
+    broken = boottime()
+
+    held = robot.await_reason(reason, broken)
+    zero = robot.body.wait_zero(broken)
+    stopped = robot.await_state(State.STOPPED, reason, held.at)
+    print(f"zero after {zero.at - broken:.3f} s, stopped after {stopped.at - broken:.3f} s")
+    assert held.status.state is State.RUNNING
+    assert moving.at < held.at < stopped.at
+
+    robot.body.scans = robot.body.clear
+    robot.moves_not(zero.at)
+    status = robot.status()
+    assert (status.state, status.reason) == (State.STOPPED, reason)
+
+
+def test_a_noisy_sensor_that_repeats_itself_while_the_robot_moves_counts_as_frozen(
+    robot: Bench,
+) -> None:
+    robot.drive()
+    robot.body.odometry = Twist(0.2)
+    begun = boottime()
+    held = robot.await_reason(Reason.FROZEN_SCAN, begun)
+    zero = robot.body.wait_zero(begun)
+    print(f"zero {zero.at - begun:.3f} s after the first identical sweep")
+    robot.await_state(State.STOPPED, Reason.FROZEN_SCAN, held.at)
+    robot.body.scans = lambda seq, stamp: robot.body.clear(seq, stamp, 3.0 - 0.01 * (seq % 2))
+    robot.moves_not(zero.at)
+
+
+def test_garbage_instead_of_scans_is_counted(robot: Bench) -> None:
+    before = robot.status().health.dropped.get("driver/hw/scan", 0)
+    robot.body.scans = script(robot.body.platform, garbage)
+    robot.witness.wait(
+        "garbage counted",
+        lambda status: status.health.dropped.get("driver/hw/scan", 0) >= before + 3,
+        boottime(),
+    )
+
+
+@pytest.mark.parametrize("source", [changing_rays, a_tenth_unknown])
+def test_what_a_real_lidar_does_all_day_does_not_stop_a_driving_robot(
+    robot: Bench, source: Sweep
+) -> None:
+    robot.body.scans = script(robot.body.platform, source)
+    moving = robot.drive()
+    robot.body.wait(lambda command: command.scan_seq >= moving.scan_seq + 20, moving.at)
+    assert robot.status().state is State.RUNNING
+    said = {heard.status.reason for heard in robot.witness.heard if heard.at > moving.at}
+    assert not said & OF_SCANS
+    used = {c.scan_seq for c in robot.body.commands if c.at > moving.at and not c.twist.is_zero}
+    assert len(used) >= 18
+
+
+def test_a_body_that_goes_and_returns_finds_its_robot_stopped(bench: Bench) -> None:
+    bench.start()
+    bench.drive()
+    gone = boottime()
+    bench.body.close()
+    bench.await_reason(Reason.DRIVER_LOST, gone)
+    stopped = bench.await_state(State.STOPPED, Reason.DRIVER_LOST, gone)
+    print(f"stopped {stopped.at - gone:.3f} s after its body went")
+
+    bench.replace_body(same_place(bench.body))
+    returned = boottime()
+    first = bench.body.wait(lambda command: True)
+    print(f"commanded again {first.at - returned:.3f} s after its body returned")
+    bench.moves_not(0.0)
+    status = bench.status()
+    assert (status.state, status.reason) == (State.STOPPED, Reason.DRIVER_LOST)
+    bench.drive()
+
+
+def test_a_body_that_returns_while_its_robot_still_runs_first_gets_a_zero(bench: Bench) -> None:
+    bench.start()
+    bench.drive()
+    gone = boottime()
+    bench.body.close()
+    bench.await_reason(Reason.DRIVER_LOST, gone)
+    bench.replace_body(same_place(bench.body))
+    returned = boottime()
+    first = bench.body.wait(lambda command: True)
+    print(f"commanded again {first.at - returned:.3f} s after its body returned")
+    assert first.twist.is_zero
+    print("afterwards:", bench.status().state)
+
+
+def same_place(body: Body) -> Body:
+    return Body(body.platform, swarm=body.swarm, robot=body.robot, endpoint=body.endpoint)
