@@ -46,6 +46,7 @@ ASK_PEERS = 0.5
 DRIVER_PAUSE = 1.0
 NEIGHBORS_EVERY = 10  # ticks
 MAX_PENDING = 64
+HALTS = frozenset({"stop", "estop"})
 
 
 async def serve(settings: DaemonSettings) -> int:
@@ -237,12 +238,13 @@ class Daemon:
             except CodecError:
                 self._malformed(verb, query)
                 return
-            targets = request.targets
-            if request.verb != verb or (targets is None and verb not in ("stop", "estop")):
-                self._malformed(verb, query)
-            elif (targets is not None and self._robot.id not in targets) or (
+            targets, is_halt = request.targets, verb in HALTS
+            is_one_too_many = not is_halt and (  # halts are always taken, and answered at once
                 request.id in self._pending or len(self._pending) >= MAX_PENDING
-            ):
+            )
+            if request.verb != verb or (targets is None and not is_halt):
+                self._malformed(verb, query)
+            elif is_one_too_many or (targets is not None and self._robot.id not in targets):
                 query.drop()
             elif verb == "forget":
                 self._forget(request, query)

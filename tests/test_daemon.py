@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from swarmd.codec import Decoder, encode
 from swarmd.daemon import Daemon
 from swarmd.driver import Finding, Sink
+from swarmd.messages import Code, Reply, Request
 from swarmd.settings import DaemonSettings, load_daemon_settings
 from swarmd.testing.processes import unique_swarm
 from swarmd.values import Twist
@@ -52,6 +54,42 @@ def test_zero_goes_out_twenty_times_a_second_before_anyone_asks(tmp_path: Path) 
     asyncio.run(live())
     assert len(driver.sent) > 5
     assert all(twist.is_zero for twist in driver.sent)
+
+
+class Asked:
+    """A query that takes notes."""
+
+    def __init__(self, request: Request) -> None:
+        self.payload = encode(request)
+        self.replies: list[Reply] = []
+
+    def reply(self, payload: bytes) -> None:
+        self.replies.append(Decoder(Reply)(payload))
+
+    def drop(self) -> None:
+        pass
+
+
+def test_a_halt_is_taken_however_many_requests_wait_for_their_answers(tmp_path: Path) -> None:
+    halts = {
+        verb: Asked(Request(id=f"h-{verb}", operator="alice", verb=verb))
+        for verb in ("stop", "estop")
+    }
+
+    async def live() -> None:
+        stop = asyncio.Event()
+        daemon = Daemon(settings_in(tmp_path), Notes())
+        for n in range(100):
+            waiting = Request(id=f"r{n}", operator="bob", verb="run")
+            daemon._pending[waiting.id] = Asked(waiting)
+        for verb, asked in halts.items():
+            daemon._on_request(verb)(asked)
+        stop.set()
+        await daemon.run(stop)
+
+    asyncio.run(live())
+    for asked in halts.values():
+        assert [reply.code for reply in asked.replies] == [Code.APPLIED]
 
 
 def test_a_guardian_that_raises_sends_zero_and_ends(
