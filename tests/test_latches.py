@@ -1,6 +1,9 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
+
+import pytest
 
 from swarmd.latches import HELD, OVERFLOW, REMEMBERED, Latches, LatchRecord
 from swarmd.latchfile import LatchFile
@@ -72,6 +75,22 @@ def test_what_could_not_be_written_is_tried_again(tmp_path: Path) -> None:
     blocker.unlink()
     assert file.write(record)
     assert LatchFile(blocker).read() == record
+
+
+def test_the_new_name_is_on_the_disk_as_well_before_the_ack(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    synced: list[int] = []
+    really = os.fsync
+
+    def fsync(descriptor: int) -> None:
+        synced.append(os.fstat(descriptor).st_ino)
+        really(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    file = LatchFile(tmp_path / "state")
+    assert file.write(LatchRecord(cleared=("e1",)))
+    assert synced == [file.path.stat().st_ino, file.path.parent.stat().st_ino]
 
 
 def test_an_unreadable_file_latches(tmp_path: Path) -> None:
