@@ -43,7 +43,7 @@ from swarmd.network.contract import (
 )
 from swarmd.network.intake import Drops, Lane
 from swarmd.network.membership import Membership
-from swarmd.network.rules import brief, limit_of, matches
+from swarmd.network.rules import limit_of, matches, members_to_tell
 from swarmd.network.session import undeclare
 
 # Tokens and emergency stops are not to be lost in a crowd: a longer lane, without breath.
@@ -190,13 +190,9 @@ class ZenohBus:
         self.serve("control", "members", on_members)
 
     def view(self, status: Status, roster: tuple[str, ...] = ()) -> View:
-        """This robot's status and what it knows of the others."""
-        return View(
-            robot=self.robot,
-            status=status,
-            members=tuple(brief(member) for member in self.members.values()),
-            roster=roster,
-        )
+        """This robot's status and what it knows of the others; of an id held twice, both."""
+        members = members_to_tell(self._membership, self._clock())
+        return View(robot=self.robot, status=status, members=members, roster=roster)
 
     def on_member(self, callback: MemberListener) -> None:
         """Be told of each member whose instance or condition changed."""

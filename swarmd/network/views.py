@@ -76,6 +76,7 @@ class Gathering:
         self._news = now
         self._views: dict[str, dict[str, View]] = {}
         self._tokens: dict[str, set[str]] = {}
+        self._gone: set[tuple[str, str]] = set()
         self._roster = set(roster)
 
     def on_token(self, robot: str, instance: str, is_there: bool, now: float) -> None:
@@ -85,8 +86,10 @@ class Gathering:
         instances = self._tokens.setdefault(robot, set())
         if is_there:
             instances.add(instance)
+            self._gone.discard((robot, instance))
         else:
             instances.discard(instance)
+            self._gone.add((robot, instance))
             self._views.get(robot, {}).pop(instance, None)
         self._news = now
 
@@ -109,11 +112,10 @@ class Gathering:
 
     @property
     def settled(self) -> frozenset[str]:
-        """Who has answered with every instance that holds a token: two, if two hold one id."""
+        """Who has answered with every living instance: with two, if two hold one id."""
+        alive = self._alive()
         return frozenset(
-            robot
-            for robot in self.answered
-            if self._tokens.get(robot, set()) <= self._views[robot].keys()
+            robot for robot in self.answered if alive[robot] <= self._views[robot].keys()
         )
 
     @property
@@ -125,14 +127,7 @@ class Gathering:
     @property
     def alive(self) -> frozenset[str]:
         """Everyone that a token, a daemon or its own answer shows to be there."""
-        said = {
-            member.robot
-            for view in self._all()
-            for member in view.members
-            if member.condition is Condition.ALIVE and not self._is_gone(member.robot)
-        }
-        there = {robot for robot, instances in self._tokens.items() if instances}
-        return frozenset(said | there | self.answered)
+        return frozenset(self._alive())
 
     def is_complete(self, now: float) -> bool:
         """True once everyone alive has answered, and they agree or there was no more news."""
@@ -162,18 +157,26 @@ class Gathering:
             seconds=now - self._started,
         )
 
+    def _alive(self) -> dict[str, set[str]]:
+        """The living instances of each robot, by tokens, others' words and own answers."""
+        found: dict[str, set[str]] = {}
+        for robot, instances in self._tokens.items():
+            if instances:
+                found.setdefault(robot, set()).update(instances)
+        for view in self._all():
+            found.setdefault(view.robot, set()).add(view.status.instance)
+            for member in view.members:
+                is_gone = (member.robot, member.instance) in self._gone
+                if member.condition is Condition.ALIVE and not is_gone:
+                    found.setdefault(member.robot, set()).add(member.instance)
+        return found
+
     def _duplicates(self) -> dict[str, tuple[str, ...]]:
-        found = {
-            robot: self._tokens.get(robot, set()) | self._views.get(robot, {}).keys()
-            for robot in sorted(self.alive)
-        }
-        return {robot: tuple(sorted(some)) for robot, some in found.items() if len(some) > 1}
+        alive = sorted(self._alive().items())
+        return {robot: tuple(sorted(some)) for robot, some in alive if len(some) > 1}
 
     def _all(self) -> list[View]:
         return [view for views in self._views.values() for view in views.values()]
-
-    def _is_gone(self, robot: str) -> bool:
-        return robot in self._tokens and not self._tokens[robot]
 
     def _agree(self, answered: frozenset[str]) -> bool:
         if len(answered) < 2:

@@ -30,7 +30,7 @@ from swarmd.network.contract import (
     StatusListener,
 )
 from swarmd.network.membership import Membership
-from swarmd.network.rules import brief, limit_of, matches
+from swarmd.network.rules import limit_of, matches, members_to_tell
 
 Reaches = Callable[[str, str], bool]
 
@@ -163,7 +163,7 @@ class MemoryBus:
 
     def view(self, status: Status, roster: tuple[str, ...] = ()) -> View:
         """This robot's status and what it knows of the others."""
-        members = tuple(brief(member) for member in self.members.values())
+        members = members_to_tell(self._membership, self._medium.clock())
         return View(robot=self.robot, status=status, members=members, roster=roster)
 
     def on_member(self, callback: MemberListener) -> None:

@@ -303,6 +303,7 @@ def test_statuses_are_told_once_each(play: Play) -> None:
     async def story(stage: Stage) -> None:
         heard: list[Status] = []
         stage.bus.on_status(heard.append)
+        await stage.until(lambda: _dropped_after_put(stage, "state/status:malformed"))
         stage.put("b/state/status", encode(light_status("a", "1")))
         stage.put("a/state/status", encode(light_status("a", "1")))
         await stage.until(lambda: bool(heard) and "state/status:key" in stage.bus.dropped)

@@ -184,8 +184,9 @@ def test_a_halt_of_some_leaves_the_others(settings: SessionSettings, robots: Rob
 
 
 def test_two_daemons_with_one_id_show(settings: SessionSettings, robots: Robots) -> None:
-    robots("a", "b")
+    swarm = robots("a", "b")
     robots("a", is_claiming=False)
+    swarm.until(lambda: list(swarm["b"].bus.duplicates) == ["a"])
     with Operator(settings) as operator:
         view = operator.members()
         outcome = operator.stop(timeout=0.5)

@@ -134,3 +134,10 @@ def test_both_daemons_of_one_id_must_answer(gathering: Gathering) -> None:
     assert gathering.result(1.0).duplicates == {"a": ("1", "2")}
     gathering.on_view(view("a", member("b"), instance="2"), 0.02)
     assert gathering.is_complete(0.02)
+
+
+def test_a_peer_that_knows_of_two_makes_both_be_waited_for(gathering: Gathering) -> None:
+    gathering.on_view(view("a", member("b"), instance="1"), 0.01)
+    gathering.on_view(view("b", member("a", instance="1"), member("a", instance="2")), 0.01)
+    assert not gathering.is_complete(10.0)
+    assert gathering.result(1.0).duplicates == {"a": ("1", "2")}
