@@ -7,18 +7,25 @@ import numpy as np
 from swarmd.values import Array, Scan, ScanSpec
 
 
-def seen_points(scan: Scan, spec: ScanSpec) -> Array:
-    """(k, 2) points in the base frame in m, one for each ray that sees something.
+class Sight:
+    """Where the rays of one lidar end, in the base frame in m."""
 
-    A ray that is too close to measure gives the point at range_min along it.
-    """
-    is_seen = scan.ranges < np.inf
-    distances = np.maximum(scan.ranges[is_seen], scan.range_min)
-    bearings = scan.bearings[is_seen]
-    points = np.empty((len(distances), 2))
-    points[:, 0] = spec.offset[0] + distances * np.cos(bearings)
-    points[:, 1] = spec.offset[1] + distances * np.sin(bearings)
-    return points
+    def __init__(self, spec: ScanSpec) -> None:
+        self._offset = np.array(spec.offset)
+        self._bearings = np.empty(0)
+        self._directions = np.empty((0, 2))
+
+    def points(self, scan: Scan) -> Array:
+        """(k, 2) points, one for each ray that sees something.
+
+        A ray that is too close to measure gives the point at range_min along it.
+        """
+        if scan.bearings is not self._bearings:  # most sensors never change theirs
+            self._bearings = scan.bearings
+            self._directions = np.stack((np.cos(scan.bearings), np.sin(scan.bearings)), axis=1)
+        is_seen = scan.ranges < np.inf
+        distances = np.maximum(scan.ranges[is_seen], scan.range_min)
+        return self._offset + distances[:, None] * self._directions[is_seen]
 
 
 class Footprint:
@@ -26,14 +33,36 @@ class Footprint:
 
     def __init__(self, corners: Array) -> None:
         self.corners = np.asarray(corners, dtype=np.float64)
-        self._edges = np.roll(self.corners, -1, axis=0) - self.corners
-        self._lengths = np.maximum(np.hypot(self._edges[:, 0], self._edges[:, 1]), 1e-12)
+        edges = np.roll(self.corners, -1, axis=0) - self.corners
+        self._lengths = np.maximum(np.hypot(edges[:, 0], edges[:, 1]), 1e-12)
+        along = edges / self._lengths[:, None]
+        outward = np.stack((along[:, 1], -along[:, 0]), axis=1)
+        # One product gives a point's place along each edge and its height above it, both in m.
+        self._axes = np.concatenate((along, outward)).T
+        self._origins = np.einsum("ak,ka->k", self._axes, np.tile(self.corners, (2, 1)))
+        self._centre = self.corners.mean(axis=0)
+        self._reach = float(np.hypot(*(self.corners - self._centre).T).max())
+        self._inside = float(-(self._centre @ outward.T - self._origins[len(edges) :]).max())
 
     def gaps(self, points: Array) -> Array:
         """(n,) distances in m from the outline to points (n, 2); 0 for points inside."""
-        offsets = points[:, None, :] - self.corners[None, :, :]
-        along = np.einsum("nkd,kd->nk", offsets, self._edges) / self._lengths**2
-        nearest = offsets - np.clip(along, 0.0, 1.0)[:, :, None] * self._edges[None, :, :]
-        distances: Array = np.sqrt(np.einsum("nkd,nkd->nk", nearest, nearest).min(axis=1))
-        across = self._edges[:, 0] * offsets[:, :, 1] - self._edges[:, 1] * offsets[:, :, 0]
-        return np.where((across >= 0.0).all(axis=1), 0.0, distances)
+        k = len(self._lengths)
+        placed = points @ self._axes - self._origins
+        along, above = placed[:, :k], placed[:, k:]
+        beyond = along - np.minimum(np.maximum(along, 0.0), self._lengths)
+        squares = (beyond * beyond + above * above).min(axis=1)
+        squares[above.max(axis=1) <= 0.0] = 0.0
+        distances: Array = np.sqrt(squares)
+        return distances
+
+    def min_gap(self, points: Array) -> float | None:
+        """The smallest of the gaps; None if there are no points.
+
+        The outline lies between two circles around its centre. So only a point whose distance
+        from there is within their difference of the smallest can be the nearest.
+        """
+        if not len(points):
+            return None
+        away = np.hypot(points[:, 0] - self._centre[0], points[:, 1] - self._centre[1])
+        limit = max(self._reach, float(away.min()) + self._reach - self._inside)
+        return float(self.gaps(points[away <= limit]).min())

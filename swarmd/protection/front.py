@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from swarmd.messages import Reason
 from swarmd.protection.arbiter import make_arbiter
-from swarmd.protection.footprint import Footprint, seen_points
+from swarmd.protection.footprint import Footprint, Sight
 from swarmd.protection.verdict import Decision, Verdict
 from swarmd.values import ZERO, Odometry, Platform, Scan, Twist
 
@@ -16,6 +16,7 @@ class Protection:
         self._platform = platform
         self._arbiter = make_arbiter(platform)
         self._footprint = Footprint(platform.footprint)
+        self._sight = Sight(platform.scan)
         self._scan_seq = -1
         self._min_gap: float | None = None
 
@@ -26,9 +27,9 @@ class Protection:
 
     def observe(self, scan: Scan, odometry: Odometry | None) -> None:
         """Take in a conditioned scan: its geometry is computed here, once."""
-        points = seen_points(scan, self._platform.scan)
+        points = self._sight.points(scan)
         self._scan_seq = scan.seq
-        self._min_gap = float(self._footprint.gaps(points).min()) if len(points) else None
+        self._min_gap = self._footprint.min_gap(points)
         self._arbiter.observe(scan, points, odometry)
 
     def decide(

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.protection.footprint import Footprint, seen_points
+from swarmd.protection.footprint import Footprint, Sight
 from swarmd.values import Scan, ScanSpec
 
 BOX = Footprint(np.array([[-0.2, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.2, 0.1]]))
@@ -37,4 +37,32 @@ def test_points_are_seen_from_where_the_sensor_is() -> None:
     spec = ScanSpec(bearings, 5.0, 0.12, 3.5, offset=(-0.064, 0.0))
     scan = Scan(1, 0.0, np.array([1.0, -np.inf, np.inf, 2.0]), bearings, 0.12, 3.5)
     expected = [[0.936, 0.0], [-0.064, 0.12], [-0.064, -2.0]]
-    assert seen_points(scan, spec) == pytest.approx(np.array(expected), abs=1e-12)
+    sight = Sight(spec)
+    assert sight.points(scan) == pytest.approx(np.array(expected), abs=1e-12)
+    fewer = Scan(2, 0.1, np.array([1.0, 0.5]), bearings[1:3], 0.12, 3.5)
+    expected = [[-0.064, 1.0], [-0.564, 0.0]]
+    assert sight.points(fewer) == pytest.approx(np.array(expected), abs=1e-12)
+
+
+def test_no_point_has_no_gap() -> None:
+    assert BOX.min_gap(np.empty((0, 2))) is None
+
+
+@given(st.lists(st.tuples(st.floats(-3, 3), st.floats(-3, 3)), min_size=1, max_size=20))
+def test_the_smallest_gap_is_that_of_all_points(points: list[tuple[float, float]]) -> None:
+    some = np.array(points)
+    assert BOX.min_gap(some) == pytest.approx(BOX.gaps(some).min(), abs=1e-12)
+
+
+@pytest.mark.parametrize("turn", np.linspace(0.0, 6.0, 13))
+def test_a_polygon_may_have_any_corners(turn: float) -> None:
+    angles = turn + np.array([0.0, 1.1, 2.0, 3.9, 5.0])
+    corners = np.array([0.3, -0.1]) + 0.4 * np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    polygon = Footprint(corners)
+    ahead = (corners + np.roll(corners, -1, axis=0)) / 2.0
+    edges = np.roll(corners, -1, axis=0) - corners
+    outward = np.stack((edges[:, 1], -edges[:, 0]), axis=1)
+    outward /= np.hypot(*outward.T)[:, None]
+    assert polygon.gaps(ahead + 0.7 * outward) == pytest.approx(np.full(5, 0.7), abs=1e-12)
+    assert polygon.gaps(ahead - 0.01 * outward) == pytest.approx(np.zeros(5), abs=1e-12)
+    assert polygon.min_gap(ahead + 0.7 * outward) == pytest.approx(0.7, abs=1e-12)
