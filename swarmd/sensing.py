@@ -8,6 +8,7 @@ platform file, not from the message.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
@@ -101,8 +102,7 @@ def decode_scan(payload: bytes, spec: ScanSpec) -> Scan:
     if isinstance(wire.bearings, bytes):
         bearings = _floats(wire.bearings)
     else:
-        first, step = wire.bearings
-        bearings = first + step * np.arange(len(ranges), dtype=np.float64)
+        bearings = _regular(*wire.bearings, len(ranges))
     return Scan(wire.seq, wire.stamp, ranges, bearings, spec.range_min, spec.range_max)
 
 
@@ -157,6 +157,14 @@ def encode_command(twist: Twist, scan_seq: int, wish_seq: int) -> bytes:
 def decode_command(payload: bytes) -> CommandWire:
     """A safe command and the scans it rests on."""
     return _command(payload)
+
+
+@lru_cache(maxsize=8)
+def _regular(first: float, step: float, count: int) -> Array:
+    """Evenly spread bearings: one array for all scans alike, so that much is computed only once."""
+    bearings = first + step * np.arange(count, dtype=np.float64)
+    bearings.flags.writeable = False
+    return bearings
 
 
 def _floats(data: bytes) -> Array:
