@@ -1,10 +1,11 @@
 """One owner for each robot id: the two-phase claim, and the watch for a second owner later.
 
 A daemon declares the token `claim/<instance>`, listens for rivals, and waits until discovery has
-settled. The smaller claimer wins and declares `alive/<instance>`; the other is refused. Asking
-first and declaring then let two owners through in 6 of 12 trials, this let one through in 80 of
-80. A foreign `alive` may be what is left of a machine that lost power: it is waited for, at most
-the lease and a second. Two owners can still come together, when a cut heals: the watch tells.
+settled: `settle` seconds without a rival's token or a new link. The smaller claimer wins and
+declares `alive/<instance>`; the other is refused. Asking first and declaring then let two owners
+through in 6 of 12 trials, this let one through in 80 of 80. A foreign `alive` may be what is left
+of a machine that lost power: it is waited for, at most the lease and a second. Two owners can
+still come together, when a cut heals: the watch tells.
 
 Use::
 
@@ -18,6 +19,8 @@ Use::
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
@@ -26,11 +29,13 @@ import zenoh
 
 from swarmd.clock import Clock, boottime
 from swarmd.errors import IdHeldError
-from swarmd.handover import hand_over
 from swarmd.keys import ANY, build, parse
+from swarmd.network.intake import Drops, Lane
 from swarmd.network.session import undeclare
 
 MAX_RIVALS = 64
+MOST_QUEUED = 4096
+MOST_SETTLES = 10.0
 
 Phase = Literal["alive", "claim"]
 
@@ -39,14 +44,21 @@ Phase = Literal["alive", "claim"]
 class Rivals:
     """Pure: the other instances that hold or claim this id, and what that means for `own`.
 
-    `changed_at` is when the picture last changed, `claimed` all that were ever seen to claim.
+    `changed_at` is when the picture last changed, `linked_at` when the last link came up,
+    `claimed` all that were ever seen to claim.
     """
 
     own: str
-    changed_at: float
+    started: float
+    changed_at: float = -math.inf
+    linked_at: float = -math.inf
     alive: dict[str, float] = field(default_factory=dict)
     claiming: dict[str, float] = field(default_factory=dict)
     claimed: set[str] = field(default_factory=set)
+
+    def on_link(self, now: float) -> None:
+        """A link came up: its tokens follow."""
+        self.linked_at = now
 
     def on_token(self, phase: Phase, instance: str, is_there: bool, now: float) -> None:
         """A rival's token appeared or vanished."""
@@ -74,29 +86,35 @@ class Rivals:
         """True once a rival that was seen to claim has become the owner: no leftover, then."""
         return any(instance in self.claimed for instance in self.alive)
 
-    def is_won(self, settle: float, now: float) -> bool:
-        """True once nobody has stood in the way for `settle` seconds."""
-        return self.holder is None and now - self.changed_at >= settle
+    def settles_at(self, settle: float) -> float:
+        """When it is won if nothing more happens, and nobody stands in the way.
+
+        That is `settle` after the last news; links that keep coming up, as when a whole swarm
+        starts, are waited for ten times as long at most.
+        """
+        quiet = max(self.started, self.changed_at) + settle
+        return max(quiet, min(self.linked_at + settle, self.started + MOST_SETTLES * settle))
 
 
 class Claim:
-    """A robot id that is ours: holds the alive token and watches for a second owner."""
+    """A robot id that is ours: holds the alive token and watches for a second owner.
 
-    def __init__(
-        self, alive: zenoh.LivelinessToken, watch: zenoh.Subscriber[None], rivals: Rivals
-    ) -> None:
+    Keep it: a token that nobody refers to any more is taken back.
+    """
+
+    def __init__(self, attempt: _Attempt, alive: zenoh.LivelinessToken) -> None:
+        self._attempt = attempt
         self._alive = alive
-        self._watch = watch
-        self._rivals = rivals
 
     @property
     def duplicates(self) -> Mapping[str, float]:
         """Other instances that own this id now, and since when."""
-        return dict(self._rivals.alive)
+        return dict(self._attempt.rivals.alive)
 
     def release(self) -> None:
         """Give the id up; publish `left` before. Harmless on a closed session."""
-        undeclare(self._watch, self._alive)
+        self._attempt.close()
+        undeclare(self._alive)
 
 
 async def claim_id(
@@ -111,64 +129,89 @@ async def claim_id(
     clock: Clock = boottime,
 ) -> Claim:
     """The claim on `robot`, won; IdHeldError in one line naming the holder if it is taken."""
-    loop = asyncio.get_running_loop()
-    rivals = Rivals(own=instance, changed_at=clock())
-    news = asyncio.Event()
-    is_owner = False
-
-    def on_loop(phase: Phase, other: str, is_there: bool) -> None:
-        is_new = phase == "alive" and is_there and other not in rivals.alive
-        rivals.on_token(phase, other, is_there, clock())
-        news.set()
-        if is_owner and is_new and other in rivals.alive:
-            on_duplicate(other)
-
-    def on_token(sample: zenoh.Sample) -> None:
-        key = parse(str(sample.key_expr))
-        if key is None or (key.swarm, key.robot) != (swarm, robot):
-            return
-        if key.plane == "alive":
-            hand_over(loop, on_loop, "alive", key.name, sample.kind == zenoh.SampleKind.PUT)
-        elif key.plane == "claim":
-            hand_over(loop, on_loop, "claim", key.name, sample.kind == zenoh.SampleKind.PUT)
-
     liveliness = session.liveliness()
-    watch = liveliness.declare_subscriber(build(swarm, robot, ANY, ANY), on_token, history=True)
+    attempt = _Attempt(session, swarm, robot, instance, clock)
     claiming = liveliness.declare_token(build(swarm, robot, "claim", instance))
     try:
-        await _win(rivals, news, settle=settle, patience=lease + 1.0, clock=clock, robot=robot)
+        await attempt.win(settle=settle, patience=lease + 1.0)
         alive = liveliness.declare_token(build(swarm, robot, "alive", instance))
-        is_owner = True
+        attempt.on_duplicate = on_duplicate
     except BaseException:
-        undeclare(watch)
+        attempt.close()
         raise
     finally:
         undeclare(claiming)
-    return Claim(alive, watch, rivals)
+    return Claim(attempt, alive)
 
 
-async def _win(
-    rivals: Rivals, news: asyncio.Event, *, settle: float, patience: float, clock: Clock, robot: str
-) -> None:
-    deadline: float | None = None
-    while True:
-        now = clock()
-        if rivals.is_won(settle, now):
+class _Attempt:
+    """Hears of rivals on Zenoh's threads, and thinks about them on the loop."""
+
+    def __init__(
+        self, session: zenoh.Session, swarm: str, robot: str, instance: str, clock: Clock
+    ) -> None:
+        self.rivals = Rivals(own=instance, started=clock())
+        self.on_duplicate: Callable[[str], object] | None = None
+        self._where = (swarm, robot)
+        self._clock = clock
+        self._news = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        self._lane = Lane(loop, Drops(), "claim", capacity=MOST_QUEUED, breath=0.0)
+        self._watch = session.liveliness().declare_subscriber(
+            build(swarm, robot, ANY, ANY), self._hear_token, history=True
+        )
+        self._links = session.info.declare_link_events_listener(self._hear_link)
+
+    async def win(self, *, settle: float, patience: float) -> None:
+        """Return when the id is ours to take; IdHeldError if it is not within `patience` s."""
+        deadline: float | None = None
+        while True:
+            now = self._clock()
+            holder = self.rivals.holder
+            if holder is None:
+                wait = self.rivals.settles_at(settle) - now
+                if wait <= 0.0:
+                    break
+            else:
+                deadline = now + patience if deadline is None else deadline
+                wait = deadline - now
+                if self.rivals.has_lost or wait <= 0.0:
+                    raise IdHeldError(
+                        f"robot id {self._where[1]!r} is held by another daemon"
+                        f" (instance {holder}); stop it, or give this one another id"
+                    )
+            self._news.clear()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(wait):
+                    await self._news.wait()
+        undeclare(self._links)
+
+    def close(self) -> None:
+        """Hear nothing more."""
+        self._lane.close()
+        undeclare(self._watch, self._links)
+
+    def _hear_token(self, sample: zenoh.Sample) -> None:
+        key = parse(str(sample.key_expr))
+        if key is not None and (key.swarm, key.robot) == self._where:
+            is_there = sample.kind == zenoh.SampleKind.PUT
+            self._lane.offer(self._on_token, key.plane, key.name, is_there)
+
+    def _hear_link(self, event: zenoh.LinkEvent) -> None:
+        if event.kind == zenoh.SampleKind.PUT:
+            self._lane.offer(self._on_link)
+
+    def _on_token(self, plane: str, other: str, is_there: bool) -> None:
+        if plane not in ("alive", "claim"):
             return
-        holder = rivals.holder
-        if holder is None:
-            wait = rivals.changed_at + settle - now
-        else:
-            deadline = now + patience if deadline is None else deadline
-            wait = deadline - now
-            if rivals.has_lost or wait <= 0.0:
-                raise IdHeldError(
-                    f"robot id {robot!r} is held by another daemon (instance {holder});"
-                    " stop it, or give this one another id"
-                )
-        news.clear()
-        try:
-            async with asyncio.timeout(max(wait, 0.001)):
-                await news.wait()
-        except TimeoutError:
-            continue
+        was_alive = other in self.rivals.alive
+        self.rivals.on_token(
+            "alive" if plane == "alive" else "claim", other, is_there, self._clock()
+        )
+        self._news.set()
+        if self.on_duplicate is not None and other in self.rivals.alive and not was_alive:
+            self.on_duplicate(other)
+
+    def _on_link(self) -> None:
+        self.rivals.on_link(self._clock())
+        self._news.set()

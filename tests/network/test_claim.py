@@ -19,28 +19,39 @@ SETTLE = 0.1
 
 
 def rivals(own: str = "m") -> Rivals:
-    return Rivals(own=own, changed_at=0.0)
+    return Rivals(own=own, started=0.0)
 
 
 def test_alone_it_wins_after_settling() -> None:
+    assert rivals().holder is None
+    assert rivals().settles_at(SETTLE) == pytest.approx(0.1)
+
+
+def test_a_link_that_comes_up_is_given_time_to_tell_its_tokens() -> None:
     table = rivals()
-    assert not table.is_won(SETTLE, 0.09)
-    assert table.is_won(SETTLE, 0.1)
+    table.on_link(0.05)
+    assert table.settles_at(SETTLE) == pytest.approx(0.15)
+
+
+def test_links_that_keep_coming_up_are_not_waited_for_for_ever() -> None:
+    table = rivals()
+    table.on_link(30.0)
+    assert table.settles_at(SETTLE) == pytest.approx(1.0)
+    table.on_token("claim", "z", True, 30.0)
+    assert table.settles_at(SETTLE) == pytest.approx(30.1)
 
 
 def test_a_smaller_claimer_goes_first() -> None:
     table = rivals()
     table.on_token("claim", "a", True, 0.05)
     assert table.holder == "a"
-    assert not table.is_won(SETTLE, 9.0)
 
 
 def test_a_larger_claimer_is_let_wait_and_settling_starts_again() -> None:
     table = rivals()
     table.on_token("claim", "z", True, 0.05)
     assert table.holder is None
-    assert not table.is_won(SETTLE, 0.1)
-    assert table.is_won(SETTLE, 0.16)
+    assert table.settles_at(SETTLE) == pytest.approx(0.15)
 
 
 def test_an_owner_stands_in_the_way_until_it_goes() -> None:
@@ -49,7 +60,7 @@ def test_an_owner_stands_in_the_way_until_it_goes() -> None:
     assert table.holder == "z"
     table.on_token("alive", "z", False, 3.0)
     assert table.holder is None
-    assert table.is_won(SETTLE, 3.1)
+    assert table.settles_at(SETTLE) == pytest.approx(3.1)
 
 
 def test_a_rival_that_turned_owner_is_no_leftover() -> None:
@@ -65,7 +76,8 @@ def test_the_own_tokens_are_no_rivals() -> None:
     table = rivals()
     table.on_token("claim", "m", True, 0.0)
     table.on_token("alive", "m", True, 0.0)
-    assert table.is_won(SETTLE, 0.1)
+    assert table.holder is None
+    assert table.settles_at(SETTLE) == pytest.approx(0.1)
 
 
 def test_a_flood_of_rivals_is_bounded() -> None:
