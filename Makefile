@@ -37,9 +37,9 @@ bench: $(VENV)/tools
 
 $(VENV)/made:
 	@command -v $(PYTHON) >/dev/null || { echo \
-	  "no $(PYTHON) here; swarmd needs Python 3.11 or newer, try: make PYTHON=python3.12" >&2; exit 1; }
+	  "no $(PYTHON) here; swarmd needs Python 3.11 or newer, try: make $(MAKECMDGOALS) PYTHON=python3.12" >&2; exit 1; }
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { echo \
-	  "$(PYTHON) is $$($(PYTHON) -V 2>&1); swarmd needs 3.11 or newer, try: make PYTHON=python3.12" >&2; exit 1; }
+	  "$(PYTHON) is $$($(PYTHON) -V 2>&1); swarmd needs 3.11 or newer, try: make $(MAKECMDGOALS) PYTHON=python3.12" >&2; exit 1; }
 	@$(PYTHON) -c 'import venv, ensurepip' 2>/dev/null || { echo \
 	  "$(PYTHON) cannot make virtual environments; on Debian and Ubuntu: apt install python3-venv" >&2; exit 1; }
 	@rm -rf $(VENV)
