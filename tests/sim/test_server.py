@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import json
 import os
 import signal
@@ -179,6 +180,8 @@ def test_it_does_not_outlive_its_parent(tmp_path: Path) -> None:
         try:
             asyncio.run(_ended(watch))
         finally:
+            with contextlib.suppress(ProcessLookupError):  # gone, as it should be
+                signal.pidfd_send_signal(watch, signal.SIGKILL)
             os.close(watch)
 
 
