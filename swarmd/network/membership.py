@@ -37,9 +37,9 @@ class _Record:
 class Membership:
     """The other robots of a swarm; `own` is never among them.
 
-    Each event method says whether a member's instance or condition changed. Bounded: of more
-    than `MAX_MEMBERS` robots the new ones are ignored, of one robot's many instances the oldest
-    are dropped.
+    Each event method says whether a member's instance or condition changed. Bounded: beyond
+    `MAX_MEMBERS` robots a new one takes the place of the one that went the longest ago, and is
+    ignored if all are alive; of one robot's many instances the oldest are dropped.
     """
 
     def __init__(self, own: str) -> None:
@@ -49,7 +49,7 @@ class Membership:
 
     def on_alive(self, robot: str, instance: str, now: float) -> bool:
         """A token appeared."""
-        record = self._record(robot)
+        record = self._record(robot, has_token=True)
         if record is None:
             return False
         if instance not in record.alive:
@@ -120,24 +120,33 @@ class Membership:
             if len(record.alive - record.left) > 1
         }
 
-    def _record(self, robot: str) -> _Record | None:
+    def _record(self, robot: str, *, has_token: bool = False) -> _Record | None:
         if robot == self._own:
             return None
         record = self._records.get(robot)
         if record is None:
-            if len(self._records) >= MAX_MEMBERS and not self._make_room():
+            if len(self._records) >= MAX_MEMBERS and not self._make_room(has_token):
                 self.ignored += 1
                 return None
             record = self._records[robot] = _Record()
         return record
 
-    def _make_room(self) -> bool:
-        """Drop a robot that spoke but never held a token."""
+    def _make_room(self, has_token: bool) -> bool:
+        """Drop a robot that spoke but never held a token; for one, whoever went longest ago."""
         for robot, record in self._records.items():
             if record.shown is None:
                 del self._records[robot]
                 return True
-        return False
+        if not has_token:
+            return False
+        gone = [
+            (record.since, robot)
+            for robot, record in self._records.items()
+            if record.shown is not None and record.shown[1] is not Condition.ALIVE
+        ]
+        if gone:
+            del self._records[min(gone)[1]]
+        return bool(gone)
 
     def _settle(self, record: _Record, now: float) -> bool:
         _prune(record)

@@ -141,6 +141,22 @@ def test_a_flood_of_names_is_bounded_and_leaves_room_for_tokens(membership: Memb
     assert membership.ignored > 0
 
 
+def test_those_that_went_the_longest_ago_make_room_for_newcomers(membership: Membership) -> None:
+    membership.on_alive("old", "1", 0.0)
+    for number in range(MAX_MEMBERS - 1):
+        membership.on_alive(f"ghost-{number}", "1", 1.0)
+        if number < 2:
+            membership.on_gone(f"ghost-{number}", "1", 3.0 - number)
+    membership.on_status(light_status("talker", "1"), 4.0)  # a word alone displaces nobody
+    assert len(membership.members(4.0)) == MAX_MEMBERS
+    assert membership.on_alive("a", "1", 4.0)
+    assert membership.member("ghost-1", 4.0) is None  # it went before the other
+    assert condition(membership, "ghost-0") is FAILED
+    assert membership.on_alive("b", "1", 4.0)
+    assert not membership.on_alive("c", "1", 4.0)  # all others are alive
+    assert condition(membership, "old") is ALIVE
+
+
 def test_a_flood_of_instances_is_bounded(membership: Membership) -> None:
     for number in range(1000):
         membership.on_status(left(f"x{number}"), 0.0)
