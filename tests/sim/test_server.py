@@ -69,7 +69,8 @@ class Heard:
         self._news.set()
 
     def dropped(self, what: str) -> None:
-        raise AssertionError(what)
+        if not what.endswith(":overtaken"):  # a slow machine may leave some out
+            raise AssertionError(what)
 
     async def news(self) -> None:
         self._news.clear()
@@ -147,6 +148,63 @@ def test_the_body_stops_at_once_when_its_driver_ends() -> None:
 
     with world() as (_, endpoint):
         asyncio.run(story(endpoint))
+
+
+_DRIVE = """
+import asyncio, sys
+from swarmd.drivers.simulated import SimulatedDriver
+from swarmd.platforms import load_platform
+from swarmd.testing.driver_contract import Heard
+from swarmd.values import Twist
+
+async def drive():
+    driver = SimulatedDriver(swarm="s", robot="a", platform=load_platform("waffle_pi"),
+                             options={"endpoint": sys.argv[1]})
+    task = asyncio.create_task(driver.run(Heard()))
+    while True:
+        driver.send(Twist(0.0, 0.5), 0, -1)
+        await asyncio.sleep(0.05)
+
+asyncio.run(drive())
+"""
+
+
+@pytest.mark.integration
+def test_a_frozen_driver_stops_its_own_body_and_no_other_is_cut_off() -> None:
+    async def story(endpoint: str, frozen: subprocess.Popen[bytes]) -> None:
+        heard = Heard()
+        driver = SimulatedDriver(
+            swarm="s", robot="b", platform=load_platform("burger"), options={"endpoint": endpoint}
+        )
+        task = asyncio.create_task(driver.run(heard))
+        with WorldView("s", endpoint) as view:
+            async with asyncio.timeout(CAP):
+                while not (await asyncio.to_thread(view.ask, "poses")).state.commanded[0]:
+                    await asyncio.sleep(0.05)
+                frozen.send_signal(signal.SIGSTOP)
+                while heard.last_odometry is None:
+                    await heard.news()
+                start = heard.last_odometry.stamp
+                # Long enough for the frozen one's buffers to fill: 25 odometries, 5 scans a second.
+                while heard.last_odometry.stamp - start < 4.0:
+                    driver.send(Twist(0.0, 0.5), 0, -1)
+                    await heard.news()
+                state = (await asyncio.to_thread(view.ask, "poses")).state
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        assert state.commanded == (False, True)
+        assert state.twists[0] == (0.0, 0.0, 0.0)
+        assert state.twists[1][1] == pytest.approx(0.5)
+        assert False not in heard.states[1:]  # after the first `not yet`, never lost
+
+    with (
+        world() as (_, endpoint),
+        subprocess.Popen([sys.executable, "-c", _DRIVE, endpoint]) as frozen,
+    ):
+        try:
+            asyncio.run(story(endpoint, frozen))
+        finally:
+            frozen.kill()
 
 
 @pytest.mark.integration
