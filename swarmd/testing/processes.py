@@ -37,9 +37,9 @@ def wait_until(condition: Callable[[], bool], what: str, cap: float = CAP) -> No
 class DaemonProcess:
     """One `swarmd` in a process of its own; a context manager.
 
-    `folder` keeps its configuration, state and log, so that a second one can be a restart;
-    `environ` is added to this process's environment. `prefix` is a command that becomes the
-    daemon in the same process, such as `ip netns exec NAME`.
+    `folder` keeps its configuration, state, `log` (standard error) and `out`, so that a second
+    one can be a restart; `environ` is added to this process's environment. `prefix` is a command
+    that becomes the daemon in the same process, such as `ip netns exec NAME`.
     """
 
     def __init__(
@@ -75,9 +75,10 @@ class DaemonProcess:
         self._begin = self.log.stat().st_size if self.log.exists() else 0
         command = [*prefix, sys.executable, "-m", "swarmd.cli.daemon", "--config", str(config)]
         command += ["--die-with-parent", str(os.getpid())]
-        with self.log.open("ab") as log:
+        self.out = folder / f"{robot}.out"
+        with self.log.open("ab") as log, self.out.open("ab") as out:
             self.process = subprocess.Popen(
-                command, stdout=log, stderr=log, env={**os.environ, **(environ or {})}
+                command, stdout=out, stderr=log, env={**os.environ, **(environ or {})}
             )
 
     def __enter__(self) -> DaemonProcess:

@@ -67,6 +67,15 @@ def test_a_killed_daemon_takes_its_host_along_and_returns_idle(bench: Bench) -> 
     bench.drive()
 
 
+def test_a_killed_daemon_takes_even_a_host_along_that_hangs(bench: Bench) -> None:
+    bench.start()
+    moving = bench.drive("looper")
+    host = bench.daemon.host_pid()
+    bench.await_reason(Reason.COMMAND_EXPIRED, moving.at)
+    bench.daemon.kill()
+    wait_until(lambda: not is_running(host), "its pattern host is gone")
+
+
 @pytest.mark.parametrize("seconds", [1.0, 3.0, 6.0, 10.0])
 def test_nothing_that_waited_for_a_frozen_daemon_moves_its_body(
     bench: Bench, seconds: float

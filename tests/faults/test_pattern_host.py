@@ -161,6 +161,7 @@ def test_what_a_pattern_prints_goes_to_the_log_and_disturbs_nothing(robot: Bench
     assert status.state is State.RUNNING
     assert not any("talker failed" in event.text for event in status.events)
     assert "hello from a pattern" in robot.daemon.text()
+    assert robot.daemon.out.read_bytes() == b""
 
 
 def test_an_import_that_never_ends_stops_a_driving_robot_and_is_given_up(robot: Bench) -> None:
