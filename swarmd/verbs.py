@@ -98,7 +98,9 @@ class Verbs:
         elif not _is_duration(seconds):
             self._refuse(request, turn, f"seconds is {seconds!r}; wanted above 0 and up to 1e7")
         elif hosting.loading is not None and hosting.loading.request is not None:
-            self._refuse(request, turn, f"still loading {hosting.loading.pattern}")
+            by = hosting.loading.request.operator
+            text = f"still loading {hosting.loading.pattern}, by {by}"
+            self._refuse(request, turn, text)
         else:
             conduct.changed(f"{request.operator} (run {pattern})")
             duration = float(seconds) if isinstance(seconds, int | float) else None

@@ -147,6 +147,15 @@ def test_stopping_while_a_pattern_is_loaded_cancels_it(verb: str) -> None:
     assert story.status.state in (State.STOPPED, State.ESTOPPED)
 
 
+def test_whoever_asks_while_a_pattern_is_loaded_is_told_for_whom() -> None:
+    story = Story(patterns=PATTERNS)
+    story.is_hung = True
+    assert story.ask("run", pattern="forward", operator="alice") is None
+    reply = story.ask("run", pattern="forward", operator="bob")
+    assert reply is not None
+    assert (reply.code, reply.text) == (Code.REFUSED, "still loading forward, by alice")
+
+
 def test_a_load_that_hangs_fails_after_three_seconds_and_stops_the_body() -> None:
     story = started()
     story.is_hung = True
