@@ -14,7 +14,8 @@ import zenoh
 from swarmd.clock import boottime
 from swarmd.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE, encode, encode_value
 from swarmd.keys import build
-from swarmd.messages import Epoch, Request, State
+from swarmd.messages import Condition, Epoch, Request, State
+from swarmd.network.membership import MAX_MEMBERS
 from swarmd.network.session import open_session
 from swarmd.sensing import encode_neighbors, encode_odometry, encode_readings, encode_scan
 from swarmd.testing.garbage import KINDS, Garbage
@@ -204,3 +205,34 @@ def hold_odd_tokens(swarm: Swarm, vandal: Vandal) -> None:
         token.undeclare()
     wait_until(lambda: vandal.dropped(("alive",)) >= before + 2 * len(keys), "and their end")
     vandal.sent += 2 * len(keys)
+
+
+def test_a_crowd_of_robots_that_are_not_there_hides_no_real_one(
+    swarm: Swarm, vandal: Vandal
+) -> None:
+    """Their tokens are all that they have; more of them than a daemon keeps."""
+    body = swarm.body("r1")
+    swarm.start("r1", body)
+    swarm.run_drive("r1")
+    before = swarm.status("r1")
+    names = [f"ghost-{number}" for number in range(MAX_MEMBERS + 50)]
+    liveliness = vandal.session.liveliness()
+    tokens = [
+        liveliness.declare_token(build(swarm.name, name, "alive", "0123456789ab")) for name in names
+    ]
+    wait_until(lambda: len(swarm.conditions("r1")) == MAX_MEMBERS, "the crowd is listed")
+    assert swarm.ctl("members").code == 0
+    done = swarm.ctl("stop", "r1")
+    assert (done.code, done.out.splitlines()[-1]) == (0, "1 targeted, 1 applied")
+    swarm.run_drive("r1")
+    for token in tokens:
+        token.undeclare()
+    wait_until(
+        lambda: set(swarm.conditions("r1").values()) == {Condition.FAILED}, "the crowd has gone"
+    )
+    swarm.start("r2")
+    swarm.await_condition("r1", "r2", Condition.ALIVE)
+    after = swarm.status("r1")
+    assert (after.state, after.epoch.boot) == (State.RUNNING, before.epoch.boot)
+    assert after.health.loop_stalls == 0
+    body.wait_moving(boottime())
