@@ -122,6 +122,10 @@ class Body:
         """The first command that moves."""
         return self.wait(lambda command: not command.twist.is_zero, since)
 
+    def wait_stepped(self) -> Commanded:
+        """The first command that moves on a wish for which the pattern had seen a scan."""
+        return self.wait(lambda command: not command.twist.is_zero and command.wish_seq >= 0)
+
     def wait_zero(self, since: float = 0.0) -> Commanded:
         """The first command that is exactly zero."""
         return self.wait(lambda command: command.twist.is_zero, since)
@@ -130,6 +134,16 @@ class Body:
         """True if any command after `since` moves."""
         with self._changed:
             return any(one.at > since and not one.twist.is_zero for one in self.commands)
+
+    def ran_since(self, moving: Commanded) -> bool:
+        """True if from then on every command was of a running pattern, held up or not.
+
+        `moving` is one that moves and whose wish was made of a scan: see `wait_stepped`.
+        """
+        with self._changed:
+            return all(
+                min(one.scan_seq, one.wish_seq) >= 0 for one in self.commands if one.at >= moving.at
+            )
 
     def _key(self, name: str) -> str:
         return keys.build(self.swarm, self.robot, "hw", name)
