@@ -121,36 +121,6 @@ def test_a_robot_drives_by_its_driver_and_stops_when_the_driver_falls_silent(
     assert way[1] == 0.0
 
 
-@pytest.mark.integration
-def test_the_body_stops_at_once_when_its_driver_ends() -> None:
-    async def story(endpoint: str) -> None:
-        heard, watcher = Heard(), Heard()
-        platform = load_platform("waffle_pi")
-        options = {"endpoint": endpoint}
-        driver = SimulatedDriver(swarm="s", robot="a", platform=platform, options=options)
-        other = SimulatedDriver(swarm="s", robot="a", platform=platform, options=options)
-        task = asyncio.create_task(driver.run(heard))
-        watching = asyncio.create_task(other.run(watcher))
-        async with asyncio.timeout(CAP):
-            while watcher.speed < 0.19:
-                driver.send(Twist(0.2), 0, -1)
-                await watcher.news()
-            task.cancel()
-            await asyncio.gather(task, return_exceptions=True)
-            assert watcher.last_odometry is not None
-            ended = watcher.last_odometry.stamp
-            while watcher.speed > 0.0:
-                await watcher.news()
-            stopped = watcher.last_odometry.stamp
-        watching.cancel()
-        await asyncio.gather(watching, return_exceptions=True)
-        # Without the last zero it would be the timeout of 0.5 s, plus the ramp of 0.08 s.
-        assert stopped - ended < 0.5
-
-    with world() as (_, endpoint):
-        asyncio.run(story(endpoint))
-
-
 _DRIVE = """
 import asyncio, sys
 from swarmd.drivers.simulated import SimulatedDriver
