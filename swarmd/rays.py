@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple, TypeVar
 
 import numpy as np
@@ -58,7 +59,8 @@ class RayClusters:
 
 def nearest(scan: Scan | None, *, bearing: float = 0.0, half_width: float = math.pi) -> Ray | None:
     """The nearest return within `half_width` rad of a bearing; None if nothing is seen there."""
-    ranges, bearings = _known(scan)
+    ranges, layout = _known(scan)
+    bearings = _wrapped(layout)
     if half_width < math.pi:
         is_inside = np.abs(_wrap(bearings - bearing)) <= half_width
         ranges, bearings = ranges[is_inside], bearings[is_inside]
@@ -75,9 +77,9 @@ def sectors(scan: Scan | None, count: int) -> Array:
 
     Sector 0 is centred ahead, the others follow counter-clockwise.
     """
-    ranges, bearings = _known(scan)
+    ranges, layout = _known(scan)
     result = np.full(count, math.inf)
-    np.minimum.at(result, _sector_of(bearings, count), ranges)
+    np.minimum.at(result, _sector_of(_wrapped(layout), count), ranges)
     return result
 
 
@@ -87,9 +89,9 @@ def closest_points(scan: Scan | None, *, within: float, count: int = 24) -> Arra
     One point per robot, and one per straight wall (the foot of the perpendicular): the local
     minima, among `count` equal sectors, of the ranges up to `within` m.
     """
-    ranges, bearings = _known(scan)
+    ranges, layout = _known(scan)
     is_seen = ranges <= within
-    ranges, bearings = ranges[is_seen], bearings[is_seen]
+    ranges, bearings = ranges[is_seen], _wrapped(layout)[is_seen]
     if not len(ranges):
         return np.empty((0, 2))
     # In order of falling range, the last to write into a sector is its nearest ray.
@@ -136,15 +138,12 @@ def clusters(
     surface seen at an angle of `grazing` rad makes between them, which grows with the range
     (Borges and Aldon, "Line extraction in 2D range images for mobile robotics", 2004).
     """
-    ranges, bearings = _known(scan)
-    order = np.argsort(bearings, kind="stable")
-    ranges, bearings = ranges[order], bearings[order]
+    ranges, layout = _known(scan)
     if not len(ranges) or ranges.min() > within:
         return RayClusters(_EMPTY, _EMPTY, _EMPTY, np.empty(0, np.int64), np.empty(0, np.bool_))
-    ranges = np.where(ranges <= within, ranges, math.inf)
-    steps = _rolled(bearings, 1) - bearings
-    steps[-1] += _TWO_PI
-    spacing = float(np.sort(steps)[len(steps) // 2]) if len(steps) > 1 else _TWO_PI
+    order, bearings, steps, spacing = _in_order(layout)
+    ranges = ranges[order]
+    ranges[ranges > within] = math.inf
     is_last = _is_last(ranges, steps, spacing, jump, grazing)
     # Start behind a break, so that no object spans the end of the arrays.
     shift = int(np.argmax(is_last)) + 1
@@ -193,15 +192,33 @@ def _objects(
     )
 
 
-def _known(scan: Scan | None) -> tuple[Array, Array]:
-    """Ranges that are known, near ones at range_min, and their bearings within [-pi, pi)."""
+def _known(scan: Scan | None) -> tuple[Array, bytes]:
+    """Ranges that are known, near ones at range_min, and the bytes of their bearings."""
     if scan is None:
-        return _EMPTY, _EMPTY
+        return _EMPTY, b""
     ranges, bearings = scan.ranges, scan.bearings
     is_unknown = np.isnan(ranges)
     if is_unknown.any():
         ranges, bearings = ranges[~is_unknown], bearings[~is_unknown]
-    return np.maximum(ranges, scan.range_min), _wrap(bearings)
+    return np.maximum(ranges, scan.range_min), bearings.tobytes()
+
+
+# Most sensors send the same bearings with each scan: what follows from them is remembered.
+@lru_cache(maxsize=4)
+def _wrapped(layout: bytes) -> Array:
+    """The bearings within [-pi, pi); not to be written to."""
+    return _wrap(np.frombuffer(layout))
+
+
+@lru_cache(maxsize=4)
+def _in_order(layout: bytes) -> tuple[NDArray[np.int64], Array, Array, float]:
+    """The order of rising bearings, these, the steps to the next, and the usual step."""
+    order = np.argsort(_wrapped(layout), kind="stable")
+    bearings = _wrapped(layout)[order]
+    steps = _rolled(bearings, 1) - bearings
+    steps[-1] += _TWO_PI
+    spacing = float(np.sort(steps)[len(steps) // 2]) if len(steps) > 1 else _TWO_PI
+    return order, bearings, steps, spacing
 
 
 def _sector_of(bearings: Array, count: int) -> NDArray[np.int64]:
