@@ -260,12 +260,12 @@ class Attraction(MovementPattern[AttractionParams]):
         is_narrow = objects.widths <= self.params.object_width
         is_narrow &= objects.ranges <= _SURE * self.params.range
         is_robot = is_narrow & objects.is_free
-        robots = np.column_stack((objects.ranges[is_robot], objects.bearings[is_robot]))
+        robots = np.array((objects.ranges[is_robot], objects.bearings[is_robot])).T
         return robots, int(np.count_nonzero(is_narrow))
 
     def _pull(self, robots: Array) -> Array:
         """The sum over the robots, each 0 at `spacing` and 1 from twice that; at most 1 long."""
-        weights = np.clip(robots[:, 0] / self.params.spacing - 1.0, 0.0, 1.0)
+        weights = np.minimum(np.maximum(robots[:, 0] / self.params.spacing - 1.0, 0.0), 1.0)
         x = float(weights @ np.cos(robots[:, 1]))
         y = float(weights @ np.sin(robots[:, 1]))
         return np.array([x, y]) / max(1.0, math.hypot(x, y))

@@ -23,7 +23,10 @@ def from_base(points: Array, offset: tuple[float, float]) -> Array:
     """Points (k, 2) of range, bearing seen by a sensor at `offset`, as seen from the base."""
     x = points[:, 0] * np.cos(points[:, 1]) + offset[0]
     y = points[:, 0] * np.sin(points[:, 1]) + offset[1]
-    return np.column_stack((np.hypot(x, y), np.arctan2(y, x)))
+    seen = np.empty((len(points), 2))
+    seen[:, 0] = np.hypot(x, y)
+    seen[:, 1] = np.arctan2(y, x)
+    return seen
 
 
 def keep_clear(vector: Array, points: Array, *, spacing: float, brake: float) -> Array:
