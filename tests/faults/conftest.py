@@ -111,8 +111,12 @@ class Bench:
         self.spawn(environ).wait_ready()
         self.witness.wait("with its body", lambda status: status.health.driver_up, begun)
         self.operator = self._left.enter_context(self._operator())
-        wait_until(lambda: ROBOT in self.operator.members().answered, "it answers the operator")
+        self.meet()
         return begun
+
+    def meet(self) -> None:
+        """Return once the operator reaches it: links that were cut come back one by one."""
+        wait_until(lambda: ROBOT in self.operator.members().answered, "it answers the operator")
 
     def spawn(self, environ: Mapping[str, str] | None = None) -> DaemonProcess:
         """A daemon that is starting, in the folder of those before."""
