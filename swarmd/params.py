@@ -10,6 +10,7 @@ import math
 import types
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
 from typing import get_type_hints as type_hints
 
@@ -80,12 +81,7 @@ def schema(params_type: type[Params]) -> list[ParamSpec]:
 
     PluginError if one has a type that neither YAML nor the command line can give.
     """
-    hints = type_hints(params_type, include_extras=True)
-    try:
-        msgspec.inspect.type_info(params_type)
-    except TypeError as error:
-        raise PluginError(f"{params_type.__name__}: {error}") from error
-    return [_spec(params_type, field, hints[field.name]) for field in _fields(params_type)]
+    return list(_declared(params_type)[0].values())
 
 
 def build(
@@ -97,8 +93,7 @@ def build(
     source "pattern". Text is read as the type wants it ("0.15", "true"), since the command line
     sends text. ConfigError with one line for the first value that is wrong.
     """
-    specs = {spec.name: spec for spec in schema(params_type)}
-    hints = type_hints(params_type, include_extras=True)
+    specs, hints = _declared(params_type)
     values: dict[str, Scalar | None] = {}
     sources = dict.fromkeys(specs, "pattern")
     for source, given in layers:
@@ -115,6 +110,19 @@ def build(
     except ValueError as error:
         raise ConfigError(f"parameters do not fit together: {error}") from error
     return params, {name: (getattr(params, name), sources[name]) for name in specs}
+
+
+# Evaluating annotations takes 1 ms, and each robot's every run needs them.
+@lru_cache(maxsize=64)
+def _declared(params_type: type[Params]) -> tuple[Mapping[str, ParamSpec], Mapping[str, Any]]:
+    """The parameters by name, and their type hints."""
+    hints = type_hints(params_type, include_extras=True)
+    try:
+        msgspec.inspect.type_info(params_type)
+    except TypeError as error:
+        raise PluginError(f"{params_type.__name__}: {error}") from error
+    specs = [_spec(params_type, field, hints[field.name]) for field in _fields(params_type)]
+    return {spec.name: spec for spec in specs}, hints
 
 
 def _convert(value: Value, hint: Any, spec: ParamSpec, source: str) -> Scalar | None:
