@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from swarmd.stage import Stage  # for patterns: 7 MB of numpy.random that a guardian can spare
 
 OUT_OF_MEMORY = 77
+AT_ONCE = 8  # frames read before the loop's other work: a flood must not bind the guardian
 FIRST_RESPAWN = 0.05
 LAST_RESPAWN = 5.0
 
@@ -107,7 +108,7 @@ class _Host:
             return
 
     def _on_readable(self) -> None:
-        while True:
+        for _ in range(AT_ONCE):
             try:
                 frame, _, flags, _ = self.socket.recvmsg(1 << 18)
             except BlockingIOError:

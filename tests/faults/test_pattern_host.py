@@ -139,6 +139,19 @@ def test_a_pattern_that_keeps_ending_its_host_is_quarantined_for_the_right_reaso
     robot.lives(boot)
 
 
+def test_a_pattern_that_floods_the_guardian_neither_blinds_nor_binds_it(robot: Bench) -> None:
+    moving = robot.drive("flooder")
+    boot = robot.status().epoch.boot
+    robot.body.wait(lambda command: command.scan_seq > moving.scan_seq + 5, moving.at)
+    status = robot.status()
+    print(f"ticks were {1e3 * status.health.loop_p99:.1f} ms late (p99)")
+    flooded = boottime()
+    robot.halt("stop")
+    print(f"stop acked after {boottime() - flooded:.3f} s")
+    robot.moves_not(robot.body.wait_zero(flooded).at)
+    robot.lives(boot)
+
+
 def test_a_child_that_a_dying_pattern_leaves_behind_hides_nothing_and_dies_too(
     robot: Bench,
 ) -> None:
