@@ -128,7 +128,7 @@ def test_a_frozen_daemon_is_killed_on_the_way_out(tmp_path: Path) -> None:
 def test_a_daemon_that_dies_is_named_with_its_log(tmp_path: Path) -> None:
     with up(make_spec(tmp_path)) as fleet:
         os.kill(fleet.pids["tb3-02"], signal.SIGKILL)
-        wait_until(lambda: is_gone(fleet.pids["tb3-02"]), "tb3-02 is gone")
+        wait_until(lambda: "tb3-02" in fleet.ended(), "tb3-02 is gone")
         with pytest.raises(SwarmError, match=r"tb3-02 was killed by SIGKILL: .*tb3-02\.log"):
             fleet.check()
 
