@@ -29,6 +29,7 @@ FIELD_PORT = 7447
 MAX_WIRE = 1024 * 1024
 # How long a full link may hold up the caller, in us: Zenoh's own 5 s would stall the guardian.
 _BLOCKED_US = 250_000
+_BURST = 16  # batches, as many as Zenoh allows
 _DROP_FRAGMENTS_US = 5_000
 _ENDPOINT = re.compile(r"(tcp|tls|quic|udp)/(\[[0-9a-fA-F:.]+\]|[^/:#?\s]+):(\d{1,5})([?#]\S*)?")
 
@@ -116,6 +117,9 @@ def session_options(settings: SessionSettings) -> dict[str, object]:
         "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": (
             _DROP_FRAGMENTS_US
         ),
+        # Requests and their acks never wait: without room for a burst some would be dropped.
+        "transport/link/tx/queue/size/interactive_high": _BURST,
+        "transport/link/tx/queue/size/real_time": _BURST,
         "transport/link/rx/max_message_size": MAX_WIRE,
         "transport/shared_memory/enabled": False,
     }
