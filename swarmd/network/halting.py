@@ -46,18 +46,27 @@ class Halting:
 
     def pending(self) -> tuple[str, ...]:
         """Robots that are meant and have not acked: each is to be sent it once more."""
-        return self.acks.missing(self._selected())
+        return self._lacking(self._selected())
 
     def is_done(self, now: float) -> bool:
         """True once the membership is known and everyone that must ack has."""
         if not self._gathering.known:
             return False
         is_known = self._gathering.is_complete(now) or now - self._started >= GATHER
-        return is_known and not self.acks.missing(self._expected(now))
+        return is_known and not self._lacking(self._expected(now))
 
     def outcome(self, now: float) -> Outcome:
         """How it stands."""
-        return self.acks.outcome(self._expected(now), seconds=now - self._started)
+        expected = self._expected(now)
+        return self.acks.outcome(
+            expected, silent=self._lacking(expected), seconds=now - self._started
+        )
+
+    def _lacking(self, names: frozenset[str]) -> tuple[str, ...]:
+        """Of an id that two daemons hold, both must ack."""
+        return tuple(
+            sorted(name for name in names if self.acks.lacks(name, self._gathering.holders(name)))
+        )
 
     def _selected(self) -> frozenset[str]:
         known = self._gathering.known

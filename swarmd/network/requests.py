@@ -129,17 +129,31 @@ class Acks:
         """The robots that have answered so far."""
         return frozenset(self._replies)
 
+    def lacks(self, robot: str, instances: Collection[str]) -> bool:
+        """True unless the robot has answered, with each of these daemons if more than one."""
+        boots = self._replies.get(robot, {}).keys()
+        return not boots or (len(instances) > 1 and not set(instances) <= boots)
+
     def missing(self, expected: Iterable[str]) -> tuple[str, ...]:
         """Who of `expected` has not answered, in the order of names."""
         return tuple(sorted(set(expected) - self._replies.keys()))
 
     def outcome(
-        self, expected: Iterable[str], *, warnings: tuple[str, ...] = (), seconds: float = 0.0
+        self,
+        expected: Iterable[str],
+        *,
+        silent: Collection[str] = (),
+        warnings: tuple[str, ...] = (),
+        seconds: float = 0.0,
     ) -> Outcome:
-        """How it ended; a robot that answered without being expected counts as meant."""
+        """How it ended; a robot that answered without being expected counts as meant.
+
+        Those in `silent` count as missing even if one daemon has answered in their name.
+        """
+        answered = sorted(self._replies.keys() - set(silent))
         return Outcome(
-            replies={name: _worst(found.values()) for name, found in sorted(self._replies.items())},
-            missing=self.missing(expected),
+            replies={name: _worst(self._replies[name].values()) for name in answered},
+            missing=tuple(sorted({*self.missing(expected), *silent})),
             warnings=warnings,
             seconds=seconds,
             duplicates=tuple(

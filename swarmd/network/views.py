@@ -105,6 +105,10 @@ class Gathering:
         known[view.status.instance] = view
         self._roster.update(view.roster)
 
+    def holders(self, robot: str) -> frozenset[str]:
+        """The instances whose tokens for this id the own links show now."""
+        return frozenset(self._tokens.get(robot, ()))
+
     @property
     def answered(self) -> frozenset[str]:
         """Who has answered for itself."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.codec import Decoder
-from swarmd.messages import Code, Condition, Member, Reply, Request, View
+from swarmd.messages import Code, Condition, Epoch, Member, Reply, Request, View
 from swarmd.network.halting import GATHER, Halting
 from swarmd.network.requests import PARTIAL, TIMEOUT
 from swarmd.network.views import Gathering
@@ -22,8 +22,9 @@ def view(robot: str, *others: tuple[str, Condition]) -> View:
     return View(robot=robot, status=light_status(robot, "1"), members=members)
 
 
-def ack(halting: Halting, robot: str) -> None:
-    halting.acks.on_reply(robot, Reply(id="q", robot=robot, code=Code.APPLIED))
+def ack(halting: Halting, robot: str, boot: str = "1") -> None:
+    epoch = Epoch(boot=boot, revision=0)
+    halting.acks.on_reply(robot, Reply(id="q", robot=robot, code=Code.APPLIED, epoch=epoch))
 
 
 @pytest.fixture
@@ -107,3 +108,15 @@ def test_a_selection_names_its_targets_and_grows(gathering: Gathering) -> None:
     ack(halting, "c")
     assert halting.is_done(GATHER)
     assert halting.outcome(GATHER).targeted == 2
+
+
+def test_of_two_daemons_with_one_id_both_must_ack(halting: Halting, gathering: Gathering) -> None:
+    gathering.on_token("a", "1", True, 0.02)
+    gathering.on_token("a", "2", True, 0.02)
+    ack(halting, "a", "1")
+    ack(halting, "b")
+    assert halting.pending() == ("a",)
+    assert halting.outcome(3.0).line == "2 targeted, 1 applied, 1 no answer (a)"
+    ack(halting, "a", "2")
+    assert halting.is_done(GATHER)
+    assert halting.outcome(3.0).line == "2 targeted, 2 applied"
