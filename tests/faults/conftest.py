@@ -26,6 +26,7 @@ from swarmd.testing.processes import CAP, DaemonProcess, unique_swarm, wait_unti
 from swarmd.values import Twist
 
 ROBOT = "tb3-01"
+ATTEMPTS = 4
 PLUGINS = Path(__file__).parent / "plugins"
 
 
@@ -164,11 +165,29 @@ class Bench:
         return self.ask("run", pattern=pattern, params=params)
 
     def drive(self, pattern: str = "drive") -> Commanded:
-        """It runs and moves: the first command that did."""
-        asked = boottime()
-        reply = self.run(pattern)
-        assert reply.code is Code.APPLIED, reply.text
-        return self.body.wait_moving(asked)
+        """It runs and moves: the first command that did. On a starved machine asks again."""
+        for _ in range(ATTEMPTS):
+            asked = boottime()
+            reply = self.run(pattern)
+            if reply.code is Code.APPLIED:
+                return self.body.wait_moving(asked)
+            print(f"not loaded: {reply.text}")
+            assert "loading took more than" in reply.text
+        raise AssertionError(f"{pattern} was not loaded in {ATTEMPTS} attempts")
+
+    def drive_to_quarantine(self, pattern: str) -> tuple[Commanded, Heard]:
+        """The first command that moved, and how it ended. On a starved machine tries again."""
+        for _ in range(ATTEMPTS):
+            moving = self.drive(pattern)
+            end = self.witness.wait(
+                "quarantined",
+                lambda status: status.state in (State.STOPPED, State.FAULTED),
+                moving.at,
+            )
+            if end.status.reason is not Reason.PATTERN_RESTARTING:
+                return moving, end
+            print(f"not restarted in time: {end.status.detail}")
+        raise AssertionError(f"{pattern} was not restarted in time in {ATTEMPTS} attempts")
 
     def halt(self, verb: Literal["stop", "estop"]) -> Reply:
         """Its ack of stop or estop."""

@@ -91,14 +91,14 @@ def test_an_operator_can_stop_a_pattern_that_hangs_and_run_another(robot: Bench)
 def test_a_pattern_that_keeps_raising_is_restarted_with_backoff_then_quarantined(
     robot: Bench,
 ) -> None:
-    begun = robot.drive("raiser").at
     boot = robot.status().epoch.boot
-    end = robot.await_state(State.FAULTED, Reason.QUARANTINED, begun)
+    _, end = robot.drive_to_quarantine("raiser")
+    assert (end.status.state, end.status.reason) == (State.FAULTED, Reason.QUARANTINED)
     assert "raiser failed 4 times" in end.status.detail
     assert "ZeroDivisionError" in end.status.detail
     assert "(raiser.py:" in end.status.detail
 
-    events = [event for event in end.status.events if event.text.startswith("raiser ")]
+    events = [event for event in end.status.events if event.text.startswith("raiser ")][-7:]
     words = [event.text.split()[1].rstrip(":") for event in events]
     assert words == ["failed", "restarted"] * 3 + ["failed"]
     pauses = [b.at - a.at for a, b in pairwise(events)][0::2]
@@ -128,11 +128,11 @@ def test_a_pattern_that_keeps_raising_is_restarted_with_backoff_then_quarantined
 def test_a_pattern_that_keeps_ending_its_host_is_quarantined_for_the_right_reason(
     robot: Bench, pattern: str, why: str
 ) -> None:
-    moving = robot.drive(pattern)
     boot = robot.status().epoch.boot
+    moving, end = robot.drive_to_quarantine(pattern)
+    assert (end.status.state, end.status.reason) == (State.FAULTED, Reason.QUARANTINED)
     zero = robot.body.wait_zero(moving.at)
     robot.await_event(f"{pattern} failed: {why}", moving.at)
-    end = robot.await_state(State.FAULTED, Reason.QUARANTINED, moving.at)
     print(f"zero after {zero.at - moving.at:.3f} s, quarantined after {end.at - moving.at:.3f} s")
     assert why in end.status.detail
     robot.moves_not(robot.body.wait_zero(end.at).at)
