@@ -23,7 +23,7 @@ from swarmd.errors import CodecError
 from swarmd.sensing import decode_command, encode_odometry, encode_scan
 from swarmd.values import Odometry, Platform, Pose, Scan, Twist
 
-CAP = 30.0
+CAP = 60.0
 ODOMETRY_RATE = 20.0
 ScanScript = Callable[[int, float], Scan | bytes | None]
 
@@ -107,7 +107,7 @@ class Body:
         self._session.put(key, payload)
 
     def wait(self, what: Callable[[Commanded], bool], since: float = 0.0) -> Commanded:
-        """The first command after `since` for which `what` holds; AssertionError after 30 s."""
+        """The first command after `since` for which `what` holds; AssertionError after a minute."""
         deadline = time.monotonic() + CAP
         with self._changed:
             while True:

@@ -17,7 +17,7 @@ import yaml
 
 from swarmd.values import Value
 
-CAP = 30.0
+CAP = 60.0
 
 
 def unique_swarm() -> str:

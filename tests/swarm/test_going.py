@@ -10,6 +10,7 @@ import pytest
 
 from swarmd.clock import boottime
 from swarmd.messages import Condition, Reason, State
+from swarmd.testing.processes import CAP
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm
@@ -84,7 +85,7 @@ def test_interrupting_a_daemon_is_a_clean_end_as_well(swarm: Swarm) -> None:
     daemon = swarm.start("r1")
     swarm.start("r2")
     daemon.send(signal.SIGINT)
-    assert daemon.process.wait(30.0) == 0
+    assert daemon.process.wait(CAP) == 0
     swarm.await_condition("r2", "r1", Condition.LEFT)
 
 
