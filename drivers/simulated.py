@@ -47,6 +47,7 @@ class SimulatedDriver:
         self._commands: zenoh.Publisher | None = None
         self._is_up = False
         self._owes_zero = True
+        self._has_sent = False
         self._heard = -math.inf
 
     async def run(self, sink: Sink) -> None:
@@ -73,8 +74,10 @@ class SimulatedDriver:
                 self._watch(sink, loop.time())
         finally:
             inbox.close()
-            self._put(ZERO, -1, -1)
+            if self._has_sent:  # who only looked must not interrupt the daemon that drives
+                self._put(ZERO, -1, -1)
             self._commands, self._is_up, self._owes_zero = None, False, True
+            self._has_sent = False
             session.close()
 
     def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
@@ -84,6 +87,7 @@ class SimulatedDriver:
         if self._owes_zero:
             self._owes_zero = False
             twist = ZERO
+        self._has_sent = True
         self._put(twist, scan_seq, wish_seq)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:

@@ -22,7 +22,7 @@ from swarmd.sensing import (
 )
 from swarmd.sim.link import WorldLink
 from swarmd.testing.driver_contract import CAP, DriverContract, Heard, Stage, on_stage
-from swarmd.values import Neighbor, Odometry, Pose, Scan, Twist, Value
+from swarmd.values import ZERO, Neighbor, Odometry, Pose, Scan, Twist, Value
 
 PLATFORM = load_platform("burger")
 SPEC = PLATFORM.scan
@@ -165,6 +165,9 @@ def test_sends_zero_when_its_sink_fails() -> None:
         driver = body.make({})
         stage = Stage(body, driver, heard, asyncio.create_task(driver.run(heard)))
         await stage.connect()
+        driver.send(ZERO, -1, -1)
+        driver.send(Twist(0.1), -1, -1)
+        assert [(await stage.command()).linear for _ in range(2)] == [0.0, 0.1]
         with pytest.raises(RuntimeError, match="broken"):
             await stage.task
         assert (await stage.command()).is_zero
