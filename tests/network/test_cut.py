@@ -54,6 +54,7 @@ class Peer:
              "--listen", f"tcp/{ADDRESSES[side]}:{port}", *seeds],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         )  # fmt: skip
+        self.events: list[dict[str, Any]] = []
         self.conditions: dict[str, str] = {}
         self.gaps: list[dict[str, float]] = []
         self.instance: str | None = None
@@ -63,7 +64,7 @@ class Peer:
 
     def until(self, condition: Any) -> None:
         with self._changed:
-            assert self._changed.wait_for(lambda: condition(self), 30.0), vars(self)
+            assert self._changed.wait_for(lambda: condition(self), 30.0), str(self.events)
 
     def silences(self) -> dict[str, float]:
         """The longest silence of each other peer since this was last asked, in s."""
@@ -86,6 +87,7 @@ class Peer:
         for line in self._process.stdout:
             event = json.loads(line)
             with self._changed:
+                self.events.append(event)
                 if "member" in event:
                     self.conditions[event["member"]] = event["condition"]
                 elif "gaps" in event:
