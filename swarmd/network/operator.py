@@ -44,6 +44,9 @@ HALT = 3.0
 ROUND = 0.015
 SLOW_ROUND = 0.1
 QUICK_FOR = 0.2
+# What messages.Request takes, in characters.
+MAX_OPERATOR = 128
+MAX_TEXT = 256
 
 Args = dict[str, Any]
 HaltVerb = Literal["stop", "estop"]
@@ -58,7 +61,18 @@ def operator_name() -> str:
         user = getpass.getuser()
     except (OSError, KeyError):
         user = f"uid{os.getuid()}"
-    return f"{user}@{socket.gethostname()}"[:128]
+    return _sendable(f"{user}@{socket.gethostname()}", MAX_OPERATOR)
+
+
+def _with_sendable_reason(args: Args) -> Args:
+    """A stop must not fail for the words that come with it, so those are mended, not refused."""
+    reason = args.get("reason")
+    return {**args, "reason": _sendable(reason, MAX_TEXT)} if isinstance(reason, str) else args
+
+
+def _sendable(text: str, length: int) -> str:
+    """As much of a text as can be sent; what is no UTF-8 (such as a raw argument) becomes `?`."""
+    return text.encode("utf-8", "replace").decode()[:length]
 
 
 class Operator:
@@ -72,7 +86,7 @@ class Operator:
         self, settings: SessionSettings, *, name: str | None = None, roster: Iterable[str] = ()
     ) -> None:
         self.settings = settings.as_operator()
-        self.name = name or operator_name()
+        self.name = _sendable(name, MAX_OPERATOR) if name else operator_name()
         self._roster = frozenset(roster)
         self._news = threading.Condition()
         self._tokens: dict[str, set[str]] = {}
@@ -194,7 +208,7 @@ class Operator:
             operator=self.name,
             verb=verb,
             targets=targets,
-            args=args or {},
+            args=_with_sendable_reason(args or {}),
         )
 
     def _gather(self) -> Gathering:

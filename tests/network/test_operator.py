@@ -11,14 +11,18 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+import zenoh
 
+from swarmd.codec import Decoder
 from swarmd.messages import Code, Condition, Epoch, Request
 from swarmd.network.operator import Operator, operator_name
 from swarmd.network.requests import NO_TARGET, PARTIAL, REFUSED
-from swarmd.network.session import SessionSettings
+from swarmd.network.session import SessionSettings, open_session
 from swarmd.testing.light import LightSwarm
 
 Robots = Callable[..., LightSwarm]
+
+decode = Decoder(Request)
 
 
 @pytest.fixture
@@ -56,8 +60,7 @@ def test_a_single_robot_is_found(settings: SessionSettings, robots: Robots) -> N
 
 def test_nobody_is_an_empty_view(settings: SessionSettings) -> None:
     with Operator(settings) as operator:
-        view = operator.members()
-        assert (view.members, operator.links) == ({}, 0)
+        assert operator.members().members == {}
         assert operator.request("run", {}).exit_code == NO_TARGET
         assert operator.stop(timeout=0.2).exit_code == NO_TARGET
 
@@ -132,6 +135,27 @@ def test_a_halt_reaches_everyone_without_waiting_for_members(
         assert len({one.id for one in heard}) == 1
 
 
+def test_an_estop_is_also_put_on_each_robots_own_key(
+    settings: SessionSettings, robots: Robots
+) -> None:
+    swarm = robots("a", "b")
+    ear = open_session(settings)
+    heard = ear.declare_subscriber(
+        f"swarm/{settings.swarm}/*/safety/estop", zenoh.handlers.FifoChannel(64)
+    )
+    try:
+        with Operator(settings, roster=["a", "b", "lost"]) as operator:
+            operator.estop(timeout=1.0)
+        keys: dict[str, str] = {}
+        while keys.keys() != {"a", "b", "lost"}:
+            sample = heard.recv()
+            request = decode(sample.payload.to_bytes())
+            keys[str(sample.key_expr).split("/")[2]] = request.id
+    finally:
+        ear.close()
+    assert set(keys.values()) == {swarm["a"].requests[0].id}
+
+
 def test_a_halt_is_repeated_until_everyone_acked(settings: SessionSettings, robots: Robots) -> None:
     swarm = robots("a")
     deaf = robots("deaf", answer=lambda request: Code.APPLIED if count() > 5 else None)
@@ -202,6 +226,33 @@ def test_other_swarms_can_be_seen(settings: SessionSettings, robots: Robots) -> 
 
 def test_the_operator_has_a_name() -> None:
     assert "@" in operator_name()
+
+
+def test_a_name_that_is_no_utf8_is_mended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("LOGNAME", "\udcff\udcfe" + "x" * 300)
+    name = operator_name()
+    assert name.startswith("??x")
+    assert len(name.encode()) == 128
+
+
+@pytest.mark.parametrize(
+    ("reason", "kept"), [("ä" * 300, "ä" * 256), ("out\udcff of paint", "out? of paint")]
+)
+@pytest.mark.parametrize("verb", ["stop", "estop", "reset"])
+def test_a_reason_that_cannot_be_sent_is_mended_and_never_refused(
+    settings: SessionSettings, robots: Robots, verb: Any, reason: str, kept: str
+) -> None:
+    swarm = robots("a")
+    args = {"scope": "swarm", "reason": reason}
+    with Operator(settings, name="\udcff" * 200) as operator:
+        if verb == "reset":
+            outcome = operator.request(verb, operator.members().epochs(["a"]), args)
+        else:
+            outcome = operator.halt(verb, args=args)
+    assert outcome.line == "1 targeted, 1 applied"
+    request = swarm["a"].requests[-1]
+    assert request.args == {"scope": "swarm", "reason": kept}
+    assert request.operator == "?" * 128
 
 
 @pytest.mark.integration
