@@ -20,6 +20,8 @@ _DURATION = re.compile(r"(\d+(?:\.\d+)?)(ms|s|m|h)?")
 _UNITS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0, None: 1.0}
 _MAX_SECONDS = 1e7
 _MAX_INTEGER = 2**53
+# What a request takes: characters of a parameter's name and value, bytes of all of them.
+_MAX_KEY, _MAX_TEXT, _MAX_ALL = 64, 256, 32 * 1024
 
 
 class NoTarget(click.ClickException):
@@ -114,16 +116,37 @@ def check_name(name: str, known: Collection[str]) -> None:
 def read_assignments(words: Iterable[str], what: str = "-p") -> dict[str, Value]:
     """`key=value` words as a mapping; numbers as numbers, all else as text."""
     values: dict[str, Value] = {}
+    size = 0
     for word in words:
         key, sign, text = word.partition("=")
-        if not sign or not key or len(key) > 64:
-            raise click.UsageError(f"{what} {word!r} is no key=value, such as {what} speed=0.15")
+        if not sign or not key:
+            raise click.UsageError(
+                f"{what} {_short(word)} is no key=value, such as {what} speed=0.15"
+            )
+        if not _is_utf8(word):
+            raise click.UsageError(f"{what} {_short(word)} is not UTF-8; type it anew")
         if key in values:
             raise click.UsageError(f"{what} {key} is given twice; keep one")
-        if len(text) > 256:
-            raise click.UsageError(f"{what} {key} is longer than 256 characters")
+        for part, limit in ((key, _MAX_KEY), (text, _MAX_TEXT)):
+            if len(part) > limit:
+                raise click.UsageError(f"{what} {_short(word)}: more than {limit} characters")
+        size += len(word.encode())
+        if size > _MAX_ALL:
+            raise click.UsageError(f"{what}: all together are more than {_MAX_ALL} bytes")
         values[key] = _number(text)
     return values
+
+
+def _is_utf8(word: str) -> bool:
+    try:
+        word.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _short(word: str) -> str:
+    return repr(word if len(word) <= 40 else f"{word[:37]}...")
 
 
 def _number(text: str) -> int | float | str:

@@ -63,9 +63,10 @@ def test_reads_numbers_as_numbers_and_all_else_as_text(word: str, value: object)
     [
         (["speed"], "'speed' is no key=value, such as -p speed=0.15"),
         (["=1"], "'=1' is no key=value"),
-        (["k" * 65 + "=1"], "is no key=value"),
+        (["k" * 65 + "=1"], "kkk...': more than 64 characters"),
         (["a=1", "a=2"], "-p a is given twice; keep one"),
-        (["a=" + "x" * 257], "-p a is longer than 256 characters"),
+        (["a=" + "x" * 257], "xxx...': more than 256 characters"),
+        (["a=\udcff"], r"-p 'a=\udcff' is not UTF-8"),
     ],
 )
 def test_refuses_assignments_that_are_none(words: list[str], fault: str) -> None:

@@ -26,7 +26,10 @@ finally:
 HEAVY = {"numpy", "rich", "yaml", "asyncio", "mujoco", "matplotlib", "swarmd.patterns"}
 
 
-def swarmctl(*args: str, cwd: Path, **environ: str) -> subprocess.CompletedProcess[str]:
+MANY = [word for i in range(150) for word in ("-p", f"k{i}={'x' * 250}")]
+
+
+def swarmctl(*args: str | bytes, cwd: Path, **environ: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-c", "from swarmd.cli import main; main()", *args],
         capture_output=True,
@@ -97,6 +100,10 @@ def test_says_its_version(tmp_path: Path) -> None:
         (["run", "drive", "r1", "--all"], "run takes names or --all, not both"),
         (["run", "drive", "**", "--for", "x"], "'x' is no duration; wanted such as 60s"),
         (["run", "drive", "r1", "-p", "speed"], "-p 'speed' is no key=value"),
+        (["run", "drive", "r1", "-p", b"speed=\xff"], "-p 'speed=\\udcff' is not UTF-8"),
+        (["run", "drive", "r1", "-p", "a=" + 257 * "x"], "xxx...': more than 256 characters"),
+        (["run", "drive", "r1", *MANY], "-p: all together are more than 32768 bytes"),
+        (["param", "set", "r1", b"speed=\xff"], "is not UTF-8"),
         (["stop", "a/b"], "'a/b' is no robot's name"),
         (["reset"], "reset needs targets"),
         (["param", "set", "speed=1"], "param set needs targets"),
@@ -109,7 +116,9 @@ def test_says_its_version(tmp_path: Path) -> None:
         (["--seed", "x", "members"], "seeds has 'x'; wanted"),
     ],
 )
-def test_a_mistake_is_one_line_and_exit_2(tmp_path: Path, args: list[str], fault: str) -> None:
+def test_a_mistake_is_one_line_and_exit_2(
+    tmp_path: Path, args: list[str | bytes], fault: str
+) -> None:
     done = swarmctl(*args, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
     assert fault in done.stderr
