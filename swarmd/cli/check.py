@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import asyncio
-import os
 import socket
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 
 import click
 
@@ -65,13 +66,24 @@ def _network(settings: DaemonSettings) -> Finding:
 
 
 def _state_dir(folder: Path) -> Finding:
+    """Whether the daemon can write there: tried, since modes do not tell; nothing is left."""
     there = folder.absolute()
-    while not there.exists():
-        there = there.parent
-    if there.is_dir() and os.access(there, os.W_OK | os.X_OK):
-        return Finding("state_dir", True, str(folder))
-    text = f"{there} is not a folder this user may write to, so latches would be lost"
-    return Finding("state_dir", False, f"{text}; give --state-dir")
+    lacking = [path for path in (there, *there.parents) if not path.exists()]
+    made: list[Path] = []
+    try:
+        for path in reversed(lacking):
+            path.mkdir()
+            made.append(path)
+        with TemporaryFile(dir=there) as file:
+            file.write(b"latches")
+    except OSError as error:
+        text = f"{folder} cannot be written to ({error.strerror}), so latches would be lost"
+        return Finding("state_dir", False, f"{text}; give --state-dir")
+    finally:
+        for path in reversed(made):
+            with suppress(OSError):  # another has put something into it meanwhile
+                path.rmdir()
+    return Finding("state_dir", True, str(folder))
 
 
 def _roster(settings: DaemonSettings) -> Iterator[Finding]:

@@ -118,8 +118,6 @@ def exit_code_of(error: SwarmError) -> int:
     """The exit code that tells a supervisor what kind of error it was."""
     if isinstance(error, IdHeldError):
         return Exit.ID_HELD
-    if isinstance(error, IdHeldError):
-        return Exit.ID_HELD
     if isinstance(error, NetworkError):
         return Exit.NETWORK
     return Exit.DRIVER if isinstance(error, DriverError) else Exit.CONFIG

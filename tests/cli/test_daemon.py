@@ -103,6 +103,19 @@ def test_check_looks_at_everything_and_moves_nothing(tmp_path: Path) -> None:
     assert not (tmp_path / ".local").exists()
 
 
+def test_check_tries_to_write_where_latches_are_kept(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for folder in ("/proc/x", str(tmp_path / "file"), str(tmp_path / "file/state")):
+        done = swarmd("--id", "r1", "--state-dir", folder, "--check", cwd=tmp_path)
+        (line,) = (line for line in done.stdout.splitlines() if "state_dir" in line)
+        assert done.returncode == 1
+        assert line.startswith("FAIL")
+        assert f" {folder} cannot be written to (" in line
+    done = swarmd("--id", "r1", "--state-dir", "a/b", "--check", cwd=tmp_path)
+    assert "ok    state_dir" in done.stdout
+    assert not (tmp_path / "a").exists()
+
+
 def test_check_finds_parameters_that_no_pattern_takes(tmp_path: Path) -> None:
     (tmp_path / "r.yaml").write_text(
         "id: r1\nlabels: {red: [r1]}\nparameters:\n"
