@@ -68,9 +68,9 @@ def _network(settings: DaemonSettings) -> Finding:
 def _state_dir(folder: Path) -> Finding:
     """Whether the daemon can write there: tried, since modes do not tell; nothing is left."""
     there = folder.absolute()
-    lacking = [path for path in (there, *there.parents) if not path.exists()]
     made: list[Path] = []
     try:
+        lacking = [path for path in (there, *there.parents) if not path.exists()]
         for path in reversed(lacking):
             path.mkdir()
             made.append(path)

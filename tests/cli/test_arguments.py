@@ -66,7 +66,7 @@ def test_reads_numbers_as_numbers_and_all_else_as_text(word: str, value: object)
         (["k" * 65 + "=1"], "kkk...': more than 64 characters"),
         (["a=1", "a=2"], "-p a is given twice; keep one"),
         (["a=" + "x" * 257], "xxx...': more than 256 characters"),
-        (["a=\udcff"], r"-p 'a=\udcff' is not UTF-8"),
+        (["a=\udcff"], r"-p 'a=\\udcff' is not UTF-8"),
     ],
 )
 def test_refuses_assignments_that_are_none(words: list[str], fault: str) -> None:

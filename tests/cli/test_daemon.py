@@ -105,7 +105,7 @@ def test_check_looks_at_everything_and_moves_nothing(tmp_path: Path) -> None:
 
 def test_check_tries_to_write_where_latches_are_kept(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    for folder in ("/proc/x", str(tmp_path / "file"), str(tmp_path / "file/state")):
+    for folder in ("/proc/x", "file/state"):
         done = swarmd("--id", "r1", "--state-dir", folder, "--check", cwd=tmp_path)
         (line,) = (line for line in done.stdout.splitlines() if "state_dir" in line)
         assert done.returncode == 1
