@@ -1,0 +1,28 @@
+"""Where the commands begin: Ctrl-C ends them without a traceback, even while they are imported."""
+
+from __future__ import annotations
+
+import sys
+from typing import NoReturn
+
+INTERRUPTED = 130
+
+
+def swarmctl() -> NoReturn:
+    """Run swarmctl and exit with its code."""
+    try:
+        from swarmd.cli import main
+
+        main()
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
+
+
+def swarmd() -> NoReturn:
+    """Run swarmd and exit with its code."""
+    try:
+        from swarmd.cli.daemon import main
+
+        main()
+    except KeyboardInterrupt:
+        sys.exit(INTERRUPTED)
