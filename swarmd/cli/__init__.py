@@ -156,6 +156,11 @@ def run_cli(
     except BrokenPipeError:  # the reader, such as `head`, has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except OSError as error:  # such as a full disk
+        import logging
+
+        logging.getLogger(__name__).debug("where it was raised", exc_info=True)
+        return _fail(_of_system(error), 1)
 
 
 def exit_code_of(error: SwarmError) -> int:
@@ -163,6 +168,11 @@ def exit_code_of(error: SwarmError) -> int:
     if isinstance(error, ConfigError | PluginError):
         return 2
     return 6 if isinstance(error, NetworkError) else 1
+
+
+def _of_system(error: OSError) -> str:
+    why = error.strerror or str(error) or type(error).__name__
+    return f"{error.filename}: {why}" if error.filename is not None else why
 
 
 def _fail(text: str, code: int) -> int:

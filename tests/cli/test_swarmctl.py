@@ -216,6 +216,8 @@ def test_a_plugins_verb_whose_needs_are_missing_says_what_installs_them(tmp_path
         (ConfigError("x"), 2),
         (NetworkError("x"), 6),
         (SwarmError("x"), 1),
+        (OSError(28, "No space left on device", "runs/x.png"), 1),
+        (OSError("cannot write mode P"), 1),
         (KeyboardInterrupt(), 130),
     ],
 )
