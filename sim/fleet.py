@@ -151,7 +151,7 @@ def daemon_config(spec: FleetSpec, robot: str, endpoint: str) -> dict[str, objec
         "id": robot,
         "swarm": spec.swarm,
         "profile": "dev",
-        "platform": spec.robots[robot],
+        "platform": _from_anywhere(spec.robots[robot]),
         "driver": "simulated",
         "driver_options": {"endpoint": endpoint},
         "state_dir": str((spec.folder / "state").absolute()),
@@ -159,6 +159,12 @@ def daemon_config(spec: FleetSpec, robot: str, endpoint: str) -> dict[str, objec
     if spec.plugin_dir is not None:
         config["plugin_dir"] = str(spec.plugin_dir.absolute())
     return config
+
+
+def _from_anywhere(platform: str) -> str:
+    """A platform as a file in another folder can name it."""
+    is_file = platform.endswith(".yaml")
+    return str(Path(platform).expanduser().absolute()) if is_file else platform
 
 
 def started_at() -> float:

@@ -190,7 +190,8 @@ class Show:
         stopped: Outcome,
     ) -> Summary:
         spec, trace = self._fleet.spec, load_trace(trace_path)
-        platforms = {name: load_platform(name) for name in set(trace.platforms)}
+        kinds = map(load_platform, set(spec.robots.values()))
+        platforms = {kind.name: kind for kind in kinds}
         numbers = numbers_of(trace, platforms, mean_duty(after), real_time_factor)
         problems = problems_of(self._robots, before, after, numbers.contacts)
         if stopped.exit_code:

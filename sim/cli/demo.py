@@ -16,7 +16,8 @@ import click
 from swarmd.cli.arguments import Duration, read_assignments
 from swarmd.cli.console import Console
 from swarmd.cli.output import print_json, print_section, warn
-from swarmd.sim.cli.options import fleet_options, need, stage_for
+from swarmd.errors import ConfigError
+from swarmd.sim.cli.options import fleet_options, need, robots_for, stage_for
 
 if TYPE_CHECKING:
     from swarmd.sim.fleet import FleetSpec
@@ -57,9 +58,8 @@ def demo(
     if every robot ran to the end and none touched another.
     """
     need("mujoco", "matplotlib")
-    from swarmd.platforms import load_platform
     from swarmd.plugins import find_pattern
-    from swarmd.sim.fleet import FleetSpec, robot_ids
+    from swarmd.sim.fleet import FleetSpec
     from swarmd.sim.show import Play
 
     is_json = (output or (ctx.find_object(Console) or Console()).output) == "json"
@@ -67,12 +67,12 @@ def demo(
         pattern=pattern, params=read_assignments(params), seconds=seconds, platform=platform
     )
     find_pattern(pattern, plugin_dir)
-    kind = load_platform(platform)
+    kind, robots = robots_for(platform, count)
     arena, layout = stage_for(kind, count, arena, layout, seed)
     folder = new_folder(Path("runs"))
     spec = FleetSpec(
         swarm=f"demo-{secrets.token_hex(3)}",
-        robots=dict.fromkeys(robot_ids(kind.name, count), platform),
+        robots=robots,
         folder=folder / "logs",
         arena=arena,
         layout=layout,
@@ -82,8 +82,7 @@ def demo(
         seconds=seconds,
     )
     summary = perform(spec, play, is_live=sys.stdout.isatty() and not (headless or is_json))
-    keep(summary, folder)
-    tell(summary, folder, is_json=is_json)
+    finish(summary, folder, is_json=is_json)
     ctx.exit(0 if summary.is_good else 1)
 
 
@@ -107,6 +106,12 @@ def perform(spec: FleetSpec, play: Play, *, is_live: bool) -> Summary:
         return Show(play, fleet, operator, world, on_scene).perform(spec.trace, started_at())
 
 
+def finish(summary: Summary, folder: Path, *, is_json: bool) -> None:
+    """Tell the summary, then keep it: a full disk is not to cost the one that has been earned."""
+    tell(summary, folder, is_json=is_json)
+    keep(summary, folder)
+
+
 def keep(summary: Summary, folder: Path) -> None:
     """Write summary.json and trajectories.png beside the trace."""
     from swarmd.sim.plots import draw_trajectories
@@ -128,7 +133,7 @@ def tell(summary: Summary, folder: Path, *, is_json: bool) -> None:
 
 
 def new_folder(base: Path) -> Path:
-    """A folder of its own for this run, named by the time."""
+    """A folder of its own for this run, named by the time; ConfigError if none can be made."""
     stamp = time.strftime("%Y%m%d-%H%M%S")
     for suffix in ("", *(f"-{i}" for i in range(2, 1000))):
         folder = base / f"{stamp}{suffix}"
@@ -136,8 +141,11 @@ def new_folder(base: Path) -> Path:
             folder.mkdir(parents=True)
         except FileExistsError:
             continue
+        except OSError as error:
+            text = f"{folder}/ cannot be made ({error.strerror})"
+            raise ConfigError(f"{text}; call it in a folder that may be written to") from error
         return folder
-    raise FileExistsError(base / stamp)
+    raise ConfigError(f"{base / stamp}/ is there a thousand times; remove some")
 
 
 @contextmanager

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from swarmd.errors import PluginError
+from swarmd.errors import ConfigError, PluginError
+from swarmd.keys import is_id
 
 if TYPE_CHECKING:
     from swarmd.values import Platform
@@ -33,7 +34,13 @@ _OPTIONS = (
         metavar="NAME[:SIZE]",
         help="Where they start: row, paper, grid, ring, random or list.",
     ),
-    click.option("--seed", type=int, default=0, show_default=True, help="Of random layouts."),
+    click.option(
+        "--seed",
+        type=click.IntRange(min=0),
+        default=0,
+        show_default=True,
+        help="Of random layouts.",
+    ),
     click.option(
         "--plugin-dir",
         type=click.Path(exists=True, file_okay=False, path_type=Path),
@@ -58,6 +65,23 @@ def need(*modules: str) -> None:
                 f"this verb needs {module}, which is not installed;"
                 " run: pip install 'swarmd[sim,plot]'"
             )
+
+
+def robots_for(platform: str, count: int) -> tuple[Platform, dict[str, str]]:
+    """The platform, and its name or file by robot id; ConfigError if robots cannot be named so."""
+    from swarmd.platforms import load_platform
+    from swarmd.sim.fleet import robot_ids
+
+    if any(mark in platform for mark in ",:"):
+        raise ConfigError(f"--platform {platform!r}: a comma or colon; rename the file or folder")
+    kind = load_platform(platform)
+    ids = robot_ids(kind.name, count)
+    if not all(map(is_id, ids)):
+        raise ConfigError(
+            f"--platform {platform!r}: its robots would be named {ids[0]!r}, which is no robot id;"
+            " name the file with a-z, 0-9, _ and - only, such as my_bot.yaml"
+        )
+    return kind, dict.fromkeys(ids, platform)
 
 
 def stage_for(

@@ -16,7 +16,7 @@ import click
 from swarmd.cli.console import DEFAULT_SWARM, Console
 from swarmd.cli.output import print_section, warn
 from swarmd.errors import ConfigError, SwarmError
-from swarmd.sim.cli.options import fleet_options, need, stage_for
+from swarmd.sim.cli.options import fleet_options, need, robots_for, stage_for
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -59,17 +59,16 @@ def up(
     """
     need("mujoco")
     from swarmd.keys import check_id
-    from swarmd.platforms import load_platform
-    from swarmd.sim.fleet import FleetSpec, robot_ids
+    from swarmd.sim.fleet import FleetSpec
 
     given = swarm or (ctx.find_object(Console) or Console()).swarm
     name = check_id(given or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
-    kind = load_platform(platform)
+    kind, robots = robots_for(platform, count)
     arena, layout = stage_for(kind, count, arena, layout, seed)
     with _folder(keep) as folder:
         spec = FleetSpec(
             swarm=name,
-            robots=dict.fromkeys(robot_ids(kind.name, count), platform),
+            robots=robots,
             folder=folder,
             arena=arena,
             layout=layout,

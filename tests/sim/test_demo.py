@@ -8,11 +8,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 
-from swarmd.sim.cli.demo import new_folder
+from swarmd.sim.cli.demo import finish, new_folder
+from swarmd.sim.summary import Numbers, Summary
 from swarmd.testing.processes import unique_swarm, wait_until
 
 SWARMCTL = str(Path(sys.executable).with_name("swarmctl"))
@@ -32,9 +34,13 @@ class Clumsy(MovementPattern[Params]):
 '''
 
 
-def demo(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    command = [SWARMCTL, "demo", *words]
+def swarmctl(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    command = [SWARMCTL, *words]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
+
+
+def demo(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return swarmctl(folder, "demo", *words)
 
 
 def members(swarm: str) -> str:
@@ -105,16 +111,71 @@ def test_demo_fails_if_a_pattern_fails(tmp_path: Path) -> None:
         (["--seconds", "soon"], "no duration"),
         (["-p", "speed"], "no key=value"),
         (["-n", "0"], "0 is not in the range"),
+        (["--seed", "-1"], "-1 is not in the range"),
+        (["--platform", "own/My Bot.yaml"], "would be named 'My Bot-01', which is no robot id"),
+        (["--platform", "own/a,b.yaml"], "'own/a,b.yaml': a comma or colon; rename"),
+        (["--platform", "own/a:b.yaml"], "'own/a:b.yaml': a comma or colon; rename"),
+        (["--platform", "own/c.yaml"], "own/c.yaml: cannot be read: No such file"),
     ],
 )
 def test_what_cannot_be_is_one_line_and_starts_nothing(
     tmp_path: Path, words: Sequence[str], line: str
 ) -> None:
+    (tmp_path / "own").mkdir()
+    for name in ("My Bot", "a,b", "a:b"):
+        (tmp_path / "own" / f"{name}.yaml").write_text("extends: burger")
     done = demo(tmp_path, *words)
     assert done.returncode == 2
     assert line in done.stderr
     assert len(done.stderr.splitlines()) == 1
-    assert list(tmp_path.iterdir()) == []
+    assert [path.name for path in tmp_path.iterdir()] == ["own"]
+
+
+@pytest.mark.parametrize("words", [["--seed", "-1"], ["--platform", "My Bot.yaml"]])
+def test_sim_up_refuses_the_same(tmp_path: Path, words: Sequence[str]) -> None:
+    (tmp_path / "My Bot.yaml").write_text("extends: burger")
+    done = swarmctl(tmp_path, "sim", "up", *words)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_no_place_for_results_is_one_line_and_starts_nothing(tmp_path: Path) -> None:
+    (tmp_path / "runs").touch()
+    done = demo(tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith("error: runs/")
+    assert done.stderr.endswith(
+        "/ cannot be made (Not a directory); call it in a folder that may be written to\n"
+    )
+
+
+def test_a_full_disk_does_not_cost_the_summary(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    numbers = dict.fromkeys((field.name for field in fields(Numbers)), 1)
+    summary = Summary(
+        pattern="attraction",
+        platform="burger",
+        robots=("tb3-01",),
+        arena="4x4",
+        layout="grid",
+        seed=0,
+        seconds_to_moving=1.0,
+        numbers=Numbers(**numbers),  # ones in every field
+        duty={},
+        problems=(),
+    )
+    (tmp_path / "summary.json").symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left on device"):
+        finish(summary, tmp_path, is_json=False)
+    assert capsys.readouterr().out.startswith("Summary\n")
+
+
+@pytest.mark.integration
+def test_a_demo_of_an_own_platform_in_this_folder(tmp_path: Path) -> None:
+    (tmp_path / "my_bot.yaml").write_text("extends: burger")
+    done = demo(tmp_path, "-n", "1", "--seconds", "1", "--platform", "my_bot.yaml")
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.integration

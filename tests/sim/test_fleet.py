@@ -85,6 +85,12 @@ def test_latches_of_a_fleet_stay_in_its_folder(tmp_path: Path) -> None:
     assert Path(str(config["state_dir"])).is_relative_to(tmp_path)
 
 
+def test_a_daemon_finds_a_platform_of_the_folder_the_fleet_was_started_in(tmp_path: Path) -> None:
+    spec = make_spec(tmp_path, robots={"a": "own.yaml", "b": "burger"})
+    assert daemon_config(spec, "a", "tcp/127.0.0.1:1")["platform"] == str(Path.cwd() / "own.yaml")
+    assert daemon_config(spec, "b", "tcp/127.0.0.1:1")["platform"] == "burger"
+
+
 @pytest.mark.integration
 def test_world_and_daemons_come_up_and_go(tmp_path: Path) -> None:
     with up(make_spec(tmp_path)) as fleet:
