@@ -11,6 +11,7 @@ from numpy.random import Generator
 from swarmd.behavior import Context, Pattern
 from swarmd.errors import PluginError
 from swarmd.frames import Layers
+from swarmd.keys import check_id
 from swarmd.params import build
 from swarmd.values import Platform, Scalar, Value
 
@@ -68,7 +69,14 @@ def assemble(
     context = Context(robot, platform, rng, make, channel_prefix)
     pattern = kind(built, context)
     _check_needs(name, pattern.needs, platform)
+    _check_channels(name, pattern.channels)
     return Assembled(pattern, sources)
+
+
+def _check_channels(name: str, channels: Mapping[str, type]) -> None:
+    for channel in channels:
+        for chunk in channel.split("/"):
+            check_id(chunk, f"a channel of pattern {name!r}")
 
 
 def _check_needs(name: str, needs: frozenset[str], platform: Platform) -> None:

@@ -17,6 +17,7 @@ VERSION = 1
 MAX_CONTROL = 64 * 1024
 MAX_SENSE = 128 * 1024
 MAX_MESSAGE = 1024
+MAX_DEPTH = 16
 
 _PREFIX = bytes([VERSION])
 _encoder = msgspec.msgpack.Encoder()
@@ -51,6 +52,8 @@ def encode_value(value: Any) -> bytes:
         payload: bytes = _PREFIX + msgpack.packb(value, use_bin_type=True)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise CodecError(f"a message must be made of MessagePack's types: {error}") from error
+    if _is_deeper(value, MAX_DEPTH):
+        raise CodecError(f"a message nests deeper than {MAX_DEPTH}")
     if len(payload) > MAX_MESSAGE:
         raise CodecError(f"a message is {len(payload)} bytes; at most {MAX_MESSAGE} are sent")
     return payload
@@ -60,9 +63,20 @@ def decode_value(payload: bytes) -> Any:
     """An open value; CodecError if it is too large, of another version or no MessagePack."""
     body = _body(payload, MAX_MESSAGE)
     try:
-        return msgpack.unpackb(body, raw=False, strict_map_key=True)
+        value = msgpack.unpackb(body, raw=False, strict_map_key=True)
     except (ValueError, TypeError, RecursionError, msgpack.UnpackException) as error:
         raise CodecError(f"not MessagePack: {error!r}") from error
+    if _is_deeper(value, MAX_DEPTH):
+        raise CodecError(f"a message nests deeper than {MAX_DEPTH}")
+    return value
+
+
+def _is_deeper(value: Any, depth: int) -> bool:
+    if isinstance(value, dict):
+        value = list(value.values())
+    if not isinstance(value, list | tuple):
+        return False
+    return depth == 0 or any(_is_deeper(inner, depth - 1) for inner in value)
 
 
 def _body(payload: bytes, limit: int) -> memoryview:

@@ -76,6 +76,7 @@ class Conduct:
         self.events: deque[Event] = deque(maxlen=EVENTS)
         self.params_request: tuple[Request, float] | None = None
         self.hold_since: float | None = None
+        self.mistyped = 0
         self._load: Load | None = None
         if self.latches.held:
             self.supervisor.apply(Change.ESTOP, Reason.ESTOP, self.latch_text(), now)
@@ -139,6 +140,8 @@ class Conduct:
         elif isinstance(event, Failed):
             if hosting.running is not None and event.generation == hosting.running.generation:
                 self.fault(event.text, turn)
+            elif hosting.loading is not None and event.generation == hosting.loading.generation:
+                self.fail_load(event.text, turn)
         elif isinstance(event, Died):
             self._lose_host(event.text, turn)
 
@@ -170,6 +173,7 @@ class Conduct:
                 hosting.awaiting_since = None
             return
         hosting.stepped(event, turn.now)
+        self.mistyped += event.dropped
         twist = event.outputs.twist
         if twist is not None and not twist.is_finite:
             self.fault("its twist is not finite", turn)
@@ -231,12 +235,12 @@ class Conduct:
 
     def end(self, change: Change, reason: Reason, detail: str, turn: Turn) -> None:
         """Leave running, or change state while not running; nothing is stepped any more."""
-        if self.hosting.loading is not None:
-            turn.host = Kill(f"not wanted any more: {reason}")
-            request = self.hosting.loading.request
-            if request is not None:
-                self.reply(turn, request, Code.REFUSED, f"{reason} while it was being loaded")
-        self.hosting.end()
+        loading = self.hosting.loading
+        if change is Change.FINISH and loading is not None and loading.request is not None:
+            self.hosting.end_running()  # what an operator asked for next is still wanted
+        else:
+            self._cancel_load(reason, turn)
+            self.hosting.end()
         if self.params_request is not None:
             overtaken, self.params_request = self.params_request[0], None
             self.reply(turn, overtaken, Code.REFUSED, f"{reason} before the pattern answered")
@@ -245,6 +249,14 @@ class Conduct:
         self.supervisor.apply(change, reason, detail[:LINE], turn.now)
         if self.supervisor.state is not before:
             self.note(f"{self.supervisor.state} ({reason}) {detail}".rstrip(), turn.now)
+
+    def _cancel_load(self, reason: Reason, turn: Turn) -> None:
+        loading = self.hosting.loading
+        if loading is None:
+            return
+        turn.host = Kill(f"not wanted any more: {reason}")
+        if loading.request is not None:
+            self.reply(turn, loading.request, Code.REFUSED, f"{reason} while it was being loaded")
 
     # What an operator, a peer or the machine does
 

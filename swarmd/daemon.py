@@ -31,9 +31,11 @@ from swarmd.messages import Code, Condition, Reply, Request, Status
 from swarmd.network.bus import ZenohBus
 from swarmd.network.claim import Claim, claim_id
 from swarmd.network.contract import Query
-from swarmd.network.session import SessionSettings, open_session
+from swarmd.network.opening import opened_session
+from swarmd.network.session import SessionSettings
 from swarmd.notify import Notifier
 from swarmd.plugins import load_driver
+from swarmd.reading import HALTS, RequestReader
 from swarmd.robot import Robot
 from swarmd.runner import ProcessRunner
 from swarmd.settings import DaemonSettings
@@ -46,7 +48,6 @@ ASK_PEERS = 0.5
 DRIVER_PAUSE = 1.0
 NEIGHBORS_EVERY = 10  # ticks
 MAX_PENDING = 64
-HALTS = frozenset({"stop", "estop"})
 
 
 async def serve(settings: DaemonSettings) -> int:
@@ -87,7 +88,7 @@ class Daemon:
         self._drops: dict[str, int] = {}
         self._body_knows_neighbors = False
         self._ticks = 0
-        self._request = Decoder(Request)
+        self._read = RequestReader()
         self._status = Decoder(Status)
         self._robot = Robot(
             settings.id,
@@ -108,30 +109,33 @@ class Daemon:
 
     async def run(self, stop: asyncio.Event) -> None:
         """Serve until `stop` is set. SwarmError if there is no network or the id is held."""
-        driving: asyncio.Task[None] | None = None
+        living = asyncio.create_task(self._live())
+        ends = {living, *(asyncio.create_task(e.wait()) for e in (stop, self._crashed))}
         try:
-            await self._join()
-            driving = asyncio.create_task(self._drive())  # only now is the base ours
-            gc.collect()
-            gc.freeze()
-            self._notify("READY=1")
-            log.info("ready in swarm %s as %s", self._settings.swarm, self._boot)
-            ends = {driving, *(asyncio.create_task(e.wait()) for e in (stop, self._crashed))}
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
-            for end in ends - {driving}:
-                end.cancel()
-            if driving.done():
-                driving.result()
+            if living.done():
+                living.result()
             if self._crash is not None:
                 raise self._crash
         finally:
             self._notify("STOPPING=1")
-            self._leave()
-            if driving is not None:
-                driving.cancel()
-                await asyncio.gather(driving, return_exceptions=True)
+            if self._claim is None:
+                await _end(living)  # it was still joining
+            try:
+                self._leave()
+            finally:
+                for end in ends:
+                    await _end(end)
 
     # Coming and going
+
+    async def _live(self) -> None:
+        await self._join()
+        gc.collect()
+        gc.freeze()
+        self._notify("READY=1")
+        log.info("ready in swarm %s as %s", self._settings.swarm, self._boot)
+        await self._drive()  # only now is the base ours
 
     async def _drive(self) -> None:
         """The driver's life; one that gives up is tried again."""
@@ -141,7 +145,7 @@ class Daemon:
             except SwarmError as error:
                 log.warning("driver %s: %s", self._settings.driver, error)
                 self.state(False, str(error))
-                await asyncio.sleep(DRIVER_PAUSE)
+            await asyncio.sleep(DRIVER_PAUSE)
 
     def _on_crash(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """A callback of ours raised: a guardian that cannot think must not let the body move."""
@@ -163,7 +167,7 @@ class Daemon:
         )
         if settings.profile == "field":
             log.warning("no certificates: anyone on this network can drive this robot")
-        self._session = await asyncio.to_thread(open_session, wanted)
+        self._session = await opened_session(wanted)
         self._bus = bus = ZenohBus(self._session, swarm=settings.swarm, robot=settings.id)
         self._claim = await claim_id(
             self._session,
@@ -188,19 +192,31 @@ class Daemon:
         self._publish(self._robot.status(boottime()))
 
     def _leave(self) -> None:
-        """Zero, `left`, and out; the driver's own way out sends zero once more."""
-        self._carry_out(self._robot.on_leave(boottime()))
-        self._driver.send(ZERO, -1, -1)
+        """Zero, `left`, and out; the driver's own way out sends zero once more.
+
+        After a crash nobody is told that it left: its peers list it as failed.
+        """
         self._heartbeat.stop()
-        self._runner.close()
-        if self._bus is not None:
-            status = self._with_health(self._robot.status(boottime()))
-            if self._claim is not None:
-                left = msgspec.structs.replace(status, has_left=True)
-                self._bus.publish("state", "status", encode(left), express=True)
-                self._claim.release()
-            self._bus.close()
-            self._session.close()
+        self._driver.send(ZERO, -1, -1)
+        try:
+            if self._crash is None:
+                self._carry_out(self._robot.on_leave(boottime()))
+                self._heartbeat.stop()
+                self._say_left()
+        finally:
+            self._runner.close()
+            if self._bus is not None:
+                if self._claim is not None:
+                    self._claim.release()
+                self._bus.close()
+                self._session.close()
+
+    def _say_left(self) -> None:
+        if self._bus is None or self._claim is None:
+            return
+        status = self._with_health(self._robot.status(boottime()))
+        left = msgspec.structs.replace(status, has_left=True)
+        self._bus.publish("state", "status", encode(left), express=True)
 
     # What the driver hears
 
@@ -234,7 +250,7 @@ class Daemon:
     def _on_request(self, verb: str) -> Callable[[Query], None]:
         def on_query(query: Query) -> None:
             try:
-                request = self._request(query.payload)
+                request = self._read(verb, query.payload)
             except CodecError:
                 self._malformed(verb, query)
                 return
@@ -242,9 +258,7 @@ class Daemon:
             is_one_too_many = not is_halt and (  # halts are always taken, and answered at once
                 request.id in self._pending or len(self._pending) >= MAX_PENDING
             )
-            if request.verb != verb or (targets is None and not is_halt):
-                self._malformed(verb, query)
-            elif is_one_too_many or (targets is not None and self._robot.id not in targets):
+            if is_one_too_many or (targets is not None and self._robot.id not in targets):
                 query.drop()
             elif verb == "forget":
                 self._forget(request, query)
@@ -256,7 +270,8 @@ class Daemon:
 
     def _malformed(self, verb: str, query: Query) -> None:
         if self._bus is not None:
-            self._bus.drop(f"control/{verb}:malformed")
+            plane = "safety" if verb == "estop" else "control"
+            self._bus.drop(f"{plane}/{verb}:malformed")
         query.drop()
 
     def _forget(self, request: Request, query: Query) -> None:
@@ -284,10 +299,11 @@ class Daemon:
         assert self._bus is not None
         try:
             value = decode_value(payload)
+            is_heard = self._robot.on_message(key.robot, key.name, value, boottime())
         except CodecError:
             self._bus.drop("msg:malformed")
             return
-        if not self._robot.on_message(key.robot, key.name, value, boottime()):
+        if not is_heard:
             self._bus.drop("msg:not_a_neighbor")
 
     def _on_duplicate(self, instance: str) -> None:
@@ -323,8 +339,7 @@ class Daemon:
 
     def _carry_out(self, actions: Actions) -> None:
         self._driver.send(actions.twist, actions.verdict.scan_seq, actions.wish_seq)
-        if actions.latches is not None:
-            self._latches.write(actions.latches)
+        is_kept = actions.latches is None or self._latches.write(actions.latches)
         if actions.host is not None:
             if isinstance(actions.host, Load):
                 log.info("loading %s", actions.host.pattern)
@@ -336,7 +351,7 @@ class Daemon:
         for reply in actions.replies:
             query = self._pending.pop(reply.id, None)
             if query is not None:
-                query.reply(encode(reply))
+                query.reply(encode(reply if is_kept else _not_kept(reply)))
         wake_at = self._robot.wake_at(boottime())
         self._heartbeat.wake_in(None if wake_at is None else wake_at - boottime())
 
@@ -354,7 +369,8 @@ class Daemon:
             self._bus.publish("state", "status", encode(self._with_health(status)), express=True)
 
     def _with_health(self, status: Status) -> Status:
-        dropped = {**({} if self._bus is None else self._bus.dropped), **self._drops}
+        network = {} if self._bus is None else self._bus.dropped
+        dropped = {**status.health.dropped, **network, **self._drops}
         if self._runner.dropped:
             dropped["host/frames"] = self._runner.dropped
         health = msgspec.structs.replace(
@@ -364,3 +380,13 @@ class Daemon:
             dropped=dropped,
         )
         return msgspec.structs.replace(status, health=health)
+
+
+async def _end(task: asyncio.Task[Any]) -> None:
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+
+
+def _not_kept(reply: Reply) -> Reply:
+    text = f"{reply.text}; not on disk, so a restart would forget it: see the log"
+    return msgspec.structs.replace(reply, text=text)

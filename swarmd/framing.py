@@ -57,7 +57,10 @@ def encode_command(command: Load | Step | SetParams, origins: Origins) -> bytes:
         body = ["step", command.generation, _from_inputs(command.inputs)]
     else:
         body = ["set", command.generation, command.request, dict(command.values)]
-    frame: bytes = msgpack.packb(body)
+    try:
+        frame: bytes = msgpack.packb(body)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise CodecError(f"a {body[0]} frame cannot be made: {error}") from error
     if len(frame) > MAX_FRAME:
         raise CodecError(f"a {body[0]} frame has {len(frame)} bytes; at most {MAX_FRAME} fit")
     return frame

@@ -123,10 +123,11 @@ class Hosting:
         return loading
 
     def stepped(self, event: Stepped, now: float) -> None:
-        """Take the outputs' wish as the newest."""
+        """Take the outputs' wish as the newest; its age counts from when its step was asked for."""
         assert self.running is not None
+        asked_at = now if self.awaiting_since is None else self.awaiting_since
         self.awaiting_since = None
-        self.running.wish = Wish(event.outputs.twist, now, event.scan_seq)
+        self.running.wish = Wish(event.outputs.twist, asked_at, event.scan_seq)
 
     def is_expired(self, now: float) -> bool:
         """True if the last wish is too old, or there is no pattern."""
@@ -183,15 +184,21 @@ class Hosting:
 
     def end(self) -> None:
         """Nothing is loaded any more that may be stepped; a step on its way is still awaited."""
-        self.running = None
+        self.end_running()
         self.loading = None
+
+    def end_running(self) -> None:
+        """As `end`, but what is being loaded stays wanted."""
+        self.running = None
         self.restart_at = None
         self.is_due = False
 
     def deadlines(self, now: float) -> tuple[float, ...]:
         """The times at which something must be looked at, even between two ticks."""
         running = self.running
+        is_free = self.awaiting_since is None and self.loading is None
         candidates = (
+            None if running is None or not is_free else self.last_step + 1.0 / running.rate,
             None if running is None else running.wish.at + running.expiry,
             None if running is None else running.finish_at,
             None if self.loading is None else self.loading.since + LOAD_TIMEOUT,

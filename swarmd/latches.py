@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
+import msgspec
 from msgspec import Struct
 
 from swarmd.messages import Latch, Name
@@ -39,7 +40,7 @@ class Latches:
     def add(self, latch_id: str, latch: Latch) -> bool:
         """Latch; True if it was not held yet."""
         if latch_id not in self._held and len(self._held) >= HELD:
-            latch_id = OVERFLOW
+            latch_id, latch = OVERFLOW, msgspec.structs.replace(latch, scope="robots")
         is_new = latch_id not in self._held
         self._held[latch_id] = latch
         return is_new

@@ -95,6 +95,15 @@ class Request(Struct, frozen=True, kw_only=True):
     args: dict[Word, Scalar | dict[Word, Scalar | None] | list[Word] | None] = {}
 
 
+class Halt(Struct, frozen=True, kw_only=True):
+    """What must be readable of a stop or estop for it to be taken, whatever else it says."""
+
+    id: str
+    verb: Literal["stop", "estop"]
+    operator: str = ""
+    targets: dict[str, object] | None = None
+
+
 class Reply(Struct, frozen=True, kw_only=True):
     """A robot's answer: its ack. `data` is what a query verb asked for."""
 

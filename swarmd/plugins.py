@@ -70,12 +70,16 @@ def find_pattern(name: str, plugin_dir: Path | None) -> Origin:
     found = pattern_names(plugin_dir)
     if name not in found:
         raise PluginError(_bad_file_name(name, plugin_dir) or unknown("pattern", name, found))
-    origin = found[name]
+    check_single(name, found[name])
+    return found[name]
+
+
+def check_single(name: str, origin: Origin) -> None:
+    """PluginError if two patterns have this name."""
     if origin.rival:
         raise PluginError(
             f"pattern {name!r} is there twice: {origin.source} and {origin.rival}; rename one"
         )
-    return origin
 
 
 def driver_names() -> tuple[str, ...]:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Protocol
 from swarmd.errors import CodecError, PluginError, unknown
 from swarmd.frames import Command, Died, Event, Failed, Kill, Load, Refused
 from swarmd.framing import decode_event, encode_command
-from swarmd.plugins import installed_patterns, pattern_names
+from swarmd.plugins import check_single, installed_patterns, pattern_names
 from swarmd.processes import how_it_ended
 
 if TYPE_CHECKING:
@@ -240,6 +240,7 @@ class ProcessRunner:
             found = pattern_names(self._plugin_dir, self._installed)
         if command.pattern not in found:
             raise PluginError(unknown("pattern", command.pattern, found))
+        check_single(command.pattern, found[command.pattern])
         return {name: (origin.value, origin.is_file) for name, origin in found.items()}
 
     def _replace(self) -> None:

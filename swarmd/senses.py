@@ -6,19 +6,22 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from swarmd.codec import encode_value
 from swarmd.messages import Reason
 from swarmd.scans import ScanConditioner
 from swarmd.values import Inputs, Message, Neighbor, Odometry, Platform, Scan, Value
 
 ODOMETRY_STALE_AFTER = 0.5
 NEIGHBOR_FORGOTTEN_AFTER = 3.0
-INBOX = 256  # messages kept between two steps; older ones give way
+OVERHEAD = 200  # bytes of sender, channel and age in a frame
+INBOX_BYTES = 100_000  # of messages kept between two steps; older ones give way
 
 
 @dataclass(frozen=True, slots=True)
 class _Heard:
     message: Message
     at: float
+    size: int
 
 
 class Senses:
@@ -38,7 +41,9 @@ class Senses:
         self._is_new_scan = False
         self._neighbors: tuple[Neighbor, ...] = ()
         self._neighbors_at = 0.0
-        self._inbox: deque[_Heard] = deque(maxlen=INBOX)
+        self._inbox: deque[_Heard] = deque()
+        self._inbox_bytes = 0
+        self.overflowed = 0
         self.scan: Scan | None = None
         self.odometry: Odometry | None = None
         self.readings: Mapping[str, float] = {}
@@ -70,10 +75,18 @@ class Senses:
         self._neighbors_at = now
 
     def on_message(self, sender: str, channel: str, value: Value, now: float) -> bool:
-        """Keep what a neighbour said for the next step; False if its sender is none."""
+        """Keep what a neighbour said for the next step; False if its sender is none.
+
+        CodecError if it is too large once it is written out again.
+        """
         if not any(neighbor.id == sender for neighbor in self.neighbors(now)):
             return False
-        self._inbox.append(_Heard(Message(sender, channel, value, 0.0), now))
+        size = OVERHEAD + len(encode_value(value))
+        self._inbox.append(_Heard(Message(sender, channel, value, 0.0), now, size))
+        self._inbox_bytes += size
+        while self._inbox_bytes > INBOX_BYTES:
+            self._inbox_bytes -= self._inbox.popleft().size
+            self.overflowed += 1
         return True
 
     def on_driver(self, is_up: bool, text: str) -> None:
@@ -130,10 +143,11 @@ class Senses:
             messages=tuple(replace(heard.message, age=now - heard.at) for heard in self._inbox),
             readings=self.readings,
         )
-        self._inbox.clear()
+        self.forget_messages()
         self._is_new_scan = False
         return inputs
 
     def forget_messages(self) -> None:
         """Drop what was said to an earlier pattern."""
         self._inbox.clear()
+        self._inbox_bytes = 0

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
+
+import msgspec
 
 from swarmd.conduct import Conduct
 from swarmd.frames import Layers
 from swarmd.messages import Health, Param, Reason, Status, VerdictSummary
+from swarmd.messages import Scalar as BoundedScalar
 from swarmd.protection.verdict import Verdict
 from swarmd.senses import Senses
 from swarmd.values import Platform, Scalar
 
 REPORTED = 16
+SCALAR: Any = BoundedScalar  # the type as msgspec reads it, with its bounds
 WORD = 64
 TEXT = 256
 
@@ -87,6 +91,7 @@ def make_status(
             host_restarts=conduct.hosting.restarts,
             driver=senses.driver_text[:TEXT],
             driver_up=senses.is_driver_up,
+            dropped=_dropped(conduct, senses),
         ),
         uptime=max(now - born, 0.0),
         events=tuple(conduct.events),
@@ -113,13 +118,23 @@ def _summary(verdict: Verdict, duty: Duty) -> VerdictSummary:
     )
 
 
+def _dropped(conduct: Conduct, senses: Senses) -> dict[str, int]:
+    """What of the messages between patterns was dropped here, by kind."""
+    counts = {
+        "msg:inbox_full": senses.overflowed,
+        "msg:wrong_type": conduct.mistyped,
+        "msg:too_much_said": conduct.outbox.dropped,
+    }
+    return {kind: count for kind, count in counts.items() if count}
+
+
 def _clean(report: Mapping[str, Scalar]) -> dict[str, Scalar]:
     """What of a pattern's report peers can read: bounded, finite, not too much."""
     cleaned: dict[str, Scalar] = {}
     for name, value in list(report.items())[:REPORTED]:
-        if isinstance(value, float) and not math.isfinite(value):
+        short = value[:TEXT] if isinstance(value, str) else value
+        try:
+            cleaned[name[:WORD]] = msgspec.convert(short, SCALAR)
+        except msgspec.ValidationError:
             continue
-        if isinstance(value, int) and abs(value) > 2**53:
-            continue
-        cleaned[name[:WORD]] = value[:TEXT] if isinstance(value, str) else value
     return cleaned

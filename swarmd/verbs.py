@@ -117,6 +117,9 @@ class Verbs:
         if not isinstance(ids, list):
             self._refuse(request, turn, "reset wants a list of ids")
             return
+        if conduct.duplicate is not None:
+            self._refuse(request, turn, f"this id is still held by {conduct.duplicate}")
+            return
         state = conduct.supervisor.state
         named = [latch_id for latch_id in ids if latch_id in conduct.latches.held]
         if named:
@@ -127,8 +130,6 @@ class Verbs:
             if named:
                 conduct.changed(f"{request.operator} (reset)")
             self._refuse(request, turn, text)
-        elif conduct.duplicate is not None:
-            self._refuse(request, turn, f"this id is still held by {conduct.duplicate}")
         elif state in (State.RUNNING, State.IDLE):
             conduct.reply(turn, request, Code.APPLIED, f"{state}: nothing to reset")
         else:

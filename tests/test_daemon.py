@@ -112,3 +112,20 @@ def test_a_guardian_that_raises_sends_zero_and_ends(
     with pytest.raises(ZeroDivisionError, match="on purpose"):
         asyncio.run(live())
     assert driver.sent[-1].is_zero
+
+
+def test_a_daemon_that_is_told_to_end_while_it_joins_never_serves(tmp_path: Path) -> None:
+    driver = Notes()
+    values = {"profile": "field", "interface": "lo", "listen": ["tcp/127.0.0.1:0"]}
+    slow = {"id": "tb3-01", "swarm": unique_swarm(), "state_dir": str(tmp_path), **values}
+
+    async def live() -> bool:
+        stop = asyncio.Event()
+        daemon = Daemon(load_daemon_settings(None, slow), driver)
+        asyncio.get_running_loop().call_later(0.3, stop.set)
+        async with asyncio.timeout(30.0):
+            await daemon.run(stop)
+        return daemon._claim is None
+
+    assert asyncio.run(live())
+    assert all(twist.is_zero for twist in driver.sent)

@@ -43,7 +43,7 @@ def test_a_flood_of_estops_stays_latched_within_bounds() -> None:
     for n in range(10_000):
         latches.add(f"e{n}", SWARM)
     assert len(latches.held) == HELD + 1
-    assert OVERFLOW in latches.held
+    assert latches.held[OVERFLOW].scope == "robots"  # the others already hold every peer
     latches.clear(f"e{n}" for n in range(10_000))
     assert set(latches.held) == {OVERFLOW}
     assert len(latches.record().cleared) == REMEMBERED

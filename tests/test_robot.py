@@ -7,11 +7,13 @@ from itertools import pairwise
 import pytest
 
 from swarmd.api import Outputs, Twist
-from swarmd.frames import Died, Kill, Load, Step, Stepped
-from swarmd.messages import Code, Reason, State
+from swarmd.codec import Decoder, encode
+from swarmd.frames import Died, Kill, Load, Ready, Step, Stepped
+from swarmd.framing import MAX_FRAME, encode_command
+from swarmd.messages import Code, Reason, State, Status
 from swarmd.testing.players import PATTERNS, standing_state, started
 from swarmd.testing.story import Story
-from swarmd.values import Neighbor
+from swarmd.values import Neighbor, Scalar
 
 
 def test_never_moves_before_it_is_asked() -> None:
@@ -204,3 +206,73 @@ def test_what_it_says_goes_out_on_declared_channels_at_most_twenty_times_a_secon
     names = {name for name, _ in story.messages}
     assert names == {"listener/count"}
     assert len(story.messages) <= 5 + 0.4 * 20 + 1
+
+
+def test_a_late_answer_counts_from_when_its_step_was_asked_for() -> None:
+    story = started(speed=0.1)
+    story.is_hung = True
+    story.advance(0.15)
+    generation = story.status.generation
+    story.advance(0.8)
+    story.host_says(Stepped(generation, Outputs(Twist(0.1)), 1))
+    assert story.twist.is_zero
+    assert story.status.reason is Reason.COMMAND_EXPIRED
+
+
+def test_what_an_operator_asked_for_next_outlives_the_end_of_the_pattern_before() -> None:
+    story = Story(patterns=PATTERNS)
+    story.advance(1.0)
+    story.ask("run", pattern="forward", seconds=0.5)
+    story.advance(0.2)
+    story.is_hung = True
+    run = story.request("run", pattern="finisher")
+    assert story.send(run) is None
+    story.advance(0.5)
+    assert story.status.reason is Reason.FINISHED
+    story.host_says(Ready(2, 10.0, frozenset(), {}))
+    answer = next(reply for reply in story.replies if reply.id == run.id)
+    assert answer.code is Code.APPLIED
+    assert story.status.pattern == "finisher"
+
+
+@pytest.mark.parametrize("rate", [8.0, 10.0, 30.0, 50.0])
+def test_any_rate_is_kept_without_scans_too(rate: float) -> None:
+    story = Story(patterns={"paced": type("Paced", (PATTERNS["listener"],), {"rate": rate})})
+    story.advance(1.0)
+    story.ask("run", pattern="paced")
+    story.sent.clear()
+    story.scans = lambda seq, now: None
+    story.advance(0.5)
+    steps = sum(isinstance(command, Step) for command in story.sent)
+    assert steps == pytest.approx(0.5 * rate, abs=1.01)
+
+
+def test_whatever_a_pattern_reports_its_status_can_be_read() -> None:
+    story = started()
+    report: dict[str, Scalar] = {
+        "a": 1e305,
+        "b": float("nan"),
+        "c": 2**60,
+        "d": "x" * 999,
+        "e" * 99: 1,
+        "f": True,
+    }
+    generation = story.status.generation
+    story.host_says(Stepped(generation, Outputs(Twist(0.1), report=report), 1))
+    read = Decoder(Status)(encode(story.status))
+    assert read.report == {"d": "x" * 256, "e" * 64: 1, "f": True}
+
+
+def test_a_flood_of_messages_keeps_the_newest_and_is_counted() -> None:
+    story = started("listener")
+    story.robot.on_neighbors((Neighbor("tb3-02", 0.0),), story.now)
+    story.sent.clear()
+    for n in range(1000):
+        story.robot.on_message("tb3-02", "listener/count", [n, "x" * 900], story.now)
+    story.advance(0.1)
+    step = next(command for command in story.sent if isinstance(command, Step))
+    assert len(encode_command(step, {})) < MAX_FRAME
+    assert step.inputs.messages[-1].value[0] == 999  # type: ignore[index]  # as sent above
+    dropped = story.status.health.dropped
+    assert dropped["msg:inbox_full"] + len(step.inputs.messages) == 1000
+    assert dropped["msg:wrong_type"] == len(step.inputs.messages)

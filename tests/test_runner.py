@@ -87,6 +87,19 @@ def test_an_unknown_pattern_is_refused_with_the_nearest_name(tmp_path: Path) -> 
     assert "did you mean 'plugin'" in refused.text
 
 
+def test_a_file_that_has_the_name_of_an_installed_pattern_is_not_ignored(tmp_path: Path) -> None:
+    (tmp_path / "drive.py").write_text("")
+    (refused,) = play(tmp_path, "return Twist()", load("drive"))
+    assert isinstance(refused, Refused)
+    assert "there twice" in refused.text
+
+
+def test_a_channel_that_is_no_id_is_refused(tmp_path: Path) -> None:
+    (refused,) = play(tmp_path, "return Twist()\n    channels = {'*': int}", load("plugin"))
+    assert isinstance(refused, Refused)
+    assert "a channel of pattern 'plugin' is '*'" in refused.text
+
+
 def test_a_refused_load_keeps_the_pattern_before(tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text("import nothing_of_that_name")
     ready, refused, stepped = play(

@@ -102,10 +102,11 @@ class Story:
             return
         per_scan = max(round(1.0 / (self.platform.scan.rate * TICK)), 1)
         for _ in range(round(seconds / TICK)):
-            wake_at = self.robot.wake_at(self.now)
-            self.now += TICK
-            if wake_at is not None and wake_at < self.now:
+            begin, self.now = self.now, self.now + TICK
+            wake_at = self.robot.wake_at(begin)
+            while wake_at is not None and wake_at < self.now:
                 self.carry_out(self.robot.tick(wake_at), wake_at)
+                wake_at = self.robot.wake_at(wake_at)
             self._ticks += 1
             if self.odometry is not None:
                 measured = Odometry(self.now, Pose(), self.odometry)

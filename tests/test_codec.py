@@ -1,0 +1,66 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarmd.codec import MAX_DEPTH, MAX_MESSAGE, Decoder, decode_value, encode, encode_value
+from swarmd.errors import CodecError
+from swarmd.messages import Epoch, Request, VerdictSummary
+
+OPEN = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text(),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
+    max_leaves=8,
+)
+
+
+@given(OPEN)
+def test_open_values_arrive_as_they_were_sent(value: object) -> None:
+    try:
+        payload = encode_value(value)
+    except CodecError:
+        return
+    assert repr(decode_value(payload)) == repr(value)
+
+
+@pytest.mark.parametrize("depth", [MAX_DEPTH + 1, 1000, 1021, 1022])
+def test_what_nests_too_deep_is_unreadable(depth: int) -> None:
+    with pytest.raises(CodecError):
+        decode_value(b"\x01" + b"\x91" * depth + b"\xc0")
+
+
+def test_what_nests_as_deep_as_allowed_is_read() -> None:
+    decode_value(b"\x01" + b"\x91" * MAX_DEPTH + b"\xc0")
+
+
+@pytest.mark.parametrize("value", [object(), "x" * MAX_MESSAGE, {1, 2}, 2**70])
+def test_what_cannot_be_sent_is_said(value: object) -> None:
+    with pytest.raises(CodecError):
+        encode_value(value)
+
+
+@pytest.mark.parametrize(
+    "payload", [b"", b"\x02\xc0", b"\x01", b"\x01\xc1", b"\x01" + b"a" * 99999]
+)
+def test_other_versions_truncated_and_oversized_bytes_are_unreadable(payload: bytes) -> None:
+    with pytest.raises(CodecError):
+        Decoder(Request)(payload)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, 1e9])
+def test_bounds_refuse_what_is_no_speed(bad: float) -> None:
+    with pytest.raises(CodecError):
+        Decoder(VerdictSummary)(encode(VerdictSummary(safe_linear=bad)))
+
+
+@given(st.binary(max_size=200))
+def test_garbage_raises_nothing_but_codec_errors(garbage: bytes) -> None:
+    for read in (Decoder(Epoch), Decoder(Request), decode_value):
+        for payload in (garbage, b"\x01" + garbage):
+            try:
+                read(payload)
+            except CodecError:
+                continue
