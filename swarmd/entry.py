@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import sys
-from typing import NoReturn
+import sys  # and no more: what this file imports is not covered
 
 INTERRUPTED = 130
 
 
-def swarmctl() -> NoReturn:
+def swarmctl() -> None:
     """Run swarmctl and exit with its code."""
     try:
         from swarmd.cli import main
@@ -18,7 +17,7 @@ def swarmctl() -> NoReturn:
         sys.exit(INTERRUPTED)
 
 
-def swarmd() -> NoReturn:
+def swarmd() -> None:
     """Run swarmd and exit with its code."""
     try:
         from swarmd.cli.daemon import main
