@@ -1,9 +1,13 @@
-"""What patterns are, as JSON: printed by a host process, since tools never import plugin code."""
+"""What patterns are, as JSON: printed by a host process, since tools never import plugin code.
+
+A line `{"begin": name, "source": ...}` before each pattern and a row after it, at last
+`{"end": true}`: whoever reads knows which one has ended this process, or keeps it.
+"""
 
 from __future__ import annotations
 
 import json
-import sys
+import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -14,40 +18,42 @@ from swarmd.combined import CombinedPattern
 from swarmd.errors import SwarmError
 from swarmd.loading import Finder
 from swarmd.params import schema
-from swarmd.plugins import Origin, pattern_names
+from swarmd.plugins import pattern_names
 from swarmd.settings import load_platform
 from swarmd.values import Platform
 from swarmd.voting import VotingPattern
 
 
 def print_catalog(names: Sequence[str], plugin_dir: str | None, platform: str) -> int:
-    """Print a JSON list of the named patterns (none: of all); 0, or 1 if a name is unknown."""
+    """Print the named patterns (none: all), a JSON line each; 0, or 1 if a name is unknown."""
     found = pattern_names(Path(plugin_dir) if plugin_dir else None)
     finder = Finder({name: (origin.value, origin.is_file) for name, origin in found.items()})
     robot = load_platform(platform)
-    stdout, sys.stdout = sys.stdout, sys.stderr  # what a plugin prints is not part of the answer
-    rows = [_describe(name, found.get(name), finder, robot) for name in names or found]
-    sys.stdout = stdout
-    print(json.dumps(rows))
+    with os.fdopen(os.dup(1), "w", encoding="utf-8") as answer:
+        os.dup2(2, 1)  # what a plugin prints is not part of the answer
+        for name in names or found:
+            source = found[name].source if name in found else ""
+            print(json.dumps({"begin": name, "source": source}), file=answer, flush=True)
+            row = _describe(name, source, finder, robot)
+            print(json.dumps(row), file=answer, flush=True)
+        print(json.dumps({"end": True}), file=answer, flush=True)
     return 1 if any(name not in found for name in names) else 0
 
 
-def _describe(
-    name: str, origin: Origin | None, finder: Finder, platform: Platform
-) -> dict[str, Any]:
+def _describe(name: str, source: str, finder: Finder, platform: Platform) -> dict[str, Any]:
     try:
         kind = finder(name)
         params = schema(kind.params_type)
         derived = kind.defaults(platform)
-    except Exception as error:  # a plugin may raise anything
+    except (Exception, SystemExit) as error:  # a plugin may raise anything
         text = str(error) if isinstance(error, SwarmError) else f"{type(error).__name__}: {error}"
-        return {"name": name, "error": text, "source": origin.source if origin else ""}
+        return {"name": name, "error": text, "source": source}
     return {
         "name": name,
         "summary": (kind.__doc__ or "").strip().split("\n")[0],
         "text": (kind.__doc__ or "").strip(),
         "kind": _kind(kind),
-        "source": origin.source if origin else "",
+        "source": source,
         "needs": sorted(kind.needs),
         "missing": sorted(kind.needs - platform.provides),
         "channels": {channel: of.__name__ for channel, of in dict(kind.channels).items()},

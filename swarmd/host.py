@@ -30,12 +30,14 @@ def main() -> None:
     """Entry of `python -m swarmd.host`."""
     parser = argparse.ArgumentParser(prog="swarmd.host", description=__doc__)
     parser.add_argument("--fd", type=int, help="the guardian's socket")
-    parser.add_argument("--parent", type=int, help="the guardian's process id")
-    parser.add_argument("--describe", nargs="*", metavar="PATTERN", help="print JSON and end")
+    parser.add_argument("--parent", type=int, help="end with this process")
+    parser.add_argument("--describe", nargs="*", metavar="PATTERN", help="print JSON lines and end")
     parser.add_argument("--plugin-dir", help="folder of one-file patterns")
     parser.add_argument("--platform", default="waffle_pi", help="whose derived defaults to show")
     args = parser.parse_args()
     if args.describe is not None:
+        if args.parent is not None:
+            die_with_parent(args.parent)
         from swarmd.catalog import print_catalog  # only tools need what it imports
 
         sys.exit(print_catalog(args.describe, args.plugin_dir, args.platform))

@@ -1,49 +1,123 @@
-"""What patterns are, asked of a child process: neither swarmctl nor swarmd imports plugin code."""
+"""What patterns are, asked of a child process: neither swarmctl nor swarmd imports plugin code.
+
+A plugin may end the child while it is imported, or keep it for ever. Then that plugin is named,
+and another child is asked for those that are left.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+import selectors
 import subprocess
 import sys
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryFile
+from typing import IO, Any
 
 from swarmd.errors import PluginError
+from swarmd.plugins import pattern_names
+from swarmd.processes import how_it_ended
 
 Row = dict[str, Any]
-_PATIENCE = 20.0
+PATIENCE = 15.0  # s for one pattern; the first brings numpy, perhaps from a cold disk
 
 
-def describe_patterns(names: Sequence[str], plugin_dir: Path | None, platform: str) -> list[Row]:
+def describe_patterns(
+    names: Sequence[str], plugin_dir: Path | None, platform: str, patience: float = PATIENCE
+) -> list[Row]:
     """The named patterns (none named: all) as the pattern host's `--describe` says it.
 
-    A pattern that cannot be loaded has a row with `error`. PluginError if the child fails, as
-    with a plugin whose import hangs or ends the process.
+    A pattern that cannot be loaded within `patience` s has a row with `error`. PluginError if
+    even the child itself fails.
     """
+    left = list(names or pattern_names(plugin_dir))
+    rows: list[Row] = []
+    while left:
+        found = _ask(left, plugin_dir, platform, patience)
+        rows += found
+        left = left[len(found) :]
+    return rows
+
+
+def _ask(
+    names: Sequence[str], plugin_dir: Path | None, platform: str, patience: float
+) -> list[Row]:
+    """The rows of `names` in their order, up to one that ends or keeps the child."""
     # -P: a random.py where this is called is not to shadow a module.
     command = [sys.executable, "-P", "-m", "swarmd.host", "--platform", platform]
+    command += ["--parent", str(os.getpid())]
     if plugin_dir is not None:
         command += ["--plugin-dir", str(plugin_dir)]
     command += ["--describe", *names]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    try:
-        done = subprocess.run(
-            command, capture_output=True, text=True, timeout=_PATIENCE, env=environment, check=False
-        )
-    except subprocess.TimeoutExpired as error:
-        text = f"the patterns were not described within {_PATIENCE:.0f} s"
-        raise PluginError(f"{text}; the import of one of them hangs") from error
-    try:
-        rows = json.loads(done.stdout)
-    except ValueError as error:
-        raise PluginError(_last_line(done.stderr)) from error
-    assert isinstance(rows, list)
+    with (
+        TemporaryFile() as log,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, env=environment) as child,
+    ):
+        assert child.stdout is not None
+        try:
+            rows, culprit = _read(child.stdout, patience)
+            is_over = len(rows) == len(names)
+            hangs = not is_over and _is_running(child)
+        finally:
+            child.kill()
+        if not is_over and culprit is None:
+            log.seek(0)
+            raise PluginError(_last_line(log.read().decode(errors="replace"), hangs))
+    if culprit is not None:
+        how = f"is not done after {patience:.0f} s" if hangs else how_it_ended(child.returncode)
+        text = f"the process that imports it {how}"
+        rows.append({"name": culprit["begin"], "error": text, "source": culprit["source"]})
     return rows
 
 
-def _last_line(text: str) -> str:
+def _read(stream: IO[bytes], patience: float) -> tuple[list[Row], Row | None]:
+    """The rows that came, and what was begun and not done when the child ended or fell silent."""
+    rows: list[Row] = []
+    begun: Row | None = None
+    for line in _lines(stream, patience):
+        message: Row = json.loads(line)
+        if "end" in message:
+            return rows, None
+        if "begin" in message:
+            begun = message
+        else:
+            rows.append(message)
+            begun = None
+    return rows, begun
+
+
+def _lines(stream: IO[bytes], patience: float) -> Iterator[bytes]:
+    """Whole lines, until the end or until none has come for `patience` s."""
+    buffer = b""
+    deadline = time.monotonic() + patience
+    with selectors.DefaultSelector() as selector:
+        selector.register(stream, selectors.EVENT_READ)
+        while selector.select(max(0.0, deadline - time.monotonic())):
+            piece = os.read(stream.fileno(), 65536)
+            if not piece:
+                return
+            *lines, buffer = (buffer + piece).split(b"\n")
+            if lines:
+                deadline = time.monotonic() + patience
+            yield from lines
+
+
+def _is_running(child: subprocess.Popen[bytes]) -> bool:
+    """True unless it is ending; one that has closed its output is given a moment to do so."""
+    try:
+        child.wait(timeout=1.0)
+    except subprocess.TimeoutExpired:
+        return True
+    return False
+
+
+def _last_line(text: str, hangs: bool) -> str:
+    if hangs:
+        return "the process that describes patterns does not begin to"
     lines = [line for line in text.splitlines() if line.strip()]
     line = lines[-1] if lines else "the process that describes patterns ended without a word"
     return line.removeprefix("swarmd.errors.").removeprefix("ConfigError: ")

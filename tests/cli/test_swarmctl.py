@@ -12,6 +12,7 @@ import click
 import pytest
 
 from swarmd.cli import VERBS, run_cli
+from swarmd.cli.catalog import describe_patterns
 from swarmd.errors import ConfigError, NetworkError, SwarmError
 from swarmd.testing.processes import unique_swarm
 
@@ -23,6 +24,15 @@ try:
 finally:
     print(json.dumps(sorted(sys.modules)), file=sys.stderr)
 """
+OWN = '''
+from swarmd.api import Inputs, MovementPattern, Params, Twist
+
+class Own(MovementPattern[Params]):
+    """Stands."""
+
+    def drive(self, inputs: Inputs) -> Twist:
+        return Twist()
+'''
 HEAVY = {"numpy", "rich", "yaml", "asyncio", "mujoco", "matplotlib", "swarmd.patterns"}
 
 
@@ -178,6 +188,37 @@ def test_lists_patterns_with_their_needs(tmp_path: Path) -> None:
     assert (done.returncode, answer["apiVersion"]) == (0, "swarm/v1")
     assert rows["attraction"]["needs"] == ["scan"]
     assert "nothing_of_that_name" in rows["broken"]["error"]
+
+
+def test_a_plugin_that_ends_or_keeps_its_process_is_named_and_all_others_are_shown(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "able.py").write_text(OWN)
+    (tmp_path / "ends.py").write_text("import os\nos._exit(3)")
+    (tmp_path / "gives_up.py").write_text("raise SystemExit('not here')")
+    (tmp_path / "hangs.py").write_text("import signal\nsignal.pause()")
+    (tmp_path / "is_killed.py").write_text("import os\nos.kill(os.getpid(), 9)")
+    (tmp_path / "talks.py").write_text("import os\nos.write(1, b'{}{')\n" + OWN)
+    rows = {row["name"]: row for row in describe_patterns((), tmp_path, "burger", patience=5.0)}
+    errors = {name: row["error"] for name, row in rows.items() if "error" in row}
+    assert errors == {
+        "ends": "the process that imports it ended with code 3",
+        "gives_up": "SystemExit: not here",
+        "hangs": "the process that imports it is not done after 5 s",
+        "is_killed": "the process that imports it was killed by SIGKILL",
+    }
+    assert {"able", "attraction", "random_walk", "talks"} <= rows.keys()
+    assert list(rows) == sorted(rows)
+    assert rows["ends"]["source"] == str(tmp_path / "ends.py")
+
+
+def test_the_pattern_that_is_asked_for_is_the_only_one_imported(tmp_path: Path) -> None:
+    (tmp_path / "ends.py").write_text("import os\nos._exit(3)")
+    words = ("patterns", "show", "--plugin-dir", ".")
+    assert swarmctl(*words, "drive", cwd=tmp_path).returncode == 0
+    done = swarmctl(*words, "ends", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: the process that imports it ended with code 3")
 
 
 def test_shows_what_a_pattern_can_be_told(tmp_path: Path) -> None:
