@@ -38,6 +38,18 @@ class Heard:
     status: Status
 
 
+@dataclass(frozen=True, slots=True)
+class Return:
+    """A pattern that drove, failed and came back. Times on CLOCK_BOOTTIME in s.
+
+    `began` is when it was made to fail; `failed` and `restarted` are what was published of it.
+    """
+
+    began: float
+    failed: Heard
+    restarted: Heard
+
+
 class Witness:
     """A peer that only listens: every status that the robot publishes, in order."""
 
@@ -99,6 +111,7 @@ class Bench:
         self.body = self._left.enter_context(Body(platform, swarm=self.swarm, robot=ROBOT))
         self.witness = self._left.enter_context(Witness(self.swarm))
         self.daemon: DaemonProcess
+        self._born = 0.0
 
     def close(self) -> None:
         """End everything, the latest first."""
@@ -113,6 +126,8 @@ class Bench:
         self.witness.wait("with its body", lambda status: status.health.driver_up, begun)
         self.operator = self._left.enter_context(self._operator())
         self.meet()
+        status = self.status()
+        self._born = boottime() - status.uptime
         return begun
 
     def meet(self) -> None:
@@ -175,16 +190,29 @@ class Bench:
             assert "loading took more than" in reply.text
         raise AssertionError(f"{pattern} was not loaded in {ATTEMPTS} attempts")
 
+    def drive_until_restarted(self, pattern: str, fail: Callable[[], float] = boottime) -> Return:
+        """It drives, fails and is restarted. `fail` makes it fail and tells when.
+
+        On a starved machine, where it is not reloaded within the two seconds of a hold, this
+        tries again.
+        """
+        for _ in range(ATTEMPTS):
+            self.drive(pattern)
+            began = fail()
+            failed = self.await_event(f"{pattern} failed", began)
+            restarted = self._has_event(f"{pattern} restarted", began)
+            end = self.witness.wait(f"{pattern} restarted", _or_given_up(restarted), began)
+            if not _is_given_up(end.status):
+                return Return(began, failed, end)
+            print(f"not restarted in time: {end.status.detail}")
+        raise AssertionError(f"{pattern} was not restarted in time in {ATTEMPTS} attempts")
+
     def drive_to_quarantine(self, pattern: str) -> tuple[Commanded, Heard]:
         """The first command that moved, and how it ended. On a starved machine tries again."""
         for _ in range(ATTEMPTS):
             moving = self.drive(pattern)
-            end = self.witness.wait(
-                "quarantined",
-                lambda status: status.state in (State.STOPPED, State.FAULTED),
-                moving.at,
-            )
-            if end.status.reason is not Reason.PATTERN_RESTARTING:
+            end = self.witness.wait("faulted", _or_given_up(_is_faulted), moving.at)
+            if not _is_given_up(end.status):
                 return moving, end
             print(f"not restarted in time: {end.status.detail}")
         raise AssertionError(f"{pattern} was not restarted in time in {ATTEMPTS} attempts")
@@ -221,11 +249,13 @@ class Bench:
         return self.witness.wait(reason, lambda status: status.reason is reason, since)
 
     def await_event(self, text: str, since: float = 0.0) -> Heard:
-        """When it first listed, after `since`, an event that holds this text."""
-        return self.witness.wait(
-            f"event {text!r}",
-            lambda status: any(text in event.text for event in status.events),
-            since,
+        """When it first listed an event of after `since` that holds this text."""
+        return self.witness.wait(f"event {text!r}", self._has_event(text, since), since)
+
+    def _has_event(self, text: str, since: float) -> Callable[[Status], bool]:
+        after = since - self._born
+        return lambda status: any(
+            text in event.text and event.at > after for event in status.events
         )
 
     def moves_not(self, since: float, scans: int = 5) -> None:
@@ -243,6 +273,19 @@ class Bench:
         assert self.status().epoch.boot == boot
         now, before = boottime(), len(self.body.commands)
         self.body.wait(lambda command: len(self.body.commands) >= before + 5, now)
+
+
+def _is_given_up(status: Status) -> bool:
+    """A hold has lasted: the host was too slow to come back, or to load."""
+    return (status.state, status.reason) == (State.STOPPED, Reason.PATTERN_RESTARTING)
+
+
+def _or_given_up(holds: Callable[[Status], bool]) -> Callable[[Status], bool]:
+    return lambda status: holds(status) or _is_given_up(status)
+
+
+def _is_faulted(status: Status) -> bool:
+    return status.state is State.FAULTED
 
 
 def _senses(status: Status) -> bool:

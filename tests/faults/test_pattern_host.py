@@ -22,57 +22,69 @@ pytestmark = pytest.mark.integration
 
 
 def test_a_killed_host_stops_the_body_at_once_and_its_pattern_comes_back(robot: Bench) -> None:
-    robot.drive()
-    boot, pid = robot.status().epoch.boot, robot.daemon.host_pid()
+    boot, pids = robot.status().epoch.boot, list[int]()
 
-    killed = boottime()
-    os.kill(pid, signal.SIGKILL)
-    zero = robot.body.wait_zero(killed)
+    def kill() -> float:
+        pids.append(robot.daemon.host_pid())
+        now = boottime()
+        os.kill(pids[-1], signal.SIGKILL)
+        return now
+
+    back = robot.drive_until_restarted("drive", kill)
+    robot.await_event("drive failed: its process was killed by SIGKILL", back.began)
+    robot.await_reason(Reason.PATTERN_RESTARTING, back.began)
+    zero = robot.body.wait_zero(back.began)
     again = robot.body.wait_moving(zero.at)
-    print(f"zero after {zero.at - killed:.4f} s, moving again after {again.at - killed:.3f} s")
-
-    robot.await_reason(Reason.PATTERN_RESTARTING, killed)
-    robot.await_event("drive failed: its process was killed by SIGKILL", killed)
-    robot.await_event("drive restarted", killed)
-    assert again.at - killed > FIRST_BACKOFF
-    assert robot.daemon.host_pid() != pid
+    print(
+        f"zero after {zero.at - back.began:.4f} s, moving again after {again.at - back.began:.3f} s"
+    )
+    assert again.at - back.began > FIRST_BACKOFF
+    assert robot.daemon.host_pid() not in pids
     robot.lives(boot)
 
 
 def test_a_stopped_host_is_outlived_by_its_wish_then_replaced(robot: Bench) -> None:
-    robot.drive()
-    boot, pid = robot.status().epoch.boot, robot.daemon.host_pid()
+    boot, pids = robot.status().epoch.boot, list[int]()
 
-    stopped = boottime()
-    os.kill(pid, signal.SIGSTOP)
-    expired = robot.await_reason(Reason.COMMAND_EXPIRED, stopped)
-    zero = robot.body.wait_zero(stopped)
-    failed = robot.await_event("drive failed: gave no answer for 1 s", stopped)
-    again = robot.body.wait_moving(zero.at)
-    print(f"zero after {zero.at - stopped:.3f} s, moving again after {again.at - stopped:.3f} s")
+    def stop() -> float:
+        pids.append(robot.daemon.host_pid())
+        now = boottime()
+        os.kill(pids[-1], signal.SIGSTOP)
+        return now
 
+    back = robot.drive_until_restarted("drive", stop)
+    expired = robot.await_reason(Reason.COMMAND_EXPIRED, back.began)
     assert expired.status.state is State.RUNNING
-    assert again.at > failed.at
-    wait_until(lambda: not is_running(pid), "the stopped host is gone")
+    robot.await_event("drive failed: gave no answer for 1 s", back.began)
+    zero = robot.body.wait_zero(back.began)
+    again = robot.body.wait_moving(zero.at)
+    print(
+        f"zero after {zero.at - back.began:.3f} s, moving again after {again.at - back.began:.3f} s"
+    )
+    assert expired.at < back.failed.at < again.at
+    wait_until(lambda: not any(is_running(pid) for pid in pids), "the stopped host is gone")
     robot.lives(boot)
 
 
 def test_an_endless_loop_stops_the_body_and_never_the_guardian(robot: Bench) -> None:
-    moving = robot.drive("looper")
     boot = robot.status().epoch.boot
-
-    zero = robot.body.wait_zero(moving.at)
-    robot.lives(boot)  # all the while
-    robot.await_reason(Reason.COMMAND_EXPIRED, moving.at)
-    failed = robot.await_event("looper failed: gave no answer for 1 s", moving.at)
-    print(
-        f"zero {zero.at - moving.at:.3f} s and killed {failed.at - moving.at:.3f} s after it began"
-    )
-    hung = [c for c in robot.body.commands if failed.at - 0.5 < c.at < failed.at]
+    back = robot.drive_until_restarted("looper")
+    robot.await_reason(Reason.COMMAND_EXPIRED, back.began)
+    robot.await_event("looper failed: gave no answer for 1 s", back.began)
+    killed = back.failed.at
+    hung = [one for one in robot.body.commands if killed - 0.5 < one.at < killed]
+    print(f"killed {killed - back.began:.3f} s after it began; {len(hung)} zeros in 0.5 s before")
     assert hung
     assert all(command.twist.is_zero for command in hung)
-    assert failed.status.state is State.RUNNING
-    robot.await_event("looper restarted", moving.at)
+    robot.lives(boot)
+
+
+def test_a_guardian_whose_pattern_hangs_answers_and_keeps_its_beat(robot: Bench) -> None:
+    moving = robot.drive("looper")
+    boot = robot.status().epoch.boot
+    robot.await_reason(Reason.COMMAND_EXPIRED, moving.at)
+    robot.lives(boot)
+    assert robot.status().health.loop_stalls == 0
 
 
 def test_an_operator_can_stop_a_pattern_that_hangs_and_run_another(robot: Bench) -> None:
@@ -155,12 +167,12 @@ def test_a_pattern_that_floods_the_guardian_neither_blinds_nor_binds_it(robot: B
 def test_a_child_that_a_dying_pattern_leaves_behind_hides_nothing_and_dies_too(
     robot: Bench,
 ) -> None:
-    moving = robot.drive("forker")
     boot = robot.status().epoch.boot
-    zero = robot.body.wait_zero(moving.at)
-    robot.await_event("forker failed: its process ended with code 3", moving.at)
+    back = robot.drive_until_restarted("forker")
+    robot.await_event("forker failed: its process ended with code 3", back.began)
+    zero = robot.body.wait_zero(back.began)
     again = robot.body.wait_moving(zero.at)
-    print(f"zero after {zero.at - moving.at:.3f} s, moving again {again.at - zero.at:.3f} s later")
+    print(f"zero after {zero.at - back.began:.3f} s, moving {again.at - zero.at:.3f} s later")
     left = [int(pid) for pid in re.findall(r"left a child: (\d+)", robot.daemon.text())]
     assert left
     wait_until(lambda: not any(is_running(pid) for pid in left), "the children are gone")
