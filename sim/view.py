@@ -23,6 +23,9 @@ COLOURS = {
 TABLE_WIDTH = 78
 MARGIN = 4  # the map's frame and the gap beside the table
 MAP = (48, 22)  # columns and rows at most
+MIN_MAP = (16, 4)  # and at least
+FRAME = 2  # lines above and below the map
+CURSOR = 1  # the line below the view, where the cursor stands
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,45 +44,73 @@ class Scene:
 
 
 def render(scene: Scene, width: int, height: int) -> RenderableType:
-    """The whole view for a terminal of `width` by `height` characters."""
+    """The whole view for a terminal of `width` by `height` characters.
+
+    If there are more robots than lines, those that do not run come first, and the rest is counted.
+    """
     heading = Text(scene.title, style="bold", no_wrap=True, overflow="ellipsis")
     footer = Text(scene.footer, style="dim", no_wrap=True, overflow="ellipsis")
-    table = table_of(scene)
-    rows = len(scene.poses) + 1
-    if width >= TABLE_WIDTH + MARGIN + 16:
-        size = map_size(scene.arena, width - TABLE_WIDTH - MARGIN, max(height - 5, 6))
+    lines = height - CURSOR - len((heading, footer))
+    table = table_of(scene, lines)
+    below = lines - len(scene.poses) - 1
+    if width >= TABLE_WIDTH + MARGIN + MIN_MAP[0] and lines >= MIN_MAP[1] + FRAME:
+        size = map_size(scene.arena, width - TABLE_WIDTH - MARGIN, lines - FRAME)
         both = Table.grid(padding=(0, 2))
         both.add_row(table, map_of(scene, *size))
         return Group(heading, both, footer)
-    if height - rows >= 11:
-        size = map_size(scene.arena, width - MARGIN, height - rows - 6)
+    if below >= MIN_MAP[1] + FRAME:
+        size = map_size(scene.arena, width - MARGIN, below - FRAME)
         return Group(heading, table, map_of(scene, *size), footer)
     return Group(heading, table, footer)
 
 
-def table_of(scene: Scene) -> Table:
-    """One row a robot: name, state, reason, pattern, scan rate, loop p99, nearest obstacle."""
+def table_of(scene: Scene, lines: int) -> RenderableType:
+    """A row a robot: name, state, reason, pattern, scan rate, loop p99, nearest obstacle.
+
+    At most `lines` with the header; the last then says how many more there are.
+    """
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False, width=TABLE_WIDTH)
     for title, width in (("name", 11), ("state", 9), ("reason", 18), ("pattern", 13)):
         table.add_column(title, width=width, no_wrap=True)
     for title, width in (("scan", 7), ("loop99", 7), ("near", 6)):
         table.add_column(title, width=width, no_wrap=True, justify="right")
-    for number, robot in enumerate(scene.poses):
-        status = scene.statuses.get(robot)
-        if status is None:
-            table.add_row(_label(number, robot), Text("no answer", style="red"))
-            continue
-        near = status.verdict.min_gap
-        table.add_row(
-            _label(number, robot),
-            Text(status.state.value, style=COLOURS[status.state]),
-            status.reason.value if status.reason else "",
-            status.pattern or "",
-            f"{status.health.scan_rate:.1f} Hz",
-            f"{1000 * status.health.loop_p99:.1f} ms",
-            "-" if near is None else f"{near:.2f} m",
-        )
-    return table
+    shown = chosen(scene, max(lines - 1, 1))
+    marks = {robot: _label(number, robot) for number, robot in enumerate(scene.poses)}
+    for robot in shown:
+        table.add_row(marks[robot], *_cells(scene.statuses.get(robot)))
+    more = len(scene.poses) - len(shown)
+    return Group(table, Text(f"... and {more} more", style="dim")) if more else table
+
+
+def chosen(scene: Scene, rows: int) -> tuple[str, ...]:
+    """The robots to show in `rows`, one of which is kept for the count if not all fit.
+
+    Those that do not run are what one must see: they stay, the others give way from the end.
+    """
+    robots = list(scene.poses)
+    if len(robots) <= rows:
+        return tuple(robots)
+    first = sorted(robots, key=lambda robot: _is_running(scene.statuses.get(robot)))
+    kept = set(first[: rows - 1])
+    return tuple(robot for robot in robots if robot in kept)
+
+
+def _is_running(status: Status | None) -> bool:
+    return status is not None and status.state is State.RUNNING
+
+
+def _cells(status: Status | None) -> tuple[Text | str, ...]:
+    if status is None:
+        return (Text("no answer", style="red"),)
+    near = status.verdict.min_gap
+    return (
+        Text(status.state.value, style=COLOURS[status.state]),
+        status.reason.value if status.reason else "",
+        status.pattern or "",
+        f"{status.health.scan_rate:.1f} Hz",
+        f"{1000 * status.health.loop_p99:.1f} ms",
+        "-" if near is None else f"{near:.2f} m",
+    )
 
 
 def map_size(arena: tuple[float, float], width: int, height: int) -> tuple[int, int]:

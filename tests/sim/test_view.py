@@ -119,5 +119,45 @@ def test_view_fits_the_terminal(width: int, height: int) -> None:
     robots = {f"tb3-{i:02d}": (i - 4.0, 0.0, 0.0) for i in range(1, 8)}
     lines = shown(scene(**robots), width, height).splitlines()
     assert max(len(line) for line in lines) <= width
-    assert len(lines) <= max(height, len(robots) + 3)
+    assert len(lines) < height
     assert ("┌" in "".join(lines)) == (height >= 24)
+
+
+def crowd(*standing: int) -> Scene:
+    """Thirty robots, of which some stand and the last does not answer."""
+    names = [f"tb3-{i:02d}" for i in range(1, 31)]
+    statuses = {name: status(name) for name in names[:-1]}
+    for i in standing:
+        name = f"tb3-{i:02d}"
+        statuses[name] = status(name, State.STOPPED, Reason.NO_SCAN)
+    poses = {name: (0.1 * i - 1.5, 0.0, 0.0) for i, name in enumerate(names)}
+    return Scene("attraction", ARENA, poses, statuses, footer="the end")
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (140, 24), (80, 10), (140, 6), (80, 40)])
+def test_more_robots_than_lines_are_counted_and_those_that_stand_are_shown(
+    width: int, height: int
+) -> None:
+    lines = shown(crowd(25), width, height).splitlines()
+    text = "\n".join(lines)
+    assert len(lines) < height
+    assert lines[0].startswith("attraction")
+    assert lines[-1].startswith("the end")
+    if height < 34:
+        rows = sum(" tb3-" in line for line in lines)
+        assert f"... and {30 - rows} more" in text
+        assert "no answer" in text or rows < 2
+        assert "no_scan" in text
+    else:
+        assert "more" not in text
+
+
+def test_robots_keep_their_order_and_their_marks_when_some_are_left_out() -> None:
+    names = [line.split()[:2] for line in shown(crowd(25), 80, 10).splitlines()[2:-2]]
+    assert names == [
+        ["1", "tb3-01"],
+        ["2", "tb3-02"],
+        ["3", "tb3-03"],
+        ["p", "tb3-25"],
+        ["u", "tb3-30"],
+    ]
