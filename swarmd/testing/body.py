@@ -103,8 +103,8 @@ class Body:
         return Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max)
 
     def put(self, key: str, payload: bytes) -> None:
-        """Say anything on any key, to whoever is linked to this body."""
-        self._session.put(key, payload)
+        """Say anything on any key to whoever is linked to this body, and lose nothing of it."""
+        self._session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
 
     def wait(self, what: Callable[[Commanded], bool], since: float = 0.0) -> Commanded:
         """The first command after `since` for which `what` holds; AssertionError after a minute."""
