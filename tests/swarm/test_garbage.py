@@ -32,6 +32,10 @@ pytestmark = pytest.mark.integration
 PER_KIND = 160
 PER_KEY = 20
 VERBS = ("run", "stop", "reset", "param", "forget", "members")
+MESH = ("control/", "safety/", "state/", "msg")
+WRONG_HW = tuple(
+    f"driver/hw/{sense}:key" for sense in ("scan", "odometry", "neighbors", "readings")
+)
 ODD_NAMES = ("UPPER", "a b", "röbot", "-dash", "x" * 64, "a.b", "%20", "r1\\", "~")
 
 
@@ -185,12 +189,12 @@ def say_on_wrong_keys(swarm: Swarm, vandal: Vandal, body: Body) -> None:
     puts += [f"swarm/{name}/ghost/msg/{odd}/opinion" for odd in ODD_NAMES]
     status, stop = encode(light_status("ghost", "0123456789ab")), encode(request("stop"))
     for key in (*everyone, *puts):
-        vandal.count(vandal.put, key, itertools.repeat(status, PER_KEY), ("",))
+        vandal.count(vandal.put, key, itertools.repeat(status, PER_KEY), MESH)
     for key in (*everyone, f"swarm/{name}/r1/control/*", "swarm/*/*/control/run"):
-        vandal.count(vandal.ask, key, itertools.repeat(stop, PER_KEY), ("",))
+        vandal.count(vandal.ask, key, itertools.repeat(stop, PER_KEY), MESH)
     scan = encode_scan(body.clear(1, 0.0))
     for key in (*everyone, f"swarm/{name}/*/hw/scan"):
-        vandal.count(body.put, key, itertools.repeat(scan, PER_KEY), ("driver",))
+        vandal.count(body.put, key, itertools.repeat(scan, PER_KEY), WRONG_HW)
 
 
 def hold_odd_tokens(swarm: Swarm, vandal: Vandal) -> None:
