@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Iterable
+from contextlib import suppress
 
 import zenoh
 
@@ -82,9 +83,8 @@ def _scout(interface: str, timeout: float) -> set[str]:
     time.sleep(timeout)
     locators: set[str] = set()
     for scout in scouts:
-        hello = scout.try_recv()
-        while hello is not None:
-            locators.update(hello.locators)
-            hello = scout.try_recv()
+        with suppress(zenoh.ZError):  # one that could not begin, as without multicast
+            while hello := scout.try_recv():
+                locators.update(hello.locators)
         scout.stop()
     return locators

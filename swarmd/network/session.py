@@ -7,10 +7,12 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import ipaddress
 import json
 import re
 import socket
+import struct
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,6 +29,7 @@ FIRST_PORT = 7450
 PORTS = 64
 FIELD_PORT = 7447
 MAX_WIRE = 1024 * 1024
+_SIOCGIFFLAGS, _IFF_UP = 0x8913, 1  # linux/sockios.h, linux/if.h
 # How long a full link may hold up the caller, in us: Zenoh's own 5 s would stall the guardian.
 _BLOCKED_US = 250_000
 _BURST = 16  # batches, as many as Zenoh allows
@@ -223,6 +226,19 @@ def _check_interface(settings: SessionSettings) -> None:
         raise NetworkError(
             f"no network interface {interface!r} on this machine; there are: {known}"
         ) from None
+    if interface == "lo" and not _is_up(interface):
+        raise NetworkError(
+            "the network interface lo is down, so that nothing on this machine can meet;"
+            " run: sudo ip link set lo up"
+        )
+
+
+def _is_up(interface: str) -> bool:
+    """The flag IFF_UP, asked of the kernel: /sys shows another network namespace's interfaces."""
+    wanted = struct.pack("16sh14x", interface.encode(), 0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        answer = fcntl.ioctl(asking, _SIOCGIFFLAGS, wanted)
+    return bool(struct.unpack("16xh14x", answer)[0] & _IFF_UP)
 
 
 def _explain(text: str, options: Mapping[str, object]) -> str:

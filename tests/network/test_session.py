@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import socket
+import subprocess
+import sys
 from dataclasses import replace
 
 import pytest
@@ -104,6 +106,29 @@ def test_a_port_in_use_is_one_clear_line(settings: SessionSettings) -> None:
     assert endpoint in str(caught.value)
     assert "\n" not in str(caught.value)
     assert "/root/" not in str(caught.value)
+
+
+OPENING = """
+from swarmd.network.session import SessionSettings, open_session
+open_session(SessionSettings(swarm="nobody")).close()
+"""
+
+
+def test_loopback_that_is_down_is_told_with_what_brings_it_up() -> None:
+    away = ("unshare", "--net", "--map-root-user")
+    if subprocess.run([*away, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("network namespaces are not permitted here")
+    done = subprocess.run(
+        [*away, sys.executable, "-c", OPENING],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.stderr.splitlines()[-1].endswith(
+        "NetworkError: the network interface lo is down, so that nothing on this machine can meet;"
+        " run: sudo ip link set lo up"
+    )
 
 
 def test_an_unknown_interface_is_named_with_those_there_are(settings: SessionSettings) -> None:
