@@ -149,13 +149,18 @@ def test_scans_and_odometry_come_at_their_rates_and_not_all_at_once(stage: Stage
     stage.peer.declare_subscriber("swarm/s/*/hw/*", note)
     assert until(connected)
     start = stage.world.time + 0.001
-    for _ in range(125):
-        # Two odometries in each 0.04 s: wait for them, so that nothing piles up and is dropped.
+
+    def all_told_since(moment: float) -> bool:
+        return {h[0] for h in list(heard) if h[1] == "odometry" and h[2] > moment} == set(IDS)
+
+    for _ in range(125 + 1):
+        # One odometry of each in 0.04 s: wait for both, so that nothing piles up and is dropped.
+        end = stage.world.time + 0.001
         stage.pass_time(0.04)
-        recent = stage.world.time - 0.039
-        assert until(lambda recent=recent: sum(h[2] > recent for h in list(heard)) >= 2)  # type: ignore[misc]
+        assert until(lambda end=end: all_told_since(end))  # type: ignore[misc]
+    # What was sent before the last odometries has come before them.
     stamps = {
-        (robot, name): {h[2] for h in heard if h[:2] == (robot, name) and h[2] > start}
+        (robot, name): {h[2] for h in heard if h[:2] == (robot, name) and start < h[2] <= end}
         for robot in IDS
         for name in ("scan", "odometry")
     }
