@@ -265,6 +265,8 @@ def in_terminal(swarm: Swarm, act: Callable[[int, int], None], *args: str) -> tu
     try:
         while b"[y/N]" not in screen:
             screen += os.read(terminal, 1024)
+        # A signal between the question and the read is noted only once a line has come.
+        wait_until(lambda: reads_stdin(pid), "the command reads the answer")
         act(pid, terminal)
         while piece := os.read(terminal, 1024):
             screen += piece
@@ -273,6 +275,12 @@ def in_terminal(swarm: Swarm, act: Callable[[int, int], None], *args: str) -> tu
     finally:
         os.close(terminal)
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), screen.decode()
+
+
+def reads_stdin(pid: int) -> bool:
+    """Whether a process's main thread waits in a system call on descriptor 0."""
+    words = Path(f"/proc/{pid}/syscall").read_text().split()
+    return len(words) > 1 and words[1] == "0x0"
 
 
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
