@@ -16,7 +16,7 @@ import click
 from swarmd.cli.arguments import Duration, read_assignments
 from swarmd.cli.console import Console
 from swarmd.cli.output import print_json, print_section, warn
-from swarmd.errors import ConfigError
+from swarmd.errors import ConfigError, SwarmError
 from swarmd.sim.cli.options import fleet_options, need, robots_for, stage_for
 
 if TYPE_CHECKING:
@@ -107,9 +107,16 @@ def perform(spec: FleetSpec, play: Play, *, is_live: bool) -> Summary:
 
 
 def finish(summary: Summary, folder: Path, *, is_json: bool) -> None:
-    """Tell the summary, then keep it: a full disk is not to cost the one that has been earned."""
+    """Tell the summary, then keep it: a full disk is not to cost the one that has been earned.
+
+    SwarmError if it cannot be kept.
+    """
     tell(summary, folder, is_json=is_json)
-    keep(summary, folder)
+    try:
+        keep(summary, folder)
+    except OSError as error:
+        text = f"not all results could be kept in {folder}/: {error.strerror or error}"
+        raise SwarmError(f"{text}; make room there, or call it in another folder") from error
 
 
 def keep(summary: Summary, folder: Path) -> None:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from swarmd.errors import SwarmError
 from swarmd.sim.cli.demo import finish, new_folder
 from swarmd.sim.summary import Numbers, Summary
 from swarmd.testing.processes import unique_swarm, wait_until
@@ -166,7 +167,7 @@ def test_a_full_disk_does_not_cost_the_summary(
         problems=(),
     )
     (tmp_path / "summary.json").symlink_to("/dev/full")
-    with pytest.raises(OSError, match="No space left on device"):
+    with pytest.raises(SwarmError, match=r"could be kept in /.*/: No space left on device"):
         finish(summary, tmp_path, is_json=False)
     assert capsys.readouterr().out.startswith("Summary\n")
 
