@@ -256,4 +256,5 @@ class Robot:
         if odometry is None:
             return "commanded zero"
         twist = odometry.twist
-        return f"commanded zero; measured {twist.linear:.2f} m/s, {twist.angular:.2f} rad/s"
+        linear, angular = round(twist.linear, 2) + 0.0, round(twist.angular, 2) + 0.0  # no -0.00
+        return f"commanded zero; measured {linear:.2f} m/s, {angular:.2f} rad/s"

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 PATIENCE = 5.0
 HALTING = 3.0
+NOBODY = "those that are meant have left, or are excluded"
 
 
 class Unreachable(click.ClickException):
@@ -50,7 +51,7 @@ def choose(view: MembersView, targets: Targets) -> Expected:
     selected = targets.select(view.members.keys() | view.roster)
     expected = expected_to_run(view.members, view.roster, selected)
     if not expected.asked and not expected.absent:
-        reasons = "; ".join(expected.warnings) or "those that are meant have left"
+        reasons = "; ".join(expected.warnings) or NOBODY
         raise NoTarget(f"no robot is there to be asked: {reasons}")
     return expected
 
@@ -92,7 +93,7 @@ def halt(
     view = meet(operator)
     if not outcome.targeted:
         targets.select(view.members.keys() | view.roster)
-        raise NoTarget("no robot is there to be stopped: those that are meant have left")
+        raise NoTarget(f"no robot is there to be stopped: {NOBODY}")
     unseen = set(targets.unseen) - view.members.keys()
     warnings = (f"{unknown('robot', name, view.members)}" for name in sorted(unseen))
     return replace(

@@ -8,7 +8,7 @@ from msgspec import to_builtins
 from swarmd.cli.arguments import check_name
 from swarmd.cli.asking import meet
 from swarmd.cli.console import Console, common
-from swarmd.cli.output import NOTHING, number, print_json, print_section, seconds
+from swarmd.cli.output import NOTHING, number, print_json, print_section, printable, seconds
 from swarmd.cli.reasons import why
 from swarmd.messages import Condition, Member, Status
 
@@ -25,7 +25,7 @@ def describe(console: Console, robot: str) -> None:
     if console.is_json:
         print_json("Member", {"member": to_builtins(member), "why": why(member)})
         return
-    click.echo(f"{robot}: {why(member)}")
+    click.echo(printable(f"{robot}: {why(member)}"))
     if member.status is not None:
         for title, rows in sections(member, member.status):
             print_section(title, rows)

@@ -12,7 +12,7 @@ from swarmd.cli.answer import finish
 from swarmd.cli.arguments import check_name
 from swarmd.cli.asking import meet
 from swarmd.cli.console import Console, common
-from swarmd.cli.output import NOTHING, print_json, print_table, seconds
+from swarmd.cli.output import NOTHING, print_json, print_table, printable, seconds
 from swarmd.messages import Condition, Member, Status
 from swarmd.network.requests import REFUSED
 
@@ -49,7 +49,7 @@ def members(console: Console) -> None:
         return
     print_table(HEADER, [row(member) for member in view.members.values()])
     for note in notes:
-        click.echo(f"# {note}")
+        click.echo(printable(f"# {note}"))
 
 
 @members.command()

@@ -35,6 +35,7 @@ def print_json(kind: str, content: Mapping[str, Any]) -> None:
 
 def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Aligned columns on stdout; states in colour on a terminal, unless NO_COLOR is set."""
+    rows = [[printable(text) for text in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
     is_coloured = has_colour(sys.stdout.isatty())
     for row in (header, *rows):
@@ -49,12 +50,17 @@ def print_section(title: str, rows: Sequence[tuple[str, str]]) -> None:
     width = max(len(name) for name, _ in rows)
     click.echo(title)
     for name, value in rows:
-        click.echo(f"  {name.ljust(width)}  {value}")
+        click.echo(printable(f"  {name.ljust(width)}  {value}"))
 
 
 def warn(text: str) -> None:
     """A line for the operator that is no result."""
-    click.echo(text, err=True)
+    click.echo(printable(text), err=True)
+
+
+def printable(text: str) -> str:
+    """The text on one line and without control characters: others' words reach this terminal."""
+    return "".join(char if char.isprintable() else "?" for char in text)
 
 
 def has_colour(is_terminal: bool) -> bool:

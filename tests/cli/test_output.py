@@ -72,3 +72,11 @@ def test_colours_only_on_a_terminal_that_wants_them(
 )
 def test_time_spans_are_short(value: float, text: str) -> None:
     assert seconds(value) == text
+
+
+def test_others_words_cannot_steer_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    print_table(["ROBOT"], [["tb3\x1b[2J\n"]])
+    print_section("Events", [("now", "by \x1b]0;mine\x07")])
+    printed = capsys.readouterr().out
+    assert "\x1b" not in printed
+    assert "tb3?[2J?" in printed
