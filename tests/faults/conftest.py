@@ -265,7 +265,12 @@ class Bench:
             lambda: len({one.scan_seq for one in self.body.commands if one.at > now}) > scans,
             f"{scans} more scans were answered",
         )
-        assert not self.body.moved_since(since)
+        moved = [
+            f"{one.twist} {one.at - since:.4f} s after, on scan {one.scan_seq}"
+            for one in self.body.commands
+            if one.at > since and not one.twist.is_zero
+        ]
+        assert not moved
 
     def lives(self, boot: str) -> None:
         """The guardian that was booted as `boot` answers, and commands its body as ever."""

@@ -29,18 +29,22 @@ def await_silence(bench: Bench) -> float:
     return commands[-1].at
 
 
-def await_pause(bench: Bench) -> None:
-    """Return between two commands: none is on its way out of the daemon then."""
-    commands = bench.body.commands
-    wait_until(lambda: 0.015 < boottime() - commands[-1].at < 0.035, "a moment between two ticks")
+def freeze_while_held(bench: Bench) -> float:
+    """Freeze the daemon of a robot that runs but is held, and end what held it; when that was.
 
-
-def freeze(bench: Bench) -> float:
-    """Freeze the daemon between two commands; when it was frozen."""
-    await_pause(bench)
+    It would move with the next scan. A command that moves may not be on its way out just then:
+    the network would send it on at the thaw.
+    """
+    now = boottime()
+    bench.body.scans = lambda seq, stamp: None
+    held = bench.await_reason(Reason.STALE_SCAN, now)
+    zero = bench.body.wait_zero(held.at)
     bench.daemon.freeze()
     stat = Path(f"/proc/{bench.daemon.process.pid}/stat")
     wait_until(lambda: stat.read_text().rpartition(")")[2].split()[0] == "T", "frozen")
+    bench.body.scans = bench.body.clear
+    assert held.status.state is State.RUNNING
+    assert not bench.body.moved_since(zero.at)
     return boottime()
 
 
@@ -84,7 +88,7 @@ def test_nothing_that_waited_for_a_frozen_daemon_moves_its_body(
     bench.drive()
     seen = bench.status().epoch
 
-    frozen = freeze(bench)
+    frozen = freeze_while_held(bench)
     run = {"pattern": "drive", "params": {"speed": -0.1}}
     asked = bench.operator.request("run", {bench.body.robot: seen}, run, timeout=0.3)
     stopped = bench.operator.estop(args={"reason": "it does not answer"}, timeout=0.3)
