@@ -35,7 +35,8 @@ _BLOCKED_US = 250_000
 # When dialling is given up. Zenoh 1.10 is not safe to interrupt there: an opening that its deadline
 # meets between the last two steps leaves a link that one side never reads, and that side lacks the
 # other's declarations for good (with 2000 in 1 to 2 % of heals, since address resolution repeats
-# its questions every second; a connection that is made at all is made soon after 0, 1, 2 or 3 s).
+# its questions every second, and none of 240 with this: a connection is made soon after 0, 1, 2
+# or 3 s if at all).
 _OPEN_MS = 4500
 _BURST = 16  # batches, as many as Zenoh allows
 _DROP_FRAGMENTS_US = 5_000
