@@ -97,8 +97,8 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
     def __init__(self, params: RandomWalkParams, context: Context) -> None:
         super().__init__(params, context)
         self._rate = 0.0
-        self._until = -math.inf
-        self._is_turning = True
+        self._until: float | None = None  # before the first step
+        self._is_turning = False
 
     @classmethod
     def defaults(cls, platform: Platform) -> Mapping[str, Value]:
@@ -117,9 +117,11 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
     def drive(self, inputs: Inputs) -> Twist:
         """Straight or a turn, changing when the time is up or something is ahead."""
         blocking = self._blocking(inputs)
-        if self._is_turning and inputs.now >= self._until and blocking is None:
+        is_over = self._until is None or inputs.now >= self._until
+        goes_straight = self._is_turning or self._until is None
+        if goes_straight and is_over and blocking is None:
             self._go_straight(inputs.now)
-        elif not self._is_turning and (blocking is not None or inputs.now >= self._until):
+        elif not self._is_turning and (blocking is not None or is_over):
             self._start_turn(inputs.now, blocking)
         if self._is_turning:
             return Twist(angular=self._rate)

@@ -1,4 +1,8 @@
-"""A world in real time: steps on deadlines, senses out, commands in."""
+"""A world in real time: steps on deadlines, senses out, commands in.
+
+A command whose verdict rests on a sweep older than `stale_after` counts as zero: a guardian that is
+frozen leaves its last words in a socket, and they are sent when it thaws.
+"""
 
 from __future__ import annotations
 
@@ -47,6 +51,8 @@ class RealTimeWorld:
         self._rows = {robot: row for row, robot in enumerate(world.ids)}
         self._commands = np.zeros((n, 3))
         self._arrivals = np.full(n, -np.inf)
+        self._swept = np.full(n, -1)
+        self._too_old = np.array([p.scan.stale_after * p.scan.rate for p in world.platforms])
         self._unreadable = 0
         self._scans_due = Staggered(np.array([p.scan.rate for p in world.platforms]), start)
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start)
@@ -91,7 +97,10 @@ class RealTimeWorld:
                 self._unreadable += 1
                 continue
             row = self._rows[robot]
-            self._commands[row] = command.linear, command.angular, command.lateral
+            # What a frozen guardian had handed to its network comes out at its thaw.
+            is_late = self._swept[row] - command.scan_seq > self._too_old[row]
+            twist = (command.linear, command.angular, command.lateral)
+            self._commands[row] = (0.0, 0.0, 0.0) if is_late else twist
             self._arrivals[row] = arrival
 
     def _publish(self) -> None:
@@ -99,6 +108,7 @@ class RealTimeWorld:
         due = self._scans_due.due(world.time)
         if len(due):
             for row, scan in zip(due, world.scans(due), strict=True):
+                self._swept[row] = scan.seq
                 link.publish(world.ids[row], "scan", encode_scan(scan))
         due = self._odometry_due.due(world.time)
         if len(due):

@@ -116,10 +116,9 @@ class Conduct:
 
     def latch_text(self) -> str:
         """Who holds the robot, in one line."""
-        return ", ".join(
-            f"by {latch.issuer}" + (f": {latch.reason}" if latch.reason else "")
-            for latch in self.latches.held.values()
-        )[:LINE]
+        held = self.latches.held.values()
+        texts = (f"by {one.issuer}" + (f": {one.reason}" if one.reason else "") for one in held)
+        return ", ".join(dict.fromkeys(texts))[:LINE]
 
     # Events of the pattern host
 
@@ -218,7 +217,9 @@ class Conduct:
         self.note(f"{running.pattern} failed: {text}", turn.now)
         if loading is not None and loading.request is not None:
             self.fail_load(text, turn)
-        elif hosting.fault(turn.now):
+        elif not hosting.fault(turn.now):
+            self.hold_since = None  # the pattern gets as long to come back as any hold may last
+        else:
             detail = f"{running.pattern} failed {hosting.faults} times, last: {text}"
             self.end(Change.FAULT, Reason.QUARANTINED, detail, turn)
 

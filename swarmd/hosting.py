@@ -93,7 +93,7 @@ class Hosting:
         request: Request | None,
         now: float,
     ) -> Loading:
-        """A new generation is to be loaded; the one in force goes on until it is ready."""
+        """A new generation is to be loaded; until then the one in force stays, unstepped."""
         self.generation += 1
         self.loading = Loading(self.generation, pattern, params, seconds, now, request)
         self.restart_at = None

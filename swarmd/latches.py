@@ -31,6 +31,7 @@ class Latches:
         record = record or LatchRecord()
         self._held = dict(record.held)
         self._cleared = dict.fromkeys(record.cleared)
+        self._last_folded = ""  # the id that `more` stands for most recently: repeats are no news
 
     @property
     def held(self) -> Mapping[str, Latch]:
@@ -40,7 +41,9 @@ class Latches:
     def add(self, latch_id: str, latch: Latch) -> bool:
         """Latch; True if it was not held yet."""
         if latch_id not in self._held and len(self._held) >= HELD:
-            latch_id, latch = OVERFLOW, msgspec.structs.replace(latch, scope="robots")
+            is_new, self._last_folded = latch_id != self._last_folded, latch_id
+            self._held[OVERFLOW] = msgspec.structs.replace(latch, scope="robots")
+            return is_new
         is_new = latch_id not in self._held
         self._held[latch_id] = latch
         return is_new
@@ -52,6 +55,8 @@ class Latches:
             for latch_id, latch in latches.items()
             if latch.scope == "swarm" and latch_id not in self._cleared
         ]
+        if OVERFLOW in self._held:  # which may stand for those not held by name
+            wanted = [latch_id for latch_id in wanted if latch_id in self._held]
         return tuple(latch_id for latch_id in wanted if self.add(latch_id, latches[latch_id]))
 
     def clear(self, latch_ids: Iterable[str]) -> None:

@@ -103,7 +103,9 @@ def test_a_silent_host_is_killed_after_a_second_and_its_pattern_reloaded() -> No
 def test_a_pattern_that_never_comes_back_stops_the_robot_after_two_seconds() -> None:
     story = started()
     story.is_hung = True
-    story.advance(2.6)
+    story.advance(2.9)
+    assert standing_state(story) == (State.RUNNING, Reason.PATTERN_RESTARTING)
+    story.advance(0.3)
     assert standing_state(story) == (State.STOPPED, Reason.PATTERN_RESTARTING)
     story.is_hung = False
     story.advance(2.0)

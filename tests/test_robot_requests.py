@@ -6,6 +6,7 @@ import pytest
 
 from swarmd.api import Outputs, Twist
 from swarmd.frames import Kill, Ready, Stepped
+from swarmd.latches import HELD
 from swarmd.messages import Code, Epoch, Latch, Reason, State
 from swarmd.testing.players import PATTERNS, standing_state, started
 from swarmd.testing.story import Story
@@ -239,3 +240,30 @@ def test_a_second_holder_of_the_id_faults_it_until_it_has_gone_and_a_reset() -> 
     story.carry_out(story.robot.on_duplicate(None, story.now))
     story.ask("reset")
     assert standing_state(story) == (State.IDLE, Reason.RESET)
+
+
+def test_a_reset_that_crosses_one_estop_more_than_are_kept_by_name_leaves_it_latched() -> None:
+    story = Story(patterns=PATTERNS)
+    for n in range(HELD + 2):
+        story.send(story.request("estop", id=f"e{n}"))
+    reset = story.request("reset", ids=list(story.status.latches))
+    story.send(story.request("estop", id="second"))
+    reply = story.send(reset)
+    assert reply is not None
+    assert reply.code is Code.REFUSED
+    assert story.status.state is State.ESTOPPED
+    revision = story.epoch.revision
+    story.send(story.request("estop", id="second"))
+    assert story.epoch.revision == revision  # the operator's own repetition
+
+
+def test_a_peer_with_many_latches_does_not_change_a_robot_again_and_again() -> None:
+    story = Story(patterns=PATTERNS)
+    many = {f"e{n}": Latch(issuer="eve", scope="swarm") for n in range(3 * HELD)}
+    story.carry_out(story.robot.on_latches(many, story.now))
+    revision = story.epoch.revision
+    for _ in range(3):
+        story.carry_out(story.robot.on_latches(many, story.now))
+    assert story.epoch.revision == revision
+    assert story.status.state is State.ESTOPPED
+    assert story.status.detail == "by eve"

@@ -167,7 +167,8 @@ def test_sends_zero_when_its_sink_fails() -> None:
         await stage.connect()
         driver.send(ZERO, -1, -1)
         driver.send(Twist(0.1), -1, -1)
-        assert [(await stage.command()).linear for _ in range(2)] == [0.0, 0.1]
+        while (await stage.command()).is_zero:
+            pass
         with pytest.raises(RuntimeError, match="broken"):
             await stage.task
         assert (await stage.command()).is_zero

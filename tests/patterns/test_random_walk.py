@@ -97,3 +97,11 @@ def test_without_clearance_it_looks_at_nothing() -> None:
 def test_a_shortest_straight_longer_than_the_longest_is_refused() -> None:
     with pytest.raises(ConfigError, match="straight_min is 20 s, straight_max 15 s"):
         walk(lambda now: FREE, 1.0, straight_min=20.0)
+
+
+def test_starts_with_a_turn_if_something_is_ahead() -> None:
+    blocked = scan_of(PLATFORM, [Disc(0.6, 0.1)])
+    twists = walk(lambda now: blocked if now < 2.0 else FREE, 8.0)
+    assert twists[0].linear == 0.0
+    assert abs(twists[0].angular) > 0.0
+    assert any(twist.linear > 0.0 for twist in twists[20:])

@@ -110,9 +110,21 @@ def test_a_body_stops_by_itself_half_a_second_after_its_last_command(stage: Stag
 def test_a_new_command_moves_it_again(stage: Stage) -> None:
     stage.command("a", encode_command(Twist(0.2), 1, 1))
     stage.pass_time(2.0)
-    stage.command("a", encode_command(Twist(-0.1), 2, 2))
+    stage.command("a", encode_command(Twist(-0.1), 9, 9))
     stage.pass_time(0.3)
     assert stage.speed() == pytest.approx(-0.1)
+
+
+def test_last_words_of_a_frozen_guardian_do_not_move_it(stage: Stage) -> None:
+    stage.pass_time(3.0)
+    newest = stage.world._seq[0] - 1
+    stage.command("a", encode_command(Twist(0.2), newest - 4, newest - 4))
+    stage.pass_time(0.3)
+    assert stage.speed() == 0.0
+    newest = stage.world._seq[0] - 1
+    stage.command("a", encode_command(Twist(0.2), newest - 2, newest - 2))
+    stage.pass_time(0.1)
+    assert stage.speed() > 0.0
 
 
 def test_a_command_that_cannot_be_read_is_counted_and_does_not_keep_it_going(stage: Stage) -> None:
@@ -218,7 +230,8 @@ def test_touches_are_counted_and_recorded(tmp_path: Path) -> None:
     stage = Stage(RecordSettings(path=tmp_path / "run.npz"))
     try:
         for _ in range(100):
-            stage.command("a", encode_command(Twist(0.22), 1, 1))
+            seq = stage.world._seq[0]
+            stage.command("a", encode_command(Twist(0.22), seq, seq))
             stage.pass_time(0.2)
         state = stage.server._state()
         stage.record.finish()

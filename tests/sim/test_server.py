@@ -164,7 +164,7 @@ def test_a_frozen_driver_stops_its_own_body_and_no_other_is_cut_off() -> None:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
         assert state.commanded == (False, True)
-        assert state.twists[0] == (0.0, 0.0, 0.0)
+        assert state.twists[0] == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
         assert state.twists[1][1] == pytest.approx(0.5)
         assert False not in heard.states[1:]  # after the first `not yet`, never lost
 
