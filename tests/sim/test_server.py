@@ -131,9 +131,10 @@ from swarmd.values import Twist
 async def drive():
     driver = SimulatedDriver(swarm="s", robot="a", platform=load_platform("waffle_pi"),
                              options={"endpoint": sys.argv[1]})
-    task = asyncio.create_task(driver.run(Heard()))
+    heard = Heard()
+    task = asyncio.create_task(driver.run(heard))
     while True:
-        driver.send(Twist(0.0, 0.5), 0, -1)
+        driver.send(Twist(0.0, 0.5), heard.scans[-1].seq if heard.scans else -1, -1)
         await asyncio.sleep(0.05)
 
 asyncio.run(drive())
@@ -158,7 +159,8 @@ def test_a_frozen_driver_stops_its_own_body_and_no_other_is_cut_off() -> None:
                 start = heard.last_odometry.stamp
                 # Long enough for the frozen one's buffers to fill: 25 odometries, 5 scans a second.
                 while heard.last_odometry.stamp - start < 4.0:
-                    driver.send(Twist(0.0, 0.5), 0, -1)
+                    seq = -1 if heard.last_scan is None else heard.last_scan.seq
+                    driver.send(Twist(0.0, 0.5), seq, -1)
                     await heard.news()
                 state = (await asyncio.to_thread(view.ask, "poses")).state
         task.cancel()
