@@ -18,7 +18,7 @@ from types import TracebackType
 import zenoh
 
 from swarmd import keys
-from swarmd.codec import encode
+from swarmd.codec import MAX_CONTROL, encode
 from swarmd.errors import CodecError, ConfigError, NetworkError, SwarmError
 from swarmd.network.session import open_with
 from swarmd.network.sockets import tune_sockets
@@ -36,6 +36,7 @@ from swarmd.sim.state import (
 # On this host a frozen daemon keeps its link: it comes back where it was, and no lease ends
 # meanwhile. A daemon that dies is noticed by its closed socket.
 LEASE = 60.0
+MAX_QUESTIONS = 64  # waiting for the next step; a flood costs its sender's questions
 _TRIES = 5
 _ENDPOINT = re.compile(r"tcp/([^:]+|\[[^]]+\]):(\d+)")
 _OPTIONS: dict[str, object] = {
@@ -143,7 +144,13 @@ class WorldLink:
             query.drop()  # what ends the asker's wait
 
         with self._lock:
-            self._questions.append(Question(payload, answer))
+            is_taken = len(payload) <= MAX_CONTROL and len(self._questions) < MAX_QUESTIONS
+            if is_taken:
+                self._questions.append(Question(payload, answer))
+            else:
+                self.dropped += 1
+        if not is_taken:
+            query.drop()
 
 
 class WorldView:

@@ -130,6 +130,7 @@ class RealTimeWorld:
         try:
             action = decode_request(question.payload).action
         except CodecError as error:
+            self._unreadable += 1
             question.answer(WorldReply(is_done=False, text=str(error)[:200], state=self._state()))
             return
         path = ""

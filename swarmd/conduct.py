@@ -77,6 +77,7 @@ class Conduct:
         self.params_request: tuple[Request, float] | None = None
         self.hold_since: float | None = None
         self.mistyped = 0
+        self._last_fault = ""
         self._load: Load | None = None
         if self.latches.held:
             self.supervisor.apply(Change.ESTOP, Reason.ESTOP, self.latch_text(), now)
@@ -214,6 +215,7 @@ class Conduct:
         if running is None or not self.is_running:
             return
         turn.host = Kill(text)
+        self._last_fault = text
         self.note(f"{running.pattern} failed: {text}", turn.now)
         if loading is not None and loading.request is not None:
             self.fail_load(text, turn)
@@ -348,6 +350,9 @@ class Conduct:
         elif self.hold_since is None:
             self.hold_since = turn.now
         elif turn.now - self.hold_since >= HOLD_LASTS:
-            self.end(Change.HOLD_LASTED, hold, f"for {HOLD_LASTS:.0f} s", turn)
+            text = f"for {HOLD_LASTS:.0f} s"
+            if hold is Reason.PATTERN_RESTARTING:
+                text += f", last: {self._last_fault}"
+            self.end(Change.HOLD_LASTED, hold, text, turn)
             return None
         return hold

@@ -28,6 +28,18 @@ _SENTENCES = {
     Reason.PROTECTION: "protection holds it{gap}",
 }
 
+# The same once such a hold has lasted and the robot was stopped for it: what was, may be over.
+_HOLDS = {
+    Reason.NO_SCAN: "no scan came from its sensor",
+    Reason.INVALID_SCAN: "its scans lacked too many rays",
+    Reason.STALE_SCAN: "scans stopped coming",
+    Reason.FROZEN_SCAN: "its scans repeated themselves",
+    Reason.STALE_ODOMETRY: "odometry stopped coming",
+    Reason.COMMAND_EXPIRED: "its pattern fell silent",
+    Reason.DRIVER_LOST: "its base was out of reach",
+    Reason.PATTERN_RESTARTING: "its pattern failed and did not come back",
+}
+
 
 def why(member: Member) -> str:
     """One sentence: what the robot does, and if it stands, why and what to do."""
@@ -51,6 +63,13 @@ def why(member: Member) -> str:
     )
     if status.state is State.RUNNING:
         return f"running {status.pattern}, and stands: {sentence}"
+    if reason in _HOLDS:
+        why_stopped, again = (
+            _HOLDS[reason],
+            f"`swarmctl run PATTERN {member.robot}` starts it again",
+        )
+        lasted = f" ({status.detail})" if status.detail else ""
+        return f"{status.state}: {why_stopped}{lasted}; when that is mended, {again}"
     return f"{status.state}: {sentence}"
 
 

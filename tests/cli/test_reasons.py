@@ -49,3 +49,13 @@ def test_a_failed_robot_says_since_when_and_how_it_was(make_member: MakeMember) 
 def test_a_robot_without_a_status_is_to_be_asked_again() -> None:
     member = Member(robot="r1", instance="x", condition=Condition.ALIVE, age=0.0)
     assert why(member) == "alive, but it has not told how it is yet; ask again"
+
+
+def test_a_hold_that_has_lasted_is_told_as_past_and_with_the_way_on(
+    make_member: MakeMember,
+) -> None:
+    text = why(make_member(state=State.STOPPED, reason=Reason.STALE_SCAN, detail="for 2 s"))
+    assert text == (
+        "stopped: scans stopped coming (for 2 s);"
+        " when that is mended, `swarmctl run PATTERN r1` starts it again"
+    )
