@@ -105,7 +105,7 @@ def test_a_port_in_use_is_one_clear_line(settings: SessionSettings) -> None:
             open_session(replace(settings, listen=(endpoint,)))
     assert endpoint in str(caught.value)
     assert "\n" not in str(caught.value)
-    assert "/root/" not in str(caught.value)
+    assert " at /" not in str(caught.value)
 
 
 OPENING = """
