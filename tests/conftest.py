@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import faulthandler
 import os
 import secrets
 import shutil
@@ -9,6 +10,11 @@ import subprocess
 from collections.abc import Iterator
 
 import pytest
+
+
+def pytest_unconfigure() -> None:
+    """End even if a failed test left a Zenoh session open, which keeps the interpreter for ever."""
+    faulthandler.dump_traceback_later(20.0, exit=True)
 
 
 class Namespaces:
