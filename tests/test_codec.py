@@ -33,7 +33,10 @@ def test_what_nests_too_deep_is_unreadable(depth: int) -> None:
 
 
 def test_what_nests_as_deep_as_allowed_is_read() -> None:
-    decode_value(b"\x01" + b"\x91" * MAX_DEPTH + b"\xc0")
+    value, depth = decode_value(b"\x01" + b"\x91" * MAX_DEPTH + b"\xc0"), 0
+    while value is not None:
+        value, depth = value[0], depth + 1
+    assert depth == MAX_DEPTH
 
 
 @pytest.mark.parametrize("value", [object(), "x" * MAX_MESSAGE, {1, 2}, 2**70])

@@ -96,4 +96,6 @@ def test_what_comes_from_another_thread_is_taken_on_the_loops() -> None:
 def test_what_comes_after_the_loop_has_ended_is_dropped() -> None:
     loop = asyncio.new_event_loop()
     loop.close()
-    Inbox(loop, lambda name, payload: None).put("scan", b"1")
+    taken: list[bytes] = []
+    Inbox(loop, lambda name, payload: taken.append(payload)).put("scan", b"1")
+    assert not taken

@@ -31,7 +31,9 @@ def test_what_platform_files_say_of_a_pattern_is_valid(name: str, platform: str)
     robot = load_platform(platform)
     kind = FIND(name)
     layers = (("platform", robot.patterns.get(name, {})),)
-    build(kind.params_type, full_layers(kind, robot, layers))
+    _, sources = build(kind.params_type, full_layers(kind, robot, layers))
+    said = robot.patterns.get(name, {})
+    assert {key for key, (_, source) in sources.items() if source == "platform"} == set(said)
 
 
 @pytest.mark.parametrize(
