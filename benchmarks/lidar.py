@@ -14,10 +14,10 @@ import numpy as np
 
 from benchmarks.table import Row, print_table
 from swarmd.platforms import load_platform
-from swarmd.sim import bodies
-from swarmd.sim.arena import Arena
-from swarmd.sim.layouts import parse_layout
-from swarmd.sim.world import World
+from swarmd.sim.world import bodies
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.layouts import parse_layout
+from swarmd.sim.world.world import World
 
 SIZES = (7, 100, 1000)
 BATCH = 50

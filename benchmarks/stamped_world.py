@@ -1,7 +1,7 @@
 """The world process, stamping each scan as it is published and each command as it arrives.
 
-`python -m benchmarks.stamped_world FILE.npz ...` with the options of `swarmd.sim.server`. Stamps
-are in ns on CLOCK_MONOTONIC, taken just before the scan's put and first in the Zenoh callback that
+`python -m benchmarks.stamped_world FILE.npz ...` with the options of `swarmd.sim.live.server`.
+Stamps are in ns on CLOCK_MONOTONIC, taken just before the scan's put and first in the Zenoh callback that
 receives commands: the bodies apply a command with the next 100 Hz step.
 """
 
@@ -19,8 +19,8 @@ import zenoh
 from swarmd import keys
 from swarmd.platforms import load_platform
 from swarmd.sensing import decode_command, decode_scan
-from swarmd.sim import server
-from swarmd.sim.link import WorldLink
+from swarmd.sim.live import server
+from swarmd.sim.live.link import WorldLink
 
 
 class StampedLink(WorldLink):

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.lidar import SIZES, make_world, samples
 from benchmarks.table import Row, print_table
-from swarmd.sim.world import World
+from swarmd.sim.world.world import World
 
 SCAN_RATE = 5
 

@@ -20,10 +20,10 @@ from swarmd.errors import ConfigError, SwarmError
 from swarmd.sim.cli.options import fleet_options, need, robots_for, stage_for
 
 if TYPE_CHECKING:
-    from swarmd.sim.fleet import FleetSpec
-    from swarmd.sim.show import Play
-    from swarmd.sim.summary import Summary
-    from swarmd.sim.view import Scene
+    from swarmd.sim.live.fleet import FleetSpec
+    from swarmd.sim.live.show import Play
+    from swarmd.sim.live.summary import Summary
+    from swarmd.sim.live.view import Scene
 
 
 @click.command()
@@ -59,8 +59,8 @@ def demo(
     """
     need("mujoco", "matplotlib")
     from swarmd.plugins import find_pattern
-    from swarmd.sim.fleet import FleetSpec
-    from swarmd.sim.show import Play
+    from swarmd.sim.live.fleet import FleetSpec
+    from swarmd.sim.live.show import Play
 
     is_json = (output or (ctx.find_object(Console) or Console()).output) == "json"
     play = Play(
@@ -90,9 +90,9 @@ def perform(spec: FleetSpec, play: Play, *, is_live: bool) -> Summary:
     """The whole course of a demo; every process is gone when it returns or raises."""
     from swarmd.network.operator import Operator
     from swarmd.network.session import SessionSettings
-    from swarmd.sim.fleet import Fleet, end_on_signals, started_at
-    from swarmd.sim.link import WorldView
-    from swarmd.sim.show import Show
+    from swarmd.sim.live.fleet import Fleet, end_on_signals, started_at
+    from swarmd.sim.live.link import WorldView
+    from swarmd.sim.live.show import Show
 
     end_on_signals()
     assert spec.trace is not None
@@ -121,7 +121,7 @@ def finish(summary: Summary, folder: Path, *, is_json: bool) -> None:
 
 def keep(summary: Summary, folder: Path) -> None:
     """Write summary.json and trajectories.png beside the trace."""
-    from swarmd.sim.plots import draw_trajectories
+    from swarmd.sim.plots.trajectories import draw_trajectories
     from swarmd.sim.trace import load_trace
 
     (folder / "summary.json").write_text(json.dumps(summary.as_json(), indent=2) + "\n")
@@ -164,7 +164,7 @@ def _screen(is_live: bool) -> Iterator[Callable[[Scene], None]]:
     from rich.console import Console as Terminal
     from rich.live import Live
 
-    from swarmd.sim.view import render
+    from swarmd.sim.live.view import render
 
     terminal = Terminal()
     with Live(console=terminal, auto_refresh=False) as live:

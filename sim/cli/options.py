@@ -70,7 +70,7 @@ def need(*modules: str) -> None:
 def robots_for(platform: str, count: int) -> tuple[Platform, dict[str, str]]:
     """The platform, and its name or file by robot id; ConfigError if robots cannot be named so."""
     from swarmd.platforms import load_platform
-    from swarmd.sim.fleet import robot_ids
+    from swarmd.sim.live.fleet import robot_ids
 
     if any(mark in platform for mark in ",:"):
         raise ConfigError(f"--platform {platform!r}: a comma or colon; rename the file or folder")
@@ -92,8 +92,8 @@ def stage_for(
     The usual arena is 1.8 times as wide as the sensor reaches, so that a robot sees some others and
     none sees all, and gives each robot room for three protection thresholds squared.
     """
-    from swarmd.sim.arena import parse_arena
-    from swarmd.sim.layouts import parse_layout
+    from swarmd.sim.world.arena import parse_arena
+    from swarmd.sim.world.layouts import parse_layout
 
     threshold = float(platform.protection.get("threshold", 0.5))
     side = round(max(1.8 * platform.scan.range_max, 3.0 * threshold * count**0.5), 1)

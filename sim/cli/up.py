@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection
 
     from swarmd.network.operator import Operator
-    from swarmd.sim.fleet import Fleet, FleetSpec
+    from swarmd.sim.live.fleet import Fleet, FleetSpec
 
 LOOK = 1.0  # s between two looks at the processes
 
@@ -59,7 +59,7 @@ def up(
     """
     need("mujoco")
     from swarmd.keys import check_id
-    from swarmd.sim.fleet import FleetSpec
+    from swarmd.sim.live.fleet import FleetSpec
 
     given = swarm or (ctx.find_object(Console) or Console()).swarm
     name = check_id(given or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
@@ -82,8 +82,8 @@ def serve(spec: FleetSpec) -> None:
     """Keep a fleet up until Ctrl-C or SIGTERM; SwarmError if it cannot be, or its world ends."""
     from swarmd.network.operator import Operator
     from swarmd.network.session import SessionSettings
-    from swarmd.sim.fleet import Fleet, end_on_signals
-    from swarmd.sim.show import await_up
+    from swarmd.sim.live.fleet import Fleet, end_on_signals
+    from swarmd.sim.live.show import await_up
 
     end_on_signals()
     with Operator(SessionSettings(swarm=spec.swarm)) as operator:
@@ -101,7 +101,7 @@ def watch(fleet: Fleet) -> NoReturn:
 
     The others go on: to kill a robot is one of the things a simulated swarm is for.
     """
-    from swarmd.sim.fleet import WORLD
+    from swarmd.sim.live.fleet import WORLD
 
     told: set[str] = set()
     while True:

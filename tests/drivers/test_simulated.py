@@ -20,7 +20,7 @@ from swarmd.sensing import (
     encode_readings,
     encode_scan,
 )
-from swarmd.sim.link import WorldLink
+from swarmd.sim.live.link import WorldLink
 from swarmd.testing.driver_contract import CAP, DriverContract, Heard, Stage, on_stage
 from swarmd.values import ZERO, Neighbor, Odometry, Pose, Scan, Twist, Value
 

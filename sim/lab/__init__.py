@@ -1,0 +1,1 @@
+"""The laboratory: scenarios in lockstep, and experiments over seeds and parameters."""

@@ -1,0 +1,1 @@
+"""A world in real time for ordinary daemons, and what starts and watches them."""

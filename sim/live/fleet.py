@@ -1,0 +1,247 @@
+"""A world and its daemons as child processes: started together, watched, and gone together.
+
+The children end with this process whatever ends it: each asks the kernel for a signal at its
+parent's death (`--die-with-parent`). That signal follows the *thread* that started them, so start
+a fleet from the main thread. They get sessions of their own: a Ctrl-C in the terminal reaches only
+the parent, which then ends them in order.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import selectors
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import IO
+
+import yaml
+
+from swarmd.errors import NetworkError, SwarmError
+from swarmd.processes import how_it_ended
+
+WORLD = "world"
+GRACE = 2.0  # s between TERM and KILL
+WORLD_READY = 30.0  # s; MuJoCo's first import from a cold disk is slow
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FleetSpec:
+    """What to start. `robots`: platform by id; `folder` holds configuration, logs and state.
+
+    `trace`, if given, is where the world writes what happened, `seconds` of simulation of it.
+    """
+
+    swarm: str
+    robots: Mapping[str, str]
+    folder: Path
+    arena: str
+    layout: str
+    seed: int = 0
+    plugin_dir: Path | None = None
+    trace: Path | None = None
+    seconds: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Child:
+    """One child process and where its standard error goes."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    def epitaph(self) -> str:
+        """One line on how it ended, with its last words and where to read on."""
+        how = how_it_ended(self.process.poll())
+        return f"{self.name} {how}: {_last_line(self.log)} (log: {self.log})"
+
+
+class Fleet:
+    """A running world with its daemons; a context manager that leaves no process behind."""
+
+    def __init__(self, spec: FleetSpec) -> None:
+        self.spec = spec
+        self.endpoint = ""
+        self._world: Child | None = None
+        self._daemons: list[Child] = []
+
+    def __enter__(self) -> Fleet:
+        try:
+            self._start()
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.stop()
+
+    @property
+    def pids(self) -> Mapping[str, int]:
+        """Process ids by name; the world's is `WORLD`."""
+        return {child.name: child.process.pid for child in self._children()}
+
+    def ended(self) -> Mapping[str, str]:
+        """One line for each child that has ended, by name: how, its last words and its log."""
+        return {
+            child.name: child.epitaph()
+            for child in self._children()
+            if child.process.poll() is not None
+        }
+
+    def check(self, *names: str) -> None:
+        """SwarmError if a child has ended, of `names` or any."""
+        for name, line in self.ended().items():
+            if not names or name in names:
+                raise SwarmError(line)
+
+    def stop(self) -> None:
+        """End every child: TERM, after 2 s KILL. The world goes last, to see all others stop."""
+        _end(self._daemons)
+        _end([self._world] if self._world else [])
+        self._daemons, self._world = [], None
+
+    def _children(self) -> list[Child]:
+        return [*([self._world] if self._world else []), *self._daemons]
+
+    def _start(self) -> None:
+        spec = self.spec
+        spec.folder.mkdir(parents=True, exist_ok=True)
+        self._world = _spawn(WORLD, world_command(spec), spec.folder, stdout=subprocess.PIPE)
+        self.endpoint = _await_endpoint(self._world)
+        for robot in spec.robots:
+            config = spec.folder / f"{robot}.yaml"
+            config.write_text(yaml.safe_dump(daemon_config(spec, robot, self.endpoint)))
+            command = ["swarmd.cli.daemon", "--config", str(config)]
+            self._daemons.append(_spawn(robot, command, spec.folder, stdout=subprocess.DEVNULL))
+
+
+def robot_ids(platform: str, count: int) -> tuple[str, ...]:
+    """Ids for `count` robots of a platform, such as tb3-01."""
+    stem = {"burger": "tb3", "waffle_pi": "tb3"}.get(platform, platform.replace("_", "-"))
+    return tuple(f"{stem}-{i:02d}" for i in range(1, count + 1))
+
+
+def world_command(spec: FleetSpec) -> list[str]:
+    """Arguments of the world process."""
+    robots = ",".join(f"{robot}:{platform}" for robot, platform in spec.robots.items())
+    command = ["swarmd.sim.live.server", "--swarm", spec.swarm, "--robots", robots]
+    command += ["--arena", spec.arena, "--layout", spec.layout, "--seed", str(spec.seed)]
+    command += ["--endpoint", "tcp/127.0.0.1:0"]
+    command += ["--trace", str(spec.trace)] if spec.trace else []
+    return command + (["--seconds", str(spec.seconds)] if spec.seconds else [])
+
+
+def daemon_config(spec: FleetSpec, robot: str, endpoint: str) -> dict[str, object]:
+    """What the daemon's configuration file holds."""
+    config: dict[str, object] = {
+        "id": robot,
+        "swarm": spec.swarm,
+        "profile": "dev",
+        "platform": _from_anywhere(spec.robots[robot]),
+        "driver": "simulated",
+        "driver_options": {"endpoint": endpoint},
+        "state_dir": str((spec.folder / "state").absolute()),
+    }
+    if spec.plugin_dir is not None:
+        config["plugin_dir"] = str(spec.plugin_dir.absolute())
+    return config
+
+
+def _from_anywhere(platform: str) -> str:
+    """A platform as a file in another folder can name it."""
+    is_file = platform.endswith(".yaml")
+    return str(Path(platform).expanduser().absolute()) if is_file else platform
+
+
+def started_at() -> float:
+    """When this process was started, on the clock of `swarmd.clock` (to 10 ms)."""
+    fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
+    return int(fields[19]) / os.sysconf("SC_CLK_TCK")
+
+
+def end_on_signals() -> None:
+    """Make SIGTERM and SIGHUP end this process through its `finally` blocks."""
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        raise SystemExit(128 + number)
+
+    signal.signal(signal.SIGTERM, leave)
+    signal.signal(signal.SIGHUP, leave)
+
+
+def _spawn(name: str, arguments: Iterable[str], folder: Path, *, stdout: int) -> Child:
+    log = folder / f"{name}.log"
+    # -P: a random.py where this is called is not to shadow a module.
+    command = [sys.executable, "-P", "-m", *arguments, "--die-with-parent", str(os.getpid())]
+    with log.open("ab") as sink:
+        process = subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=stdout,
+            stderr=sink,
+            start_new_session=True,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        )
+    return Child(name, process, log)
+
+
+def _await_endpoint(world: Child) -> str:
+    """Where the world listens, from its ready line."""
+    assert world.process.stdout is not None
+    line = _read_line(world.process.stdout, WORLD_READY)
+    if line:
+        with contextlib.suppress(ValueError, KeyError, TypeError):
+            return str(json.loads(line)["endpoint"])
+    if world.process.poll() is None and not line:
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            world.process.wait(timeout=0.5)
+    if world.process.poll() is not None:
+        raise SwarmError(world.epitaph())
+    raise NetworkError(f"the world did not get ready within {WORLD_READY:.0f} s (log: {world.log})")
+
+
+def _read_line(stream: IO[bytes], seconds: float) -> bytes:
+    """The first line of a pipe; empty at its end or when the time is up."""
+    deadline = time.monotonic() + seconds
+    line = b""
+    with selectors.DefaultSelector() as selector:
+        selector.register(stream, selectors.EVENT_READ)
+        while not line.endswith(b"\n") and selector.select(max(0.0, deadline - time.monotonic())):
+            piece = os.read(stream.fileno(), 4096)
+            if not piece:
+                break
+            line += piece
+    return line
+
+
+def _end(children: list[Child]) -> None:
+    for child in children:
+        child.process.terminate()
+    deadline = time.monotonic() + GRACE
+    for child in children:
+        try:
+            child.process.wait(timeout=max(0.0, deadline - time.monotonic()))
+        except subprocess.TimeoutExpired:
+            child.process.kill()
+            child.process.wait()
+        if child.process.stdout is not None:
+            child.process.stdout.close()
+
+
+def _last_line(log: Path) -> str:
+    lines = log.read_text(errors="replace").strip().splitlines() if log.exists() else []
+    return lines[-1].strip() if lines else "it said nothing"

@@ -1,0 +1,245 @@
+"""The world's network: its own Zenoh session for the bodies' `hw/*` keys and for viewers.
+
+The only module of the simulation that knows Zenoh. Multicast and gossip are off: drivers and
+viewers dial the world, and meet nobody else there.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from types import TracebackType
+
+import zenoh
+
+from swarmd import keys
+from swarmd.codec import MAX_CONTROL, encode
+from swarmd.errors import CodecError, ConfigError, NetworkError, SwarmError
+from swarmd.network.session import open_with
+from swarmd.network.sockets import tune_sockets
+from swarmd.sim.live.state import (
+    Action,
+    WorldReply,
+    WorldRequest,
+    WorldState,
+    control_key,
+    decode_reply,
+    decode_state,
+    state_key,
+)
+
+# On this host a frozen daemon keeps its link: it comes back where it was, and no lease ends
+# meanwhile. A daemon that dies is noticed by its closed socket.
+LEASE = 60.0
+MAX_QUESTIONS = 64  # waiting for the next step; a flood costs its sender's questions
+_TRIES = 5
+_ENDPOINT = re.compile(r"tcp/([^:]+|\[[^]]+\]):(\d+)")
+_OPTIONS: dict[str, object] = {
+    "mode": "peer",
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    "transport/link/tx/lease": round(LEASE * 1000),
+    # The loop never waits for a robot that does not read; the sending thread may lag by a burst.
+    "transport/link/tx/queue/size/real_time": 16,
+    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+    "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 0,
+    "transport/shared_memory/enabled": False,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Question:
+    """A request as it came, and how to answer it."""
+
+    payload: bytes
+    answer: Callable[[WorldReply], None]
+
+
+class WorldLink:
+    """The world's end: publishes senses, latches the newest command of each robot."""
+
+    def __init__(
+        self,
+        swarm: str,
+        ids: Iterable[str],
+        endpoint: str,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Opens at once; NetworkError if the endpoint cannot be had, ConfigError if it is none.
+
+        Port 0 takes a free one; `endpoint` then holds which.
+        """
+        self.dropped = 0
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._commands: dict[str, tuple[bytes, float]] = {}
+        self._questions: list[Question] = []
+        self._swarm = swarm
+        self._ids = frozenset(ids)
+        self._session, self.endpoint = _listen(endpoint)
+        tune_sockets(self._session, LEASE)
+        self._senses = {
+            (robot, name): self._publisher(keys.build(swarm, robot, "hw", name))
+            for robot in self._ids
+            for name in ("scan", "odometry", "neighbors", "readings")
+        }
+        self._state = self._session.declare_publisher(state_key(swarm))
+        self._session.declare_subscriber(
+            keys.build(swarm, keys.ANY, "hw", "cmd_vel"), self._on_command
+        )
+        self._session.declare_queryable(control_key(swarm), self._on_query)
+
+    def publish(self, robot: str, name: str, payload: bytes) -> None:
+        """Send one sense of a robot; dropped if nobody can take it now."""
+        self._senses[robot, name].put(payload)
+
+    def publish_state(self, state: WorldState) -> None:
+        """Send the state to viewers."""
+        self._state.put(encode(state))
+
+    def take_commands(self) -> dict[str, tuple[bytes, float]]:
+        """The newest command of each robot since the last call, with its time of arrival."""
+        with self._lock:
+            commands, self._commands = self._commands, {}
+        return commands
+
+    def take_questions(self) -> list[Question]:
+        """The requests since the last call, each to be answered once."""
+        with self._lock:
+            questions, self._questions = self._questions, []
+        return questions
+
+    def close(self) -> None:
+        """End the session."""
+        self._session.close()
+
+    def _publisher(self, key: str) -> zenoh.Publisher:
+        return self._session.declare_publisher(
+            key,
+            congestion_control=zenoh.CongestionControl.DROP,
+            priority=zenoh.Priority.REAL_TIME,
+            express=True,
+        )
+
+    def _on_command(self, sample: zenoh.Sample) -> None:
+        key = keys.parse(str(sample.key_expr))
+        if key is None or key.swarm != self._swarm or key.robot not in self._ids:
+            self.dropped += 1
+            return
+        arrival = self._clock()
+        with self._lock:
+            self._commands[key.robot] = (sample.payload.to_bytes(), arrival)
+
+    def _on_query(self, query: zenoh.Query) -> None:
+        payload = query.payload.to_bytes() if query.payload is not None else b""
+
+        def answer(reply: WorldReply) -> None:
+            query.reply(control_key(self._swarm), encode(reply))
+            query.drop()  # what ends the asker's wait
+
+        with self._lock:
+            is_taken = len(payload) <= MAX_CONTROL and len(self._questions) < MAX_QUESTIONS
+            if is_taken:
+                self._questions.append(Question(payload, answer))
+            else:
+                self.dropped += 1
+        if not is_taken:
+            query.drop()
+
+
+class WorldView:
+    """A viewer's end: watches the state, asks for actions. Close it, or use it in `with`."""
+
+    def __init__(self, swarm: str, endpoint: str) -> None:
+        options = {**_OPTIONS, **dialling(endpoint)}
+        self._swarm = swarm
+        self._endpoint = endpoint
+        self._session = open_with(options, what=f"the world at {endpoint}")
+
+    def __enter__(self) -> WorldView:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def watch(self, handler: Callable[[WorldState], None]) -> None:
+        """Call `handler` with each state (10 Hz) on a thread of the network's."""
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            with contextlib.suppress(CodecError):  # a stranger's
+                handler(decode_state(sample.payload.to_bytes()))
+
+        self._session.declare_subscriber(state_key(self._swarm), on_sample)
+
+    def ask(self, action: Action, timeout: float = 10.0) -> WorldReply:
+        """The world's answer; NetworkError if there is none within `timeout` s."""
+        request = encode(WorldRequest(action=action))
+        deadline = time.monotonic() + timeout
+        while (left := deadline - time.monotonic()) > 0.0:
+            replies = self._session.get(control_key(self._swarm), payload=request, timeout=left)
+            for reply in replies:
+                if reply.ok is not None:
+                    return decode_reply(reply.ok.payload.to_bytes())
+            # Right after opening there is no link yet, and a get ends at once with nothing.
+            threading.Event().wait(0.02)
+        raise NetworkError(
+            f"the world of swarm {self._swarm!r} at {self._endpoint} did not answer {action!r}"
+            f" within {timeout:g} s; is it running?"
+        )
+
+    def close(self) -> None:
+        """End the session."""
+        self._session.close()
+
+
+def dialling(endpoint: str) -> dict[str, object]:
+    """Session options of one who only dials the world, again every 0.5 s while it is away."""
+    return {
+        "listen/endpoints": [],
+        "connect/endpoints": [endpoint],
+        "connect/retry": {
+            "period_init_ms": 500,
+            "period_max_ms": 500,
+            "period_increase_factor": 1.0,
+        },
+    }
+
+
+def _listen(endpoint: str) -> tuple[zenoh.Session, str]:
+    match = _ENDPOINT.fullmatch(endpoint)
+    if match is None or int(match[2]) > 65535:
+        raise ConfigError(f"endpoint is {endpoint!r}; wanted is such as tcp/127.0.0.1:0")
+    if int(match[2]):
+        return _open(endpoint), endpoint
+    for _ in range(_TRIES):
+        chosen = f"tcp/{match[1]}:{_free_port(match[1].strip('[]'))}"
+        try:
+            return _open(chosen), chosen
+        except NetworkError:  # another took it in between
+            continue
+    raise NetworkError(f"no free port for the world at {endpoint}")
+
+
+def _open(endpoint: str) -> zenoh.Session:
+    return open_with({**_OPTIONS, "listen/endpoints": [endpoint]}, what="the world")
+
+
+def _free_port(host: str) -> int:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        try:
+            probe.bind((host, 0))
+        except OSError as error:
+            raise SwarmError(f"no port at {host} for the world: {error}") from error
+        return int(probe.getsockname()[1])

@@ -1,0 +1,66 @@
+"""Time in real-time mode, with the clock handed in: when to step, when each robot is due."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from swarmd.sim.world.lidar import Indices
+from swarmd.values import Array
+
+HOPELESS = 0.25
+"""Seconds behind beyond which lost time is given up instead of caught up."""
+
+_WINDOW = 1.0
+
+
+class Pacer:
+    """Absolute deadlines: what is late is caught up, unless it is hopeless."""
+
+    def __init__(self, dt: float, now: float) -> None:
+        self._dt = dt
+        self.deadline = now + dt
+        self.overruns = 0
+        self._progress: deque[tuple[float, int]] = deque([(now, 0)])
+        self._steps = 0
+
+    def steps(self, now: float) -> int:
+        """How many steps are due; counts those that were late."""
+        if now < self.deadline:
+            return 0
+        late = now - self.deadline
+        if late > HOPELESS:
+            due, self.deadline = 1, now + self._dt
+            self.overruns += int(late / self._dt)
+        else:
+            due = int(late / self._dt) + 1
+            self.deadline += due * self._dt
+            self.overruns += due - 1
+        self._steps += due
+        self._progress.append((now, self._steps))
+        while len(self._progress) > 2 and self._progress[1][0] <= now - _WINDOW:
+            self._progress.popleft()
+        return due
+
+    def real_time_factor(self) -> float:
+        """Simulated over real seconds, over about the last second; 0 before anything ran."""
+        (start, before), (end, after) = self._progress[0], self._progress[-1]
+        return (after - before) * self._dt / (end - start) if end > start else 0.0
+
+
+class Staggered:
+    """Spreads n periodic jobs evenly over their period, so that they do not come in bursts."""
+
+    def __init__(self, rates: Array, now: float) -> None:
+        """`rates` (n,) in Hz."""
+        self._period = 1.0 / np.asarray(rates, dtype=np.float64)
+        n = len(self._period)
+        self._next = now + self._period * (1.0 + np.arange(n) / max(n, 1)) / 2.0
+
+    def due(self, now: float) -> Indices:
+        """The indices due by `now`, each once; those missed meanwhile are left out."""
+        ready = np.nonzero(self._next <= now + 1e-9)[0]
+        missed = np.floor((now + 1e-9 - self._next[ready]) / self._period[ready])
+        self._next[ready] += (missed + 1.0) * self._period[ready]
+        return ready

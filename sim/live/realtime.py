@@ -1,0 +1,163 @@
+"""A world in real time: steps on deadlines, senses out, commands in.
+
+A command whose verdict rests on a sweep older than `stale_after` counts as zero: a guardian that is
+frozen leaves its last words in a socket, and they are sent when it thaws.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from swarmd.errors import CodecError
+from swarmd.sensing import (
+    decode_command,
+    encode_neighbors,
+    encode_odometry,
+    encode_readings,
+    encode_scan,
+)
+from swarmd.sim.live.link import Question, WorldLink
+from swarmd.sim.live.pacing import Pacer, Staggered
+from swarmd.sim.live.recording import Record
+from swarmd.sim.live.state import Triple, WorldReply, WorldState, decode_request
+from swarmd.sim.world.world import World
+from swarmd.values import Array
+
+COMMAND_TIMEOUT = 0.5
+"""Real seconds without a command after which a body stops by itself, as a base does."""
+
+ODOMETRY_RATE = 25.0
+STATE_RATE = 10.0
+_HEARING_RATE = 2.0
+
+
+class RealTimeWorld:
+    """Runs one world for many daemons until told to stop."""
+
+    def __init__(
+        self,
+        world: World,
+        link: WorldLink,
+        record: Record,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """`clock` must be the one by which `link` stamps arrivals."""
+        self._world, self._link, self._record, self._clock = world, link, record, clock
+        n, start = len(world.ids), world.time
+        self._rows = {robot: row for row, robot in enumerate(world.ids)}
+        self._commands = np.zeros((n, 3))
+        self._arrivals = np.full(n, -np.inf)
+        self._swept = np.full(n, -1)
+        self._too_old = np.array([p.scan.stale_after * p.scan.rate for p in world.platforms])
+        self._unreadable = 0
+        self._scans_due = Staggered(np.array([p.scan.rate for p in world.platforms]), start)
+        self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start)
+        self._hearing_due = Staggered(np.full(n, _HEARING_RATE), start)
+        self._state_due = Staggered(np.array([STATE_RATE]), start)
+        self._pacer = Pacer(world.dt, clock())
+
+    def run(self, is_over: Callable[[], bool]) -> None:
+        """Step until `is_over`; the record is finished on the way out."""
+        self._pacer = Pacer(self._world.dt, self._clock())
+        try:
+            while not is_over():
+                self.turn()
+                time.sleep(max(0.0, self._pacer.deadline - self._clock()))
+        finally:
+            self._record.finish()
+
+    def turn(self) -> None:
+        """Do what is due now: commands in, steps, senses out, questions answered."""
+        now = self._clock()
+        steps = self._pacer.steps(now)
+        if not steps:
+            return
+        self._take_commands()
+        safe = np.where(self._is_fresh(now)[:, None], self._commands, 0.0)
+        self._world.set_commands(safe)
+        for _ in range(steps):
+            self._world.step()
+            self._record.note(safe)
+        self._publish()
+        for question in self._link.take_questions():
+            self._answer(question)
+
+    def _is_fresh(self, now: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+        return np.less_equal(now - self._arrivals, COMMAND_TIMEOUT)
+
+    def _take_commands(self) -> None:
+        for robot, (payload, arrival) in self._link.take_commands().items():
+            try:
+                command = decode_command(payload)
+            except CodecError:
+                self._unreadable += 1
+                continue
+            row = self._rows[robot]
+            # What a frozen guardian had handed to its network comes out at its thaw.
+            is_late = self._swept[row] - command.scan_seq > self._too_old[row]
+            twist = (command.linear, command.angular, command.lateral)
+            self._commands[row] = (0.0, 0.0, 0.0) if is_late else twist
+            self._arrivals[row] = arrival
+
+    def _publish(self) -> None:
+        world, link = self._world, self._link
+        due = self._scans_due.due(world.time)
+        if len(due):
+            for row, scan in zip(due, world.scans(due), strict=True):
+                self._swept[row] = scan.seq
+                link.publish(world.ids[row], "scan", encode_scan(scan))
+        due = self._odometry_due.due(world.time)
+        if len(due):
+            for row, odometry in zip(due, world.odometry(due), strict=True):
+                link.publish(world.ids[row], "odometry", encode_odometry(odometry))
+        for row in self._hearing_due.due(world.time):
+            self._publish_hearing(int(row))
+        if len(self._state_due.due(world.time)):
+            link.publish_state(self._state())
+
+    def _publish_hearing(self, row: int) -> None:
+        world, robot = self._world, self._world.ids[row]
+        if world.radio_range is not None:
+            self._link.publish(robot, "neighbors", encode_neighbors(world.neighbors(row)))
+        if readings := world.readings(row):
+            self._link.publish(robot, "readings", encode_readings(readings))
+
+    def _answer(self, question: Question) -> None:
+        try:
+            action = decode_request(question.payload).action
+        except CodecError as error:
+            self._unreadable += 1
+            question.answer(WorldReply(is_done=False, text=str(error)[:200], state=self._state()))
+            return
+        path = ""
+        if action == "start":
+            self._record.begin()
+        elif action == "finish":
+            path = str(self._record.finish() or "")
+        question.answer(WorldReply(is_done=True, text=action, state=self._state(), path=path))
+
+    def _state(self) -> WorldState:
+        world, record = self._world, self._record
+        return WorldState(
+            time=world.time,
+            real_time_factor=self._pacer.real_time_factor(),
+            arena=(world.arena.length, world.arena.width),
+            ids=world.ids,
+            poses=_triples(world.poses()),
+            twists=_triples(world.twists()),
+            commanded=tuple(self._is_fresh(self._clock()).tolist()),
+            contacts=record.contacts,
+            arena_contacts=record.arena_contacts,
+            is_recording=record.is_running,
+            recorded=record.seconds,
+            overruns=self._pacer.overruns,
+            dropped=self._link.dropped + self._unreadable,
+        )
+
+
+def _triples(rows: Array) -> tuple[Triple, ...]:
+    return tuple((float(a), float(b), float(c)) for a, b, c in rows)

@@ -1,0 +1,155 @@
+"""The world as a process: `python -m swarmd.sim.live.server`, for daemons on this machine.
+
+Prints one JSON line `{"endpoint": ...}` on standard output once drivers can connect. SIGTERM and
+SIGINT end it; the trace, if one is wanted, is then written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import json
+import logging
+import signal
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType
+
+from swarmd.errors import ConfigError, SwarmError
+from swarmd.keys import check_id
+from swarmd.platforms import load_platform
+from swarmd.processes import die_with_parent
+from swarmd.sim.live.link import WorldLink
+from swarmd.sim.live.realtime import RealTimeWorld
+from swarmd.sim.live.recording import Record, RecordSettings
+from swarmd.sim.world.arena import parse_arena
+from swarmd.sim.world.layouts import parse_layout
+from swarmd.sim.world.world import World
+from swarmd.values import Platform
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a world until told to stop. Exit codes: 0 ended, 1 failed, 2 cannot be as asked."""
+    options = _parser().parse_args(arguments)
+    if options.die_with_parent is not None:
+        die_with_parent(options.die_with_parent)
+    logging.basicConfig(
+        level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(message)s"
+    )
+    try:
+        with _told_to_end() as is_over:
+            _serve(options, is_over)
+    except ConfigError as error:
+        print(error, file=sys.stderr)
+        return 2
+    except SwarmError as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+def parse_robots(text: str) -> dict[str, Platform]:
+    """Platforms by robot id from `id:platform,id:platform`; ConfigError if that cannot be."""
+    robots: dict[str, Platform] = {}
+    loaded: dict[str, Platform] = {}
+    for item in text.split(","):
+        robot, colon, name = item.partition(":")
+        if not colon:
+            raise ConfigError(f"robots has {item!r}; wanted is such as tb3-01:waffle_pi")
+        if robot in robots:
+            raise ConfigError(f"robots has {robot!r} twice; every robot needs an id of its own")
+        if name not in loaded:
+            loaded[name] = load_platform(name)
+        robots[check_id(robot, "robot id")] = loaded[name]
+    return robots
+
+
+@contextmanager
+def _told_to_end() -> Iterator[Callable[[], bool]]:
+    """Whether SIGTERM or SIGINT has come; the old handlers are back afterwards."""
+    came: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield lambda: bool(came)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
+    swarm = check_id(options.swarm, "swarm")
+    robots = parse_robots(options.robots)
+    world = _make_world(options, robots)
+    settings = RecordSettings(
+        path=options.trace,
+        rate=options.trace_rate,
+        seconds=options.seconds,
+        meta=_meta(options, swarm),
+    )
+    record = Record(world, settings)
+    link = WorldLink(swarm, robots, options.endpoint)
+    try:
+        print(json.dumps({"endpoint": link.endpoint, "swarm": swarm}), flush=True)
+        # What is alive now stays: a collection would only walk through all of it again.
+        gc.collect()
+        gc.freeze()
+        RealTimeWorld(world, link, record).run(is_over)
+    finally:
+        link.close()
+
+
+def _make_world(options: argparse.Namespace, robots: Mapping[str, Platform]) -> World:
+    arena = parse_arena(options.arena)
+    footprints = [platform.footprint for platform in robots.values()]
+    starts = parse_layout(options.layout, footprints, arena, seed=options.seed)
+    return World(
+        robots,
+        arena,
+        starts,
+        visibility=options.lidar_visibility,
+        radio_range=options.radio_range,
+    )
+
+
+def _meta(options: argparse.Namespace, swarm: str) -> dict[str, object]:
+    arena = parse_arena(options.arena)
+    return {
+        "swarm": swarm,
+        "arena": options.arena,
+        "size": [arena.length, arena.width],
+        "layout": options.layout,
+        "seed": options.seed,
+        "lidar_visibility": options.lidar_visibility,
+        "radio_range": options.radio_range,
+    }
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="python -m swarmd.sim.live.server",
+        description="A simulated world for swarmd daemons on this machine.",
+    )
+    add = parser.add_argument
+    add("--swarm", required=True)
+    add("--robots", required=True, metavar="ID:PLATFORM,...")
+    add("--arena", default="6x6", help="LxW in m, with ,box:x:y:l:w:deg and ,pole:x:y:r in it")
+    add("--layout", default="grid:1.0", help="row, paper, grid, ring, random or list, with :size")
+    add("--seed", type=int, default=0, help="of random layouts")
+    add("--endpoint", default="tcp/127.0.0.1:7790", help="where drivers dial; port 0: any")
+    add("--lidar-visibility", choices=("body", "real"), default="body")
+    add("--radio-range", type=float, metavar="M", help="beyond which robots do not hear each other")
+    add("--trace", type=Path, metavar="FILE.npz", help="where to write what happened")
+    add("--trace-rate", type=float, default=50.0, metavar="HZ")
+    add("--seconds", type=float, help="of simulation to record, from the start or `start`")
+    add("--die-with-parent", type=int, metavar="PID")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,168 @@
+"""What a demo comes to: a handful of numbers, and what went wrong if anything did."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from swarmd.messages import State, Status
+from swarmd.sim.metrics import aggregation as metrics
+from swarmd.sim.trace import Trace
+from swarmd.values import Platform
+
+SETTLED = 0.2  # the last share of a run, over which the mean speed is taken
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Numbers:
+    """The run in numbers: m, m/s and s; counts are of whole touches, not of steps.
+
+    `link` is the distance within which two robots belong to one cluster: twice the protection
+    threshold. `minimum_gap` is None for a single robot, `protection_duty` the share of decisions
+    in which protection replaced or cut the pattern's wish, None if no robot told.
+    """
+
+    seconds: float
+    real_time_factor: float
+    centroid_before: float
+    centroid_after: float
+    link: float
+    clusters_before: int
+    clusters_after: int
+    largest_cluster: int
+    contacts: int
+    arena_contacts: int
+    minimum_gap: float | None
+    mean_speed_late: float
+    protection_duty: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Summary:
+    """A finished demo. `problems` is empty if all robots ran to the end and none touched another.
+
+    `seconds_to_moving` counts from the start of the command until all robots moved; None if they
+    did not all move. `duty` by robot.
+    """
+
+    pattern: str
+    platform: str
+    robots: tuple[str, ...]
+    arena: str
+    layout: str
+    seed: int
+    seconds_to_moving: float | None
+    numbers: Numbers
+    duty: Mapping[str, float]
+    problems: tuple[str, ...]
+
+    @property
+    def is_good(self) -> bool:
+        """True if nothing is among the problems."""
+        return not self.problems
+
+    def as_json(self) -> dict[str, Any]:
+        """What summary.json and `-o json` hold."""
+        return {**asdict(self), "is_good": self.is_good}
+
+    def lines(self) -> list[tuple[str, str]]:
+        """(what, value) for a reader."""
+        n = self.numbers
+        moving = self.seconds_to_moving
+        return [
+            ("robots", f"{len(self.robots)} {self.platform}, {self.pattern}, {self.arena} m"),
+            ("simulated time", f"{n.seconds:.1f} s, {n.real_time_factor:.2f} times real time"),
+            ("all moving after", "not all moved" if moving is None else f"{moving:.1f} s"),
+            ("distance to centroid", f"{n.centroid_before:.2f} m -> {n.centroid_after:.2f} m"),
+            ("clusters", f"{n.clusters_before} -> {n.clusters_after}"),
+            ("largest cluster", f"{n.largest_cluster} of {len(self.robots)}"),
+            ("contacts", f"{n.contacts} between robots, {n.arena_contacts} with walls"),
+            ("minimum gap", "-" if n.minimum_gap is None else f"{n.minimum_gap:.2f} m"),
+            ("speed at the end", f"{n.mean_speed_late:.3f} m/s"),
+            ("protection active", _percent(n.protection_duty)),
+        ]
+
+
+def numbers_of(
+    trace: Trace,
+    platforms: Mapping[str, Platform],
+    duty: float | None,
+    real_time_factor: float,
+) -> Numbers:
+    """The numbers of a trace; `platforms` by name, `duty` as the robots told it."""
+    thresholds = (_threshold(platforms[name]) for name in set(trace.platforms))
+    link = 2.0 * max(thresholds)
+    away = metrics.distance_to_centroid(trace)
+    counts = metrics.cluster_counts(trace, link)
+    gap = metrics.minimum_gap(trace)
+    return Numbers(
+        seconds=trace.duration,
+        real_time_factor=real_time_factor,
+        centroid_before=float(away[0]),
+        centroid_after=float(away[-1]),
+        link=link,
+        clusters_before=int(counts[0]),
+        clusters_after=int(counts[-1]),
+        largest_cluster=int(metrics.largest_cluster(trace, link)[-1]),
+        contacts=metrics.contacts_between_robots(trace),
+        arena_contacts=metrics.contacts_with_arena(trace),
+        minimum_gap=gap if math.isfinite(gap) else None,
+        mean_speed_late=metrics.mean_speed(trace, (1.0 - SETTLED) * trace.duration),
+        protection_duty=duty,
+    )
+
+
+def duties(statuses: Mapping[str, Status]) -> dict[str, float]:
+    """By robot the share of decisions in which protection was active since `run`."""
+    return {name: s.verdict.duty for name, s in sorted(statuses.items()) if s.verdict.decisions}
+
+
+def mean_duty(statuses: Mapping[str, Status]) -> float | None:
+    """The same over all robots together, weighted by their decisions; None if none has decided."""
+    decisions = sum(s.verdict.decisions for s in statuses.values())
+    if not decisions:
+        return None
+    return sum(s.verdict.duty * s.verdict.decisions for s in statuses.values()) / decisions
+
+
+def problems_of(
+    robots: Iterable[str],
+    before: Mapping[str, Status],
+    after: Mapping[str, Status],
+    contacts: int,
+) -> tuple[str, ...]:
+    """Lines on robots that did not run to the end, and on contacts; empty if all is well.
+
+    `before` are the statuses right after `run`, `after` those at the end, both by robot.
+    """
+    found = [line for robot in robots if (line := _problem(robot, before, after))]
+    if contacts:
+        found.append(f"robots touched one another {contacts} times")
+    return tuple(found)
+
+
+def _problem(robot: str, before: Mapping[str, Status], after: Mapping[str, Status]) -> str:
+    start, end = before.get(robot), after.get(robot)
+    if start is None or end is None:
+        return f"{robot} did not answer at the {'start' if start is None else 'end'}"
+    if end.instance != start.instance:
+        return f"{robot} was restarted"
+    has_finished = end.state is State.IDLE and end.reason == "finished"
+    if end.state is not State.RUNNING and not has_finished:
+        why = f" ({end.reason})" if end.reason else ""
+        return f"{robot} ended {end.state}{why}{': ' + end.detail if end.detail else ''}"
+    if end.health.host_restarts > start.health.host_restarts:
+        return f"{robot}: its pattern failed and was started again"
+    if end.generation != start.generation:
+        return f"{robot} was told to do something else"
+    return ""
+
+
+def _threshold(platform: Platform) -> float:
+    return float(platform.protection.get("threshold", 0.5))
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.0f} % of decisions"

@@ -1,0 +1,1 @@
+"""Numbers of a run: pure functions over a trace."""

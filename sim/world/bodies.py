@@ -1,0 +1,148 @@
+"""The MuJoCo model of a world: walls, boxes, poles and one planar body per robot.
+
+A planar body slides along the world's x and y and turns about the vertical through its AXLE
+CENTRE, which is also its centre of mass: 4 to 7 times cheaper than wheels, with better tracking
+(measured). Bodies collide as their footprints, extruded to one common height, since everything
+stands on the same floor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import mujoco
+import numpy as np
+
+from swarmd.errors import ConfigError
+from swarmd.sim.world.arena import Arena
+from swarmd.values import Array, Platform
+
+COLLISION, BODY, HOUSING, FIXED = range(4)
+"""Groups of geoms: what collides; what is seen at its true height, twice; the arena."""
+
+_HEIGHT = 0.5
+_WALL = 0.1
+
+
+def build_model(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujoco.MjModel:
+    """The compiled model; robot i owns qpos and qvel 3i to 3i + 2: x, y, yaw."""
+    spec = mujoco.MjSpec()
+    spec.option.timestep = dt
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.gravity = [0.0, 0.0, 0.0]
+    _add_arena(spec, arena)
+    for robot, platform in robots.items():
+        _add_robot(spec, robot, platform)
+    return spec.compile()
+
+
+def _add_arena(spec: mujoco.MjSpec, arena: Arena) -> None:
+    x, y, half = arena.length / 2.0, arena.width / 2.0, _WALL / 2.0
+    for name, pos, size in (
+        ("wall/west", (-x - half, 0.0), (half, y + _WALL)),
+        ("wall/east", (x + half, 0.0), (half, y + _WALL)),
+        ("wall/south", (0.0, -y - half), (x + _WALL, half)),
+        ("wall/north", (0.0, y + half), (x + _WALL, half)),
+    ):
+        _add_box(spec.worldbody, name, pos, size)
+    for index, box in enumerate(arena.boxes):
+        size = (box.length / 2.0, box.width / 2.0)
+        geom = _add_box(spec.worldbody, f"box/{index}", (box.x, box.y), size)
+        geom.quat = [np.cos(box.yaw / 2.0), 0.0, 0.0, np.sin(box.yaw / 2.0)]
+    for index, pole in enumerate(arena.poles):
+        spec.worldbody.add_geom(
+            name=f"pole/{index}",
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            pos=[pole.x, pole.y, _HEIGHT / 2.0],
+            size=[pole.radius, _HEIGHT / 2.0, 0.0],
+            group=FIXED,
+            condim=1,
+        )
+
+
+def _add_box(
+    body: mujoco.MjsBody, name: str, pos: tuple[float, float], size: tuple[float, float]
+) -> mujoco.MjsGeom:
+    return body.add_geom(
+        name=name,
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[*pos, _HEIGHT / 2.0],
+        size=[*size, _HEIGHT / 2.0],
+        group=FIXED,
+        condim=1,
+    )
+
+
+def _add_robot(spec: mujoco.MjSpec, robot: str, platform: Platform) -> None:
+    body = spec.worldbody.add_body(name=f"robot/{robot}")
+    body.explicitinertial = True
+    body.mass = value(platform, "mass")
+    body.ipos = [0.0, 0.0, 0.0]
+    body.inertia = [inertia(platform)] * 3
+    slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
+    for axis, kind, direction in (
+        ("x", slide, [1.0, 0.0, 0.0]),
+        ("y", slide, [0.0, 1.0, 0.0]),
+        ("yaw", hinge, [0.0, 0.0, 1.0]),
+    ):
+        body.add_joint(name=f"{robot}/{axis}", type=kind, axis=direction)
+    _add_shapes(body, robot, platform)
+
+
+def _add_shapes(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:
+    low, high = _rectangle(platform)
+    x, y = (low + high) / 2.0
+    half_x, half_y = (high - low) / 2.0
+    for name, height, group in (
+        ("", _HEIGHT, COLLISION),
+        ("/body", value(platform, "height"), BODY),
+    ):
+        body.add_geom(
+            name=f"{robot}{name}",
+            type=mujoco.mjtGeom.mjGEOM_BOX,
+            pos=[x, y, height / 2.0],
+            size=[half_x, half_y, height / 2.0],
+            group=group,
+            condim=1,
+            contype=int(group == COLLISION),
+            conaffinity=int(group == COLLISION),
+        )
+    bottom, top = value(platform, "height"), value(platform, "target_top")
+    body.add_geom(
+        name=f"{robot}/housing",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        pos=[*platform.scan.offset, (bottom + top) / 2.0],
+        size=[value(platform, "target_radius"), (top - bottom) / 2.0, 0.0],
+        group=HOUSING,
+        contype=0,
+        conaffinity=0,
+    )
+
+
+def inertia(platform: Platform) -> float:
+    """The moment of inertia in kg m2 about the vertical: of an even plate."""
+    low, high = _rectangle(platform)
+    length, width = high - low
+    return float(value(platform, "mass") * (length**2 + width**2) / 12.0)
+
+
+def value(platform: Platform, key: str) -> float:
+    """A number of the platform's `body` section; ConfigError if it is not there or not > 0."""
+    number = platform.body.get(key, 0.0)
+    if number > 0.0:
+        return float(number)
+    raise ConfigError(
+        f"platform {platform.name}: body.{key} is {platform.body.get(key)}; to be simulated it"
+        " must be greater than 0"
+    )
+
+
+def _rectangle(platform: Platform) -> tuple[Array, Array]:
+    corners = platform.footprint
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    if len(corners) == 4 and np.isin(corners, (low, high)).all():
+        return low, high
+    raise ConfigError(
+        f"platform {platform.name}: footprint is no rectangle along x and y; the world simulates"
+        " only those"
+    )

@@ -1,0 +1,46 @@
+"""What a scan plane meets: whole bodies, or what really stands at the plane's height."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.bodies import value
+from swarmd.sim.world.lidar import Shapes
+from swarmd.values import Array, Platform
+
+
+def shapes_of(arena: Arena, platforms: Sequence[Platform], *, plane: float | None) -> Shapes:
+    """All that one kind of sensor can meet; robot i is of `platforms[i]`.
+
+    `plane`: the height in m at which it looks; None: it sees every body whole. At a plane within
+    a body's height its footprint is seen, above that only the housing of its lidar, above that
+    nothing. Walls, boxes and poles reach any plane.
+    """
+    whole = [i for i, p in enumerate(platforms) if plane is None or plane <= value(p, "height")]
+    housed = [
+        i
+        for i, p in enumerate(platforms)
+        if i not in whole and plane is not None and plane <= value(p, "target_top")
+    ]
+    discs = [(*platforms[i].scan.offset, value(platforms[i], "target_radius")) for i in housed]
+    return Shapes(
+        walls=arena.segments,
+        poles=arena.circles,
+        polygons=_padded([platforms[i].footprint for i in whole]),
+        polygon_owners=np.array(whole, dtype=np.intp),
+        discs=np.array(discs, dtype=np.float64).reshape(-1, 3),
+        disc_owners=np.array(housed, dtype=np.intp),
+    )
+
+
+def _padded(polygons: Sequence[Array]) -> Array:
+    """(b, k, 2) with the last corner of those of fewer than k repeated."""
+    most = max((len(polygon) for polygon in polygons), default=0)
+    padded = [
+        np.concatenate((polygon, np.repeat(polygon[-1:], most - len(polygon), axis=0)))
+        for polygon in polygons
+    ]
+    return np.array(padded, dtype=np.float64).reshape(len(polygons), most, 2)

@@ -1,0 +1,155 @@
+"""A fleet: real processes that come up together and are gone together, whatever happens."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from swarmd.errors import SwarmError
+from swarmd.messages import State
+from swarmd.network.operator import Operator
+from swarmd.network.session import SessionSettings
+from swarmd.sim.live.fleet import Fleet, FleetSpec, daemon_config, robot_ids, world_command
+from swarmd.sim.live.show import await_up, statuses_of
+from swarmd.testing.processes import children, unique_swarm, wait_until
+
+ROBOTS = {"tb3-01": "burger", "tb3-02": "waffle_pi"}
+
+
+def make_spec(folder: Path, **changes: object) -> FleetSpec:
+    options: dict[str, object] = {
+        "swarm": unique_swarm(),
+        "robots": ROBOTS,
+        "folder": folder,
+        "arena": "4x4",
+        "layout": "grid:1.5",
+        **changes,
+    }
+    return FleetSpec(**options)  # type: ignore[arg-type]  # a test's shorthand
+
+
+def family(fleet: Fleet) -> set[int]:
+    """The ids of a fleet's processes and of theirs."""
+    return {pid for own in fleet.pids.values() for pid in (own, *children(own))}
+
+
+def is_gone(pid: int) -> bool:
+    """True if the process has ended, even if nobody has taken note of it yet."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
+    except OSError:
+        return True
+
+
+def all_gone(pids: set[int]) -> bool:
+    return all(is_gone(pid) for pid in pids)
+
+
+@contextmanager
+def up(spec: FleetSpec) -> Iterator[Fleet]:
+    with Fleet(spec) as fleet, Operator(SessionSettings(swarm=spec.swarm)) as operator:
+        view = await_up(operator, fleet, tuple(spec.robots))
+        assert {s.state for s in statuses_of(view).values()} == {State.IDLE}
+        yield fleet
+
+
+@pytest.mark.parametrize(
+    ("platform", "ids"),
+    [
+        ("burger", ("tb3-01", "tb3-02")),
+        ("jackal", ("jackal-01", "jackal-02")),
+        ("my_robot", ("my-robot-01", "my-robot-02")),
+    ],
+)
+def test_robots_are_named_by_their_platform(platform: str, ids: tuple[str, ...]) -> None:
+    assert robot_ids(platform, 2) == ids
+
+
+def test_the_world_is_told_where_to_write(tmp_path: Path) -> None:
+    command = world_command(make_spec(tmp_path, trace=tmp_path / "t.npz", seconds=3.0, seed=4))
+    assert command[command.index("--trace") + 1] == str(tmp_path / "t.npz")
+    assert command[command.index("--seconds") + 1] == "3.0"
+    assert command[command.index("--seed") + 1] == "4"
+    assert command[command.index("--robots") + 1] == "tb3-01:burger,tb3-02:waffle_pi"
+
+
+def test_latches_of_a_fleet_stay_in_its_folder(tmp_path: Path) -> None:
+    config = daemon_config(make_spec(tmp_path), "tb3-01", "tcp/127.0.0.1:1")
+    assert Path(str(config["state_dir"])).is_relative_to(tmp_path)
+
+
+def test_a_daemon_finds_a_platform_of_the_folder_the_fleet_was_started_in(tmp_path: Path) -> None:
+    spec = make_spec(tmp_path, robots={"a": "own.yaml", "b": "burger"})
+    assert daemon_config(spec, "a", "tcp/127.0.0.1:1")["platform"] == str(Path.cwd() / "own.yaml")
+    assert daemon_config(spec, "b", "tcp/127.0.0.1:1")["platform"] == "burger"
+
+
+@pytest.mark.integration
+def test_world_and_daemons_come_up_and_go(tmp_path: Path) -> None:
+    with up(make_spec(tmp_path)) as fleet:
+        pids = family(fleet)
+        assert set(fleet.pids) == {"world", *ROBOTS}
+        assert len(pids) == 5  # the world, two daemons, a host each
+        fleet.check()
+    assert all_gone(pids)
+
+
+@pytest.mark.integration
+def test_no_process_is_left_when_the_parent_is_killed(tmp_path: Path) -> None:
+    code = f"""
+import signal, sys
+from pathlib import Path
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from test_fleet import family, make_spec, up
+with up(make_spec(Path({str(tmp_path)!r}))) as fleet:
+    print(*family(fleet), flush=True)
+    signal.pause()
+"""
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        pids = {int(word) for word in parent.stdout.readline().split()}
+        assert len(pids) == 5
+        assert not any(is_gone(pid) for pid in pids)
+        parent.kill()
+    wait_until(lambda: all_gone(pids), "all processes of the fleet are gone")
+
+
+@pytest.mark.integration
+def test_a_frozen_daemon_is_killed_on_the_way_out(tmp_path: Path) -> None:
+    with up(make_spec(tmp_path)) as fleet:
+        pids = family(fleet)
+        os.kill(fleet.pids["tb3-01"], signal.SIGSTOP)
+    wait_until(lambda: all_gone(pids), "all processes of the fleet are gone")
+
+
+@pytest.mark.integration
+def test_a_daemon_that_dies_is_named_with_its_log(tmp_path: Path) -> None:
+    with up(make_spec(tmp_path)) as fleet:
+        os.kill(fleet.pids["tb3-02"], signal.SIGKILL)
+        wait_until(lambda: "tb3-02" in fleet.ended(), "tb3-02 is gone")
+        with pytest.raises(SwarmError, match=r"tb3-02 was killed by SIGKILL: .*tb3-02\.log"):
+            fleet.check()
+
+
+@pytest.mark.integration
+def test_a_world_that_cannot_be_says_why(tmp_path: Path) -> None:
+    spec = make_spec(tmp_path, layout="row:0.1")
+    with pytest.raises(SwarmError, match=r"world ended with code 2: .*row:0\.1.*world\.log"):
+        Fleet(spec).__enter__()
+
+
+@pytest.mark.integration
+def test_a_daemon_that_does_not_come_up_ends_the_wait(tmp_path: Path) -> None:
+    spec = make_spec(tmp_path)
+    with Fleet(spec) as fleet, Operator(SessionSettings(swarm=spec.swarm)) as operator:
+        os.kill(fleet.pids["tb3-01"], signal.SIGKILL)
+        with pytest.raises(SwarmError, match=r"tb3-01 was killed by SIGKILL: "):
+            await_up(operator, fleet, tuple(spec.robots))

@@ -1,0 +1,180 @@
+"""The world's network end against real peers on loopback."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+import zenoh
+
+from swarmd import keys
+from swarmd.codec import encode
+from swarmd.errors import ConfigError, NetworkError
+from swarmd.sensing import decode_command, encode_command
+from swarmd.sim.live.link import WorldLink, WorldView, dialling
+from swarmd.sim.live.state import WorldReply, WorldState
+from swarmd.values import Twist
+
+CAP = 20.0
+ANY_PORT = "tcp/127.0.0.1:0"
+
+
+@pytest.fixture
+def link() -> Iterator[WorldLink]:
+    with_two = WorldLink("s", ("a", "b"), ANY_PORT)
+    yield with_two
+    with_two.close()
+
+
+@pytest.fixture
+def peer(link: WorldLink) -> Iterator[zenoh.Session]:
+    config = zenoh.Config()
+    for path, value in {**dialling(link.endpoint), "scouting/multicast/enabled": False}.items():
+        config.insert_json5(path, json.dumps(value))
+    session = zenoh.open(config)
+    yield session
+    session.close()
+
+
+def until(condition: Callable[[], bool]) -> bool:
+    """True once the condition holds; false if it does not for a very long time."""
+    pause = threading.Event()
+    for _ in range(int(CAP / 0.005)):
+        if condition():
+            return True
+        pause.wait(0.005)
+    return False
+
+
+def state(time: float = 0.0) -> WorldState:
+    return WorldState(
+        time=time, real_time_factor=1.0, arena=(6.0, 6.0), ids=("a",), poses=((0.0, 0.0, 0.0),),
+        twists=((0.0, 0.0, 0.0),), commanded=(False,), contacts=0, arena_contacts=0,
+        is_recording=False, recorded=0.0, overruns=0, dropped=0,
+    )  # fmt: skip
+
+
+def test_port_0_takes_a_free_one_and_tells_which(link: WorldLink) -> None:
+    other = WorldLink("s", ("a",), ANY_PORT)
+    other.close()
+    assert not link.endpoint.endswith(":0")
+    assert other.endpoint != link.endpoint
+
+
+def test_an_endpoint_in_use_is_one_clear_error(link: WorldLink) -> None:
+    with pytest.raises(NetworkError, match="in use"):
+        WorldLink("s", ("a",), link.endpoint)
+
+
+@pytest.mark.parametrize("endpoint", ["", "127.0.0.1:7790", "tcp/127.0.0.1", "tcp/127.0.0.1:99999"])
+def test_what_is_no_endpoint_is_refused(endpoint: str) -> None:
+    with pytest.raises(ConfigError, match="wanted is such as"):
+        WorldLink("s", ("a",), endpoint)
+
+
+def test_only_the_newest_command_of_each_robot_is_kept(
+    link: WorldLink, peer: zenoh.Session
+) -> None:
+    # Once the link is up, everything below arrives in order.
+    last = encode_command(Twist(9.0), -1, -1)
+    taken: dict[str, tuple[bytes, float]] = {}
+
+    def all_there() -> bool:
+        for speed in (0.1, 0.2):
+            for robot in ("a", "b"):
+                peer.put(f"swarm/s/{robot}/hw/cmd_vel", encode_command(Twist(speed), 1, 1))
+        peer.put("swarm/s/a/hw/cmd_vel", last)
+        taken.update(link.take_commands())
+        return "b" in taken and taken.get("a", (b"", 0.0))[0] == last
+
+    assert until(all_there)
+    assert decode_command(taken["b"][0]).linear == 0.2
+    assert set(taken) == {"a", "b"}
+
+
+@pytest.mark.parametrize("key", ["swarm/s/*/hw/cmd_vel", "swarm/**", "swarm/s/stranger/hw/cmd_vel"])
+def test_commands_on_other_than_the_concrete_keys_of_its_robots_are_counted_and_left(
+    link: WorldLink, peer: zenoh.Session, key: str
+) -> None:
+    payload = encode_command(Twist(0.2), -1, -1)
+
+    def counted() -> bool:
+        peer.put(key, payload)
+        return link.dropped > 0
+
+    assert until(counted)
+    assert link.take_commands() == {}
+
+
+def test_a_viewer_sees_the_state(link: WorldLink) -> None:
+    seen: list[WorldState] = []
+    with WorldView("s", link.endpoint) as view:
+        view.watch(seen.append)
+
+        def shown() -> bool:
+            link.publish_state(state(12.5))
+            return bool(seen)
+
+        assert until(shown)
+    assert seen[0].time == 12.5
+    assert seen[0].arena == (6.0, 6.0)
+
+
+def test_questions_are_answered_by_who_takes_them(link: WorldLink) -> None:
+    stop = threading.Event()
+
+    def serve() -> None:
+        while not stop.wait(0.005):
+            for question in link.take_questions():
+                question.answer(WorldReply(is_done=True, text="ok", state=state(3.0), path="x.npz"))
+
+    server = threading.Thread(target=serve)
+    server.start()
+    try:
+        with WorldView("s", link.endpoint) as view:
+            reply = view.ask("finish", timeout=CAP)
+    finally:
+        stop.set()
+        server.join()
+    assert (reply.is_done, reply.path, reply.state.time) == (True, "x.npz", 3.0)
+
+
+def test_a_world_that_is_not_there_is_one_clear_error() -> None:
+    gone = WorldLink("s", ("a",), ANY_PORT)
+    gone.close()
+    with (
+        WorldView("s", gone.endpoint) as view,
+        pytest.raises(NetworkError, match="did not answer 'poses' within"),
+    ):
+        view.ask("poses", timeout=0.2)
+
+
+def test_senses_reach_the_key_of_their_robot_alone(link: WorldLink, peer: zenoh.Session) -> None:
+    heard: list[tuple[str, bytes]] = []
+    peer.declare_subscriber(
+        "swarm/s/**", lambda s: heard.append((str(s.key_expr), s.payload.to_bytes()))
+    )
+
+    def sent() -> bool:
+        link.publish("a", "scan", b"ranges")
+        return bool(heard)
+
+    assert until(sent)
+    assert set(heard) == {(keys.build("s", "a", "hw", "scan"), b"ranges")}
+
+
+def test_a_large_state_stays_within_what_is_read() -> None:
+    n = 500
+    big = state()
+    whole = WorldState(
+        **{
+            **{name: getattr(big, name) for name in big.__struct_fields__},
+            "ids": tuple(f"robot-{i:03d}" for i in range(n)),
+            "poses": ((1.0 / 3.0, -1.0 / 3.0, 3.0),) * n,
+            "twists": ((1.0 / 3.0, -1.0 / 3.0, 3.0),) * n,
+            "commanded": (True,) * n,
+        }
+    )
+    assert len(encode(whole)) < 64 * 1024

@@ -1,0 +1,72 @@
+"""Deadlines and turns, with the time handed in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from swarmd.sim.live.pacing import HOPELESS, Pacer, Staggered
+
+
+def test_nothing_is_due_before_the_deadline() -> None:
+    pacer = Pacer(0.01, now=5.0)
+    assert pacer.steps(5.009) == 0
+    assert pacer.steps(5.0101) == 1
+    assert pacer.deadline == pytest.approx(5.02)
+    assert pacer.overruns == 0
+
+
+def test_deadlines_do_not_drift_with_lateness() -> None:
+    pacer = Pacer(0.01, now=0.0)
+    for k in range(1, 101):
+        assert pacer.steps(k * 0.01 + 0.003) == 1
+    assert pacer.deadline == pytest.approx(1.01)
+
+
+def test_what_is_late_is_caught_up_and_counted() -> None:
+    pacer = Pacer(0.01, now=0.0)
+    assert pacer.steps(0.0551) == 5
+    assert pacer.overruns == 4
+    assert pacer.deadline == pytest.approx(0.06)
+
+
+def test_what_is_hopeless_is_given_up_and_counted() -> None:
+    pacer = Pacer(0.01, now=0.0)
+    late = HOPELESS + 9.0
+    assert pacer.steps(late) == 1
+    assert pacer.deadline == pytest.approx(late + 0.01)
+    assert pacer.overruns > 900
+
+
+def test_real_time_factor_is_that_of_the_last_second() -> None:
+    pacer = Pacer(0.01, now=0.0)
+    assert pacer.real_time_factor() == 0.0
+    for k in range(1, 301):
+        pacer.steps(k * 0.01 + 1e-6)
+    assert pacer.real_time_factor() == pytest.approx(1.0, abs=0.02)
+    pacer.steps(3.0 + 10.0)  # frozen for ten seconds
+    assert pacer.real_time_factor() < 0.2
+    for k in range(1, 201):
+        pacer.steps(13.0 + k * 0.01 + 1e-6)
+    assert pacer.real_time_factor() == pytest.approx(1.0, abs=0.02)
+
+
+def test_jobs_are_spread_over_the_period_and_keep_their_rate() -> None:
+    jobs = Staggered(np.full(5, 5.0), now=0.0)
+    due = [jobs.due(k * 0.01) for k in range(1, 1001)]
+    assert max(len(each) for each in due) == 1
+    counts = np.bincount(np.concatenate(due))
+    assert counts.tolist() == [50, 50, 50, 50, 50]
+
+
+def test_jobs_of_different_rates_live_side_by_side() -> None:
+    jobs = Staggered(np.array([5.0, 10.0, 30.0]), now=0.0)
+    counts = np.bincount(np.concatenate([jobs.due(k * 0.01) for k in range(1, 1001)]))
+    np.testing.assert_allclose(counts, [50, 100, 300], atol=1)
+
+
+def test_a_missed_turn_is_left_out_not_repeated() -> None:
+    jobs = Staggered(np.array([10.0]), now=0.0)
+    jobs.due(1.0)
+    assert len(jobs.due(1.01)) == 0
+    assert len(jobs.due(1.101)) == 1

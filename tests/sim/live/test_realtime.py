@@ -1,0 +1,243 @@
+"""The server's turn with the clock in the test's hand, over real Zenoh on loopback."""
+
+from __future__ import annotations
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import zenoh
+
+from swarmd.platforms import load_platform
+from swarmd.sensing import decode_odometry, decode_scan, encode_command
+from swarmd.sim.live.link import WorldLink, dialling
+from swarmd.sim.live.realtime import COMMAND_TIMEOUT, RealTimeWorld
+from swarmd.sim.live.recording import Record, RecordSettings
+from swarmd.sim.trace import load_trace
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.world import World
+from swarmd.values import Twist
+
+CAP = 20.0
+IDS = ("a", "b")
+
+
+class Stage:
+    """A world of two Burgers whose time moves only when told to."""
+
+    def __init__(self, settings: RecordSettings) -> None:
+        self.now = 100.0
+        platform = load_platform("burger")
+        starts = np.array([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
+        self.world = World(dict.fromkeys(IDS, platform), Arena(6.0, 6.0), starts)
+        self.link = WorldLink("s", IDS, "tcp/127.0.0.1:0", clock=lambda: self.now)
+        self.record = Record(self.world, settings)
+        self.server = RealTimeWorld(self.world, self.link, self.record, clock=lambda: self.now)
+        config = zenoh.Config()
+        options = {**dialling(self.link.endpoint), "scouting/multicast/enabled": False}
+        for path, value in options.items():
+            config.insert_json5(path, json.dumps(value))
+        self.peer = zenoh.open(config)
+        self._connect()
+
+    def close(self) -> None:
+        self.peer.close()
+        self.link.close()
+
+    def pass_time(self, seconds: float) -> None:
+        for _ in range(round(seconds / self.world.dt)):
+            self.now += self.world.dt
+            self.server.turn()
+
+    def speed(self, robot: int = 0) -> float:
+        return float(self.world.twists()[robot, 0])
+
+    def command(self, robot: str, payload: bytes) -> None:
+        """Send once, and wait until the world has it for its next turn."""
+        self.peer.put(f"swarm/s/{robot}/hw/cmd_vel", payload)
+        assert until(lambda: self.link._commands.get(robot, (b"", 0.0))[0] == payload)
+
+    def _connect(self) -> None:
+        """Send until something arrives, then a last one: after it nothing is on its way."""
+        first, last = encode_command(Twist(), 0, 0), encode_command(Twist(), 1, 1)
+
+        def heard() -> bool:
+            self.peer.put("swarm/s/a/hw/cmd_vel", first)
+            return "a" in self.link._commands
+
+        assert until(heard)
+        self.command("a", last)
+        self.link.take_commands()
+
+
+def until(condition: Callable[[], bool]) -> bool:
+    """True once the condition holds; false if it does not for a very long time."""
+    pause = threading.Event()
+    for _ in range(int(CAP / 0.005)):
+        if condition():
+            return True
+        pause.wait(0.005)
+    return False
+
+
+@pytest.fixture
+def stage() -> Iterator[Stage]:
+    one = Stage(RecordSettings())
+    yield one
+    one.close()
+
+
+def test_a_command_moves_its_robot_and_no_other(stage: Stage) -> None:
+    stage.command("a", encode_command(Twist(0.2), 1, 1))
+    stage.pass_time(0.3)
+    assert stage.speed(0) == pytest.approx(0.2)
+    assert stage.speed(1) == 0.0
+
+
+def test_a_body_stops_by_itself_half_a_second_after_its_last_command(stage: Stage) -> None:
+    stage.command("a", encode_command(Twist(0.2), 1, 1))
+    stage.pass_time(COMMAND_TIMEOUT - 0.02)
+    assert stage.speed() == pytest.approx(0.2)
+    stage.pass_time(0.02 + 0.1)  # and the ramp down
+    assert stage.speed() == 0.0
+    stage.pass_time(5.0)
+    assert stage.speed() == 0.0
+
+
+def test_a_new_command_moves_it_again(stage: Stage) -> None:
+    stage.command("a", encode_command(Twist(0.2), 1, 1))
+    stage.pass_time(2.0)
+    stage.command("a", encode_command(Twist(-0.1), 9, 9))
+    stage.pass_time(0.3)
+    assert stage.speed() == pytest.approx(-0.1)
+
+
+def test_last_words_of_a_frozen_guardian_do_not_move_it(stage: Stage) -> None:
+    stage.pass_time(3.0)
+    newest = stage.world._seq[0] - 1
+    stage.command("a", encode_command(Twist(0.2), newest - 4, newest - 4))
+    stage.pass_time(0.3)
+    assert stage.speed() == 0.0
+    newest = stage.world._seq[0] - 1
+    stage.command("a", encode_command(Twist(0.2), newest - 2, newest - 2))
+    stage.pass_time(0.1)
+    assert stage.speed() > 0.0
+
+
+def test_a_command_that_cannot_be_read_is_counted_and_does_not_keep_it_going(stage: Stage) -> None:
+    stage.command("a", encode_command(Twist(0.2), 1, 1))
+    stage.pass_time(0.4)
+    stage.command("a", b"\x01rubbish")
+    stage.pass_time(0.3)
+    assert stage.speed() == 0.0
+    assert stage.server._state().dropped == 1
+
+
+def test_a_command_beyond_what_the_base_can_is_held_within_it(stage: Stage) -> None:
+    stage.command("a", encode_command(Twist(90.0), 1, 1))
+    stage.pass_time(0.4)
+    assert stage.speed() == pytest.approx(0.22)
+
+
+def test_scans_and_odometry_come_at_their_rates_and_not_all_at_once(stage: Stage) -> None:
+    heard: list[tuple[str, str, float]] = []
+
+    def note(sample: zenoh.Sample) -> None:
+        _, _, robot, _, name = str(sample.key_expr).split("/")
+        payload = sample.payload.to_bytes()
+        spec = stage.world.platforms[0].scan
+        if name == "scan":
+            heard.append((robot, name, decode_scan(payload, spec).stamp))
+        else:
+            heard.append((robot, name, decode_odometry(payload).stamp))
+
+    def connected() -> bool:
+        stage.pass_time(0.04)
+        return len({h[:2] for h in heard}) == 4
+
+    stage.peer.declare_subscriber("swarm/s/*/hw/*", note)
+    assert until(connected)
+    start = stage.world.time + 0.001
+
+    def all_told_since(moment: float) -> bool:
+        return {h[0] for h in list(heard) if h[1] == "odometry" and h[2] > moment} == set(IDS)
+
+    for _ in range(125 + 1):
+        # One odometry of each in 0.04 s: wait for both, so that nothing piles up and is dropped.
+        end = stage.world.time + 0.001
+        stage.pass_time(0.04)
+        assert until(lambda end=end: all_told_since(end))  # type: ignore[misc]
+    # What was sent before the last odometries has come before them.
+    stamps = {
+        (robot, name): {h[2] for h in heard if h[:2] == (robot, name) and start < h[2] <= end}
+        for robot in IDS
+        for name in ("scan", "odometry")
+    }
+    for robot in IDS:
+        assert len(stamps[robot, "scan"]) == 25
+        assert len(stamps[robot, "odometry"]) == 125
+    assert not stamps["a", "scan"] & stamps["b", "scan"]
+
+
+def test_lost_time_is_given_up_after_a_freeze(stage: Stage) -> None:
+    stage.command("a", encode_command(Twist(0.2), 1, 1))
+    stage.pass_time(0.2)
+    before = stage.world.time
+    stage.now += 60.0
+    stage.server.turn()
+    assert stage.world.time == pytest.approx(before + stage.world.dt)
+    stage.pass_time(0.2)
+    assert stage.speed() == 0.0
+
+
+def test_records_from_start_to_finish_only(tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    stage = Stage(RecordSettings(path=path, meta={"seed": 7}))
+    try:
+        stage.pass_time(1.0)
+        stage.record.begin()
+        stage.command("a", encode_command(Twist(0.2), 1, 1))
+        stage.pass_time(0.5)
+        assert stage.record.finish() == path
+        stage.pass_time(1.0)
+        stage.record.finish()
+    finally:
+        stage.close()
+    trace = load_trace(path)
+    assert trace.ids == IDS
+    assert trace.t[0] == pytest.approx(0.01, abs=0.01)
+    assert trace.t[-1] == pytest.approx(0.5, abs=0.02)
+    assert trace.safe[5, 0].tolist() == [0.2, 0.0, 0.0]
+    assert trace.meta == {"seed": 7, "seconds": pytest.approx(0.5)}
+
+
+def test_recording_ends_by_itself_when_its_time_is_full(tmp_path: Path) -> None:
+    stage = Stage(RecordSettings(path=tmp_path / "run.npz", seconds=0.3))
+    try:
+        stage.pass_time(1.0)
+        state = stage.server._state()
+    finally:
+        stage.close()
+    assert not state.is_recording
+    assert state.recorded == pytest.approx(0.3)
+    assert load_trace(tmp_path / "run.npz").duration == pytest.approx(0.28, abs=0.03)
+
+
+def test_touches_are_counted_and_recorded(tmp_path: Path) -> None:
+    stage = Stage(RecordSettings(path=tmp_path / "run.npz"))
+    try:
+        for _ in range(100):
+            seq = stage.world._seq[0]
+            stage.command("a", encode_command(Twist(0.22), seq, seq))
+            stage.pass_time(0.2)
+        state = stage.server._state()
+        stage.record.finish()
+    finally:
+        stage.close()
+    assert (state.contacts, state.arena_contacts) == (0, 1)
+    trace = load_trace(tmp_path / "run.npz")
+    assert set(map(tuple, trace.contact_pair.tolist())) == {(0, -1)}
+    assert trace.contact_speed[0, 0] == pytest.approx(0.22)

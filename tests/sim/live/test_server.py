@@ -1,0 +1,255 @@
+"""The world as a process: ready line, endings, and the whole way through a driver's session."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from swarmd.drivers.simulated import SimulatedDriver
+from swarmd.errors import ConfigError
+from swarmd.platforms import load_platform
+from swarmd.sim.live.link import WorldView
+from swarmd.sim.live.server import main, parse_robots
+from swarmd.sim.metrics import aggregation as metrics
+from swarmd.sim.trace import load_trace
+from swarmd.values import Neighbor, Odometry, Scan, Twist
+
+CAP = 30.0
+COMMAND = (sys.executable, "-m", "swarmd.sim.live.server", "--swarm", "s")
+TWO = ("--robots", "a:waffle_pi,b:burger", "--layout", "list:0:0:0,0:2:0")
+
+
+@contextmanager
+def world(*options: str) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+    """A running world and its endpoint."""
+    command = [*COMMAND, *TWO, "--endpoint", "tcp/127.0.0.1:0", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        try:
+            assert process.stdout is not None
+            yield process, json.loads(process.stdout.readline())["endpoint"]
+        finally:
+            process.kill()
+
+
+class Heard:
+    """A sink that keeps what came last and lets a test wait for what it needs."""
+
+    def __init__(self) -> None:
+        self.last_scan: Scan | None = None
+        self.last_odometry: Odometry | None = None
+        self.states: list[bool] = []
+        self._news = asyncio.Event()
+
+    def scan(self, scan: Scan) -> None:
+        self.last_scan = scan
+        self._news.set()
+
+    def odometry(self, odometry: Odometry) -> None:
+        self.last_odometry = odometry
+        self._news.set()
+
+    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
+        self._news.set()
+
+    def readings(self, values: object) -> None:
+        self._news.set()
+
+    def state(self, is_up: bool, text: str) -> None:
+        self.states.append(is_up)
+        self._news.set()
+
+    def dropped(self, what: str) -> None:
+        if not what.endswith(":overtaken"):  # a slow machine may leave some out
+            raise AssertionError(what)
+
+    async def news(self) -> None:
+        self._news.clear()
+        await self._news.wait()
+
+    @property
+    def speed(self) -> float:
+        return self.last_odometry.twist.linear if self.last_odometry else 0.0
+
+
+@pytest.mark.integration
+def test_a_robot_drives_by_its_driver_and_stops_when_the_driver_falls_silent(
+    tmp_path: Path,
+) -> None:
+    trace = tmp_path / "run.npz"
+
+    async def story(endpoint: str) -> None:
+        heard = Heard()
+        driver = SimulatedDriver(
+            swarm="s", robot="a", platform=load_platform("waffle_pi"),
+            options={"endpoint": endpoint},
+        )  # fmt: skip
+        task = asyncio.create_task(driver.run(heard))
+        with WorldView("s", endpoint) as view:
+            async with asyncio.timeout(CAP):
+                while heard.last_scan is None:
+                    await heard.news()
+                started = await asyncio.to_thread(view.ask, "start")
+                while heard.speed < 0.19:  # the first one is sent as zero, so once would not do
+                    driver.send(Twist(0.2), heard.last_scan.seq, -1)
+                    await heard.news()
+                while heard.speed > 0.0:  # silence
+                    await heard.news()
+                done = await asyncio.to_thread(view.ask, "finish")
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        assert started.state.poses[0][0] == 0.0
+        assert done.state.poses[0][0] > 0.0
+        assert Path(done.path) == trace
+        assert not any(done.state.commanded)
+
+    with world("--trace", str(trace)) as (_, endpoint):
+        asyncio.run(story(endpoint))
+    run = load_trace(trace)
+    assert run.meta["layout"] == "list:0:0:0,0:2:0"
+    way = metrics.path_length(run)
+    assert way[0] == pytest.approx(run.pose[-1, 0, 0], abs=1e-3)  # straight ahead
+    assert way[1] == 0.0
+
+
+_DRIVE = """
+import asyncio, sys
+from swarmd.drivers.simulated import SimulatedDriver
+from swarmd.platforms import load_platform
+from swarmd.testing.driver_contract import Heard
+from swarmd.values import Twist
+
+async def drive():
+    driver = SimulatedDriver(swarm="s", robot="a", platform=load_platform("waffle_pi"),
+                             options={"endpoint": sys.argv[1]})
+    heard = Heard()
+    task = asyncio.create_task(driver.run(heard))
+    while True:
+        driver.send(Twist(0.0, 0.5), heard.scans[-1].seq if heard.scans else -1, -1)
+        await asyncio.sleep(0.05)
+
+asyncio.run(drive())
+"""
+
+
+@pytest.mark.integration
+def test_a_frozen_driver_stops_its_own_body_and_no_other_is_cut_off() -> None:
+    async def story(endpoint: str, frozen: subprocess.Popen[bytes]) -> None:
+        heard = Heard()
+        driver = SimulatedDriver(
+            swarm="s", robot="b", platform=load_platform("burger"), options={"endpoint": endpoint}
+        )
+        task = asyncio.create_task(driver.run(heard))
+        with WorldView("s", endpoint) as view:
+            async with asyncio.timeout(CAP):
+                while not (await asyncio.to_thread(view.ask, "poses")).state.commanded[0]:
+                    await asyncio.sleep(0.05)
+                frozen.send_signal(signal.SIGSTOP)
+                while heard.last_odometry is None:
+                    await heard.news()
+                start = heard.last_odometry.stamp
+                # Long enough for the frozen one's buffers to fill: 25 odometries, 5 scans a second.
+                while heard.last_odometry.stamp - start < 4.0:
+                    seq = -1 if heard.last_scan is None else heard.last_scan.seq
+                    driver.send(Twist(0.0, 0.5), seq, -1)
+                    await heard.news()
+                state = (await asyncio.to_thread(view.ask, "poses")).state
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        assert state.commanded == (False, True)
+        assert state.twists[0] == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+        assert state.twists[1][1] == pytest.approx(0.5)
+        assert False not in heard.states[1:]  # after the first `not yet`, never lost
+
+    with (
+        world() as (_, endpoint),
+        subprocess.Popen([sys.executable, "-c", _DRIVE, endpoint]) as frozen,
+    ):
+        try:
+            asyncio.run(story(endpoint, frozen))
+        finally:
+            frozen.kill()
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_it_and_writes_the_trace(tmp_path: Path, number: signal.Signals) -> None:
+    trace = tmp_path / "run.npz"
+    with world("--trace", str(trace), "--radio-range", "1.5") as (process, endpoint):
+        with WorldView("s", endpoint) as view:
+            reply = view.ask("poses")
+        process.send_signal(number)
+        assert process.wait(CAP) == 0
+    assert reply.state.ids == ("a", "b")
+    assert reply.state.poses[1][1] == pytest.approx(2.0)
+    assert len(load_trace(trace).t) > 0
+
+
+@pytest.mark.integration
+def test_it_does_not_outlive_its_parent(tmp_path: Path) -> None:
+    # The parent in between starts the world, tells its id, and is then killed.
+    parent_code = (
+        "import os, subprocess, sys;"
+        f"p = subprocess.Popen([*{[*COMMAND, *TWO, '--endpoint', 'tcp/127.0.0.1:0']!r},"
+        "'--die-with-parent', str(os.getpid())], stdout=subprocess.PIPE);"
+        "p.stdout.readline(); print(p.pid, flush=True); p.wait()"
+    )
+    with subprocess.Popen([sys.executable, "-c", parent_code], stdout=subprocess.PIPE) as parent:
+        assert parent.stdout is not None
+        child = int(parent.stdout.readline())
+        watch = os.pidfd_open(child)
+        parent.kill()
+        try:
+            asyncio.run(_ended(watch))
+        finally:
+            with contextlib.suppress(ProcessLookupError):  # gone, as it should be
+                signal.pidfd_send_signal(watch, signal.SIGKILL)
+            os.close(watch)
+
+
+async def _ended(pidfd: int) -> None:
+    ended = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    loop.add_reader(pidfd, ended.set)
+    async with asyncio.timeout(CAP):
+        await ended.wait()
+    loop.remove_reader(pidfd)
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        (("--robots", "a:wafle_pi"), "did you mean 'waffle_pi'"),
+        (("--robots", "A:burger"), "robot id is 'A'"),
+        (("--robots", "a:burger,a:burger"), "'a' twice"),
+        (("--robots", "a"), "wanted is such as tb3-01:waffle_pi"),
+        ((*TWO, "--arena", "big"), "wanted is such as 6x6"),
+        ((*TWO[:2], "--layout", "row:0.1"), "robot 1 touches robot 0"),
+        ((*TWO, "--endpoint", "here"), "wanted is such as tcp/127.0.0.1:0"),
+    ],
+)
+def test_what_cannot_be_is_one_line_and_exit_code_2(
+    options: tuple[str, ...], complaint: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["--swarm", "s", *options]) == 2
+    said = capsys.readouterr()
+    assert complaint in said.err
+    assert said.err.count("\n") == 1
+    assert said.out == ""
+
+
+def test_a_platform_is_loaded_once_for_all_its_robots() -> None:
+    robots = parse_robots("a:burger,b:burger,c:jackal")
+    assert list(robots) == ["a", "b", "c"]
+    assert robots["a"] is robots["b"]
+    with pytest.raises(ConfigError, match="wanted is such as"):
+        parse_robots("")

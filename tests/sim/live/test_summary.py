@@ -1,0 +1,152 @@
+"""What a demo comes to: its numbers, and what counts as a problem."""
+
+from __future__ import annotations
+
+import json
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from swarmd.messages import Epoch, Health, Reason, State, Status, VerdictSummary
+from swarmd.platforms import load_platform
+from swarmd.sim.live.summary import Summary, duties, mean_duty, numbers_of, problems_of
+from swarmd.sim.trace import Recorder, Trace
+
+BURGER = load_platform("burger")
+
+
+def status(robot: str, **changes: Any) -> Status:
+    plain = Status(
+        robot=robot,
+        instance="abc",
+        platform="waffle_pi",
+        driver="simulated",
+        host="here",
+        profile="dev",
+        is_secured=False,
+        state=State.RUNNING,
+        reason=None,
+        detail="",
+        pattern="attraction",
+        generation=1,
+        since=0.0,
+        epoch=Epoch("abc", 1),
+        changed_by="",
+        latches={},
+        labels=(),
+        params={},
+        report={},
+        verdict=VerdictSummary(),
+        health=Health(),
+        uptime=1.0,
+    )
+    return replace(plain, **changes)
+
+
+def problem(**end: Any) -> tuple[str, ...]:
+    return problems_of(["a"], {"a": status("a")}, {"a": status("a", **end)}, contacts=0)
+
+
+def closing_in() -> Trace:
+    """Two robots on the x axis, 2 m apart, that come to 0.5 m within 10 s and then stand 10 s."""
+    recorder = Recorder(("a", "b"), (BURGER, BURGER), {})
+    for time in np.arange(0.0, 20.0 + 1e-9, 0.1):
+        half = max(1.0 - 0.075 * time, 0.25)
+        poses = np.array([[-half, 0.0, 0.0], [half, 0.0, np.pi]])
+        recorder.add(float(time), poses, np.zeros((2, 3)))
+    recorder.touch(12.0, "a", "wall_east", 0.1, 0.0)
+    return recorder.trace()
+
+
+def summary(**changes: Any) -> Summary:
+    numbers = numbers_of(closing_in(), {"burger": BURGER}, 0.25, 0.99)
+    plain: dict[str, Any] = {
+        "pattern": "attraction",
+        "platform": "burger",
+        "robots": ("a", "b"),
+        "arena": "4x4",
+        "layout": "row:1",
+        "seed": 0,
+        "seconds_to_moving": 1.5,
+        "numbers": numbers,
+        "duty": {"a": 0.25},
+        "problems": (),
+    }
+    return Summary(**{**plain, **changes})
+
+
+def test_numbers_of_two_robots_that_meet() -> None:
+    numbers = summary().numbers
+    assert numbers.seconds == pytest.approx(20.0)
+    assert numbers.centroid_before == pytest.approx(1.0)
+    assert numbers.centroid_after == pytest.approx(0.25)
+    assert numbers.link == pytest.approx(2.0 * 0.5)  # twice the Burger's threshold
+    assert (numbers.clusters_before, numbers.clusters_after) == (2, 1)
+    assert numbers.largest_cluster == 2
+    assert (numbers.contacts, numbers.arena_contacts) == (0, 1)
+    assert numbers.minimum_gap == pytest.approx(0.5 - 2.0 * 0.038)  # nose to nose
+    assert numbers.mean_speed_late == pytest.approx(0.0, abs=1e-12)
+    assert numbers.protection_duty == 0.25
+
+
+def test_a_robot_alone_has_no_gap() -> None:
+    recorder = Recorder(("a",), (BURGER,), {})
+    for time in (0.0, 1.0):
+        recorder.add(time, np.zeros((1, 3)), np.zeros((1, 3)))
+    numbers = numbers_of(recorder.trace(), {"burger": BURGER}, None, 1.0)
+    assert numbers.minimum_gap is None
+    assert numbers.clusters_after == 1
+
+
+def test_a_summary_is_plain_json() -> None:
+    told = json.loads(json.dumps(summary().as_json(), allow_nan=False))
+    assert told["is_good"] is True
+    assert told["robots"] == ["a", "b"]
+    assert summary(problems=("a ended faulted",)).as_json()["is_good"] is False
+
+
+def test_lines_say_what_is_not_known() -> None:
+    lines = dict(summary(seconds_to_moving=None).lines())
+    assert lines["all moving after"] == "not all moved"
+    assert lines["distance to centroid"] == "1.00 m -> 0.25 m"
+    assert lines["protection active"] == "25 % of decisions"
+
+
+def test_robots_that_ran_to_the_end_are_no_problem() -> None:
+    assert problem() == ()
+    assert problem(state=State.IDLE, reason=Reason.FINISHED) == ()
+
+
+@pytest.mark.parametrize(
+    ("end", "line"),
+    [
+        ({"state": State.STOPPED, "reason": Reason.STALE_SCAN}, r"a ended stopped \(stale_scan\)"),
+        ({"state": State.FAULTED, "detail": "it raised"}, r"a ended faulted: it raised"),
+        ({"state": State.IDLE, "reason": Reason.RESET}, r"a ended idle \(reset\)"),
+        ({"instance": "other"}, r"a was restarted"),
+        ({"generation": 2}, r"a was told to do something else"),
+        ({"generation": 2, "health": Health(host_restarts=1)}, r"a: its pattern failed"),
+    ],
+)
+def test_a_robot_that_did_not_run_to_the_end_is_a_problem(end: dict[str, Any], line: str) -> None:
+    (found,) = problem(**end)
+    assert re.match(line, found)
+
+
+def test_a_silent_robot_and_a_touch_are_problems() -> None:
+    found = problems_of(["a", "b"], {"a": status("a"), "b": status("b")}, {"a": status("a")}, 2)
+    assert found == ("b did not answer at the end", "robots touched one another 2 times")
+
+
+def test_duty_is_weighted_by_decisions() -> None:
+    statuses = {
+        "a": status("a", verdict=VerdictSummary(duty=0.5, decisions=300)),
+        "b": status("b", verdict=VerdictSummary(duty=0.1, decisions=100)),
+        "c": status("c"),
+    }
+    assert mean_duty(statuses) == pytest.approx(0.4)
+    assert duties(statuses) == {"a": 0.5, "b": 0.1}
+    assert mean_duty({"c": status("c")}) is None

@@ -1,0 +1,82 @@
+"""The platforms' geometry, as far as it can be told apart from a slip of the pen."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from swarmd.errors import ConfigError
+from swarmd.platforms import load_platform
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.bodies import build_model, inertia, value
+from swarmd.sim.world.geometry import radius
+from swarmd.values import Platform
+
+NAMES = ("burger", "waffle_pi", "jackal")
+
+
+@pytest.mark.parametrize(
+    ("name", "length", "width"),
+    [("burger", 0.138, 0.178), ("waffle_pi", 0.281, 0.306), ("jackal", 0.508, 0.430)],
+)
+def test_footprints_agree_with_the_makers_outer_sizes(
+    name: str, length: float, width: float
+) -> None:
+    # The makers' tables; the drawings that the footprints are from differ by up to 2 mm.
+    corners = load_platform(name).footprint
+    size = corners.max(axis=0) - corners.min(axis=0)
+    np.testing.assert_allclose(size, [length, width], atol=0.0025)
+    np.testing.assert_allclose(corners[:, 1].sum(), 0.0, atol=1e-12)
+
+
+def test_turtlebots_stand_behind_their_axle() -> None:
+    # The Burger's rear corner sweeps 0.135 m around the axle, not the 0.105 m of its half length.
+    assert radius(load_platform("burger").footprint) == pytest.approx(0.135, abs=1e-3)
+    for name in ("burger", "waffle_pi"):
+        x = load_platform(name).footprint[:, 0]
+        assert -x.min() > 2.0 * x.max()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_sensor_stands_on_the_body_and_sees_above_it(name: str) -> None:
+    platform = load_platform(name)
+    low, high = platform.footprint.min(axis=0), platform.footprint.max(axis=0)
+    reach = value(platform, "target_radius")
+    offset = np.array(platform.scan.offset)
+    assert (offset - reach >= low).all()
+    assert (offset + reach <= high).all()
+    assert (
+        value(platform, "height") < value(platform, "scan_height") < value(platform, "target_top")
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_wheels_stand_within_the_footprint(name: str) -> None:
+    platform = load_platform(name)
+    assert value(platform, "wheel_separation") < np.ptp(platform.footprint[:, 1])
+
+
+def test_inertia_is_that_of_a_plate() -> None:
+    jackal = load_platform("jackal")
+    assert inertia(jackal) == pytest.approx(17.0 * (0.508**2 + 0.430**2) / 12.0)
+
+
+def test_a_footprint_that_is_no_rectangle_is_refused() -> None:
+    burger = load_platform("burger")
+    turn = np.radians([0.0, 120.0, 240.0])
+    triangle = Platform(
+        "wedge", burger.limits, 0.1 * np.stack((np.cos(turn), np.sin(turn)), axis=-1),
+        burger.scan, burger.provides, burger.protection, body=burger.body,
+    )  # fmt: skip
+    with pytest.raises(ConfigError, match="platform wedge: footprint is no rectangle"):
+        build_model({"a": triangle}, Arena(4.0, 4.0), 0.01)
+
+
+def test_masses_and_joints_are_as_given() -> None:
+    model = build_model({"a": load_platform("burger")}, Arena(4.0, 4.0), 0.01)
+    assert model.nv == 3
+    assert model.body("robot/a").mass == pytest.approx(1.0)
+    assert math.isclose(model.opt.timestep, 0.01)
+    np.testing.assert_array_equal(model.opt.gravity, 0.0)

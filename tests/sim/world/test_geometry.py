@@ -1,0 +1,79 @@
+"""Distances of convex polygons, against what can be worked out by other means."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from swarmd.sim.world.geometry import gaps, overlaps, radius, transform
+from swarmd.values import Array
+
+SQUARE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
+TRIANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+
+
+def at(shape: Array, x: float, y: float, yaw: float = 0.0) -> Array:
+    return transform(shape, np.array([x, y, yaw]))
+
+
+def boundary(shape: Array, points: int) -> Array:
+    share = np.linspace(0.0, 1.0, points)[:, None]
+    edges = zip(shape, np.roll(shape, -1, axis=0), strict=True)
+    return np.concatenate([a + share * (b - a) for a, b in edges])
+
+
+@pytest.mark.parametrize(
+    ("x", "y", "yaw", "gap"),
+    [
+        (3.0, 0.0, 0.0, 2.0),  # face to face
+        (3.0, 4.0, 0.0, math.hypot(2.0, 3.0)),  # corner to corner
+        (2.0, 0.0, math.pi / 4.0, 1.5 - math.sqrt(0.5)),  # corner to face
+        (0.9, 0.0, 0.0, 0.0),  # overlapping
+        (0.0, 0.0, 0.3, 0.0),  # one upon the other, no corner inside
+    ],
+)
+def test_gap_of_two_squares(x: float, y: float, yaw: float, gap: float) -> None:
+    assert float(gaps(SQUARE, at(SQUARE, x, y, yaw))) == pytest.approx(gap, abs=1e-12)
+
+
+def test_a_thin_cross_overlaps_though_no_corner_lies_within_the_other() -> None:
+    bar = SQUARE * [4.0, 0.2]
+    assert overlaps(bar, at(bar, 0.0, 0.0, math.pi / 2.0))
+    assert float(gaps(bar, at(bar, 0.0, 0.0, math.pi / 2.0))) == 0.0
+
+
+def test_agrees_with_a_dense_sampling_of_both_outlines() -> None:
+    rng = np.random.default_rng(5)
+    apart = 0
+    for _ in range(60):
+        a = at(SQUARE * [1.0, 0.4], 0.0, 0.0, rng.uniform(-3.0, 3.0))
+        b = transform(TRIANGLE, rng.uniform(-2.0, 2.0, 3))
+        difference = boundary(a, 200)[:, None] - boundary(b, 200)[None]
+        sampled = np.hypot(difference[..., 0], difference[..., 1]).min()
+        exact = float(gaps(a, b))
+        if not overlaps(a, b):
+            apart += 1
+            assert exact <= sampled + 1e-12
+            assert exact == pytest.approx(sampled, abs=0.01)  # half the sampling's step
+    assert apart > 20
+
+
+def test_is_symmetric_and_works_on_stacks() -> None:
+    rng = np.random.default_rng(1)
+    poses = rng.uniform(-2.0, 2.0, (50, 2, 3))
+    a, b = transform(SQUARE, poses[:, 0]), transform(TRIANGLE, poses[:, 1])
+    np.testing.assert_allclose(gaps(a, b), gaps(b, a), atol=1e-12)
+    np.testing.assert_array_equal(
+        gaps(a, b), [float(gaps(x, y)) for x, y in zip(a, b, strict=True)]
+    )
+
+
+def test_transform_turns_then_moves() -> None:
+    moved = at(np.array([[1.0, 0.0]]), 5.0, 6.0, math.pi / 2.0)
+    np.testing.assert_allclose(moved, [[5.0, 7.0]], atol=1e-12)
+
+
+def test_radius_is_that_of_the_farthest_corner_from_the_origin() -> None:
+    assert radius(np.array([[-3.0, 0.0], [1.0, -1.0], [1.0, 1.0]])) == 3.0

@@ -1,0 +1,98 @@
+"""Start poses: where they should be, never in a wall or each other, the same for one seed."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from swarmd.errors import ConfigError
+from swarmd.platforms import load_platform
+from swarmd.sim.world.arena import Arena, parse_arena
+from swarmd.sim.world.geometry import gaps, transform
+from swarmd.sim.world.layouts import parse_layout
+from swarmd.values import Array
+
+BURGER = load_platform("burger").footprint
+WAFFLE = load_platform("waffle_pi").footprint
+ARENA = Arena(8.0, 8.0)
+
+
+def place(text: str, n: int = 3, arena: Arena = ARENA, seed: int = 0) -> Array:
+    return parse_layout(text, [BURGER] * n, arena, seed=seed)
+
+
+def test_row_is_centred_across_the_heading() -> None:
+    np.testing.assert_array_equal(place("row:0.8")[:, 1], [-0.8, 0.0, 0.8])
+    np.testing.assert_array_equal(place("row")[:, [0, 2]], 0.0)
+
+
+def test_paper_begins_in_the_middle_as_experiment_1_does() -> None:
+    poses = place("paper", n=7, arena=Arena(18.0, 18.0))
+    np.testing.assert_array_equal(poses[:, 1], np.arange(7.0))
+    away = np.hypot(*(poses[:, :2] - poses[:, :2].mean(axis=0)).T)
+    assert away.mean() == pytest.approx(1.714, abs=1e-3)
+
+
+def test_grid_is_as_square_as_can_be() -> None:
+    poses = place("grid:0.5", n=5)
+    assert len(np.unique(poses[:, 0])) == 2
+    assert len(np.unique(poses[:, 1])) == 3
+    assert np.diff(np.unique(poses[:, 1])) == pytest.approx([0.5, 0.5])
+
+
+def test_ring_looks_inwards() -> None:
+    poses = place("ring:2", n=6)
+    np.testing.assert_allclose(np.hypot(poses[:, 0], poses[:, 1]), 2.0)
+    ahead = poses[:, :2] + 2.0 * np.stack((np.cos(poses[:, 2]), np.sin(poses[:, 2])), axis=-1)
+    np.testing.assert_allclose(ahead, 0.0, atol=1e-12)
+
+
+def test_list_says_it_all() -> None:
+    poses = place("list:0:0:90,1:-1:0,-1:2.5:-45")
+    np.testing.assert_allclose(poses[:, 2], [math.pi / 2.0, 0.0, -math.pi / 4.0])
+    np.testing.assert_array_equal(poses[2, :2], [-1.0, 2.5])
+
+
+def test_random_keeps_its_clearance_from_robots_walls_and_things() -> None:
+    arena = parse_arena("4x4,box:0:0:1:1:45,pole:1.2:1.2:0.2")
+    footprints = [BURGER, WAFFLE] * 4
+    for seed in range(5):
+        poses = parse_layout("random:0.1", footprints, arena, seed=seed)
+        shapes = [transform(f, pose) for f, pose in zip(footprints, poses, strict=True)]
+        assert max(float(np.abs(shape).max()) for shape in shapes) < 1.9
+        assert min(float(gaps(a, b)) for a, b in combinations(shapes, 2)) > 0.1
+        assert min(float(gaps(shape, arena.boxes[0].corners)) for shape in shapes) > 0.1
+        to_pole = [np.hypot(*(shape - [1.2, 1.2]).T).min() for shape in shapes]
+        assert min(to_pole) > 0.2
+
+
+def test_random_is_its_seed() -> None:
+    np.testing.assert_array_equal(place("random", seed=4), place("random", seed=4))
+    assert np.abs(place("random", seed=4) - place("random", seed=5)).max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("text", "n", "complaint"),
+    [
+        ("gird", 3, "did you mean 'grid'"),
+        ("row:wide", 3, "'wide' is no number"),
+        ("row:0.1", 3, "robot 1 touches robot 0"),
+        ("paper:2", 3, "robot 2 is not inside the walls"),
+        ("list:0:0:0", 3, "has 1 poses; wanted are 3"),
+        ("list:0:0,1:1,2:2", 3, "wanted are 3 of x:y:degrees"),
+        ("list:0:0:nan", 1, "'nan' is no number"),
+        ("random:2", 30, "no room for robot"),
+    ],
+)
+def test_tells_what_cannot_be(text: str, n: int, complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        place(text, n)
+
+
+def test_refuses_to_start_in_a_box_or_pole() -> None:
+    for arena in ("8x8,box:0:0:1:1", "8x8,pole:0:0.05:0.02"):
+        with pytest.raises(ConfigError, match="robot 0 stands in a box or pole"):
+            place("list:0:0:0", 1, parse_arena(arena))

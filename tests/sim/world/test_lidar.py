@@ -1,0 +1,184 @@
+"""The caster against MuJoCo's own, which shares no code with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+
+from swarmd.platforms import load_platform
+from swarmd.sim.world import bodies
+from swarmd.sim.world.arena import Arena, Box, Pole, parse_arena
+from swarmd.sim.world.layouts import parse_layout
+from swarmd.sim.world.lidar import Lidar
+from swarmd.sim.world.ranging import Visibility
+from swarmd.sim.world.visibility import shapes_of
+from swarmd.sim.world.world import World
+from swarmd.values import Array, ScanSpec
+
+OBSTACLES = "7x6,box:1:1:0.5:0.3:30,box:-2:-1:0.2:1.5:-75,pole:-2:2:0.1,pole:2:-2:0.3,pole:0:0:0.02"
+TIGHT = "4x4"
+MIXED = ("burger", "waffle_pi", "jackal", "waffle_pi", "burger", "jackal", "burger")
+FIELD = Arena(20.0, 20.0)
+
+
+def world_of(kinds: Sequence[str], arena: str, seed: int, visibility: Visibility) -> World:
+    platforms = [load_platform(kind) for kind in kinds]
+    space = parse_arena(arena)
+    starts = parse_layout("random:0.01", [p.footprint for p in platforms], space, seed=seed)
+    robots = {f"r{i}": platform for i, platform in enumerate(platforms)}
+    return World(robots, space, starts, visibility=visibility)
+
+
+def oracle(world: World, robot: int, visibility: Visibility) -> Array:
+    """The ranges as mj_multiRay finds them, with the meaning of a range applied."""
+    platform = world.platforms[robot]
+    spec = platform.scan
+    x, y, yaw = world.poses()[robot]
+    place = [
+        x + math.cos(yaw) * spec.offset[0] - math.sin(yaw) * spec.offset[1],
+        y + math.sin(yaw) * spec.offset[0] + math.cos(yaw) * spec.offset[1],
+        platform.body["scan_height"] if visibility == "real" else 0.25,
+    ]
+    groups = np.zeros(6, dtype=np.uint8)
+    seen = (bodies.BODY, bodies.HOUSING) if visibility == "real" else (bodies.COLLISION,)
+    groups[[*seen, bodies.FIXED]] = 1
+    rays = len(spec.bearings)
+    headings = yaw + spec.bearings
+    vectors = np.stack((np.cos(headings), np.sin(headings), np.zeros(rays)), axis=-1)
+    found = np.zeros(rays, dtype=np.int32)
+    distance = np.zeros(rays)
+    body = world.model.body(f"robot/{world.ids[robot]}").id
+    mujoco.mj_multiRay(
+        world.model, world.data, place, vectors.ravel(), groups, True, body,
+        found, distance, None, rays, 1e6,
+    )  # fmt: skip
+    distance[(found < 0) | (distance > spec.range_max)] = np.inf
+    distance[distance < spec.range_min] = -np.inf
+    return distance
+
+
+@pytest.mark.parametrize("visibility", ["body", "real"])
+@pytest.mark.parametrize("kinds", [("burger",) * 7, ("waffle_pi",) * 7, ("jackal",) * 4, MIXED])
+def test_agrees_with_mujoco_to_a_nanometre(kinds: tuple[str, ...], visibility: Visibility) -> None:
+    for seed in range(8):
+        world = world_of(kinds, (OBSTACLES, TIGHT)[seed % 2], seed, visibility)
+        robots = np.arange(len(kinds))
+        for robot, scan in zip(robots, world.scans(robots), strict=True):
+            expected = oracle(world, int(robot), visibility)
+            np.testing.assert_allclose(scan.ranges, expected, rtol=0.0, atol=1e-9)
+
+
+def test_the_worlds_compared_hold_hits_misses_and_near_things() -> None:
+    # Or the comparison above would prove nothing.
+    worlds = [world_of(MIXED, arena, 1, "body") for arena in (OBSTACLES, TIGHT)]
+    scans = [scan for world in worlds for scan in world.scans(np.arange(len(MIXED)))]
+    ranges = np.concatenate([scan.ranges for scan in scans])
+    assert np.isfinite(ranges).sum() > 1000
+    assert np.isposinf(ranges).sum() > 100
+    assert np.isneginf(ranges).sum() > 10
+
+
+def test_at_true_height_a_waffle_sees_of_a_waffle_only_the_lidar_housing() -> None:
+    platform = load_platform("waffle_pi")
+    robots = {"a": platform, "b": platform}
+    starts = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    arena = Arena(20.0, 20.0)
+    widths = {}
+    sights: tuple[Visibility, ...] = ("body", "real")
+    for visibility in sights:
+        world = World(robots, arena, starts, visibility=visibility)
+        widths[visibility] = np.isfinite(world.scans(np.array([0]))[0].ranges).sum()
+    assert widths["real"] == 2 * math.floor(math.degrees(math.asin(0.055 / 1.0))) + 1
+    assert widths["body"] == 21
+
+
+def test_at_true_height_a_burger_looks_over_a_waffle_which_sees_its_whole_body() -> None:
+    robots = {"low": load_platform("waffle_pi"), "high": load_platform("burger")}
+    starts = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    real = World(robots, Arena(20.0, 20.0), starts, visibility="real")
+    whole = World(robots, Arena(20.0, 20.0), starts)
+    assert not np.isfinite(real.scans(np.array([1]))[0].ranges).any()
+    np.testing.assert_array_equal(
+        real.scans(np.array([0]))[0].ranges, whole.scans(np.array([0]))[0].ranges
+    )
+
+
+def test_measures_from_the_sensor_not_from_the_axle() -> None:
+    platform = load_platform("waffle_pi")
+    world = World({"a": platform}, Arena(4.0, 4.0), np.array([[0.5, 0.0, 0.0]]))
+    ranges = world.scans(np.array([0]))[0].ranges
+    bearings = world.platforms[0].scan.bearings
+    ahead, behind = np.argmin(np.abs(bearings)), np.argmax(np.abs(bearings))
+    assert ranges[ahead] == pytest.approx(2.0 - 0.5 + 0.064, abs=1e-12)
+    assert ranges[behind] == pytest.approx(2.0 + 0.5 - 0.064, abs=1e-12)
+
+
+def look(spec: ScanSpec, arena: Arena, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> Array:
+    """What a sensor alone in an arena sees."""
+    lidar = Lidar(spec, shapes_of(arena, (), plane=None))
+    ranges: Array = lidar.cast(np.array([[x, y, yaw]]), np.array([0]))[0]
+    return ranges
+
+
+@pytest.mark.parametrize(
+    ("distance", "expected"),
+    [(0.11, -np.inf), (0.13, 0.13), (3.4, 3.4), (3.6, np.inf)],
+)
+def test_too_near_and_too_far_are_told_apart(distance: float, expected: float) -> None:
+    spec = ScanSpec(np.array([0.0]), 5.0, 0.12, 3.5)
+    assert look(spec, Arena(20.0, 20.0), x=10.0 - distance)[0] == pytest.approx(expected)
+
+
+def test_takes_any_number_of_rays_in_any_direction() -> None:
+    bearings = np.radians([40.0, -40.0, 20.0, 0.0, 170.0, -170.0, 359.0])
+    ranges = look(ScanSpec(bearings, 10.0, 0.0, 10.0), Arena(4.0, 4.0))
+    expected = 2.0 / np.maximum(np.abs(np.cos(bearings)), np.abs(np.sin(bearings)))
+    np.testing.assert_allclose(ranges, expected, atol=1e-12)
+
+
+def test_no_ray_slips_through_a_corner() -> None:
+    corners = np.radians([45.0, 135.0, -135.0, -45.0])
+    for turn in np.linspace(-7.0, 7.0, 501):
+        ranges = look(ScanSpec(corners - turn, 10.0, 0.0, 10.0), Arena(4.0, 4.0), yaw=turn)
+        np.testing.assert_allclose(ranges, math.sqrt(8.0), atol=1e-9)
+
+
+def test_a_surface_seen_edge_on_never_counts_as_near() -> None:
+    spec = ScanSpec(np.radians(np.arange(360.0)), 5.0, 0.12, 3.5)
+    # The sensor stands on the line of the box's southern face.
+    arena = Arena(20.0, 20.0, boxes=(Box(1.5, 0.5, 1.0, 1.0),), poles=(Pole(0.0, 3.0, 0.1),))
+    for y in (0.0, 1e-17, -1e-17, 1e-13, -1e-13):
+        ranges = look(spec, arena, y=y)
+        assert not np.isneginf(ranges).any()
+        assert not np.isnan(ranges).any()
+        assert ranges[90] == pytest.approx(2.9)
+
+
+def test_sees_footprints_of_any_number_of_corners_in_one_swarm() -> None:
+    # A triangle, whose tip points at the first robot, beside a rectangle of the same reach.
+    box = load_platform("burger")
+    triangle = np.array([[-0.2, 0.0], [0.2, -0.2], [0.2, 0.2]])
+    wedge = replace(box, name="wedge", footprint=triangle)
+    lidar = Lidar(
+        replace(box.scan, offset=(0.0, 0.0)), shapes_of(FIELD, (box, wedge, box), plane=None)
+    )
+    poses = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, math.pi / 2.0]])
+    ranges = lidar.cast(poses, np.array([0]))[0]
+    assert ranges[0] == pytest.approx(0.8)
+    assert ranges[90] == pytest.approx(1.0 - 0.102)
+    slant = math.radians(5.0)
+    # The face from (0.8, 0) to (1.2, 0.2) along the ray at 5 degrees.
+    along = 0.8 * 0.2 / (0.4 * math.sin(slant) * -1.0 + 0.2 * math.cos(slant))
+    assert ranges[5] == pytest.approx(along)
+
+
+def test_no_robot_sees_itself_even_where_its_sensor_stands_beside_its_body() -> None:
+    platform = load_platform("burger")
+    outside = replace(platform, scan=replace(platform.scan, offset=(0.5, 0.0)))
+    world = World({"a": outside}, FIELD, np.zeros((1, 3)))
+    assert np.isposinf(world.scans(np.array([0]))[0].ranges).all()

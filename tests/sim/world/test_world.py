@@ -1,0 +1,312 @@
+"""Bodies follow commands, touch and stop; the senses tell no more than they may."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from swarmd.errors import ConfigError
+from swarmd.platforms import load_platform, platform_names
+from swarmd.sim.world.arena import Arena, parse_arena
+from swarmd.sim.world.world import World
+from swarmd.values import Array, Platform
+
+FIELD = Arena(40.0, 40.0)
+PLATFORMS = ("burger", "waffle_pi", "jackal")
+
+
+def alone(name: str, start: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> World:
+    return World({"a": load_platform(name)}, FIELD, np.array([start]))
+
+
+def pair(name: str, apart: float, arena: Arena = FIELD) -> World:
+    """Two robots face to face on the x axis."""
+    platform = load_platform(name)
+    starts = np.array([[-apart / 2.0, 0.0, 0.0], [apart / 2.0, 0.0, math.pi]])
+    return World({"a": platform, "b": platform}, arena, starts)
+
+
+def drive(world: World, twist: tuple[float, float, float], seconds: float) -> None:
+    world.set_commands(np.tile(twist, (len(world.ids), 1)))
+    world.step(round(seconds / world.dt))
+
+
+def test_all_platforms_can_be_simulated() -> None:
+    assert set(PLATFORMS) <= set(platform_names())
+    for name in platform_names():
+        drive(alone(name), (0.1, 0.0, 0.0), 0.1)
+
+
+@pytest.mark.parametrize("name", PLATFORMS)
+@pytest.mark.parametrize(
+    ("linear", "angular"),
+    [(0.2, 0.0), (-0.2, 0.0), (0.2, 1.0), (0.0, 1.8), (0.0, -1.8), (0.1, -0.5)],
+)
+def test_tracks_a_twist_within_a_percent(name: str, linear: float, angular: float) -> None:
+    world = alone(name, (1.0, -2.0, 0.7))
+    drive(world, (linear, angular, 0.0), 2.0)  # past the ramp
+    twists = []
+    for _ in range(100):
+        world.step()
+        twists.append(world.twists()[0])
+    measured = np.array(twists)
+    wanted = np.array([linear, angular, 0.0])
+    scale = np.array([0.2, 1.8, 0.2])
+    assert np.abs((measured - wanted) / scale).max() < 0.01
+
+
+@pytest.mark.parametrize("name", PLATFORMS)
+def test_drives_a_circle_without_drifting_sideways(name: str) -> None:
+    linear, angular = 0.2, 1.0
+    world = alone(name)
+    drive(world, (linear, angular, 0.0), 1.0)
+    x, y, yaw = world.poses()[0]
+    center = np.array([x - linear / angular * math.sin(yaw), y + linear / angular * math.cos(yaw)])
+    away = []
+    for _ in range(3 * 628):
+        world.step()
+        away.append(math.hypot(*(world.poses()[0, :2] - center)))
+    # Three turns; a lateral drift of 1 mm/s would add up to 19 mm.
+    assert np.abs(np.array(away) - linear / angular).max() < 2e-4
+
+
+@pytest.mark.parametrize("name", PLATFORMS)
+def test_ramps_no_faster_than_the_platform_can(name: str) -> None:
+    platform = load_platform(name)
+    world = alone(name)
+    world.set_commands(np.array([[9.0, 9.0, 0.0]]))
+    speeds = [world.twists()[0]]
+    for _ in range(300):
+        world.step()
+        speeds.append(world.twists()[0])
+    gain = np.diff(np.array(speeds), axis=0).max(axis=0) / world.dt
+    assert gain[0] <= platform.body["linear_acceleration"] * 1.001
+    assert gain[1] <= platform.body["angular_acceleration"] * 1.001
+    assert speeds[-1][0] == pytest.approx(platform.limits.linear)
+    assert speeds[-1][1] == pytest.approx(platform.limits.angular)
+
+
+def test_a_base_that_cannot_move_sideways_does_not() -> None:
+    world = alone("waffle_pi")
+    drive(world, (0.0, 0.0, 1.0), 1.0)
+    np.testing.assert_array_equal(world.poses(), 0.0)
+
+
+def test_a_command_that_is_no_number_stands() -> None:
+    world = alone("waffle_pi")
+    world.set_commands(np.array([[math.nan, math.inf, -math.inf]]))
+    world.step(100)
+    np.testing.assert_array_equal(world.poses(), 0.0)
+
+
+def test_stands_perfectly_still_after_driving() -> None:
+    # A stiff servo with a force limit used to chatter here.
+    world = alone("waffle_pi")
+    drive(world, (0.26, 1.0, 0.0), 2.0)
+    drive(world, (0.0, 0.0, 0.0), 1.0)
+    before = world.poses()
+    world.step(100)
+    assert np.abs(world.poses() - before).max() < 1e-9
+    assert np.abs(world.twists()).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", PLATFORMS)
+@pytest.mark.parametrize("yaw", [0.0, 0.6, math.pi])
+def test_a_wall_stops_a_robot_that_drives_into_it(name: str, yaw: float) -> None:
+    platform = load_platform(name)
+    arena = Arena(4.0, 4.0)
+    world = World({"a": platform}, arena, np.array([[0.0, 0.0, yaw]]))
+    deepest = 0.0
+    met = set()
+    for _ in range(30):
+        drive(world, (platform.limits.linear, 0.0, 0.0), 1.0)
+        met |= {(contact.a, contact.b) for contact in world.contacts()}
+        deepest = max(deepest, float(np.abs(corners(world, 0)).max()) - 2.0)
+    assert deepest < 1e-3
+    assert met
+    assert all(b.startswith("wall/") for _, b in met)
+    assert np.abs(world.twists()[0, 0]) < 0.05
+
+
+def test_no_robot_id_is_taken_for_a_part_of_the_arena() -> None:
+    arena = parse_arena("8x8,box:1:0:0.5:0.5:45,pole:-1:0:0.1")
+    ids = ("wall", "box", "pole", "wall_east", "box_0", "world")
+    robots = {robot: load_platform("burger") for robot in ids}
+    starts = np.array([[-2.5 + 0.5 * i, 2.0, 0.0] for i in range(len(ids))])
+    assert World(robots, arena, starts).ids == ids
+
+
+def test_names_the_thing_it_drives_into() -> None:
+    arena = parse_arena("8x8,box:1:0:0.5:0.5:45,pole:-1:0:0.1")
+    for yaw, name in ((0.0, "box/0"), (math.pi, "pole/0")):
+        world = World({"a": load_platform("burger")}, arena, np.array([[0.0, 0.0, yaw]]))
+        drive(world, (0.22, 0.0, 0.0), 8.0)
+        assert [(contact.a, contact.b) for contact in world.contacts()] == [("a", name)]
+
+
+def test_a_head_on_contact_tells_how_fast_each_came() -> None:
+    world = pair("waffle_pi", 1.0)
+    world.set_commands(np.array([[0.2, 0.0, 0.0], [0.1, 0.0, 0.0]]))
+    while not world.contacts():
+        world.step()
+    (contact,) = world.contacts()
+    assert (contact.a, contact.b) == ("a", "b")
+    assert contact.speed_a == pytest.approx(0.2, abs=1e-6)
+    assert contact.speed_b == pytest.approx(0.1, abs=1e-6)
+    assert contact.closing_speed == pytest.approx(0.3, abs=1e-6)
+
+
+@pytest.mark.parametrize("place", [(0.0, 0.19), (0.16, 0.0)])
+def test_a_corner_that_swings_into_another_comes_fast_though_the_robot_only_turns(
+    place: tuple[float, float],
+) -> None:
+    platform = load_platform("burger")
+    # Beside or behind the other, the corner of the first reaches farther than its side does.
+    starts = np.array([[0.0, 0.0, 0.0], [*place, 0.0]])
+    world = World({"a": platform, "b": platform}, FIELD, starts)
+    world.set_commands(np.array([[0.0, 2.0, 0.0], [0.0, 0.0, 0.0]]))
+    while not world.contacts():
+        world.step()
+    (contact,) = world.contacts()
+    assert contact.speed_a > 0.05
+    assert contact.speed_b == pytest.approx(0.0, abs=1e-9)
+
+
+def test_contacts_of_all_steps_of_one_call_are_told() -> None:
+    bumper = pair("waffle_pi", 0.18)
+    drive(bumper, (0.26, 0.0, 0.0), 0.5)
+    (contact,) = bumper.contacts()
+    assert (contact.a, contact.b) == ("a", "b")
+    assert contact.closing_speed > 0.2  # of the first touch, not of the rest that followed
+
+
+def test_contacts_are_those_of_the_last_call_only() -> None:
+    bumper = pair("waffle_pi", 0.18)
+    drive(bumper, (0.26, 0.0, 0.0), 0.5)
+    assert bumper.contacts()
+    drive(bumper, (-0.26, 0.0, 0.0), 0.5)
+    assert bumper.contacts()  # they touched while they slowed down
+    drive(bumper, (-0.26, 0.0, 0.0), 0.5)
+    assert bumper.contacts() == []
+
+
+def test_a_pile_neither_sinks_in_nor_blows_up() -> None:
+    platform = load_platform("waffle_pi")
+    n = 16
+    turn = 2.0 * np.pi * np.arange(n) / n
+    starts = np.stack((2.0 * np.cos(turn), 2.0 * np.sin(turn), turn + np.pi), axis=-1)
+    world = World({f"r{i}": platform for i in range(n)}, Arena(6.0, 6.0), starts)
+    fastest = 0.0
+    for _ in range(100):
+        drive(world, (0.26, 0.0, 0.0), 0.1)
+        fastest = max(fastest, float(np.abs(world.data.qvel[:]).max()))
+    assert fastest < 2.0
+    depths = np.array([depth for depth in world.data.contact.dist])
+    assert len(depths) > n / 2
+    assert depths.min() > -1.5e-3
+
+
+def test_the_same_commands_give_bit_identical_runs() -> None:
+    def run() -> tuple[Array, Array]:
+        world = pair("burger", 0.6, Arena(2.0, 2.0))
+        rng = np.random.default_rng(3)
+        for _ in range(50):
+            world.set_commands(rng.uniform(-1.0, 1.0, (2, 3)) * [0.3, 3.0, 0.0])
+            world.step(10)
+        return world.poses(), world.scans(np.array([0, 1]))[0].ranges
+
+    (poses, ranges), (again, ranges_again) = run(), run()
+    np.testing.assert_array_equal(poses, again)
+    np.testing.assert_array_equal(ranges, ranges_again)
+
+
+def test_steps_can_be_made_one_by_one_or_many_at_once() -> None:
+    worlds = [pair("burger", 0.4), pair("burger", 0.4)]
+    for world in worlds:
+        world.set_commands(np.array([[0.2, 0.3, 0.0], [0.2, -0.3, 0.0]]))
+    worlds[0].step(150)
+    for _ in range(150):
+        worlds[1].step()
+    np.testing.assert_array_equal(worlds[0].poses(), worlds[1].poses())
+    assert worlds[0].time == worlds[1].time == pytest.approx(1.5)
+
+
+def test_odometry_begins_at_the_origin_wherever_the_robot_starts() -> None:
+    world = alone("waffle_pi", (3.0, -2.0, 2.0))
+    drive(world, (0.2, 0.0, 0.0), 2.0)
+    (odometry,) = world.odometry()
+    assert odometry.pose.x == pytest.approx(np.hypot(*(world.poses()[0, :2] - [3.0, -2.0])))
+    assert odometry.pose.y == pytest.approx(0.0, abs=1e-9)
+    assert odometry.pose.yaw == pytest.approx(0.0, abs=1e-9)
+    assert odometry.twist.linear == pytest.approx(0.2)
+    assert odometry.stamp == pytest.approx(2.0)
+
+
+def test_odometry_wraps_its_yaw() -> None:
+    world = alone("burger")
+    drive(world, (0.0, 2.8, 0.0), 10.0)
+    (odometry,) = world.odometry(np.array([0]))
+    assert abs(odometry.pose.yaw) <= math.pi
+    assert world.poses()[0, 2] > 4 * math.pi
+
+
+def test_scans_count_up_and_carry_simulated_time() -> None:
+    world = pair("burger", 1.0)
+    both = np.array([1, 0])
+    first = world.scans(both)
+    world.step(20)
+    second = world.scans(np.array([1]))
+    assert [scan.seq for scan in first] == [0, 0]
+    assert second[0].seq == 1
+    assert second[0].stamp - first[0].stamp == pytest.approx(0.2)
+
+
+def test_scans_come_in_the_order_asked_for_in_a_mixed_swarm() -> None:
+    robots = {name: load_platform(name) for name in ("jackal", "burger", "waffle_pi")}
+    starts = np.array([[-2.0, 0.0, 0.0], [0.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    world = World(robots, FIELD, starts)
+    scans = world.scans(np.array([2, 0, 1]))
+    assert [scan.range_min for scan in scans] == [0.12, 0.8, 0.12]
+    np.testing.assert_array_equal(scans[0].ranges, world.scans(np.array([2]))[0].ranges)
+
+
+def test_radio_reaches_as_far_as_told_and_senses_no_place() -> None:
+    platform = load_platform("burger")
+    robots = {name: platform for name in "abc"}
+    starts = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    near = World(robots, FIELD, starts, radio_range=1.5)
+    everyone = World(robots, FIELD, starts)
+    assert [n.id for n in near.neighbors(0)] == ["b"]
+    assert [n.id for n in near.neighbors(2)] == []
+    assert [n.id for n in everyone.neighbors(1)] == ["a", "c"]
+    assert near.neighbors(0)[0].distance is None
+
+
+def test_poses_that_are_handed_out_are_copies() -> None:
+    world = alone("burger")
+    world.poses()[:] = 7.0
+    np.testing.assert_array_equal(world.poses(), 0.0)
+
+
+def test_a_platform_without_a_body_is_refused_with_the_key_that_is_missing() -> None:
+    whole = load_platform("burger")
+    bodiless = Platform(
+        whole.name, whole.limits, whole.footprint, whole.scan, whole.provides, whole.protection
+    )
+    with pytest.raises(ConfigError, match=r"platform burger: body\.mass is None"):
+        World({"a": bodiless}, FIELD, np.zeros((1, 3)))
+
+
+def test_as_many_poses_as_robots_are_wanted() -> None:
+    with pytest.raises(ConfigError, match="1 robots"):
+        World({"a": load_platform("burger")}, FIELD, np.zeros((2, 3)))
+
+
+def corners(world: World, robot: int) -> Array:
+    x, y, yaw = world.poses()[robot]
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    turn = np.array([[cos, -sin], [sin, cos]])
+    placed: Array = world.platforms[robot].footprint @ turn.T + [x, y]
+    return placed
