@@ -1,1 +1,1 @@
-"""The simulated world: bodies, arenas, sensors and radio, for live daemons and laboratory alike."""
+"""The simulated world: bodies, arenas, sensors, radio; for live daemons and laboratory alike."""

@@ -1,6 +1,6 @@
 """What a bus is: how one robot speaks with the others, whatever carries it.
 
-`ZenohBus` (`bus.py`) and `MemoryBus` (`swarmd.testing.bus`) both are one. No Zenoh here.
+`ZenohBus` (`bus.py`) is one. No Zenoh here.
 """
 
 from __future__ import annotations
