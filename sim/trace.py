@@ -18,7 +18,7 @@ from swarmd.values import Array, Platform
 ARENA = -1
 """The index that stands for walls, boxes and poles in a contact."""
 
-VERSION = 1
+VERSION = 2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -32,7 +32,14 @@ class Trace:
     `platforms` by name, each with its footprint (k, 2); `meta` holds arena, seed and the like.
 
     What only the robots themselves know is None unless they said it: `wish` (T, n, 3), `state`
-    and `reason` (T, n) words, `active` (T, n) bool: protection has replaced or cut the wish.
+    and `reason` (T, n) words, `active` (T, n) bool: protection has replaced or cut the wish, and
+    `decided` and `evaded` (T, n) how many sweeps it has judged while running since the instant
+    before, and in how many of them it was active. `present` (T, n) bool: the robot's daemon is
+    there (None: all are, always). `report` (T, n) by name: numbers that patterns reported, NaN
+    where they did not; `words` the same for words, empty where they did not.
+
+    `thing_pose` (T, m, 3) are the poses of the movable boxes `things`, NaN while one is not in
+    the arena; `thing_shapes` (m, k, 2) their outlines in their own frames.
     """
 
     ids: tuple[str, ...]
@@ -49,6 +56,14 @@ class Trace:
     state: NDArray[np.str_] | None = None
     reason: NDArray[np.str_] | None = None
     active: NDArray[np.bool_] | None = None
+    decided: NDArray[np.int64] | None = None
+    evaded: NDArray[np.int64] | None = None
+    present: NDArray[np.bool_] | None = None
+    report: Mapping[str, Array] = field(default_factory=dict)
+    words: Mapping[str, NDArray[np.str_]] = field(default_factory=dict)
+    things: tuple[str, ...] = ()
+    thing_pose: Array | None = None
+    thing_shapes: Array | None = None
 
     @property
     def duration(self) -> float:
@@ -65,11 +80,14 @@ class Trace:
         head = {
             "version": VERSION,
             "ids": self.ids,
+            "things": self.things,
             "platforms": self.platforms,
             "footprints": {name: shape.tolist() for name, shape in self.footprints.items()},
             "meta": dict(self.meta),
         }
         kept = {k: v for k, v in arrays.items() if isinstance(v, np.ndarray)}
+        kept |= {f"report/{name}": values for name, values in self.report.items()}
+        kept |= {f"words/{name}": values for name, values in self.words.items()}
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(f".{path.name}.partial")
         with partial.open("wb") as file:
@@ -85,7 +103,11 @@ def load_trace(path: Path) -> Trace:
         head = json.loads(str(arrays.pop("head")))
         if head.pop("version") != VERSION:
             raise SwarmError(f"{path}: a trace of another version; this reads {VERSION}")
-        head["ids"], head["platforms"] = tuple(head["ids"]), tuple(head["platforms"])
+        for key in ("ids", "platforms", "things"):
+            head[key] = tuple(head[key])
+        for kind in ("report", "words"):
+            named = [name for name in arrays if name.startswith(f"{kind}/")]
+            head[kind] = {name.partition("/")[2]: arrays.pop(name) for name in named}
         head["footprints"] = {k: np.array(v) for k, v in head["footprints"].items()}
         return Trace(**head, **arrays)
     except (

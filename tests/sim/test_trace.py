@@ -47,6 +47,8 @@ def test_keeps_what_robots_said_of_themselves(tmp_path: Path) -> None:
         trace.contact_t, trace.contact_pair, trace.contact_speed,
         trace.platforms, trace.footprints,
         wish=trace.safe, state=np.full((10, 2), "running"), active=np.ones((10, 2), dtype=bool),
+        report={"opinion": np.arange(20.0).reshape(10, 2)}, words={"state": np.full((10, 2), "x")},
+        things=("crate",), thing_pose=np.full((10, 1, 3), np.nan),
     )  # fmt: skip
     said.save(tmp_path / "run.npz")
     again = load_trace(tmp_path / "run.npz")
@@ -55,6 +57,11 @@ def test_keeps_what_robots_said_of_themselves(tmp_path: Path) -> None:
     assert again.active is not None
     assert again.active.all()
     assert again.reason is None
+    np.testing.assert_array_equal(again.report["opinion"], said.report["opinion"])
+    assert again.words["state"][4, 0] == "x"
+    assert again.things == ("crate",)
+    assert again.thing_pose is not None
+    assert again.thing_pose.shape == (10, 1, 3)
 
 
 def test_contacts_hold_rows_of_robots_and_the_arena() -> None:

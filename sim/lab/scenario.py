@@ -1,0 +1,70 @@
+"""A scenario: everything about a run but its seed, checked and complete."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from swarmd.frames import Layers
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.radio import RadioSettings
+from swarmd.sim.world.ranging import Visibility
+from swarmd.sim.world.readings import Field
+from swarmd.sim.world.realism import Realism
+from swarmd.values import Array, Platform, Scalar
+
+Action = Literal[
+    "run", "stop", "estop", "reset", "join", "leave", "kill", "place", "remove", "param"
+]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Event:
+    """What happens at `at` s of simulation.
+
+    To `robots` for run (with `pattern`, `parameters` and perhaps `seconds`), param (`parameters`),
+    stop, estop, reset, join, leave and kill; to the box `thing` for place (at `pose` x, y in m,
+    yaw in rad) and remove.
+    """
+
+    at: float
+    action: Action
+    robots: tuple[str, ...] = ()
+    pattern: str = ""
+    parameters: Mapping[str, Scalar | None] = field(default_factory=dict)
+    seconds: float | None = None
+    thing: str = ""
+    pose: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Scenario:
+    """A run but for its seed.
+
+    `robots`: platform by id, in the order of a trace's rows. `starts(seed)` gives start poses
+    (n, 3) x, y in m and yaw in rad; ConfigError if they cannot be. `groups`: ids by group name.
+    `absent`: ids whose daemon is not there until an event lets it join; their bodies stand at
+    their start poses. `layers(robot, pattern)` are the parameters configured beside those of a
+    run. `events` in order of time. `effective` is the configuration in plain values, complete and
+    after all overrides: `scenario_of(effective)` is the same scenario again.
+    """
+
+    name: str
+    description: str
+    duration: float
+    robots: Mapping[str, Platform]
+    groups: Mapping[str, tuple[str, ...]]
+    starts: Callable[[int], Array]
+    arena: Arena
+    fields: tuple[Field, ...]
+    realism: Realism
+    visibility: Visibility
+    radio: RadioSettings
+    layers: Callable[[str, str], Layers]
+    events: tuple[Event, ...]
+    absent: frozenset[str] = frozenset()
+    trace_rate: float = 10.0
+    plugin_dir: Path | None = None
+    effective: Mapping[str, Any] = field(default_factory=dict)
