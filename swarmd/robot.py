@@ -14,13 +14,13 @@ from swarmd.conduct import HOLD_LASTS, Conduct, Identity, Turn
 from swarmd.frames import Event as HostEvent
 from swarmd.frames import Step
 from swarmd.latches import LatchRecord
-from swarmd.messages import Latch, Reason, Request, Status
+from swarmd.messages import Epoch, Latch, Reason, Request, State, Status
 from swarmd.protection.front import Protection
 from swarmd.protection.verdict import Verdict
 from swarmd.senses import Senses
 from swarmd.status import Duty, RobotSettings, make_status, standing_reason
 from swarmd.supervisor import Event as Change
-from swarmd.values import Neighbor, Odometry, Platform, Scan, Value
+from swarmd.values import Neighbor, Odometry, Platform, Scalar, Scan, Value
 from swarmd.verbs import Verbs
 
 TICK = 0.05
@@ -59,6 +59,38 @@ class Robot:
         self._published: tuple[object, ...] = ()
         self._published_at = -math.inf
         self._verdict = self._decide(None, now)
+
+    # How it stands
+
+    @property
+    def is_running(self) -> bool:
+        """True in state running."""
+        return self._conduct.is_running
+
+    @property
+    def state(self) -> State:
+        """What it is doing."""
+        return self._conduct.supervisor.state
+
+    @property
+    def reason(self) -> Reason | None:
+        """The one reason why it stands; None while it moves."""
+        return standing_reason(self._conduct, self._verdict)
+
+    @property
+    def verdict(self) -> Verdict:
+        """The last decision of protection."""
+        return self._verdict
+
+    @property
+    def epoch(self) -> Epoch:
+        """What an operator must quote to change it."""
+        return self._conduct.epoch
+
+    @property
+    def report(self) -> Mapping[str, Scalar]:
+        """What its pattern last reported."""
+        return self._conduct.report
 
     # What it senses
 
