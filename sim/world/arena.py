@@ -1,36 +1,56 @@
-"""Arenas: a walled rectangle around the origin, with boxes and poles in it."""
+"""Arenas: a walled rectangle around the origin, with boxes, poles and inner walls in it."""
 
 from __future__ import annotations
 
 import math
 import re
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from swarmd.errors import ConfigError
+from swarmd.keys import check_id
 from swarmd.sim.world.geometry import transform
 from swarmd.values import Array
 
-_WANTED = "wanted is such as 6x6, 6.6x4.8 or 6x6,box:1:0:0.5:0.3:45,pole:-1:2:0.1"
+MIN_MASS, MAX_MASS = 0.01, 1e6
+"""Of a movable box, in kg; the largest one stands like a wall."""
+
+_WANTED = "wanted is such as 6x6, 6.6x4.8 or 6x6,box:1:0:0.5:0.3:45,pole:-1:2:0.1,segment:0:1:2:1"
 _SIZE = re.compile(r"([0-9.]+)x([0-9.]+)")
+_THICKNESS = 0.01
+_CORNERS_OF_A_POLE = 16
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A fixed box: centre and side lengths in m, yaw in rad; as high as the walls."""
+    """A box as high as the walls: centre and side lengths in m, yaw in rad.
+
+    With a `mass` in kg it is movable: it slides on the floor when pushed, and where it stands here
+    is where it starts. `is_placed` False: a movable one that is not in the arena to begin with.
+    Things call it `box/<name>`, without a name `box/<its index among the boxes>`.
+    """
 
     x: float
     y: float
     length: float
     width: float
     yaw: float = 0.0
+    name: str = ""
+    mass: float | None = None
+    is_placed: bool = True
+
+    @property
+    def shape(self) -> Array:
+        """The corners (4, 2) in the box's own frame, counter-clockwise, in m."""
+        half = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) / 2.0
+        return half * (self.length, self.width)
 
     @property
     def corners(self) -> Array:
-        """(4, 2), counter-clockwise, in m."""
-        half = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) / 2.0
-        return transform(half * (self.length, self.width), np.array([self.x, self.y, self.yaw]))
+        """The corners (4, 2) in the arena, counter-clockwise, in m."""
+        return transform(self.shape, np.array([self.x, self.y, self.yaw]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,22 +61,83 @@ class Pole:
     y: float
     radius: float
 
+    @property
+    def corners(self) -> Array:
+        """The corners (16, 2) of a regular polygon around it, in m."""
+        angle = 2.0 * math.pi * np.arange(_CORNERS_OF_A_POLE) / _CORNERS_OF_A_POLE
+        reach = self.radius / math.cos(math.pi / _CORNERS_OF_A_POLE)
+        away = reach * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
+        return np.array([self.x, self.y]) + away
+
+
+@dataclass(frozen=True, slots=True)
+class Segment:
+    """A thin inner wall, 1 cm thick, around the line between two points in m."""
+
+    x1: float
+    y1: float
+    x2: float
+    y2: float
+
+    @property
+    def box(self) -> Box:
+        """The box that it is."""
+        x, y = self.x2 - self.x1, self.y2 - self.y1
+        middle = (self.x1 + self.x2) / 2.0, (self.y1 + self.y2) / 2.0
+        return Box(*middle, math.hypot(x, y), _THICKNESS, math.atan2(y, x))
+
+    @property
+    def corners(self) -> Array:
+        """The corners (4, 2), counter-clockwise, in m."""
+        return self.box.corners
+
 
 @dataclass(frozen=True, slots=True)
 class Arena:
-    """The space between four walls, `length` m along x and `width` m along y."""
+    """The space between four walls, `length` m along x and `width` m along y.
+
+    ConfigError if two boxes have one name, or one that could not be part of a key.
+    """
 
     length: float
     width: float
     boxes: tuple[Box, ...] = ()
     poles: tuple[Pole, ...] = ()
+    segments: tuple[Segment, ...] = ()
+
+    def __post_init__(self) -> None:
+        names = [name for name, _ in self.named_boxes]
+        for index, name in enumerate(names):
+            check_id(name, "box name")
+            if name in names[:index]:
+                raise ConfigError(f"arena has two boxes named {name!r}; every box needs its own")
+        for box in self.boxes:
+            if box.mass is None and not box.is_placed:
+                raise ConfigError(f"box {box.name!r} is not in the arena and has no mass; give one")
 
     @property
-    def segments(self) -> Array:
-        """Every flat surface as (k, 2, 2) start and end, the solid to the left of it, in m."""
+    def named_boxes(self) -> tuple[tuple[str, Box], ...]:
+        """Every box with its name, or with its index for want of one."""
+        return tuple((box.name or str(index), box) for index, box in enumerate(self.boxes))
+
+    @property
+    def things(self) -> tuple[tuple[str, Box], ...]:
+        """The movable boxes with their names."""
+        return tuple((name, box) for name, box in self.named_boxes if box.mass is not None)
+
+    @property
+    def fixed(self) -> tuple[tuple[str, Box], ...]:
+        """All that is flat and stays where it is, the outer walls aside, by name of contact."""
+        boxes = [(f"box/{name}", box) for name, box in self.named_boxes if box.mass is None]
+        inner = [(f"segment/{index}", wall.box) for index, wall in enumerate(self.segments)]
+        return (*boxes, *inner)
+
+    @property
+    def surfaces(self) -> Array:
+        """Every fixed flat surface as (k, 2, 2) start and end, the solid to the left, in m."""
         x, y = self.length / 2.0, self.width / 2.0
         walls = np.array([[-x, -y], [-x, y], [x, y], [x, -y]])
-        loops = [walls, *(box.corners for box in self.boxes)]
+        loops = [walls, *(box.corners for _, box in self.fixed)]
         return np.concatenate(
             [np.stack((loop, np.roll(loop, -1, axis=0)), axis=1) for loop in loops]
         )
@@ -66,29 +147,97 @@ class Arena:
         """Every pole as (k, 3) x, y and radius in m."""
         return np.array([[p.x, p.y, p.radius] for p in self.poles]).reshape(-1, 3)
 
+    @property
+    def text(self) -> str:
+        """What `parse_arena` reads as this very arena."""
+        words = [f"{_text(self.length)}x{_text(self.width)}"]
+        words += [_box_text(box) for box in self.boxes]
+        words += [":".join(("pole", *map(_text, (p.x, p.y, p.radius)))) for p in self.poles]
+        words += [
+            ":".join(("segment", *map(_text, (s.x1, s.y1, s.x2, s.y2)))) for s in self.segments
+        ]
+        return ",".join(words)
+
+
+def _box_text(box: Box) -> str:
+    words = [f"box/{box.name}" if box.name else "box"]
+    words += [_text(value) for value in (box.x, box.y, box.length, box.width)]
+    if box.yaw or box.mass is not None:
+        words.append(_degrees(box.yaw))
+    if box.mass is not None:
+        words.append(_text(box.mass))
+    if not box.is_placed:
+        words.append("out")
+    return ":".join(words)
+
+
+def _degrees(yaw: float) -> str:
+    """In degrees; in rad where no number of degrees is exactly this one."""
+    for degrees in (round(math.degrees(yaw), 9), math.degrees(yaw)):
+        if math.radians(degrees) == yaw:
+            return _text(degrees)
+    return f"{_text(yaw)}rad"
+
+
+def _text(value: float) -> str:
+    short = f"{value:.12g}"
+    return short if float(short) == value else repr(float(value))
+
 
 def parse_arena(text: str) -> Arena:
     """The arena that a command line names; ConfigError if it cannot be read.
 
-    `LxW` in m, then any number of `,box:x:y:length:width:yaw_deg` and `,pole:x:y:radius`.
+    `LxW` in m, then any number of `,box:x:y:length:width:yaw_deg:mass`, `,pole:x:y:radius` and
+    `,segment:x1:y1:x2:y2`. Of a box, yaw and mass may be left out: without a mass it is fixed.
+    `box/crate:...` gives it a name, and with `:out` after its mass it is not there at first.
     """
     size, *things = text.split(",")
     match = _SIZE.fullmatch(size)
     if match is None:
         raise ConfigError(f"arena is {text!r}; {_WANTED}")
-    boxes, poles = [], []
+    found: dict[str, list[Any]] = {"box": [], "pole": [], "segment": []}
     for thing in things:
-        kind, *words = thing.split(":")
-        numbers = [_number(word, text) for word in words]
-        if kind == "box" and len(numbers) in (4, 5):
-            x, y, length, width, yaw = (*numbers, 0.0)[:5]
-            boxes.append(Box(x, y, _size(length, text), _size(width, text), math.radians(yaw)))
-        elif kind == "pole" and len(numbers) == 3:
-            poles.append(Pole(numbers[0], numbers[1], _size(numbers[2], text)))
+        head, *words = thing.split(":")
+        kind, _, name = head.partition("/")
+        if kind == "box" and 4 <= len(words) <= 7:
+            found["box"].append(_box(name, words, text))
+        elif head == "pole" and len(words) == 3:
+            x, y, radius = (_number(word, text) for word in words)
+            found["pole"].append(Pole(x, y, _size(radius, text)))
+        elif head == "segment" and len(words) == 4:
+            found["segment"].append(_segment(words, text))
         else:
-            raise ConfigError(f"arena {text!r}: {thing!r} is neither box nor pole; {_WANTED}")
+            raise ConfigError(
+                f"arena {text!r}: {thing!r} is no box, pole or segment as they are written;"
+                f" {_WANTED}"
+            )
     length, width = (_size(_number(word, text), text) for word in match.groups())
-    return Arena(length, width, tuple(boxes), tuple(poles))
+    return Arena(length, width, *(tuple(kind) for kind in found.values()))
+
+
+def _box(name: str, words: list[str], text: str) -> Box:
+    is_out = len(words) == 7
+    if is_out and words.pop() != "out":
+        raise ConfigError(f"arena {text!r}: after a box's mass only 'out' may follow; {_WANTED}")
+    x, y, length, width = (_number(word, text) for word in words[:4])
+    yaw = 0.0
+    if len(words) > 4:
+        word = words[4].removesuffix("rad")
+        yaw = _number(word, text)
+        yaw = math.radians(yaw) if word == words[4] else yaw
+    mass = _number(words[5], text) if len(words) > 5 else None
+    if mass is not None and not MIN_MASS <= mass <= MAX_MASS:
+        raise ConfigError(
+            f"arena {text!r}: a mass is {mass:g} kg; wanted {MIN_MASS:g} to {MAX_MASS:g} kg"
+        )
+    size = _size(length, text), _size(width, text)
+    return Box(x, y, *size, yaw, name=name, mass=mass, is_placed=not is_out)
+
+
+def _segment(words: list[str], text: str) -> Segment:
+    x1, y1, x2, y2 = (_number(word, text) for word in words)
+    _size(math.hypot(x2 - x1, y2 - y1), text)
+    return Segment(x1, y1, x2, y2)
 
 
 def _number(word: str, text: str) -> float:

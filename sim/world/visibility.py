@@ -27,7 +27,7 @@ def shapes_of(arena: Arena, platforms: Sequence[Platform], *, plane: float | Non
     ]
     discs = [(*platforms[i].scan.offset, value(platforms[i], "target_radius")) for i in housed]
     return Shapes(
-        walls=arena.segments,
+        walls=arena.surfaces,
         poles=arena.circles,
         polygons=_padded([platforms[i].footprint for i in whole]),
         polygon_owners=np.array(whole, dtype=np.intp),
