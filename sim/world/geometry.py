@@ -55,3 +55,28 @@ def _corner_distance(corners: Array, polygon: Array) -> Array:
     nearest = to - np.clip(along, 0.0, 1.0)[..., None] * edge
     distance: Array = np.hypot(nearest[..., 0], nearest[..., 1]).min(axis=(-1, -2))
     return distance
+
+
+def crossings(a: Array, b: Array, start: Array, end: Array) -> NDArray[np.bool_]:
+    """True where the straight way from a to b (..., 2) meets the segment start to end (..., 2).
+
+    Touching one of the segment's ends counts, touching the way's own ends does not.
+    """
+    way, wall = b - a, end - start
+    sides = _cross(wall, a - start) * _cross(wall, b - start)
+    ends = _cross(way, start - a) * _cross(way, end - a)
+    return np.asarray((sides < 0.0) & (ends <= 0.0))
+
+
+def apart(points: Array, a: Array, b: Array) -> Array:
+    """The distance of points (..., 2) from the segment between a and b (..., 2)."""
+    way, to = b - a, points - a
+    along = (to * way).sum(axis=-1) / np.maximum((way * way).sum(axis=-1), 1e-300)
+    rest = to - np.clip(along, 0.0, 1.0)[..., None] * way
+    distance: Array = np.hypot(rest[..., 0], rest[..., 1])
+    return distance
+
+
+def _cross(u: Array, v: Array) -> Array:
+    product: Array = u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+    return product

@@ -2,8 +2,173 @@
 
 from __future__ import annotations
 
-from msgspec import Struct
+import heapq
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Annotated, Literal
+
+import numpy as np
+from msgspec import Meta, Struct
+
+from swarmd.angles import wrap
+from swarmd.errors import ConfigError
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.hearing import Sight, all_pairs, near_pairs
+from swarmd.sim.world.lidar import Indices
+from swarmd.sim.world.seeding import generator
+from swarmd.values import Array, Neighbor, Platform, Value
+
+Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
+Arrival = tuple[int, int, str, Value]
+
+_ROUNDING = 1e-9  # of times made up of many steps
+# Range-and-bearing boards: our choice, of the order of what their makers report.
+_DISTANCE_SD, _DISTANCE_SHARE, _ANGLE_SD = 0.02, 0.02, math.radians(2.0)
+_BEARINGS = ("neighbors", "neighbors.distance", "neighbors.bearing", "neighbors.heading")
 
 
 class RadioSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the radio between robots is like."""
+    """What the radio between robots is like.
+
+    neighborhood: all, or those within `range` m. line_of_sight: boxes, inner walls and poles
+    between two robots keep them from hearing each other. loss: the share of messages that a
+    hearer misses. delay: from saying to hearing in s; jitter: what it differs by, evenly, in s
+    both ways. range_and_bearing: the hardware also senses where its neighbours are.
+    """
+
+    neighborhood: Literal["all", "range"] = "all"
+    range: Annotated[float, Meta(ge=0.01, le=100_000.0)] | None = None
+    line_of_sight: bool = False
+    loss: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
+    delay: Seconds = 0.0
+    jitter: Seconds = 0.0
+    range_and_bearing: bool = False
+
+
+def check_radio(settings: RadioSettings) -> None:
+    """ConfigError if the settings do not fit together."""
+    if settings.neighborhood == "range" and settings.range is None:
+        raise ConfigError("radio.range is missing; neighborhood: range wants one in m")
+    if settings.neighborhood == "all" and settings.range is not None:
+        raise ConfigError(
+            f"radio.range is {settings.range:g}, but radio.neighborhood is all, which has none;"
+            " set neighborhood: range, or range: null"
+        )
+    if settings.jitter > settings.delay:
+        raise ConfigError(
+            f"radio.jitter is {settings.jitter:g}; wanted at most radio.delay ({settings.delay:g}):"
+            " nothing is heard before it is said"
+        )
+
+
+def with_bearings(platform: Platform) -> Platform:
+    """The platform with range-and-bearing hardware on it."""
+    return replace(platform, provides=platform.provides | frozenset(_BEARINGS))
+
+
+class Radio:
+    """The radio of a swarm: pure, and the same for the same seed and the same calls.
+
+    `poses` are always those of all robots, (n, 3) x, y in m and yaw in rad. `things` are the
+    corners of movable boxes (t, c, 2) in m, NaN where one is out of the arena; they count only
+    with line_of_sight. No robot hears itself.
+    """
+
+    def __init__(
+        self, settings: RadioSettings, ids: Sequence[str], arena: Arena, *, seed: int
+    ) -> None:
+        """`ids` (n,) in the order of rows; ConfigError if the settings do not fit together."""
+        check_radio(settings)
+        self._settings, self._ids = settings, tuple(ids)
+        self._reach = math.inf if settings.range is None else settings.range
+        self._sight = Sight(arena) if settings.line_of_sight else None
+        self._air = [generator(seed, "radio", robot) for robot in ids]
+        self._sensing = [generator(seed, "bearings", robot) for robot in ids]
+        self._known = [Neighbor(robot, 0.0) for robot in ids]
+        self._queue: list[tuple[float, int, list[int], int, str, Value]] = []
+        self._sent = 0
+
+    def neighbors(
+        self, row: int, poses: Array, things: Array | None = None
+    ) -> tuple[Neighbor, ...]:
+        """Whom robot `row` hears; where they are only with range_and_bearing, and noisy."""
+        heard = self.hearers(row, poses, things)
+        if not self._settings.range_and_bearing:
+            return tuple(self._known[i] for i in heard.tolist())
+        sensed = self._sense(row, heard, poses).tolist()
+        return tuple(
+            Neighbor(self._ids[i], 0.0, distance, wrap(bearing), wrap(heading))
+            for i, (distance, bearing, heading) in zip(heard.tolist(), sensed, strict=True)
+        )
+
+    def hearers(self, row: int, poses: Array, things: Array | None = None) -> Indices:
+        """The rows that hear robot `row` now, in order; they are those that it hears."""
+        if math.isinf(self._reach):
+            heard = np.delete(np.arange(len(self._ids)), row)
+        else:
+            away = poses[:, :2] - poses[row, :2]
+            is_near = np.hypot(away[:, 0], away[:, 1]) <= self._reach
+            is_near[row] = False
+            heard = np.flatnonzero(is_near)
+        if self._sight is not None and len(heard):
+            here = np.broadcast_to(poses[row, :2], (len(heard), 2))
+            heard = heard[self._sight.is_clear(here, poses[heard, :2], things)]
+        return heard
+
+    def send(
+        self,
+        row: int,
+        name: str,
+        value: Value,
+        now: float,
+        poses: Array,
+        things: Array | None = None,
+    ) -> None:
+        """Robot `row` says `value` on channel `name` at `now` s to all that hear it then."""
+        settings, rng = self._settings, self._air[row]
+        hearers = self.hearers(row, poses, things)
+        if settings.loss > 0.0:
+            hearers = hearers[rng.random(len(hearers)) >= settings.loss]
+        rows, due = hearers.tolist(), now + settings.delay
+        groups = [(due, rows)] if rows else []
+        if settings.jitter > 0.0:
+            spread = rng.uniform(-settings.jitter, settings.jitter, len(rows)).tolist()
+            groups = [(due + off, [hearer]) for off, hearer in zip(spread, rows, strict=True)]
+        for at, group in groups:
+            heapq.heappush(self._queue, (at, self._sent, group, row, name, value))
+        self._sent += 1
+
+    def arrived(self, now: float) -> list[Arrival]:
+        """What has arrived by `now` s: (hearer, sender, name, value), each handed out once.
+
+        In order of arrival; of what arrives at once what was said first, then the lower row.
+        """
+        found: list[Arrival] = []
+        while self._queue and self._queue[0][0] <= now + _ROUNDING:
+            _, _, hearers, sender, name, value = heapq.heappop(self._queue)
+            found.extend((hearer, sender, name, value) for hearer in hearers)
+        return found
+
+    def links(self, poses: Array, things: Array | None = None) -> Indices:
+        """All pairs of rows that hear each other: (k, 2), the lower first, in order."""
+        pairs = (
+            all_pairs(len(poses))
+            if math.isinf(self._reach)
+            else near_pairs(poses[:, :2], self._reach)
+        )
+        if self._sight is None or not len(pairs):
+            return pairs
+        here, there = poses[pairs[:, 0], :2], poses[pairs[:, 1], :2]
+        return pairs[self._sight.is_clear(here, there, things)]
+
+    def _sense(self, row: int, heard: Indices, poses: Array) -> Array:
+        """Distance, bearing and heading (k, 3) of robots `heard` from robot `row`."""
+        x, y = (poses[heard, :2] - poses[row, :2]).T
+        yaw = poses[row, 2]
+        off = self._sensing[row].standard_normal((len(heard), 3))
+        distance = np.hypot(x, y)
+        measured = distance + off[:, 0] * (_DISTANCE_SD + _DISTANCE_SHARE * distance)
+        bearing = np.arctan2(y, x) - yaw + off[:, 1] * _ANGLE_SD
+        heading = poses[heard, 2] - yaw + off[:, 2] * _ANGLE_SD
+        return np.stack((np.maximum(measured, 0.0), bearing, heading), axis=-1)

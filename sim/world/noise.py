@@ -1,0 +1,96 @@
+"""What range sensors get wrong: bias, noise, rounding and lost rays."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.sim.world.lidar import Indices
+from swarmd.sim.world.realism import LidarNoise
+from swarmd.sim.world.seeding import generator
+from swarmd.values import Array, Platform, ScanSpec
+
+BLOCK = 6
+"""Rays in one packet of an LDS: what its driver loses, it loses together."""
+
+
+class NoisyLidar:
+    """The range sensors of a swarm; what one gives does not depend on which others sweep with it.
+
+    `latency` (n,) s: how much later than it is taken a sweep of each robot arrives.
+    """
+
+    def __init__(
+        self, noise: LidarNoise, platforms: Sequence[Platform], ids: Sequence[str], seed: int
+    ) -> None:
+        """`platforms` and `ids` (n,) in the order of rows."""
+        specs = [platform.scan for platform in platforms]
+        self._noise = noise
+        self.latency = noise.latency / np.array([spec.rate for spec in specs])
+        self._rngs = [generator(seed, "lidar", robot) for robot in ids]
+        self._factors = np.array([1.0 + noise.bias * r.standard_normal() for r in self._rngs])
+        self._reach = np.array([(spec.range_min, spec.range_max) for spec in specs]).reshape(-1, 2)
+        self._lost = np.array([_lost(spec) for spec in specs])
+        blocks = [noise.block_dropout if spec.zero == "lds" else 0.0 for spec in specs]
+        self._block_dropout = np.array(blocks)
+        changed = (noise.bias, noise.near_sd, noise.far_sd, noise.resolution)
+        self._is_exact = not any((*changed, noise.dropout, *blocks))
+
+    def apply(self, rows: Indices, ranges: Sequence[Array]) -> list[Array]:
+        """What robots `rows` (m,) measure where exact sensors give `ranges`, (rays,) each.
+
+        What was no distance stays what it was. What is measured beyond range_max becomes +inf, and
+        nearer than range_min -inf; a lost ray is what the platform's sensor gives for one: NaN if
+        its zeros mean too close, else 0.
+        """
+        if self._is_exact:
+            return list(ranges)
+        lengths = np.array([len(row) for row in ranges])
+        measured: list[Array] = list(ranges)
+        for length in np.unique(lengths):
+            chosen = np.flatnonzero(lengths == length)
+            places = chosen.tolist()
+            noisy = self._measure(rows[chosen], np.array([ranges[place] for place in places]))
+            for place, row in zip(places, noisy, strict=True):
+                measured[place] = row
+        return measured
+
+    def _measure(self, rows: Indices, exact: Array) -> Array:
+        noise = self._noise
+        spread, draws = self._draw(rows, exact.shape[1])
+        is_known = np.isfinite(exact)
+        r = np.where(is_known, exact, 0.0)
+        spread *= np.where(r < noise.near, noise.near_sd, noise.far_sd * r)
+        r *= self._factors[rows, None]
+        r += spread
+        if noise.resolution > 0.0:
+            np.rint(r / noise.resolution, out=r)
+            r *= noise.resolution
+        r[r < self._reach[rows, :1]] = -np.inf
+        r[r > self._reach[rows, 1:]] = np.inf
+        is_lost = self._losses(rows, draws, exact.shape[1]) & is_known
+        lost: Array = np.where(is_lost, self._lost[rows, None], r)
+        return np.where(is_known, lost, exact)
+
+    def _draw(self, rows: Indices, rays: int) -> tuple[Array, NDArray[np.float32]]:
+        """Normal numbers (m, rays), and even ones for each ray and then each block."""
+        normal = np.empty((len(rows), rays))
+        even = np.empty((len(rows), rays + math.ceil(rays / BLOCK)), dtype=np.float32)
+        for place, row in enumerate(rows.tolist()):
+            rng = self._rngs[row]
+            rng.standard_normal(out=normal[place])
+            rng.random(dtype=np.float32, out=even[place])
+        return normal, even
+
+    def _losses(self, rows: Indices, draws: NDArray[np.float32], rays: int) -> NDArray[np.bool_]:
+        alone = draws[:, :rays] < self._noise.dropout
+        blocks = draws[:, rays:] < self._block_dropout[rows, None]
+        return np.logical_or(alone, np.repeat(blocks, BLOCK, axis=1)[:, :rays])
+
+
+def _lost(spec: ScanSpec) -> float:
+    """A lost ray as its driver gives it: a zero, unless zeros mean something else (REP 117)."""
+    return math.nan if spec.zero == "too_close" else 0.0
