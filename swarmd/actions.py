@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+
+from msgspec import Struct
 
 from swarmd.frames import Command
 from swarmd.latches import LatchRecord
@@ -12,8 +13,7 @@ from swarmd.protection.verdict import Verdict
 from swarmd.values import Twist, Value
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Actions:
+class Actions(Struct, frozen=True, eq=False):
     """In this order: hand `twist` to the driver, write `latches` down, tell the `host`, publish.
 
     `messages` are by `<pattern>/<channel>`. `wish_seq` is the scan that the wish behind `twist`
@@ -26,6 +26,6 @@ class Actions:
     wish_seq: int = -1
     latches: LatchRecord | None = None
     host: Command | None = None
-    messages: Mapping[str, Value] = field(default_factory=dict)
+    messages: Mapping[str, Value] = {}
     status: Status | None = None
     replies: tuple[Reply, ...] = ()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
+
+import msgspec
 
 from swarmd.behavior import Context, Pattern
 from swarmd.params import P
@@ -67,9 +68,9 @@ class CombinedPattern(Pattern[P]):
         )
         dt = inputs.now - self._stepped_at.get(name, inputs.now)
         self._stepped_at[name] = inputs.now
-        outputs = part.step(replace(inputs, messages=heard, dt=dt))
+        outputs = part.step(msgspec.structs.replace(inputs, messages=heard, dt=dt))
         messages = {_outer(part, channel): value for channel, value in outputs.messages.items()}
-        return replace(outputs, messages=messages)
+        return msgspec.structs.replace(outputs, messages=messages)
 
 
 def _outer(part: Pattern[Any], channel: str) -> str:

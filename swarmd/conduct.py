@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+
+from msgspec import Struct
 
 from swarmd.frames import (
     Command,
@@ -35,8 +37,7 @@ EVENTS = 10
 LINE = 300
 
 
-@dataclass(slots=True, eq=False)
-class Turn:
+class Turn(Struct, eq=False):
     """What one event leads to, gathered until it is settled."""
 
     now: float
@@ -45,7 +46,7 @@ class Turn:
     is_latched: bool = False
     is_new_scan: bool = False
     is_new_run: bool = False
-    messages: Mapping[str, Value] = field(default_factory=dict)
+    messages: Mapping[str, Value] = {}
     replies: tuple[Reply, ...] = ()
 
 

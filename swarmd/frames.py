@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from msgspec import Struct
+
 from swarmd.values import Inputs, Outputs, Platform, Scalar, Value
 
 Layers = tuple[tuple[str, Mapping[str, Value]], ...]
@@ -29,8 +31,7 @@ class Load:
     is_fresh: bool = False
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Step:
+class Step(Struct, frozen=True, eq=False):
     """Step the loaded pattern once."""
 
     generation: int
@@ -71,8 +72,7 @@ class Refused:
     text: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stepped:
+class Stepped(Struct, frozen=True, eq=False):
     """One step's outputs. `scan_seq`: the scan the step used, -1 for none."""
 
     generation: int

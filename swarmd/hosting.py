@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
+
+from msgspec import Struct
 
 from swarmd.frames import Ready, Stepped
 from swarmd.messages import Request
@@ -19,8 +22,7 @@ FIRST_BACKOFF = 0.1
 ROUNDING = 1e-6  # a deadline is kept, not missed by the last bit of a float
 
 
-@dataclass(frozen=True, slots=True)
-class Wish:
+class Wish(Struct, frozen=True):
     """What the pattern wants, since when, and from which scan (-1: none)."""
 
     twist: Twist | None
@@ -193,16 +195,23 @@ class Hosting:
         self.restart_at = None
         self.is_due = False
 
-    def deadlines(self, now: float) -> tuple[float, ...]:
-        """The times at which something must be looked at, even between two ticks."""
-        running = self.running
-        is_free = self.awaiting_since is None and self.loading is None
-        candidates = (
-            None if running is None or not is_free else self.last_step + 1.0 / running.rate,
-            None if running is None else running.wish.at + running.expiry,
-            None if running is None else running.finish_at,
-            None if self.loading is None else self.loading.since + LOAD_TIMEOUT,
-            None if self.awaiting_since is None else self.awaiting_since + SILENT_AFTER,
-            self.restart_at,
-        )
-        return tuple(at for at in candidates if at is not None and at > now)
+    def next_deadline(self, now: float) -> float:
+        """The next time after `now` at which something must be looked at; inf if there is none."""
+        running, soonest = self.running, math.inf
+        if running is not None:
+            if self.awaiting_since is None and self.loading is None:
+                soonest = _sooner(self.last_step + 1.0 / running.rate, soonest, now)
+            soonest = _sooner(running.wish.at + running.expiry, soonest, now)
+            if running.finish_at is not None:
+                soonest = _sooner(running.finish_at, soonest, now)
+        if self.loading is not None:
+            soonest = _sooner(self.loading.since + LOAD_TIMEOUT, soonest, now)
+        if self.awaiting_since is not None:
+            soonest = _sooner(self.awaiting_since + SILENT_AFTER, soonest, now)
+        if self.restart_at is not None:
+            soonest = _sooner(self.restart_at, soonest, now)
+        return soonest
+
+
+def _sooner(at: float, soonest: float, now: float) -> float:
+    return at if now < at < soonest else soonest

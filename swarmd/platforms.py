@@ -16,7 +16,7 @@ from swarmd.errors import ConfigError, unknown
 from swarmd.layered import Layered
 from swarmd.swarmfile import Options, Parameters
 from swarmd.values import Limits, Platform, ScanSpec, Value
-from swarmd.yamlfile import read, shown
+from swarmd.yamlfile import Data, read, shown
 
 Coordinate = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Point = tuple[Coordinate, Coordinate]
@@ -90,10 +90,19 @@ def load_platform(name: str, near: Path | None = None) -> Platform:
     ConfigError names file, key, value, what was wanted and the nearest valid key.
     """
     path = _find(name, near or Path())
-    layers = Layered(*_chain(path))
+    return platform_of(path.stem, Layered(*_chain(path)))
+
+
+def platform_sources(name: str, near: Path | None = None) -> tuple[tuple[str, Data], ...]:
+    """What `load_platform` reads: the file and those it extends, by name, strongest first."""
+    return tuple(_chain(_find(name, near or Path())))
+
+
+def platform_of(name: str, layers: Layered) -> Platform:
+    """The platform that the layers describe; ConfigError as `load_platform`."""
     file = layers.build(PlatformFile)
     _check(layers, file)
-    return _platform(path.stem, file)
+    return _platform(name, file)
 
 
 def _folder() -> Path:
@@ -110,7 +119,7 @@ def _find(name: str, near: Path) -> Path:
     return _folder() / f"{name}.yaml"
 
 
-def _chain(path: Path) -> Iterator[tuple[str, dict[str, object]]]:
+def _chain(path: Path) -> Iterator[tuple[str, Data]]:
     """The file and those it extends, strongest first."""
     seen: list[Path] = []
     while True:

@@ -180,14 +180,16 @@ class Robot:
 
     def wake_at(self, now: float) -> float | None:
         """The next deadline after `now`, for an armed timer; None if there is none."""
-        deadlines = list(self._conduct.hosting.deadlines(now))
-        if self._conduct.is_running:
+        conduct = self._conduct
+        soonest = conduct.hosting.next_deadline(now)
+        if conduct.is_running:
             stale_at = self._senses.stale_at()
-            if stale_at is not None:
-                deadlines.append(stale_at + 1e-4)
-            if self._conduct.hold_since is not None:
-                deadlines.append(self._conduct.hold_since + HOLD_LASTS)
-        return min((at for at in deadlines if at > now), default=None)
+            if stale_at is not None and now < stale_at + 1e-4 < soonest:
+                soonest = stale_at + 1e-4
+            since = conduct.hold_since
+            if since is not None and now < since + HOLD_LASTS < soonest:
+                soonest = since + HOLD_LASTS
+        return soonest if soonest < math.inf else None
 
     def status(self, now: float) -> Status:
         """What the robot says of itself at `now`."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from swarmd.codec import encode_value
 from swarmd.messages import Reason
@@ -31,7 +31,7 @@ class Senses:
     """
 
     def __init__(self, platform: Platform) -> None:
-        self._spec = platform.scan
+        self._stale_after = platform.scan.stale_after
         self._needs_odometry = "odometry" in platform.provides
         self._conditioner = ScanConditioner(platform.scan)
         self._scan_at: float | None = None
@@ -40,6 +40,7 @@ class Senses:
         self._scan_times: deque[float] = deque(maxlen=12)
         self._is_new_scan = False
         self._neighbors: tuple[Neighbor, ...] = ()
+        self._neighbor_ids: frozenset[str] = frozenset()
         self._neighbors_at = 0.0
         self._inbox: deque[_Heard] = deque()
         self._inbox_bytes = 0
@@ -71,7 +72,9 @@ class Senses:
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
         """Take in who is near now."""
-        self._neighbors = neighbors
+        if neighbors is not self._neighbors:
+            self._neighbors = neighbors
+            self._neighbor_ids = frozenset(neighbor.id for neighbor in neighbors)
         self._neighbors_at = now
 
     def on_message(self, sender: str, channel: str, value: Value, now: float) -> bool:
@@ -79,7 +82,8 @@ class Senses:
 
         CodecError if it is too large once it is written out again.
         """
-        if not any(neighbor.id == sender for neighbor in self.neighbors(now)):
+        is_near = sender in self._neighbor_ids and self._knows_neighbors(now)
+        if not is_near:
             return False
         size = OVERHEAD + len(encode_value(value))
         self._inbox.append(_Heard(Message(sender, channel, value, 0.0), now, size))
@@ -96,10 +100,16 @@ class Senses:
 
     def neighbors(self, now: float) -> tuple[Neighbor, ...]:
         """Who is near, with ages as of now; nobody once that has not been heard for 3 s."""
-        passed = now - self._neighbors_at
-        if passed > NEIGHBOR_FORGOTTEN_AFTER:
+        if not self._knows_neighbors(now):
             return ()
-        return tuple(replace(neighbor, age=neighbor.age + passed) for neighbor in self._neighbors)
+        passed = now - self._neighbors_at
+        return tuple(
+            Neighbor(n.id, n.age + passed, n.distance, n.bearing, n.heading)
+            for n in self._neighbors
+        )
+
+    def _knows_neighbors(self, now: float) -> bool:
+        return now - self._neighbors_at <= NEIGHBOR_FORGOTTEN_AFTER
 
     def scan_age(self, now: float) -> float | None:
         """Seconds since the last valid scan arrived; None before the first."""
@@ -108,7 +118,7 @@ class Senses:
     def scan_rate(self, now: float) -> float:
         """Valid scans a second over the last few; 0 once they have stopped."""
         times = self._scan_times
-        if len(times) < 2 or now - times[-1] > 2.0 * self._spec.stale_after:
+        if len(times) < 2 or now - times[-1] > 2.0 * self._stale_after:
             return 0.0
         return (len(times) - 1) / max(times[-1] - times[0], 1e-6)
 
@@ -119,7 +129,7 @@ class Senses:
         age = self.scan_age(now)
         if age is None:
             return self._problem or Reason.NO_SCAN
-        if age > self._spec.stale_after:
+        if age > self._stale_after:
             return self._problem or Reason.STALE_SCAN
         if self._needs_odometry and (
             self._odometry_at is None or now - self._odometry_at > ODOMETRY_STALE_AFTER
@@ -129,7 +139,7 @@ class Senses:
 
     def stale_at(self) -> float | None:
         """When the present scan will be too old; None before the first."""
-        return None if self._scan_at is None else self._scan_at + self._spec.stale_after
+        return None if self._scan_at is None else self._scan_at + self._stale_after
 
     def inputs(self, now: float, dt: float) -> Inputs:
         """All for one step; messages and the new-scan mark are handed out once."""
@@ -140,7 +150,7 @@ class Senses:
             is_new_scan=self._is_new_scan,
             odometry=self.odometry,
             neighbors=self.neighbors(now),
-            messages=tuple(replace(heard.message, age=now - heard.at) for heard in self._inbox),
+            messages=tuple(_aged(heard, now) for heard in self._inbox),
             readings=self.readings,
         )
         self.forget_messages()
@@ -151,3 +161,8 @@ class Senses:
         """Drop what was said to an earlier pattern."""
         self._inbox.clear()
         self._inbox_bytes = 0
+
+
+def _aged(heard: _Heard, now: float) -> Message:
+    message = heard.message
+    return Message(message.sender, message.channel, message.value, now - heard.at)

@@ -113,10 +113,12 @@ def _typed(inputs: Inputs, channels: Mapping[str, type]) -> tuple[Inputs, int]:
         if kind is None:
             continue
         try:
-            kept.append(replace(message, value=msgspec.convert(message.value, kind)))
+            kept.append(
+                msgspec.structs.replace(message, value=msgspec.convert(message.value, kind))
+            )
         except msgspec.ValidationError:
             continue
-    return replace(inputs, messages=tuple(kept)), len(inputs.messages) - len(kept)
+    return msgspec.structs.replace(inputs, messages=tuple(kept)), len(inputs.messages) - len(kept)
 
 
 def _plain(outputs: object) -> Outputs:

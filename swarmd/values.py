@@ -1,7 +1,8 @@
 """What flows through one robot: plain values, SI units and radians.
 
 Frames follow REP 103 and 105: x forward, y left, yaw counter-clockwise. Constructors do not
-validate; decoding and configuration do.
+validate; decoding and configuration do. What is made anew many times a second is a msgspec Struct:
+that takes a tenth of the time of a frozen dataclass (change one with `msgspec.structs.replace`).
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
@@ -20,8 +22,7 @@ Scalar: TypeAlias = bool | int | float | str
 Value: TypeAlias = "bool | int | float | str | bytes | list[Value] | dict[str, Value] | None"
 
 
-@dataclass(frozen=True, slots=True)
-class Twist:
+class Twist(Struct, frozen=True):
     """A velocity in the base frame: linear and lateral in m/s, angular in rad/s."""
 
     linear: float = 0.0
@@ -46,8 +47,7 @@ class Twist:
 ZERO = Twist()
 
 
-@dataclass(frozen=True, slots=True)
-class Pose:
+class Pose(Struct, frozen=True):
     """Position in m and yaw in rad, in the frame the owner of the value names."""
 
     x: float = 0.0
@@ -73,8 +73,7 @@ class Scan:
     range_max: float
 
 
-@dataclass(frozen=True, slots=True)
-class Odometry:
+class Odometry(Struct, frozen=True):
     """Pose in the odometry frame and measured twist in the base frame."""
 
     stamp: float
@@ -82,8 +81,7 @@ class Odometry:
     twist: Twist
 
 
-@dataclass(frozen=True, slots=True)
-class Neighbor:
+class Neighbor(Struct, frozen=True):
     """A robot that is near, as far as it is sensed.
 
     `age` is the time in s since it was heard; `distance` in m, `bearing` and `heading` in rad,
@@ -97,8 +95,7 @@ class Neighbor:
     heading: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Message:
+class Message(Struct, frozen=True):
     """What a neighbour's pattern said; `sender` comes from the key, never from the payload."""
 
     sender: str
@@ -117,10 +114,17 @@ class Limits:
 
     def clip(self, twist: Twist) -> Twist:
         """The twist with each component held within its limit; the only place that does so."""
+        linear, angular, lateral = self.linear, self.angular, self.lateral
+        if (
+            -linear <= twist.linear <= linear
+            and -angular <= twist.angular <= angular
+            and -lateral <= twist.lateral <= lateral
+        ):
+            return twist
         return Twist(
-            linear=min(max(twist.linear, -self.linear), self.linear),
-            angular=min(max(twist.angular, -self.angular), self.angular),
-            lateral=min(max(twist.lateral, -self.lateral), self.lateral),
+            min(max(twist.linear, -linear), linear),
+            min(max(twist.angular, -angular), angular),
+            min(max(twist.lateral, -lateral), lateral),
         )
 
 
@@ -171,8 +175,7 @@ class Platform:
     body: Mapping[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Inputs:
+class Inputs(Struct, frozen=True, eq=False):
     """All that a pattern gets for one step.
 
     `now` in s on the robot's monotonic clock, `dt` the time since its last step (0 at the
@@ -187,11 +190,10 @@ class Inputs:
     odometry: Odometry | None = None
     neighbors: tuple[Neighbor, ...] = ()
     messages: tuple[Message, ...] = ()
-    readings: Mapping[str, float] = field(default_factory=dict)
+    readings: Mapping[str, float] = {}
 
 
-@dataclass(frozen=True, slots=True)
-class Outputs:
+class Outputs(Struct, frozen=True):
     """What a pattern gives back from one step.
 
     `twist` None: no wish, the robot stands. `messages` by channel. `report` shows up in
@@ -199,6 +201,6 @@ class Outputs:
     """
 
     twist: Twist | None = None
-    messages: Mapping[str, Value] = field(default_factory=dict)
-    report: Mapping[str, Scalar] = field(default_factory=dict)
+    messages: Mapping[str, Value] = {}
+    report: Mapping[str, Scalar] = {}
     done: str | None = None

@@ -37,6 +37,16 @@ def read(path: Path) -> Data:
     return data
 
 
+def read_value(text: str) -> Any:
+    """What the text would be as a value in a file; ConfigError if it could not be one."""
+    try:
+        return yaml.load(text, Loader=_StrictLoader)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise ConfigError(
+            f"{brief(text)} is no value; wanted is YAML, such as 3 or [1, 2]"
+        ) from error
+
+
 def shown(path: Path) -> str:
     """The path as errors show it: relative to where we are if it is below, else in full."""
     real, here = path.resolve(), Path.cwd()

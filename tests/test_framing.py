@@ -81,7 +81,8 @@ def test_set_params_arrives() -> None:
 def test_events_arrive(event: Ready | Refused | Stepped | ParamsSet | Failed) -> None:
     got = decode_event(encode_event(event))
     assert type(got) is type(event)
-    for name in event.__slots__:
+    fields = getattr(event, "__struct_fields__", None) or getattr(event, "__slots__", ())
+    for name in fields:
         assert getattr(got, name) == getattr(event, name)
 
 

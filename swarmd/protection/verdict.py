@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from msgspec import Struct
 
 from swarmd.messages import Reason
 from swarmd.values import Twist
 
 
-@dataclass(frozen=True, slots=True)
-class Row:
+class Row(Struct, frozen=True):
     """One obstacle that bounds the command: bearing rad, gap m to the footprint, cap m/s."""
 
     bearing: float
@@ -17,8 +16,7 @@ class Row:
     cap: float
 
 
-@dataclass(frozen=True, slots=True)
-class Decision:
+class Decision(Struct, frozen=True):
     """An arbiter's answer to a wish; `is_active` if the wish did not pass as it was."""
 
     twist: Twist
@@ -26,8 +24,7 @@ class Decision:
     rows: tuple[Row, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Verdict:
+class Verdict(Struct, frozen=True):
     """A decision with its grounds.
 
     `wish` is within the platform's limits, `safe` is what the driver gets. `reason` is the hold

@@ -24,6 +24,7 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 from unittest.mock import patch
 
+import msgspec
 import numpy as np
 
 from swarmd.assembly import assemble, full_layers
@@ -231,7 +232,7 @@ class PatternContract:
         pattern = subject.make()
         for inputs in subject.story(pattern, busy_scans(subject.platform, 4)):
             pattern.step(inputs)
-            later = replace(inputs, now=inputs.now + 3600.0, dt=3600.0)
+            later = msgspec.structs.replace(inputs, now=inputs.now + 3600.0, dt=3600.0)
         _check_sane(pattern.step(later), subject.platform, "a step after an hour")
 
 
