@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 
 import numpy as np
+from numpy.random import Generator
 
 from swarmd.errors import ConfigError, unknown
 from swarmd.sim.world.arena import Arena
@@ -14,7 +15,6 @@ from swarmd.values import Array
 
 NAMES = ("row", "paper", "grid", "ring", "random", "list")
 _TRIES = 2000
-_CORNERS_OF_A_POLE = 16
 
 
 def parse_layout(text: str, footprints: Sequence[Array], arena: Arena, *, seed: int) -> Array:
@@ -27,39 +27,180 @@ def parse_layout(text: str, footprints: Sequence[Array], arena: Arena, *, seed: 
     """
     name, _, rest = text.partition(":")
     n = len(footprints)
+    floor = Floor([f"robot {index}" for index in range(n)], footprints, arena)
+    if name == "random":
+        scatter(floor, range(n), np.random.default_rng(seed), clearance=_number(text, rest, 0.2))
+        return floor.poses
     if name == "list":
         poses = _listed(text, rest, n)
-    elif name == "random":
-        return _random(footprints, arena, _number(text, rest, 0.2), seed)
-    elif name in NAMES:
-        poses = _regular(name, n, _number(text, rest, 1.5 if name == "ring" else 1.0))
+    elif name in REGULAR:
+        poses = REGULAR[name](n, _number(text, rest, 1.5 if name == "ring" else 1.0))
     else:
         raise ConfigError(unknown("layout", name, NAMES))
-    floor = _Floor(footprints, arena)
-    for index in range(n):
-        fault = floor.fault(index, poses)
+    for index, pose in enumerate(poses):
+        fault = floor.fault(index, pose)
         if fault:
-            raise ConfigError(f"layout {text!r}: robot {index} {fault}; take more space or fewer")
+            raise ConfigError(f"layout {text!r}: {fault}; take more space or fewer")
+        floor.place(index, pose)
     return poses
 
 
-def _regular(name: str, n: int, size: float) -> Array:
-    index = np.arange(n, dtype=np.float64)
+def row(n: int, spacing: float) -> Array:
+    """Poses (n, 3) along y with their middle at the origin, heading along x."""
     poses = np.zeros((n, 3))
-    if name == "row":
-        poses[:, 1] = (index - (n - 1) / 2.0) * size
-    elif name == "paper":
-        poses[:, 1] = index * size
-    elif name == "grid":
-        columns = math.ceil(math.sqrt(n))
-        rows = math.ceil(n / columns)
-        poses[:, 0] = (index // columns - (rows - 1) / 2.0) * size
-        poses[:, 1] = (index % columns - (columns - 1) / 2.0) * size
-    else:
-        angle = 2.0 * math.pi * index / max(n, 1)
-        poses[:, 0], poses[:, 1] = size * np.cos(angle), size * np.sin(angle)
-        poses[:, 2] = angle - math.pi
+    poses[:, 1] = (np.arange(n) - (n - 1) / 2.0) * spacing
     return poses
+
+
+def paper_row(n: int, spacing: float) -> Array:
+    """Poses (n, 3) along y from the origin on, heading along x: experiment 1 of the paper."""
+    poses = np.zeros((n, 3))
+    poses[:, 1] = np.arange(n) * spacing
+    return poses
+
+
+def grid(n: int, spacing: float) -> Array:
+    """Poses (n, 3) as square as can be around the origin, heading along x."""
+    columns = max(math.ceil(math.sqrt(n)), 1)
+    rows = math.ceil(n / columns)
+    index = np.arange(n)
+    poses = np.zeros((n, 3))
+    poses[:, 0] = (index // columns - (rows - 1) / 2.0) * spacing
+    poses[:, 1] = (index % columns - (columns - 1) / 2.0) * spacing
+    return poses
+
+
+def ring(n: int, radius: float) -> Array:
+    """Poses (n, 3) on a circle around the origin, heading inwards."""
+    angle = 2.0 * math.pi * np.arange(n) / max(n, 1)
+    return np.stack((radius * np.cos(angle), radius * np.sin(angle), angle - math.pi), axis=-1)
+
+
+REGULAR: Mapping[str, Callable[[int, float], Array]] = {
+    "row": row,
+    "paper": paper_row,
+    "grid": grid,
+    "ring": ring,
+}
+
+
+def moved(poses: Array, center: tuple[float, float], heading: float) -> Array:
+    """Poses (n, 3) turned by `heading` rad around the origin, which then moves to `center`."""
+    places = transform(poses[:, :2], np.array([*center, heading]))
+    return np.column_stack((places, poses[:, 2] + heading))
+
+
+class Floor:
+    """Knows what stands where, to tell what a robot would be too near to.
+
+    `poses` (n, 3) are those of the robots placed so far, NaN for the others.
+    """
+
+    def __init__(self, names: Sequence[str], footprints: Sequence[Array], arena: Arena) -> None:
+        self.arena = arena
+        self.names = names
+        self.poses = np.full((len(names), 3), math.nan)
+        self._footprints = footprints
+        self._reaches = np.array([radius(footprint) for footprint in footprints])
+        self._things = [box.corners for box in arena.boxes if box.is_placed]
+        self._things += [pole.corners for pole in arena.poles]
+        self._things += [wall.corners for wall in arena.segments]
+
+    def place(self, index: int, pose: Array) -> None:
+        """Put the robot there."""
+        self.poses[index] = pose
+
+    def fault(self, index: int, pose: Array, clearance: float = 0.0) -> str:
+        """What keeps the robot from standing at the pose, with its name; empty if nothing."""
+        who = f"{self.names[index]} at ({pose[0]:.3g}, {pose[1]:.3g})"
+        body = transform(self._footprints[index], pose)
+        inside = np.array([self.arena.length, self.arena.width]) / 2.0 - clearance
+        if not np.isfinite(pose).all() or (np.abs(body) >= inside).any():
+            return f"{who} is not inside the walls"
+        if any(float(gaps(body, thing)) <= clearance for thing in self._things):
+            return f"{who} stands in a box, pole or segment"
+        apart = np.hypot(*(self.poses[:, :2] - pose[:2]).T) - self._reaches - self._reaches[index]
+        for other in np.nonzero(apart <= clearance)[0].tolist():
+            shape = transform(self._footprints[other], self.poses[other])
+            if float(gaps(body, shape)) <= clearance:
+                return f"{who} touches {self.names[other]}"
+        return ""
+
+
+def scatter(
+    floor: Floor,
+    robots: Sequence[int],
+    rng: Generator,
+    *,
+    clearance: float,
+    center: tuple[float, float] = (0.0, 0.0),
+    size: tuple[float, float] | None = None,
+    heading: float | None = None,
+) -> None:
+    """Place the robots (rows) anywhere within `size` m around `center`, `clearance` m apart.
+
+    Without `size` in the whole arena, without `heading` (rad) in any direction. ConfigError if
+    there is no room.
+    """
+    whole = (floor.arena.length, floor.arena.width)
+    half = np.array([*(size or whole), 2.0 * math.pi]) / 2.0
+    middle = np.array([*(center if size else (0.0, 0.0)), 0.0])
+
+    def candidates() -> Iterator[Array]:
+        while True:
+            yield _headed(middle + rng.uniform(-half, half), heading)
+
+    _place_each(floor, robots, candidates(), clearance, f"{clearance:g} m around each")
+
+
+def chain(
+    floor: Floor,
+    robots: Sequence[int],
+    rng: Generator,
+    *,
+    near: float,
+    far: float,
+    center: tuple[float, float] = (0.0, 0.0),
+    heading: float | None = None,
+) -> None:
+    """Place the robots (rows) so that each is `near` to `far` m from the nearest before it.
+
+    The first stands at `center`. ConfigError if there is no room.
+    """
+    placed: list[Array] = []
+
+    def candidates() -> Iterator[Array]:
+        yield _headed(np.array([*center, rng.uniform(-math.pi, math.pi)]), heading)
+        while True:
+            placed[:] = [floor.poses[i] for i in robots if math.isfinite(floor.poses[i, 0])]
+            if not placed:
+                return
+            base = placed[int(rng.integers(len(placed)))][:2]
+            distance, angle, yaw = rng.uniform([near, -math.pi, -math.pi], [far, math.pi, math.pi])
+            place = base + distance * np.array([math.cos(angle), math.sin(angle)])
+            if all(math.dist(place, other[:2]) >= near for other in placed):
+                yield _headed(np.array([*place, yaw]), heading)
+
+    _place_each(floor, robots, candidates(), 0.0, f"{near:g} to {far:g} m from the nearest")
+
+
+def _place_each(
+    floor: Floor, robots: Sequence[int], candidates: Iterator[Array], clearance: float, what: str
+) -> None:
+    for row in robots:
+        for _, pose in zip(range(_TRIES), candidates, strict=False):
+            if not floor.fault(row, pose, clearance):
+                floor.place(row, pose)
+                break
+        else:
+            raise ConfigError(
+                f"no room for {floor.names[row]}, one of {len(robots)}, with {what} in"
+                f" {floor.arena.length:g}x{floor.arena.width:g} m; take more space or fewer robots"
+            )
+
+
+def _headed(pose: Array, heading: float | None) -> Array:
+    return pose if heading is None else np.array([pose[0], pose[1], heading])
 
 
 def _listed(text: str, rest: str, n: int) -> Array:
@@ -69,57 +210,6 @@ def _listed(text: str, rest: str, n: int) -> Array:
     poses = np.array(rows)
     poses[:, 2] = np.radians(poses[:, 2])
     return poses
-
-
-def _random(footprints: Sequence[Array], arena: Arena, clearance: float, seed: int) -> Array:
-    rng = np.random.default_rng(seed)
-    low = np.array([-arena.length / 2.0, -arena.width / 2.0, -math.pi])
-    poses = np.zeros((len(footprints), 3))
-    floor = _Floor(footprints, arena)
-    for index in range(len(footprints)):
-        for _ in range(_TRIES):
-            poses[index] = rng.uniform(low, -low)
-            if not floor.fault(index, poses, clearance):
-                break
-        else:
-            raise ConfigError(
-                f"no room for robot {index} of {len(footprints)} with {clearance:g} m around each"
-                f" in {arena.length:g}x{arena.width:g} m; take a larger arena or fewer robots"
-            )
-    return poses
-
-
-class _Floor:
-    """Knows what stands where, to tell what a robot would be too near to."""
-
-    def __init__(self, footprints: Sequence[Array], arena: Arena) -> None:
-        self._footprints, self._arena = footprints, arena
-        self._reaches = np.array([radius(footprint) for footprint in footprints])
-        self._things = [box.corners for box in arena.boxes]
-        self._things += [_polygon_around(circle) for circle in arena.circles]
-
-    def fault(self, index: int, poses: Array, clearance: float = 0.0) -> str:
-        """What is wrong with the pose of robot `index`, given those before it; empty if nothing."""
-        body = transform(self._footprints[index], poses[index])
-        inside = np.array([self._arena.length, self._arena.width]) / 2.0 - clearance
-        if not np.isfinite(poses[index]).all() or (np.abs(body) >= inside).any():
-            return "is not inside the walls"
-        if any(float(gaps(body, thing)) <= clearance for thing in self._things):
-            return "stands in a box or pole"
-        apart = np.hypot(*(poses[:index, :2] - poses[index, :2]).T)
-        apart -= self._reaches[:index] + self._reaches[index]
-        for other in np.nonzero(apart <= clearance)[0].tolist():
-            shape = transform(self._footprints[other], poses[other])
-            if float(gaps(body, shape)) <= clearance:
-                return f"touches robot {other}"
-        return ""
-
-
-def _polygon_around(circle: Array) -> Array:
-    angle = 2.0 * math.pi * np.arange(_CORNERS_OF_A_POLE) / _CORNERS_OF_A_POLE
-    reach = circle[2] / math.cos(math.pi / _CORNERS_OF_A_POLE)
-    corners: Array = circle[:2] + reach * np.stack((np.cos(angle), np.sin(angle)), axis=-1)
-    return corners
 
 
 def _number(text: str, word: str, default: float) -> float:

@@ -79,8 +79,8 @@ def test_random_is_its_seed() -> None:
     [
         ("gird", 3, "did you mean 'grid'"),
         ("row:wide", 3, "'wide' is no number"),
-        ("row:0.1", 3, "robot 1 touches robot 0"),
-        ("paper:2", 3, "robot 2 is not inside the walls"),
+        ("row:0.1", 3, r"robot 1 at \(0, 0\) touches robot 0"),
+        ("paper:2", 3, r"robot 2 at \(0, 4\) is not inside the walls"),
         ("list:0:0:0", 3, "has 1 poses; wanted are 3"),
         ("list:0:0,1:1,2:2", 3, "wanted are 3 of x:y:degrees"),
         ("list:0:0:nan", 1, "'nan' is no number"),
@@ -92,7 +92,13 @@ def test_tells_what_cannot_be(text: str, n: int, complaint: str) -> None:
         place(text, n)
 
 
-def test_refuses_to_start_in_a_box_or_pole() -> None:
-    for arena in ("8x8,box:0:0:1:1", "8x8,pole:0:0.05:0.02"):
-        with pytest.raises(ConfigError, match="robot 0 stands in a box or pole"):
-            place("list:0:0:0", 1, parse_arena(arena))
+@pytest.mark.parametrize(
+    "thing", ["box:0:0:1:1", "box:0:0:1:1:0:2", "pole:0:0.05:0.02", "segment:0:-1:0:1"]
+)
+def test_refuses_to_start_in_what_stands_there(thing: str) -> None:
+    with pytest.raises(ConfigError, match="stands in a box"):
+        place("list:0:0:0", 1, parse_arena(f"8x8,{thing}"))
+
+
+def test_a_box_that_is_not_there_at_first_leaves_its_place_free() -> None:
+    assert place("list:0:0:0", 1, parse_arena("8x8,box:0:0:1:1:0:2:out")).shape == (1, 3)

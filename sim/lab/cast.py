@@ -1,0 +1,171 @@
+"""Who takes part: robots by group, each with its platform as a scenario wants it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from msgspec import json
+
+from swarmd.errors import ConfigError, unknown
+from swarmd.keys import check_id
+from swarmd.layered import Keys, Layered
+from swarmd.platforms import PlatformFile, platform_names, platform_of, platform_sources
+from swarmd.sim.lab.schema import GroupSection, ScenarioFile
+from swarmd.sim.world.radio import with_bearings
+from swarmd.sim.world.readings import with_readings
+from swarmd.values import Platform
+
+ALL = "all"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cast:
+    """The robots in order. `platform_files`: what each platform is made of, complete, by name."""
+
+    robots: Mapping[str, Platform]
+    groups: Mapping[str, tuple[str, ...]]
+    group_of: Mapping[str, str]
+    platform_files: Mapping[str, Mapping[str, Any]]
+
+    def named(self, who: str) -> tuple[str, ...]:
+        """The robots that a group, a robot's id or `all` stands for; none if it is unknown."""
+        if who == ALL:
+            return tuple(self.robots)
+        return self.groups.get(who) or ((who,) if who in self.robots else ())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All that `named` knows."""
+        return (ALL, *self.groups, *self.robots)
+
+
+def cast_of(layers: Layered, file: ScenarioFile) -> Cast:
+    """The robots of all groups; ConfigError for ids, groups and platforms that cannot be."""
+    groups = {name: _ids(layers, name, group) for name, group in file.groups.items()}
+    group_of: dict[str, str] = {}
+    for name, ids in groups.items():
+        for robot in ids:
+            _check_robot(layers, name, robot, groups, group_of)
+            group_of[robot] = name
+    if not groups:
+        raise layers.error(("groups",), "groups is empty; wanted one group of robots at least")
+    if ALL in groups and len(groups) > 1:
+        text = "groups.all does not hold all robots, which events call `all`; name it otherwise"
+        raise layers.error(("groups", ALL), text)
+    files = _platform_files(layers, file)
+    platforms = {
+        name: _sensing(platform_of(name, Layered((name, data))), file)
+        for name, data in files.items()
+    }
+    names = {name: platform_name(group.platform) for name, group in file.groups.items()}
+    robots = {robot: platforms[names[group]] for robot, group in group_of.items()}
+    return Cast(robots, groups, group_of, files)
+
+
+def platform_name(text: str) -> str:
+    """What a platform is called that a group names by name or by path."""
+    return Path(text).stem if text.endswith(".yaml") else text
+
+
+def _ids(layers: Layered, name: str, group: GroupSection) -> tuple[str, ...]:
+    keys = ("groups", name)
+    _check_id(layers, keys, name, "a group's name")
+    if group.robots is not None and group.count is not None:
+        text = f"groups.{name} has both count and robots; keep one (null takes the other away)"
+        raise layers.error((*keys, "count"), text)
+    if group.robots is not None:
+        if not group.robots:
+            raise layers.error((*keys, "robots"), f"groups.{name}.robots is empty; name one")
+        return tuple(group.robots)
+    if group.count is None:
+        text = f"groups.{name} has no robots; give count, or robots: [ids]"
+        raise layers.error(keys, text)
+    prefix = group.prefix or name
+    digits = max(2, len(str(group.count)))
+    return tuple(f"{prefix}-{number:0{digits}}" for number in range(1, group.count + 1))
+
+
+def _check_robot(
+    layers: Layered,
+    group: str,
+    robot: str,
+    groups: Mapping[str, Iterable[str]],
+    group_of: Mapping[str, str],
+) -> None:
+    keys = ("groups", group)
+    _check_id(layers, keys, robot, f"groups.{group}: a robot's id")
+    if robot in group_of:
+        text = f"groups.{group}: robot {robot!r} is in group {group_of[robot]!r} already"
+        raise layers.error(keys, f"{text}; name it once, or give another prefix")
+    if robot in groups or robot == ALL:
+        text = f"groups.{group}: robot {robot!r} has the name of a group; rename one"
+        raise layers.error(keys, text)
+
+
+def _check_id(layers: Layered, keys: Keys, value: str, what: str) -> None:
+    try:
+        check_id(value, what)
+    except ConfigError as error:
+        raise layers.error(keys, str(error)) from error
+
+
+def _sensing(platform: Platform, file: ScenarioFile) -> Platform:
+    """The platform with what the scenario lets it sense."""
+    heard = replace(platform, provides=platform.provides | {"neighbors"})
+    if file.radio.range_and_bearing:
+        heard = with_bearings(heard)
+    return with_readings(heard, file.fields)
+
+
+def _platform_files(layers: Layered, file: ScenarioFile) -> dict[str, Mapping[str, Any]]:
+    """The complete content of every platform that a group has."""
+    origins: dict[str, str] = {}
+    files: dict[str, Mapping[str, Any]] = {}
+    for group, section in file.groups.items():
+        name = platform_name(section.platform)
+        if origins.setdefault(name, section.platform) != section.platform:
+            text = f"groups.{group}.platform is {section.platform}, and there is {origins[name]}"
+            raise layers.error(
+                ("groups", group, "platform"), f"{text}; give one of the files another name"
+            )
+        if name not in files:
+            keys = ("groups", group, "platform")
+            files[name] = _platform_file(layers, file, keys, section.platform)
+    unused = [name for name in file.platforms if name not in files]
+    for name in unused:
+        _platform_file(layers, file, ("platforms", name), name)
+    return files
+
+
+def _platform_file(
+    layers: Layered, file: ScenarioFile, keys: Keys, wanted: str
+) -> Mapping[str, Any]:
+    name = platform_name(wanted)
+    own = file.platforms.get(name)
+    where = layers.error(("platforms", name), f"platforms.{name}")
+    sources = [] if own is None else [(str(where), own)]
+    base = wanted if own is None else own.get("extends", wanted)
+    try:
+        if own is not None and "extends" not in own and not _is_there(wanted):
+            known = unknown("platform", name, platform_names())
+            raise ConfigError(f"{known} (or name one that it extends)")
+        if isinstance(base, str):
+            sources += platform_sources(base)
+    except ConfigError as error:
+        place = "groups" if keys[0] == "groups" else "platforms"
+        key = ".".join(map(str, keys))
+        if place == "groups" and own is None and file.platforms:
+            known = unknown("platform", name, (*platform_names(), *file.platforms))
+            raise layers.error(keys, f"{key}: {known}") from error
+        raise layers.error(keys, f"{key}: {error}") from error
+    whole = Layered(*sources)
+    platform_of(name, whole)
+    plain = json.decode(json.encode(whole.build(PlatformFile)))
+    return {**plain, "extends": None}
+
+
+def _is_there(wanted: str) -> bool:
+    return wanted.endswith(".yaml") or wanted in platform_names()

@@ -1,0 +1,141 @@
+"""All that may stand in a scenario's file. Lengths in m, times in s, angles in degrees."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta, Struct
+
+from swarmd.messages import Scalar
+from swarmd.sim.world.radio import RadioSettings
+from swarmd.sim.world.readings import Field
+
+Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
+Size = Annotated[float, Meta(ge=0.01, le=10_000.0)]
+Distance = Annotated[float, Meta(ge=0.0, le=10_000.0)]
+Degrees = Annotated[float, Meta(ge=-360.0, le=360.0)]
+Seconds = Annotated[float, Meta(gt=0.0, le=1e6)]
+Point = tuple[Coordinate, Coordinate]
+Placed = tuple[Coordinate, Coordinate, Degrees]
+Values = dict[str, Scalar | None]
+Who = str | list[str]
+Layout = Literal["row", "paper", "grid", "ring", "random", "chain", "list"]
+
+
+class BoxSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A box by centre and side lengths. With a `mass` in kg it can be pushed, placed and removed.
+
+    Such a box without `at` is out of the arena until an event places it.
+    """
+
+    name: str = ""
+    at: Point | None = None
+    size: tuple[Size, Size]
+    yaw_deg: Degrees = 0.0
+    mass: Annotated[float, Meta(gt=0.0, le=100_000.0)] | None = None
+
+
+class PoleSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A round pole."""
+
+    at: Point
+    radius: Size
+
+
+class SegmentSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={
+    "start": "from", "end": "to"
+}):  # fmt: skip
+    """A thin inner wall."""
+
+    start: Point
+    end: Point
+
+
+class ArenaSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Four walls around the origin, `size` along x and y, and what is between them."""
+
+    size: tuple[Size, Size] = (6.0, 6.0)
+    boxes: list[BoxSection] = []
+    poles: list[PoleSection] = []
+    segments: list[SegmentSection] = []
+
+
+class StartSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where robots start. Which keys mean something depends on the layout: see `starts.KEYS`."""
+
+    layout: Layout | None = None
+    spacing: Size | None = None
+    radius: Size | None = None
+    clearance: Distance | None = None
+    near: Size | None = None
+    far: Size | None = None
+    size: tuple[Size, Size] | None = None
+    center: Point | None = None
+    heading_deg: Degrees | None = None
+    poses: list[Placed] | None = None
+
+
+class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Robots of one kind: `count` of them named `<prefix>-01` and on, or those of `robots`.
+
+    With a `pattern` they run it from the beginning; `parameters` are the group's for it.
+    """
+
+    platform: str = "waffle_pi"
+    count: Annotated[int, Meta(ge=1, le=100_000)] | None = None
+    robots: list[str] | None = None
+    prefix: str | None = None
+    start: StartSection | None = None
+    pattern: str | None = None
+    parameters: Values = {}
+
+
+class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={
+    "seconds": "for"
+}):  # fmt: skip
+    """What happens `at` a time: exactly one of the actions of `events.ACTIONS`.
+
+    stop, estop, reset, join, leave and kill name robots, a group or `all`; run names a pattern,
+    param holds values and both act on `who` (all, if left out); place and remove name a box.
+    """
+
+    at: Annotated[float, Meta(ge=0.0, le=1e6)]
+    run: str | None = None
+    param: Values | None = None
+    stop: Who | None = None
+    estop: Who | None = None
+    reset: Who | None = None
+    join: Who | None = None
+    leave: Who | None = None
+    kill: Who | None = None
+    place: str | None = None
+    remove: str | None = None
+    who: Who | None = None
+    parameters: Values | None = None
+    seconds: Seconds | None = None
+    pose: Placed | None = None
+
+
+class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The whole file. `platforms`: values above those of a platform's own file, or a new platform.
+
+    `start` is for all groups without one of their own, together. `parameters` are for all robots
+    by pattern, below those of a group. `plugin_dir` is relative to the file.
+    """
+
+    name: str | None = None
+    description: str = ""
+    extends: str | None = None
+    duration: Seconds = 60.0
+    trace_rate: Annotated[float, Meta(gt=0.0, le=100.0)] = 10.0
+    lidar_visibility: Literal["body", "real"] = "body"
+    realism: str | dict[str, Any] = "realistic"
+    radio: RadioSettings = RadioSettings()
+    arena: ArenaSection = ArenaSection()
+    fields: list[Field] = []
+    platforms: dict[str, dict[str, Any]] = {}
+    groups: dict[str, GroupSection]
+    start: StartSection = StartSection()
+    parameters: dict[str, Values] = {}
+    events: list[EventSection] = []
+    plugin_dir: str | None = None

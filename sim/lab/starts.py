@@ -1,0 +1,136 @@
+"""Start poses of all groups, for any seed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from swarmd.errors import ConfigError
+from swarmd.layered import Keys, Layered, dotted
+from swarmd.sim.lab.schema import StartSection
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.layouts import REGULAR, Floor, chain, moved, scatter
+from swarmd.sim.world.seeding import generator
+from swarmd.values import Array
+
+_TURNABLE = ("center", "heading_deg")
+KEYS: Mapping[str, tuple[str, ...]] = {
+    "row": ("spacing", *_TURNABLE),
+    "paper": ("spacing", *_TURNABLE),
+    "grid": ("spacing", *_TURNABLE),
+    "ring": ("radius", *_TURNABLE),
+    "random": ("clearance", "size", *_TURNABLE),
+    "chain": ("near", "far", *_TURNABLE),
+    "list": ("poses",),
+}
+"""What means something, by layout."""
+
+_SEEDED = ("random", "chain")
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Robots (rows) that start together. `where` names file and key, `key` the key alone."""
+
+    where: str
+    key: str
+    rows: Sequence[int]
+    start: StartSection
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Starts:
+    """Called with a seed: start poses (n, 3), or ConfigError."""
+
+    names: Sequence[str]
+    footprints: Sequence[Array]
+    arena: Arena
+    parts: Sequence[Part]
+
+    def __call__(self, seed: int) -> Array:
+        """Poses (n, 3) x, y in m and yaw in rad; those that the seed decides come last."""
+        floor = Floor(self.names, self.footprints, self.arena)
+        for part in sorted(self.parts, key=lambda part: layout_of(part.start) in _SEEDED):
+            try:
+                _place(floor, part, seed)
+            except ConfigError as error:
+                is_seeded = layout_of(part.start) in _SEEDED
+                raise ConfigError(
+                    f"{part.where}: {error}" + (f" (seed {seed})" if is_seeded else "")
+                ) from error
+        return floor.poses
+
+    @property
+    def is_seeded(self) -> bool:
+        """True if not all seeds give the same."""
+        return any(layout_of(part.start) in _SEEDED for part in self.parts)
+
+
+def layout_of(start: StartSection) -> str:
+    """The layout, or what it is for want of a word."""
+    return start.layout or ("grid" if start.poses is None else "list")
+
+
+def part_of(layers: Layered, keys: Keys, start: StartSection, rows: Sequence[int]) -> Part:
+    """A checked part; ConfigError for keys that mean nothing with its layout, or do not fit."""
+    layout, key = layout_of(start), dotted(keys)
+    for name in StartSection.__struct_fields__[1:]:
+        if getattr(start, name) is not None and name not in KEYS[layout]:
+            wanted = ", ".join(KEYS[layout])
+            text = f"{key}.{name} means nothing with layout {layout}; wanted there: {wanted}"
+            raise layers.error((*keys, name), text)
+    fault = _misfit(layout, start, len(rows))
+    if fault:
+        raise layers.error(keys, f"{key} {fault}")
+    return Part(str(layers.error(keys, key)), key, tuple(rows), start)
+
+
+def _misfit(layout: str, start: StartSection, n: int) -> str:
+    if layout == "chain":
+        if start.near is None or start.far is None:
+            return "needs near and far: how far in m each robot is from the nearest before it"
+        if start.near > start.far:
+            return f"has near {start.near:g} above far {start.far:g}; wanted near up to far"
+    if layout == "list" and len(start.poses or ()) != n:
+        return f"has {len(start.poses or ())} poses; wanted are {n}, one a robot"
+    if layout == "random" and start.center is not None and start.size is None:
+        return "has a center and no size; give size, such as [2, 2], or leave center out"
+    return ""
+
+
+def _place(floor: Floor, part: Part, seed: int) -> None:
+    start, rows, layout = part.start, part.rows, layout_of(part.start)
+    center = start.center or (0.0, 0.0)
+    heading = None if start.heading_deg is None else math.radians(start.heading_deg)
+    rng = generator(seed, "starts", part.key)
+    if layout == "random":
+        clearance = 0.2 if start.clearance is None else start.clearance
+        scatter(
+            *(floor, rows, rng),
+            clearance=clearance,
+            center=center,
+            size=start.size,
+            heading=heading,
+        )
+    elif layout == "chain":
+        near, far = start.near or 0.0, start.far or 0.0
+        chain(floor, rows, rng, near=near, far=far, center=center, heading=heading)
+    else:
+        for row, pose in zip(rows, _fixed(start, layout, len(rows)), strict=True):
+            fault = floor.fault(row, pose)
+            if fault:
+                raise ConfigError(f"{fault}; take more space or fewer robots")
+            floor.place(row, pose)
+
+
+def _fixed(start: StartSection, layout: str, n: int) -> Array:
+    if layout == "list":
+        poses = np.array(start.poses, dtype=np.float64)
+        poses[:, 2] = np.radians(poses[:, 2])
+        return poses
+    size = (start.radius or 1.5) if layout == "ring" else (start.spacing or 1.0)
+    heading = math.radians(start.heading_deg or 0.0)
+    return moved(REGULAR[layout](n, size), start.center or (0.0, 0.0), heading)
