@@ -14,7 +14,7 @@ from swarmd.keys import check_id
 from swarmd.sim.world.geometry import transform
 from swarmd.values import Array
 
-MIN_MASS, MAX_MASS = 0.01, 1e6
+MIN_MASS, MAX_MASS = 0.001, 1e6
 """Of a movable box, in kg; the largest one stands like a wall."""
 
 _WANTED = "wanted is such as 6x6, 6.6x4.8 or 6x6,box:1:0:0.5:0.3:45,pole:-1:2:0.1,segment:0:1:2:1"
@@ -96,7 +96,7 @@ class Segment:
 class Arena:
     """The space between four walls, `length` m along x and `width` m along y.
 
-    ConfigError if two boxes have one name, or one that could not be part of a key.
+    ConfigError if two boxes have one name, a name is no id, or a mass cannot be.
     """
 
     length: float
@@ -111,9 +111,14 @@ class Arena:
             check_id(name, "box name")
             if name in names[:index]:
                 raise ConfigError(f"arena has two boxes named {name!r}; every box needs its own")
-        for box in self.boxes:
+        for name, box in self.named_boxes:
             if box.mass is None and not box.is_placed:
-                raise ConfigError(f"box {box.name!r} is not in the arena and has no mass; give one")
+                raise ConfigError(f"box {name} is not in the arena and has no mass; give it one")
+            if box.mass is not None and not MIN_MASS <= box.mass <= MAX_MASS:
+                raise ConfigError(
+                    f"box {name} has a mass of {box.mass:g} kg;"
+                    f" wanted {MIN_MASS:g} to {MAX_MASS:g} kg"
+                )
 
     @property
     def named_boxes(self) -> tuple[tuple[str, Box], ...]:
@@ -226,10 +231,6 @@ def _box(name: str, words: list[str], text: str) -> Box:
         yaw = _number(word, text)
         yaw = math.radians(yaw) if word == words[4] else yaw
     mass = _number(words[5], text) if len(words) > 5 else None
-    if mass is not None and not MIN_MASS <= mass <= MAX_MASS:
-        raise ConfigError(
-            f"arena {text!r}: a mass is {mass:g} kg; wanted {MIN_MASS:g} to {MAX_MASS:g} kg"
-        )
     size = _size(length, text), _size(width, text)
     return Box(x, y, *size, yaw, name=name, mass=mass, is_placed=not is_out)
 

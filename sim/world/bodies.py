@@ -1,4 +1,4 @@
-"""The MuJoCo model of a world: walls, boxes, poles and one planar body per robot.
+"""The MuJoCo model of a world: walls, boxes, poles, and a planar body per robot and movable box.
 
 A planar body slides along the world's x and y and turns about the vertical through its AXLE
 CENTRE, which is also its centre of mass: 4 to 7 times cheaper than wheels, with better tracking
@@ -14,7 +14,7 @@ import mujoco
 import numpy as np
 
 from swarmd.errors import ConfigError
-from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.arena import Arena, Box
 from swarmd.values import Array, Platform
 
 COLLISION, BODY, HOUSING, FIXED = range(4)
@@ -22,10 +22,15 @@ COLLISION, BODY, HOUSING, FIXED = range(4)
 
 _HEIGHT = 0.5
 _WALL = 0.1
+# Of dry friction: with the default of 0.9 a box that is leant against would creep by 1 mm/s.
+_STIFF = [0.9999, 0.9999, 0.001, 0.5, 2.0]
 
 
 def build_model(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujoco.MjModel:
-    """The compiled model; robot i owns qpos and qvel 3i to 3i + 2: x, y, yaw."""
+    """The compiled model; body i owns qpos and qvel 3i to 3i + 2: x, y, yaw.
+
+    The robots come first, then the arena's movable boxes.
+    """
     spec = mujoco.MjSpec()
     spec.option.timestep = dt
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -33,6 +38,8 @@ def build_model(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujo
     _add_arena(spec, arena)
     for robot, platform in robots.items():
         _add_robot(spec, robot, platform)
+    for name, box in arena.things:
+        _add_thing(spec, name, box)
     return spec.compile()
 
 
@@ -45,9 +52,9 @@ def _add_arena(spec: mujoco.MjSpec, arena: Arena) -> None:
         ("wall/north", (0.0, y + half), (x + _WALL, half)),
     ):
         _add_box(spec.worldbody, name, pos, size)
-    for index, box in enumerate(arena.boxes):
+    for name, box in arena.fixed:
         size = (box.length / 2.0, box.width / 2.0)
-        geom = _add_box(spec.worldbody, f"box/{index}", (box.x, box.y), size)
+        geom = _add_box(spec.worldbody, name, (box.x, box.y), size)
         geom.quat = [np.cos(box.yaw / 2.0), 0.0, 0.0, np.sin(box.yaw / 2.0)]
     for index, pole in enumerate(arena.poles):
         spec.worldbody.add_geom(
@@ -74,19 +81,31 @@ def _add_box(
 
 
 def _add_robot(spec: mujoco.MjSpec, robot: str, platform: Platform) -> None:
-    body = spec.worldbody.add_body(name=f"robot/{robot}")
+    body = _add_planar(spec, f"robot/{robot}", value(platform, "mass"), inertia(platform))
+    _add_shapes(body, robot, platform)
+
+
+def _add_thing(spec: mujoco.MjSpec, name: str, box: Box) -> None:
+    body = _add_planar(spec, f"thing/{name}", box.mass or 0.0, moment(box))
+    for joint in body.joints:
+        joint.solimp_friction = _STIFF
+    _add_box(body, f"box/{name}", (0.0, 0.0), (box.length / 2.0, box.width / 2.0))
+
+
+def _add_planar(spec: mujoco.MjSpec, name: str, mass: float, inert: float) -> mujoco.MjsBody:
+    body = spec.worldbody.add_body(name=name)
     body.explicitinertial = True
-    body.mass = value(platform, "mass")
+    body.mass = mass
     body.ipos = [0.0, 0.0, 0.0]
-    body.inertia = [inertia(platform)] * 3
+    body.inertia = [inert] * 3
     slide, hinge = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
     for axis, kind, direction in (
         ("x", slide, [1.0, 0.0, 0.0]),
         ("y", slide, [0.0, 1.0, 0.0]),
         ("yaw", hinge, [0.0, 0.0, 1.0]),
     ):
-        body.add_joint(name=f"{robot}/{axis}", type=kind, axis=direction)
-    _add_shapes(body, robot, platform)
+        body.add_joint(name=f"{name}/{axis}", type=kind, axis=direction)
+    return body
 
 
 def _add_shapes(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:
@@ -124,6 +143,11 @@ def inertia(platform: Platform) -> float:
     low, high = _rectangle(platform)
     length, width = high - low
     return float(value(platform, "mass") * (length**2 + width**2) / 12.0)
+
+
+def moment(box: Box) -> float:
+    """The moment of inertia in kg m2 of a movable box about the vertical: of an even plate."""
+    return (box.mass or 0.0) * (box.length**2 + box.width**2) / 12.0
 
 
 def value(platform: Platform, key: str) -> float:

@@ -25,10 +25,10 @@ class Shapes:
     """What one kind of sensor can meet; lengths in m.
 
     Fixed, in the world frame: `walls` (w, 2, 2), flat surfaces by start and end with the solid on
-    their left, seen from the right alone; `poles` (p, 3) x, y, radius. Carried by robots, in their
-    base frames: `polygons` (b, k, 2), convex and counter-clockwise, those of fewer corners with
+    their left, seen from the right alone; `poles` (p, 3) x, y, radius. Carried by bodies, in their
+    frames: `polygons` (b, k, 2), convex and counter-clockwise, those of fewer corners with
     the last one repeated, and `discs` (d, 3) x, y, radius; `polygon_owners` (b,) and `disc_owners`
-    (d,) say by which. No robot sees its own.
+    (d,) say by which: robots, then whatever else moves. No robot sees its own.
     """
 
     walls: Array
@@ -73,9 +73,10 @@ class Lidar:
         self._wall_length = np.hypot(self._wall_along[:, 0], self._wall_along[:, 1])
 
     def cast(self, poses: Array, observers: Indices) -> Array:
-        """Ranges (m, rays) in m seen by robots `observers` (m,), with all at base `poses` (n, 3).
+        """Ranges (m, rays) in m seen by robots `observers` (m,), with all bodies at `poses` (n, 3).
 
-        +inf beyond range_max or nothing there, -inf nearer than range_min.
+        What is at NaN is not there. +inf: beyond range_max or nothing there, -inf: nearer than
+        range_min.
         """
         sensors = poses[observers].copy()
         sensors[:, :2] += _turn(np.array(self._spec.offset), sensors[:, 2])

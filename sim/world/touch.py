@@ -14,7 +14,7 @@ from swarmd.values import Array
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Two things that touch: robot ids, or `wall/east`, `box/0`, `pole/0` for `b`.
+    """Two that touch: a robot `a`, and a robot or `wall/east`, `box/0`, `pole/0`, `segment/0`.
 
     `speed_a` and `speed_b` in m/s: how fast each one's surface moves towards the other.
     """
@@ -39,12 +39,14 @@ class Touch:
 
 
 class Touches:
-    """Reads the touching pairs of planar robots out of a model's contacts."""
+    """Reads the touching pairs of planar bodies out of a model's contacts: those of robots."""
 
-    def __init__(self, model: mujoco.MjModel) -> None:
-        # Body 0 is the arena; robot i is body i + 1. Robots come first, in order of their rows.
-        self._robots = np.array(model.geom_bodyid, dtype=np.intp) - 1
-        self._order = np.where(self._robots < 0, model.nbody, self._robots)
+    def __init__(self, model: mujoco.MjModel, robots: int) -> None:
+        """Of the bodies, the first so many are `robots`."""
+        # Body 0 is the arena; row i is body i + 1. Robots come first, in order of their rows.
+        self._rows = np.array(model.geom_bodyid, dtype=np.intp) - 1
+        self._order = np.where(self._rows < 0, model.nbody, self._rows)
+        self._is_robot = self._order < robots
         self._names = [model.geom(geom).name for geom in range(model.ngeom)]
 
     def after_step(self, data: mujoco.MjData, qpos: Array, qvel: Array) -> Touch:
@@ -54,17 +56,17 @@ class Touches:
         has not yet stopped what was about to collide.
         """
         found = data.contact
-        is_touching = found.dist <= 0.0
+        is_touching = (found.dist <= 0.0) & self._is_robot[found.geom].any(axis=1)
         geoms = found.geom[is_touching].astype(np.intp)
         place, normal = found.pos[is_touching, :2], found.frame[is_touching, :2]
         poses = np.concatenate((qpos.reshape(-1, 3), np.zeros((1, 3))))
         twists = np.concatenate((qvel.reshape(-1, 3), np.zeros((1, 3))))
         speeds = np.empty((len(geoms), 2))
         for side, sign in ((0, 1.0), (1, -1.0)):
-            robot = self._robots[geoms[:, side]]  # -1, the row of zeros, is the arena's
-            lever = place - poses[robot, :2]
-            vx = twists[robot, 0] - twists[robot, 2] * lever[:, 1]
-            vy = twists[robot, 1] + twists[robot, 2] * lever[:, 0]
+            row = self._rows[geoms[:, side]]  # -1, the row of zeros, is the arena's
+            lever = place - poses[row, :2]
+            vx = twists[row, 0] - twists[row, 2] * lever[:, 1]
+            vy = twists[row, 1] + twists[row, 2] * lever[:, 0]
             speeds[:, side] = sign * (vx * normal[:, 0] + vy * normal[:, 1])
         turned = self._order[geoms[:, 1]] < self._order[geoms[:, 0]]
         geoms[turned] = geoms[turned, ::-1]

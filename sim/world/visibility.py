@@ -13,7 +13,9 @@ from swarmd.values import Array, Platform
 
 
 def shapes_of(arena: Arena, platforms: Sequence[Platform], *, plane: float | None) -> Shapes:
-    """All that one kind of sensor can meet; robot i is of `platforms[i]`.
+    """All that one kind of sensor can meet; row i is the robot of `platforms[i]`.
+
+    The arena's movable boxes are the rows after the robots.
 
     `plane`: the height in m at which it looks; None: it sees every body whole. At a plane within
     a body's height its footprint is seen, above that only the housing of its lidar, above that
@@ -25,12 +27,14 @@ def shapes_of(arena: Arena, platforms: Sequence[Platform], *, plane: float | Non
         for i, p in enumerate(platforms)
         if i not in whole and plane is not None and plane <= value(p, "target_top")
     ]
+    things = range(len(platforms), len(platforms) + len(arena.things))
+    outlines = [platforms[i].footprint for i in whole] + [box.shape for _, box in arena.things]
     discs = [(*platforms[i].scan.offset, value(platforms[i], "target_radius")) for i in housed]
     return Shapes(
         walls=arena.surfaces,
         poles=arena.circles,
-        polygons=_padded([platforms[i].footprint for i in whole]),
-        polygon_owners=np.array(whole, dtype=np.intp),
+        polygons=_padded(outlines),
+        polygon_owners=np.array([*whole, *things], dtype=np.intp),
         discs=np.array(discs, dtype=np.float64).reshape(-1, 3),
         disc_owners=np.array(housed, dtype=np.intp),
     )

@@ -7,7 +7,7 @@ steps give bit-identical poses. Robot i of `ids` is row i of every array.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -16,14 +16,22 @@ from swarmd.errors import ConfigError
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.drives import Drives
+from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.lidar import Indices
 from swarmd.sim.world.ranging import RangeSensors, Visibility
+from swarmd.sim.world.readings import Field, readings_at
+from swarmd.sim.world.realism import IDEAL, Realism
+from swarmd.sim.world.things import Things
 from swarmd.sim.world.touch import Contact, Touch, Touches
 from swarmd.values import Array, Neighbor, Odometry, Platform, Pose, Scan, Twist
 
 
 class World:
-    """Planar MuJoCo bodies with ideal odometry and exact range sensors."""
+    """Planar MuJoCo bodies, their range sensors and odometry, and boxes that can be pushed.
+
+    `things` are the names of the movable boxes, row i of `thing_poses()` and `thing_shapes`
+    (m, 4, 2), their outlines in their own frames.
+    """
 
     def __init__(
         self,
@@ -33,10 +41,14 @@ class World:
         *,
         visibility: Visibility = "body",
         radio_range: float | None = None,
+        realism: Realism = IDEAL,
+        seed: int = 0,
+        fields: Sequence[Field] = (),
         dt: float = 0.01,
     ) -> None:
         """A world at rest. `starts` (n, 3) x, y, yaw; `radio_range` None: all hear each other.
 
+        `seed` is that of all that `realism` leaves to chance; `fields` are what `readings` samples.
         `visibility`: what a range sensor sees of another robot: its whole footprint, or only what
         the sensor's plane really meets. `body` is the default since the published behaviours need
         it: with true heights a Waffle Pi sees of another a lidar housing 0.11 m wide, 3 rays at
@@ -49,15 +61,20 @@ class World:
         self.arena, self.radio_range, self.dt = arena, radio_range, dt
         self.model = bodies.build_model(robots, arena, dt)
         self.data = mujoco.MjData(self.model)
-        self.data.qpos[:] = starts.ravel()
+        self.data.qpos[: 3 * n] = starts.ravel()
+        self._things = Things(arena, self.model, self.data, n)
+        self.things, self.thing_shapes = self._things.names, self._things.shapes
         mujoco.mj_forward(self.model, self.data)
+        self._own = slice(0, 3 * n)
         self._starts = starts.copy()
         self._drives = Drives(self.platforms, dt)
         self._steps = 0
         self._seq = [0] * n
-        self._touches = Touches(self.model)
+        self._touches = Touches(self.model, n)
         self._touching: list[Touch] = []
         self._sensors = RangeSensors(self.platforms, arena, visibility)
+        self._fields = tuple(fields)
+        self.scan_latency = np.zeros(n)
 
     @property
     def time(self) -> float:
@@ -79,9 +96,11 @@ class World:
 
     def _step(self) -> None:
         data = self.data
-        qpos, qvel = data.qpos.copy(), data.qvel.copy()
-        force = self._drives.forces(qpos.reshape(-1, 3), qvel.reshape(-1, 3))
-        data.qfrc_applied[:] = force.ravel()
+        qpos, qvel, own = data.qpos.copy(), data.qvel.copy(), self._own
+        force = self._drives.forces(qpos[own].reshape(-1, 3), qvel[own].reshape(-1, 3))
+        data.qfrc_applied[own] = force.ravel()
+        if self.things:
+            self._things.rub()
         mujoco.mj_step(self.model, data)
         self._steps += 1
         if data.ncon:
@@ -89,12 +108,12 @@ class World:
 
     def poses(self) -> Array:
         """(n, 3) x, y in m and yaw in rad (not wrapped) in the world frame: truth."""
-        return np.array(self.data.qpos, dtype=np.float64).reshape(-1, 3)
+        return np.array(self.data.qpos[self._own], dtype=np.float64).reshape(-1, 3)
 
     def twists(self) -> Array:
         """(n, 3) linear, angular, lateral velocity in each base frame over the last step: truth."""
-        vx, vy, angular = self.data.qvel.reshape(-1, 3).T
-        yaw = self.data.qpos[2::3] - angular * (self.dt / 2.0)
+        vx, vy, angular = self.data.qvel[self._own].reshape(-1, 3).T
+        yaw = self.data.qpos[self._own][2::3] - angular * (self.dt / 2.0)
         cos, sin = np.cos(yaw), np.sin(yaw)
         return np.stack((cos * vx + sin * vy, angular, cos * vy - sin * vx), axis=-1)
 
@@ -104,7 +123,8 @@ class World:
 
     def scans(self, robots: Indices) -> list[Scan]:
         """A fresh sweep of each of `robots` (m,), taken in one instant."""
-        ranges = self._sensors.cast(self.poses(), robots)
+        poses = np.concatenate((self.poses(), self._things.poses()))
+        ranges = self._sensors.cast(poses, robots)
         return [self._scan(int(robot), row) for robot, row in zip(robots, ranges, strict=True)]
 
     def _scan(self, robot: int, ranges: Array) -> Scan:
@@ -134,8 +154,27 @@ class World:
         )
 
     def readings(self, robot: int) -> Mapping[str, float]:
-        """Scalar sensors by name: none of the platforms has one yet."""
-        return {}
+        """What the scalar sensors on the robot's axle read, by name: the fields where it stands."""
+        return readings_at(self._fields, self.poses()[robot, :2])
+
+    def thing_poses(self) -> Array:
+        """(m, 3) x, y in m and yaw in rad of the movable boxes; NaN while not in the arena."""
+        return self._things.poses()
+
+    def place(self, thing: str, pose: tuple[float, float, float]) -> None:
+        """Put a movable box at rest at x, y in m and yaw in rad, wherever it was.
+
+        SwarmError if it would stand in a robot, a wall or another thing; ConfigError if there is
+        no such box. Nothing has changed then.
+        """
+        poses = self.poses()
+        robots = zip(self.ids, self.platforms, poses, strict=True)
+        outlines = ((name, transform(p.footprint, own)) for name, p, own in robots)
+        self._things.place(thing, np.array(pose, dtype=np.float64), outlines)
+
+    def remove(self, thing: str) -> None:
+        """Take a movable box out of the arena; SwarmError if it is not in it."""
+        self._things.remove(thing)
 
 
 def _relative(pose: Array, start: Array) -> Pose:

@@ -29,7 +29,7 @@ def test_reads_size_boxes_and_poles() -> None:
         ("6x6,tree:1:2:3", "'tree:1:2:3' is no box, pole or segment"),
         ("6x6,box:1:2", "'box:1:2' is no box, pole or segment"),
         ("6x6,pole/a:1:2:0.1", "'pole/a:1:2:0.1' is no box, pole or segment"),
-        ("6x6,box:1:2:1:1:0:0", r"a mass is 0 kg; wanted 0\.01 to 1e\+06 kg"),
+        ("6x6,box:1:2:1:1:0:0", r"box 0 has a mass of 0 kg; wanted 0\.001 to 1e\+06 kg"),
         ("6x6,box:1:2:1:1:0:2:in", "only 'out' may follow"),
         ("6x6,box/a:1:2:1:1,box/a:0:0:1:1", "two boxes named 'a'"),
         ("6x6,box/1:1:2:1:1,box:0:0:1:1", "two boxes named '1'"),
@@ -54,7 +54,7 @@ def test_reads_names_masses_and_inner_walls() -> None:
 
 
 def test_a_box_that_starts_outside_must_be_movable() -> None:
-    with pytest.raises(ConfigError, match="box 'a' is not in the arena and has no mass"):
+    with pytest.raises(ConfigError, match="box a is not in the arena and has no mass"):
         Arena(4.0, 4.0, boxes=(Box(0.0, 0.0, 1.0, 1.0, name="a", is_placed=False),))
 
 
