@@ -35,7 +35,7 @@ def test_a_slope_rises_along_its_direction_alone() -> None:
 
 
 def test_fields_of_one_name_add_up_and_others_stay_apart() -> None:
-    fields = [
+    fields: list[Field] = [
         UniformField(name="light", value=1.0),
         UniformField(name="quality", value=3.0),
         LinearField(name="light", slope=1.0),
