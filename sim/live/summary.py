@@ -8,7 +8,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from swarmd.messages import State, Status
-from swarmd.sim.metrics import aggregation as metrics
+from swarmd.sim.metrics.aggregation import cluster_counts, distance_to_centroid, largest_cluster
+from swarmd.sim.metrics.effort import mean_speed
+from swarmd.sim.metrics.gap import minimum_gap
+from swarmd.sim.metrics.touches import contacts_between_robots, contacts_with_arena
 from swarmd.sim.trace import Trace
 from swarmd.values import Platform
 
@@ -94,9 +97,9 @@ def numbers_of(
     """The numbers of a trace; `platforms` by name, `duty` as the robots told it."""
     thresholds = (_threshold(platforms[name]) for name in set(trace.platforms))
     link = 2.0 * max(thresholds)
-    away = metrics.distance_to_centroid(trace)
-    counts = metrics.cluster_counts(trace, link)
-    gap = metrics.minimum_gap(trace)
+    away = distance_to_centroid(trace)
+    counts = cluster_counts(trace, link)
+    gap = minimum_gap(trace)
     return Numbers(
         seconds=trace.duration,
         real_time_factor=real_time_factor,
@@ -105,11 +108,11 @@ def numbers_of(
         link=link,
         clusters_before=int(counts[0]),
         clusters_after=int(counts[-1]),
-        largest_cluster=int(metrics.largest_cluster(trace, link)[-1]),
-        contacts=metrics.contacts_between_robots(trace),
-        arena_contacts=metrics.contacts_with_arena(trace),
+        largest_cluster=int(largest_cluster(trace, link)[-1]),
+        contacts=contacts_between_robots(trace),
+        arena_contacts=contacts_with_arena(trace),
         minimum_gap=gap if math.isfinite(gap) else None,
-        mean_speed_late=metrics.mean_speed(trace, (1.0 - SETTLED) * trace.duration),
+        mean_speed_late=mean_speed(trace, (1.0 - SETTLED) * trace.duration) or 0.0,
         protection_duty=duty,
     )
 

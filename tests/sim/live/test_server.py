@@ -20,7 +20,7 @@ from swarmd.errors import ConfigError
 from swarmd.platforms import load_platform
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.server import main, parse_robots
-from swarmd.sim.metrics import aggregation as metrics
+from swarmd.sim.metrics.effort import path_lengths
 from swarmd.sim.trace import load_trace
 from swarmd.values import Neighbor, Odometry, Scan, Twist
 
@@ -116,7 +116,7 @@ def test_a_robot_drives_by_its_driver_and_stops_when_the_driver_falls_silent(
         asyncio.run(story(endpoint))
     run = load_trace(trace)
     assert run.meta["layout"] == "list:0:0:0,0:2:0"
-    way = metrics.path_length(run)
+    way = path_lengths(run)
     assert way[0] == pytest.approx(run.pose[-1, 0, 0], abs=1e-3)  # straight ahead
     assert way[1] == 0.0
 

@@ -10,6 +10,7 @@ import pytest
 
 from swarmd.platforms import load_platform
 from swarmd.sim.metrics import aggregation as metrics
+from swarmd.sim.metrics import effort, gap, protection, touches
 from swarmd.sim.trace import ARENA, Trace
 from swarmd.values import Array
 
@@ -85,9 +86,9 @@ def test_clusters_agree_with_a_walk_through_the_graph() -> None:
 def test_minimum_gap_is_between_footprints_not_centres() -> None:
     pose = np.zeros((2, 2, 3))
     pose[:, 1, 0] = (3.0, 2.0)
-    assert metrics.minimum_gap(run(pose)) == pytest.approx(2.0 - 0.508)
+    assert gap.minimum_gap(run(pose)) == pytest.approx(2.0 - 0.508)
     pose[1, 1, 2] = math.pi / 2.0  # the second one's narrow side now
-    assert metrics.minimum_gap(run(pose)) == pytest.approx(2.0 - 0.254 - 0.215)
+    assert gap.minimum_gap(run(pose)) == pytest.approx(2.0 - 0.254 - 0.215)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -95,9 +96,9 @@ def test_minimum_gap_looks_at_every_pair_and_instant(seed: int) -> None:
     rng = np.random.default_rng(seed)
     pose = rng.uniform(-40.0, 40.0, (30, 5, 3))
     pose[..., 2] = rng.uniform(-3.0, 3.0, (30, 5))
-    whole = metrics.minimum_gap(run(pose))
+    whole = gap.minimum_gap(run(pose))
     each = [
-        metrics.minimum_gap(run(pose[k : k + 1, [a, b]]))
+        gap.minimum_gap(run(pose[k : k + 1, [a, b]]))
         for k in range(30)
         for a in range(5)
         for b in range(a)
@@ -108,36 +109,36 @@ def test_minimum_gap_looks_at_every_pair_and_instant(seed: int) -> None:
 def test_minimum_gap_is_found_where_the_centres_are_not_the_nearest() -> None:
     # Nose to tail and 0.52 m apart they almost touch; side by side at 0.50 m they do not.
     apart = np.array([[[0.0, 0.0, 0.0], [0.52, 0.0, 0.0]], [[0.0, 0.0, 0.0], [0.0, 0.50, 0.0]]])
-    assert metrics.minimum_gap(run(apart)) == pytest.approx(0.52 - 0.508)
-    assert metrics.minimum_gap(run(apart[::-1])) == pytest.approx(0.52 - 0.508)
+    assert gap.minimum_gap(run(apart)) == pytest.approx(0.52 - 0.508)
+    assert gap.minimum_gap(run(apart[::-1])) == pytest.approx(0.52 - 0.508)
 
 
 def test_minimum_gap_is_zero_in_touch_and_infinite_alone() -> None:
-    assert metrics.minimum_gap(run(line(0.0, 0.5))) == 0.0
-    assert metrics.minimum_gap(run(line(0.0))) == math.inf
+    assert gap.minimum_gap(run(line(0.0, 0.5))) == 0.0
+    assert gap.minimum_gap(run(line(0.0))) == math.inf
 
 
 def test_contacts_are_counted_by_touches_robots_apart_from_the_arena() -> None:
     steps = [(0.01 * k, 0, 1) for k in range(100)]
     steps += [(5.0, 1, 0), (5.2, 2, ARENA), (9.0, 2, ARENA)]
     trace = run(line(0.0, 1.0, 2.0), steps)
-    assert metrics.contact_episodes(trace) == {("r0", "r1"): 2, ("r2", metrics.WALLS): 2}
-    assert metrics.contacts_between_robots(trace) == 2
-    assert metrics.contacts_with_arena(trace) == 2
+    assert touches.contact_episodes(trace) == {("r0", "r1"): 2, ("r2", touches.WALLS): 2}
+    assert touches.contacts_between_robots(trace) == 2
+    assert touches.contacts_with_arena(trace) == 2
 
 
 def test_a_robot_called_arena_is_not_taken_for_the_walls() -> None:
     trace = replace(run(line(0.0, 1.0), [(0.0, 0, 1)]), ids=("arena", "b"))
-    assert metrics.contacts_between_robots(trace) == 1
-    assert metrics.contacts_with_arena(trace) == 0
+    assert touches.contacts_between_robots(trace) == 1
+    assert touches.contacts_with_arena(trace) == 0
 
 
 def test_protection_duty_is_a_share_or_unknown() -> None:
     trace = run(np.zeros((4, 2, 3)))
-    assert metrics.protection_duty(trace) is None
+    assert protection.protection_duty(trace) is None
     active = np.zeros((4, 2), dtype=bool)
     active[0] = True
-    assert metrics.protection_duty(replace(trace, active=active)) == 0.25
+    assert protection.protection_duty(replace(trace, active=active)) == 0.25
 
 
 def test_path_length_and_mean_speed() -> None:
@@ -145,9 +146,9 @@ def test_path_length_and_mean_speed() -> None:
     pose[:6, 0, 0] = np.linspace(0.0, 1.0, 6)
     pose[6:, 0, 0] = 1.0
     trace = run(pose)
-    np.testing.assert_allclose(metrics.path_length(trace), [1.0, 0.0])
-    assert metrics.mean_speed(trace) == pytest.approx(0.5)
-    assert metrics.mean_speed(trace, since=0.5) == pytest.approx(0.0)
+    np.testing.assert_allclose(effort.path_lengths(trace), [1.0, 0.0])
+    assert effort.mean_speed(trace) == pytest.approx(0.5)
+    assert effort.mean_speed(trace, since=0.5) == pytest.approx(0.0)
 
 
 def test_an_empty_run_has_no_numbers_but_breaks_nothing() -> None:
@@ -155,6 +156,6 @@ def test_an_empty_run_has_no_numbers_but_breaks_nothing() -> None:
     assert metrics.distance_to_centroid(trace).shape == (0,)
     assert metrics.cluster_counts(trace, 1.0).shape == (0,)
     assert metrics.largest_cluster(trace, 1.0).shape == (0,)
-    assert metrics.minimum_gap(trace) == math.inf
-    assert metrics.mean_speed(trace) == 0.0
-    assert metrics.path_length(trace).tolist() == [0.0, 0.0, 0.0]
+    assert gap.minimum_gap(trace) == math.inf
+    assert effort.mean_speed(trace) is None
+    assert effort.path_lengths(trace).tolist() == [0.0, 0.0, 0.0]

@@ -1,0 +1,92 @@
+"""How far and how fast robots went; textbook kinematics.
+
+A way counts while the robot is present at both its ends: an absent one is at most pushed.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.sim.metrics.window import LATE, by_platform, late, presence, row_means
+from swarmd.sim.trace import Trace
+from swarmd.values import Array
+
+
+def path_lengths(trace: Trace) -> Array:
+    """(n,) the way in m that each robot's axle centre went."""
+    length: Array = _steps(trace).sum(axis=0)
+    return length
+
+
+def path_length(trace: Trace) -> float | None:
+    """The mean way in m of the robots that were ever present; None if none was."""
+    is_counted = presence(trace).any(axis=0)
+    return float(path_lengths(trace)[is_counted].mean()) if is_counted.any() else None
+
+
+def path_so_far(trace: Trace) -> Array:
+    """(T,) the mean way in m gone until each instant by the robots that were ever present."""
+    is_counted = presence(trace).any(axis=0)
+    if not is_counted.any():
+        return np.full(len(trace.t), np.nan)
+    steps = _steps(trace)[:, is_counted].mean(axis=1)
+    return np.concatenate((np.zeros(1), np.cumsum(steps)))
+
+
+def mean_speed(trace: Trace, since: float = 0.0) -> float | None:
+    """The robots' mean speed in m/s over the instants from `since` s after the start on.
+
+    None where there is no time between instants.
+    """
+    is_late = trace.t >= trace.t[:1] + since - 1e-9
+    total = float(_seconds(trace)[is_late[:-1]].sum())
+    return float(_steps(trace)[is_late[:-1]].sum()) / total if total > 0.0 else None
+
+
+def mean_speeds(trace: Trace) -> Array:
+    """(T,) the mean speed in m/s of present robots since the instant before; NaN at the first."""
+    if len(trace.t) == 0:
+        return np.zeros(0)
+    seconds = _seconds(trace)
+    speed = _steps(trace) / np.where(seconds > 0.0, seconds, 1.0)
+    return np.concatenate((np.full(1, np.nan), row_means(speed, seconds > 0.0)))
+
+
+def speed_share(trace: Trace, seconds: float = LATE) -> float | None:
+    """The mean speed in the last `seconds` (or half, if shorter) as a share of v_max.
+
+    Of each robot's own platform. None without `meta["v_max"]`, or if nobody was there.
+    """
+    limits = by_platform(trace, "v_max")
+    if limits is None:
+        return None
+    settled = late(trace, seconds)
+    total = float(_seconds(settled).sum())
+    return float((_steps(settled) / limits).sum()) / total if total > 0.0 else None
+
+
+def speed_shares(trace: Trace) -> Array | None:
+    """(T,) the mean speed since the instant before as a share of v_max; NaN at the first."""
+    limits = by_platform(trace, "v_max")
+    if limits is None or len(trace.t) == 0:
+        return None
+    seconds = _seconds(trace)
+    share = _steps(trace) / np.where(seconds > 0.0, seconds, 1.0) / limits
+    return np.concatenate((np.full(1, np.nan), row_means(share, seconds > 0.0)))
+
+
+def _both(trace: Trace) -> NDArray[np.bool_]:
+    is_here = presence(trace)
+    return is_here[1:] & is_here[:-1]
+
+
+def _steps(trace: Trace) -> Array:
+    """(T - 1, n) the way in m from each instant to the next, 0 for who is not there."""
+    step = np.diff(trace.pose[..., :2], axis=0)
+    return np.where(_both(trace), np.hypot(step[..., 0], step[..., 1]), 0.0)
+
+
+def _seconds(trace: Trace) -> Array:
+    """(T - 1, n) the time in s from each instant to the next, 0 for who is not there."""
+    return np.where(_both(trace), np.diff(trace.t)[:, None], 0.0)

@@ -1,0 +1,61 @@
+"""Whether a swarm moves as one.
+
+Directions are those of motion, not of yaw: robots may back up or slide, and a row that starts all
+facing one way is no flock. A robot slower than STANDING has no direction and adds nothing, so that
+a swarm that stands scores 0. Only present robots count.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from swarmd.sim.metrics.window import presence, row_means
+from swarmd.sim.trace import Trace
+from swarmd.values import Array
+
+STANDING = 0.01
+"""A robot slower than so many m/s stands."""
+
+
+def polarisations(trace: Trace, standing: float = STANDING) -> Array:
+    """(T,) the length of the mean direction of motion: 1 all move one way, 0 none or all apart.
+
+    The order parameter of Vicsek et al. 1995 (Phys. Rev. Lett. 75, 1226), whose particles never
+    stand. NaN while no robot is present, and in a trace of one instant.
+    """
+    is_here = presence(trace)
+    ahead = _directions(trace, standing)
+    order: Array = np.hypot(row_means(ahead[..., 0], is_here), row_means(ahead[..., 1], is_here))
+    return order
+
+
+def millings(trace: Trace, standing: float = STANDING) -> Array:
+    """(T,) how far the robots turn about their centroid: 1 all one way round, 0 not at all.
+
+    The group angular momentum of Couzin et al. 2002 (J. Theor. Biol. 218, 1) in the plane. NaN as
+    in `polarisations`; a robot in the very centroid adds nothing.
+    """
+    is_here = presence(trace)
+    ahead = _directions(trace, standing)
+    place = trace.pose[..., :2]
+    centre = np.stack([row_means(place[..., axis], is_here) for axis in (0, 1)], axis=-1)
+    away = place - centre[:, None]
+    distance = np.hypot(away[..., 0], away[..., 1])
+    out = away / np.where(distance > 0.0, distance, 1.0)[..., None]
+    turn = out[..., 0] * ahead[..., 1] - out[..., 1] * ahead[..., 0]
+    momentum: Array = np.abs(row_means(turn, is_here))
+    return momentum
+
+
+def _directions(trace: Trace, standing: float) -> Array:
+    """(T, n, 2) unit vectors of motion by central differences, 0 for who stands."""
+    instants = len(trace.t)
+    if instants < 2:
+        return np.full((instants, len(trace.ids), 2), np.nan)
+    before = np.maximum(np.arange(instants) - 1, 0)
+    after = np.minimum(np.arange(instants) + 1, instants - 1)
+    step = trace.pose[after, :, :2] - trace.pose[before, :, :2]
+    length = np.hypot(step[..., 0], step[..., 1])
+    is_moving = length > standing * (trace.t[after] - trace.t[before])[:, None]
+    unit: Array = np.where(is_moving, 1.0 / np.where(is_moving, length, 1.0), 0.0)[..., None] * step
+    return unit

@@ -1,0 +1,90 @@
+"""The smallest distance between robots: exact footprints, of only those pairs that can matter.
+
+Every body counts, whether its robot is present or not: what stands there can be hit.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from swarmd.sim.metrics import pairs
+from swarmd.sim.metrics.pairs import Pairs
+from swarmd.sim.trace import Trace
+from swarmd.sim.world.geometry import gaps, transform
+from swarmd.values import Array
+
+_BLOCK = 2048  # footprints compared at once
+
+
+def minimum_gap(trace: Trace) -> float:
+    """The smallest distance in m between two robots' footprints; inf for one robot alone.
+
+    Exact at the trace's instants: convex polygons, 0 if they touch or overlap (distance of convex
+    polygons and separating axes: Ericson, Real-Time Collision Detection, 2005, chapters 5 and 9).
+    """
+    best = np.inf
+    for span in pairs.spans(*trace.pose.shape[:2]):
+        found = _candidates(trace, span, best)
+        lower = found.distance - _reach(trace)[found.a] - _reach(trace)[found.b]
+        order = np.argsort(lower, kind="stable")
+        for start in range(0, len(order), _BLOCK):
+            block = order[start : start + _BLOCK]
+            block = block[lower[block] < best]
+            if len(block) == 0:
+                break
+            best = min(best, float(_exact(trace, span, found, block).min()))
+    return best
+
+
+def minimum_gaps(trace: Trace) -> Array:
+    """(T,) the smallest distance in m between two footprints at each instant; inf if alone."""
+    smallest = np.full(len(trace.t), np.inf)
+    for span in pairs.spans(*trace.pose.shape[:2]):
+        best = smallest[span]
+        found = _candidates(trace, span, np.inf)
+        lower = found.distance - _reach(trace)[found.a] - _reach(trace)[found.b]
+        # First the pair that may be nearest at each instant, then those that may beat it.
+        order = np.lexsort((lower, found.instant))
+        leading = order[np.unique(found.instant[order], return_index=True)[1]]
+        np.minimum.at(best, found.instant[leading], _exact(trace, span, found, leading))
+        rest = np.flatnonzero(lower < best[found.instant])
+        np.minimum.at(best, found.instant[rest], _exact(trace, span, found, rest))
+    return smallest
+
+
+def _candidates(trace: Trace, span: slice, best: float) -> Pairs:
+    """Pairs among which the nearest footprints are, if they are nearer than `best`."""
+    place = trace.pose[span, :, :2]
+    is_in = np.ones(place.shape[:2], dtype=bool)
+    if place.shape[1] <= pairs.FEW:
+        return pairs.near(place, is_in, np.inf)
+    reach = _reach(trace).max()
+    between = pairs.nearest(place, is_in).min(axis=1).max(initial=0.0)
+    # No footprints are farther apart than their frames' origins and the way to a corner of each.
+    return pairs.near(place, is_in, min(best, between + 2.0 * reach) + 2.0 * reach)
+
+
+def _reach(trace: Trace) -> Array:
+    """(n,) how far each robot's farthest corner is from its frame's origin."""
+    reach = {name: np.hypot(*shape.T).max() for name, shape in trace.footprints.items()}
+    return np.array([reach[name] for name in trace.platforms], dtype=np.float64)
+
+
+def _exact(trace: Trace, span: slice, found: Pairs, chosen: pairs.Ints) -> Array:
+    """The distances of the footprints of the chosen pairs; `found.instant` counts within span."""
+    names = sorted(set(trace.platforms))
+    kind = np.array([names.index(name) for name in trace.platforms], dtype=np.int64)
+    pose = trace.pose[span]
+    instant, a, b = found.instant[chosen], found.a[chosen], found.b[chosen]
+    result = np.empty(len(chosen))
+    both = kind[a] * len(names) + kind[b]
+    for code in np.unique(both):
+        of = np.flatnonzero(both == code)
+        for start in range(0, len(of), _BLOCK):
+            block = of[start : start + _BLOCK]
+            shapes = [
+                transform(trace.footprints[names[which]], pose[instant[block], robot[block]])
+                for which, robot in ((code // len(names), a), (code % len(names), b))
+            ]
+            result[block] = gaps(shapes[0], shapes[1])
+    return result

@@ -1,0 +1,91 @@
+"""What a metric is, and how the number of a run is taken from a series over time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.sim.metrics import window
+from swarmd.sim.metrics.aggregation import cluster_link
+from swarmd.sim.trace import Trace
+from swarmd.values import Array
+
+Value: TypeAlias = Callable[[Trace], float | None]
+Series: TypeAlias = Callable[[Trace], Array | None]
+Linked: TypeAlias = Callable[[Trace, float], Array | NDArray[np.int64] | NDArray[np.bool_]]
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """A number of a run.
+
+    `value` of a trace, None if it has none. `series` (T,) is what it was at each instant, NaN
+    where unknown, None as a whole if the trace lacks what it needs; a metric without is one
+    number of a whole run. `better` says which way is good whatever the task; None if that depends.
+    """
+
+    name: str
+    unit: str
+    meaning: str
+    source: str
+    value: Value
+    series: Series | None = None
+    better: Literal["less", "more"] | None = None
+
+
+def at_start(series: Series) -> Value:
+    """The series' value at the first instant."""
+    return _mean_of(series, window.first)
+
+
+def at_end(series: Series) -> Value:
+    """The series' value at the last instant."""
+    return _mean_of(series, window.last)
+
+
+def late(series: Series) -> Value:
+    """The series' mean over the last 60 s, or the last half if that is shorter."""
+    return _mean_of(series, window.late)
+
+
+def peak(series: Series) -> Value:
+    """The series' largest value."""
+
+    def value(trace: Trace) -> float | None:
+        values = series(trace)
+        known = np.zeros(0) if values is None else values[~np.isnan(values)]
+        return float(known.max()) if len(known) else None
+
+    return value
+
+
+def linked(of: Linked) -> Series:
+    """A series that needs the link of clusters; None where the trace does not tell it."""
+
+    def series(trace: Trace) -> Array | None:
+        link = cluster_link(trace)
+        return None if link is None else of(trace, link).astype(np.float64)
+
+    return series
+
+
+def linked_value(of: Callable[[Trace, float], float | None]) -> Value:
+    """A number that needs the link of clusters; None where the trace does not tell it."""
+
+    def value(trace: Trace) -> float | None:
+        link = cluster_link(trace)
+        return None if link is None else of(trace, link)
+
+    return value
+
+
+def _mean_of(series: Series, part: Callable[[Trace], Trace]) -> Value:
+    def value(trace: Trace) -> float | None:
+        values = series(part(trace))
+        return None if values is None else window.mean(values)
+
+    return value

@@ -1,0 +1,105 @@
+"""What protection did to what the patterns wished.
+
+Only present robots count: an absent one has no daemon, so nothing to protect with.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.messages import Reason, State
+from swarmd.sim.metrics.window import by_platform, mean, presence, row_means
+from swarmd.sim.trace import Trace
+from swarmd.values import Array
+
+HOLDS = (
+    Reason.NO_SCAN,
+    Reason.INVALID_SCAN,
+    Reason.STALE_SCAN,
+    Reason.FROZEN_SCAN,
+    Reason.STALE_ODOMETRY,
+    Reason.COMMAND_EXPIRED,
+    Reason.DRIVER_LOST,
+    Reason.PATTERN_RESTARTING,
+)
+"""Reasons for which a robot stands without leaving `running`."""
+
+
+def protection_duty(trace: Trace) -> float | None:
+    """The share of judged sweeps in which protection replaced or cut the wish.
+
+    Of all robots together, weighted by their sweeps; the paper's protection decides anew on every
+    scan (Kaiser et al. 2022), so a sweep is its unit. Where only `active` was recorded, the share
+    of the running robots' instants; None if neither was, or nothing was judged.
+    """
+    if trace.decided is not None and trace.evaded is not None:
+        is_here = presence(trace)
+        decided = int(trace.decided[is_here].sum())
+        return float(trace.evaded[is_here].sum()) / decided if decided else None
+    if trace.active is None:
+        return None
+    return mean(trace.active.astype(np.float64), _running(trace))
+
+
+def protection_duties(trace: Trace) -> Array | None:
+    """(T,) the same for each instant; NaN where nothing was judged, None if not recorded."""
+    is_here = presence(trace)
+    if trace.decided is not None and trace.evaded is not None:
+        decided = np.where(is_here, trace.decided, 0).sum(axis=1)
+        evaded = np.where(is_here, trace.evaded, 0).sum(axis=1)
+    elif trace.active is not None:
+        running = _running(trace)
+        decided, evaded = running.sum(axis=1), (running & trace.active).sum(axis=1)
+    else:
+        return None
+    shares: Array = np.where(decided > 0, evaded / np.maximum(decided, 1), np.nan)
+    return shares
+
+
+def alterations(trace: Trace) -> Array | None:
+    """(T, n) how much the command in force differs from the wish, 1 being full speed.
+
+    |safe - wish| with the turn taken as the speed of the footprint's farthest corner, divided by
+    v_max; NaN where the robot does not run. The change |u - u_wish| of the control is what safety
+    barrier certificates minimise (Wang, Ames and Egerstedt, IEEE T-RO 2017); this scale, which
+    makes turns and platforms comparable, is ours. None without wishes or `meta["v_max"]`.
+    """
+    limits = by_platform(trace, "v_max")
+    if trace.wish is None or limits is None:
+        return None
+    corner = {name: np.hypot(*shape.T).max() for name, shape in trace.footprints.items()}
+    lever = np.array([corner[name] for name in trace.platforms])
+    change = trace.safe - trace.wish
+    change = np.stack((change[..., 0], lever * change[..., 1], change[..., 2]), axis=-1)
+    altered: Array = np.linalg.norm(change, axis=-1) / limits
+    return np.where(_running(trace), altered, np.nan)
+
+
+def mean_alterations(trace: Trace) -> Array | None:
+    """(T,) the mean of `alterations` over the running robots; NaN while none runs."""
+    altered = alterations(trace)
+    return None if altered is None else row_means(altered, ~np.isnan(altered))
+
+
+def command_alteration(trace: Trace) -> float | None:
+    """The mean of `alterations` over running robots and instants; None if not known."""
+    altered = alterations(trace)
+    return None if altered is None else mean(altered)
+
+
+def hold_share(trace: Trace) -> float | None:
+    """The share of the running robots' instants in which a hold kept them standing.
+
+    Ours: holds are this project's own. None if states were not recorded or nothing ran.
+    """
+    if trace.state is None or trace.reason is None:
+        return None
+    is_held = np.isin(trace.reason, [str(reason) for reason in HOLDS])
+    return mean(is_held.astype(np.float64), _running(trace))
+
+
+def _running(trace: Trace) -> NDArray[np.bool_]:
+    """(T, n) present, and running as far as the trace says."""
+    is_here = presence(trace)
+    return is_here if trace.state is None else is_here & (trace.state == str(State.RUNNING))

@@ -1,0 +1,64 @@
+"""Whether a swarm agrees, by the opinions that its patterns report.
+
+Only present robots vote. One that has reported no opinion holds none, so it agrees with nobody.
+Consensus and the time to it as in the literature on collective decisions (Valentini, Ferrante and
+Dorigo, The Best-of-n Problem in Robot Swarms, Frontiers in Robotics and AI 2017).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from swarmd.sim.metrics.window import presence
+from swarmd.sim.trace import Trace
+from swarmd.values import Array
+
+OPINION = "opinion"
+"""What voting patterns call their opinion in what they report."""
+
+
+def consensus_shares(trace: Trace, name: str = OPINION) -> Array | None:
+    """(T,) the share of the present robots that hold the most common opinion.
+
+    NaN while none is present; None if no robot ever reported one.
+    """
+    opinion = trace.report.get(name)
+    if opinion is None or np.isnan(opinion).all():
+        return None
+    is_here = presence(trace)
+    held = np.where(is_here, opinion, np.nan)
+    most = np.zeros(len(trace.t), dtype=np.int64)
+    for value in np.unique(held[~np.isnan(held)]):
+        most = np.maximum(most, np.count_nonzero(held == value, axis=1))
+    here = is_here.sum(axis=1)
+    shares: Array = np.where(here > 0, most / np.maximum(here, 1), np.nan)
+    return shares
+
+
+def consensus_share(trace: Trace, name: str = OPINION) -> float | None:
+    """That share at the last instant."""
+    shares = consensus_shares(trace, name)
+    return None if shares is None or np.isnan(shares[-1]) else float(shares[-1])
+
+
+def consensus_opinion(trace: Trace, name: str = OPINION) -> float | None:
+    """What all present robots hold at the last instant; None if they do not agree."""
+    if consensus_share(trace, name) != 1.0:
+        return None
+    return float(trace.report[name][-1][presence(trace)[-1]][0])
+
+
+def consensus_time(trace: Trace, name: str = OPINION) -> float | None:
+    """Seconds from the start until all present robots hold one opinion, and keep it to the end.
+
+    The opinion is the same all the while: a swarm that changes its mind as one starts anew. None
+    if they do not agree at the end.
+    """
+    final = consensus_opinion(trace, name)
+    if final is None:
+        return None
+    is_here = presence(trace)
+    agree = ((trace.report[name] == final) | ~is_here).all(axis=1) & is_here.any(axis=1)
+    broken = np.flatnonzero(~agree)
+    since = int(broken[-1]) + 1 if len(broken) else 0
+    return float(trace.t[since] - trace.t[0])
