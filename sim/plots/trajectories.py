@@ -1,86 +1,179 @@
-"""Pictures of runs."""
+"""Pictures of one run: the ways of the robots, and its start beside its end."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmd.errors import ConfigError, SwarmError
+from swarmd.sim.metrics import pairs
+from swarmd.sim.metrics.graph import radio_range
+from swarmd.sim.metrics.window import last, presence
+from swarmd.sim.plots.canvas import TOUCH_COLOUR, new_figure, save
+from swarmd.sim.plots.scene import (
+    LINK_COLOUR,
+    THING_COLOUR,
+    check_drawable,
+    extent_of,
+    paint_arena,
+    paint_bodies,
+    paint_links,
+    paint_things,
+    paint_ways,
+    paint_ways_by_time,
+    prepare,
+    robot_colour,
+    robot_style,
+)
+from swarmd.sim.plots.touches import BOTH, MARKERS, NONE, ONE, marks_of, paint_touches
 from swarmd.sim.trace import Trace
-from swarmd.sim.world.arena import parse_arena
-from swarmd.sim.world.geometry import transform
-from swarmd.values import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MANY_COLOUR = "#440154"  # the end of the colours of time
+MOST_NAMED = 20
+"""Robots up to which each has its colour and its line in the legend."""
 
 
-def draw_trajectories(trace: Trace, path: Path, title: str = "") -> None:
+def draw_trajectories(
+    trace: Trace, path: Path, title: str = "", *, has_links: bool = False
+) -> None:
     """Write a picture of a run seen from above: .png, .svg or .pdf, by its suffix.
 
-    The way of each robot in its colour, its footprint hollow at the start and filled at the end
-    with a line from the axle to where it heads; walls, boxes and poles in grey; a red cross where
-    robots touched. SwarmError if matplotlib is not installed or there is nothing to draw.
+    Up to 20 robots have a colour and a line in the legend each; the ways of more are coloured by
+    time. Footprints are hollow at the start and filled at the end, with a line from the axle to
+    where they head; walls, boxes and poles are grey, movable boxes brown; red-edged marks tell
+    where robots touched and who was moving. `has_links`: thin lines join those that hear each
+    other at the end, if the radio has a range. SwarmError if matplotlib is not installed, there
+    is nothing to draw or the file cannot be written.
     """
-    if len(trace.t) == 0:
-        raise SwarmError("the trace holds no instant: nothing to draw")
-    try:
-        # Here, since it takes most of a second and nobody else needs it.
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise SwarmError("pictures need matplotlib: pip install 'swarmd[plot]'") from error
-    figure = Figure(figsize=(8.0, 7.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    save(trajectories_figure(trace, title, has_links=has_links), path)
+
+
+def trajectories_figure(trace: Trace, title: str = "", *, has_links: bool = False) -> Figure:
+    """The picture that `draw_trajectories` writes."""
+    check_drawable(trace)
+    is_named = len(trace.ids) <= MOST_NAMED
+    extent = extent_of(trace)
+    width, height = extent.panel(6.3 if is_named else 8.0)
+    entries = _entries(trace) if is_named else _key(trace)
+    aside = 0.6 + 0.07 * max(len(label) for _, label in entries)
+    figure = new_figure(width + aside + (0.7 if is_named else 1.4), height + 0.9)
     axes = figure.add_subplot()
-    axes.set_aspect("equal")
-    _draw_arena(axes, trace)
-    for robot in range(len(trace.ids)):
-        _draw_robot(axes, trace, robot)
-    _draw_contacts(axes, trace)
-    axes.set_title(title or f"{len(trace.ids)} robots, {trace.duration:.0f} s")
+    prepare(axes, extent)
+    ways = paint_run(axes, trace, scale=72.0 * width / extent.width)
+    if has_links:
+        entries.extend(_paint_radio(axes, trace))
+    axes.set_title(title or f"{len(trace.ids)} robots, {trace.duration:.0f} s", fontsize=11)
     axes.set_xlabel("x [m]")
     axes.set_ylabel("y [m]")
-    if len(trace.ids) <= 20:
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=130)
+    if ways is not None:
+        bar = figure.colorbar(ways, ax=axes, shrink=0.6, aspect=30)
+        bar.set_label("time [s]")
+        bar.ax.tick_params(labelsize=9)
+    handles, labels = zip(*entries, strict=True)
+    figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize=9)
+    return figure
 
 
-def _draw_arena(axes: Any, trace: Trace) -> None:
-    try:
-        arena = parse_arena(str(trace.meta.get("arena", "")))
-    except ConfigError:  # a trace from elsewhere: no walls are known
-        return
-    x, y = arena.length / 2.0, arena.width / 2.0
-    axes.plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color="0.3", linewidth=2.5)
-    for box in arena.boxes:
-        axes.fill(*box.corners.T, color="0.6")
-    for pole in arena.poles:
-        turn = np.linspace(0.0, 2.0 * np.pi, 40)
-        outline = pole.x + pole.radius * np.cos(turn), pole.y + pole.radius * np.sin(turn)
-        axes.fill(*outline, color="0.6")
+def paint_run(axes: Axes, trace: Trace, *, scale: float, is_small: bool = False) -> Any:
+    """All of a run onto axes of `scale` points a metre; the ways if a colour bar should tell time.
+
+    `is_small`: with thinner lines and smaller marks, for one of many pictures.
+    """
+    n = len(trace.ids)
+    is_named = n <= MOST_NAMED
+    paint_arena(axes, trace)
+    paint_things(axes, trace)
+    colours = [robot_colour(robot) if is_named else MANY_COLOUR for robot in range(n)]
+    starts = colours if is_named else ["0.45"] * n
+    ways = None
+    if is_named:
+        paint_ways(axes, trace, linewidth=0.6 if is_small else 1.1)
+    else:
+        ways = paint_ways_by_time(axes, trace, linewidth=0.3 if is_small else 0.5)
+    paint_bodies(axes, trace, 0, starts, is_filled=False, scale=scale)
+    paint_bodies(axes, trace, -1, colours, is_filled=True, scale=scale)
+    _paint_changes(axes, trace, colours, size=3.5 if is_small else 6.5)
+    size = 4.5 if is_small or not is_named else 8.0
+    paint_touches(axes, marks_of(trace), is_by_robot=is_named, size=size)
+    return ways
 
 
-def _draw_robot(axes: Any, trace: Trace, robot: int) -> None:
-    colour = f"C{robot % 10}"
-    pose = trace.pose[:, robot]
-    axes.plot(pose[:, 0], pose[:, 1], color=colour, linewidth=0.9, label=trace.ids[robot])
-    for at, is_filled in ((pose[0], False), (pose[-1], True)):
-        outline = transform(trace.footprint(robot), at)
-        axes.fill(*outline.T, facecolor=colour if is_filled else "none", edgecolor=colour,
-                  alpha=0.75 if is_filled else 1.0, linewidth=1.0)  # fmt: skip
-        axes.plot(*_nose(trace.footprint(robot), at).T, color="k" if is_filled else colour,
-                  linewidth=1.0)  # fmt: skip
+def _paint_changes(axes: Axes, trace: Trace, colours: list[str], *, size: float) -> None:
+    """A triangle up where a robot's daemon joined, down where it left or died."""
+    step = np.diff(presence(trace).astype(np.int64), axis=0)
+    for change, marker in ((1, "^"), (-1, "v")):
+        instants, rows = np.nonzero(step == change)
+        if len(rows):
+            x, y = trace.pose[instants + 1, rows, :2].T
+            axes.scatter(x, y, s=size**2, marker=marker, facecolors=[colours[row] for row in rows],
+                         edgecolors="white", linewidths=0.8, zorder=5.0)  # fmt: skip
 
 
-def _nose(footprint: Array, pose: Array) -> Array:
-    ahead = float(footprint[:, 0].max())
-    return transform(np.array([[0.0, 0.0], [ahead, 0.0]]), pose)
+def _paint_radio(axes: Axes, trace: Trace) -> list[tuple[Any, str]]:
+    """Who hears whom at the end, and what a legend says of it; nothing if everyone hears all."""
+    from matplotlib.lines import Line2D
+
+    reach, end = radio_range(trace), last(trace)
+    if np.isinf(reach):
+        return []
+    near = pairs.near(end.pose[..., :2], presence(end), reach)
+    paint_links(axes, end.pose[0, near.a, :2], end.pose[0, near.b, :2])
+    return [(Line2D([], [], color=LINK_COLOUR), f"radio, {reach:g} m")]
 
 
-def _draw_contacts(axes: Any, trace: Trace) -> None:
-    if len(trace.contact_t) == 0:
-        return
-    instants = np.searchsorted(trace.t, trace.contact_t).clip(0, len(trace.t) - 1)
-    place = trace.pose[instants, trace.contact_pair[:, 0], :2]
-    axes.plot(place[:, 0], place[:, 1], "rx", markersize=7, label="touch")
+def _entries(trace: Trace) -> list[tuple[Any, str]]:
+    """Handle and label for each robot, then for what else there is."""
+    from matplotlib.lines import Line2D
+
+    entries: list[tuple[Any, str]] = []
+    for robot, name in enumerate(trace.ids):
+        line = Line2D([], [], color=robot_colour(robot), linestyle=robot_style(robot), linewidth=2)
+        entries.append((line, name + _stay(trace, robot)))
+    return entries + _key(trace)
+
+
+def _stay(trace: Trace, robot: int) -> str:
+    """When a robot's daemon was there, if not always."""
+    is_there = presence(trace)[:, robot]
+    if is_there.all():
+        return ""
+    if not is_there.any():
+        return " (never there)"
+    step = np.diff(is_there.astype(np.int64))
+    changes = [
+        f"{'from' if step[k] > 0 else 'to'} {trace.t[k + 1]:g} s" for k in np.flatnonzero(step)
+    ]
+    return f" ({', '.join(changes)})"
+
+
+def _key(trace: Trace) -> list[tuple[Any, str]]:
+    """What the marks mean, of those that are there."""
+    from matplotlib.lines import Line2D
+
+    def mark(marker: str, face: str, edge: str, label: str) -> tuple[Any, str]:
+        handle = Line2D([], [], linestyle="none", marker=marker, markersize=8,
+                        markerfacecolor=face, markeredgecolor=edge)  # fmt: skip
+        return handle, label
+
+    entries = [mark("s", "white", "0.35", "start"), mark("s", "0.35", "0.1", "end")]
+    step = np.diff(presence(trace).astype(np.int64), axis=0)
+    if (step > 0).any():
+        entries.append(mark("^", "0.35", "white", "joins"))
+    if (step < 0).any():
+        entries.append(mark("v", "0.35", "white", "leaves"))
+    if trace.things:
+        entries.append(mark("s", THING_COLOUR, "0.3", "movable box"))
+    found = [touch.kind for touch in marks_of(trace)]
+    is_named = len(trace.ids) <= MOST_NAMED
+    faces = {BOTH: TOUCH_COLOUR, ONE: "0.6" if is_named else TOUCH_COLOUR, NONE: "white"}
+    for kind, marker in MARKERS.items():
+        if kind in found:
+            whose = " (its colour)" if kind == ONE and is_named else ""
+            label = f"{kind}{whose}: {found.count(kind)}"
+            entries.append(mark(marker, faces.get(kind, "0.6"), TOUCH_COLOUR, label))
+    return entries

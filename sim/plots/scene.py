@@ -1,0 +1,271 @@
+"""A run seen from above, painted onto axes: the arena, what stands in it and the robots.
+
+Nothing here makes figures or legends; `trajectories.py` and `overview.py` do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.errors import ConfigError, SwarmError
+from swarmd.sim.metrics.window import presence
+from swarmd.sim.plots.canvas import ROBOT_COLOURS
+from swarmd.sim.trace import Trace
+from swarmd.sim.world.arena import Arena, parse_arena
+from swarmd.sim.world.geometry import radius, transform
+from swarmd.values import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.collections import LineCollection
+
+WALL_COLOUR = "0.3"
+FIXED_COLOUR = "0.65"
+THING_COLOUR = "#C49C6B"
+LINK_COLOUR = "0.6"
+_MOST_PLACES = 400_000  # drawn of all ways together
+_SPECK, _SMALL = 1.5, 4.0  # points: a footprint's radius below which it is a dot, has no nose
+
+
+@dataclass(frozen=True, slots=True)
+class Extent:
+    """The part of the world that is shown, in m."""
+
+    left: float
+    right: float
+    bottom: float
+    top: float
+
+    @property
+    def width(self) -> float:
+        """Along x, in m."""
+        return self.right - self.left
+
+    @property
+    def height(self) -> float:
+        """Along y, in m."""
+        return self.top - self.bottom
+
+    def panel(self, longest: float) -> tuple[float, float]:
+        """Width and height in inches of axes that show it, the longer side as given."""
+        scale = longest / max(self.width, self.height)
+        return max(self.width * scale, longest / 5.0), max(self.height * scale, longest / 5.0)
+
+
+def check_drawable(trace: Trace) -> None:
+    """SwarmError if the trace holds nothing to draw."""
+    if len(trace.t) == 0:
+        raise SwarmError("the trace holds no instant: nothing to draw")
+    if len(trace.ids) == 0:
+        raise SwarmError("the trace holds no robot: nothing to draw")
+
+
+def arena_of(trace: Trace) -> Arena | None:
+    """The arena that the trace names; None for a trace from elsewhere, with walls unknown."""
+    try:
+        return parse_arena(str(trace.meta.get("arena", "")))
+    except ConfigError:
+        return None
+
+
+def extent_of(trace: Trace) -> Extent:
+    """The arena and every place where a robot was, with a margin."""
+    reach = max((radius(shape) for shape in trace.footprints.values()), default=0.1)
+    places = trace.pose[..., :2].reshape(-1, 2)
+    low, high = np.nanmin(places, axis=0) - reach, np.nanmax(places, axis=0) + reach
+    arena = arena_of(trace)
+    if arena is not None:
+        half = np.array([arena.length, arena.width]) / 2.0
+        low, high = np.minimum(low, -half), np.maximum(high, half)
+    margin = 0.02 * float(np.max(high - low))
+    return Extent(
+        float(low[0]) - margin,
+        float(high[0]) + margin,
+        float(low[1]) - margin,
+        float(high[1]) + margin,
+    )
+
+
+def prepare(axes: Axes, extent: Extent) -> None:
+    """Show that part of the world, a metre as long along x as along y."""
+    axes.set_xlim(extent.left, extent.right)
+    axes.set_ylim(extent.bottom, extent.top)
+    axes.set_aspect("equal")
+    axes.tick_params(labelsize=9)
+
+
+def paint_arena(axes: Axes, trace: Trace) -> None:
+    """Walls, inner walls, fixed boxes and poles; nothing if the arena is not known."""
+    from matplotlib.collections import LineCollection, PolyCollection
+    from matplotlib.patches import Circle
+
+    arena = arena_of(trace)
+    if arena is None:
+        return
+    x, y = arena.length / 2.0, arena.width / 2.0
+    axes.plot([-x, x, x, -x, -x], [-y, -y, y, y, -y], color=WALL_COLOUR, linewidth=2.0, zorder=1.0)
+    inner = [((wall.x1, wall.y1), (wall.x2, wall.y2)) for wall in arena.segments]
+    axes.add_collection(LineCollection(inner, colors=WALL_COLOUR, linewidth=2.0, zorder=1.0))
+    fixed = [box.corners for _, box in arena.named_boxes if box.mass is None]
+    axes.add_collection(PolyCollection(fixed, facecolor=FIXED_COLOUR, zorder=1.0))
+    for pole in arena.poles:
+        axes.add_patch(Circle((pole.x, pole.y), pole.radius, facecolor=FIXED_COLOUR, zorder=1.0))
+
+
+def paint_things(axes: Axes, trace: Trace) -> None:
+    """The movable boxes: hollow where they first were, their way, filled where they are at last.
+
+    One that is not in the arena at the end stays hollow.
+    """
+    if trace.thing_pose is None or trace.thing_shapes is None:
+        return
+    for poses, shape in zip(trace.thing_pose.swapaxes(0, 1), trace.thing_shapes, strict=True):
+        there = np.flatnonzero(np.isfinite(poses).all(axis=1))
+        if len(there):
+            _paint_thing(axes, poses, shape, there)
+
+
+def _paint_thing(axes: Axes, poses: Array, shape: Array, there: NDArray[np.int64]) -> None:
+    first = transform(shape, poses[there[0]])
+    axes.fill(*first.T, facecolor="none", edgecolor=THING_COLOUR, linewidth=1.2, zorder=1.4)
+    if there[-1] == len(poses) - 1:
+        axes.plot(poses[:, 0], poses[:, 1], color=THING_COLOUR, linewidth=1.0, zorder=1.4)
+        last = transform(shape, poses[-1])
+        axes.fill(*last.T, facecolor=THING_COLOUR, edgecolor="0.3", linewidth=0.6, zorder=1.5)
+
+
+def robot_colour(robot: int) -> str:
+    """The colour of a robot where each has its own; ten differ."""
+    return ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
+
+
+def robot_style(robot: int) -> Literal["-", "--"]:
+    """The style of a robot's line: the second ten are dashed."""
+    return "-" if robot < len(ROBOT_COLOURS) else "--"
+
+
+def paint_ways(axes: Axes, trace: Trace, *, linewidth: float = 1.0) -> None:
+    """The way of each robot in its colour, dotted while its daemon was not there."""
+    is_there = presence(trace)[..., None]
+    place = trace.pose[..., :2]
+    style: dict[str, Any] = {"linewidth": linewidth, "zorder": 2.0}
+    for robot in range(len(trace.ids)):
+        colour = robot_colour(robot)
+        there = np.where(is_there[:, robot], place[:, robot], np.nan)
+        axes.plot(*there.T, color=colour, linestyle=robot_style(robot), **style)
+        if not is_there[:, robot].all():
+            away = np.where(is_there[:, robot], np.nan, place[:, robot])
+            axes.plot(*away.T, color=colour, linestyle=":", alpha=0.6, **style)
+
+
+def paint_ways_by_time(axes: Axes, trace: Trace, *, linewidth: float = 0.5) -> LineCollection:
+    """The ways of many robots, pale in the past and dark at the end; for a colour bar over time.
+
+    Each is cut into pieces of one colour; places in between are left out where the robots are so
+    many that nobody could see them.
+    """
+    from matplotlib import colormaps
+    from matplotlib.collections import LineCollection
+    from matplotlib.colors import ListedColormap
+
+    t, n = trace.t, len(trace.ids)
+    kept = np.unique(
+        np.linspace(0, len(t) - 1, min(len(t), max(41, _MOST_PLACES // n))).astype(int)
+    )
+    bounds = np.unique(np.linspace(0, len(kept) - 1, 41).astype(int))
+    pieces: list[Array] = []
+    times: list[float] = []
+    for first, last in pairwise(bounds.tolist()):
+        span = kept[first : last + 1]
+        pieces.extend(trace.pose[span, :, :2].swapaxes(0, 1))
+        times.extend([float(t[span].mean())] * n)
+    shades = ListedColormap(colormaps["viridis_r"](np.linspace(0.12, 1.0, 256)))
+    ways = LineCollection(pieces, cmap=shades, linewidth=linewidth, zorder=2.0)
+    ways.set_array(np.array(times))
+    ways.set_clim(float(t[0]), max(float(t[-1]), float(t[0]) + 1e-9))
+    axes.add_collection(ways, autolim=False)
+    return ways
+
+
+def paint_bodies(
+    axes: Axes, trace: Trace, instant: int, colours: Sequence[str], *, is_filled: bool, scale: float
+) -> None:
+    """The footprints at an instant with a line from the axle to where each heads.
+
+    A robot whose daemon is not there is dotted and pale. `scale` in points a metre: where
+    footprints would be specks they become dots.
+    """
+    is_there = presence(trace)[instant]
+    for is_present in (True, False):
+        rows = np.flatnonzero(is_there == is_present)
+        if len(rows):
+            paint = _Paint([colours[row] for row in rows.tolist()], is_filled, is_present)
+            _paint_rows(axes, trace, instant, rows, paint, scale)
+
+
+@dataclass(frozen=True, slots=True)
+class _Paint:
+    colours: list[str]
+    is_filled: bool
+    is_present: bool
+
+
+def _paint_rows(
+    axes: Axes, trace: Trace, instant: int, rows: NDArray[np.int64], paint: _Paint, scale: float
+) -> None:
+    from matplotlib.collections import LineCollection, PolyCollection
+
+    poses, footprints = trace.pose[instant, rows], [trace.footprint(int(row)) for row in rows]
+    size = scale * max(radius(shape) for shape in footprints)
+    alpha = 1.0 if paint.is_present else 0.45
+    zorder = 4.0 if paint.is_filled else 3.0
+    face: Any = paint.colours if paint.is_filled else "none"
+    edge: Any = "0.1" if paint.is_filled and size >= _SMALL else paint.colours
+    width = 0.9 if size >= _SMALL else 0.4
+    if size < _SPECK:
+        dot = (2.0 * _SPECK) ** 2 * 0.6
+        axes.scatter(poses[:, 0], poses[:, 1], s=dot, facecolors=face, edgecolors=edge,
+                     alpha=alpha, linewidths=width, zorder=zorder)  # fmt: skip
+        return
+    outlines = [transform(shape, pose) for shape, pose in zip(footprints, poses, strict=True)]
+    axes.add_collection(
+        PolyCollection(outlines, facecolors=face, edgecolors=edge, linewidths=width, alpha=alpha,
+                       linestyles="-" if paint.is_present else ":", zorder=zorder),
+        autolim=False,
+    )  # fmt: skip
+    if size >= _SMALL:
+        noses = [_nose(shape, pose) for shape, pose in zip(footprints, poses, strict=True)]
+        inks = [_ink(colour) for colour in paint.colours] if paint.is_filled else edge
+        axes.add_collection(
+            LineCollection(noses, colors=inks, linewidths=width, alpha=alpha, zorder=zorder),
+            autolim=False,
+        )
+
+
+def _ink(colour: str) -> str:
+    """White on dark colours, black on light ones."""
+    from matplotlib.colors import to_rgb
+
+    red, green, blue = to_rgb(colour)
+    return "white" if 0.30 * red + 0.59 * green + 0.11 * blue < 0.5 else "0.1"
+
+
+def _nose(footprint: Array, pose: Array) -> Array:
+    ahead = float(footprint[:, 0].max())
+    return transform(np.array([[0.0, 0.0], [ahead, 0.0]]), pose)
+
+
+def paint_links(axes: Axes, a: Array, b: Array) -> None:
+    """Thin lines between places a and b (k, 2), below the robots."""
+    from matplotlib.collections import LineCollection
+
+    lines = list(np.stack((a, b), axis=1))
+    axes.add_collection(
+        LineCollection(lines, colors=LINK_COLOUR, linewidth=0.8, zorder=1.7), autolim=False
+    )

@@ -1,0 +1,106 @@
+"""A run's first and last instant side by side, with the clusters that the robots form."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from swarmd.sim.metrics import pairs
+from swarmd.sim.metrics.aggregation import cluster_link, clusters
+from swarmd.sim.metrics.window import first, last, presence
+from swarmd.sim.plots.canvas import GUIDE_COLOUR, ROBOT_COLOURS, new_figure, save
+from swarmd.sim.plots.scene import (
+    Extent,
+    check_drawable,
+    extent_of,
+    paint_arena,
+    paint_bodies,
+    paint_links,
+    paint_things,
+    prepare,
+)
+from swarmd.sim.trace import Trace
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+LONE_COLOUR = "white"
+SMALL_COLOUR = "0.6"
+ONLY_COLOUR = ROBOT_COLOURS[0]
+
+
+def draw_start_and_end(
+    trace: Trace, path: Path, title: str = "", *, link: float | None = None
+) -> None:
+    """Write a picture of the start beside the end: .png, .svg or .pdf, by its suffix.
+
+    Robots of one cluster (single linkage) have one colour, and thin lines join those within
+    `link` m of each other; the largest clusters have colours of their own, further ones are grey,
+    lone robots white. Without a `link` it is that of the metrics, twice the largest protection
+    threshold; if the trace does not say, all robots have one colour. Errors as for trajectories.
+    """
+    save(start_and_end_figure(trace, title, link=link), path)
+
+
+def start_and_end_figure(trace: Trace, title: str = "", *, link: float | None = None) -> Figure:
+    """The picture that `draw_start_and_end` writes."""
+    check_drawable(trace)
+    reach = cluster_link(trace) if link is None else link
+    extent = extent_of(trace)
+    width, height = extent.panel(5.5 if len(trace.ids) <= 100 else 7.0)
+    is_wide = width > 1.6 * height
+    rows, columns = (2, 1) if is_wide else (1, 2)
+    figure = new_figure(columns * (width + 0.35) + 0.5, rows * (height + 0.45) + 0.9)
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).flat
+    scale = 72.0 * width / extent.width
+    for axes, part, is_end in zip(grid, (first(trace), last(trace)), (False, True), strict=True):
+        word = f"end, {trace.duration:.0f} s" if is_end else "start"
+        _paint_instant(axes, part, reach, extent, scale)
+        axes.set_title(f"{word}: {_words(part, reach)}", fontsize=10.5)
+        axes.label_outer()
+    figure.supxlabel("x [m]", fontsize=10)
+    figure.supylabel("y [m]", fontsize=10)
+    if title:
+        figure.suptitle(title, fontsize=11)
+    if reach is not None:
+        note = f"one cluster: each within {reach:g} m of the next"
+        figure.text(0.995, 0.005, note, ha="right", va="bottom", fontsize=8, color=GUIDE_COLOUR)
+    return figure
+
+
+def _paint_instant(
+    axes: Axes, part: Trace, link: float | None, extent: Extent, scale: float
+) -> None:
+    prepare(axes, extent)
+    paint_arena(axes, part)
+    paint_things(axes, part)
+    if link is not None:
+        near = pairs.near(part.pose[..., :2], presence(part), link)
+        paint_links(axes, part.pose[0, near.a, :2], part.pose[0, near.b, :2])
+    paint_bodies(axes, part, 0, _colours(part, link), is_filled=True, scale=scale)
+
+
+def _colours(part: Trace, link: float | None) -> list[str]:
+    if link is None:
+        return [ONLY_COLOUR] * len(part.ids)
+    labels = [int(label) for label in clusters(part, link)[0]]
+    sizes = Counter(label for label in labels if label >= 0)
+    by_size = sorted((label for label in sizes if sizes[label] > 1), key=lambda k: (-sizes[k], k))
+    colour_of = dict.fromkeys(sizes, LONE_COLOUR)
+    colour_of |= dict.fromkeys(by_size, SMALL_COLOUR)
+    colour_of |= dict(zip(by_size, ROBOT_COLOURS[:-1], strict=False))
+    return [colour_of.get(label, LONE_COLOUR) for label in labels]
+
+
+def _words(part: Trace, link: float | None) -> str:
+    """How many clusters there are, in words."""
+    n = int(presence(part)[0].sum())
+    if link is None:
+        return f"{n} robots"
+    sizes = Counter(int(label) for label in clusters(part, link)[0] if label >= 0)
+    if len(sizes) <= 1:
+        return f"one cluster of {n}" if n > 1 else f"{n} robot"
+    largest = max(sizes.values())
+    return f"{len(sizes)} clusters, the largest of {largest}" if largest > 1 else "all alone"
