@@ -27,7 +27,8 @@ class Trace:
 
     `t` (T,) s. `pose` (T, n, 3) x, y in m, yaw in rad (not wrapped), world frame, truth. `safe`
     (T, n, 3) linear, angular, lateral: the command in force at the body. `contact_t` (c,),
-    `contact_pair` (c, 2) robot indices, the second ARENA for a wall, and `contact_speed` (c, 2)
+    `contact_pair` (c, 2) robot indices, the second ARENA for a wall and
+    ARENA - 1 - m for movable box m, and `contact_speed` (c, 2)
     m/s at which each surface moved towards the other: one row for every step of a touch.
     `platforms` by name, each with its footprint (k, 2); `meta` holds arena, seed and the like.
 
