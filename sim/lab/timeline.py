@@ -87,9 +87,7 @@ class Timeline:
                 **({} if event.seconds is None else {"seconds": event.seconds}),
             },
             "param": lambda: {"set": dict(event.parameters)},
-            "estop": lambda: {
-                "scope": "robots" if len(event.robots) < len(self._rows) else "swarm"
-            },
+            "estop": lambda: {"scope": "swarm" if is_for_all else "robots"},
             "reset": lambda: {"ids": list(robot.status(now).latches)},
             "stop": dict,
         }
