@@ -16,6 +16,8 @@ from swarmd.values import Array, Platform, ScanSpec
 BLOCK = 6
 """Rays in one packet of an LDS: what its driver loses, it loses together."""
 
+_AT_ONCE = 32  # so that the arrays of a step of the arithmetic stay within a processor's cache
+
 
 class NoisyLidar:
     """The range sensors of a swarm; what one gives does not depend on which others sweep with it.
@@ -48,32 +50,37 @@ class NoisyLidar:
         """
         if self._is_exact:
             return list(ranges)
-        lengths = np.array([len(row) for row in ranges])
+        alike: dict[int, list[int]] = {}
+        for place, row in enumerate(ranges):
+            alike.setdefault(len(row), []).append(place)
         measured: list[Array] = list(ranges)
-        for length in np.unique(lengths):
-            chosen = np.flatnonzero(lengths == length)
-            places = chosen.tolist()
-            noisy = self._measure(rows[chosen], np.array([ranges[place] for place in places]))
-            for place, row in zip(places, noisy, strict=True):
-                measured[place] = row
+        for places in alike.values():
+            for first in range(0, len(places), _AT_ONCE):
+                some = places[first : first + _AT_ONCE]
+                noisy = self._measure(rows[some], np.array([ranges[place] for place in some]))
+                for place, row in zip(some, noisy, strict=True):
+                    measured[place] = row
         return measured
 
     def _measure(self, rows: Indices, exact: Array) -> Array:
-        noise = self._noise
-        spread, draws = self._draw(rows, exact.shape[1])
+        """`exact` (m, rays), which is written over, as measured by robots `rows` (m,)."""
+        noise, rays = self._noise, exact.shape[1]
+        normal, even = self._draw(rows, rays)
         is_known = np.isfinite(exact)
         r = np.where(is_known, exact, 0.0)
-        spread *= np.where(r < noise.near, noise.near_sd, noise.far_sd * r)
+        spread = noise.far_sd * r
+        np.copyto(spread, noise.near_sd, where=r < noise.near)
         r *= self._factors[rows, None]
-        r += spread
+        r += np.multiply(spread, normal, out=normal)
         if noise.resolution > 0.0:
-            np.rint(r / noise.resolution, out=r)
+            r /= noise.resolution
+            np.rint(r, out=r)
             r *= noise.resolution
-        r[r < self._reach[rows, :1]] = -np.inf
-        r[r > self._reach[rows, 1:]] = np.inf
-        is_lost = self._losses(rows, draws, exact.shape[1]) & is_known
-        lost: Array = np.where(is_lost, self._lost[rows, None], r)
-        return np.where(is_known, lost, exact)
+        np.copyto(r, -np.inf, where=r < self._reach[rows, :1])
+        np.copyto(r, np.inf, where=r > self._reach[rows, 1:])
+        np.copyto(r, self._lost[rows, None], where=self._losses(rows, even, rays))
+        np.copyto(exact, r, where=is_known)
+        return exact
 
     def _draw(self, rows: Indices, rays: int) -> tuple[Array, NDArray[np.float32]]:
         """Normal numbers (m, rays), and even ones for each ray and then each block."""

@@ -40,7 +40,7 @@ class Odometers:
             return
         self._rngs = [generator(seed, "odometry", robot) for robot in ids]
         errors = np.array([rng.standard_normal(2) for rng in self._rngs]).reshape(-1, 2)
-        self._measured = _measured(
+        self._measured = measurement(
             1.0 + noise.diameter * errors[:, 0],
             1.0 + noise.wheelbase * errors[:, 1],
             np.array([value(platform, "wheel_separation") for platform in platforms]),
@@ -81,7 +81,7 @@ class Odometers:
         return slips[:, :, None] * self._measured[rows]
 
 
-def _measured(diameter: Array, wheelbase: Array, separation: Array, is_lateral: Array) -> Array:
+def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral: Array) -> Array:
     """From true to measured motions (linear, angular, lateral): (n, 3, 3), without slip.
 
     Each wheel is taken to be of the mean diameter, and their distance to be `separation` (n,) m.
@@ -115,7 +115,8 @@ def _moved(before: Array, motion: Array) -> Array:
     cos, sin = np.cos(middle), np.sin(middle)
     chord = np.sinc(turn / (2.0 * np.pi))
     way = (chord * (cos * linear - sin * lateral), chord * (sin * linear + cos * lateral), turn)
-    return before + np.stack(way, axis=-1)
+    after: Array = before + np.stack(way, axis=-1)
+    return after
 
 
 def _times(matrices: Array, vectors: Array) -> Array:

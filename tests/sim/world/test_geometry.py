@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from swarmd.sim.world.geometry import gaps, overlaps, radius, transform
+from swarmd.sim.world.geometry import apart, crossings, gaps, overlaps, radius, transform
 from swarmd.values import Array
 
 SQUARE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
@@ -77,3 +77,43 @@ def test_transform_turns_then_moves() -> None:
 
 def test_radius_is_that_of_the_farthest_corner_from_the_origin() -> None:
     assert radius(np.array([[-3.0, 0.0], [1.0, -1.0], [1.0, 1.0]])) == 3.0
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "is_met"),
+    [
+        ((1.0, -1.0), (1.0, 1.0), True),
+        ((1.0, 1.0), (1.0, -1.0), True),
+        ((1.0, 0.0), (1.0, 1.0), True),  # an end on the way
+        ((1.0, 0.1), (1.0, 1.0), False),  # beside it
+        ((3.0, -1.0), (3.0, 1.0), False),  # beyond it
+        ((2.0, -1.0), (2.0, 1.0), False),  # where it ends
+        ((-1.0, 1.0), (3.0, 1.0), False),  # parallel
+        ((0.5, 0.0), (1.5, 0.0), False),  # along it: a wall seen edge-on hides nothing
+    ],
+)
+def test_a_way_meets_a_wall(
+    start: tuple[float, float], end: tuple[float, float], is_met: bool
+) -> None:
+    a, b = np.array([0.0, 0.0]), np.array([2.0, 0.0])
+    assert crossings(a, b, np.array(start), np.array(end)) == is_met
+    assert crossings(b, a, np.array(end), np.array(start)) == is_met
+
+
+def test_crossings_work_on_stacks_and_never_meet_what_is_nowhere() -> None:
+    rng = np.random.default_rng(7)
+    a, b, start, end = rng.uniform(-1.0, 1.0, (4, 200, 2))
+    alone = [bool(crossings(*four)) for four in zip(a, b, start, end, strict=True)]
+    assert crossings(a, b, start, end).tolist() == alone
+    assert 20 < sum(alone) < 180
+    assert not crossings(a, b, np.full((200, 2), np.nan), end).any()
+
+
+@pytest.mark.parametrize(
+    ("point", "distance"),
+    [((1.0, 2.0), 2.0), ((-3.0, 4.0), 5.0), ((2.5, 0.0), 0.5), ((1.5, 0.0), 0.0)],
+)
+def test_distance_of_a_point_from_a_segment(point: tuple[float, float], distance: float) -> None:
+    a, b = np.array([0.0, 0.0]), np.array([2.0, 0.0])
+    assert apart(np.array(point), a, b) == pytest.approx(distance)
+    assert apart(np.array(point), a, a) == pytest.approx(math.hypot(*point))

@@ -1,0 +1,203 @@
+"""What wheels tell: the truth if ideal, and otherwise wrong as unequal or misjudged wheels are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swarmd.platforms import load_platform
+from swarmd.sim.world.odometer import Odometers, measurement
+from swarmd.sim.world.realism import IDEAL, REALISTIC, OdometryNoise
+from swarmd.values import Array, Platform
+
+BURGER = load_platform("burger")
+BASE = BURGER.body["wheel_separation"]
+START = np.array([[1.0, -2.0, 0.7]])
+
+
+def names(n: int) -> list[str]:
+    return [f"r-{row}" for row in range(n)]
+
+
+def odometers(
+    noise: OdometryNoise, starts: Array, platform: Platform = BURGER, seed: int = 5
+) -> Odometers:
+    n = len(starts)
+    return Odometers(noise, [platform] * n, starts, names(n), seed)
+
+
+def path(start: Array, linear: float, angular: float, seconds: float, rate: float = 25.0) -> Array:
+    """Poses (k, n, 3) of robots that start at `start` (n, 3) and drive on at one twist."""
+    t = (np.arange(round(seconds * rate)) + 1.0)[:, None] / rate
+    yaw = start[:, 2] + angular * t
+    if angular == 0.0:
+        x = start[:, 0] + linear * t * np.cos(start[:, 2])
+        y = start[:, 1] + linear * t * np.sin(start[:, 2])
+    else:
+        x = start[:, 0] + linear / angular * (np.sin(yaw) - np.sin(start[:, 2]))
+        y = start[:, 1] - linear / angular * (np.cos(yaw) - np.cos(start[:, 2]))
+    return np.stack((x, y, yaw + 0.0 * x), axis=-1)
+
+
+def told(odometry: Odometers, poses: Array, twist: tuple[float, float, float]) -> Array:
+    """(k, n, 3) poses and then twists (k, n, 3), stacked, of a reading at each pose."""
+    rows = np.arange(poses.shape[1])
+    twists = np.tile(twist, (poses.shape[1], 1))
+    return np.array([odometry.read(rows, truth, twists) for truth in poses])
+
+
+def as_python_says(pose: Array, start: Array) -> tuple[float, float, float]:
+    x, y = pose[:2] - start[:2]
+    cos, sin = math.cos(start[2]), math.sin(start[2])
+    yaw = (pose[2] - start[2] + math.pi) % (2.0 * math.pi) - math.pi
+    return float(cos * x + sin * y), float(cos * y - sin * x), float(yaw)
+
+
+def test_ideal_odometry_is_the_relative_pose_bit_by_bit() -> None:
+    rng = np.random.default_rng(0)
+    starts, poses = rng.uniform(-9.0, 9.0, (2, 500, 3))
+    twists = rng.uniform(-1.0, 1.0, (500, 3))
+    got, measured = odometers(IDEAL.odometry, starts).read(np.arange(500), poses, twists)
+    wanted = [as_python_says(pose, start) for pose, start in zip(poses, starts, strict=True)]
+    assert got.tolist() == [list(row) for row in wanted]
+    assert np.array_equal(measured, twists)
+
+
+def test_only_the_asked_for_rows_are_read() -> None:
+    starts = np.zeros((3, 3))
+    poses = np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    got, measured = odometers(IDEAL.odometry, starts).read(np.array([2, 0]), poses, 10.0 * poses)
+    assert got[:, 0].tolist() == [3.0, 1.0]
+    assert measured[:, 0].tolist() == [30.0, 10.0]
+
+
+@pytest.mark.parametrize("twist", [(0.2, 0.0), (0.0, 1.5), (0.2, 1.0), (-0.1, -2.8)])
+def test_flawless_wheels_tell_the_truth_also_along_arcs(twist: tuple[float, float]) -> None:
+    # Errors too small to matter, so that the way over wheels is gone.
+    odometry = odometers(OdometryNoise(slip=1e-12), START)
+    poses = path(START, *twist, seconds=20.0, rate=5.0)
+    got = told(odometry, poses, (*twist, 0.0))
+    wanted = np.array([as_python_says(pose[0], START[0]) for pose in poses])
+    assert np.abs(got[:, 0, 0] - wanted).max() < 1e-9
+    assert np.abs(got[:, 1, 0] - (*twist, 0.0)).max() < 1e-9
+
+
+def errors(noise: OdometryNoise, linear: float, angular: float, n: int = 400) -> Array:
+    """(n, 2): way and turn told by n robots' twists, as they differ from the truth."""
+    odometry = odometers(noise, np.zeros((n, 3)))
+    twist = (linear, angular, 0.0)
+    off: Array = told(odometry, np.zeros((1, n, 3)), twist)[0, 1, :, :2] - (linear, angular)
+    return off
+
+
+def test_a_spin_is_told_longer_by_the_wheelbases_error() -> None:
+    off = errors(OdometryNoise(wheelbase=0.015), 0.0, 2.0)
+    assert np.abs(off[:, 0]).max() == 0.0
+    assert (off[:, 1] / 2.0).std() == pytest.approx(0.015, rel=5.0 / math.sqrt(800.0))
+    assert abs((off[:, 1] / 2.0).mean()) < 5.0 * 0.015 / math.sqrt(400.0)
+
+
+def test_a_straight_line_is_told_bent_by_unequal_wheels_alone() -> None:
+    off = errors(OdometryNoise(diameter=0.005), 0.2, 0.0)
+    # A larger right wheel turns less often, and the robot believes that it went less far there.
+    assert off[:, 1].std() == pytest.approx(0.2 * 0.005 / BASE, rel=5.0 / math.sqrt(800.0))
+    assert np.abs(off[:, 0]).max() < 0.2 * 0.005**2 * 10.0
+    assert not errors(OdometryNoise(wheelbase=0.015), 0.2, 0.0).any()
+
+
+def matrix(diameter: float, wheelbase: float) -> Array:
+    one = np.ones(1)
+    (told_by_true,) = measurement(diameter * one, wheelbase * one, BASE * one, one)
+    return np.asarray(told_by_true)
+
+
+def test_a_larger_right_wheel_tells_a_straight_line_bent_to_the_right() -> None:
+    told_motion = matrix(1.01, 1.0) @ (1.0, 0.0, 0.0)
+    assert told_motion[1] == pytest.approx(-0.01 / BASE, rel=0.01)
+    assert told_motion[0] == pytest.approx(1.0, abs=1e-4)
+
+
+def test_a_wheelbase_longer_than_assumed_tells_a_spin_longer() -> None:
+    assert matrix(1.0, 1.02) @ (0.0, 1.0, 0.0) == pytest.approx([0.0, 1.02, 0.0])
+    assert matrix(1.0, 1.02) @ (1.0, 0.0, 0.0) == pytest.approx([1.0, 0.0, 0.0])
+
+
+def test_the_measurement_is_that_of_two_wheels() -> None:
+    right_diameter, left_diameter = 2.0 * 1.03 / 2.03, 2.0 / 2.03  # of mean 1 and ratio 1.03
+    linear, angular, wheelbase = 0.7, -1.3, 0.98
+    right = (linear + angular * BASE * wheelbase / 2.0) / right_diameter
+    left = (linear - angular * BASE * wheelbase / 2.0) / left_diameter
+    wanted = [(right + left) / 2.0, (right - left) / BASE, 0.4]
+    assert matrix(1.03, 0.98) @ (linear, angular, 0.4) == pytest.approx(wanted)
+
+
+def test_drift_grows_with_the_way() -> None:
+    odometry = odometers(OdometryNoise(diameter=0.005), np.zeros((300, 3)))
+    got = told(odometry, path(np.zeros((300, 3)), 0.2, 0.0, 20.0), (0.2, 0.0, 0.0))[:, 0]
+    turned = got[:, :, 2].std(axis=1)
+    assert turned[249] == pytest.approx(2.0 * 0.005 / BASE, rel=0.2)
+    assert turned[499] == pytest.approx(2.0 * turned[249], rel=1e-9)
+    aside = got[:, :, 1].std(axis=1)
+    assert aside[499] == pytest.approx(4.0 * aside[249], rel=0.02)  # the square of the way
+
+
+def test_drift_of_a_spin_is_the_wheelbases_share_of_it() -> None:
+    odometry = odometers(OdometryNoise(wheelbase=0.015), np.zeros((1, 3)))
+    got = told(odometry, path(np.zeros((1, 3)), 0.0, 1.0, 12.0), (0.0, 1.0, 0.0))
+    share = got[0, 1, 0, 1]
+    assert share != 1.0
+    turned = float(np.diff(np.unwrap(got[:, 0, 0, 2])).sum())
+    assert turned == pytest.approx(share * (12.0 - 0.04), rel=1e-9)
+    assert np.abs(got[:, 0, 0, :2]).max() < 1e-12
+
+
+def test_slip_is_a_share_of_each_readings_motion() -> None:
+    got = told(odometers(OdometryNoise(slip=0.02), START), path(START, 0.2, 1.0, 80.0), (0.2, 1, 0))
+    off = got[:, 1, 0, :2] / (0.2, 1.0) - 1.0
+    assert off.std(axis=0) == pytest.approx([0.02, 0.02], rel=5.0 / math.sqrt(2.0 * len(off)))
+    assert abs((off[:, 0] * off[:, 1]).mean()) / 0.02**2 < 5.0 / math.sqrt(len(off))
+
+
+def test_a_robot_that_stands_does_not_drift() -> None:
+    got = told(odometers(REALISTIC.odometry, START), np.tile(START, (50, 1, 1)), (0.0, 0.0, 0.0))
+    assert not got.any()
+
+
+def test_wheels_do_not_notice_a_shove_to_the_side() -> None:
+    shoved = np.array([[[0.0, 0.3, 0.0]]])
+    start = np.zeros((1, 3))
+    assert not told(odometers(OdometryNoise(slip=1e-12), start), shoved, (0, 0, 0.2)).any()
+    limits = replace(BURGER.limits, lateral=0.2)
+    omni = odometers(OdometryNoise(slip=1e-12), start, replace(BURGER, limits=limits))
+    got = told(omni, shoved, (0.0, 0.0, 0.2))[0, :, 0]
+    assert got[0] == pytest.approx([0.0, 0.3, 0.0], abs=1e-9)
+    assert got[1] == pytest.approx([0.0, 0.0, 0.2], abs=1e-9)
+
+
+def test_a_robot_that_was_not_read_for_long_stays_finite() -> None:
+    odometry = odometers(REALISTIC.odometry, np.zeros((1, 3)))
+    poses = np.array([[[0.5, 0.0, 2.0 * math.pi]], [[0.5, 0.5, 20.0]]])
+    assert np.isfinite(told(odometry, poses, (0.1, 1.0, 0.0))).all()
+
+
+def test_yaw_is_told_within_half_a_turn_of_ahead() -> None:
+    got = told(odometers(REALISTIC.odometry, START), path(START, 0.0, 2.0, 10.0), (0.0, 2.0, 0.0))
+    assert np.abs(got[:, 0, 0, 2]).max() <= math.pi
+    assert np.abs(got[:, 0, 0, 2]).max() > 3.0
+
+
+def test_a_robots_odometry_does_not_depend_on_who_is_read_with_it() -> None:
+    n = 40
+    starts = np.random.default_rng(0).uniform(-3.0, 3.0, (n, 3))
+    poses = path(starts, 0.2, 0.9, 2.0)
+    twists = np.tile((0.2, 0.9, 0.0), (n, 1))
+    together = odometers(REALISTIC.odometry, starts)
+    alone = odometers(REALISTIC.odometry, starts)
+    for truth in poses:
+        whole = np.concatenate(together.read(np.arange(n), truth, twists), axis=1)
+        for row in reversed(range(n)):
+            lone = np.concatenate(alone.read(np.array([row]), truth, twists), axis=1)[0]
+            assert np.array_equal(lone, whole[row])

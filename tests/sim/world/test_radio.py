@@ -1,0 +1,280 @@
+"""Who hears whom, what is lost, how late the rest comes, and what range-and-bearing boards say."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.errors import ConfigError
+from swarmd.platforms import load_platform
+from swarmd.sim.world.arena import Arena, Box
+from swarmd.sim.world.radio import Radio, RadioSettings, check_radio, with_bearings
+from swarmd.values import Array, Neighbor
+
+ARENA = Arena(40.0, 40.0)
+ROW = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
+
+
+def names(n: int) -> list[str]:
+    return [f"r-{row}" for row in range(n)]
+
+
+def radio(n: int = 3, arena: Arena = ARENA, seed: int = 2, **values: Any) -> Radio:
+    return Radio(RadioSettings(**values), names(n), arena, seed=seed)
+
+
+def heard(neighbors: tuple[Neighbor, ...]) -> list[str]:
+    return [neighbor.id for neighbor in neighbors]
+
+
+def crowd(n: int, seed: int = 0) -> Array:
+    return np.random.default_rng(seed).uniform(-15.0, 15.0, (n, 3))
+
+
+def test_all_hear_each_other_and_nobody_itself() -> None:
+    air = radio()
+    assert [heard(air.neighbors(row, ROW)) for row in range(3)] == [
+        ["r-1", "r-2"],
+        ["r-0", "r-2"],
+        ["r-0", "r-1"],
+    ]
+    assert air.links(ROW).tolist() == [[0, 1], [0, 2], [1, 2]]
+
+
+def test_a_radio_alone_says_no_more_than_who_is_near() -> None:
+    assert radio().neighbors(0, ROW)[0] == Neighbor("r-1", 0.0, None, None, None)
+
+
+def test_range_ends_hearing() -> None:
+    air = radio(neighborhood="range", range=3.0)
+    assert [air.hearers(row, ROW).tolist() for row in range(3)] == [[1], [0, 2], [1]]
+    assert air.links(ROW).tolist() == [[0, 1], [1, 2]]
+
+
+def test_a_box_between_ends_hearing_only_with_line_of_sight() -> None:
+    walled = Arena(40.0, 40.0, boxes=(Box(3.5, 0.0, 0.5, 4.0),))
+    assert radio(arena=walled).hearers(1, ROW).tolist() == [0, 2]
+    air = radio(arena=walled, line_of_sight=True)
+    assert [air.hearers(row, ROW).tolist() for row in range(3)] == [[1], [0], []]
+    assert heard(air.neighbors(2, ROW)) == []
+    assert air.links(ROW).tolist() == [[0, 1]]
+
+
+def test_a_movable_box_that_is_told_of_stands_between() -> None:
+    crate = Box(1.0, 0.0, 0.5, 0.5, mass=1.0)
+    air = radio(arena=Arena(40.0, 40.0, boxes=(crate,)), line_of_sight=True)
+    things = crate.corners[None]
+    assert air.hearers(0, ROW).tolist() == [1, 2]
+    assert air.hearers(0, ROW, things).tolist() == []
+    assert air.links(ROW, things).tolist() == [[1, 2]]
+    air.send(0, "a/b", 1, 0.0, ROW, things)
+    assert air.arrived(0.0) == []
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {},
+        {"neighborhood": "range", "range": 2.5},
+        {"neighborhood": "range", "range": 2.5, "line_of_sight": True},
+    ],
+)
+def test_links_are_what_each_hears(values: dict[str, Any]) -> None:
+    boxes = tuple(Box(float(x), float(y), 1.0, 0.3) for x in (-6, 0, 6) for y in (-6, 0, 6))
+    n = 120
+    air, poses = radio(n, Arena(40.0, 40.0, boxes), **values), crowd(n)
+    pairs = [
+        [row, int(other)] for row in range(n) for other in air.hearers(row, poses) if other > row
+    ]
+    assert air.links(poses).tolist() == pairs
+
+
+def test_a_message_without_delay_arrives_at_once_and_once() -> None:
+    air = radio()
+    air.send(1, "voting/opinion", {"option": 2}, 3.0, ROW)
+    assert air.arrived(2.99) == []
+    assert air.arrived(3.0) == [
+        (0, 1, "voting/opinion", {"option": 2}),
+        (2, 1, "voting/opinion", {"option": 2}),
+    ]
+    assert air.arrived(9.0) == []
+
+
+def test_who_hears_is_settled_when_it_is_said() -> None:
+    air = radio(neighborhood="range", range=3.0, delay=1.0)
+    air.send(0, "a/b", 1, 0.0, ROW)
+    assert [hearer for hearer, *_ in air.arrived(1.0)] == [1]
+
+
+def test_delay_is_kept_over_many_small_steps() -> None:
+    air, now = radio(delay=0.3), 0.0
+    air.send(0, "a/b", 1, 0.0, ROW)
+    for _ in range(29):
+        now += 0.01
+        assert air.arrived(now) == []
+    assert len(air.arrived(now + 0.01)) == 2
+
+
+def test_what_is_said_first_arrives_first_and_then_the_lower_row() -> None:
+    air = radio(delay=0.1)
+    air.send(2, "a/b", "x", 0.0, ROW)
+    air.send(0, "a/b", "y", 0.0, ROW)
+    air.send(1, "a/b", "z", 0.05, ROW)
+    got = [(hearer, value) for hearer, _, _, value in air.arrived(1.0)]
+    assert got == [(0, "x"), (1, "x"), (1, "y"), (2, "y"), (0, "z"), (2, "z")]
+
+
+def test_loss_is_the_stated_share_of_messages_and_hearers() -> None:
+    n, times = 21, 400
+    air, poses = radio(n, loss=0.3), crowd(n)
+    counts = np.zeros(n)
+    for _ in range(times):
+        air.send(4, "a/b", 1, 0.0, poses)
+        for hearer, *_ in air.arrived(0.0):
+            counts[hearer] += 1.0
+    assert counts[4] == 0.0
+    sd = math.sqrt(0.3 * 0.7 / times)
+    assert np.delete(counts, 4) / times == pytest.approx(0.7, abs=5.0 * sd)
+    assert counts.sum() / times / (n - 1) == pytest.approx(0.7, abs=5.0 * sd / math.sqrt(n - 1))
+
+
+def test_all_is_lost_and_nothing_at_the_ends_of_loss() -> None:
+    deaf = radio(loss=1.0)
+    deaf.send(0, "a/b", 1, 0.0, ROW)
+    assert deaf.arrived(99.0) == []
+
+
+def test_jitter_is_even_within_its_bounds_and_each_hearers_own() -> None:
+    n = 200
+    air, poses = radio(n, delay=0.1, jitter=0.04), crowd(n)
+    air.send(0, "a/b", 1, 5.0, poses)
+    arrivals = []
+    for step in range(200):
+        now = 5.0 + 0.001 * step
+        arrivals += [now] * len(air.arrived(now))
+    assert len(arrivals) == n - 1
+    assert min(arrivals) >= 5.06
+    assert max(arrivals) <= 5.141
+    assert np.mean(arrivals) == pytest.approx(5.1, abs=5.0 * 0.04 / math.sqrt(3.0 * n) + 0.001)
+    assert np.std(arrivals) == pytest.approx(0.04 / math.sqrt(3.0), rel=0.2)
+
+
+def test_what_arrives_is_in_order_of_arrival() -> None:
+    n = 30
+    whole, poses = radio(n, delay=0.1, jitter=0.1), crowd(n)
+    steps = radio(n, delay=0.1, jitter=0.1)
+    for sender in (3, 1, 2):
+        whole.send(sender, "a/b", sender, 0.01 * sender, poses)
+        steps.send(sender, "a/b", sender, 0.01 * sender, poses)
+    one_by_one = [arrival for step in range(300) for arrival in steps.arrived(0.001 * step)]
+    assert whole.arrived(1.0) == one_by_one
+
+
+def test_what_one_sends_does_not_change_what_another_loses() -> None:
+    alone, among = radio(20, loss=0.5), radio(20, loss=0.5)
+    poses = crowd(20)
+    for _ in range(5):
+        among.send(7, "a/b", "noise", 0.0, poses)
+        alone.send(3, "a/b", 1, 0.0, poses)
+        among.send(3, "a/b", 1, 0.0, poses)
+    of_three = [arrival for arrival in among.arrived(0.0) if arrival[1] == 3]
+    assert alone.arrived(0.0) == of_three
+
+
+def test_the_seed_decides_what_is_lost() -> None:
+    poses, got = crowd(40), []
+    for seed in (1, 1, 2):
+        air = radio(40, seed=seed, loss=0.5)
+        air.send(0, "a/b", 1, 0.0, poses)
+        got.append(air.arrived(0.0))
+    assert got[0] == got[1] != got[2]
+
+
+@pytest.mark.parametrize(
+    ("poses", "bearing", "heading"),
+    [
+        ([[0.0, 0.0, 0.0], [0.0, 3.0, 0.0]], 90.0, 0.0),  # to the left, looking the same way
+        ([[0.0, 0.0, 0.0], [0.0, -3.0, math.pi / 2.0]], -90.0, 90.0),
+        ([[1.0, 1.0, math.pi / 2.0], [1.0, 4.0, math.pi / 2.0]], 0.0, 0.0),  # ahead
+        ([[1.0, 1.0, math.pi / 2.0], [4.0, 1.0, 0.0]], -90.0, -90.0),
+        ([[0.0, 0.0, 3.0], [-3.0, 0.0, -3.0]], 180.0 - math.degrees(3.0), 360 - 2 * 171.887),
+    ],
+)
+def test_bearing_and_heading_are_the_hearers_and_left_is_positive(
+    poses: list[list[float]], bearing: float, heading: float
+) -> None:
+    air = radio(2, range_and_bearing=True)
+    many = [air.neighbors(0, np.array(poses))[0] for _ in range(100)]
+    assert np.mean([n.bearing or 0.0 for n in many]) == pytest.approx(
+        math.radians(bearing), abs=0.02
+    )
+    assert np.mean([n.heading or 0.0 for n in many]) == pytest.approx(
+        math.radians(heading), abs=0.02
+    )
+    assert np.mean([n.distance or 0.0 for n in many]) == pytest.approx(3.0, abs=0.05)
+
+
+def test_bearings_noise_has_the_stated_size() -> None:
+    air, poses = radio(2, range_and_bearing=True), np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0]])
+    many = [air.neighbors(0, poses)[0] for _ in range(2000)]
+    accuracy = 5.0 / math.sqrt(4000.0)
+    assert np.std([n.distance or 0.0 for n in many]) == pytest.approx(0.1, rel=accuracy)
+    assert np.std([n.bearing or 0.0 for n in many]) == pytest.approx(math.radians(2), rel=accuracy)
+    assert np.std([n.heading or 0.0 for n in many]) == pytest.approx(math.radians(2), rel=accuracy)
+
+
+def test_bearings_stay_within_half_a_turn_and_distances_above_zero() -> None:
+    air = radio(2, range_and_bearing=True)
+    poses = np.array([[0.0, 0.0, 9.0], [-0.01, 0.0, 9.0 + math.pi]])
+    for _ in range(200):
+        neighbor = air.neighbors(0, poses)[0]
+        assert neighbor.distance is not None
+        assert neighbor.bearing is not None
+        assert neighbor.heading is not None
+        assert neighbor.distance >= 0.0
+        assert abs(neighbor.bearing) <= math.pi
+        assert abs(neighbor.heading) <= math.pi
+
+
+def test_bearings_make_a_platform_that_provides_them() -> None:
+    burger = load_platform("burger")
+    fitted = with_bearings(burger)
+    assert fitted.provides - burger.provides == {
+        "neighbors",
+        "neighbors.distance",
+        "neighbors.bearing",
+        "neighbors.heading",
+    }
+    assert fitted.name == burger.name
+
+
+@pytest.mark.parametrize(
+    ("values", "text"),
+    [
+        ({"neighborhood": "range"}, "radio.range is missing; neighborhood: range wants one in m"),
+        (
+            {"range": 5.0},
+            "radio.range is 5, but radio.neighborhood is all, which has none;"
+            " set neighborhood: range, or range: null",
+        ),
+        (
+            {"delay": 0.1, "jitter": 0.2},
+            "radio.jitter is 0.2; wanted at most radio.delay (0.1): nothing is heard before it is"
+            " said",
+        ),
+    ],
+)
+def test_settings_that_do_not_fit_together_are_refused(values: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        check_radio(RadioSettings(**values))
+    assert str(caught.value) == text
+    with pytest.raises(ConfigError):
+        radio(**values)
+
+
+def test_settings_in_every_form_that_fits_are_taken() -> None:
+    check_radio(RadioSettings())
+    check_radio(RadioSettings(neighborhood="range", range=1.0, delay=0.1, jitter=0.1))

@@ -1,0 +1,59 @@
+"""Presets, and how a user says what differs from them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from msgspec import to_builtins
+
+from swarmd.errors import ConfigError
+from swarmd.sim.world.realism import IDEAL, REALISMS, REALISTIC, realism_of
+
+
+@pytest.mark.parametrize("name", REALISMS)
+def test_a_preset_by_its_name(name: str) -> None:
+    assert realism_of(name) is REALISMS[name]
+
+
+@pytest.mark.parametrize("preset", REALISMS.values())
+def test_plain_values_are_the_same_realism_again(preset: Any) -> None:
+    assert realism_of(to_builtins(preset)) == preset
+    assert realism_of({"preset": "ideal", **to_builtins(preset)}) == preset
+
+
+def test_single_values_stand_over_the_preset() -> None:
+    changed = realism_of({"preset": "ideal", "odometry": {"slip": 0.1}})
+    assert changed.odometry.slip == 0.1
+    assert (changed.lidar, changed.actuation) == (IDEAL.lidar, IDEAL.actuation)
+
+
+def test_single_values_stand_over_realistic_if_no_preset_is_named() -> None:
+    changed = realism_of({"lidar": {"dropout": 0.0}})
+    assert changed.lidar.dropout == 0.0
+    assert changed.lidar.bias == REALISTIC.lidar.bias
+    assert changed.odometry == REALISTIC.odometry
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        ("ideel", "no preset 'ideel'; did you mean 'ideal'?"),
+        ({"preset": "x"}, "no preset 'x'; there are: ideal, realistic"),
+        ({"lidr": {}}, "no key 'lidr'; did you mean 'lidar'?"),
+        ({"lidar": {"dropuot": 0.1}}, "lidar has no key 'dropuot'; did you mean 'dropout'?"),
+        (
+            {"lidar": {"dropout": 2}},
+            "lidar.dropout is 2; wanted a number of at least 0 and up to 1",
+        ),
+        (
+            {"actuation": {"delay": float("nan")}},
+            "actuation.delay is nan; wanted a number of at least 0 and up to 1",
+        ),
+        (7, "is 7; wanted ideal or realistic, or keys and values"),
+    ],
+)
+def test_a_mistake_is_one_line_with_place_and_remedy(value: Any, text: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        realism_of(value, "my.yaml: realism")
+    assert str(caught.value) == f"my.yaml: realism: {text}"
