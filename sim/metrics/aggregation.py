@@ -7,10 +7,14 @@ Robots whose daemon is not there (`present`) are no part of the swarm and are le
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.sim.metrics import pairs
+from swarmd.sim.metrics.metric import Metric, Series, Value, at_end, at_start, late_mean, peak
 from swarmd.sim.metrics.window import LATE, by_platform, late, presence, row_means
 from swarmd.sim.trace import Trace
 from swarmd.values import Array
@@ -43,7 +47,8 @@ def cluster_link(trace: Trace) -> float | None:
     gives no number for what it calls a cluster.
     """
     thresholds = by_platform(trace, "thresholds")
-    return None if thresholds is None or len(thresholds) == 0 else LINKS * float(thresholds.max())
+    largest = 0.0 if thresholds is None else float(thresholds.max(initial=0.0))
+    return LINKS * largest if largest > 0.0 else None
 
 
 def clusters(trace: Trace, link: float) -> NDArray[np.int64]:
@@ -132,3 +137,125 @@ def nearest_neighbor_median(trace: Trace, seconds: float = LATE) -> float | None
     distance = nearest_neighbors(late(trace, seconds))
     known = distance[np.isfinite(distance)]
     return float(np.median(known)) if len(known) else None
+
+
+def _linked(of: Callable[[Trace, float], NDArray[Any]]) -> Series:
+    """A series that needs the link of clusters; None where the trace does not tell it."""
+
+    def series(trace: Trace) -> Array | None:
+        link = cluster_link(trace)
+        return None if link is None else of(trace, link).astype(np.float64)
+
+    return series
+
+
+def _linked_value(of: Callable[[Trace, float], float | None]) -> Value:
+    """A number that needs the link of clusters; None where the trace does not tell it."""
+
+    def value(trace: Trace) -> float | None:
+        link = cluster_link(trace)
+        return None if link is None else of(trace, link)
+
+    return value
+
+
+_KAISER = "Kaiser et al. 2022, ICRA"
+_SNEATH = "single linkage: Sneath 1957; the link, 2 x protection threshold: ours"
+
+METRICS = (
+    Metric(
+        "mean_distance_to_centroid_start",
+        "m",
+        "robots' mean distance to their centroid at the start",
+        _KAISER,
+        at_start(distance_to_centroid),
+        distance_to_centroid,
+    ),
+    Metric(
+        "mean_distance_to_centroid_30s",
+        "m",
+        "robots' mean distance to their centroid after 30 s",
+        _KAISER,
+        lambda trace: distance_at(trace, 30.0),
+        distance_to_centroid,
+    ),
+    Metric(
+        "mean_distance_to_centroid_late",
+        "m",
+        "robots' mean distance to their centroid, mean of the last 60 s",
+        _KAISER,
+        late_mean(distance_to_centroid),
+        distance_to_centroid,
+    ),
+    Metric(
+        "mean_distance_to_centroid_end",
+        "m",
+        "robots' mean distance to their centroid at the end",
+        _KAISER,
+        at_end(distance_to_centroid),
+        distance_to_centroid,
+    ),
+    Metric(
+        "clusters_end",
+        "",
+        "number of clusters at the end, lone robots included",
+        _SNEATH,
+        at_end(_linked(cluster_counts)),
+        _linked(cluster_counts),
+    ),
+    Metric(
+        "largest_cluster",
+        "robots",
+        "robots in the largest cluster at the end",
+        _SNEATH,
+        at_end(_linked(largest_cluster)),
+        _linked(largest_cluster),
+    ),
+    Metric(
+        "largest_cluster_share",
+        "share",
+        "share of the robots present that are in the largest cluster at the end",
+        _SNEATH,
+        at_end(_linked(largest_cluster_share)),
+        _linked(largest_cluster_share),
+    ),
+    Metric(
+        "largest_cluster_peak",
+        "robots",
+        "robots in the largest cluster there ever was",
+        _SNEATH,
+        peak(_linked(largest_cluster)),
+        _linked(largest_cluster),
+    ),
+    Metric(
+        "one_cluster_at_end",
+        "0 or 1",
+        "whether all robots are in one cluster at the end",
+        _SNEATH,
+        at_end(_linked(is_one_cluster)),
+        _linked(is_one_cluster),
+    ),
+    Metric(
+        "time_in_one_cluster_late",
+        "share",
+        "share of the last 60 s in which all are in one cluster",
+        _SNEATH,
+        late_mean(_linked(is_one_cluster)),
+        _linked(is_one_cluster),
+    ),
+    Metric(
+        "gather_time",
+        "s",
+        "until first all are in one cluster and half as far from the centroid as at the start",
+        "ours",
+        _linked_value(gather_time),
+    ),
+    Metric(
+        "nearest_neighbor_median_late",
+        "m",
+        "median distance to the nearest other robot in the last 60 s",
+        "Clark and Evans 1954, Ecology 35",
+        nearest_neighbor_median,
+        nearest_neighbor_medians,
+    ),
+)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.errors import ConfigError
+from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.metrics.window import last, presence
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
@@ -114,3 +115,23 @@ def _chain(points: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
             chain.pop()
         chain.append((x, y))
     return chain[:-1] if len(chain) > 1 else chain
+
+
+METRICS = (
+    Metric(
+        "covered_area",
+        "m2",
+        "floor that has been within 0.5 m of a robot",
+        "Gage 1992, AUVS (sweep coverage)",
+        covered_area,
+        covered_areas,
+    ),
+    Metric(
+        "hull_area_end",
+        "m2",
+        "convex hull of the robots at the end",
+        "Andrew 1979, Inf. Process. Lett. 9 (hull)",
+        hull_area,
+        hull_areas,
+    ),
+)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.metrics.window import LATE, by_platform, late, presence, row_means
 from swarmd.sim.trace import Trace
 from swarmd.values import Array
@@ -90,3 +91,33 @@ def _steps(trace: Trace) -> Array:
 def _seconds(trace: Trace) -> Array:
     """(T - 1, n) the time in s from each instant to the next, 0 for who is not there."""
     return np.where(_both(trace), np.diff(trace.t)[:, None], 0.0)
+
+
+_KINEMATICS = "kinematics"
+
+METRICS = (
+    Metric(
+        "mean_speed",
+        "m/s",
+        "the robots' mean speed over the whole run",
+        _KINEMATICS,
+        mean_speed,
+        mean_speeds,
+    ),
+    Metric(
+        "mean_speed_late_share",
+        "share",
+        "mean speed in the last 60 s as a share of the platform's highest",
+        _KINEMATICS,
+        speed_share,
+        speed_shares,
+    ),
+    Metric(
+        "path_length",
+        "m",
+        "a robot's way over the whole run, mean of the robots",
+        _KINEMATICS,
+        path_length,
+        path_so_far,
+    ),
+)

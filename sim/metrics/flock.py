@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from swarmd.sim.metrics.metric import Metric, late_mean
 from swarmd.sim.metrics.window import presence, row_means
 from swarmd.sim.trace import Trace
 from swarmd.values import Array
@@ -59,3 +60,23 @@ def _directions(trace: Trace, standing: float) -> Array:
     is_moving = length > standing * (trace.t[after] - trace.t[before])[:, None]
     unit: Array = np.where(is_moving, 1.0 / np.where(is_moving, length, 1.0), 0.0)[..., None] * step
     return unit
+
+
+METRICS = (
+    Metric(
+        "polarisation",
+        "0 to 1",
+        "how far the robots move one way, mean of the last 60 s; 0 for those that stand",
+        "Vicsek et al. 1995, Phys. Rev. Lett. 75",
+        late_mean(polarisations),
+        polarisations,
+    ),
+    Metric(
+        "milling",
+        "0 to 1",
+        "how far they turn about their centroid, mean of the last 60 s",
+        "Couzin et al. 2002, J. Theor. Biol. 218",
+        late_mean(millings),
+        millings,
+    ),
+)

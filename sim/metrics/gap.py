@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from swarmd.sim.metrics import pairs
+from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.metrics.pairs import Pairs
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import gaps, transform
@@ -88,3 +89,16 @@ def _exact(trace: Trace, span: slice, found: Pairs, chosen: pairs.Ints) -> Array
             ]
             result[block] = gaps(shapes[0], shapes[1])
     return result
+
+
+METRICS = (
+    Metric(
+        "minimum_gap",
+        "m",
+        "smallest distance between two robots' footprints",
+        "Ericson 2005, Real-Time Collision Detection",
+        minimum_gap,
+        minimum_gaps,
+        "more",
+    ),
+)

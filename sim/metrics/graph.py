@@ -1,18 +1,24 @@
-"""Who can hear whom: the radio graph, from the radio's range at the robots' true places.
+"""Who can hear whom: the radio graph, at the robots' true places.
 
-Only present robots have a radio. Where `meta["radio"]` gives no range everyone hears everyone.
-Loss and delay do not count: a link is there if it ever lets something through.
+Only present robots have a radio. Where `meta["radio"]` gives no range and no line of sight everyone
+hears everyone. Loss and delay do not count: a link is there if it ever lets something through.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from swarmd.sim.metrics.aggregation import cluster_counts
-from swarmd.sim.metrics.window import last, mean, presence
+from swarmd.errors import ConfigError
+from swarmd.sim.metrics import pairs
+from swarmd.sim.metrics.metric import Metric, at_end
+from swarmd.sim.metrics.pairs import Pairs
+from swarmd.sim.metrics.window import cut, last, mean, presence
 from swarmd.sim.trace import Trace
+from swarmd.sim.world.arena import parse_arena
+from swarmd.sim.world.geometry import transform
+from swarmd.sim.world.hearing import Sight
 from swarmd.values import Array
 
 
@@ -24,18 +30,35 @@ def radio_range(trace: Trace) -> float:
     return float(radio.get("range") or np.inf)
 
 
-def radio_components(trace: Trace) -> Array:
-    """(T,) the number of parts that cannot hear one another; NaN while no robot is present.
+def radio_links(trace: Trace) -> Iterator[Pairs]:
+    """All links, for some instants of the trace after others; `instant` counts from its start.
 
-    Components of the disk graph, one of the models of Zavlanos, Egerstedt and Pappas 2011 (Proc.
-    IEEE 99, Graph-Theoretic Connectivity Control of Mobile Robot Networks).
+    The disk graph of Zavlanos, Egerstedt and Pappas 2011 (Graph-Theoretic Connectivity Control of
+    Mobile Robot Networks, Proc. IEEE 99), less what `radio.line_of_sight` takes away.
     """
+    sight, is_here, reach = _sight(trace), presence(trace), radio_range(trace)
+    for span in pairs.spans(*is_here.shape):
+        found = pairs.near(trace.pose[span, :, :2], is_here[span], reach)
+        instant = found.instant + span.start
+        found = Pairs(instant, found.a, found.b, found.distance)
+        yield found if sight is None else _seen(trace, sight, found)
+
+
+def radio_components(trace: Trace) -> Array:
+    """(T,) the number of parts that cannot hear one another; NaN while no robot is present."""
     is_here = presence(trace)
-    reach = radio_range(trace)
-    if np.isinf(reach):
-        return np.where(is_here.any(axis=1), 1.0, np.nan)
-    counts = cluster_counts(trace, reach).astype(np.float64)
-    return np.where(is_here.any(axis=1), counts, np.nan)
+    n = is_here.shape[1]
+    counts = is_here.sum(axis=1).astype(np.float64)
+    if _is_complete(trace):
+        return np.where(counts > 0.0, 1.0, np.nan)
+    for links in radio_links(trace):
+        if len(links.instant):
+            low, high = int(links.instant.min()), int(links.instant.max()) + 1
+            node = (links.instant - low) * n
+            root = pairs.components((high - low) * n, node + links.a, node + links.b)
+            is_joined = root != np.arange(len(root))  # to a lower one: a part less
+            counts[low:high] -= is_joined.reshape(-1, n).sum(axis=1)
+    return np.where(counts > 0.0, counts, np.nan)
 
 
 def is_radio_connected(trace: Trace) -> Array:
@@ -55,25 +78,88 @@ def algebraic_connectivities(trace: Trace) -> Array:
     Fiedler 1973 (Algebraic connectivity of graphs, Czechoslovak Math. J. 23). n if all n hear all,
     and by our own convention 0 for a robot alone. NaN while none is present.
     """
-    is_here = presence(trace)
-    reach = radio_range(trace)
-    values = np.empty(len(trace.t))
-    for at, place in enumerate(trace.pose[..., :2]):
-        values[at] = _fiedler(place[is_here[at]], reach)
-    return values
+    here = presence(trace).sum(axis=1)
+    if _is_complete(trace):
+        return np.where(here > 1, here.astype(np.float64), np.where(here == 1, 0.0, np.nan))
+    return np.array([_fiedler(cut(trace, at, at + 1)) for at in range(len(trace.t))])
 
 
 def algebraic_connectivity(trace: Trace) -> float | None:
-    """That eigenvalue at the last instant."""
-    values = algebraic_connectivities(last(trace))
-    return float(values[0]) if len(values) and not np.isnan(values[0]) else None
+    """That eigenvalue at the last instant; None if none is present then."""
+    return mean(algebraic_connectivities(last(trace)))
 
 
-def _fiedler(place: Array, reach: float) -> float:
-    n = len(place)
-    if n < 2 or np.isinf(reach):
-        return float("nan") if n == 0 else float(n if n > 1 else 0)
-    away = place[:, None] - place[None]
-    links = (np.hypot(away[..., 0], away[..., 1]) <= reach).astype(np.float64)
-    laplacian = np.diag(links.sum(axis=1)) - links
-    return max(float(np.linalg.eigvalsh(laplacian)[1]), 0.0)
+def _is_complete(trace: Trace) -> bool:
+    return bool(np.isinf(radio_range(trace))) and _sight(trace) is None
+
+
+def _sight(trace: Trace) -> Sight | None:
+    """What stands between robots, if that matters and the trace tells it."""
+    radio = trace.meta.get("radio")
+    if not isinstance(radio, Mapping) or not radio.get("line_of_sight"):
+        return None
+    try:
+        return Sight(parse_arena(str(trace.meta.get("arena", ""))))
+    except ConfigError:
+        return None
+
+
+def _seen(trace: Trace, sight: Sight, links: Pairs) -> Pairs:
+    """Those links between whose ends nothing stands."""
+    here = trace.pose[links.instant, links.a, :2]
+    there = trace.pose[links.instant, links.b, :2]
+    if trace.thing_pose is None or trace.thing_shapes is None:
+        is_clear = sight.is_clear(here, there)
+    else:
+        is_clear = np.ones(len(here), dtype=bool)
+        for instant in np.unique(links.instant):
+            of = links.instant == instant
+            things = transform(trace.thing_shapes, trace.thing_pose[instant])
+            is_clear[of] = sight.is_clear(here[of], there[of], things)
+    return pairs.chosen(links, is_clear)
+
+
+def _fiedler(trace: Trace) -> float:
+    """Of a trace of one instant."""
+    rows = np.flatnonzero(presence(trace)[0])
+    if len(rows) < 2:
+        return 0.0 if len(rows) else float("nan")
+    laplacian = np.zeros((len(trace.ids),) * 2)
+    for links in radio_links(trace):
+        laplacian[links.a, links.b] = laplacian[links.b, links.a] = -1.0
+    laplacian -= np.diag(laplacian.sum(axis=1))
+    second = np.linalg.eigvalsh(laplacian[np.ix_(rows, rows)])[1]
+    return max(float(second), 0.0)
+
+
+_ZAVLANOS = "Zavlanos et al. 2011, Proc. IEEE 99"
+
+METRICS = (
+    Metric(
+        "radio_connected",
+        "share",
+        "share of time in which the radio joins all robots, over others or not",
+        _ZAVLANOS,
+        radio_connected,
+        is_radio_connected,
+        "more",
+    ),
+    Metric(
+        "radio_components_end",
+        "",
+        "parts of the swarm at the end that cannot hear one another",
+        _ZAVLANOS,
+        at_end(radio_components),
+        radio_components,
+        "less",
+    ),
+    Metric(
+        "algebraic_connectivity_end",
+        "",
+        "second smallest eigenvalue of the radio graph's Laplacian at the end",
+        "Fiedler 1973, Czechoslovak Math. J. 23",
+        algebraic_connectivity,
+        algebraic_connectivities,
+        "more",
+    ),
+)

@@ -7,16 +7,14 @@ from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from swarmd.sim.metrics import window
-from swarmd.sim.metrics.aggregation import cluster_link
 from swarmd.sim.trace import Trace
 from swarmd.values import Array
 
 Value: TypeAlias = Callable[[Trace], float | None]
 Series: TypeAlias = Callable[[Trace], Array | None]
-Linked: TypeAlias = Callable[[Trace, float], Array | NDArray[np.int64] | NDArray[np.bool_]]
+Better: TypeAlias = Literal["less", "more"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +32,7 @@ class Metric:
     source: str
     value: Value
     series: Series | None = None
-    better: Literal["less", "more"] | None = None
+    better: Better | None = None
 
 
 def at_start(series: Series) -> Value:
@@ -47,7 +45,7 @@ def at_end(series: Series) -> Value:
     return _mean_of(series, window.last)
 
 
-def late(series: Series) -> Value:
+def late_mean(series: Series) -> Value:
     """The series' mean over the last 60 s, or the last half if that is shorter."""
     return _mean_of(series, window.late)
 
@@ -59,26 +57,6 @@ def peak(series: Series) -> Value:
         values = series(trace)
         known = np.zeros(0) if values is None else values[~np.isnan(values)]
         return float(known.max()) if len(known) else None
-
-    return value
-
-
-def linked(of: Linked) -> Series:
-    """A series that needs the link of clusters; None where the trace does not tell it."""
-
-    def series(trace: Trace) -> Array | None:
-        link = cluster_link(trace)
-        return None if link is None else of(trace, link).astype(np.float64)
-
-    return series
-
-
-def linked_value(of: Callable[[Trace, float], float | None]) -> Value:
-    """A number that needs the link of clusters; None where the trace does not tell it."""
-
-    def value(trace: Trace) -> float | None:
-        link = cluster_link(trace)
-        return None if link is None else of(trace, link)
 
     return value
 

@@ -41,6 +41,13 @@ def near(place: Array, is_in: NDArray[np.bool_], reach: float) -> Pairs:
     return _among_many(place, is_in, reach)
 
 
+def chosen(found: Pairs, is_chosen: NDArray[np.bool_]) -> Pairs:
+    """Those of the pairs for which (p,) is true."""
+    return Pairs(
+        found.instant[is_chosen], found.a[is_chosen], found.b[is_chosen], found.distance[is_chosen]
+    )
+
+
 def nearest(place: Array, is_in: NDArray[np.bool_]) -> Array:
     """(T, n) how far the nearest other point is; NaN for what is not in, inf for one alone."""
     best = np.where(is_in, np.inf, np.nan)
@@ -97,7 +104,8 @@ def _among_many(place: Array, is_in: NDArray[np.bool_], reach: float) -> Pairs:
     if len(where) == 0:
         return _among_few(place[:, :0], is_in[:, :0], reach)
     extent = float(np.ptp(where, axis=0).max())
-    cell = min(max(reach, 1e-6 * extent, 1e-9), 2.0 * extent + 1.0)
+    # A little wider, lest rounding put two that are just within reach two cells apart.
+    cell = min(max(reach * (1.0 + 1e-9), 1e-6 * extent, 1e-9), 2.0 * extent + 1.0)
     column = np.floor((where - where.min(axis=0)) / cell).astype(np.int64)
     # A column left free at each side: a neighbouring cell is never one of another row or instant.
     width = int(column.max()) + 3

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.messages import Reason, State
-from swarmd.sim.metrics.window import by_platform, mean, presence, row_means
+from swarmd.sim.metrics.metric import Metric
+from swarmd.sim.metrics.window import by_platform, late, mean, presence, row_means
 from swarmd.sim.trace import Trace
 from swarmd.values import Array
 
@@ -103,3 +104,45 @@ def _running(trace: Trace) -> NDArray[np.bool_]:
     """(T, n) present, and running as far as the trace says."""
     is_here = presence(trace)
     return is_here if trace.state is None else is_here & (trace.state == str(State.RUNNING))
+
+
+_KAISER = "Kaiser et al. 2022, ICRA"
+
+METRICS = (
+    Metric(
+        "protection_duty",
+        "share",
+        "share of judged sweeps in which protection replaced or cut the wish",
+        _KAISER,
+        protection_duty,
+        protection_duties,
+        "less",
+    ),
+    Metric(
+        "protection_duty_late",
+        "share",
+        "share of judged sweeps in the last 60 s in which protection replaced or cut the wish",
+        _KAISER,
+        lambda trace: protection_duty(late(trace)),
+        protection_duties,
+        "less",
+    ),
+    Metric(
+        "command_alteration",
+        "share",
+        "mean change of the wished command, 1 being full speed",
+        "|u - u_wish| of Wang et al. 2017, IEEE T-RO 33; the scale: ours",
+        command_alteration,
+        mean_alterations,
+        "less",
+    ),
+    Metric(
+        "hold_share",
+        "share",
+        "running time in which a hold kept a robot standing",
+        "ours",
+        hold_share,
+        None,
+        "less",
+    ),
+)

@@ -11,6 +11,7 @@ from typing import Literal
 
 import numpy as np
 
+from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.trace import ARENA, Trace
 from swarmd.sim.world.contacts import EPISODE_GAP
 
@@ -114,3 +115,43 @@ def _touch(trace: Trace, ends: tuple[float, float], pair: np.ndarray, speed: np.
         is_a_moving=bool(speed[0] > MOVING),
         is_b_moving=bool(speed[1] > MOVING),
     )
+
+
+_OURS = "ours"
+
+METRICS = (
+    Metric(
+        "robot_contacts",
+        "",
+        "touches of two robots, each once however long",
+        _OURS,
+        contacts_between_robots,
+        None,
+        "less",
+    ),
+    Metric(
+        "arena_contacts",
+        "",
+        "touches of a robot with a wall, fixed box or pole",
+        _OURS,
+        contacts_with_arena,
+        None,
+        "less",
+    ),
+    Metric(
+        "box_contacts",
+        "",
+        "touches of a robot with a movable box",
+        _OURS,
+        contacts_with_boxes,
+    ),
+    Metric(
+        "hardest_contact",
+        "m/s",
+        "fastest approach in any touch of two robots",
+        _OURS,
+        hardest_contact,
+        None,
+        "less",
+    ),
+)

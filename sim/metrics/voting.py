@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.metrics.window import presence
 from swarmd.sim.trace import Trace
 from swarmd.values import Array
@@ -62,3 +63,34 @@ def consensus_time(trace: Trace, name: str = OPINION) -> float | None:
     broken = np.flatnonzero(~agree)
     since = int(broken[-1]) + 1 if len(broken) else 0
     return float(trace.t[since] - trace.t[0])
+
+
+_VALENTINI = "Valentini et al. 2017, Front. Robot. AI 4:9"
+
+METRICS = (
+    Metric(
+        "consensus_time",
+        "s",
+        "until all robots hold one opinion, and keep it to the end",
+        _VALENTINI,
+        consensus_time,
+        None,
+        "less",
+    ),
+    Metric(
+        "consensus_share",
+        "share",
+        "robots that hold the most common opinion at the end",
+        _VALENTINI,
+        consensus_share,
+        consensus_shares,
+        "more",
+    ),
+    Metric(
+        "consensus_opinion",
+        "",
+        "the opinion that all robots hold at the end",
+        _VALENTINI,
+        consensus_opinion,
+    ),
+)
