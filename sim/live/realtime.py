@@ -23,8 +23,11 @@ from swarmd.sim.live.link import Question, WorldLink
 from swarmd.sim.live.pacing import Pacer, Staggered
 from swarmd.sim.live.recording import Record
 from swarmd.sim.live.state import Triple, WorldReply, WorldState, decode_request
+from swarmd.sim.world.delays import Held
+from swarmd.sim.world.geometry import transform
+from swarmd.sim.world.radio import Radio
 from swarmd.sim.world.world import World
-from swarmd.values import Array
+from swarmd.values import Array, Scan
 
 COMMAND_TIMEOUT = 0.5
 """Real seconds without a command after which a body stops by itself, as a base does."""
@@ -43,10 +46,15 @@ class RealTimeWorld:
         link: WorldLink,
         record: Record,
         *,
+        radio: Radio | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`clock` must be the one by which `link` stamps arrivals."""
+        """`clock` must be the one by which `link` stamps arrivals.
+
+        `radio` says whom each robot hears; without one nobody is told, and all hear all.
+        """
         self._world, self._link, self._record, self._clock = world, link, record, clock
+        self._radio = radio
         n, start = len(world.ids), world.time
         self._rows = {robot: row for row, robot in enumerate(world.ids)}
         self._commands = np.zeros((n, 3))
@@ -54,6 +62,7 @@ class RealTimeWorld:
         self._swept = np.full(n, -1)
         self._too_old = np.array([p.scan.stale_after * p.scan.rate for p in world.platforms])
         self._unreadable = 0
+        self._sweeps: Held[tuple[int, Scan]] = Held()
         self._scans_due = Staggered(np.array([p.scan.rate for p in world.platforms]), start)
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start)
         self._hearing_due = Staggered(np.full(n, _HEARING_RATE), start)
@@ -107,9 +116,11 @@ class RealTimeWorld:
         world, link = self._world, self._link
         due = self._scans_due.due(world.time)
         if len(due):
-            for row, scan in zip(due, world.scans(due), strict=True):
-                self._swept[row] = scan.seq
-                link.publish(world.ids[row], "scan", encode_scan(scan))
+            for row, scan in zip(due.tolist(), world.scans(due), strict=True):
+                self._sweeps.put(world.time + float(world.scan_latency[row]), (row, scan))
+        for row, scan in self._sweeps.due(world.time):
+            self._swept[row] = scan.seq
+            link.publish(world.ids[row], "scan", encode_scan(scan))
         due = self._odometry_due.due(world.time)
         if len(due):
             for row, odometry in zip(due, world.odometry(due), strict=True):
@@ -121,8 +132,10 @@ class RealTimeWorld:
 
     def _publish_hearing(self, row: int) -> None:
         world, robot = self._world, self._world.ids[row]
-        if world.radio_range is not None:
-            self._link.publish(robot, "neighbors", encode_neighbors(world.neighbors(row)))
+        if self._radio is not None:
+            boxes = transform(world.thing_shapes, world.thing_poses())
+            heard = self._radio.neighbors(row, world.poses(), boxes)
+            self._link.publish(robot, "neighbors", encode_neighbors(heard))
         if readings := world.readings(row):
             self._link.publish(robot, "readings", encode_readings(readings))
 

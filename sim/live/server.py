@@ -17,8 +17,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 
+from msgspec import to_builtins
+
 from swarmd.errors import ConfigError, SwarmError
 from swarmd.keys import check_id
+from swarmd.layered import Layered
 from swarmd.platforms import load_platform
 from swarmd.processes import die_with_parent
 from swarmd.sim.live.link import WorldLink
@@ -26,6 +29,8 @@ from swarmd.sim.live.realtime import RealTimeWorld
 from swarmd.sim.live.recording import Record, RecordSettings
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.layouts import parse_layout
+from swarmd.sim.world.radio import Radio, RadioSettings
+from swarmd.sim.world.realism import REALISMS
 from swarmd.sim.world.world import World
 from swarmd.values import Platform
 
@@ -90,7 +95,7 @@ def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
         path=options.trace,
         rate=options.trace_rate,
         seconds=options.seconds,
-        meta=_meta(options, swarm),
+        meta=_meta(options, robots),
     )
     record = Record(world, settings)
     link = WorldLink(swarm, robots, options.endpoint)
@@ -99,7 +104,7 @@ def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
         # What is alive now stays: a collection would only walk through all of it again.
         gc.collect()
         gc.freeze()
-        RealTimeWorld(world, link, record).run(is_over)
+        RealTimeWorld(world, link, record, radio=_make_radio(options, world)).run(is_over)
     finally:
         link.close()
 
@@ -113,20 +118,38 @@ def _make_world(options: argparse.Namespace, robots: Mapping[str, Platform]) -> 
         arena,
         starts,
         visibility=options.lidar_visibility,
-        radio_range=options.radio_range,
+        realism=REALISMS[options.realism],
+        seed=options.seed,
     )
 
 
-def _meta(options: argparse.Namespace, swarm: str) -> dict[str, object]:
-    arena = parse_arena(options.arena)
+def _make_radio(options: argparse.Namespace, world: World) -> Radio | None:
+    """None if all hear all: nobody has to be told then."""
+    settings = _radio_settings(options)
+    if settings.neighborhood == "all":
+        return None
+    return Radio(settings, world.ids, world.arena, seed=options.seed)
+
+
+def _radio_settings(options: argparse.Namespace) -> RadioSettings:
+    if options.radio_range is None:
+        return RadioSettings()
+    asked = {"neighborhood": "range", "range": options.radio_range}
+    return Layered(("--radio-range", asked)).build(RadioSettings)
+
+
+def _meta(options: argparse.Namespace, robots: Mapping[str, Platform]) -> dict[str, object]:
+    kinds = {platform.name: platform for platform in robots.values()}
     return {
-        "swarm": swarm,
-        "arena": options.arena,
-        "size": [arena.length, arena.width],
+        "swarm": options.swarm,
+        "arena": parse_arena(options.arena).text,
         "layout": options.layout,
         "seed": options.seed,
         "lidar_visibility": options.lidar_visibility,
-        "radio_range": options.radio_range,
+        "realism": options.realism,
+        "radio": to_builtins(_radio_settings(options)),
+        "thresholds": {name: p.protection.get("threshold", 0.0) for name, p in kinds.items()},
+        "v_max": {name: p.limits.linear for name, p in kinds.items()},
     }
 
 
@@ -138,11 +161,16 @@ def _parser() -> argparse.ArgumentParser:
     add = parser.add_argument
     add("--swarm", required=True)
     add("--robots", required=True, metavar="ID:PLATFORM,...")
-    add("--arena", default="6x6", help="LxW in m, with ,box:x:y:l:w:deg and ,pole:x:y:r in it")
+    add(
+        "--arena",
+        default="6x6",
+        help="LxW in m, then any of ,box:x:y:l:w:deg:kg ,pole:x:y:r ,segment:x1:y1:x2:y2",
+    )
     add("--layout", default="grid:1.0", help="row, paper, grid, ring, random or list, with :size")
-    add("--seed", type=int, default=0, help="of random layouts")
+    add("--seed", type=int, default=0, help="of random layouts and of noise")
     add("--endpoint", default="tcp/127.0.0.1:7790", help="where drivers dial; port 0: any")
     add("--lidar-visibility", choices=("body", "real"), default="body")
+    add("--realism", choices=sorted(REALISMS), default="ideal")
     add("--radio-range", type=float, metavar="M", help="beyond which robots do not hear each other")
     add("--trace", type=Path, metavar="FILE.npz", help="where to write what happened")
     add("--trace-rate", type=float, default=50.0, metavar="HZ")

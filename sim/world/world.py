@@ -6,7 +6,6 @@ steps give bit-identical poses. Robot i of `ids` is row i of every array.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 
 import mujoco
@@ -14,23 +13,27 @@ import numpy as np
 
 from swarmd.errors import ConfigError
 from swarmd.sim.world import bodies
+from swarmd.sim.world.actuation import Actuators
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.drives import Drives
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.lidar import Indices
+from swarmd.sim.world.noise import NoisyLidar
+from swarmd.sim.world.odometer import Odometers
 from swarmd.sim.world.ranging import RangeSensors, Visibility
 from swarmd.sim.world.readings import Field, readings_at
 from swarmd.sim.world.realism import IDEAL, Realism
 from swarmd.sim.world.things import Things
 from swarmd.sim.world.touch import Contact, Touch, Touches
-from swarmd.values import Array, Neighbor, Odometry, Platform, Pose, Scan, Twist
+from swarmd.values import Array, Odometry, Platform, Pose, Scan, Twist
 
 
 class World:
     """Planar MuJoCo bodies, their range sensors and odometry, and boxes that can be pushed.
 
     `things` are the names of the movable boxes, row i of `thing_poses()` and `thing_shapes`
-    (m, 4, 2), their outlines in their own frames.
+    (m, 4, 2), their outlines in their own frames. `scan_latency` (n,) s: how much later than it is
+    taken a sweep of each robot is to arrive.
     """
 
     def __init__(
@@ -40,13 +43,12 @@ class World:
         starts: Array,
         *,
         visibility: Visibility = "body",
-        radio_range: float | None = None,
         realism: Realism = IDEAL,
         seed: int = 0,
         fields: Sequence[Field] = (),
         dt: float = 0.01,
     ) -> None:
-        """A world at rest. `starts` (n, 3) x, y, yaw; `radio_range` None: all hear each other.
+        """A world at rest. `starts` (n, 3) x, y, yaw in m and rad.
 
         `seed` is that of all that `realism` leaves to chance; `fields` are what `readings` samples.
         `visibility`: what a range sensor sees of another robot: its whole footprint, or only what
@@ -58,7 +60,7 @@ class World:
         if starts.shape != (n, 3):
             raise ConfigError(f"{n} robots, but start poses of shape {starts.shape}")
         self.ids, self.platforms = tuple(robots), tuple(robots.values())
-        self.arena, self.radio_range, self.dt = arena, radio_range, dt
+        self.arena, self.dt = arena, dt
         self.model = bodies.build_model(robots, arena, dt)
         self.data = mujoco.MjData(self.model)
         self.data.qpos[: 3 * n] = starts.ravel()
@@ -66,15 +68,17 @@ class World:
         self.things, self.thing_shapes = self._things.names, self._things.shapes
         mujoco.mj_forward(self.model, self.data)
         self._own = slice(0, 3 * n)
-        self._starts = starts.copy()
         self._drives = Drives(self.platforms, dt)
+        self._actuators = Actuators(realism.actuation, self.platforms, dt)
+        self._odometers = Odometers(realism.odometry, self.platforms, starts, self.ids, seed)
+        self._noise = NoisyLidar(realism.lidar, self.platforms, self.ids, seed)
+        self.scan_latency = self._noise.latency
         self._steps = 0
         self._seq = [0] * n
         self._touches = Touches(self.model, n)
         self._touching: list[Touch] = []
         self._sensors = RangeSensors(self.platforms, arena, visibility)
         self._fields = tuple(fields)
-        self.scan_latency = np.zeros(n)
 
     @property
     def time(self) -> float:
@@ -85,8 +89,9 @@ class World:
         """What the bases are to do from now on: (n, 3) linear, angular, lateral.
 
         Held within each platform's limits, as a base's firmware would; what is not finite is 0.
+        The bases follow as late and as slowly as `realism` says.
         """
-        self._drives.set(twists)
+        self._actuators.put(twists)
 
     def step(self, k: int = 1) -> None:
         """Advance by `k` steps of `dt`."""
@@ -96,6 +101,7 @@ class World:
 
     def _step(self) -> None:
         data = self.data
+        self._drives.set(self._actuators.now())
         qpos, qvel, own = data.qpos.copy(), data.qvel.copy(), self._own
         force = self._drives.forces(qpos[own].reshape(-1, 3), qvel[own].reshape(-1, 3))
         data.qfrc_applied[own] = force.ravel()
@@ -122,10 +128,13 @@ class World:
         return self._touches.contacts(self._touching)
 
     def scans(self, robots: Indices) -> list[Scan]:
-        """A fresh sweep of each of `robots` (m,), taken in one instant."""
+        """A fresh sweep of each of `robots` (m,), taken in one instant: now.
+
+        It is not there yet: who hands it on holds it back for the robot's `scan_latency`.
+        """
         poses = np.concatenate((self.poses(), self._things.poses()))
-        ranges = self._sensors.cast(poses, robots)
-        return [self._scan(int(robot), row) for robot, row in zip(robots, ranges, strict=True)]
+        ranges = self._noise.apply(robots, self._sensors.cast(poses, robots))
+        return [self._scan(row, seen) for row, seen in zip(robots.tolist(), ranges, strict=True)]
 
     def _scan(self, robot: int, ranges: Array) -> Scan:
         spec = self.platforms[robot].scan
@@ -134,24 +143,13 @@ class World:
         return Scan(seq, self.time, ranges, spec.bearings, spec.range_min, spec.range_max)
 
     def odometry(self, robots: Indices | None = None) -> list[Odometry]:
-        """Ideal odometry of each of `robots` (all if None), in the frame of its own start."""
+        """The next reading of each of `robots` (all if None), in the frame of its own start."""
         chosen = np.arange(len(self.ids)) if robots is None else robots
-        poses, twists = self.poses(), self.twists()
+        poses, twists = self._odometers.read(chosen, self.poses(), self.twists())
         return [
-            Odometry(self.time, _relative(poses[i], self._starts[i]), Twist(*map(float, twists[i])))
-            for i in chosen
+            Odometry(self.time, Pose(*pose), Twist(*twist))
+            for pose, twist in zip(poses.tolist(), twists.tolist(), strict=True)
         ]
-
-    def neighbors(self, robot: int) -> tuple[Neighbor, ...]:
-        """The robots within radio range; a radio senses neither distance nor direction."""
-        poses = self.poses()
-        apart = np.hypot(*(poses[:, :2] - poses[robot, :2]).T)
-        reach = math.inf if self.radio_range is None else self.radio_range
-        return tuple(
-            Neighbor(self.ids[i], 0.0)
-            for i in range(len(self.ids))
-            if i != robot and apart[i] <= reach
-        )
 
     def readings(self, robot: int) -> Mapping[str, float]:
         """What the scalar sensors on the robot's axle read, by name: the fields where it stands."""
@@ -175,10 +173,3 @@ class World:
     def remove(self, thing: str) -> None:
         """Take a movable box out of the arena; SwarmError if it is not in it."""
         self._things.remove(thing)
-
-
-def _relative(pose: Array, start: Array) -> Pose:
-    x, y = pose[:2] - start[:2]
-    cos, sin = math.cos(start[2]), math.sin(start[2])
-    yaw = (pose[2] - start[2] + math.pi) % (2.0 * math.pi) - math.pi
-    return Pose(float(cos * x + sin * y), float(cos * y - sin * x), float(yaw))

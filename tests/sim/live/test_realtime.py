@@ -12,12 +12,21 @@ import pytest
 import zenoh
 
 from swarmd.platforms import load_platform
-from swarmd.sensing import decode_odometry, decode_scan, encode_command
+from swarmd.sensing import (
+    decode_neighbors,
+    decode_odometry,
+    decode_readings,
+    decode_scan,
+    encode_command,
+)
 from swarmd.sim.live.link import WorldLink, dialling
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT, RealTimeWorld
 from swarmd.sim.live.recording import Record, RecordSettings
 from swarmd.sim.trace import load_trace
 from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.radio import Radio, RadioSettings
+from swarmd.sim.world.readings import Field, UniformField
+from swarmd.sim.world.realism import IDEAL, Actuation, LidarNoise, Realism
 from swarmd.sim.world.world import World
 from swarmd.values import Twist
 
@@ -28,14 +37,28 @@ IDS = ("a", "b")
 class Stage:
     """A world of two Burgers whose time moves only when told to."""
 
-    def __init__(self, settings: RecordSettings) -> None:
+    def __init__(
+        self,
+        settings: RecordSettings,
+        realism: Realism = IDEAL,
+        reach: float | None = None,
+        fields: tuple[Field, ...] = (),
+    ) -> None:
         self.now = 100.0
         platform = load_platform("burger")
         starts = np.array([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
-        self.world = World(dict.fromkeys(IDS, platform), Arena(6.0, 6.0), starts)
+        robots, arena = dict.fromkeys(IDS, platform), Arena(6.0, 6.0)
+        self.world = World(robots, arena, starts, realism=realism, fields=fields)
+        radio = RadioSettings(neighborhood="range", range=reach)
         self.link = WorldLink("s", IDS, "tcp/127.0.0.1:0", clock=lambda: self.now)
         self.record = Record(self.world, settings)
-        self.server = RealTimeWorld(self.world, self.link, self.record, clock=lambda: self.now)
+        self.server = RealTimeWorld(
+            self.world,
+            self.link,
+            self.record,
+            radio=None if reach is None else Radio(radio, IDS, arena, seed=0),
+            clock=lambda: self.now,
+        )
         config = zenoh.Config()
         options = {**dialling(self.link.endpoint), "scouting/multicast/enabled": False}
         for path, value in options.items():
@@ -180,6 +203,54 @@ def test_scans_and_odometry_come_at_their_rates_and_not_all_at_once(stage: Stage
         assert len(stamps[robot, "scan"]) == 25
         assert len(stamps[robot, "odometry"]) == 125
     assert not stamps["a", "scan"] & stamps["b", "scan"]
+
+
+def heard_by(stage: Stage, key: str) -> bytes:
+    """What comes on a key of robot a, with time going on until it does."""
+    came: list[bytes] = []
+    stage.peer.declare_subscriber(
+        f"swarm/s/a/hw/{key}", lambda s: came.append(s.payload.to_bytes())
+    )
+
+    def has_come() -> bool:
+        stage.pass_time(0.1)
+        return bool(came)
+
+    assert until(has_come)
+    return came[-1]
+
+
+@pytest.mark.parametrize(("reach", "heard"), [(1.5, []), (2.5, ["b"])])
+def test_a_robot_is_told_whom_its_radio_reaches(reach: float, heard: list[str]) -> None:
+    stage = Stage(RecordSettings(), reach=reach)
+    try:
+        neighbors = decode_neighbors(heard_by(stage, "neighbors"))
+    finally:
+        stage.close()
+    assert [neighbor.id for neighbor in neighbors] == heard
+    assert all(neighbor.distance is None for neighbor in neighbors)
+
+
+def test_a_robot_is_told_what_its_scalar_sensors_read() -> None:
+    stage = Stage(RecordSettings(), fields=(UniformField(name="light", value=0.5),))
+    try:
+        assert decode_readings(heard_by(stage, "readings")) == {"light": 0.5}
+    finally:
+        stage.close()
+
+
+def test_a_sweep_that_is_under_way_has_not_arrived() -> None:
+    stage = Stage(RecordSettings(), Realism(lidar=LidarNoise(latency=1.0), actuation=Actuation()))
+    try:
+        while stage.world._seq[0] == 0:
+            stage.pass_time(0.01)
+        taken = stage.world.time
+        assert stage.server._swept[0] == -1
+        while stage.server._swept[0] == -1:
+            stage.pass_time(0.01)
+        assert stage.world.time - taken == pytest.approx(0.2)
+    finally:
+        stage.close()
 
 
 def test_lost_time_is_given_up_after_a_freeze(stage: Stage) -> None:

@@ -184,14 +184,20 @@ def test_a_frozen_driver_stops_its_own_body_and_no_other_is_cut_off() -> None:
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_it_and_writes_the_trace(tmp_path: Path, number: signal.Signals) -> None:
     trace = tmp_path / "run.npz"
-    with world("--trace", str(trace), "--radio-range", "1.5") as (process, endpoint):
+    options = ("--trace", str(trace), "--radio-range", "1.5", "--realism", "realistic")
+    with world(*options) as (process, endpoint):
         with WorldView("s", endpoint) as view:
             reply = view.ask("poses")
         process.send_signal(number)
         assert process.wait(CAP) == 0
     assert reply.state.ids == ("a", "b")
     assert reply.state.poses[1][1] == pytest.approx(2.0)
-    assert len(load_trace(trace).t) > 0
+    run = load_trace(trace)
+    assert len(run.t) > 0
+    assert (run.meta["realism"], run.meta["arena"]) == ("realistic", "6x6")
+    assert (run.meta["radio"]["neighborhood"], run.meta["radio"]["range"]) == ("range", 1.5)
+    assert run.meta["v_max"] == {"waffle_pi": 0.26, "burger": 0.22}
+    assert run.meta["thresholds"] == {"waffle_pi": 0.5, "burger": 0.5}
 
 
 @pytest.mark.integration
@@ -233,8 +239,9 @@ async def _ended(pidfd: int) -> None:
         (("--robots", "a:burger,a:burger"), "'a' twice"),
         (("--robots", "a"), "wanted is such as tb3-01:waffle_pi"),
         ((*TWO, "--arena", "big"), "wanted is such as 6x6"),
-        ((*TWO[:2], "--layout", "row:0.1"), "robot 1 touches robot 0"),
+        ((*TWO[:2], "--layout", "row:0.1"), "robot 1 at (0, 0.05) touches robot 0"),
         ((*TWO, "--endpoint", "here"), "wanted is such as tcp/127.0.0.1:0"),
+        ((*TWO, "--radio-range", "-1"), "--radio-range: range is -1"),
     ],
 )
 def test_what_cannot_be_is_one_line_and_exit_code_2(

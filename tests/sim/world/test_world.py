@@ -10,6 +10,7 @@ import pytest
 from swarmd.errors import ConfigError
 from swarmd.platforms import load_platform, platform_names
 from swarmd.sim.world.arena import Arena, parse_arena
+from swarmd.sim.world.realism import IDEAL, REALISTIC, Realism
 from swarmd.sim.world.world import World
 from swarmd.values import Array, Platform
 
@@ -272,16 +273,60 @@ def test_scans_come_in_the_order_asked_for_in_a_mixed_swarm() -> None:
     np.testing.assert_array_equal(scans[0].ranges, world.scans(np.array([2]))[0].ranges)
 
 
-def test_radio_reaches_as_far_as_told_and_senses_no_place() -> None:
-    platform = load_platform("burger")
-    robots = {name: platform for name in "abc"}
-    starts = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
-    near = World(robots, FIELD, starts, radio_range=1.5)
-    everyone = World(robots, FIELD, starts)
-    assert [n.id for n in near.neighbors(0)] == ["b"]
-    assert [n.id for n in near.neighbors(2)] == []
-    assert [n.id for n in everyone.neighbors(1)] == ["a", "c"]
-    assert near.neighbors(0)[0].distance is None
+def test_without_realism_the_senses_are_exact_whatever_the_seed() -> None:
+    one, other = swarm(seed=1), swarm(seed=2)
+    np.testing.assert_array_equal(ranges_of(one), ranges_of(other))
+    np.testing.assert_array_equal(one.scan_latency, 0.0)
+
+
+def test_realistic_senses_are_wrong_by_chance_and_the_same_for_the_same_seed() -> None:
+    exact, first = swarm(), swarm(realism=REALISTIC, seed=1)
+    again, other = swarm(realism=REALISTIC, seed=1), swarm(realism=REALISTIC, seed=2)
+    measured = ranges_of(first)
+    hits = np.isfinite(ranges_of(exact)) & np.isfinite(measured) & (measured > 0.0)
+    assert hits.mean() > 0.5
+    off = measured[hits] - ranges_of(exact)[hits]
+    assert 0.005 < np.abs(off).mean() < 0.1
+    np.testing.assert_array_equal(measured, ranges_of(again))
+    assert (measured != ranges_of(other)).any()
+
+
+def test_what_a_sensor_gives_does_not_depend_on_which_others_sweep_with_it() -> None:
+    together, alone_each = swarm(realism=REALISTIC, seed=1), swarm(realism=REALISTIC, seed=1)
+    for _ in range(3):
+        together.step(20)
+        alone_each.step(20)
+        all_at_once = [scan.ranges for scan in together.scans(np.arange(5))]
+        for row in (3, 1, 4, 0, 2):
+            (scan,) = alone_each.scans(np.array([row]))
+            np.testing.assert_array_equal(scan.ranges, all_at_once[row])
+
+
+def test_realistic_sweeps_arrive_later_than_they_are_taken() -> None:
+    world = swarm(realism=REALISTIC)
+    np.testing.assert_allclose(world.scan_latency, REALISTIC.lidar.latency / 5.0)
+
+
+def test_realistic_bases_follow_late_and_slowly() -> None:
+    world = swarm(realism=REALISTIC)
+    world.set_commands(np.tile((0.2, 0.0, 0.0), (5, 1)))
+    delay = round(REALISTIC.actuation.delay / world.dt)
+    world.step(delay)
+    np.testing.assert_array_equal(world.twists()[:, 0], 0.0)
+    world.step(5)
+    np.testing.assert_allclose(world.twists()[:, 0], 0.05, atol=1e-6)
+
+
+def test_realistic_odometry_drifts_away_from_the_truth() -> None:
+    world = swarm(realism=REALISTIC, seed=3)
+    start = world.poses()
+    world.set_commands(np.tile((0.2, 0.3, 0.0), (5, 1)))
+    for _ in range(100):
+        world.step(5)
+        told = world.odometry()
+    off = np.array([o.pose.yaw for o in told]) - (world.poses() - start)[:, 2]
+    assert 1e-4 < np.abs(off).max() < 0.2
+    assert len({o.pose.x for o in told}) == 5
 
 
 def test_poses_that_are_handed_out_are_copies() -> None:
@@ -302,6 +347,18 @@ def test_a_platform_without_a_body_is_refused_with_the_key_that_is_missing() -> 
 def test_as_many_poses_as_robots_are_wanted() -> None:
     with pytest.raises(ConfigError, match="1 robots"):
         World({"a": load_platform("burger")}, FIELD, np.zeros((2, 3)))
+
+
+def swarm(realism: Realism = IDEAL, seed: int = 0) -> World:
+    """Five Waffle Pis in a row, between walls."""
+    robots = dict.fromkeys("abcde", load_platform("waffle_pi"))
+    starts = np.array([[-2.0 + x, 0.0, 0.5] for x in range(5)])
+    return World(robots, Arena(6.0, 6.0), starts, realism=realism, seed=seed)
+
+
+def ranges_of(world: World) -> Array:
+    rows = np.arange(len(world.ids))
+    return np.array([scan.ranges for scan in world.scans(rows)])
 
 
 def corners(world: World, robot: int) -> Array:
