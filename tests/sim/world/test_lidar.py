@@ -22,6 +22,10 @@ from swarmd.values import Array, ScanSpec
 
 OBSTACLES = "7x6,box:1:1:0.5:0.3:30,box:-2:-1:0.2:1.5:-75,pole:-2:2:0.1,pole:2:-2:0.3,pole:0:0:0.02"
 TIGHT = "4x4"
+MOVABLE = (
+    "6x6,segment:-1:-2:1.5:-1.2,segment:2:0:2:2.9,box/a:1:1:0.5:0.3:30:0.3,box:-2:-1:0.2:1.5:-75"
+    ",box/b:0:0:0.3:0.3:0:1,box/c:-1:1:0.8:0.1:10:0.5,box/late:0:0:1:1:0:1:out"
+)
 MIXED = ("burger", "waffle_pi", "jackal", "waffle_pi", "burger", "jackal", "burger")
 FIELD = Arena(20.0, 20.0)
 
@@ -36,6 +40,7 @@ def world_of(kinds: Sequence[str], arena: str, seed: int, visibility: Visibility
 
 def oracle(world: World, robot: int, visibility: Visibility) -> Array:
     """The ranges as mj_multiRay finds them, with the meaning of a range applied."""
+    mujoco.mj_kinematics(world.model, world.data)  # a step leaves it where the bodies were before
     platform = world.platforms[robot]
     spec = platform.scan
     x, y, yaw = world.poses()[robot]
@@ -71,6 +76,55 @@ def test_agrees_with_mujoco_to_a_nanometre(kinds: tuple[str, ...], visibility: V
         for robot, scan in zip(robots, world.scans(robots), strict=True):
             expected = oracle(world, int(robot), visibility)
             np.testing.assert_allclose(scan.ranges, expected, rtol=0.0, atol=1e-9)
+
+
+@pytest.mark.parametrize("visibility", ["body", "real"])
+def test_agrees_with_mujoco_about_boxes_that_were_pushed_and_inner_walls(
+    visibility: Visibility,
+) -> None:
+    compared = 0
+    for seed in range(4):
+        world = world_of(MIXED, MOVABLE, seed, visibility)
+        robots = np.arange(len(MIXED))
+        before = world.thing_poses()
+        for _ in range(3):
+            world.set_commands(np.tile((0.5, 0.2, 0.0), (len(MIXED), 1)))
+            world.data.qvel[3 * len(MIXED) : -3] = (1.0, -1.0, 2.0) * 3  # all but the one outside
+            world.step(150)
+            for robot, scan in zip(robots, world.scans(robots), strict=True):
+                expected = oracle(world, int(robot), visibility)
+                np.testing.assert_allclose(scan.ranges, expected, rtol=0.0, atol=1e-9)
+                compared += len(expected)
+        assert (np.abs(world.thing_poses() - before)[:3].max(axis=1) > 0.05).all()
+    assert compared > 10_000
+
+
+def test_a_sweep_is_the_same_whoever_else_is_swept_with_it() -> None:
+    for arena in (OBSTACLES, MOVABLE):
+        world = world_of(MIXED, arena, 3, "real")
+        together = [scan.ranges for scan in world.scans(np.arange(len(MIXED)))]
+        for robot, ranges in enumerate(together):
+            np.testing.assert_array_equal(world.scans(np.array([robot]))[0].ranges, ranges)
+
+
+def test_a_sweep_in_a_crowd_is_the_same_whoever_else_is_swept_with_it() -> None:
+    platform = load_platform("waffle_pi")
+    arena = Arena(12.0, 12.0)
+    starts = parse_layout("random:0.05", [platform.footprint] * 120, arena, seed=1)
+    world = World({f"r{i}": platform for i in range(120)}, arena, starts)
+    together = [scan.ranges for scan in world.scans(np.arange(120))]
+    for robot in range(0, 120, 7):
+        (scan,) = world.scans(np.array([robot]))
+        np.testing.assert_array_equal(scan.ranges, together[robot])
+        np.testing.assert_allclose(scan.ranges, oracle(world, robot, "body"), rtol=0.0, atol=1e-9)
+
+
+def test_a_segment_is_seen_from_both_sides() -> None:
+    platform = load_platform("waffle_pi")
+    starts = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, math.pi]])
+    world = World({"a": platform, "b": platform}, parse_arena("9x9,segment:0:-1:0:1"), starts)
+    for scan in world.scans(np.arange(2)):
+        assert scan.ranges[0] == pytest.approx(1.0 - 0.005 + 0.064, abs=1e-9)
 
 
 def test_the_worlds_compared_hold_hits_misses_and_near_things() -> None:
