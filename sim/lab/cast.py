@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from msgspec import json
 
 from swarmd.errors import ConfigError, unknown
 from swarmd.keys import check_id
-from swarmd.layered import Keys, Layered
+from swarmd.layered import Keys, Layered, dotted
 from swarmd.platforms import PlatformFile, platform_names, platform_of, platform_sources
 from swarmd.sim.lab.schema import GroupSection, ScenarioFile
 from swarmd.sim.world.radio import with_bearings
-from swarmd.sim.world.readings import with_readings
+from swarmd.sim.world.readings import Field, with_readings
 from swarmd.values import Platform
+from swarmd.yamlfile import Data
 
 ALL = "all"
 
@@ -28,7 +28,7 @@ class Cast:
     robots: Mapping[str, Platform]
     groups: Mapping[str, tuple[str, ...]]
     group_of: Mapping[str, str]
-    platform_files: Mapping[str, Mapping[str, Any]]
+    platform_files: Mapping[str, Data]
 
     def named(self, who: str) -> tuple[str, ...]:
         """The robots that a group, a robot's id or `all` stands for; none if it is unknown."""
@@ -42,7 +42,7 @@ class Cast:
         return (ALL, *self.groups, *self.robots)
 
 
-def cast_of(layers: Layered, file: ScenarioFile) -> Cast:
+def cast_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> Cast:
     """The robots of all groups; ConfigError for ids, groups and platforms that cannot be."""
     groups = {name: _ids(layers, name, group) for name, group in file.groups.items()}
     group_of: dict[str, str] = {}
@@ -55,14 +55,13 @@ def cast_of(layers: Layered, file: ScenarioFile) -> Cast:
     if ALL in groups and len(groups) > 1:
         text = "groups.all does not hold all robots, which events call `all`; name it otherwise"
         raise layers.error(("groups", ALL), text)
-    files = _platform_files(layers, file)
-    platforms = {
-        name: _sensing(platform_of(name, Layered((name, data))), file)
-        for name, data in files.items()
+    platforms = _platforms(layers, file)
+    sensing = {name: _sensing(item, file, fields) for name, (item, _) in platforms.items()}
+    robots = {
+        robot: sensing[platform_name(file.groups[group].platform)]
+        for robot, group in group_of.items()
     }
-    names = {name: platform_name(group.platform) for name, group in file.groups.items()}
-    robots = {robot: platforms[names[group]] for robot, group in group_of.items()}
-    return Cast(robots, groups, group_of, files)
+    return Cast(robots, groups, group_of, {name: data for name, (_, data) in platforms.items()})
 
 
 def platform_name(text: str) -> str:
@@ -112,60 +111,46 @@ def _check_id(layers: Layered, keys: Keys, value: str, what: str) -> None:
         raise layers.error(keys, str(error)) from error
 
 
-def _sensing(platform: Platform, file: ScenarioFile) -> Platform:
+def _sensing(platform: Platform, file: ScenarioFile, fields: Sequence[Field]) -> Platform:
     """The platform with what the scenario lets it sense."""
     heard = replace(platform, provides=platform.provides | {"neighbors"})
     if file.radio.range_and_bearing:
         heard = with_bearings(heard)
-    return with_readings(heard, file.fields)
+    return with_readings(heard, fields)
 
 
-def _platform_files(layers: Layered, file: ScenarioFile) -> dict[str, Mapping[str, Any]]:
-    """The complete content of every platform that a group has."""
-    origins: dict[str, str] = {}
-    files: dict[str, Mapping[str, Any]] = {}
+def _platforms(layers: Layered, file: ScenarioFile) -> dict[str, tuple[Platform, Data]]:
+    """Every platform that a group has, by name, with its complete content."""
+    wanted: dict[str, str] = {}
     for group, section in file.groups.items():
-        name = platform_name(section.platform)
-        if origins.setdefault(name, section.platform) != section.platform:
-            text = f"groups.{group}.platform is {section.platform}, and there is {origins[name]}"
-            raise layers.error(
-                ("groups", group, "platform"), f"{text}; give one of the files another name"
-            )
-        if name not in files:
-            keys = ("groups", group, "platform")
-            files[name] = _platform_file(layers, file, keys, section.platform)
-    unused = [name for name in file.platforms if name not in files]
-    for name in unused:
-        _platform_file(layers, file, ("platforms", name), name)
-    return files
+        name, keys = platform_name(section.platform), ("groups", group, "platform")
+        known = (*platform_names(), *file.platforms)
+        if name == section.platform and name not in known:
+            raise layers.error(keys, f"{dotted(keys)}: {unknown('platform', name, known)}")
+        if wanted.setdefault(name, section.platform) != section.platform:
+            text = f"{dotted(keys)} is {section.platform}, but another group has {wanted[name]}"
+            raise layers.error(keys, f"{text}; give one of the two another name")
+    found = {name: _platform(layers, file, text) for name, text in wanted.items()}
+    for name in file.platforms:
+        if name not in found:
+            _platform(layers, file, name)
+    return found
 
 
-def _platform_file(
-    layers: Layered, file: ScenarioFile, keys: Keys, wanted: str
-) -> Mapping[str, Any]:
+def _platform(layers: Layered, file: ScenarioFile, wanted: str) -> tuple[Platform, Data]:
     name = platform_name(wanted)
-    own = file.platforms.get(name)
-    where = layers.error(("platforms", name), f"platforms.{name}")
-    sources = [] if own is None else [(str(where), own)]
-    base = wanted if own is None else own.get("extends", wanted)
+    keys = ("platforms", name)
+    sources: list[tuple[str, Data]] = []
+    base: object = wanted
+    if name in file.platforms:
+        own = file.platforms[name]
+        sources = [(str(layers.error(keys, dotted(keys))), own)]
+        base = own.get("extends", wanted)
     try:
-        if own is not None and "extends" not in own and not _is_there(wanted):
-            known = unknown("platform", name, platform_names())
-            raise ConfigError(f"{known} (or name one that it extends)")
-        if isinstance(base, str):
-            sources += platform_sources(base)
+        sources += platform_sources(base) if isinstance(base, str) else ()
     except ConfigError as error:
-        place = "groups" if keys[0] == "groups" else "platforms"
-        key = ".".join(map(str, keys))
-        if place == "groups" and own is None and file.platforms:
-            known = unknown("platform", name, (*platform_names(), *file.platforms))
-            raise layers.error(keys, f"{key}: {known}") from error
-        raise layers.error(keys, f"{key}: {error}") from error
+        raise layers.error(keys, f"{dotted(keys)}: {error}") from error
     whole = Layered(*sources)
-    platform_of(name, whole)
+    platform = platform_of(name, whole)
     plain = json.decode(json.encode(whole.build(PlatformFile)))
-    return {**plain, "extends": None}
-
-
-def _is_there(wanted: str) -> bool:
-    return wanted.endswith(".yaml") or wanted in platform_names()
+    return platform, {**plain, "extends": None}

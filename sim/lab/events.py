@@ -10,6 +10,7 @@ from swarmd.errors import ConfigError, unknown
 from swarmd.layered import Keys, Layered
 from swarmd.sim.lab.cast import ALL, Cast
 from swarmd.sim.lab.scenario import Action, Event
+from swarmd.sim.lab.scenery import check_inside
 from swarmd.sim.lab.schema import EventSection, ScenarioFile, Values, Who
 
 MEMBERSHIP: tuple[Action, ...] = ("join", "leave", "kill")
@@ -54,7 +55,7 @@ def script_of(layers: Layered, file: ScenarioFile, cast: Cast) -> Script:
     read = [_read(layers, file, cast, index) for index in range(len(file.events))]
     order = sorted(range(len(read)), key=lambda index: read[index].at)
     absent = _absent([read[index] for index in order])
-    walk = _Walk(layers, cast, absent)
+    walk = _Walk(layers, file, cast, absent)
     events = [*_beginning(file, cast, absent, walk)]
     events += [walk.checked(index, read[index], file.events[index]) for index in order]
     return Script(tuple(events), absent, tuple(walk.rehearsals))
@@ -97,6 +98,7 @@ def _read(layers: Layered, file: ScenarioFile, cast: Cast, index: int) -> Event:
             return Event(at=section.at, action=action, thing=thing)
         if pose is None:
             raise layers.error(keys, f"events[{index}].pose is missing; wanted [x, y, degrees]")
+        check_inside(layers, file.arena, (*keys, "pose"), pose[:2])
         pose = (pose[0], pose[1], math.radians(pose[2]))
         return Event(at=section.at, action=action, thing=thing, pose=pose)
     who = getattr(section, action) if action in _TO_ROBOTS else section.who
@@ -148,8 +150,11 @@ def _robots(layers: Layered, cast: Cast, keys: Keys, who: Who | None) -> tuple[s
 class _Walk:
     """Goes through the events in order of time and knows what each robot is doing."""
 
-    def __init__(self, layers: Layered, cast: Cast, absent: frozenset[str]) -> None:
+    def __init__(
+        self, layers: Layered, file: ScenarioFile, cast: Cast, absent: frozenset[str]
+    ) -> None:
         self._layers = layers
+        self._things = {box.name for box in file.arena.boxes if box.at is not None}
         self._robots = {robot: _Robot(is_there=robot not in absent) for robot in cast.robots}
         self.rehearsals: list[Rehearsal] = []
 
@@ -157,6 +162,7 @@ class _Walk:
         """The event with only the robots that are there; ConfigError if it cannot be."""
         keys = ("events", index, event.action)
         if event.action in ("place", "remove"):
+            self._put_or_take(keys, event)
             return event
         if event.action in MEMBERSHIP:
             self._come_or_go(keys, event)
@@ -205,6 +211,14 @@ class _Walk:
                 raise self._error(keys, f"{robot} runs nothing at {event.at:g} s; run a pattern")
             state.parameters = {**state.parameters, **event.parameters}
             self.rehearsals.append(Rehearsal(keys, robot, state.pattern, state.parameters))
+
+    def _put_or_take(self, keys: Keys, event: Event) -> None:
+        if event.action == "place":
+            self._things.add(event.thing)
+        elif event.thing in self._things:
+            self._things.remove(event.thing)
+        else:
+            raise self._error(keys, f"{event.thing} is not in the arena at {event.at:g} s")
 
     def _come_or_go(self, keys: Keys, event: Event) -> None:
         is_joining = event.action == "join"

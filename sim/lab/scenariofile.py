@@ -6,8 +6,7 @@ of it in plain values, platforms included, from which the same scenario can be m
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -22,9 +21,11 @@ from swarmd.sim.lab.events import script_of
 from swarmd.sim.lab.overrides import SOURCE, nested, parse_override
 from swarmd.sim.lab.rehearsal import ConfiguredParameters, rehearse
 from swarmd.sim.lab.scenario import Scenario
-from swarmd.sim.lab.schema import ArenaSection, BoxSection, ScenarioFile
-from swarmd.sim.lab.starts import Starts, part_of
-from swarmd.sim.world.arena import Arena, Box, Pole, Segment
+from swarmd.sim.lab.scenery import arena_of, check_air, fields_of
+from swarmd.sim.lab.schema import ScenarioFile
+from swarmd.sim.lab.starts import Starts, part_of, without_stale
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.readings import Field
 from swarmd.sim.world.realism import realism_of
 from swarmd.yamlfile import Data, read, shown
 
@@ -45,7 +46,7 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
     path = _find(str(name), Path())
     sources = tuple(_chain(path))
     over = nested(overrides or {}, Layered(*sources).data)
-    return _built(Layered((SOURCE, over), *sources), path.stem)
+    return _built(Layered(*without_stale(((SOURCE, over), *sources))), path.stem)
 
 
 def scenario_of(effective: Mapping[str, Any]) -> Scenario:
@@ -102,8 +103,9 @@ def _anchored(data: Data, folder: Path) -> Data:
 
 def _built(layers: Layered, name: str) -> Scenario:
     file = layers.build(ScenarioFile)
-    cast = cast_of(layers, file)
-    arena = _arena(layers, file.arena)
+    arena, fields = arena_of(layers, file.arena), fields_of(layers, file.fields)
+    check_air(layers, file.radio)
+    cast = cast_of(layers, file, fields)
     starts = _starts(layers, file, cast, arena)
     script = script_of(layers, file, cast)
     configured = ConfiguredParameters(file, cast)
@@ -118,7 +120,7 @@ def _built(layers: Layered, name: str) -> Scenario:
         groups=cast.groups,
         starts=starts,
         arena=arena,
-        fields=tuple(file.fields),
+        fields=fields,
         realism=realism_of(file.realism, where),
         visibility=file.lidar_visibility,
         radio=file.radio,
@@ -127,12 +129,12 @@ def _built(layers: Layered, name: str) -> Scenario:
         absent=script.absent,
         trace_rate=file.trace_rate,
         plugin_dir=plugin_dir,
-        effective=_effective(file, name, cast, plugin_dir),
+        effective=_effective(file, name, cast, fields, plugin_dir),
     )
 
 
 def _effective(
-    file: ScenarioFile, name: str, cast: Cast, plugin_dir: Path | None
+    file: ScenarioFile, name: str, cast: Cast, fields: Sequence[Field], plugin_dir: Path | None
 ) -> Mapping[str, Any]:
     data: Data = json.decode(json.encode(file))
     for group in data["groups"].values():
@@ -140,6 +142,7 @@ def _effective(
     whole = {
         "name": file.name or name,
         "platforms": deepcopy(dict(cast.platform_files)),
+        "fields": json.decode(json.encode(fields)),
         "plugin_dir": None if plugin_dir is None else str(plugin_dir),
     }
     return {**data, **whole}
@@ -161,21 +164,3 @@ def _starts(layers: Layered, file: ScenarioFile, cast: Cast, arena: Arena) -> St
     if not starts.is_seeded:
         starts(0)
     return starts
-
-
-def _arena(layers: Layered, section: ArenaSection) -> Arena:
-    try:
-        return Arena(
-            *section.size,
-            boxes=tuple(_box(box) for box in section.boxes),
-            poles=tuple(Pole(*pole.at, pole.radius) for pole in section.poles),
-            segments=tuple(Segment(*wall.start, *wall.end) for wall in section.segments),
-        )
-    except ConfigError as error:
-        raise layers.error(("arena",), f"arena: {error}") from error
-
-
-def _box(box: BoxSection) -> Box:
-    yaw = math.radians(box.yaw_deg)
-    is_placed = box.at is not None
-    return Box(*(box.at or (0.0, 0.0)), *box.size, yaw, box.name, box.mass, is_placed)

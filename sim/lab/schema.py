@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, field
 
 from swarmd.messages import Scalar
 from swarmd.sim.world.radio import RadioSettings
-from swarmd.sim.world.readings import Field
 
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
 Size = Annotated[float, Meta(ge=0.01, le=10_000.0)]
@@ -42,13 +41,11 @@ class PoleSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     radius: Size
 
 
-class SegmentSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={
-    "start": "from", "end": "to"
-}):  # fmt: skip
-    """A thin inner wall."""
+class SegmentSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A thin inner wall, `from` a point `to` another."""
 
-    start: Point
-    end: Point
+    start: Point = field(name="from")
+    end: Point = field(name="to")
 
 
 class ArenaSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -90,9 +87,7 @@ class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     parameters: Values = {}
 
 
-class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, rename={
-    "seconds": "for"
-}):  # fmt: skip
+class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What happens `at` a time: exactly one of the actions of `events.ACTIONS`.
 
     stop, estop, reset, join, leave and kill name robots, a group or `all`; run names a pattern,
@@ -112,7 +107,7 @@ class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     remove: str | None = None
     who: Who | None = None
     parameters: Values | None = None
-    seconds: Seconds | None = None
+    seconds: Seconds | None = field(default=None, name="for")
     pose: Placed | None = None
 
 
@@ -132,7 +127,7 @@ class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     realism: str | dict[str, Any] = "realistic"
     radio: RadioSettings = RadioSettings()
     arena: ArenaSection = ArenaSection()
-    fields: list[Field] = []
+    fields: list[dict[str, Any]] = []
     platforms: dict[str, dict[str, Any]] = {}
     groups: dict[str, GroupSection]
     start: StartSection = StartSection()

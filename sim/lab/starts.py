@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.layouts import REGULAR, Floor, chain, moved, scatter
 from swarmd.sim.world.seeding import generator
 from swarmd.values import Array
+from swarmd.yamlfile import Data
 
 _TURNABLE = ("center", "heading_deg")
 KEYS: Mapping[str, tuple[str, ...]] = {
@@ -72,6 +74,35 @@ class Starts:
 def layout_of(start: StartSection) -> str:
     """The layout, or what it is for want of a word."""
     return start.layout or ("grid" if start.poses is None else "list")
+
+
+def without_stale(sources: Iterable[tuple[str, Data]]) -> list[tuple[str, Data]]:
+    """The sources, strongest first, each without keys that a stronger one's layout has no use for.
+
+    So a file can change the layout of one it extends and need not take back what that had.
+    """
+    kept: list[tuple[str, Data]] = []
+    layouts: dict[str, str] = {}
+    for source, data in sources:
+        data = deepcopy(data)
+        for key, start in _sections(data):
+            if key in layouts:
+                wanted = KEYS.get(layouts[key], tuple(start))
+                for name in [name for name in start if name not in wanted]:
+                    del start[name]
+            elif start.get("layout") is not None or start.get("poses") is not None:
+                layouts[key] = str(start.get("layout") or "list")
+        kept.append((source, data))
+    return kept
+
+
+def _sections(data: Data) -> Iterator[tuple[str, Data]]:
+    """Whatever stands under `start`, by group; that for the whole swarm by an empty name."""
+    groups = data.get("groups")
+    holders = [("", data), *(groups.items() if isinstance(groups, dict) else ())]
+    for name, holder in holders:
+        if isinstance(holder, dict) and isinstance(holder.get("start"), dict):
+            yield name, holder["start"]
 
 
 def part_of(layers: Layered, keys: Keys, start: StartSection, rows: Sequence[int]) -> Part:
