@@ -79,7 +79,8 @@ class Timeline:
 
     def _request(self, event: Event, shell: Shell, now: float) -> Request:
         robot = shell.robot
-        is_for_all = len(event.robots) == len(self._rows)
+        there = [shell.robot.id for shell in self._swarm.shells if shell is not None]
+        is_for_all = all(robot in event.robots for robot in there)
         arguments: Mapping[str, Callable[[], dict[str, Any]]] = {
             "run": lambda: {
                 "pattern": event.pattern,
