@@ -1,0 +1,332 @@
+"""`swarmctl exp`: a scenario over many seeds, with statistics, again and compared."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from swarmd.cli.console import Console
+from swarmd.cli.output import print_json, print_table, warn
+from swarmd.errors import ConfigError, SwarmError
+from swarmd.sim.cli.options import need
+
+if TYPE_CHECKING:
+    from swarmd.sim.lab.compare import Difference, Side
+    from swarmd.sim.lab.manifest import Manifest
+    from swarmd.sim.lab.results import Results
+
+FAILED, PARTIAL = 1, 3  # as swarmctl has them: of all runs, and of some
+MAX_PROCESSES = 256
+_FAILURES_SHOWN = 5
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+_output = click.option(
+    "-o", "--output", type=click.Choice(["table", "json"]), help="Form of the answer [table]."
+)
+_metrics = click.option(
+    "--metrics", metavar="A,B,..", help="Show these metrics alone; see `swarmctl exp metrics`."
+)
+_processes = click.option(
+    "-j",
+    "--jobs",
+    type=click.IntRange(1, MAX_PROCESSES),
+    default=1,
+    show_default=True,
+    help="Runs at a time, each in a process of its own; the results are the same.",
+)
+_folder = click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+
+
+def _out(text: str) -> Callable[[Function], Function]:
+    kind: click.Path[Path] = click.Path(file_okay=False, path_type=Path)
+    return click.option("--out", type=kind, metavar="DIR", help=text)
+
+
+@click.group()
+def exp() -> None:
+    """Experiments: a scenario over many seeds, with statistics."""
+
+
+@exp.command()
+@click.argument("scenario")
+@click.option(
+    "--seeds",
+    default="20",
+    show_default=True,
+    metavar="SEEDS",
+    help="How many, from 0 on; or which: 500-519, or 3,5,9.",
+)
+@click.option(
+    "--set",
+    "sets",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="A value above the scenario's, such as groups.all.count=5; may be repeated.",
+)
+@click.option(
+    "--sweep",
+    "sweeps",
+    multiple=True,
+    metavar="KEY=A,B,..",
+    help="Values to try one after the other; repeated, every combination is tried.",
+)
+@_processes
+@_out("Where results go; there, an interrupted sweep goes on [experiments/SCENARIO-N].")
+@click.option("--no-traces", is_flag=True, help="Keep metrics alone; there is less to plot.")
+@_metrics
+@_output
+@click.pass_context
+def run(
+    ctx: click.Context,
+    scenario: str,
+    seeds: str,
+    sets: tuple[str, ...],
+    sweeps: tuple[str, ...],
+    jobs: int,
+    out: Path | None,
+    no_traces: bool,
+    metrics: str | None,
+    output: str | None,
+) -> None:
+    """Run SCENARIO, a name of `exp list` or a YAML file, once for each seed.
+
+    Exit code 0 if every run came to its end, 3 if some failed, 1 if all did.
+    """
+    need("mujoco")
+    from swarmd.sim.lab.experiments import plan_of
+    from swarmd.sim.lab.manifest import manifest_of
+    from swarmd.sim.lab.words import read_seeds, read_sets, read_sweeps
+
+    names = _chosen(metrics)
+    plan = plan_of(scenario, read_seeds(seeds), read_sets(sets), read_sweeps(sweeps))
+    folder = out or next_folder(Path("experiments"), Path(scenario).stem)
+    command = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]
+    command += [word for value in sets for word in ("--set", value)]
+    command += [word for value in sweeps for word in ("--sweep", value)]
+    command += ["--jobs", str(jobs), "--out", str(folder), *(["--no-traces"] * no_traces)]
+    manifest = manifest_of(plan, traces=not no_traces, command=command)
+    results = _conducted(manifest, folder, jobs)
+    _tell(results, names, _is_json(ctx, output))
+    warn(f"results: {folder}/ (to see them: swarmctl exp plot {shlex.quote(str(folder))})")
+    ctx.exit(_exit_code(results))
+
+
+@exp.command()
+@_folder
+@_out("Where the new results go; without it they are compared and gone.")
+@_processes
+@_output
+@click.pass_context
+def rerun(
+    ctx: click.Context, folder: Path, out: Path | None, jobs: int, output: str | None
+) -> None:
+    """Make the experiment in DIR again from its manifest, and say which runs came out the same.
+
+    Exit code 0 if all are the same to the last bit, 3 if some are not, 1 if none is.
+    """
+    need("mujoco")
+    from swarmd.sim.cli.progress import progress
+    from swarmd.sim.lab import rerun as again
+
+    for line in again.warnings(folder):
+        warn(f"warning: {line}; results may differ")
+    with again.place(out) as place, progress() as on_progress:
+        matches = again.rerun(folder, place, jobs, on_progress)
+    if _is_json(ctx, output):
+        listed = [{"run": m.run, "identical": m.is_identical, "why": m.why} for m in matches]
+        print_json("Rerun", {"folder": str(folder), "runs": listed})
+    else:
+        rows = [(m.run, "identical" if m.is_identical else f"differs: {m.why}") for m in matches]
+        print_table(("RUN", "RESULT"), rows)
+    same = sum(m.is_identical for m in matches)
+    warn(f"{same} of {len(matches)} runs are identical")
+    ctx.exit(0 if same == len(matches) else PARTIAL if same else FAILED)
+
+
+@exp.command()
+@click.argument("a")
+@click.argument("b")
+@_metrics
+@_output
+@click.pass_context
+def compare(ctx: click.Context, a: str, b: str, metrics: str | None, output: str | None) -> None:
+    """Which metrics differ between the experiments A and B: DIR, or DIR:VARIANT of a sweep.
+
+    A metric differs if the 95 % interval of the difference of means excludes 0.
+    """
+    from swarmd.sim.lab import compare as comparing
+
+    names = _chosen(metrics)
+    found = [(*pair, comparing.compare(*pair, names)) for pair in comparing.sides(a, b)]
+    if _is_json(ctx, output):
+        documents = [comparing.document(*one) for one in found]
+        print_json("Comparison", {"comparisons": documents})
+        return
+    for left, right, differences in found:
+        _tell_differences(left, right, differences)
+
+
+@exp.command()
+@_folder
+@_metrics
+@_output
+@click.pass_context
+def show(ctx: click.Context, folder: Path, metrics: str | None, output: str | None) -> None:
+    """The statistics of the experiment in DIR, also of one that was interrupted."""
+    from swarmd.sim.lab.results import load_results
+
+    _tell(load_results(folder), _chosen(metrics), _is_json(ctx, output))
+
+
+@exp.command()
+@_folder
+@_out("Where the pictures go [DIR/plots].")
+def plot(folder: Path, out: Path | None) -> None:
+    """Draw the experiment in DIR: trajectories, start and end, metrics over time."""
+    need("matplotlib")
+    from swarmd.sim.plots.experiment import draw_experiment
+
+    for path in draw_experiment(folder, out):
+        click.echo(str(path))
+
+
+@exp.command("list")
+@_output
+@click.pass_context
+def list_scenarios(ctx: click.Context, output: str | None) -> None:
+    """The scenarios that come with swarmd."""
+    need("mujoco")
+    from swarmd.sim.lab.scenariofile import scenario_names
+
+    found = [_described(name) for name in scenario_names()]
+    if _is_json(ctx, output):
+        print_json("Scenarios", {"scenarios": found})
+        return
+    rows = [
+        (one["name"], str(one["robots"]), f"{one['duration']:g} s", one["description"])
+        if not one["error"]
+        else (one["name"], "-", "-", f"cannot be run: {one['error']}")
+        for one in found
+    ]
+    print_table(("NAME", "ROBOTS", "DURATION", "DESCRIPTION"), rows)
+
+
+@exp.command("metrics")
+@_output
+@click.pass_context
+def list_metrics(ctx: click.Context, output: str | None) -> None:
+    """The metrics that every run is measured by."""
+    from swarmd.sim.metrics.catalog import METRICS
+
+    if _is_json(ctx, output):
+        listed = [
+            {"name": m.name, "unit": m.unit, "better": m.better, "meaning": m.meaning,
+             "source": m.source}
+            for m in METRICS.values()
+        ]  # fmt: skip
+        print_json("Metrics", {"metrics": listed})
+        return
+    rows = [(m.name, m.unit or "-", m.better or "-", m.meaning, m.source) for m in METRICS.values()]
+    print_table(("NAME", "UNIT", "BETTER", "MEANING", "SOURCE"), rows)
+
+
+def _described(name: str) -> dict[str, Any]:
+    """A scenario as it is listed, also one that needs what is not installed."""
+    from swarmd.sim.lab.scenariofile import load_scenario
+
+    about = {"name": name, "description": "", "robots": None, "duration": None, "error": ""}
+    try:
+        scenario = load_scenario(name)
+    except SwarmError as error:
+        return {**about, "error": str(error)}
+    text = " ".join(scenario.description.split())
+    numbers = {"robots": len(scenario.robots), "duration": scenario.duration}
+    return {**about, **numbers, "description": text}
+
+
+def next_folder(base: Path, stem: str) -> Path:
+    """`base/stem-N` with the lowest number above all that are there; nothing is made."""
+    taken = [path.name.rpartition("-")[2] for path in base.glob(f"{stem}-*")]
+    return base / f"{stem}-{max((int(n) for n in taken if n.isdecimal()), default=0) + 1}"
+
+
+def _conducted(manifest: Manifest, folder: Path, processes: int) -> Results:
+    """All runs done; on Ctrl-C a line says how to go on."""
+    from swarmd.sim.cli.progress import progress
+    from swarmd.sim.lab.experiments import conduct
+
+    total = len(manifest.plan.runs)
+    try:
+        with progress() as on_progress:
+            return conduct(manifest, folder, processes, on_progress=on_progress)
+    except KeyboardInterrupt:
+        from swarmd.sim.lab.results import load_results
+
+        done = len(load_results(folder).rows)
+        warn(f"{done} of {total} runs are kept; to go on: {shlex.join(manifest.command)}")
+        raise
+
+
+def _tell(results: Results, names: Sequence[str] | None, is_json: bool) -> None:
+    """Statistics on stdout, failures on stderr."""
+    from swarmd.sim.lab.report import HEADER, summary_rows
+
+    if is_json:
+        print_json("ExperimentSummary", {**results.document(names), "folder": str(results.folder)})
+    else:
+        total, failed = len(results.plan.runs), len(results.failures)
+        lost = f", {failed} failed" if failed else ""
+        click.echo(f"{results.plan.scenario}: {len(results.runs)} of {total} runs{lost}")
+        for variant in results.variants:
+            click.echo(f"\n{variant}" if variant else "")
+            print_table(HEADER, summary_rows(results.summary(variant, names)))
+    for name, reason in list(results.failures.items())[:_FAILURES_SHOWN]:
+        warn(f"failed: {name}: {reason}")
+    more = len(results.failures) - _FAILURES_SHOWN
+    if more > 0:
+        warn(f"and {more} more; see {results.folder}/failures.json")
+
+
+def _tell_differences(a: Side, b: Side, differences: Sequence[Difference]) -> None:
+    from swarmd.sim.lab.compare import by_chance
+    from swarmd.sim.lab.report import interval, number
+
+    is_paired = any(one.is_paired for one in differences)
+    click.echo(f"A: {a.label}\nB: {b.label}")
+    click.echo(f"{'paired by seed' if is_paired else 'independent samples'}, 95 % bootstrap\n")
+    rows = [
+        (d.metric, d.unit or "-", number(d.mean_a), number(d.mean_b), number(d.difference),
+         interval(d.interval), d.verdict)
+        for d in differences
+    ]  # fmt: skip
+    print_table(("METRIC", "UNIT", "MEAN A", "MEAN B", "B - A", "95 %", "VERDICT"), rows)
+    count = sum(one.differs for one in differences)
+    click.echo(f"\n{count} of {len(differences)} metrics differ", nl=False)
+    click.echo(f"; {by_chance(differences):.2g} would by chance if nothing did\n")
+
+
+def _chosen(metrics: str | None) -> tuple[str, ...] | None:
+    """The metrics of --metrics; ConfigError with the nearest name for one that is none."""
+    if metrics is None:
+        return None
+    from swarmd.sim.metrics.catalog import metric_of
+
+    names = tuple(dict.fromkeys(name.strip() for name in metrics.split(",") if name.strip()))
+    if not names:
+        raise ConfigError("--metrics names none; see `swarmctl exp metrics`")
+    return tuple(metric_of(name).name for name in names)
+
+
+def _is_json(ctx: click.Context, output: str | None) -> bool:
+    return (output or (ctx.find_object(Console) or Console()).output) == "json"
+
+
+def _exit_code(results: Results) -> int:
+    if not results.failures:
+        return 0
+    return PARTIAL if results.runs else FAILED

@@ -1,0 +1,170 @@
+"""Experiments from Python: a scenario, over seeds, with statistics.
+
+::
+
+    from swarmd.sim.lab.experiments import simulate
+    results = simulate("aggregation", seeds=20)
+    print(results)
+
+The same as `swarmctl exp run`, with the same results to the last bit.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import weakref
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import Any
+
+from swarmd.errors import ConfigError, SwarmError
+from swarmd.layered import Layered
+from swarmd.sim.lab.job import Job, Outcome, perform
+from swarmd.sim.lab.manifest import Manifest, manifest_of, plain
+from swarmd.sim.lab.overrides import nested
+from swarmd.sim.lab.plan import Plan, Run, make_plan
+from swarmd.sim.lab.pool import outcomes
+from swarmd.sim.lab.results import Results
+from swarmd.sim.lab.scenario import Scenario
+from swarmd.sim.lab.scenariofile import load_scenario, scenario_of
+from swarmd.sim.lab.store import Store, open_store
+from swarmd.sim.metrics.catalog import METRICS
+
+OnProgress = Callable[[int, int, int], None]
+"""Told after each run: how many are done, of how many, and how many of them failed."""
+
+
+def simulate(
+    scenario: str | Path | Scenario,
+    seeds: int | Iterable[int] = 20,
+    *,
+    set: Mapping[str, Any] | None = None,
+    sweep: Mapping[str, Sequence[Any]] | None = None,
+    jobs: int = 1,
+    out: str | Path | None = None,
+    traces: bool = True,
+) -> Results:
+    """Run a scenario once for each seed (a number n means 0 to n - 1), and measure every run.
+
+    `set` and `sweep` are by dotted key of the scenario's file: `{"groups.all.count": 5}`, and
+    `{"groups.all.parameters.law": ["ours", "paper"]}` for every combination. With `jobs` above 1
+    runs are done by as many processes, from scripts and notebooks alike; with 1 in this one. The
+    results are the same, bit by bit. `out` is a folder as `swarmctl exp` makes and reads them,
+    where an interrupted call goes on if it is made again; without it, results last as long as
+    this process needs them.
+
+    ConfigError before anything runs if scenario, seeds or overrides cannot be. Runs that fail are
+    in `failures` of the results; SwarmError if all of them did.
+    """
+    if jobs < 1:
+        raise ConfigError(f"jobs is {jobs}; wanted 1 or more")
+    plan = plan_of(scenario, range(seeds) if isinstance(seeds, int) else seeds, set, sweep)
+    manifest = manifest_of(plan, traces=traces, command=[])
+    folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
+    try:
+        results = conduct(manifest, folder, jobs, is_here=jobs == 1)
+    except BaseException:
+        if out is None:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+    if out is None:
+        weakref.finalize(results, shutil.rmtree, folder, ignore_errors=True)
+    if results.failures and not results.rows:
+        run, reason = next(iter(results.failures.items()))
+        raise SwarmError(f"all {len(results.failures)} runs failed; the first, {run}: {reason}")
+    return results
+
+
+def plan_of(
+    scenario: str | Path | Scenario,
+    seeds: Iterable[int],
+    set: Mapping[str, Any] | None = None,
+    sweep: Mapping[str, Sequence[Any]] | None = None,
+) -> Plan:
+    """The plan of an experiment, every variant of the scenario checked, start poses included."""
+    name = scenario.name if isinstance(scenario, Scenario) else str(scenario)
+    first = tuple(seeds)
+
+    def effective(overrides: Mapping[str, Any]) -> Mapping[str, Any]:
+        found = _overridden(scenario, overrides)
+        found.starts(first[0])
+        return plain(found.effective)
+
+    return make_plan(name, first, set or {}, sweep or {}, effective)
+
+
+def conduct(
+    manifest: Manifest,
+    folder: Path,
+    processes: int,
+    *,
+    is_here: bool = False,
+    on_progress: OnProgress | None = None,
+) -> Results:
+    """Do all runs of a manifest that its folder does not have yet, and sum up.
+
+    In this process alone if `is_here`. Whatever ends it early, what was finished stays in the
+    folder and can be read. SwarmError if the folder cannot be used or its disk is full.
+    """
+    with open_store(folder, manifest, tuple(METRICS)) as store:
+        try:
+            _run_missing(store, processes, is_here, on_progress)
+        except BaseException:
+            with suppress(SwarmError, OSError):  # what has ended it is what is to be told
+                store.close(_results(store).document())
+            raise
+        results = _results(store)
+        store.close(results.document())
+        return results
+
+
+def _run_missing(
+    store: Store, processes: int, is_here: bool, on_progress: OnProgress | None
+) -> None:
+    runs = {run.id: run for run in store.missing}
+    jobs = [
+        Job(run.id, run.variant.effective, run.seed, store.trace_of(run)) for run in runs.values()
+    ]
+    total = len(store.plan.runs)
+    with closing(_here(jobs) if is_here else outcomes(jobs, processes)) as found:
+        if on_progress is not None:
+            on_progress(len(store.rows), total, 0)
+        for outcome in found:
+            _keep(store, runs[outcome.run], outcome)
+            if on_progress is not None:
+                failed = len(store.failures)
+                on_progress(len(store.rows) + failed, total, failed)
+
+
+def _here(jobs: Iterable[Job]) -> Generator[Outcome, None, None]:
+    for job in jobs:
+        yield perform(job)
+
+
+def _keep(store: Store, run: Run, outcome: Outcome) -> None:
+    if outcome.obstacle:
+        text = f"{outcome.obstacle}; {len(store.rows)} finished runs are kept"
+        raise SwarmError(f"{text}: make room and give the same command again")
+    if outcome.metrics is None:
+        store.fail(run, outcome.reason)
+    else:
+        store.add(run, outcome.metrics, outcome.wall)
+
+
+def _results(store: Store) -> Results:
+    rows = [store.rows[run.id] for run in store.plan.runs if run.id in store.rows]
+    return Results(store.folder, store.plan, rows, store.failures, tuple(METRICS))
+
+
+def _overridden(scenario: str | Path | Scenario, overrides: Mapping[str, Any]) -> Scenario:
+    if not isinstance(scenario, Scenario):
+        return load_scenario(str(scenario), overrides)
+    if not scenario.effective:
+        raise ConfigError(
+            f"scenario {scenario.name!r} has no effective configuration, so it could not be run"
+            " again; make it with load_scenario or scenario_of"
+        )
+    over = nested(overrides, scenario.effective)
+    return scenario_of(Layered(("set", over), (scenario.name, scenario.effective)).data)

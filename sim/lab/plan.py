@@ -1,0 +1,145 @@
+"""What an experiment consists of: variants of a scenario, seeds, and the runs they make."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import re
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from swarmd.errors import ConfigError
+
+MAX_RUNS = 100_000
+MAX_SEED = 2**32 - 1
+_LONGEST = 120  # characters of a run's id, which is a file's name
+
+
+@dataclass(frozen=True, slots=True)
+class Variant:
+    """One point of a sweep: `values` by swept key, `effective` its whole scenario, plain values.
+
+    Its name is such as `speed=0.1,law=paper`, or empty where nothing is swept.
+    """
+
+    name: str
+    values: Mapping[str, Any]
+    effective: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run: of a variant, with a seed. `id` is unique in its plan and a safe file name."""
+
+    id: str
+    variant: Variant
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Every run of an experiment, in order: variants as given, and seeds within each.
+
+    `sets` and `sweep` are the overrides that made the variants of `scenario`, by dotted key.
+    """
+
+    scenario: str
+    seeds: tuple[int, ...]
+    variants: tuple[Variant, ...]
+    sets: Mapping[str, Any] = field(default_factory=dict)
+    sweep: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """The runs in order."""
+        stems = _stems([variant.name for variant in self.variants])
+        return tuple(
+            Run(f"{stem}_s{seed:04d}" if stem else f"s{seed:04d}", variant, seed)
+            for stem, variant in zip(stems, self.variants, strict=True)
+            for seed in self.seeds
+        )
+
+
+def check_seeds(seeds: Iterable[int]) -> tuple[int, ...]:
+    """The seeds; ConfigError if there is none, one is twice there, or one cannot be."""
+    found = tuple(seeds)
+    if not found:
+        raise ConfigError("seeds: there is none; wanted at least one, such as --seeds 20")
+    seen: set[int] = set()
+    for seed in found:
+        if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= MAX_SEED:
+            raise ConfigError(f"seeds: {seed!r} is none; wanted whole numbers 0 to {MAX_SEED}")
+        if seed in seen:
+            raise ConfigError(f"seeds: {seed} stands twice; keep one")
+        seen.add(seed)
+    return found
+
+
+def make_plan(
+    scenario: str,
+    seeds: Iterable[int],
+    sets: Mapping[str, Any],
+    sweep: Mapping[str, Sequence[Any]],
+    effective: Callable[[Mapping[str, Any]], Mapping[str, Any]],
+) -> Plan:
+    """The plan of the full grid of `sweep`, its last key changing fastest.
+
+    `effective` gives the whole scenario for overrides by dotted key and raises ConfigError if it
+    cannot be: it is asked for every variant, so that no mistake waits for the hundredth run.
+    """
+    found = check_seeds(seeds)
+    for key, values in sweep.items():
+        _check_sweep(key, values, sets)
+    count = len(found)
+    for values in sweep.values():
+        count *= len(values)
+    if count > MAX_RUNS:
+        raise ConfigError(f"these are {count} runs; at most {MAX_RUNS} are made, so sweep less")
+    short = _short_keys(tuple(sweep))
+    variants = []
+    for point in itertools.product(*sweep.values()):
+        values_of = dict(zip(sweep, point, strict=True))
+        name = ",".join(f"{short[key]}={shown(value)}" for key, value in values_of.items())
+        variants.append(Variant(name, values_of, effective({**sets, **values_of})))
+    return Plan(
+        scenario, found, tuple(variants), dict(sets), {k: list(v) for k, v in sweep.items()}
+    )
+
+
+def shown(value: object) -> str:
+    """A value of a sweep as names and columns show it."""
+    is_plain = isinstance(value, str) and value.isprintable()
+    return str(value) if is_plain else json.dumps(value, separators=(",", ":"))
+
+
+def _check_sweep(key: str, values: Sequence[Any], sets: Mapping[str, Any]) -> None:
+    if isinstance(values, str) or not isinstance(values, Sequence):
+        raise ConfigError(f"sweep {key}: {values!r} is no list; wanted such as [0.1, 0.2]")
+    if not values:
+        raise ConfigError(f"sweep {key}: there is no value; wanted such as {key}=0.1,0.2")
+    if key in sets:
+        raise ConfigError(f"{key} is both set and swept; keep one of them")
+    names = [shown(value) for value in values]
+    for i, name in enumerate(names):
+        if name in names[:i]:
+            raise ConfigError(f"sweep {key}: {name} stands twice; keep one")
+
+
+def _short_keys(keys: Sequence[str]) -> dict[str, str]:
+    """Keys by their last words, where those tell them apart."""
+    last = [key.rpartition(".")[2] for key in keys]
+    return {k: s if last.count(s) == 1 else k for k, s in zip(keys, last, strict=True)}
+
+
+def _stems(names: Sequence[str]) -> list[str]:
+    """Names as parts of file names: unsafe characters and lengths are made safe, and unique."""
+    stems = [re.sub(r"[^A-Za-z0-9_.,=+-]", "-", name).lstrip(".-") for name in names]
+    folded = [stem.lower() for stem in stems]
+    return [
+        stem
+        if len(stem) <= _LONGEST and folded.count(stem.lower()) == 1
+        else f"{stem[: _LONGEST - 9]}~{hashlib.sha256(name.encode()).hexdigest()[:8]}"
+        for stem, name in zip(stems, names, strict=True)
+    ]

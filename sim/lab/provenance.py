@@ -1,0 +1,103 @@
+"""What results depend on besides the scenario: versions, code, plugins, and the state of git."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import subprocess
+from collections.abc import Iterator
+from importlib.metadata import version
+from pathlib import Path
+
+import msgspec
+
+import swarmd
+from swarmd.errors import SwarmError
+
+_GIT_SECONDS = 10.0
+
+
+class GitState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A checkout's commit, and whether tracked files differ from it."""
+
+    commit: str
+    is_dirty: bool
+
+
+def made_with() -> dict[str, str]:
+    """Versions of all that results can hang on, by name; `code` is a digest of swarmd's sources.
+
+    numpy chooses its arithmetic by what the processor can, and the last bits follow from that:
+    `simd` holds what it has found.
+    """
+    import mujoco
+    import numpy as np
+
+    simd = np.show_config(mode="dicts")["SIMD Extensions"]
+    return {
+        "swarmd": version("swarmd"),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "mujoco": mujoco.__version__,
+        "msgspec": msgspec.__version__,
+        "machine": f"{platform.system()} {platform.machine()}",
+        "simd": " ".join((*simd.get("baseline", ()), *simd.get("found", ()))),
+        "code": digest_of_code(Path(swarmd.__file__).parent),
+    }
+
+
+def digest_of_code(folder: Path) -> str:
+    """The SHA-256 of names and contents of all Python files below `folder`, links followed."""
+    digest = hashlib.sha256()
+    for path in _python_files(folder):
+        digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def digests_of_plugins(folder: Path | None) -> dict[str, str]:
+    """The SHA-256 of each Python file in a plugin folder, by name; {} if there is no folder."""
+    if folder is None:
+        return {}
+    try:
+        return {
+            path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
+            for path in _python_files(folder)
+        }
+    except OSError as error:
+        raise SwarmError(f"{error.filename}: cannot be read: {error.strerror}") from error
+
+
+def git_state(folder: Path) -> GitState | None:
+    """The state of the checkout that has files of `folder`; None if none has, or without git."""
+    tracked = _git(folder, "ls-files", "--", ".")
+    commit = _git(folder, "rev-parse", "HEAD") if tracked else None
+    if not commit:
+        return None
+    changed = _git(folder, "status", "--porcelain", "--untracked-files=no")
+    return GitState(commit=commit, is_dirty=bool(changed))
+
+
+def _git(folder: Path, *words: str) -> str | None:
+    """What git says; None if it is not there or has nothing to say about the folder."""
+    try:
+        done = subprocess.run(
+            ["git", "-C", str(folder), *words],
+            capture_output=True,
+            text=True,
+            timeout=_GIT_SECONDS,
+            check=False,
+            stdin=subprocess.DEVNULL,
+            env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},  # looking changes nothing
+        )
+    except (OSError, subprocess.TimeoutExpired, UnicodeDecodeError):
+        return None
+    return done.stdout.strip() if done.returncode == 0 else None
+
+
+def _python_files(folder: Path) -> Iterator[Path]:
+    """In the order of their names, whatever the order on the disk."""
+    for name, folders, files in os.walk(folder, followlinks=True):
+        folders[:] = sorted(f for f in folders if f != "__pycache__")
+        yield from (Path(name) / file for file in sorted(files) if file.endswith(".py"))
