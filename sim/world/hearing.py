@@ -56,7 +56,7 @@ def near_pairs(places: Array, reach: float) -> Indices:
     """
     # A little wider, lest rounding put two that are just within reach two cells apart.
     cells = np.floor(places / (reach * (1.0 + 1e-9))).astype(np.int64)
-    cells -= cells.min(axis=0, initial=np.iinfo(np.int64).max) - 1
+    cells -= cells.min(axis=0, initial=np.iinfo(np.int64).max)
     width = int(cells[:, 0].max(initial=0)) + 2
     keys = cells[:, 1] * width + cells[:, 0]
     order = np.argsort(keys, kind="stable")
