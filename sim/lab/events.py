@@ -1,117 +1,49 @@
-"""The time line: what the events of a file mean, checked against who is there when."""
+"""What the events of a file mean, each by itself."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 
-from swarmd.errors import ConfigError, unknown
+from swarmd.errors import unknown
 from swarmd.layered import Keys, Layered
 from swarmd.sim.lab.cast import ALL, Cast
 from swarmd.sim.lab.scenario import Action, Event
 from swarmd.sim.lab.scenery import check_inside
-from swarmd.sim.lab.schema import EventSection, ScenarioFile, Values, Who
+from swarmd.sim.lab.schema import EventSection, ScenarioFile
 
-MEMBERSHIP: tuple[Action, ...] = ("join", "leave", "kill")
-_TO_ROBOTS: tuple[Action, ...] = ("stop", "estop", "reset", *MEMBERSHIP)
-ACTIONS: tuple[Action, ...] = ("run", "param", *_TO_ROBOTS, "place", "remove")
-_BESIDES = {"run": ("who", "parameters", "seconds"), "param": ("who",), "place": ("pose",)}
-_NAMES = {"seconds": "for"}
+OF_ROBOTS: tuple[Action, ...] = ("stop", "estop", "reset", "join", "leave", "kill")
+"""Actions whose value is who they happen to."""
 
-
-@dataclass(frozen=True, slots=True)
-class Rehearsal:
-    """A pattern that a robot is to run with these parameters; `keys` is where that is said."""
-
-    keys: Keys
-    robot: str
-    pattern: str
-    parameters: Values
+ACTIONS: tuple[Action, ...] = ("run", "param", *OF_ROBOTS, "place", "remove")
+_BESIDES = {"run": ("who", "parameters", "for"), "param": ("who",), "place": ("pose",)}
 
 
-@dataclass(frozen=True, slots=True)
-class Script:
-    """Events in order of time, who joins only later, and what there is to rehearse."""
-
-    events: tuple[Event, ...]
-    absent: frozenset[str]
-    rehearsals: tuple[Rehearsal, ...]
-
-
-@dataclass(slots=True)
-class _Robot:
-    """What is known of a robot at a time. `until`: when what it runs ends."""
-
-    is_there: bool = True
-    is_estopped: bool = False
-    pattern: str = ""
-    parameters: Values = field(default_factory=dict)
-    until: float = math.inf
-
-
-def script_of(layers: Layered, file: ScenarioFile, cast: Cast) -> Script:
-    """The script of a file; ConfigError names the first event that cannot be."""
-    read = [_read(layers, file, cast, index) for index in range(len(file.events))]
-    order = sorted(range(len(read)), key=lambda index: read[index].at)
-    absent = _absent([read[index] for index in order])
-    walk = _Walk(layers, file, cast, absent)
-    events = [*_beginning(file, cast, absent, walk)]
-    events += [walk.checked(index, read[index], file.events[index]) for index in order]
-    return Script(tuple(events), absent, tuple(walk.rehearsals))
-
-
-def _beginning(
-    file: ScenarioFile, cast: Cast, absent: frozenset[str], walk: _Walk
-) -> Iterator[Event]:
-    for name, group in file.groups.items():
-        robots = tuple(robot for robot in cast.groups[name] if robot not in absent)
-        if group.pattern is not None and robots:
-            event = Event(at=0.0, action="run", robots=robots, pattern=group.pattern)
-            walk.run(("groups", name, "pattern"), event)
-            yield event
-
-
-def _absent(events: Sequence[Event]) -> frozenset[str]:
-    """Those whose first coming or going is to come."""
-    first: dict[str, str] = {}
-    for event in events:
-        if event.action in MEMBERSHIP:
-            for robot in event.robots:
-                first.setdefault(robot, event.action)
-    return frozenset(robot for robot, action in first.items() if action == "join")
-
-
-def _read(layers: Layered, file: ScenarioFile, cast: Cast, index: int) -> Event:
+def read_event(layers: Layered, file: ScenarioFile, cast: Cast, index: int) -> Event:
+    """The event of that index; ConfigError if it cannot be, whatever else happens."""
     section, keys = file.events[index], ("events", index)
     action = _action(layers, section, keys)
     if section.at >= file.duration:
         text = f"events[{index}].at is {section.at:g}; wanted before the end"
         raise layers.error((*keys, "at"), f"{text} (duration is {file.duration:g})")
     if action in ("place", "remove"):
-        thing, pose = getattr(section, action), section.pose
-        movable = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
-        if thing not in movable:
-            fault = unknown("box with a name and a mass", thing, movable)
-            raise layers.error((*keys, action), f"events[{index}].{action}: {fault}")
-        if action == "remove":
-            return Event(at=section.at, action=action, thing=thing)
-        if pose is None:
-            raise layers.error(keys, f"events[{index}].pose is missing; wanted [x, y, degrees]")
-        check_inside(layers, file.arena, (*keys, "pose"), pose[:2])
-        pose = (pose[0], pose[1], math.radians(pose[2]))
-        return Event(at=section.at, action=action, thing=thing, pose=pose)
-    who = getattr(section, action) if action in _TO_ROBOTS else section.who
-    robots = _robots(layers, cast, (*keys, action if action in _TO_ROBOTS else "who"), who)
+        return _of_thing(layers, file, section, (*keys, action))
+    key = action if action in OF_ROBOTS else "who"
     values = section.param if action == "param" else section.parameters
     return Event(
         at=section.at,
         action=action,
-        robots=robots,
+        robots=_robots(layers, cast, (*keys, key), words_of(section, action)),
         pattern=section.run or "",
         parameters=values or {},
         seconds=section.seconds,
     )
+
+
+def words_of(section: EventSection, action: Action) -> Sequence[str]:
+    """Who an event is for, as it is written; all if nothing is."""
+    who = getattr(section, action) if action in OF_ROBOTS else section.who
+    return (ALL,) if who is None else (who,) if isinstance(who, str) else who
 
 
 def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
@@ -120,24 +52,43 @@ def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
     if len(given) != 1:
         text = f"{name} says {' and '.join(given) or 'nothing'} at {section.at:g}"
         raise layers.error(keys, f"{text}; wanted one of {', '.join(ACTIONS)}")
-    for key in ("who", "parameters", "seconds", "pose"):
-        shown = _NAMES.get(key, key)
-        if getattr(section, key) is not None and key not in _BESIDES.get(given[0], ()):
-            text = f"{name}.{shown} means nothing beside {given[0]}; leave it out"
-            raise layers.error((*keys, shown), text)
-    if section.param is not None and not section.param:
-        raise layers.error(
-            (*keys, "param"), f"{name}.param is empty; wanted such as {{speed: 0.1}}"
-        )
+    besides = {
+        "who": section.who,
+        "parameters": section.parameters,
+        "for": section.seconds,
+        "pose": section.pose,
+    }
+    for key, value in besides.items():
+        if value is not None and key not in _BESIDES.get(given[0], ()):
+            text = f"{name}.{key} means nothing beside {given[0]}; leave it out"
+            raise layers.error((*keys, key), text)
+    if given[0] == "param" and not section.param:
+        text = f"{name}.param is empty; wanted values by name, such as {{speed: 0.1}}"
+        raise layers.error((*keys, "param"), text)
     return given[0]
 
 
-def _robots(layers: Layered, cast: Cast, keys: Keys, who: Who | None) -> tuple[str, ...]:
+def _of_thing(layers: Layered, file: ScenarioFile, section: EventSection, keys: Keys) -> Event:
+    name = f"events[{keys[1]}]"
+    movable = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
+    thing = section.place or section.remove or ""
+    if thing not in movable:
+        fault = unknown("box with a name and a mass", thing, movable)
+        raise layers.error(keys, f"{name}.{keys[2]}: {fault}")
+    if section.remove is not None:
+        return Event(at=section.at, action="remove", thing=thing)
+    if section.pose is None:
+        raise layers.error(keys, f"{name}.pose is missing; wanted [x, y, degrees]")
+    x, y, degrees = section.pose
+    check_inside(layers, file.arena, ("events", keys[1], "pose"), (x, y))
+    return Event(at=section.at, action="place", thing=thing, pose=(x, y, math.radians(degrees)))
+
+
+def _robots(layers: Layered, cast: Cast, keys: Keys, words: Sequence[str]) -> tuple[str, ...]:
     """Those meant, in the order of the scenario."""
-    names = [ALL] if who is None else [who] if isinstance(who, str) else who
     meant: dict[str, None] = {}
     name = f"events[{keys[1]}].{keys[2]}"
-    for word in names:
+    for word in words:
         robots = cast.named(word)
         if not robots:
             raise layers.error(keys, f"{name}: {unknown('robot or group', word, cast.names)}")
@@ -145,89 +96,3 @@ def _robots(layers: Layered, cast: Cast, keys: Keys, who: Who | None) -> tuple[s
     if not meant:
         raise layers.error(keys, f"{name} is empty; wanted a robot, a group or all")
     return tuple(robot for robot in cast.robots if robot in meant)
-
-
-class _Walk:
-    """Goes through the events in order of time and knows what each robot is doing."""
-
-    def __init__(
-        self, layers: Layered, file: ScenarioFile, cast: Cast, absent: frozenset[str]
-    ) -> None:
-        self._layers = layers
-        self._things = {box.name for box in file.arena.boxes if box.at is not None}
-        self._robots = {robot: _Robot(is_there=robot not in absent) for robot in cast.robots}
-        self.rehearsals: list[Rehearsal] = []
-
-    def checked(self, index: int, event: Event, section: EventSection) -> Event:
-        """The event with only the robots that are there; ConfigError if it cannot be."""
-        keys = ("events", index, event.action)
-        if event.action in ("place", "remove"):
-            self._put_or_take(keys, event)
-            return event
-        if event.action in MEMBERSHIP:
-            self._come_or_go(keys, event)
-            return event
-        named = getattr(section, event.action) if event.action in _TO_ROBOTS else section.who
-        words = [named] if isinstance(named, str) else named or []
-        robots = tuple(robot for robot in event.robots if self._robots[robot].is_there)
-        missing = [r for r in event.robots if r not in robots and (r in words or not robots)]
-        if missing:
-            raise self._error(keys, f"{missing[0]} is not there at {event.at:g} s")
-        event = Event(
-            at=event.at,
-            action=event.action,
-            robots=robots,
-            pattern=event.pattern,
-            parameters=event.parameters,
-            seconds=event.seconds,
-        )
-        if event.action == "run":
-            self.run(keys, event)
-        elif event.action == "param":
-            self._set(keys, event)
-        else:
-            for robot in robots:
-                state = self._robots[robot]
-                state.pattern = state.pattern if event.action == "reset" else ""
-                if event.action != "stop":
-                    state.is_estopped = event.action == "estop"
-        return event
-
-    def run(self, keys: Keys, event: Event) -> None:
-        """The event's robots begin to run its pattern."""
-        for robot in event.robots:
-            state = self._robots[robot]
-            if state.is_estopped:
-                text = f"{robot} is estopped at {event.at:g} s; reset it before"
-                raise self._error(keys, text)
-            state.pattern, state.parameters = event.pattern, dict(event.parameters)
-            state.until = event.at + (event.seconds or math.inf)
-            self.rehearsals.append(Rehearsal(keys, robot, event.pattern, state.parameters))
-
-    def _set(self, keys: Keys, event: Event) -> None:
-        for robot in event.robots:
-            state = self._robots[robot]
-            if not state.pattern or event.at >= state.until:
-                raise self._error(keys, f"{robot} runs nothing at {event.at:g} s; run a pattern")
-            state.parameters = {**state.parameters, **event.parameters}
-            self.rehearsals.append(Rehearsal(keys, robot, state.pattern, state.parameters))
-
-    def _put_or_take(self, keys: Keys, event: Event) -> None:
-        if event.action == "place":
-            self._things.add(event.thing)
-        elif event.thing in self._things:
-            self._things.remove(event.thing)
-        else:
-            raise self._error(keys, f"{event.thing} is not in the arena at {event.at:g} s")
-
-    def _come_or_go(self, keys: Keys, event: Event) -> None:
-        is_joining = event.action == "join"
-        for robot in event.robots:
-            state = self._robots[robot]
-            if state.is_there == is_joining:
-                there = "already there" if is_joining else "not there"
-                raise self._error(keys, f"{robot} is {there} at {event.at:g} s")
-            state.is_there, state.pattern = is_joining, ""
-
-    def _error(self, keys: Keys, text: str) -> ConfigError:
-        return self._layers.error(keys, f"events[{keys[1]}].{keys[2]}: {text}")

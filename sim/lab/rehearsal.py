@@ -12,8 +12,8 @@ from swarmd.layered import Keys, Layered, dotted
 from swarmd.loading import Finder
 from swarmd.plugins import Origin, check_single, pattern_names
 from swarmd.sim.lab.cast import Cast
-from swarmd.sim.lab.events import Rehearsal, Script
 from swarmd.sim.lab.schema import ScenarioFile
+from swarmd.sim.lab.script import Rehearsal, Script
 from swarmd.stage import Stage
 from swarmd.values import Value
 

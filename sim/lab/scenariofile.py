@@ -17,12 +17,12 @@ import swarmd.config
 from swarmd.errors import ConfigError, unknown
 from swarmd.layered import Layered
 from swarmd.sim.lab.cast import Cast, cast_of, platform_name
-from swarmd.sim.lab.events import script_of
 from swarmd.sim.lab.overrides import SOURCE, nested, parse_override
 from swarmd.sim.lab.rehearsal import ConfiguredParameters, rehearse
 from swarmd.sim.lab.scenario import Scenario
 from swarmd.sim.lab.scenery import arena_of, check_air, fields_of
 from swarmd.sim.lab.schema import ScenarioFile
+from swarmd.sim.lab.script import script_of
 from swarmd.sim.lab.starts import Starts, part_of, without_stale
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.readings import Field
@@ -161,6 +161,5 @@ def _starts(layers: Layered, file: ScenarioFile, cast: Cast, arena: Arena) -> St
         parts.append(part_of(layers, ("start",), file.start, shared))
     footprints = [platform.footprint for platform in cast.robots.values()]
     starts = Starts(tuple(cast.robots), footprints, arena, parts)
-    if not starts.is_seeded:
-        starts(0)
+    starts.check()
     return starts

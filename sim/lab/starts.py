@@ -8,6 +8,7 @@ from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.random import Generator
 
 from swarmd.errors import ConfigError
 from swarmd.layered import Keys, Layered, dotted
@@ -31,6 +32,7 @@ KEYS: Mapping[str, tuple[str, ...]] = {
 """What means something, by layout."""
 
 _SEEDED = ("random", "chain")
+_SPACING, _RADIUS, _CLEARANCE = 1.0, 1.5, 0.2  # m, where a file does not say
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,19 +58,15 @@ class Starts:
         """Poses (n, 3) x, y in m and yaw in rad; those that the seed decides come last."""
         floor = Floor(self.names, self.footprints, self.arena)
         for part in sorted(self.parts, key=lambda part: layout_of(part.start) in _SEEDED):
-            try:
-                _place(floor, part, seed)
-            except ConfigError as error:
-                is_seeded = layout_of(part.start) in _SEEDED
-                raise ConfigError(
-                    f"{part.where}: {error}" + (f" (seed {seed})" if is_seeded else "")
-                ) from error
+            _place(floor, part, seed)
         return floor.poses
 
-    @property
-    def is_seeded(self) -> bool:
-        """True if not all seeds give the same."""
-        return any(layout_of(part.start) in _SEEDED for part in self.parts)
+    def check(self) -> None:
+        """ConfigError if robots that start in the same place for all seeds cannot stand there."""
+        floor = Floor(self.names, self.footprints, self.arena)
+        for part in self.parts:
+            if layout_of(part.start) not in _SEEDED:
+                _place(floor, part, 0)
 
 
 def layout_of(start: StartSection) -> str:
@@ -133,35 +131,32 @@ def _misfit(layout: str, start: StartSection, n: int) -> str:
 
 
 def _place(floor: Floor, part: Part, seed: int) -> None:
-    start, rows, layout = part.start, part.rows, layout_of(part.start)
+    try:
+        if layout_of(part.start) in _SEEDED:
+            _place_seeded(floor, part, generator(seed, "starts", part.key))
+        else:
+            floor.place_all(part.rows, _fixed(part.start, len(part.rows)))
+    except ConfigError as error:
+        raise ConfigError(f"{part.where}: {error}") from error
+
+
+def _place_seeded(floor: Floor, part: Part, rng: Generator) -> None:
+    start, rows = part.start, part.rows
     center = start.center or (0.0, 0.0)
     heading = None if start.heading_deg is None else math.radians(start.heading_deg)
-    rng = generator(seed, "starts", part.key)
-    if layout == "random":
-        clearance = 0.2 if start.clearance is None else start.clearance
-        scatter(
-            *(floor, rows, rng),
-            clearance=clearance,
-            center=center,
-            size=start.size,
-            heading=heading,
-        )
-    elif layout == "chain":
-        near, far = start.near or 0.0, start.far or 0.0
-        chain(floor, rows, rng, near=near, far=far, center=center, heading=heading)
-    else:
-        for row, pose in zip(rows, _fixed(start, layout, len(rows)), strict=True):
-            fault = floor.fault(row, pose)
-            if fault:
-                raise ConfigError(f"{fault}; take more space or fewer robots")
-            floor.place(row, pose)
+    if start.near is not None and start.far is not None:
+        chain(floor, rows, rng, near=start.near, far=start.far, center=center, heading=heading)
+        return
+    apart = _CLEARANCE if start.clearance is None else start.clearance
+    scatter(floor, rows, rng, clearance=apart, center=center, size=start.size, heading=heading)
 
 
-def _fixed(start: StartSection, layout: str, n: int) -> Array:
+def _fixed(start: StartSection, n: int) -> Array:
+    layout = layout_of(start)
     if layout == "list":
         poses = np.array(start.poses, dtype=np.float64)
         poses[:, 2] = np.radians(poses[:, 2])
         return poses
-    size = (start.radius or 1.5) if layout == "ring" else (start.spacing or 1.0)
+    size = start.radius or _RADIUS if layout == "ring" else start.spacing or _SPACING
     heading = math.radians(start.heading_deg or 0.0)
     return moved(REGULAR[layout](n, size), start.center or (0.0, 0.0), heading)

@@ -37,11 +37,10 @@ def parse_layout(text: str, footprints: Sequence[Array], arena: Arena, *, seed: 
         poses = REGULAR[name](n, _number(text, rest, 1.5 if name == "ring" else 1.0))
     else:
         raise ConfigError(unknown("layout", name, NAMES))
-    for index, pose in enumerate(poses):
-        fault = floor.fault(index, pose)
-        if fault:
-            raise ConfigError(f"layout {text!r}: {fault}; take more space or fewer")
-        floor.place(index, pose)
+    try:
+        floor.place_all(range(n), poses)
+    except ConfigError as error:
+        raise ConfigError(f"layout {text!r}: {error}") from error
     return poses
 
 
@@ -109,6 +108,14 @@ class Floor:
     def place(self, index: int, pose: Array) -> None:
         """Put the robot there."""
         self.poses[index] = pose
+
+    def place_all(self, robots: Sequence[int], poses: Array) -> None:
+        """Put robots (rows) at `poses` (k, 3); ConfigError if one cannot stand there."""
+        for row, pose in zip(robots, poses, strict=True):
+            fault = self.fault(row, pose)
+            if fault:
+                raise ConfigError(f"{fault}; take more space or fewer robots")
+            self.place(row, pose)
 
     def fault(self, index: int, pose: Array, clearance: float = 0.0) -> str:
         """What keeps the robot from standing at the pose, with its name; empty if nothing."""
