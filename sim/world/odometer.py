@@ -57,42 +57,48 @@ class Odometers:
         """
         if self._noise.is_ideal:
             return self._relative(rows, poses), twists[rows]
-        matrices = self._draw(rows)
-        motion = _times(matrices, _motion(self._truth[rows], poses[rows]))
-        self._truth[rows] = poses[rows]
-        told = _moved(self._told[rows], motion)
-        self._told[rows] = told
-        told = told.copy()
+        truth = poses.take(rows, axis=0)
+        motions = np.empty((len(rows), 2, 3))
+        motions[:, 0] = _motion(self._truth.take(rows, axis=0), truth)
+        motions[:, 1] = twists.take(rows, axis=0)
+        motions = motions @ self._measured.take(rows, axis=0)
+        motions[:, :, :2] *= self._slips(rows)[:, None]
+        told = _moved(self._told.take(rows, axis=0), motions[:, 0])
+        self._truth[rows], self._told[rows] = truth, told
         told[:, 2] = _wrapped(told[:, 2])
-        return told, _times(matrices, twists[rows])
+        return told, motions[:, 1]
 
     def _relative(self, rows: Indices, poses: Array) -> Array:
-        x, y, yaw = (poses[rows] - self._starts[rows]).T
-        cos, sin = self._turns[rows].T
-        return np.stack((cos * x + sin * y, cos * y - sin * x, _wrapped(yaw)), axis=-1)
+        told: Array = poses.take(rows, axis=0) - self._starts.take(rows, axis=0)
+        turns = self._turns.take(rows, axis=0)
+        cos, sin = turns[:, 0], turns[:, 1]
+        x, y = told[:, 0].copy(), told[:, 1].copy()
+        told[:, 0] = cos * x + sin * y
+        told[:, 1] = cos * y - sin * x
+        told[:, 2] = _wrapped(told[:, 2])
+        return told
 
-    def _draw(self, rows: Indices) -> Array:
-        """The matrices (m, 3, 3) from true to measured motions for one reading."""
-        slips = np.ones((len(rows), 3))
-        if self._noise.slip > 0.0:
-            for place, row in enumerate(rows.tolist()):
-                slips[place, :2] += self._noise.slip * self._rngs[row].standard_normal(2)
-            slips[:, 2] = slips[:, 0]
-        return slips[:, :, None] * self._measured[rows]
+    def _slips(self, rows: Indices) -> Array:
+        """What one reading makes of linear and angular motions: (m, 2) factors."""
+        slips = np.zeros((len(rows), 2))
+        for place, row in enumerate(rows.tolist()):
+            self._rngs[row].standard_normal(out=slips[place])
+        return 1.0 + self._noise.slip * slips
 
 
 def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral: Array) -> Array:
-    """From true to measured motions (linear, angular, lateral): (n, 3, 3), without slip.
+    """From true to measured motions (linear, angular, lateral), without slip: (n, 3, 3).
 
-    Each wheel is taken to be of the mean diameter, and their distance to be `separation` (n,) m.
-    A base that cannot move sideways does not notice that it does.
+    A motion as a row times its matrix is what is measured of it. Each wheel is taken to be of the
+    mean diameter, and their distance to be `separation` (n,) m. A base that cannot move sideways
+    does not notice that it does.
     """
     right, left = (1.0 + diameter) / (2.0 * diameter), (1.0 + diameter) / 2.0
     base = separation * wheelbase
     matrix = np.zeros((len(diameter), 3, 3))
     matrix[:, 0, 0] = (right + left) / 2.0
-    matrix[:, 0, 1] = (right - left) * base / 4.0
-    matrix[:, 1, 0] = (right - left) / separation
+    matrix[:, 1, 0] = (right - left) * base / 4.0
+    matrix[:, 0, 1] = (right - left) / separation
     matrix[:, 1, 1] = (right + left) / 2.0 * wheelbase
     matrix[:, 2, 2] = is_lateral
     return matrix
@@ -101,28 +107,36 @@ def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral
 def _motion(before: Array, after: Array) -> Array:
     """Linear, angular and lateral way (m, 3) of a steady motion between two poses (m, 3)."""
     x, y, turn = (after - before).T
-    middle = before[:, 2] + turn / 2.0
-    cos, sin = np.cos(middle), np.sin(middle)
-    # The way along an arc for one along its chord; beyond half a turn nobody knows the arc.
-    arc = 1.0 / np.sinc(np.clip(turn, -np.pi, np.pi) / (2.0 * np.pi))
-    return np.stack((arc * (cos * x + sin * y), turn, arc * (cos * y - sin * x)), axis=-1)
+    half = turn / 2.0
+    # Beyond half a turn nobody knows by which arc it was.
+    chord = _chord(np.minimum(np.abs(half), np.pi / 2.0))
+    middle = before[:, 2] + half
+    cos, sin = np.cos(middle) / chord, np.sin(middle) / chord
+    motion = np.empty_like(before)
+    motion[:, 0] = cos * x + sin * y
+    motion[:, 1] = turn
+    motion[:, 2] = cos * y - sin * x
+    return motion
 
 
 def _moved(before: Array, motion: Array) -> Array:
     """Poses (m, 3) after the steady motion: what `_motion` takes apart."""
-    linear, turn, lateral = motion.T
-    middle = before[:, 2] + turn / 2.0
-    cos, sin = np.cos(middle), np.sin(middle)
-    chord = np.sinc(turn / (2.0 * np.pi))
-    way = (chord * (cos * linear - sin * lateral), chord * (sin * linear + cos * lateral), turn)
-    after: Array = before + np.stack(way, axis=-1)
+    linear, turn, lateral = motion[:, 0], motion[:, 1], motion[:, 2]
+    half = turn / 2.0
+    chord, middle = _chord(half), before[:, 2] + half
+    cos, sin = chord * np.cos(middle), chord * np.sin(middle)
+    after = before.copy()
+    after[:, 0] += cos * linear - sin * lateral
+    after[:, 1] += sin * linear + cos * lateral
+    after[:, 2] += turn
     return after
 
 
-def _times(matrices: Array, vectors: Array) -> Array:
-    """(m, 3, 3) times (m, 3), each in the same order of sums, however many there are."""
-    product: Array = (matrices * vectors[:, None, :]).sum(axis=-1)
-    return product
+def _chord(half: Array) -> Array:
+    """The chord of an arc for one along it, by half the turn (m,) in rad."""
+    ratio = np.ones_like(half)
+    np.divide(np.sin(half), half, out=ratio, where=half != 0.0)
+    return ratio
 
 
 def _wrapped(yaw: Array) -> Array:

@@ -111,7 +111,7 @@ def test_a_straight_line_is_told_bent_by_unequal_wheels_alone() -> None:
 def matrix(diameter: float, wheelbase: float) -> Array:
     one = np.ones(1)
     (told_by_true,) = measurement(diameter * one, wheelbase * one, BASE * one, one)
-    return np.asarray(told_by_true)
+    return np.asarray(told_by_true.T)
 
 
 def test_a_larger_right_wheel_tells_a_straight_line_bent_to_the_right() -> None:
