@@ -41,6 +41,7 @@ _ALL = (
     *protection.METRICS,
 )
 METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for metric in _ALL})
+"""By name, in the order in which they are shown."""
 
 
 def measure(trace: Trace, names: Iterable[str] | None = None) -> dict[str, float | None]:

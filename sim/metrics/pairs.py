@@ -13,7 +13,8 @@ from swarmd.values import Array
 Ints = NDArray[np.int64]
 FEW = 40
 """Up to so many points all pairs are looked at: that is faster than cells."""
-_AT_ONCE = 20_000  # points of all instants taken together; bounds the memory
+AT_ONCE = 20_000
+"""So many points, of all instants taken together, are worked on at once: it bounds the memory."""
 _HALF = ((0, 1), (1, -1), (1, 0), (1, 1))  # each pair of adjacent cells once
 
 
@@ -29,7 +30,7 @@ class Pairs:
 
 def spans(instants: int, points: int) -> Iterator[slice]:
     """Slices of the instants that are small enough to be worked on at once."""
-    step = max(1, _AT_ONCE // max(points, 1))
+    step = max(1, AT_ONCE // max(points, 1))
     for start in range(0, instants, step):
         yield slice(start, min(start + step, instants))
 

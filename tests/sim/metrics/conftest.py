@@ -1,0 +1,96 @@
+"""Traces made by hand, and random ones that hold everything a trace can."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.platforms import load_platform
+from swarmd.sim.trace import Trace
+from swarmd.values import Array
+
+PLATFORMS = {name: load_platform(name) for name in ("burger", "jackal", "waffle_pi")}
+META = {
+    "thresholds": {name: p.protection["threshold"] for name, p in PLATFORMS.items()},
+    "v_max": {name: p.limits.linear for name, p in PLATFORMS.items()},
+    "radio": {"neighborhood": "range", "range": 1.5},
+}
+
+
+def make_run(
+    pose: Array, contacts: Sequence[tuple[float, ...]] = (), platform: str = "jackal", **parts: Any
+) -> Trace:
+    """Poses (T, n, 3) at 10 Hz; contacts are time, robot, other, and perhaps both speeds."""
+    instants, n = pose.shape[:2]
+    rows = np.array([(*row, 0.0, 0.0)[:5] for row in contacts]).reshape(-1, 5)
+    trace = Trace(
+        ids=tuple(f"r{i}" for i in range(n)),
+        t=np.arange(instants, dtype=np.float64) / 10.0,
+        pose=pose,
+        safe=np.zeros_like(pose),
+        contact_t=rows[:, 0],
+        contact_pair=rows[:, 1:3].astype(np.int64),
+        contact_speed=rows[:, 3:],
+        platforms=(platform,) * n,
+        footprints={name: p.footprint for name, p in PLATFORMS.items()},
+        meta=META,
+    )
+    return replace(trace, **parts)
+
+
+def make_full_run(seed: int, n: int = 6, instants: int = 12) -> Trace:
+    """A random run of several platforms that holds everything."""
+    rng = np.random.default_rng(seed)
+    shape = (instants, n)
+    pose = np.empty((*shape, 3))
+    start = rng.uniform(-2.0, 2.0, (n, 2))
+    pose[..., :2] = start + np.cumsum(rng.normal(0.0, 0.05, (*shape, 2)), axis=0)
+    pose[..., 2] = rng.uniform(-3.0, 3.0, shape)
+    contacts = [
+        (float(rng.uniform(0.0, instants / 10)), *rng.permutation(n)[:2], *rng.normal(size=2))
+        for _ in range(2 * n if n > 1 else 0)
+    ]
+    decided = rng.integers(0, 3, shape)
+    return make_run(
+        pose,
+        sorted(contacts),
+        platforms=tuple(sorted(PLATFORMS)[i % 3] for i in range(n)),
+        safe=rng.normal(size=(*shape, 3)),
+        wish=rng.normal(size=(*shape, 3)),
+        state=rng.choice(["running", "stopped"], shape),
+        reason=rng.choice(["", "stale_scan", "operator"], shape),
+        active=rng.random(shape) < 0.3,
+        decided=decided,
+        evaded=rng.integers(0, decided + 1),
+        present=rng.random(shape) < 0.9,
+        report={"opinion": rng.integers(0, 2, shape).astype(np.float64)},
+    )
+
+
+# Of the session, since tests of properties may not have fixtures of their own.
+@pytest.fixture(scope="session")
+def run() -> Callable[..., Trace]:
+    """Makes traces of given poses."""
+    return make_run
+
+
+@pytest.fixture(scope="session")
+def full_run() -> Callable[..., Trace]:
+    """Makes random traces from a seed."""
+    return make_full_run
+
+
+@pytest.fixture(scope="session")
+def line() -> Callable[..., Array]:
+    """Makes poses (1, n, 3) along x."""
+
+    def make(*xs: float) -> Array:
+        pose = np.zeros((1, len(xs), 3))
+        pose[0, :, 0] = xs
+        return pose
+
+    return make

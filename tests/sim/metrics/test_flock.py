@@ -1,0 +1,87 @@
+"""Order of motion: 1 where it must be 1, 0 where it must be 0."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from swarmd.sim.metrics import flock
+from swarmd.sim.trace import Trace
+from swarmd.values import Array
+
+Run = Callable[..., Trace]
+SECONDS = 0.1 * np.arange(21)
+
+
+def moving(*velocities: tuple[float, float]) -> Array:
+    """Robots in a square around the origin, each at a velocity of its own; yaw is never that."""
+    corners = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])[: len(velocities)]
+    pose = np.full((21, len(velocities), 3), 0.7)
+    pose[..., :2] = corners + SECONDS[:, None, None] * np.array(velocities)
+    return pose
+
+
+def circling(speed: float, *phases: float) -> Array:
+    """Robots on a circle of 2 m."""
+    angle = np.array(phases) + SECONDS[:, None] * speed / 2.0
+    return np.stack((2.0 * np.cos(angle), 2.0 * np.sin(angle), 0.0 * angle), axis=-1)
+
+
+@pytest.mark.parametrize(
+    ("velocities", "order"),
+    [
+        ([(0.2, 0.0)] * 4, 1.0),
+        ([(0.2, 0.0), (0.4, 0.0)], 1.0),  # speed does not weigh
+        ([(0.2, 0.0), (-0.2, 0.0)], 0.0),
+        ([(0.2, 0.0), (0.0, 0.2)], np.sqrt(0.5)),
+        ([(0.2, 0.0), (0.0, 0.0)], 0.5),  # who stands takes no part
+        ([(0.0, 0.0)] * 3, 0.0),
+        ([(0.009, 0.0)] * 3, 0.0),  # slower than 1 cm/s is standing
+        ([(0.011, 0.0)] * 3, 1.0),
+    ],
+)
+def test_polarisation(run: Run, velocities: list[tuple[float, float]], order: float) -> None:
+    orders = flock.polarisations(run(moving(*velocities)))
+    np.testing.assert_allclose(orders, np.full(21, order), atol=1e-9)
+
+
+def test_robots_on_a_circle_mill_and_are_not_polarised(run: Run) -> None:
+    phases = (0.0, np.pi / 2.0, np.pi, 1.5 * np.pi)
+    for speed in (0.4, -0.4):
+        trace = run(circling(speed, *phases))
+        # Differences cut the corner a little at the first and the last instant.
+        np.testing.assert_allclose(flock.millings(trace), np.ones(21), atol=1e-3)
+        np.testing.assert_allclose(flock.polarisations(trace), np.zeros(21), atol=1e-9)
+
+
+def test_opposite_ways_round_cancel(run: Run) -> None:
+    there, back = circling(0.4, 0.0, np.pi), circling(-0.4, np.pi / 2.0, 1.5 * np.pi)
+    both = run(np.concatenate((there, back), axis=1))
+    np.testing.assert_allclose(flock.millings(both), np.zeros(21), atol=1e-9)
+
+
+def test_a_straight_flock_does_not_mill(run: Run) -> None:
+    np.testing.assert_allclose(flock.millings(run(moving(*[(0.2, 0.1)] * 4))), 0.0, atol=1e-9)
+
+
+def test_only_present_robots_count(run: Run) -> None:
+    present: NDArray[np.bool_] = np.ones((21, 2), dtype=bool)
+    present[:, 1] = False
+    trace = run(moving((0.2, 0.0), (-0.2, 0.0)), present=present)
+    np.testing.assert_allclose(flock.polarisations(trace), np.ones(21))
+    nobody = run(moving((0.2, 0.0)), present=np.zeros((21, 1), dtype=bool))
+    assert np.isnan(flock.polarisations(nobody)).all()
+    assert np.isnan(flock.millings(nobody)).all()
+
+
+def test_a_robot_alone_is_its_own_centroid(run: Run) -> None:
+    np.testing.assert_array_equal(flock.millings(run(moving((0.2, 0.0)))), np.zeros(21))
+
+
+def test_an_instant_alone_shows_no_motion(run: Run) -> None:
+    assert np.isnan(flock.polarisations(run(np.zeros((1, 3, 3))))).all()
+    assert np.isnan(flock.millings(run(np.zeros((1, 3, 3))))).all()
+    assert flock.millings(run(np.zeros((0, 3, 3)))).shape == (0,)

@@ -1,0 +1,90 @@
+"""The smallest gap: exact, and the same as looking at every pair and instant."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarmd.sim.metrics import gap, pairs
+from swarmd.sim.trace import Trace
+from swarmd.sim.world.geometry import gaps, transform
+from swarmd.values import Array
+
+Run = Callable[..., Trace]
+Line = Callable[..., Array]
+
+
+def by_hand(trace: Trace) -> Array:
+    """(T,) with every pair looked at."""
+    each = [
+        gaps(
+            transform(trace.footprint(a), trace.pose[:, a]),
+            transform(trace.footprint(b), trace.pose[:, b]),
+        )
+        for a, b in combinations(range(len(trace.ids)), 2)
+    ]
+    smallest: Array = np.min(each, axis=0)
+    return smallest
+
+
+def strewn(run: Run, seed: int, n: int, instants: int, side: float) -> Trace:
+    rng = np.random.default_rng(seed)
+    pose = rng.uniform(-side / 2.0, side / 2.0, (instants, n, 3))
+    pose[..., 2] = rng.uniform(-3.0, 3.0, (instants, n))
+    names = ("burger", "jackal", "waffle_pi")
+    return run(pose, platforms=tuple(names[i % 3] for i in range(n)))
+
+
+def test_minimum_gap_is_between_footprints_not_centres(run: Run) -> None:
+    pose = np.zeros((2, 2, 3))
+    pose[:, 1, 0] = (3.0, 2.0)
+    assert gap.minimum_gap(run(pose)) == pytest.approx(2.0 - 0.508)
+    np.testing.assert_allclose(gap.minimum_gaps(run(pose)), [3.0 - 0.508, 2.0 - 0.508])
+    pose[1, 1, 2] = math.pi / 2.0  # the second one's narrow side now
+    assert gap.minimum_gap(run(pose)) == pytest.approx(2.0 - 0.254 - 0.215)
+
+
+@pytest.mark.parametrize(("n", "side"), [(5, 80.0), (7, 6.0), (pairs.FEW + 20, 300.0)])
+@given(seed=st.integers(0, 10_000))
+@settings(deadline=None, max_examples=4)
+def test_gaps_are_those_of_looking_at_every_pair(run: Run, n: int, side: float, seed: int) -> None:
+    trace = strewn(run, seed, n, 8, side)
+    np.testing.assert_allclose(gap.minimum_gaps(trace), by_hand(trace), atol=1e-12)
+    assert gap.minimum_gap(trace) == pytest.approx(float(by_hand(trace).min()), abs=1e-12)
+
+
+def test_gaps_of_more_instants_than_are_worked_on_at_once(run: Run) -> None:
+    n = pairs.FEW + 1
+    trace = strewn(run, 5, n, 2 * pairs.AT_ONCE // n, 400.0)
+    rows = slice(None, None, 37)
+    few = replace(trace, t=trace.t[rows], pose=trace.pose[rows], safe=trace.safe[rows])
+    every = gap.minimum_gaps(trace)
+    np.testing.assert_allclose(every[rows], by_hand(few), atol=1e-12)
+    assert gap.minimum_gap(trace) == pytest.approx(float(every.min()), abs=1e-12)
+
+
+def test_minimum_gap_is_found_where_the_centres_are_not_the_nearest(run: Run) -> None:
+    # Nose to tail and 0.52 m apart they almost touch; side by side at 0.50 m they do not.
+    apart = np.array([[[0.0, 0.0, 0.0], [0.52, 0.0, 0.0]], [[0.0, 0.0, 0.0], [0.0, 0.50, 0.0]]])
+    assert gap.minimum_gap(run(apart)) == pytest.approx(0.52 - 0.508)
+    assert gap.minimum_gap(run(apart[::-1])) == pytest.approx(0.52 - 0.508)
+
+
+def test_minimum_gap_is_zero_in_touch_and_infinite_alone(run: Run, line: Line) -> None:
+    assert gap.minimum_gap(run(line(0.0, 0.5))) == 0.0
+    assert gap.minimum_gap(run(line(0.0))) == math.inf
+    assert gap.minimum_gaps(run(line(0.0))).tolist() == [math.inf]
+    assert gap.minimum_gap(run(np.zeros((0, 2, 3)))) == math.inf
+    assert gap.minimum_gaps(run(np.zeros((0, 50, 3)))).shape == (0,)
+
+
+def test_the_body_of_an_absent_robot_counts(run: Run, line: Line) -> None:
+    trace = run(line(0.0, 1.0), present=np.array([[True, False]]))
+    assert gap.minimum_gap(trace) == pytest.approx(1.0 - 0.508)

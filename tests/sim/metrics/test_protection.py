@@ -1,0 +1,108 @@
+"""What protection did, in runs whose verdicts are known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swarmd.sim.metrics import protection
+from swarmd.sim.metrics.window import late
+from swarmd.sim.trace import Trace
+
+Run = Callable[..., Trace]
+STILL = np.zeros((4, 2, 3))
+
+
+def test_duty_is_of_judged_sweeps(run: Run) -> None:
+    decided = np.array([[0, 0], [2, 1], [2, 1], [0, 2]])
+    evaded = np.array([[0, 0], [2, 0], [0, 0], [0, 2]])
+    trace = run(STILL, decided=decided, evaded=evaded, active=np.ones((4, 2), dtype=bool))
+    assert protection.protection_duty(trace) == pytest.approx(4.0 / 8.0)
+    assert protection.protection_duty(late(trace, 0.1)) == pytest.approx(2.0 / 5.0)
+    duties = protection.protection_duties(trace)
+    assert duties is not None
+    np.testing.assert_allclose(duties, [np.nan, 2.0 / 3.0, 0.0, 1.0])
+
+
+def test_nothing_judged_is_no_duty(run: Run) -> None:
+    none = np.zeros((4, 2), dtype=np.int64)
+    assert protection.protection_duty(run(STILL, decided=none, evaded=none)) is None
+
+
+def test_duty_falls_back_to_instants(run: Run) -> None:
+    assert protection.protection_duty(run(STILL)) is None
+    assert protection.protection_duties(run(STILL)) is None
+    active = np.zeros((4, 2), dtype=bool)
+    active[0] = True
+    trace = run(STILL, active=active)
+    assert protection.protection_duty(trace) == 0.25
+    state = np.full((4, 2), "running")
+    state[2:] = "stopped"
+    assert protection.protection_duty(replace(trace, state=state)) == 0.5
+    duties = protection.protection_duties(replace(trace, state=state))
+    assert duties is not None
+    np.testing.assert_array_equal(duties, [1.0, 0.0, np.nan, np.nan])
+
+
+def test_duty_is_of_those_present(run: Run) -> None:
+    present = np.ones((4, 2), dtype=bool)
+    present[:, 1] = False
+    trace = run(
+        STILL,
+        decided=np.full((4, 2), 10),
+        evaded=np.array([[5, 10]] * 4),
+        present=present,
+    )
+    assert protection.protection_duty(trace) == 0.5
+
+
+@pytest.mark.parametrize(
+    ("wish", "safe", "altered"),
+    [
+        ((0.5, 0.0, 0.0), (0.5, 0.0, 0.0), 0.0),
+        ((0.5, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0),  # full speed ahead, stopped
+        ((0.5, 0.0, 0.0), (-0.5, 0.0, 0.0), 2.0),  # turned round
+        ((0.0, 0.0, 0.0), (0.3, 0.0, 0.4), 1.0),
+        ((0.0, 1.0, 0.0), (0.0, 0.0, 0.0), np.hypot(0.254, 0.215) / 0.5),  # a Jackal's corner
+    ],
+)
+def test_alteration_is_in_units_of_full_speed(
+    run: Run,
+    wish: tuple[float, ...],
+    safe: tuple[float, ...],
+    altered: float,
+) -> None:
+    trace = run(STILL, wish=np.tile(wish, (4, 2, 1)), safe=np.tile(safe, (4, 2, 1)))
+    assert protection.command_alteration(trace) == pytest.approx(altered)
+    means = protection.mean_alterations(trace)
+    assert means is not None
+    np.testing.assert_allclose(means, np.full(4, altered))
+
+
+def test_alteration_is_of_running_robots(run: Run) -> None:
+    wish = np.zeros((4, 2, 3))
+    wish[:, 0, 0] = 0.5
+    trace = run(STILL, wish=wish)
+    assert protection.command_alteration(trace) == pytest.approx(0.5)
+    state = np.array([["stopped", "running"]] * 4)
+    assert protection.command_alteration(replace(trace, state=state)) == 0.0
+    present = np.array([[True, False]] * 4)
+    assert protection.command_alteration(replace(trace, present=present)) == pytest.approx(1.0)
+
+
+def test_alteration_needs_wishes_and_limits(run: Run) -> None:
+    assert protection.command_alteration(run(STILL)) is None
+    assert protection.command_alteration(run(STILL, wish=STILL, meta={})) is None
+    assert protection.mean_alterations(run(STILL)) is None
+
+
+def test_holds_are_counted_while_running(run: Run) -> None:
+    state = np.array([["running"] * 2, ["running"] * 2, ["stopped", "running"], ["running"] * 2])
+    reason = np.array([["stale_scan", ""], ["no_wish", ""], ["stale_scan", "no_scan"], ["", ""]])
+    trace = run(STILL, state=state, reason=reason)
+    assert protection.hold_share(trace) == pytest.approx(2.0 / 7.0)
+    assert protection.hold_share(run(STILL)) is None
+    assert protection.hold_share(run(STILL, state=np.full((4, 2), "idle"), reason=reason)) is None
