@@ -13,6 +13,7 @@ from swarmd.values import Inputs, Message, Neighbor, Odometry, Platform, Scan, V
 
 ODOMETRY_STALE_AFTER = 0.5
 NEIGHBOR_FORGOTTEN_AFTER = 3.0
+AGES_EVERY = 0.5  # ages of neighbours are renewed so often: a thousand of them take a while
 OVERHEAD = 200  # bytes of sender, channel and age in a frame
 INBOX_BYTES = 100_000  # of messages kept between two steps; older ones give way
 
@@ -41,6 +42,8 @@ class Senses:
         self._is_new_scan = False
         self._neighbors: tuple[Neighbor, ...] = ()
         self._neighbor_ids: frozenset[str] = frozenset()
+        self._aged: tuple[Neighbor, ...] = ()
+        self._renewals = 0.0
         self._neighbors_at = 0.0
         self._inbox: deque[_Heard] = deque()
         self._inbox_bytes = 0
@@ -76,6 +79,7 @@ class Senses:
             self._neighbors = neighbors
             self._neighbor_ids = frozenset(neighbor.id for neighbor in neighbors)
         self._neighbors_at = now
+        self._aged, self._renewals = neighbors, 0.0
 
     def on_message(self, sender: str, channel: str, value: Value, now: float) -> bool:
         """Keep what a neighbour said for the next step; False if its sender is none.
@@ -99,14 +103,17 @@ class Senses:
         self.driver_text = text
 
     def neighbors(self, now: float) -> tuple[Neighbor, ...]:
-        """Who is near, with ages as of now; nobody once that has not been heard for 3 s."""
+        """Who is near, with ages to within 0.5 s; nobody once that has not been heard for 3 s."""
         if not self._knows_neighbors(now):
             return ()
-        passed = now - self._neighbors_at
-        return tuple(
-            Neighbor(n.id, n.age + passed, n.distance, n.bearing, n.heading)
-            for n in self._neighbors
-        )
+        renewals = (now - self._neighbors_at) // AGES_EVERY
+        if renewals != self._renewals:
+            self._renewals, passed = renewals, renewals * AGES_EVERY
+            self._aged = tuple(
+                Neighbor(n.id, n.age + passed, n.distance, n.bearing, n.heading)
+                for n in self._neighbors
+            )
+        return self._aged
 
     def _knows_neighbors(self, now: float) -> bool:
         return now - self._neighbors_at <= NEIGHBOR_FORGOTTEN_AFTER

@@ -84,8 +84,8 @@ class Odometry(Struct, frozen=True):
 class Neighbor(Struct, frozen=True):
     """A robot that is near, as far as it is sensed.
 
-    `age` is the time in s since it was heard; `distance` in m, `bearing` and `heading` in rad,
-    relative to this robot; None means not sensed.
+    `age` is the time in s since it was heard, to within 0.5 s; `distance` in m, `bearing` and
+    `heading` in rad, relative to this robot; None means not sensed.
     """
 
     id: str

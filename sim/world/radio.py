@@ -88,11 +88,15 @@ class Radio:
         self._known = [Neighbor(robot, 0.0) for robot in ids]
         self._queue: list[tuple[float, int, list[int], int, str, Value]] = []
         self._sent = 0
+        self._everyone: dict[int, tuple[Neighbor, ...]] = {}
 
     def neighbors(
         self, row: int, poses: Array, things: Array | None = None
     ) -> tuple[Neighbor, ...]:
         """Whom robot `row` hears; where they are only with range_and_bearing, and noisy."""
+        is_everyone = math.isinf(self._reach) and self._sight is None
+        if is_everyone and not self._settings.range_and_bearing:
+            return self._others(row)
         heard = self.hearers(row, poses, things)
         if not self._settings.range_and_bearing:
             return tuple(self._known[i] for i in heard.tolist())
@@ -101,6 +105,12 @@ class Radio:
             Neighbor(self._ids[i], 0.0, distance, wrap(bearing), wrap(heading))
             for i, (distance, bearing, heading) in zip(heard.tolist(), sensed, strict=True)
         )
+
+    def _others(self, row: int) -> tuple[Neighbor, ...]:
+        """All but robot `row`: one and the same tuple each time."""
+        if row not in self._everyone:
+            self._everyone[row] = (*self._known[:row], *self._known[row + 1 :])
+        return self._everyone[row]
 
     def hearers(self, row: int, poses: Array, things: Array | None = None) -> Indices:
         """The rows that hear robot `row` now, in order; they are those that it hears."""
