@@ -3,6 +3,9 @@
 Source of the idea: each thing covers one interval of bearings as seen from the sensor, so its
 distance is computed for the rays within that interval alone, and a sweep costs the things near it,
 not rays times things. Exact: the tests hold it against MuJoCo's own ray caster to 1e-9 m.
+
+All is computed with one array for each coordinate, and as one over the distance, which along a
+surface is a sum of a cosine and a sine: both are several times faster.
 """
 
 from __future__ import annotations
@@ -10,14 +13,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from swarmd.sim.world.rays import Indices, Rays
 from swarmd.values import Array, ScanSpec
 
-Indices = NDArray[np.intp]
-
-# Widens each interval, so that no ray slips between two edges that share a corner.
-_SEAM = 1e-12
+# m2: nearer to a surface's line than this over its length it is seen edge-on, so not at all.
+_EDGE_ON = 1e-10
+# m by which more is taken for near than is, since that is computed with single precision.
+_ROUNDING = 0.01
+_AT_ONCE = 50  # so that the arrays of a step of the arithmetic stay within a processor's cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,37 +44,35 @@ class Shapes:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Edges:
-    """Surfaces in the frames of sensors: `scan` (e,) which one, `start` and `along` (e, 2)."""
+class _Sensors:
+    """Where m sensors are, and the rows of their carriers; `yaw` is within -pi and pi."""
 
-    scan: Indices
-    start: Array
-    along: Array
-
-    def joined(self, other: _Edges) -> _Edges:
-        """These and those."""
-        return _Edges(
-            np.concatenate((self.scan, other.scan)),
-            np.concatenate((self.start, other.start)),
-            np.concatenate((self.along, other.along)),
-        )
+    x: Array
+    y: Array
+    yaw: Array
+    cos: Array
+    sin: Array
+    carriers: Indices
 
 
 class Lidar:
-    """Casts the sweeps of all sensors of one kind at once."""
+    """Casts the sweeps of all sensors of one kind at once.
+
+    Surfaces are arrays (4, ...) x and y of their start, x and y from there to their end, in the
+    world frame. Their `side` is the sensor's distance from their line times their length, less
+    than 0 where it sees their face.
+    """
 
     def __init__(self, spec: ScanSpec, shapes: Shapes) -> None:
         self._spec, self._shapes = spec, shapes
-        bearings = np.mod(spec.bearings + np.pi, 2.0 * np.pi) - np.pi
-        order = np.argsort(bearings, kind="stable")
-        self._rays = np.concatenate((order, order, order))
-        turns = 2.0 * np.pi * np.array([-1.0, 0.0, 1.0])
-        self._bearings = (turns[:, None] + bearings[order]).ravel()
-        self._directions = np.stack((np.cos(spec.bearings), np.sin(spec.bearings)), axis=-1)
+        self._rays = Rays(spec.bearings)
+        start, end = shapes.walls[:, 0], shapes.walls[:, 1]
+        self._walls = np.concatenate((start, end - start), axis=1).T.copy()
+        self._seen_walls = -spec.range_max * np.hypot(self._walls[2], self._walls[3])
         corners = shapes.polygons
+        edges = np.concatenate((corners, np.roll(corners, -1, axis=1) - corners), axis=2)
+        self._edges = np.moveaxis(edges, 2, 0).copy()
         self._reach = np.hypot(corners[..., 0], corners[..., 1]).max(axis=1, initial=0.0)
-        self._wall_along = shapes.walls[:, 1] - shapes.walls[:, 0]
-        self._wall_length = np.hypot(self._wall_along[:, 0], self._wall_along[:, 1])
 
     def cast(self, poses: Array, observers: Indices) -> Array:
         """Ranges (m, rays) in m seen by robots `observers` (m,), with all bodies at `poses` (n, 3).
@@ -78,98 +80,138 @@ class Lidar:
         What is at NaN is not there. +inf: beyond range_max or nothing there, -inf: nearer than
         range_min.
         """
-        sensors = poses[observers].copy()
-        sensors[:, :2] += _turn(np.array(self._spec.offset), sensors[:, 2])
-        nearest = np.full((len(observers), len(self._spec.bearings)), np.inf)
-        walls, edges = self._walls(sensors), self._edges(sensors, poses, observers)
-        self._meet_edges(nearest, walls.joined(edges))
+        ranges = np.full((len(observers), len(self._spec.bearings)), np.inf)
+        for first in range(0, len(observers), _AT_ONCE):
+            some = slice(first, first + _AT_ONCE)
+            self._cast(ranges[some], poses, observers[some])
+        return ranges
+
+    def _cast(self, ranges: Array, poses: Array, observers: Indices) -> None:
+        sensors = self._sensors(poses, observers)
+        nearness = np.zeros(ranges.shape)
+        self._meet_surfaces(nearness, sensors, poses)
         if len(self._shapes.poles) or len(self._shapes.discs):
-            self._meet_circles(nearest, sensors, poses, observers)
-        nearest[nearest > self._spec.range_max] = np.inf
-        nearest[nearest < self._spec.range_min] = -np.inf
-        return nearest
+            self._meet_circles(nearness, sensors, poses)
+        np.divide(1.0, nearness, out=ranges, where=nearness > 0.0)
+        ranges[ranges > self._spec.range_max] = np.inf
+        ranges[ranges < self._spec.range_min] = -np.inf
 
-    def _walls(self, sensors: Array) -> _Edges:
-        start = self._shapes.walls[None, :, 0] - sensors[:, None, :2]
-        along = self._wall_along
-        # `side` is the sensor's distance from the line times its length, negative on the right.
-        side = start[..., 0] * along[:, 1] - start[..., 1] * along[:, 0]
-        scan, wall = np.nonzero((side < 0.0) & (side >= -self._spec.range_max * self._wall_length))
-        yaw = -sensors[scan, 2]
-        return _Edges(scan, _turn(start[scan, wall], yaw), _turn(along[wall], yaw))
+    def _sensors(self, poses: Array, observers: Indices) -> _Sensors:
+        x, y, yaw = poses[observers].T
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        ahead, left = self._spec.offset
+        return _Sensors(
+            x + (cos * ahead - sin * left),
+            y + (sin * ahead + cos * left),
+            np.mod(yaw + np.pi, 2.0 * np.pi) - np.pi,
+            cos,
+            sin,
+            observers,
+        )
 
-    def _edges(self, sensors: Array, poses: Array, observers: Indices) -> _Edges:
-        owners = self._shapes.polygon_owners
-        away = poses[owners, :2] - sensors[:, None, :2]
-        reach = self._spec.range_max + self._reach
-        is_near = (away * away).sum(axis=-1) <= reach * reach
-        is_near &= owners != observers[:, None]
-        scan, polygon = np.nonzero(is_near)
-        yaw = poses[owners[polygon], 2] - sensors[scan, 2]
-        corners = _turn(self._shapes.polygons[polygon], yaw[:, None])
-        corners += _turn(away[scan, polygon], -sensors[scan, 2])[:, None]
-        along = np.roll(corners, -1, axis=1) - corners
-        is_facing = corners[..., 0] * along[..., 1] < corners[..., 1] * along[..., 0]
-        pair, edge = np.nonzero(is_facing)
-        return _Edges(scan[pair], corners[pair, edge], along[pair, edge])
+    def _meet_surfaces(self, nearness: Array, sensors: _Sensors, poses: Array) -> None:
+        scan, surfaces, side = self._facing_walls(sensors)
+        if len(self._shapes.polygons):
+            carried = self._facing_edges(sensors, poses)
+            scan, side = np.concatenate((scan, carried[0])), np.concatenate((side, carried[2]))
+            surfaces = np.concatenate((surfaces, carried[1]), axis=1)
+        x, y, along_x, along_y = surfaces
+        x -= sensors.x[scan]
+        y -= sensors.y[scan]
+        high = np.arctan2(y, x) - sensors.yaw[scan]
+        turn = np.arctan2(-side, x * (x + along_x) + y * (y + along_y))
+        cos, sin = sensors.cos[scan], sensors.sin[scan]
+        by_cos = (cos * along_y - sin * along_x) / side
+        by_sin = (cos * along_x + sin * along_y) / -side
+        places, counts = self._rays.within(high - turn, high)
+        near = np.repeat(by_cos, counts)
+        near *= self._rays.cos[places]
+        more = np.repeat(by_sin, counts)
+        more *= self._rays.sin[places]
+        near += more
+        self._raise(nearness, np.repeat(scan, counts), places, near)
 
-    def _meet_edges(self, nearest: Array, edges: _Edges) -> None:
-        a, along = edges.start, edges.along
-        b = a + along
-        side = a[:, 0] * along[:, 1] - a[:, 1] * along[:, 0]
-        high = np.arctan2(a[:, 1], a[:, 0])
-        turn = np.arctan2(-side, (a * b).sum(axis=-1))
-        pair, ray = self._covered(high - turn, high)
-        direction, along = self._directions[ray], along[pair]
-        slope = direction[:, 0] * along[:, 1] - direction[:, 1] * along[:, 0]
-        # A surface seen edge-on has no slope, and is not seen.
-        distance = np.full(len(slope), np.inf)
-        np.divide(side[pair], slope, out=distance, where=slope < 0.0)
-        _lower(nearest, edges.scan[pair], ray, distance)
+    def _facing_walls(self, sensors: _Sensors) -> tuple[Indices, Array, Array]:
+        """Which sensor (e,) sees a wall, the walls (4, e), the side (e,)."""
+        x, y, along_x, along_y = self._walls
+        side = (x - sensors.x[:, None]) * along_y - (y - sensors.y[:, None]) * along_x
+        seen = np.flatnonzero((side < -_EDGE_ON) & (side >= self._seen_walls))
+        scan, wall = np.divmod(seen, max(len(x), 1))
+        return scan, self._walls[:, wall], side.ravel()[seen]
 
-    def _meet_circles(
-        self, nearest: Array, sensors: Array, poses: Array, observers: Indices
-    ) -> None:
+    def _facing_edges(self, sensors: _Sensors, poses: Array) -> tuple[Indices, Array, Array]:
+        """The same for the edges of polygons, those of the sensor's own carrier left out."""
+        owners, corners = self._shapes.polygon_owners, self._edges.shape[2]
+        at = poses[owners]
+        scan, polygon = _near(sensors, at[:, 0], at[:, 1], self._reach + self._spec.range_max)
+        is_other = owners[polygon] != sensors.carriers[scan]
+        scan, polygon = scan[is_other], polygon[is_other]
+        is_near = np.zeros(len(owners), dtype=np.bool_)
+        is_near[polygon] = True
+        edges = _placed(self._edges[:, is_near], at[is_near])
+        row = (np.cumsum(is_near) - 1)[polygon]
+        x, y, along_x, along_y = edges
+        side = (x[row] - sensors.x[scan, None]) * along_y[row]
+        side -= (y[row] - sensors.y[scan, None]) * along_x[row]
+        seen = np.flatnonzero(side < -_EDGE_ON)
+        pair, edge = np.divmod(seen, corners)
+        surfaces = edges.reshape(4, -1)[:, row[pair] * corners + edge]
+        return scan[pair], surfaces, side.ravel()[seen]
+
+    def _meet_circles(self, nearness: Array, sensors: _Sensors, poses: Array) -> None:
         shapes = self._shapes
-        carriers = poses[shapes.disc_owners]
-        discs = carriers[:, :2] + _turn(shapes.discs[:, :2], carriers[:, 2])
-        to = np.concatenate((shapes.poles[:, :2], discs)) - sensors[:, None, :2]
+        at = poses[shapes.disc_owners]
+        discs = _placed(shapes.discs[:, :2].T[..., None], at)[..., 0]
+        x, y = np.concatenate((shapes.poles[:, :2].T, discs), axis=1)
         radius = np.concatenate((shapes.poles[:, 2], shapes.discs[:, 2]))
-        squared = (to * to).sum(axis=-1)
-        reach = self._spec.range_max + radius
-        is_near = (squared <= reach * reach) & (squared > radius * radius)
-        is_near[:, len(shapes.poles) :] &= shapes.disc_owners != observers[:, None]
-        scan, circle = np.nonzero(is_near)
-        center = _turn(to[scan, circle], -sensors[scan, 2])
-        middle = np.arctan2(center[:, 1], center[:, 0])
-        half = np.arcsin(radius[circle] / np.sqrt(squared[scan, circle]))
-        pair, ray = self._covered(middle - half, middle + half)
-        direction, center = self._directions[ray], center[pair]
-        aside = direction[:, 0] * center[:, 1] - direction[:, 1] * center[:, 0]
-        ahead = (direction * center).sum(axis=-1)
-        depth = np.sqrt(np.maximum(radius[circle][pair] ** 2 - aside * aside, 0.0))
-        _lower(nearest, scan[pair], ray, ahead - depth)
+        owners = np.concatenate((np.full(len(shapes.poles), -1), shapes.disc_owners))
+        scan, circle = _near(sensors, x, y, radius + self._spec.range_max)
+        x, y, radius = x[circle] - sensors.x[scan], y[circle] - sensors.y[scan], radius[circle]
+        beyond = x * x + y * y - radius * radius
+        is_seen = (beyond > 0.0) & (owners[circle] != sensors.carriers[scan])
+        scan, x, y = scan[is_seen], x[is_seen], y[is_seen]
+        radius, beyond = radius[is_seen], beyond[is_seen]
+        middle = np.arctan2(y, x) - sensors.yaw[scan]
+        half = np.arcsin(radius / np.hypot(x, y))
+        places, counts = self._rays.within(middle - half, middle + half)
+        cos, sin = sensors.cos[scan], sensors.sin[scan]
+        ahead, left = np.repeat((cos * x + sin * y, cos * y - sin * x), counts, axis=1)
+        cos, sin = self._rays.cos[places], self._rays.sin[places]
+        aside = cos * left - sin * ahead
+        depth = np.sqrt(np.maximum(np.repeat(radius * radius, counts) - aside * aside, 0.0))
+        # One over (distance to the middle - depth), without the difference of nearly equal ones.
+        near = (cos * ahead + sin * left + depth) / np.repeat(beyond, counts)
+        self._raise(nearness, np.repeat(scan, counts), places, near)
 
-    def _covered(self, low: Array, high: Array) -> tuple[Indices, Indices]:
-        """All (interval, ray) pairs for intervals of bearings within two turns of -pi."""
-        first = np.searchsorted(self._bearings, low - _SEAM, side="left")
-        last = np.searchsorted(self._bearings, high + _SEAM, side="right")
-        counts = last - first
-        pair = np.repeat(np.arange(len(low)), counts)
-        within = np.arange(len(pair)) - np.repeat(np.cumsum(counts) - counts, counts)
-        return pair, self._rays[first[pair] + within]
-
-
-def _turn(vectors: Array, yaw: Array) -> Array:
-    """Vectors (..., 2) turned counter-clockwise by `yaw` (...) rad."""
-    cos, sin = np.cos(yaw), np.sin(yaw)
-    x, y = vectors[..., 0], vectors[..., 1]
-    ahead = cos * x - sin * y
-    turned = np.empty((*ahead.shape, 2))  # np.stack would take longer than all the rest
-    turned[..., 0] = ahead
-    turned[..., 1] = sin * x + cos * y
-    return turned
+    def _raise(self, nearness: Array, scan: Indices, places: Indices, near: Array) -> None:
+        """Let each ray see what is nearest: the greatest of one over the distances."""
+        ray = scan * nearness.shape[1] + self._rays.number[places]
+        np.maximum.at(nearness.reshape(-1), ray, near)
 
 
-def _lower(nearest: Array, scan: Indices, ray: Indices, distance: Array) -> None:
-    np.minimum.at(nearest.reshape(-1), scan * nearest.shape[1] + ray, distance)
+def _near(sensors: _Sensors, x: Array, y: Array, reach: Array) -> tuple[Indices, Indices]:
+    """The pairs of sensors and things at x, y (b,) within their `reach` (b,), and a few more."""
+    single = np.float32
+    squared = x.astype(single) - sensors.x.astype(single)[:, None]
+    squared *= squared
+    aside = y.astype(single) - sensors.y.astype(single)[:, None]
+    aside *= aside
+    squared += aside
+    most = (reach + _ROUNDING).astype(single)
+    return np.divmod(np.flatnonzero(squared <= most * most), max(len(x), 1))
+
+
+def _placed(vectors: Array, poses: Array) -> Array:
+    """Points (2, b, k) of body frames at `poses` (b, 3) in the world frame.
+
+    Of (4, b, k) the last two are directions, which only turn.
+    """
+    cos, sin = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+    placed = np.empty_like(vectors)
+    for axis in range(0, len(vectors), 2):
+        x, y = vectors[axis], vectors[axis + 1]
+        placed[axis] = cos * x - sin * y
+        placed[axis + 1] = sin * x + cos * y
+    placed[0] += poses[:, 0, None]
+    placed[1] += poses[:, 1, None]
+    return placed
