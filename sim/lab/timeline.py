@@ -77,10 +77,12 @@ class Timeline:
                 what = f"{event.action} {event.pattern}".rstrip()
                 raise SwarmError(f"at {event.at:g} s {what}: {shell.robot.id}: {said}")
 
+    def _is_for_all(self, event: Event) -> bool:
+        chosen = frozenset(event.robots)
+        return all(one is None or one.robot.id in chosen for one in self._swarm.shells)
+
     def _request(self, event: Event, shell: Shell, now: float) -> Request:
         robot = shell.robot
-        there = [shell.robot.id for shell in self._swarm.shells if shell is not None]
-        is_for_all = all(robot in event.robots for robot in there)
         arguments: Mapping[str, Callable[[], dict[str, Any]]] = {
             "run": lambda: {
                 "pattern": event.pattern,
@@ -88,7 +90,7 @@ class Timeline:
                 **({} if event.seconds is None else {"seconds": event.seconds}),
             },
             "param": lambda: {"set": dict(event.parameters)},
-            "estop": lambda: {"scope": "swarm" if is_for_all else "robots"},
+            "estop": lambda: {"scope": "swarm" if self._is_for_all(event) else "robots"},
             "reset": lambda: {"ids": list(robot.status(now).latches)},
             "stop": dict,
         }
