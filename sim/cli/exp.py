@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -251,8 +252,9 @@ def _described(name: str) -> dict[str, Any]:
 
 def next_folder(base: Path, stem: str) -> Path:
     """`base/stem-N` with the lowest number above all that are there; nothing is made."""
-    taken = [path.name.rpartition("-")[2] for path in base.glob(f"{stem}-*")]
-    return base / f"{stem}-{max((int(n) for n in taken if n.isdecimal()), default=0) + 1}"
+    names = [path.name for path in base.iterdir()] if base.is_dir() else []
+    found = [re.fullmatch(rf"{re.escape(stem)}-(\d+)", name) for name in names]
+    return base / f"{stem}-{max((int(match[1]) for match in found if match), default=0) + 1}"
 
 
 def _conducted(manifest: Manifest, folder: Path, processes: int) -> Results:

@@ -15,6 +15,9 @@ import msgspec
 import swarmd
 from swarmd.errors import SwarmError
 
+NOT_IN_RUNS = frozenset({"__pycache__", "cli", "live", "network", "plots", "testing"})
+"""Folders of swarmd that no run reads from: a change there changes no result."""
+
 _GIT_SECONDS = 10.0
 
 
@@ -48,7 +51,7 @@ def made_with() -> dict[str, str]:
 
 
 def digest_of_code(folder: Path) -> str:
-    """The SHA-256 of names and contents of all Python files below `folder`, links followed."""
+    """The SHA-256 of names and contents of the Python files that runs may use, links followed."""
     digest = hashlib.sha256()
     for path in _python_files(folder):
         digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
@@ -99,5 +102,5 @@ def _git(folder: Path, *words: str) -> str | None:
 def _python_files(folder: Path) -> Iterator[Path]:
     """In the order of their names, whatever the order on the disk."""
     for name, folders, files in os.walk(folder, followlinks=True):
-        folders[:] = sorted(f for f in folders if f != "__pycache__")
+        folders[:] = sorted(f for f in folders if f not in NOT_IN_RUNS)
         yield from (Path(name) / file for file in sorted(files) if file.endswith(".py"))

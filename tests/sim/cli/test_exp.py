@@ -1,0 +1,321 @@
+"""`swarmctl exp` as a user runs it: from a scenario to answers, and every way it can be ended."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from swarmd.cli import cli, exit_code_of, run_cli
+from swarmd.sim.cli.exp import next_folder
+from swarmd.testing.processes import children, wait_until
+
+Swarmctl = Callable[..., "subprocess.CompletedProcess[str]"]
+HEAVY = {"numpy", "mujoco", "matplotlib", "rich", "yaml", "swarmd.patterns"}
+END = "groups.all.parameters.end"
+
+
+def rows(folder: Path) -> list[dict[str, str]]:
+    """What runs.csv says, but for how long the runs took."""
+    with (folder / "runs.csv").open(newline="") as file:
+        return [{k: v for k, v in row.items() if k != "wall"} for row in csv.DictReader(file)]
+
+
+def traces(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted((folder / "traces").iterdir())}
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(p): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def started(*words: object, cwd: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, "-c", "from swarmd.entry import swarmctl; swarmctl()", *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=cwd,
+    )
+
+
+def finished(folder: Path) -> int:
+    path = folder / "runs.csv"
+    return max(path.read_bytes().count(b"\n") - 1, 0) if path.exists() else 0
+
+
+@pytest.fixture
+def small_disk(tmp_path: Path) -> Iterator[Path]:
+    """A file system of 96 kB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=96k", "tmpfs", str(folder)]
+    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("a small file system needs root, and to be permitted")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True)
+
+
+@pytest.mark.parametrize("args", [["exp", "--help"], ["exp", "run", "--help"]])
+def test_help_loads_nothing_heavy(args: list[str]) -> None:
+    code = (
+        "import sys\nfrom swarmd.cli import cli\n"
+        f"cli.main({args}, standalone_mode=False)\nprint(*sys.modules, file=sys.stderr)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("Usage: ")
+    assert not set(done.stderr.split()) & HEAVY
+
+
+@pytest.mark.integration
+def test_a_sweep_leaves_rows_traces_a_summary_and_a_manifest(
+    tmp_path: Path, duo: Path, swarmctl: Swarmctl
+) -> None:
+    sweep = "groups.all.parameters.speed=0.2,0.1"
+    done = swarmctl("exp", "run", duo, "--seeds", "3,1", "--sweep", sweep, "-j", 2)
+    assert done.returncode == 0, done.stderr
+    folder = tmp_path / "experiments" / "duo-1"
+    assert "results: experiments/duo-1/" in done.stderr
+    names = ["speed=0.2_s0003", "speed=0.2_s0001", "speed=0.1_s0003", "speed=0.1_s0001"]
+    assert [row["run"] for row in rows(folder)] == names
+    assert [row["groups.all.parameters.speed"] for row in rows(folder)] == ["0.2"] * 2 + ["0.1"] * 2
+    assert sorted(traces(folder)) == sorted(f"{name}.npz" for name in names)
+    summary = json.loads((folder / "summary.json").read_text())
+    fast, slow = (variant["metrics"]["path_length"] for variant in summary["variants"])
+    assert fast["n"] == slow["n"] == 2
+    assert fast["mean"] > slow["mean_interval"][1]
+    manifest = json.loads((folder / "manifest.json").read_text())
+    assert manifest["seeds"] == [3, 1]
+    assert manifest["variants"][1]["effective"]["groups"]["all"]["parameters"]["speed"] == 0.1
+    assert list(manifest["plugins"]) == [f"{duo.parent}/plugins/moody.py"]
+    assert not (folder / "failures.json").exists()
+    for variant in ("speed=0.2", "speed=0.1"):
+        assert f"\n{variant}\n" in done.stdout
+
+
+@pytest.mark.integration
+def test_results_are_the_same_bits_for_any_number_of_processes(
+    tmp_path: Path, duo: Path, swarmctl: Swarmctl
+) -> None:
+    for jobs in (1, 2):
+        done = swarmctl("exp", "run", duo, "--seeds", 4, "-j", jobs, "--out", f"j{jobs}")
+        assert done.returncode == 0, done.stderr
+    assert rows(tmp_path / "j1") == rows(tmp_path / "j2")
+    assert traces(tmp_path / "j1") == traces(tmp_path / "j2")
+
+
+@pytest.mark.integration
+def test_a_rerun_is_identical_without_the_scenario_and_with_another_hash_seed(
+    tmp_path: Path, duo: Path, swarmctl: Swarmctl
+) -> None:
+    swarmctl("exp", "run", duo, "--seeds", "7-9", "--out", "a", PYTHONHASHSEED="1")
+    duo.unlink()
+    before = contents(tmp_path / "a")
+    done = swarmctl("exp", "rerun", "a", "--out", "b", "-j", 2, PYTHONHASHSEED="2")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("identical") == 3
+    assert "3 of 3 runs are identical" in done.stderr
+    assert contents(tmp_path / "a") == before
+    assert traces(tmp_path / "a") == traces(tmp_path / "b")
+
+
+@pytest.mark.integration
+def test_a_rerun_tells_which_run_differs_and_what_has_changed(
+    tmp_path: Path, duo: Path, swarmctl: Swarmctl
+) -> None:
+    swarmctl("exp", "run", duo, "--seeds", 2, "--out", "a")
+    shutil.copy(tmp_path / "a/traces/s0001.npz", tmp_path / "a/traces/s0000.npz")
+    words = ("exp", "run", duo, "--seeds", 4, "--out", "x", "--set", f"{END}=none")
+    assert swarmctl(*words).returncode == 0
+    table = (tmp_path / "x/runs.csv").read_text()
+    (tmp_path / "x/runs.csv").write_text("".join(table.splitlines(keepends=True)[:3]))
+    failures = {"failures": [{"run": "s0002", "variant": "", "seed": 2, "reason": "bad luck"}]}
+    (tmp_path / "x/failures.json").write_text(json.dumps(failures))
+    shown = swarmctl("exp", "show", "x")
+    assert "2 of 4 runs, 1 failed" in shown.stdout
+    assert "failed: s0002: bad luck" in shown.stderr
+    done = swarmctl(*words)
+    assert done.returncode == 0
+    assert "2 of 4 runs" in done.stderr
+    assert len(rows(tmp_path / "x")) == 4
+    assert json.loads((tmp_path / "x/failures.json").read_text()) == {"failures": []}
+
+
+@pytest.mark.integration
+def test_a_killed_sweep_goes_on_where_it_was(tmp_path: Path, duo: Path, swarmctl: Swarmctl) -> None:
+    folder = tmp_path / "x"
+    words = ("exp", "run", duo, "--seeds", 12, "-j", 2, "--out", folder)
+    process = started(*words, cwd=tmp_path)
+    wait_until(lambda: finished(folder) >= 2, "two runs are done")
+    workers = children(process.pid)
+    process.kill()
+    process.communicate()
+    wait_until(lambda: not any(Path(f"/proc/{pid}/exe").exists() for pid in workers), "all gone")
+    kept = finished(folder)
+    assert 2 <= kept < 12
+    shown = swarmctl("exp", "show", folder, "-o", "json")
+    assert json.loads(shown.stdout)["finished"] == kept
+    with (folder / "runs.csv").open("ab") as file:
+        file.write(b"s0011,,11,0.12")  # as a line torn by the kill would be
+    (folder / "traces" / ".s0011.npz.partial").write_bytes(b"half")
+    done = swarmctl(*words)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr.startswith(f"{kept} of 12 runs\n")
+    fresh = swarmctl("exp", "run", duo, "--seeds", 12, "-j", 2, "--out", "fresh")
+    assert fresh.returncode == 0, fresh.stderr
+    assert rows(folder) == rows(tmp_path / "fresh")
+    assert traces(folder) == traces(tmp_path / "fresh")
+
+
+@pytest.mark.integration
+def test_ctrl_c_keeps_what_is_finished_and_says_how_to_go_on(
+    tmp_path: Path, duo: Path, swarmctl: Swarmctl
+) -> None:
+    folder = tmp_path / "x"
+    process = started("exp", "run", duo, "--seeds", 50, "-j", 2, "--out", folder, cwd=tmp_path)
+    wait_until(lambda: finished(folder) >= 3, "three runs are done")
+    workers = children(process.pid)
+    process.send_signal(signal.SIGINT)
+    _, told = process.communicate(timeout=30)
+    assert process.returncode == 130
+    assert not any(Path(f"/proc/{pid}").exists() for pid in workers)
+    kept = len(rows(folder))
+    assert f"{kept} of 50 runs are kept; to go on: swarmctl exp run " in told
+    assert f"--seeds 50 --jobs 2 --out {folder}\n" in told
+    assert "Traceback" not in told
+    assert json.loads((folder / "summary.json").read_text())["finished"] == kept
+    assert not list((folder / "traces").glob(".*"))
+
+
+@pytest.mark.integration
+def test_a_full_disk_is_one_line_and_what_is_finished_stays(
+    duo: Path, swarmctl: Swarmctl, small_disk: Path
+) -> None:
+    done = swarmctl("exp", "run", duo, "--seeds", 40, "-j", 2, "--out", small_disk / "x")
+    assert done.returncode == 1
+    (line,) = [line for line in done.stderr.splitlines() if not line.endswith(" of 40 runs")]
+    assert line.startswith(f"error: {small_disk}/x")
+    assert "No space left on device" in line
+    shown = swarmctl("exp", "show", small_disk / "x", "-o", "json")
+    assert shown.returncode == 0, shown.stderr
+    assert json.loads(shown.stdout)["finished"] >= 1
+
+
+@pytest.mark.parametrize(
+    ("args", "fault"),
+    [
+        (["run", "agregation"], "no scenario 'agregation'; did you mean 'aggregation'?"),
+        (["run", "none.yaml"], "none.yaml: cannot be read: No such file"),
+        (["run", "DUO", "--seeds", "5-3"], "'5-3' is no seed or range"),
+        (["run", "DUO", "--set", "duraton=3"], "did you mean 'duration'?"),
+        (["run", "DUO", "--set", "duration"], "wanted is key=value"),
+        (["run", "DUO", "--sweep", "duration="], "a value is empty"),
+        (["run", "DUO", "--sweep", "duraton=3,4"], "did you mean 'duration'?"),
+        (["run", "DUO", "--sweep", "duration=3,x"], "duration is 'x'"),
+        (["run", "DUO", "--sweep", "duration=3,3"], "3 stands twice"),
+        (["run", "DUO", "--set", "duration=1", "--sweep", "duration=3"], "both set and swept"),
+        (["run", "DUO", "--metrics", "path_lenght"], "did you mean 'path_length'?"),
+        (["run", "DUO", "--metrics", ","], "--metrics names none"),
+        (["run", "DUO", "--set", "groups.all.count=400"], "start"),
+        (["run", "DUO", "--out", "."], "is no experiment's folder: it holds duo"),
+        (["run", "DUO", "--out", "duo/duo.yaml"], "duo/duo.yaml"),
+        (["run", "DUO", "-j", "0"], "'-j' / '--jobs': 0 is not in the range"),
+        (["rerun", "."], ".: no experiment: there is no manifest.json"),
+        (["show", "nowhere"], "nowhere: no experiment"),
+        (["compare", "a", "b"], "a: no experiment"),
+        (["plot", "nowhere"], "nowhere"),
+        (["runn"], "No such command 'runn'"),
+    ],
+)
+def test_a_mistake_is_one_line_and_nothing_is_made(
+    tmp_path: Path,
+    duo: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    args: list[str],
+    fault: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    before = contents(tmp_path)
+    words = ["exp", *(str(duo) if word == "DUO" else word for word in args)]
+    assert run_cli(cli, words, "swarmctl", exit_code_of) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert fault in told.err
+    assert told.err.count("\n") == 1
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.integration
+def test_another_experiments_folder_is_refused_untouched(
+    tmp_path: Path, duo: Path, swarmctl: Swarmctl
+) -> None:
+    swarmctl("exp", "run", duo, "--seeds", 1, "--out", "x")
+    before = contents(tmp_path)
+    for words, fault in (
+        (["--seeds", "2"], "the seeds were 0, now 0-1"),
+        (["--seeds", "1", "--set", "duration=1"], "it was without --set and --sweep, now --set"),
+        (["--seeds", "1", "--no-traces"], "traces were kept, now they are not"),
+    ):
+        done = swarmctl("exp", "run", duo, "--out", "x", *words)
+        assert done.returncode == 2
+        assert f"x: holds another experiment: {fault}" in done.stderr
+    assert contents(tmp_path) == before
+
+
+@pytest.mark.integration
+def test_show_and_json_restrict_to_the_metrics_asked_for(duo: Path, swarmctl: Swarmctl) -> None:
+    wanted = ("--metrics", "minimum_gap,path_length")
+    done = swarmctl("exp", "run", duo, "--seeds", 2, "--no-traces", "--out", "x", *wanted)
+    assert [line.split()[0] for line in done.stdout.splitlines()[3:]] == [
+        "minimum_gap",
+        "path_length",
+    ]
+    shown: dict[str, Any] = json.loads(swarmctl("-o", "json", "exp", "show", "x", *wanted).stdout)
+    assert shown["apiVersion"] == "swarm/v1"
+    assert shown["kind"] == "ExperimentSummary"
+    assert sorted(shown["variants"][0]["metrics"]) == ["minimum_gap", "path_length"]
+
+
+@pytest.mark.integration
+def test_compare_finds_what_a_sweep_has_changed(duo: Path, swarmctl: Swarmctl) -> None:
+    sweep = "groups.all.parameters.speed=0.1,0.2"
+    swarmctl("exp", "run", duo, "--seeds", 5, "--sweep", sweep, "--out", "x", "--no-traces")
+    words = ("exp", "compare", "x:speed=0.1", "x:speed=0.2")
+    done = swarmctl(*words)
+    assert done.returncode == 0, done.stderr
+    assert "paired by seed" in done.stdout
+    (line,) = [line for line in done.stdout.splitlines() if line.startswith("path_length")]
+    assert "differs" in line
+    (found,) = json.loads(swarmctl(*words, "-o", "json").stdout)["comparisons"]
+    assert found["metrics"]["path_length"]["differs"] is True
+    assert found["metrics"]["path_length"]["interval"][0] > 0.0
+    same = swarmctl("exp", "compare", "x", "x", "--metrics", "path_length")
+    assert same.stdout.count("no difference shown") == 2
+
+
+def test_list_and_metrics_are_tables_and_json(swarmctl: Swarmctl) -> None:
+    listed = json.loads(swarmctl("exp", "list", "-o", "json").stdout)["scenarios"]
+    (one,) = [scenario for scenario in listed if scenario["name"] == "aggregation"]
+    assert one["robots"] > 1
+    assert one["description"]
+    assert "aggregation " in swarmctl("exp", "list").stdout
+    metrics = json.loads(swarmctl("exp", "metrics", "-o", "json").stdout)["metrics"]
+    assert {"path_length", "minimum_gap"} <= {metric["name"] for metric in metrics}
+    assert swarmctl("exp", "metrics").stdout.startswith("NAME ")
+
+
+def test_new_folders_are_numbered_on(tmp_path: Path) -> None:
+    assert next_folder(tmp_path, "duo") == tmp_path / "duo-1"
+    for name in ("duo-2", "duo-x", "duo-10", "duo-two-30"):
+        (tmp_path / name).mkdir()
+    assert next_folder(tmp_path, "duo") == tmp_path / "duo-11"
