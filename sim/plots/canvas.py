@@ -30,8 +30,11 @@ TOUCH_COLOUR = "#CC0000"
 GUIDE_COLOUR = "0.35"
 
 
-def new_figure(width: float, height: float) -> Figure:
-    """An empty figure of that size in inches; SwarmError if matplotlib is not installed."""
+def new_figure(width: float, height: float, *, has_layout: bool = True) -> Figure:
+    """An empty figure of that size in inches; SwarmError if matplotlib is not installed.
+
+    `has_layout`: axes are placed so that nothing overlaps, rather than where they are told.
+    """
     try:
         # Here, since it takes most of a second and nobody else needs it.
         from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -39,7 +42,7 @@ def new_figure(width: float, height: float) -> Figure:
         from matplotlib.layout_engine import ConstrainedLayoutEngine
     except ImportError as error:
         raise SwarmError("pictures need matplotlib: pip install 'swarmd[plot]'") from error
-    layout = ConstrainedLayoutEngine(w_pad=_PAD, h_pad=_PAD)
+    layout = ConstrainedLayoutEngine(w_pad=_PAD, h_pad=_PAD) if has_layout else None
     figure = Figure(figsize=(width, height), layout=layout)
     FigureCanvasAgg(figure)
     return figure

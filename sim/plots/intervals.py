@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmd.errors import SwarmError
-from swarmd.sim.lab.statistics import Summary, summarize
+from swarmd.sim.lab.statistics import mean_interval, wilson
 from swarmd.sim.plots.canvas import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
 from swarmd.values import Array
 
@@ -23,12 +23,16 @@ _READING = "a point: one run; diamond and bar: the mean and its 95 % interval"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
-    """A metric in a picture: `values` of each variant's runs, None where a run has none."""
+    """A metric in a picture: `values` of each variant's runs, None where a run has none.
+
+    `is_share`: the values are 0 or 1, so their mean is a share of the runs.
+    """
 
     label: str
     unit: str = ""
     values: Mapping[str, Sequence[float | None]]
     target: float | None = None
+    is_share: bool = False
 
 
 def draw_intervals(panels: Sequence[Panel], path: Path, title: str = "") -> None:
@@ -77,16 +81,24 @@ def _paint_panel(axes: Axes, panel: Panel, runs: Mapping[str, int]) -> None:
     for row, name in enumerate(runs):
         given = panel.values.get(name, ())
         values = np.array([np.nan if v is None else v for v in given], dtype=np.float64)
-        _paint_strip(axes, values, row, VARIANT_COLOURS[row % len(VARIANT_COLOURS)])
+        _paint_strip(axes, values, row, VARIANT_COLOURS[row % len(VARIANT_COLOURS)],
+                     is_share=panel.is_share)  # fmt: skip
     axes.set_yticks(range(len(runs)), [_row_label(*item) for item in runs.items()], fontsize=9)
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(runs) - 0.5, -0.6)
-    words = [panel.unit, "" if panel.target is None else f"target {panel.target:g}"]
+    known = [v for values in panel.values.values() for v in values if v is not None]
+    if known and min(known) == max(known):  # nothing to scale by
+        axes.set_xlim(known[0] - 1.0, known[0] + 1.0)
+        axes.set_xticks([known[0]])
+    words = [
+        "share of runs" if panel.is_share else panel.unit,
+        "" if panel.target is None else f"target {panel.target:g}",
+    ]
     axes.set_title(panel.label, fontsize=9.5, loc="left")
     axes.set_xlabel(", ".join(word for word in words if word), fontsize=9)
 
 
-def _paint_strip(axes: Axes, values: Array, row: int, colour: str) -> None:
+def _paint_strip(axes: Axes, values: Array, row: int, colour: str, *, is_share: bool) -> None:
     finite = values[np.isfinite(values)]
     if not finite.size:
         axes.text(0.5, row, "no value", transform=axes.get_yaxis_transform(), ha="center",
@@ -94,21 +106,18 @@ def _paint_strip(axes: Axes, values: Array, row: int, colour: str) -> None:
         return
     axes.scatter(finite, row + 0.13 + _spread(finite.size), s=13.0, color=colour, alpha=0.45,
                  linewidths=0.0, zorder=2.0)  # fmt: skip
-    summary = summarize(finite)
-    mean, interval = float(finite.mean()), _interval(summary)
+    mean = float(finite.mean())
+    interval = wilson(int(finite.sum()), finite.size) if is_share else mean_interval(finite)
     if interval is not None:
-        axes.plot(interval, [row - 0.22] * 2, color=colour, linewidth=2.4, zorder=3.0)
+        axes.plot(
+            [interval.low, interval.high], [row - 0.22] * 2, color=colour, linewidth=2.4, zorder=3.0
+        )
     axes.scatter([mean], [row - 0.22], s=34.0, marker="D", color=colour, edgecolors="white",
                  linewidths=0.7, zorder=4.0)  # fmt: skip
     if finite.size < values.size:
         note = f"{values.size - finite.size} without"
         axes.text(1.0, row - 0.3, note, transform=axes.get_yaxis_transform(), ha="right",
                   va="bottom", fontsize=7.5, color=GUIDE_COLOUR)  # fmt: skip
-
-
-def _interval(summary: Summary) -> tuple[float, float] | None:
-    interval = summary.share_interval or summary.mean_interval
-    return None if interval is None else (interval.low, interval.high)
 
 
 def _spread(n: int) -> Array:

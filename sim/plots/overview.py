@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmd.errors import SwarmError
-from swarmd.sim.plots.canvas import GUIDE_COLOUR, new_figure, save
-from swarmd.sim.plots.scene import check_drawable, extent_of, prepare
+from swarmd.sim.plots.canvas import GUIDE_COLOUR, save
+from swarmd.sim.plots.scene import Extent, check_drawable, extent_of, prepare
+from swarmd.sim.plots.sheet import Layout, Sheet
 from swarmd.sim.plots.trajectories import paint_run
 from swarmd.sim.trace import Trace
 
@@ -21,53 +22,70 @@ MOST_RUNS = 25
 _SIDE = 2.3  # inches
 
 
+Load = Callable[[], Trace | None]
+"""Gives a run's trace when it is drawn, so that they need not be in memory together."""
+
+
 def draw_overview(
-    runs: Sequence[tuple[str, Trace | None]], path: Path, title: str = "", *, note: str = ""
+    runs: Sequence[tuple[str, Load]], path: Path, title: str = "", *, note: str = ""
 ) -> None:
     """Write small pictures of up to 25 runs, each with its name: .png, .svg or .pdf, by its suffix.
 
-    A run whose trace is None is a frame that says so. Drawn as by `draw_trajectories`, without
-    legends. `note` stands below. SwarmError if there is no run.
+    A run whose trace is None is an empty place that says so. Drawn as by `draw_trajectories`, but
+    without legends and to one scale. `note` stands below. SwarmError if there is no run.
     """
     save(overview_figure(runs, title, note=note), path)
 
 
-def overview_figure(
-    runs: Sequence[tuple[str, Trace | None]], title: str = "", *, note: str = ""
-) -> Figure:
+def overview_figure(runs: Sequence[tuple[str, Load]], title: str = "", *, note: str = "") -> Figure:
     """The picture that `draw_overview` writes."""
     if not runs:
         raise SwarmError("there is no run: nothing to draw")
     shown = runs[:MOST_RUNS]
     columns = min(5, math.ceil(math.sqrt(len(shown))))
     rows = -(-len(shown) // columns)
-    width, height = _SIDE, _SIDE
-    known = [trace for _, trace in shown if trace is not None]
-    if known:
-        check_drawable(known[0])
-        width, height = extent_of(known[0]).panel(_SIDE)
-    figure = new_figure(columns * width + 0.3, rows * (height + 0.25) + 0.6)
-    grid = figure.subplots(rows, columns, squeeze=False)
-    for axes, (name, trace) in zip(grid.flat, shown, strict=False):
+    extent = _common_extent(shown)
+    width, height = extent.panel(_SIDE) if extent else (_SIDE, _SIDE)
+    layout = Layout(width=width, height=height, rows=rows, columns=columns, left=0.15, right=0.15,
+                    bottom=0.35, top=0.2, across=0.12, down=0.3)  # fmt: skip
+    sheet = Sheet(layout, title or f"{len(shown)} runs")
+    for index, (name, load) in enumerate(shown):
+        axes = sheet.map(*divmod(index, columns))
         axes.set_title(name, fontsize=8, pad=3.0)
-        _paint_small(axes, trace, width)
-        axes.set_box_aspect(height / width)
-    for axes in grid.flat[len(shown) :]:
-        axes.remove()
-    figure.suptitle(title or f"{len(shown)} runs", fontsize=11)
+        _paint_small(axes, load(), extent, width)
     cut = "" if len(shown) == len(runs) else f"the first {len(shown)} of {len(runs)} runs"
-    figure.supxlabel("; ".join(part for part in (note, cut) if part), fontsize=8,
-                     color=GUIDE_COLOUR)  # fmt: skip
-    return figure
+    size = f"each frame {extent.width:.3g} m x {extent.height:.3g} m" if extent else ""
+    sheet.note("; ".join(part for part in (note, cut, size) if part))
+    return sheet.figure
 
 
-def _paint_small(axes: Axes, trace: Trace | None, width: float) -> None:
-    axes.set_axis_off()
-    if trace is None:
+def _common_extent(runs: Sequence[tuple[str, Load]]) -> Extent | None:
+    """What all runs need, so that they are drawn to one scale; None if there is no trace."""
+    shown = []
+    for _, load in runs:
+        trace = load()
+        if trace is not None:
+            check_drawable(trace)
+            shown.append(extent_of(trace))
+    if not shown:
+        return None
+    return Extent(
+        min(extent.left for extent in shown),
+        max(extent.right for extent in shown),
+        min(extent.bottom for extent in shown),
+        max(extent.top for extent in shown),
+    )
+
+
+def _paint_small(axes: Axes, trace: Trace | None, extent: Extent | None, width: float) -> None:
+    axes.set_xticks([])
+    axes.set_yticks([])
+    for spine in axes.spines.values():
+        spine.set_color("0.8")
+    if extent is not None:
+        prepare(axes, extent)
+    if trace is None or extent is None:
         axes.text(0.5, 0.5, "no trace", transform=axes.transAxes, ha="center", va="center",
                   fontsize=9, color=GUIDE_COLOUR)  # fmt: skip
         return
-    check_drawable(trace)
-    extent = extent_of(trace)
-    prepare(axes, extent)
     paint_run(axes, trace, scale=72.0 * width / extent.width, is_small=True)

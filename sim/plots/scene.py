@@ -29,6 +29,8 @@ WALL_COLOUR = "0.3"
 FIXED_COLOUR = "0.65"
 THING_COLOUR = "#C49C6B"
 LINK_COLOUR = "0.6"
+_NARROWEST = 0.55  # of the longer side
+_SMALL_PART = 0.6  # of the arena's longer side
 _MOST_PLACES = 400_000  # drawn of all ways together
 _SPECK, _SMALL = 1.5, 4.0  # points: a footprint's radius below which it is a dot, has no nose
 
@@ -75,21 +77,52 @@ def arena_of(trace: Trace) -> Arena | None:
 
 
 def extent_of(trace: Trace) -> Extent:
-    """The arena and every place where a robot was, with a margin."""
-    reach = max((radius(shape) for shape in trace.footprints.values()), default=0.1)
-    places = trace.pose[..., :2].reshape(-1, 2)
-    low, high = np.nanmin(places, axis=0) - reach, np.nanmax(places, axis=0) + reach
+    """What to show: the arena and every place where a robot or a movable box was, with a margin.
+
+    Where they used but a small part of the arena, that part alone.
+    """
+    low, high = _used(trace)
     arena = arena_of(trace)
     if arena is not None:
         half = np.array([arena.length, arena.width]) / 2.0
-        low, high = np.minimum(low, -half), np.maximum(high, half)
+        around = 0.12 * float(np.max(high - low)) + 0.3
+        is_small = float(np.max(high - low)) + 2.0 * around < _SMALL_PART * float(half.max()) * 2.0
+        if is_small:
+            low, high = np.maximum(low - around, -half), np.minimum(high + around, half)
+            low, high = _widened(low, high)
+        else:
+            low, high = np.minimum(low, -half), np.maximum(high, half)
     margin = 0.02 * float(np.max(high - low))
-    return Extent(
-        float(low[0]) - margin,
-        float(high[0]) + margin,
-        float(low[1]) - margin,
-        float(high[1]) + margin,
-    )
+    (left, bottom), (right, top) = (low - margin).tolist(), (high + margin).tolist()
+    return Extent(left, right, bottom, top)
+
+
+def cut_note(trace: Trace) -> str:
+    """What a picture must say if it shows but a part of the arena; empty if it shows all."""
+    arena, extent = arena_of(trace), extent_of(trace)
+    if arena is None or (extent.width >= arena.length and extent.height >= arena.width):
+        return ""
+    return f"part of an arena of {arena.length:g} m x {arena.width:g} m"
+
+
+def _used(trace: Trace) -> tuple[Array, Array]:
+    """The lower left and the upper right corner (2,) of all places where something was."""
+    reach = max((radius(shape) for shape in trace.footprints.values()), default=0.1)
+    places = trace.pose[..., :2].reshape(-1, 2)
+    low, high = np.nanmin(places, axis=0) - reach, np.nanmax(places, axis=0) + reach
+    if trace.thing_pose is not None and np.isfinite(trace.thing_pose).any():
+        boxes = trace.thing_pose[..., :2].reshape(-1, 2)
+        reach = 0.0 if trace.thing_shapes is None else float(np.abs(trace.thing_shapes).max())
+        low = np.minimum(low, np.nanmin(boxes, axis=0) - reach)
+        high = np.maximum(high, np.nanmax(boxes, axis=0) + reach)
+    return low, high
+
+
+def _widened(low: Array, high: Array) -> tuple[Array, Array]:
+    """The same place, but not too narrow for a title above and a scale below."""
+    size = high - low
+    lacking = np.maximum(_NARROWEST * float(size.max()) - size, 0.0) / 2.0
+    return low - lacking, high + lacking
 
 
 def prepare(axes: Axes, extent: Extent) -> None:

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.aggregation import cluster_link, clusters
 from swarmd.sim.metrics.window import first, last, presence
-from swarmd.sim.plots.canvas import GUIDE_COLOUR, ROBOT_COLOURS, new_figure, save
+from swarmd.sim.plots.canvas import ROBOT_COLOURS, save
 from swarmd.sim.plots.scene import (
     Extent,
     check_drawable,
+    cut_note,
     extent_of,
     paint_arena,
     paint_bodies,
@@ -20,6 +21,7 @@ from swarmd.sim.plots.scene import (
     paint_things,
     prepare,
 )
+from swarmd.sim.plots.sheet import Layout, Sheet
 from swarmd.sim.trace import Trace
 
 if TYPE_CHECKING:
@@ -52,22 +54,20 @@ def start_and_end_figure(trace: Trace, title: str = "", *, link: float | None = 
     width, height = extent.panel(5.5 if len(trace.ids) <= 100 else 7.0)
     is_wide = width > 1.6 * height
     rows, columns = (2, 1) if is_wide else (1, 2)
-    figure = new_figure(columns * (width + 0.35) + 0.5, rows * (height + 0.45) + 0.9)
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).flat
-    scale = 72.0 * width / extent.width
-    for axes, part, is_end in zip(grid, (first(trace), last(trace)), (False, True), strict=True):
-        word = f"end, {trace.duration:.0f} s" if is_end else "start"
-        _paint_instant(axes, part, reach, extent, scale)
-        axes.set_title(f"{word}: {_words(part, reach)}", fontsize=10.5)
-        axes.label_outer()
-    figure.supxlabel("x [m]", fontsize=10)
-    figure.supylabel("y [m]", fontsize=10)
-    if title:
-        figure.suptitle(title, fontsize=11)
-    if reach is not None:
-        note = f"one cluster: each within {reach:g} m of the next"
-        figure.text(0.995, 0.005, note, ha="right", va="bottom", fontsize=8, color=GUIDE_COLOUR)
-    return figure
+    layout = Layout(width=width, height=height, rows=rows, columns=columns, bottom=0.75, top=0.22,
+                    across=0.2, down=0.35)  # fmt: skip
+    sheet = Sheet(layout, title)
+    for index, part in enumerate((first(trace), last(trace))):
+        axes = sheet.map(*((index, 0) if is_wide else (0, index)))
+        _paint_instant(axes, part, reach, extent, 72.0 * width / extent.width)
+        word = f"end, {trace.duration:.0f} s" if index else "start"
+        axes.set_title(f"{word}: {_words(part, reach)}", fontsize=10, pad=4.0)
+        axes.tick_params(labelleft=is_wide or not index, labelbottom=not is_wide or bool(index))
+        axes.set_xlabel("x [m]" if not is_wide or index else "")
+        axes.set_ylabel("y [m]" if is_wide or not index else "")
+    linked = "" if reach is None else f"one cluster: each within {reach:g} m of the next"
+    sheet.note("; ".join(word for word in (cut_note(trace), linked) if word))
+    return sheet.figure
 
 
 def _paint_instant(
@@ -103,4 +103,4 @@ def _words(part: Trace, link: float | None) -> str:
     if len(sizes) <= 1:
         return f"one cluster of {n}" if n > 1 else f"{n} robot"
     largest = max(sizes.values())
-    return f"{len(sizes)} clusters, the largest of {largest}" if largest > 1 else "all alone"
+    return f"{len(sizes)} clusters, the largest of {largest}" if largest > 1 else f"all {n} alone"

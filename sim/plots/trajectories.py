@@ -10,11 +10,12 @@ import numpy as np
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.graph import radio_range
 from swarmd.sim.metrics.window import last, presence
-from swarmd.sim.plots.canvas import TOUCH_COLOUR, new_figure, save
+from swarmd.sim.plots.canvas import TOUCH_COLOUR, save
 from swarmd.sim.plots.scene import (
     LINK_COLOUR,
     THING_COLOUR,
     check_drawable,
+    cut_note,
     extent_of,
     paint_arena,
     paint_bodies,
@@ -26,8 +27,10 @@ from swarmd.sim.plots.scene import (
     robot_colour,
     robot_style,
 )
+from swarmd.sim.plots.sheet import Layout, Sheet, legend_height, legend_width
 from swarmd.sim.plots.touches import BOTH, MARKERS, NONE, ONE, marks_of, paint_touches
 from swarmd.sim.trace import Trace
+from swarmd.values import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,6 +39,7 @@ if TYPE_CHECKING:
 MANY_COLOUR = "#440154"  # the end of the colours of time
 MOST_NAMED = 20
 """Robots up to which each has its colour and its line in the legend."""
+_ASIDE = 4  # columns of a legend below
 
 
 def draw_trajectories(
@@ -59,24 +63,28 @@ def trajectories_figure(trace: Trace, title: str = "", *, has_links: bool = Fals
     is_named = len(trace.ids) <= MOST_NAMED
     extent = extent_of(trace)
     width, height = extent.panel(6.3 if is_named else 8.0)
-    entries = _entries(trace) if is_named else _key(trace)
-    aside = 0.6 + 0.07 * max(len(label) for _, label in entries)
-    figure = new_figure(width + aside + (0.7 if is_named else 1.4), height + 0.9)
-    axes = figure.add_subplot()
+    links = _links(trace) if has_links else None
+    entries = (_names(trace) if is_named else []) + _key(trace, links)
+    layout = Layout(width=width, height=height, right=legend_width(entries))
+    if not is_named:
+        below = 0.45 + legend_height(-(-len(entries) // _ASIDE))
+        layout = Layout(width=width, height=height, right=1.1, bottom=below)
+    title = title or f"{len(trace.ids)} robots, {trace.duration:.0f} s"
+    sheet = Sheet(layout, title, least_height=legend_height(len(entries)) if is_named else 0.0)
+    axes = sheet.map()
     prepare(axes, extent)
     ways = paint_run(axes, trace, scale=72.0 * width / extent.width)
-    if has_links:
-        entries.extend(_paint_radio(axes, trace))
-    axes.set_title(title or f"{len(trace.ids)} robots, {trace.duration:.0f} s", fontsize=11)
-    axes.set_xlabel("x [m]")
+    if links is not None:
+        paint_links(axes, *links)
+    axes.set_xlabel(", ".join(word for word in ("x [m]", cut_note(trace)) if word))
     axes.set_ylabel("y [m]")
-    if ways is not None:
-        bar = figure.colorbar(ways, ax=axes, shrink=0.6, aspect=30)
-        bar.set_label("time [s]")
+    if ways is None:
+        sheet.legend_aside(entries)
+    else:
+        sheet.legend_below(entries, _ASIDE)
+        bar = sheet.figure.colorbar(ways, cax=sheet.bar_axes(), label="time [s]")
         bar.ax.tick_params(labelsize=9)
-    handles, labels = zip(*entries, strict=True)
-    figure.legend(handles, labels, loc="outside right upper", frameon=False, fontsize=9)
-    return figure
+    return sheet.figure
 
 
 def paint_run(axes: Axes, trace: Trace, *, scale: float, is_small: bool = False) -> Any:
@@ -114,27 +122,24 @@ def _paint_changes(axes: Axes, trace: Trace, colours: list[str], *, size: float)
                          edgecolors="white", linewidths=0.8, zorder=5.0)  # fmt: skip
 
 
-def _paint_radio(axes: Axes, trace: Trace) -> list[tuple[Any, str]]:
-    """Who hears whom at the end, and what a legend says of it; nothing if everyone hears all."""
-    from matplotlib.lines import Line2D
-
+def _links(trace: Trace) -> tuple[Array, Array] | None:
+    """Where those stand that hear each other at the end; None if everyone hears everyone."""
     reach, end = radio_range(trace), last(trace)
     if np.isinf(reach):
-        return []
+        return None
     near = pairs.near(end.pose[..., :2], presence(end), reach)
-    paint_links(axes, end.pose[0, near.a, :2], end.pose[0, near.b, :2])
-    return [(Line2D([], [], color=LINK_COLOUR), f"radio, {reach:g} m")]
+    return end.pose[0, near.a, :2], end.pose[0, near.b, :2]
 
 
-def _entries(trace: Trace) -> list[tuple[Any, str]]:
-    """Handle and label for each robot, then for what else there is."""
+def _names(trace: Trace) -> list[tuple[Any, str]]:
+    """Handle and label for each robot."""
     from matplotlib.lines import Line2D
 
     entries: list[tuple[Any, str]] = []
     for robot, name in enumerate(trace.ids):
         line = Line2D([], [], color=robot_colour(robot), linestyle=robot_style(robot), linewidth=2)
         entries.append((line, name + _stay(trace, robot)))
-    return entries + _key(trace)
+    return entries
 
 
 def _stay(trace: Trace, robot: int) -> str:
@@ -151,7 +156,7 @@ def _stay(trace: Trace, robot: int) -> str:
     return f" ({', '.join(changes)})"
 
 
-def _key(trace: Trace) -> list[tuple[Any, str]]:
+def _key(trace: Trace, links: tuple[Array, Array] | None) -> list[tuple[Any, str]]:
     """What the marks mean, of those that are there."""
     from matplotlib.lines import Line2D
 
@@ -168,6 +173,8 @@ def _key(trace: Trace) -> list[tuple[Any, str]]:
         entries.append(mark("v", "0.35", "white", "leaves"))
     if trace.things:
         entries.append(mark("s", THING_COLOUR, "0.3", "movable box"))
+    if links is not None:
+        entries.append((Line2D([], [], color=LINK_COLOUR), f"radio, {radio_range(trace):g} m"))
     found = [touch.kind for touch in marks_of(trace)]
     is_named = len(trace.ids) <= MOST_NAMED
     faces = {BOTH: TOUCH_COLOUR, ONE: "0.6" if is_named else TOUCH_COLOUR, NONE: "white"}
