@@ -7,7 +7,8 @@ key where one is unknown.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any, TypeVar, get_args, get_origin
+from types import NoneType, UnionType
+from typing import Any, TypeVar, Union, get_args, get_origin
 
 import msgspec
 from msgspec import inspect
@@ -107,6 +108,11 @@ def _struct_faults(data: Data, kind: type[msgspec.Struct], keys: Keys) -> Iterat
 
 def _item_faults(data: Any, kind: Any, keys: Keys) -> Iterator[Fault]:
     origin, kinds = get_origin(kind), get_args(kind)
+    if origin in (Union, UnionType) and kinds[1:] == (NoneType,) and data is not None:
+        inside = _fault(data, kinds[0], keys)
+        if inside is not None and inside[0] != keys:
+            yield inside
+        return
     items: list[tuple[str | int, Any, Any]] = []
     if origin is dict and isinstance(data, dict):
         items = [(key, value, kinds[1]) for key, value in data.items()]

@@ -24,6 +24,7 @@ class Outer(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     points: list[tuple[float, float]] = []
     groups: dict[str, Inner] = {}
     maybe: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    perhaps: Inner | None = None
 
 
 GOOD = {"inner": {"speed": 1.0}}
@@ -86,6 +87,7 @@ def test_does_not_change_its_sources() -> None:
             "groups.red.speed is -1; wanted a number above 0 and up to 2",
         ),
         ({**GOOD, "maybe": 3}, "maybe is 3; wanted a number of at least 0 and up to 1 or null"),
+        ({**GOOD, "perhaps": {"speed": -1}}, "perhaps.speed is -1; wanted a number above 0"),
         ({**GOOD, "inner": {"speed": 10**400}}, "inner.speed is 1"),
     ],
 )

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.errors import ConfigError
-from swarmd.yamlfile import brief, read, shown
+from swarmd.yamlfile import brief, read, read_value, shown
 
 
 @pytest.fixture
@@ -81,3 +81,11 @@ def test_shows_paths_relative_to_here_and_others_in_full(file: Path) -> None:
 def test_shortens_long_values() -> None:
     assert brief("x") == "'x'"
     assert len(brief(["long"] * 100)) == 60
+
+
+def test_a_value_alone_is_read_as_in_a_file() -> None:
+    assert [read_value(text) for text in ("1e-3", "[1, a]", "{a: 1}", "yes", "")] == [
+        *(0.001, [1, "a"], {"a": 1}, True, None)
+    ]
+    with pytest.raises(ConfigError, match=r"'\[1' is no value; wanted is YAML, such as 3 or"):
+        read_value("[1")

@@ -44,14 +44,14 @@ def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) 
     names file, key, value, what was wanted and the nearest valid key.
     """
     path = _find(str(name), Path())
-    sources = tuple(_chain(path))
-    over = nested(overrides or {}, Layered(*sources).data)
-    return _built(Layered(*without_stale(((SOURCE, over), *sources))), path.stem)
+    return _overridden(tuple(_chain(path)), overrides, path.stem)
 
 
-def scenario_of(effective: Mapping[str, Any]) -> Scenario:
-    """The scenario whose `effective` configuration this is; ConfigError as `load_scenario`."""
-    return _built(Layered(("effective configuration", effective)), "scenario")
+def scenario_of(
+    effective: Mapping[str, Any], overrides: Mapping[str, Any] | None = None
+) -> Scenario:
+    """The scenario whose `effective` configuration this is; otherwise as `load_scenario`."""
+    return _overridden((("effective configuration", dict(effective)),), overrides, "scenario")
 
 
 def _folder() -> Path:
@@ -99,6 +99,14 @@ def _anchored(data: Data, folder: Path) -> Data:
         if isinstance(value, str) and (key == "plugin_dir" or value.endswith(".yaml")):
             holder[key] = str(folder / Path(value).expanduser())
     return data
+
+
+def _overridden(
+    sources: tuple[tuple[str, Data], ...], overrides: Mapping[str, Any] | None, name: str
+) -> Scenario:
+    if overrides:
+        sources = ((SOURCE, nested(overrides, Layered(*sources).data)), *sources)
+    return _built(Layered(*without_stale(sources)), name)
 
 
 def _built(layers: Layered, name: str) -> Scenario:

@@ -18,7 +18,6 @@ Point = tuple[Coordinate, Coordinate]
 Placed = tuple[Coordinate, Coordinate, Degrees]
 Values = dict[str, Scalar | None]
 Who = str | list[str]
-Layout = Literal["row", "paper", "grid", "ring", "random", "chain", "list"]
 
 
 class BoxSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -58,9 +57,9 @@ class ArenaSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class StartSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where robots start. Which keys mean something depends on the layout: see `starts.KEYS`."""
+    """Where robots start. Layouts, and the keys that each knows, are in `starts.KEYS`."""
 
-    layout: Layout | None = None
+    layout: str | None = None
     spacing: Size | None = None
     radius: Size | None = None
     clearance: Distance | None = None

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.random import Generator
 
-from swarmd.errors import ConfigError
+from swarmd.errors import ConfigError, unknown
 from swarmd.layered import Keys, Layered, dotted
 from swarmd.sim.lab.schema import StartSection
 from swarmd.sim.world.arena import Arena
@@ -104,8 +104,11 @@ def _sections(data: Data) -> Iterator[tuple[str, Data]]:
 
 
 def part_of(layers: Layered, keys: Keys, start: StartSection, rows: Sequence[int]) -> Part:
-    """A checked part; ConfigError for keys that mean nothing with its layout, or do not fit."""
+    """A checked part; ConfigError for unknown layouts and for keys that do not fit theirs."""
     layout, key = layout_of(start), dotted(keys)
+    if layout not in KEYS:
+        text = f"{key}.layout: {unknown('layout', layout, KEYS)}"
+        raise layers.error((*keys, "layout"), text)
     for name in StartSection.__struct_fields__[1:]:
         if getattr(start, name) is not None and name not in KEYS[layout]:
             wanted = ", ".join(KEYS[layout])
