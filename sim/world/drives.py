@@ -21,9 +21,9 @@ class Drives:
         self._dt = dt
         self._limits = np.array([_limits(p) for p in platforms]).reshape(n, 3)
         self._gains = np.array([_accelerations(p) for p in platforms]).reshape(n, 3) * dt
-        self._mass = np.array([value(p, "mass") for p in platforms])
-        self._inertia = np.array([inertia(p) for p in platforms])
-        self._grip = _FRICTION * _GRAVITY * self._mass
+        mass = np.array([value(p, "mass") for p in platforms])
+        self._inert = np.stack((mass, mass, [inertia(p) for p in platforms]), axis=-1)
+        self._grip = _FRICTION * _GRAVITY * mass
         self._spin = self._grip * [value(p, "wheel_separation") / 2.0 for p in platforms]
         self._wanted, self._driven = np.zeros((n, 3)), np.zeros((n, 3))
 
@@ -42,19 +42,22 @@ class Drives:
         (Coulomb, the same in all directions). MuJoCo's own velocity actuators are not used: a
         stiff one with a force limit chatters by 0.04 m/s at rest, a soft one lags.
         """
-        self._driven += np.clip(self._wanted - self._driven, -self._gains, self._gains)
+        gain = np.minimum(self._wanted - self._driven, self._gains)
+        self._driven += np.maximum(gain, -self._gains, out=gain)
         linear, angular, lateral = self._driven.T
         # Half a step ahead, the heading at which this step's displacement is a chord of the arc.
         yaw = pose[:, 2] + angular * (self._dt / 2.0)
         cos, sin = np.cos(yaw), np.sin(yaw)
-        target = np.stack(
-            (cos * linear - sin * lateral, sin * linear + cos * lateral, angular), axis=-1
-        )
-        inert = np.stack((self._mass, self._mass, self._inertia), axis=-1)
-        force: Array = inert * (target - velocity) / self._dt
+        force = np.empty_like(pose)
+        force[:, 0] = cos * linear - sin * lateral
+        force[:, 1] = sin * linear + cos * lateral
+        force[:, 2] = angular
+        force -= velocity
+        force *= self._inert
+        force /= self._dt
         size = np.hypot(force[:, 0], force[:, 1])
         force[:, :2] *= np.minimum(1.0, self._grip / np.maximum(size, 1e-12))[:, None]
-        force[:, 2] = np.clip(force[:, 2], -self._spin, self._spin)
+        force[:, 2] = np.minimum(np.maximum(force[:, 2], -self._spin), self._spin)
         return force
 
 

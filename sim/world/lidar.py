@@ -13,9 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from swarmd.sim.world.rays import Indices, Rays
+from swarmd.sim.world.rays import Rays
 from swarmd.values import Array, ScanSpec
+
+Indices = NDArray[np.intp]
 
 # m2: nearer to a surface's line than this over its length it is seen edge-on, so not at all.
 _EDGE_ON = 1e-10
@@ -164,11 +167,10 @@ class Lidar:
         discs = _placed(shapes.discs[:, :2].T[..., None], at)[..., 0]
         x, y = np.concatenate((shapes.poles[:, :2].T, discs), axis=1)
         radius = np.concatenate((shapes.poles[:, 2], shapes.discs[:, 2]))
-        owners = np.concatenate((np.full(len(shapes.poles), -1), shapes.disc_owners))
         scan, circle = _near(sensors, x, y, radius + self._spec.range_max)
         x, y, radius = x[circle] - sensors.x[scan], y[circle] - sensors.y[scan], radius[circle]
         beyond = x * x + y * y - radius * radius
-        is_seen = (beyond > 0.0) & (owners[circle] != sensors.carriers[scan])
+        is_seen = beyond > 0.0  # not from within, so nobody sees the housing of its own sensor
         scan, x, y = scan[is_seen], x[is_seen], y[is_seen]
         radius, beyond = radius[is_seen], beyond[is_seen]
         middle = np.arctan2(y, x) - sensors.yaw[scan]
@@ -207,11 +209,9 @@ def _placed(vectors: Array, poses: Array) -> Array:
     Of (4, b, k) the last two are directions, which only turn.
     """
     cos, sin = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
+    x, y = vectors[0::2], vectors[1::2]
     placed = np.empty_like(vectors)
-    for axis in range(0, len(vectors), 2):
-        x, y = vectors[axis], vectors[axis + 1]
-        placed[axis] = cos * x - sin * y
-        placed[axis + 1] = sin * x + cos * y
-    placed[0] += poses[:, 0, None]
-    placed[1] += poses[:, 1, None]
+    placed[0::2] = cos * x - sin * y
+    placed[1::2] = sin * x + cos * y
+    placed[:2] += poses[:, :2].T[..., None]
     return placed

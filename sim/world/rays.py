@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from swarmd.values import Array
 
-Indices = NDArray[np.intp]
+Places = NDArray[np.intp]
 
 _TURNS = 2.0 * np.pi * np.array([-2.0, -1.0, 0.0, 1.0])
 # Widens each interval, so that no ray slips between two surfaces that share a corner.
@@ -34,7 +34,7 @@ class Rays:
         even = self._bearings[:1] + self._step * np.arange(len(self._bearings))
         self._is_even = np.allclose(even, self._bearings, rtol=0.0, atol=_EVEN)
 
-    def within(self, low: Array, high: Array) -> tuple[Indices, Indices]:
+    def within(self, low: Array, high: Array) -> tuple[Places, Places]:
         """The places of the rays in each interval (k,) of bearings, and how many it has (k,).
 
         The intervals one after another, each within -5 pi and 3 pi.
@@ -46,7 +46,7 @@ class Rays:
         places += np.arange(len(places))
         return places, counts
 
-    def _place(self, bearing: Array) -> Indices:
+    def _place(self, bearing: Array) -> Places:
         """How many rays have lesser bearings."""
         if not self._is_even:
             return np.searchsorted(self._bearings, bearing)

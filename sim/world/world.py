@@ -63,12 +63,15 @@ class World:
         self.arena, self.dt = arena, dt
         self.model = bodies.build_model(robots, arena, dt)
         self.data = mujoco.MjData(self.model)
-        self.data.qpos[: 3 * n] = starts.ravel()
+        # Windows on MuJoCo's own memory.
+        self._qpos, self._qvel = self.data.qpos, self.data.qvel
+        self._applied = self.data.qfrc_applied
+        self._qpos[: 3 * n] = starts.ravel()
         self._things = Things(arena, self.model, self.data, n)
         self.things, self.thing_shapes = self._things.names, self._things.shapes
         mujoco.mj_forward(self.model, self.data)
-        self._own = slice(0, 3 * n)
         self._drives = Drives(self.platforms, dt)
+        self._driven: Array | None = None
         self._actuators = Actuators(realism.actuation, self.platforms, dt)
         self._odometers = Odometers(realism.odometry, self.platforms, starts, self.ids, seed)
         self._noise = NoisyLidar(realism.lidar, self.platforms, self.ids, seed)
@@ -101,10 +104,14 @@ class World:
 
     def _step(self) -> None:
         data = self.data
-        self._drives.set(self._actuators.now())
-        qpos, qvel, own = data.qpos.copy(), data.qvel.copy(), self._own
-        force = self._drives.forces(qpos[own].reshape(-1, 3), qvel[own].reshape(-1, 3))
-        data.qfrc_applied[own] = force.ravel()
+        driven = self._actuators.now()
+        if driven is not self._driven:  # an ideal base is driven with one array until the next
+            self._driven = driven
+            self._drives.set(driven)
+        qpos, qvel = self._qpos.copy(), self._qvel.copy()
+        n = len(self.ids)
+        force = self._drives.forces(qpos.reshape(-1, 3)[:n], qvel.reshape(-1, 3)[:n])
+        self._applied[: 3 * n] = force.ravel()
         if self.things:
             self._things.rub()
         mujoco.mj_step(self.model, data)
@@ -114,12 +121,13 @@ class World:
 
     def poses(self) -> Array:
         """(n, 3) x, y in m and yaw in rad (not wrapped) in the world frame: truth."""
-        return np.array(self.data.qpos[self._own], dtype=np.float64).reshape(-1, 3)
+        return np.array(self._qpos[: 3 * len(self.ids)], dtype=np.float64).reshape(-1, 3)
 
     def twists(self) -> Array:
         """(n, 3) linear, angular, lateral velocity in each base frame over the last step: truth."""
-        vx, vy, angular = self.data.qvel[self._own].reshape(-1, 3).T
-        yaw = self.data.qpos[self._own][2::3] - angular * (self.dt / 2.0)
+        n = len(self.ids)
+        vx, vy, angular = self._qvel[: 3 * n].reshape(-1, 3).T
+        yaw = self._qpos[2 : 3 * n : 3] - angular * (self.dt / 2.0)
         cos, sin = np.cos(yaw), np.sin(yaw)
         return np.stack((cos * vx + sin * vy, angular, cos * vy - sin * vx), axis=-1)
 
