@@ -53,7 +53,7 @@ class Odometers:
 
         `poses` (n, 3) in the world frame, yaw not wrapped, and `twists` (n, 3) in the base frames
         are the truth of all robots. Each call is a reading: what a robot did since its last one
-        is taken for one motion at constant speed, as real odometry takes it.
+        is taken for a straight way along its mean heading, as real bases take it.
         """
         if self._noise.is_ideal:
             return self._relative(rows, poses), twists[rows]
@@ -105,14 +105,12 @@ def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral
 
 
 def _motion(before: Array, after: Array) -> Array:
-    """Linear, angular and lateral way (m, 3) of a steady motion between two poses (m, 3)."""
-    x, y, turn = (after - before).T
-    half = turn / 2.0
-    # Beyond half a turn nobody knows by which arc it was.
-    chord = _chord(np.minimum(np.abs(half), np.pi / 2.0))
-    middle = before[:, 2] + half
-    cos, sin = np.cos(middle) / chord, np.sin(middle) / chord
-    motion = np.empty_like(before)
+    """Linear, angular and lateral way (m, 3) between two poses (m, 3), along the mean heading."""
+    motion: Array = after - before
+    turn = motion[:, 2].copy()
+    middle = before[:, 2] + turn / 2.0
+    cos, sin = np.cos(middle), np.sin(middle)
+    x, y = motion[:, 0].copy(), motion[:, 1].copy()
     motion[:, 0] = cos * x + sin * y
     motion[:, 1] = turn
     motion[:, 2] = cos * y - sin * x
@@ -120,23 +118,15 @@ def _motion(before: Array, after: Array) -> Array:
 
 
 def _moved(before: Array, motion: Array) -> Array:
-    """Poses (m, 3) after the steady motion: what `_motion` takes apart."""
+    """Poses (m, 3) after a motion along the mean heading: what `_motion` takes apart."""
     linear, turn, lateral = motion[:, 0], motion[:, 1], motion[:, 2]
-    half = turn / 2.0
-    chord, middle = _chord(half), before[:, 2] + half
-    cos, sin = chord * np.cos(middle), chord * np.sin(middle)
+    middle = before[:, 2] + turn / 2.0
+    cos, sin = np.cos(middle), np.sin(middle)
     after = before.copy()
     after[:, 0] += cos * linear - sin * lateral
     after[:, 1] += sin * linear + cos * lateral
     after[:, 2] += turn
     return after
-
-
-def _chord(half: Array) -> Array:
-    """The chord of an arc for one along it, by half the turn (m,) in rad."""
-    ratio = np.ones_like(half)
-    np.divide(np.sin(half), half, out=ratio, where=half != 0.0)
-    return ratio
 
 
 def _wrapped(yaw: Array) -> Array:
