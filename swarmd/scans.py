@@ -23,6 +23,7 @@ NEAR_SECTOR = math.radians(3.0)
 NEAR_MEMORY = 1.0
 
 Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 
 
 @dataclass(slots=True)
@@ -88,16 +89,18 @@ class ScanConditioner:
             return Reason.FROZEN_SCAN
         memory = self._memory.at(scan.bearings)
         ranges = self._meanings(scan.ranges, memory, now)
-        known = ~np.isnan(ranges)
-        self._remember(scan.bearings, ranges, known, memory, now)
-        if 2 * np.count_nonzero(known) < len(ranges):
+        unknown = np.isnan(ranges)
+        count = int(np.count_nonzero(unknown))
+        self._remember(scan.bearings, ranges, unknown if count else None, memory, now)
+        if 2 * count > len(ranges):
             return Reason.INVALID_SCAN
-        if not known.all():
-            filled = _recall(ranges, known, memory, now - self._spec.stale_after)
+        if count:
+            filled = _recall(ranges, ~unknown, memory, now - self._spec.stale_after)
             ranges = _bridge(filled, scan.bearings, self._spec.max_gap)
             if np.isnan(ranges).any():
                 return Reason.INVALID_SCAN
         spec = self._spec
+        ranges.flags.writeable = False  # it is remembered, and an inline pattern shares it
         return Scan(scan.seq, scan.stamp, ranges, scan.bearings, spec.range_min, spec.range_max)
 
     def _is_frozen(self, scan: Scan, odometry: Odometry | None) -> bool:
@@ -108,7 +111,7 @@ class ScanConditioner:
             return True
         is_same = (
             self._spec.is_noisy
-            and np.array_equal(scan.ranges.view(np.int64), last.ranges.view(np.int64))
+            and scan.ranges.tobytes() == last.ranges.tobytes()
             and bool((np.isfinite(scan.ranges) & (scan.ranges != 0.0)).any())
         )
         if not is_same:
@@ -120,35 +123,42 @@ class ScanConditioner:
     def _meanings(self, raw: Array, memory: _Memory, now: float) -> Array:
         """+inf, -inf, NaN or a distance within the sensor's range, for each ray."""
         spec = self._spec
-        ranges = np.where(raw > spec.range_max, np.inf, raw)
-        ranges[(raw > 0.0) & (raw < spec.range_min)] = -np.inf
-        ranges[(raw < 0.0) & np.isfinite(raw)] = np.nan
-        zeros = raw == 0.0
-        if zeros.any():
-            ranges[zeros] = self._zeros(memory, now)[zeros]
+        ranges = np.array(raw, dtype=np.float64)
+        odd = np.flatnonzero(~((raw >= spec.range_min) & (raw <= spec.range_max)))
+        if not len(odd):
+            return ranges
+        said = ranges[odd]
+        means = np.where(said > spec.range_max, np.inf, np.nan)
+        means[(said > 0.0) & (said < spec.range_min) | (said == -np.inf)] = -np.inf
+        is_zero = said == 0.0
+        if is_zero.any():
+            means[is_zero] = self._zeros(odd[is_zero], memory, now)
+        ranges[odd] = means
         return ranges
 
-    def _zeros(self, memory: _Memory, now: float) -> Array:
-        n = len(memory.bearings)
-        if self._spec.zero == "too_close":
-            return np.full(n, -np.inf)
-        if self._spec.zero == "unknown":
-            return np.full(n, np.nan)
-        if self._spec.zero == "no_return":
-            return np.full(n, np.inf)
-        was_near = _widen(memory.near_at >= now - NEAR_MEMORY, memory.bearings)
-        had_return = (memory.known_at >= now - self._spec.stale_after) & (memory.ranges < np.inf)
+    def _zeros(self, rays: Indices, memory: _Memory, now: float) -> Array:
+        """What a range of exactly 0 means, for each of `rays`."""
+        if self._spec.zero != "lds":
+            meaning = {"too_close": -np.inf, "unknown": np.nan, "no_return": np.inf}
+            return np.full(len(rays), meaning[self._spec.zero])
+        near = np.flatnonzero(memory.near_at >= now - NEAR_MEMORY)
+        was_near = _is_beside(memory.bearings[rays], memory.bearings[near])
+        is_recent = memory.known_at[rays] >= now - self._spec.stale_after
+        had_return = is_recent & (memory.ranges[rays] < np.inf)
         return np.where(was_near, -np.inf, np.where(had_return, np.nan, np.inf))
 
     def _remember(
-        self, bearings: Array, ranges: Array, known: Mask, memory: _Memory, now: float
+        self, bearings: Array, ranges: Array, unknown: Mask | None, memory: _Memory, now: float
     ) -> None:
-        is_near = known & (ranges < self._spec.range_min + NEAR_MARGIN)
+        """Keep what is known; what is not (`unknown`, None: all is known) stays as it was."""
+        is_near = ranges < self._spec.range_min + NEAR_MARGIN  # false where unknown
         self._memory = _Memory(
             bearings,
-            np.where(known, ranges, memory.ranges),
-            np.where(known, now, memory.known_at),
-            np.where(is_near, now, memory.near_at),
+            ranges if unknown is None else np.where(unknown, memory.ranges, ranges),
+            np.full(len(ranges), now)
+            if unknown is None
+            else np.where(unknown, memory.known_at, now),
+            np.where(is_near, now, memory.near_at) if is_near.any() else memory.near_at,
         )
 
 
@@ -161,12 +171,11 @@ def _moves(odometry: Odometry) -> bool:
     )
 
 
-def _widen(mask: Mask, bearings: Array) -> Mask:
-    """The mask, also true within NEAR_SECTOR of a ray where it is true."""
-    if not mask.any():
-        return mask
-    near = bearings[mask]
-    off = np.abs((bearings[:, None] - near[None, :] + math.pi) % (2.0 * math.pi) - math.pi)
+def _is_beside(bearings: Array, near: Array) -> Mask:
+    """True for each of the bearings (k,) that is within NEAR_SECTOR of one of `near` (m,)."""
+    if not len(near):
+        return np.zeros(len(bearings), dtype=np.bool_)
+    off = np.abs((bearings[:, None] - near + math.pi) % (2.0 * math.pi) - math.pi)
     return np.asarray(off.min(axis=1) <= NEAR_SECTOR + 1e-9)
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Protocol
 
 from swarmd.errors import ConfigError, unknown
+from swarmd.protection.footprint import Sight
 from swarmd.protection.potential_field import PotentialField
 from swarmd.protection.verdict import Decision
-from swarmd.values import Array, Odometry, Platform, Scan, Twist
+from swarmd.values import Odometry, Platform, Scan, Twist
 
 MODES = ("potential_field",)
 
@@ -17,8 +18,8 @@ class Arbiter(Protocol):
 
     mode: str
 
-    def observe(self, scan: Scan, points: Array, odometry: Odometry | None) -> None:
-        """Take in a new scan and its points (k, 2) in the base frame: all its geometry, once."""
+    def observe(self, scan: Scan, sight: Sight, odometry: Odometry | None) -> None:
+        """Take in a new scan: all its geometry, once. `sight` says where its rays end."""
 
     def decide(self, wish: Twist, *, scan_age: float, odometry: Odometry | None) -> Decision:
         """The safe command for a wish within limits; `scan_age` in s."""

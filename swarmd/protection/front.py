@@ -27,10 +27,9 @@ class Protection:
 
     def observe(self, scan: Scan, odometry: Odometry | None) -> None:
         """Take in a conditioned scan: its geometry is computed here, once."""
-        points = self._sight.points(scan)
         self._scan_seq = scan.seq
-        self._min_gap = self._footprint.min_gap(points)
-        self._arbiter.observe(scan, points, odometry)
+        self._min_gap = self._footprint.min_gap(scan, self._sight)
+        self._arbiter.observe(scan, self._sight, odometry)
 
     def decide(
         self,

@@ -9,8 +9,9 @@ range_min (in the original they count as free), and the front holds the command 
 from __future__ import annotations
 
 from swarmd.fields import field_twist, potential_field
+from swarmd.protection.footprint import Sight
 from swarmd.protection.verdict import Decision
-from swarmd.values import Array, Odometry, Platform, Scan, Twist
+from swarmd.values import Odometry, Platform, Scan, Twist
 
 
 class PotentialField:
@@ -26,7 +27,7 @@ class PotentialField:
         self._forward_bias = float(settings["forward_bias"])
         self._evasion: Twist | None = None
 
-    def observe(self, scan: Scan, points: Array, odometry: Odometry | None) -> None:
+    def observe(self, scan: Scan, sight: Sight, odometry: Odometry | None) -> None:
         """Compute the evading command, or that there is nothing to evade."""
         field = potential_field(
             scan.ranges,

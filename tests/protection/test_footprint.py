@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmd.protection.footprint import Footprint, Sight
-from swarmd.values import Scan, ScanSpec
+from swarmd.values import Array, Scan, ScanSpec
 
 BOX = Footprint(np.array([[-0.2, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.2, 0.1]]))
 
@@ -44,14 +44,30 @@ def test_points_are_seen_from_where_the_sensor_is() -> None:
     assert sight.points(fewer) == pytest.approx(np.array(expected), abs=1e-12)
 
 
+def seen(points: Array, offset: tuple[float, float]) -> tuple[Scan, Sight]:
+    """A scan whose rays end at the points."""
+    x, y = (points - offset).T
+    bearings = np.arctan2(y, x)
+    spec = ScanSpec(bearings, 5.0, 0.0, 10.0, offset=offset)
+    return Scan(1, 0.0, np.hypot(x, y), bearings, 0.0, 10.0), Sight(spec)
+
+
 def test_no_point_has_no_gap() -> None:
-    assert BOX.min_gap(np.empty((0, 2))) is None
+    assert BOX.min_gap(*seen(np.empty((0, 2)), (0.0, 0.0))) is None
+    scan, sight = seen(np.array([[1.0, 0.0]]), (0.0, 0.0))
+    nothing = Scan(1, 0.0, np.array([np.inf]), scan.bearings, 0.0, 10.0)
+    assert BOX.min_gap(nothing, sight) is None
 
 
-@given(st.lists(st.tuples(st.floats(-3, 3), st.floats(-3, 3)), min_size=1, max_size=20))
-def test_the_smallest_gap_is_that_of_all_points(points: list[tuple[float, float]]) -> None:
+@given(
+    st.lists(st.tuples(st.floats(-3, 3), st.floats(-3, 3)), min_size=1, max_size=20),
+    st.sampled_from([(0.0, 0.0), (-0.064, 0.0), (0.09, -0.09), (0.5, 0.2)]),
+)
+def test_the_smallest_gap_is_that_of_all_points(
+    points: list[tuple[float, float]], offset: tuple[float, float]
+) -> None:
     some = np.array(points)
-    assert BOX.min_gap(some) == pytest.approx(BOX.gaps(some).min(), abs=1e-12)
+    assert BOX.min_gap(*seen(some, offset)) == pytest.approx(BOX.gaps(some).min(), abs=1e-9)
 
 
 @pytest.mark.parametrize("turn", np.linspace(0.0, 6.0, 13))
@@ -65,4 +81,4 @@ def test_a_polygon_may_have_any_corners(turn: float) -> None:
     outward /= np.hypot(*outward.T)[:, None]
     assert polygon.gaps(ahead + 0.7 * outward) == pytest.approx(np.full(5, 0.7), abs=1e-12)
     assert polygon.gaps(ahead - 0.01 * outward) == pytest.approx(np.zeros(5), abs=1e-12)
-    assert polygon.min_gap(ahead + 0.7 * outward) == pytest.approx(0.7, abs=1e-12)
+    assert polygon.min_gap(*seen(ahead + 0.7 * outward, (0.0, 0.0))) == pytest.approx(0.7, abs=1e-9)
