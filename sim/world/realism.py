@@ -86,8 +86,9 @@ class Realism(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 IDEAL = Realism()
 
 REALISTIC = Realism(
-    # Accuracy +-5 % and precision +-3.5 % of the range, +-10 mm near [LDS], read as 3 sd each. An
-    # Ouster OS1, sd 1.5 to 3 cm and no such bias, is better than this beyond 2 m. Drop-outs: ours.
+    # Accuracy +-5 % and precision +-3.5 % of the range [LDS], read as 3 sd each; sd 10 mm near
+    # [sim]. An Ouster OS1, sd 1.5 to 3 cm and no such bias, is better than this beyond 2.5 m. How
+    # many rays are lost: our choice.
     lidar=LidarNoise(
         bias=0.017,
         near_sd=0.010,
