@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -56,9 +57,15 @@ def perform(job: Job) -> Outcome:
         try:
             trace.save(job.trace)
         except OSError as error:
-            job.trace.with_name(f".{job.trace.name}.partial").unlink(missing_ok=True)
+            remove_partial(job.trace)
             return Outcome(job.run, obstacle=f"{job.trace.parent}: {error.strerror or error}")
     return Outcome(job.run, metrics, time.perf_counter() - begin)
+
+
+def remove_partial(trace: Path) -> None:
+    """Remove what is left of a trace that was not written to its end, if it can be."""
+    with suppress(OSError):
+        trace.with_name(f".{trace.name}.partial").unlink(missing_ok=True)
 
 
 def one_line(text: str) -> str:

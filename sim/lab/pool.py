@@ -13,7 +13,7 @@ from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 
 from swarmd.processes import how_it_ended
-from swarmd.sim.lab.job import Job, Outcome, one_line
+from swarmd.sim.lab.job import Job, Outcome, one_line, remove_partial
 
 GRACE = 2.0  # s in which a worker without work ends by itself
 _TAIL = 8192  # bytes of what a worker has said last
@@ -46,6 +46,7 @@ def outcomes(jobs: Iterable[Job], processes: int) -> Generator[Outcome, None, No
     finally:
         for worker in workers.values():
             worker.kill()
+            worker.clean()
 
 
 def _employ(workers: dict[Connection, _Worker], job: Job) -> None:
@@ -89,9 +90,7 @@ class _Worker:
         except (EOFError, OSError):
             self._process.wait()
             reason = f"its process {how_it_ended(self._process.returncode)}{self._last_words()}"
-            if self._job.trace is not None:
-                partial = self._job.trace.with_name(f".{self._job.trace.name}.partial")
-                partial.unlink(missing_ok=True)
+            self.clean()
             return Outcome(self._job.run, reason=reason), False
         return outcome, True
 
@@ -108,6 +107,11 @@ class _Worker:
         self._process.wait()
         self.pipe.close()
         self._log.close()
+
+    def clean(self) -> None:
+        """Remove what it has left of the trace it was at; it must have ended."""
+        if self._job.trace is not None:
+            remove_partial(self._job.trace)
 
     def _last_words(self) -> str:
         """The last line it has said since it was given its job."""

@@ -20,7 +20,6 @@ from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.trace import Trace, load_trace
 from swarmd.values import Array
 
-
 YES_OR_NO = "0 or 1"
 """The unit of metrics that are true or false of a run."""
 

@@ -15,7 +15,7 @@ import fcntl
 import json
 import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from swarmd.errors import ConfigError, SwarmError
@@ -177,7 +177,8 @@ def _append(path: Path, line: str) -> None:
             while written < len(data):
                 written += file.write(data[written:]) or 0
         except BaseException:
-            file.truncate(size)
+            with suppress(OSError):  # else the line is torn, and is cut off when it goes on
+                file.truncate(size)
             raise
 
 
