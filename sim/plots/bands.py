@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 _STYLES = ("-", "--", ":", "-.")
 _MOST_OUTER = 3  # variants up to which their wide bands can be told apart
 _MOST_INNER = 7
+_PALE = {"facecolor": "white", "alpha": 0.7, "pad": 1.0, "linewidth": 0.0}
 
 
 def draw_series(
@@ -104,14 +105,13 @@ def paint_target(axes: Axes, target: float) -> None:
     axes.axhline(target, color=GUIDE_COLOUR, linestyle=(0, (5, 3)), linewidth=1.1, zorder=1.8)
     axes.annotate(f"target {target:g}", (1.0, target), xycoords=("axes fraction", "data"),
                   xytext=(-2, 3), textcoords="offset points", ha="right", fontsize=8,
-                  color=GUIDE_COLOUR, bbox={"facecolor": "white", "alpha": 0.7, "pad": 1.0,
-                                            "linewidth": 0.0})  # fmt: skip
+                  color=GUIDE_COLOUR, bbox=_PALE)  # fmt: skip
 
 
 def _paint_event(axes: Axes, time: float, word: str) -> None:
     axes.axvline(time, color=GUIDE_COLOUR, linestyle=":", linewidth=1.0, zorder=1.8)
-    axes.annotate(word, (time, 1.0), xycoords=("data", "axes fraction"), xytext=(3, -3),
-                  textcoords="offset points", rotation=90, va="top", fontsize=8,
+    axes.annotate(word, (time, 1.0), xycoords=("data", "axes fraction"), xytext=(2, -3),
+                  textcoords="offset points", rotation=90, va="top", fontsize=7.5, bbox=_PALE, zorder=2.5,
                   color=GUIDE_COLOUR)  # fmt: skip
 
 

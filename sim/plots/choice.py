@@ -37,7 +37,7 @@ _CHIEF = (
     *AT_A_GLANCE,
 )
 _MOMENTS = ("_at_end", "_end", "_late", "_30s", "_start", "_peak")
-_SMOOTHED = ("share", "m/s")
+_FLICKERING = ("mean_speed", "protection_duty", "command_alteration")
 
 
 def label_of(metric: str) -> str:
@@ -57,7 +57,7 @@ def smoothing_of(metric: str) -> float:
 
     What flickers from instant to instant, since it counts sweeps or differs places.
     """
-    return 2.0 if METRICS[metric].unit in _SMOOTHED else 0.0
+    return 2.0 if metric.startswith(_FLICKERING) else 0.0
 
 
 def metrics_over_time(names: Sequence[str]) -> list[str]:

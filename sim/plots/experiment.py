@@ -25,6 +25,7 @@ from swarmd.sim.plots.choice import (
     typical_first,
     worst_first,
 )
+from swarmd.sim.plots.events import events_of
 from swarmd.sim.plots.intervals import Panel, draw_intervals
 from swarmd.sim.plots.overview import draw_overview
 from swarmd.sim.plots.spread import Series
@@ -34,7 +35,6 @@ from swarmd.sim.trace import Trace
 
 _log = logging.getLogger(__name__)
 _YES_OR_NO = "0 or 1"
-_MOST_EVENTS = 8
 
 
 def draw_experiment(
@@ -152,7 +152,7 @@ class _Gallery:
         for run in self._runs if names and self._has_traces else ():
             trace = self._trace(run)
             if trace is not None:
-                events.add(_events(trace))
+                events.add(events_of(trace))
                 for name in names:
                     _gather(found[name], run.variant.name or self._scenario, name, trace)
         made = []
@@ -243,15 +243,3 @@ def _says_something(groups: Mapping[str, Sequence[Series]]) -> bool:
     """Whether the values are not one and the same all the time."""
     known = [values[np.isfinite(values)] for runs in groups.values() for _, values in runs]
     return bool(known) and bool(np.ptp(np.concatenate(known)) > 0.0)
-
-
-def _events(trace: Trace) -> tuple[tuple[float, str], ...]:
-    """Time and word of what happened after the start; nothing if it is too much to tell."""
-    words: dict[tuple[float, str], None] = {}
-    for event in trace.meta.get("events", ()):
-        robots = event.get("robots") or ()
-        who = "all" if len(robots) == len(trace.ids) else ", ".join(robots)
-        who = who if len(robots) <= 2 or who == "all" else f"{len(robots)} robots"
-        if event["at"] > 0.0:
-            words[float(event["at"]), f"{event['action']} {who}".strip()] = None
-    return tuple(words) if len(words) <= _MOST_EVENTS else ()

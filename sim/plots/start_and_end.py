@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmd.sim.metrics import pairs
-from swarmd.sim.metrics.aggregation import cluster_link, clusters
+from swarmd.sim.metrics.aggregation import cluster_link
 from swarmd.sim.metrics.window import first, last, presence
-from swarmd.sim.plots.canvas import ROBOT_COLOURS, save
+from swarmd.sim.plots.canvas import save
+from swarmd.sim.plots.grouping import by_cluster, by_opinion, key_of, opinions_of
 from swarmd.sim.plots.scene import (
-    Extent,
     check_drawable,
     cut_note,
     extent_of,
@@ -28,10 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LONE_COLOUR = "white"
-SMALL_COLOUR = "0.6"
-ONLY_COLOUR = ROBOT_COLOURS[0]
-
 
 def draw_start_and_end(
     trace: Trace, path: Path, title: str = "", *, link: float | None = None
@@ -41,7 +36,8 @@ def draw_start_and_end(
     Robots of one cluster (single linkage) have one colour, and thin lines join those within
     `link` m of each other; the largest clusters have colours of their own, further ones are grey,
     lone robots white. Without a `link` it is that of the metrics, twice the largest protection
-    threshold; if the trace does not say, all robots have one colour. Errors as for trajectories.
+    threshold; if the trace does not say, all robots have one colour. Where robots report opinions,
+    these have the colours instead. Errors as for trajectories.
     """
     save(start_and_end_figure(trace, title, link=link), path)
 
@@ -57,50 +53,29 @@ def start_and_end_figure(trace: Trace, title: str = "", *, link: float | None = 
     layout = Layout(width=width, height=height, rows=rows, columns=columns, bottom=0.75, top=0.22,
                     across=0.2, down=0.35)  # fmt: skip
     sheet = Sheet(layout, title)
+    opinions, scale = opinions_of(trace), 72.0 * width / extent.width
     for index, part in enumerate((first(trace), last(trace))):
         axes = sheet.map(*((index, 0) if is_wide else (0, index)))
-        _paint_instant(axes, part, reach, extent, 72.0 * width / extent.width)
+        grouping = by_opinion(part, opinions) if opinions else by_cluster(part, reach)
+        prepare(axes, extent)
+        _paint_instant(axes, part, None if opinions else reach)
+        paint_bodies(axes, part, 0, grouping.colours, is_filled=True, scale=scale)
         word = f"end, {trace.duration:.0f} s" if index else "start"
-        axes.set_title(f"{word}: {_words(part, reach)}", fontsize=10, pad=4.0)
+        axes.set_title(f"{word}: {grouping.words}", fontsize=10, pad=4.0)
         axes.tick_params(labelleft=is_wide or not index, labelbottom=not is_wide or bool(index))
         axes.set_xlabel("x [m]" if not is_wide or index else "")
         axes.set_ylabel("y [m]" if is_wide or not index else "")
+    if opinions:
+        sheet.legend_below(key_of(opinions), len(opinions))
+        return sheet.figure
     linked = "" if reach is None else f"one cluster: each within {reach:g} m of the next"
     sheet.note("; ".join(word for word in (cut_note(trace), linked) if word))
     return sheet.figure
 
 
-def _paint_instant(
-    axes: Axes, part: Trace, link: float | None, extent: Extent, scale: float
-) -> None:
-    prepare(axes, extent)
+def _paint_instant(axes: Axes, part: Trace, link: float | None) -> None:
     paint_arena(axes, part)
     paint_things(axes, part)
     if link is not None:
         near = pairs.near(part.pose[..., :2], presence(part), link)
         paint_links(axes, part.pose[0, near.a, :2], part.pose[0, near.b, :2])
-    paint_bodies(axes, part, 0, _colours(part, link), is_filled=True, scale=scale)
-
-
-def _colours(part: Trace, link: float | None) -> list[str]:
-    if link is None:
-        return [ONLY_COLOUR] * len(part.ids)
-    labels = [int(label) for label in clusters(part, link)[0]]
-    sizes = Counter(label for label in labels if label >= 0)
-    by_size = sorted((label for label in sizes if sizes[label] > 1), key=lambda k: (-sizes[k], k))
-    colour_of = dict.fromkeys(sizes, LONE_COLOUR)
-    colour_of |= dict.fromkeys(by_size, SMALL_COLOUR)
-    colour_of |= dict(zip(by_size, ROBOT_COLOURS[:-1], strict=False))
-    return [colour_of.get(label, LONE_COLOUR) for label in labels]
-
-
-def _words(part: Trace, link: float | None) -> str:
-    """How many clusters there are, in words."""
-    n = int(presence(part)[0].sum())
-    if link is None:
-        return f"{n} robots"
-    sizes = Counter(int(label) for label in clusters(part, link)[0] if label >= 0)
-    if len(sizes) <= 1:
-        return f"one cluster of {n}" if n > 1 else f"{n} robot"
-    largest = max(sizes.values())
-    return f"{len(sizes)} clusters, the largest of {largest}" if largest > 1 else f"all {n} alone"
