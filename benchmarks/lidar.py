@@ -17,6 +17,7 @@ from swarmd.platforms import load_platform
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.layouts import parse_layout
+from swarmd.sim.world.realism import IDEAL, Realism
 from swarmd.sim.world.world import World
 
 SIZES = (7, 100, 1000)
@@ -24,13 +25,13 @@ BATCH = 50
 SECONDS = 1.0
 
 
-def make_world(n: int) -> World:
+def make_world(n: int, realism: Realism = IDEAL) -> World:
     platform = load_platform("waffle_pi")
     side = max(4.0, n**0.5 + 1.0)
     arena = Arena(side, side)
     starts = parse_layout("grid:1.0", [platform.footprint] * n, arena, seed=0)
     starts[:, 2] = np.random.default_rng(0).uniform(-3.0, 3.0, n)
-    return World({f"r{i}": platform for i in range(n)}, arena, starts)
+    return World({f"r{i}": platform for i in range(n)}, arena, starts, realism=realism)
 
 
 def samples(work: Callable[[], object], per: int) -> list[float]:

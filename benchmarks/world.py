@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
 
 from benchmarks.lidar import SIZES, make_world, samples
 from benchmarks.table import Row, print_table
+from swarmd.sim.world.realism import REALISMS
 from swarmd.sim.world.world import World
 
 SCAN_RATE = 5
+ODOMETRY_RATE = 20
 
 
 def drive(world: World) -> None:
@@ -20,14 +23,15 @@ def drive(world: World) -> None:
 
 
 def simulated_second(world: World) -> None:
-    """100 steps, and each robot's sweeps spread over them."""
-    period = round(1.0 / (SCAN_RATE * world.dt))
+    """100 steps, and each robot's sweeps and odometry spread over them."""
     everyone = np.arange(len(world.ids))
     for step in range(round(1.0 / world.dt)):
         world.step()
-        due = everyone[everyone % period == step % period]
-        if len(due):
-            world.scans(due)
+        for sense, rate in ((world.scans, SCAN_RATE), (world.odometry, ODOMETRY_RATE)):
+            period = round(1.0 / (rate * world.dt))
+            due = everyone[everyone % period == step % period]
+            if len(due):
+                sense(due)
 
 
 def rows() -> Iterator[Row]:
@@ -35,16 +39,23 @@ def rows() -> Iterator[Row]:
         start = time.perf_counter()
         world = make_world(n)
         yield Row(f"world made, {n} robots", [time.perf_counter() - start])
-        yield from rows_of(world)
+        drive(world)
+        yield Row(f"step of 10 ms, {n} robots", samples(partial(world.step, 10), 10))
+        yield from whole_rows(n)
 
 
-def rows_of(world: World) -> Iterator[Row]:
-    n = len(world.ids)
-    drive(world)
-    yield Row(f"step of 10 ms, {n} robots", samples(lambda: world.step(10), 10))
-    factors = [1.0 / taken for taken in samples(lambda: simulated_second(world), 1)]
-    note = f"physics and {SCAN_RATE} sweeps a second each, no patterns"
-    yield Row(f"times real time, {n} robots", factors, note=note, unit="x")
+def whole_rows(n: int) -> Iterator[Row]:
+    for name, realism in REALISMS.items():
+        world = make_world(n, realism)
+        drive(world)
+        taken = samples(partial(simulated_second, world), 1)
+        yield Row(
+            f"times real time, {n} robots, {name}",
+            [1.0 / seconds for seconds in taken],
+            note=f"physics, {SCAN_RATE} sweeps and {ODOMETRY_RATE} odometries a second each,"
+            " no patterns",
+            unit="x",
+        )
 
 
 def main() -> None:

@@ -119,18 +119,18 @@ class Lidar:
             scan, side = np.concatenate((scan, carried[0])), np.concatenate((side, carried[2]))
             surfaces = np.concatenate((surfaces, carried[1]), axis=1)
         x, y, along_x, along_y = surfaces
-        x -= sensors.x[scan]
-        y -= sensors.y[scan]
-        high = np.arctan2(y, x) - sensors.yaw[scan]
+        x -= sensors.x.take(scan)
+        y -= sensors.y.take(scan)
+        high = np.arctan2(y, x) - sensors.yaw.take(scan)
         turn = np.arctan2(-side, x * (x + along_x) + y * (y + along_y))
-        cos, sin = sensors.cos[scan], sensors.sin[scan]
+        cos, sin = sensors.cos.take(scan), sensors.sin.take(scan)
         by_cos = (cos * along_y - sin * along_x) / side
         by_sin = (cos * along_x + sin * along_y) / -side
         places, counts = self._rays.within(high - turn, high)
         near = np.repeat(by_cos, counts)
-        near *= self._rays.cos[places]
+        near *= self._rays.cos.take(places)
         more = np.repeat(by_sin, counts)
-        more *= self._rays.sin[places]
+        more *= self._rays.sin.take(places)
         near += more
         self._raise(nearness, np.repeat(scan, counts), places, near)
 
@@ -139,27 +139,28 @@ class Lidar:
         x, y, along_x, along_y = self._walls
         side = (x - sensors.x[:, None]) * along_y - (y - sensors.y[:, None]) * along_x
         seen = np.flatnonzero((side < -_EDGE_ON) & (side >= self._seen_walls))
-        scan, wall = np.divmod(seen, max(len(x), 1))
-        return scan, self._walls[:, wall], side.ravel()[seen]
+        scan, wall = _divided(seen, len(x))
+        return scan, self._walls.take(wall, axis=1), side.take(seen)
 
     def _facing_edges(self, sensors: _Sensors, poses: Array) -> tuple[Indices, Array, Array]:
         """The same for the edges of polygons, those of the sensor's own carrier left out."""
         owners, corners = self._shapes.polygon_owners, self._edges.shape[2]
         at = poses[owners]
         scan, polygon = _near(sensors, at[:, 0], at[:, 1], self._reach + self._spec.range_max)
-        is_other = owners[polygon] != sensors.carriers[scan]
-        scan, polygon = scan[is_other], polygon[is_other]
+        other = np.flatnonzero(owners.take(polygon) != sensors.carriers.take(scan))
+        scan, polygon = scan.take(other), polygon.take(other)
         is_near = np.zeros(len(owners), dtype=np.bool_)
         is_near[polygon] = True
         edges = _placed(self._edges[:, is_near], at[is_near])
-        row = (np.cumsum(is_near) - 1)[polygon]
+        row = (np.cumsum(is_near) - 1).take(polygon)
         x, y, along_x, along_y = edges
-        side = (x[row] - sensors.x[scan, None]) * along_y[row]
-        side -= (y[row] - sensors.y[scan, None]) * along_x[row]
+        side = along_x.take(row, axis=0) * sensors.y.take(scan)[:, None]
+        side -= along_y.take(row, axis=0) * sensors.x.take(scan)[:, None]
+        side += (x * along_y - y * along_x).take(row, axis=0)
         seen = np.flatnonzero(side < -_EDGE_ON)
-        pair, edge = np.divmod(seen, corners)
-        surfaces = edges.reshape(4, -1)[:, row[pair] * corners + edge]
-        return scan[pair], surfaces, side.ravel()[seen]
+        pair, edge = _divided(seen, corners)
+        surfaces = edges.reshape(4, -1).take(row.take(pair) * corners + edge, axis=1)
+        return scan.take(pair), surfaces, side.take(seen)
 
     def _meet_circles(self, nearness: Array, sensors: _Sensors, poses: Array) -> None:
         shapes = self._shapes
@@ -168,17 +169,19 @@ class Lidar:
         x, y = np.concatenate((shapes.poles[:, :2].T, discs), axis=1)
         radius = np.concatenate((shapes.poles[:, 2], shapes.discs[:, 2]))
         scan, circle = _near(sensors, x, y, radius + self._spec.range_max)
-        x, y, radius = x[circle] - sensors.x[scan], y[circle] - sensors.y[scan], radius[circle]
+        x = x.take(circle) - sensors.x.take(scan)
+        y = y.take(circle) - sensors.y.take(scan)
+        radius = radius.take(circle)
         beyond = x * x + y * y - radius * radius
-        is_seen = beyond > 0.0  # not from within, so nobody sees the housing of its own sensor
-        scan, x, y = scan[is_seen], x[is_seen], y[is_seen]
-        radius, beyond = radius[is_seen], beyond[is_seen]
-        middle = np.arctan2(y, x) - sensors.yaw[scan]
+        seen = np.flatnonzero(beyond > 0.0)  # not from within: no sensor sees its own housing
+        scan, x, y = scan.take(seen), x.take(seen), y.take(seen)
+        radius, beyond = radius.take(seen), beyond.take(seen)
+        middle = np.arctan2(y, x) - sensors.yaw.take(scan)
         half = np.arcsin(radius / np.hypot(x, y))
         places, counts = self._rays.within(middle - half, middle + half)
-        cos, sin = sensors.cos[scan], sensors.sin[scan]
+        cos, sin = sensors.cos.take(scan), sensors.sin.take(scan)
         ahead, left = np.repeat((cos * x + sin * y, cos * y - sin * x), counts, axis=1)
-        cos, sin = self._rays.cos[places], self._rays.sin[places]
+        cos, sin = self._rays.cos.take(places), self._rays.sin.take(places)
         aside = cos * left - sin * ahead
         depth = np.sqrt(np.maximum(np.repeat(radius * radius, counts) - aside * aside, 0.0))
         # One over (distance to the middle - depth), without the difference of nearly equal ones.
@@ -187,7 +190,7 @@ class Lidar:
 
     def _raise(self, nearness: Array, scan: Indices, places: Indices, near: Array) -> None:
         """Let each ray see what is nearest: the greatest of one over the distances."""
-        ray = scan * nearness.shape[1] + self._rays.number[places]
+        ray = scan * nearness.shape[1] + self._rays.number.take(places)
         np.maximum.at(nearness.reshape(-1), ray, near)
 
 
@@ -200,7 +203,13 @@ def _near(sensors: _Sensors, x: Array, y: Array, reach: Array) -> tuple[Indices,
     aside *= aside
     squared += aside
     most = (reach + _ROUNDING).astype(single)
-    return np.divmod(np.flatnonzero(squared <= most * most), max(len(x), 1))
+    return _divided(np.flatnonzero(squared <= most * most), len(x))
+
+
+def _divided(places: Indices, width: int) -> tuple[Indices, Indices]:
+    """The rows and columns of places in an array of that width; np.divmod takes thrice as long."""
+    row = places // max(width, 1)
+    return row, places - row * width
 
 
 def _placed(vectors: Array, poses: Array) -> Array:
