@@ -1,0 +1,79 @@
+"""How much simulated time a second of one processor buys: `benchmarks.lockstep [--patterns ...]`.
+
+Processor time of this process alone, with everything that an experiment has: physics, noisy lidars,
+odometry, robots with protection, patterns, radio and the trace. Each sample is a simulated second
+after the first, so that robots run and caches are as they are in a long run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from benchmarks.table import Row, print_table
+from swarmd.sim.lab.lockstep import Lockstep
+from swarmd.sim.lab.scenariofile import load_scenario
+
+SIZES = (7, 100, 1000)
+PATTERNS = ("attraction", "random_walk", "drive")
+SECONDS = {7: 20, 100: 10, 1000: 5}
+
+
+def seconds_of(name: str, overrides: Mapping[str, Any], count: int) -> list[float]:
+    """Processor seconds for each of `count` simulated seconds."""
+    lab = Lockstep(load_scenario(name, overrides), seed=0)
+    lab.advance(1.0)
+    taken = []
+    for _ in range(count):
+        start = time.process_time()
+        lab.advance(1.0)
+        taken.append(time.process_time() - start)
+    return taken
+
+
+def at_one_a_square_metre(n: int, pattern: str) -> Mapping[str, Any]:
+    """Overrides of scenario `thousand` for n robots, in an arena of n m2 and a little more."""
+    side = math.sqrt(n) + 0.1
+    return {
+        "arena.size": [side, side],
+        "groups.all.count": n,
+        "groups.all.pattern": pattern,
+        "groups.all.start.clearance": 0.05,
+    }
+
+
+def experiment_rows() -> Iterator[Row]:
+    for realism in ("ideal", "realistic"):
+        taken = seconds_of("paper_exp1_waffle_pi", {"realism": realism}, SECONDS[7])
+        factors = [1.0 / one for one in taken]
+        note = "experiment 1: attraction, 360 rays at 5 Hz, potential_field"
+        yield Row(f"times real time, 7 robots, {realism}", factors, ">= 40", note, unit="x")
+
+
+def size_rows(patterns: Sequence[str]) -> Iterator[Row]:
+    for pattern in patterns:
+        for n in SIZES:
+            taken = seconds_of("thousand", at_one_a_square_metre(n, pattern), SECONDS[n])
+            budget = ">= 1" if n == 1000 else ""
+            factors = [1.0 / one for one in taken]
+            yield Row(f"times real time, {n} robots, {pattern}", factors, budget, unit="x")
+            rates = [n / one for one in taken]
+            yield Row(f"robot-seconds a CPU-second, {n}, {pattern}", rates, unit="")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    # A matrix of two columns gains nothing from threads, and they would count as one processor.
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.lockstep", description=__doc__)
+    parser.add_argument("--patterns", nargs="*", default=PATTERNS)
+    patterns = parser.parse_args(arguments).patterns
+    print_table("Lockstep, one processor: experiment 1", experiment_rows())
+    print_table("Lockstep, one processor: one robot a square metre, realistic", size_rows(patterns))
+
+
+if __name__ == "__main__":
+    main()
