@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -131,12 +131,12 @@ def rerun(
     Exit code 0 if all are the same to the last bit, 3 if some are not, 1 if none is.
     """
     need("mujoco")
-    from swarmd.sim.cli.progress import progress
+    from swarmd.sim.cli.progress import ends_on_sigterm, progress
     from swarmd.sim.lab import rerun as again
 
     for line in again.warnings(folder):
         warn(f"warning: {line}; results may differ")
-    with again.place(out) as place, progress() as on_progress:
+    with ends_on_sigterm(), again.place(out) as place, progress() as on_progress:
         matches = again.rerun(folder, place, jobs, on_progress)
     if _is_json(ctx, output):
         listed = [{"run": m.run, "identical": m.is_identical, "why": m.why} for m in matches]
@@ -258,15 +258,15 @@ def next_folder(base: Path, stem: str) -> Path:
 
 
 def _conducted(manifest: Manifest, folder: Path, processes: int) -> Results:
-    """All runs done; on Ctrl-C a line says how to go on."""
-    from swarmd.sim.cli.progress import progress
+    """All runs done; on Ctrl-C and SIGTERM a line says how to go on."""
+    from swarmd.sim.cli.progress import ends_on_sigterm, progress
     from swarmd.sim.lab.experiments import conduct
 
     total = len(manifest.plan.runs)
     try:
-        with progress() as on_progress:
+        with ends_on_sigterm(), progress() as on_progress:
             return conduct(manifest, folder, processes, on_progress=on_progress)
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, SystemExit):
         from swarmd.sim.lab.results import load_results
 
         done = len(load_results(folder).rows)
@@ -287,6 +287,7 @@ def _tell(results: Results, names: Sequence[str] | None, is_json: bool) -> None:
         for variant in results.variants:
             click.echo(f"\n{variant}" if variant else "")
             print_table(HEADER, summary_rows(results.summary(variant, names)))
+    _warn_of_few(len(results.seeds(variant)) for variant in results.variants)
     for name, reason in list(results.failures.items())[:_FAILURES_SHOWN]:
         warn(f"failed: {name}: {reason}")
     more = len(results.failures) - _FAILURES_SHOWN
@@ -310,6 +311,15 @@ def _tell_differences(a: Side, b: Side, differences: Sequence[Difference]) -> No
     count = sum(one.differs for one in differences)
     click.echo(f"\n{count} of {len(differences)} metrics differ", nl=False)
     click.echo(f"; {by_chance(differences):.2g} would by chance if nothing did\n")
+    _warn_of_few(n for one in differences for n in (one.n_a, one.n_b) if n)
+
+
+def _warn_of_few(counts: Iterable[int]) -> None:
+    from swarmd.sim.lab.statistics import FEW
+
+    fewest = min(counts, default=FEW)
+    if fewest < FEW:
+        warn(f"only {fewest} runs: intervals of so few are too narrow; 20 seeds are a good number")
 
 
 def _chosen(metrics: str | None) -> tuple[str, ...] | None:

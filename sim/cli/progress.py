@@ -1,10 +1,12 @@
-"""How far an experiment is: a bar on a terminal, else a line now and then; on stderr."""
+"""How far an experiment is, on stderr, and what ends it early."""
 
 from __future__ import annotations
 
+import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from types import FrameType
 
 from swarmd.cli.output import has_colour, warn
 
@@ -14,7 +16,10 @@ LINES = 10  # at most, where there is no terminal
 
 @contextmanager
 def progress() -> Iterator[OnProgress]:
-    """Something to be told how many runs are done, of how many, and how many failed."""
+    """Something to be told how many runs are done, of how many, and how many failed.
+
+    It shows a bar on a terminal, else a line for each tenth.
+    """
     if not sys.stderr.isatty():
         yield _Lines().tell
         return
@@ -37,6 +42,20 @@ def progress() -> Iterator[OnProgress]:
             bar.update(task, completed=done, total=total, lost=lost)
 
         yield tell
+
+
+@contextmanager
+def ends_on_sigterm() -> Iterator[None]:
+    """SIGTERM ends what is within through its `finally` blocks. SIGHUP stays: it may be ignored."""
+
+    def leave(number: int, frame: FrameType | None) -> None:
+        raise SystemExit(128 + number)
+
+    before = signal.signal(signal.SIGTERM, leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 class _Lines:

@@ -54,8 +54,10 @@ class Difference:
     @property
     def verdict(self) -> str:
         """In a word or two."""
+        if self.difference is None:
+            return "-"
         if self.interval is None:
-            return "unknown"
+            return "too few runs"
         if not self.differs:
             return "no difference shown"
         return "differs" if self.better is None else f"{self.better.upper()} is better"

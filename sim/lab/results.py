@@ -73,6 +73,9 @@ class Results:
         self.metrics = tuple(metrics)
         self.variants = tuple(variant.name for variant in plan.variants)
         self._rows = tuple(rows)
+        self._rows_of: dict[str, list[Row]] = {name: [] for name in self.variants}
+        for row in self._rows:
+            self._rows_of[row.run.variant.name].append(row)
 
     @property
     def rows(self) -> list[dict[str, Any]]:
@@ -96,12 +99,12 @@ class Results:
         """
         if name not in self.metrics:
             raise ConfigError(unknown("metric", name, self.metrics))
-        rows = [row for row in self._rows if variant is None or self._is_of(row, variant)]
+        rows = self._rows if variant is None else self._of(variant)
         return np.array([_number(row.metrics[name]) for row in rows], dtype=np.float64)
 
     def seeds(self, variant: str) -> tuple[int, ...]:
         """The seeds of the finished runs of a variant, in the order of `metric`."""
-        return tuple(row.run.seed for row in self._rows if self._is_of(row, variant))
+        return tuple(row.run.seed for row in self._of(variant))
 
     def summary(
         self, variant: str | None = None, names: Sequence[str] | None = None
@@ -156,10 +159,10 @@ class Results:
             yield from (["", variant] if variant else [""])
             yield from summary_lines(self.summary(variant))
 
-    def _is_of(self, row: Row, variant: str) -> bool:
-        if variant not in self.variants:
+    def _of(self, variant: str) -> Sequence[Row]:
+        if variant not in self._rows_of:
             raise ConfigError(unknown("variant", variant, self.variants))
-        return row.run.variant.name == variant
+        return self._rows_of[variant]
 
 
 def load_results(folder: str | Path) -> Results:

@@ -177,16 +177,17 @@ def test_a_killed_sweep_goes_on_where_it_was(tmp_path: Path, duo: Path, swarmctl
 
 
 @pytest.mark.integration
-def test_ctrl_c_keeps_what_is_finished_and_says_how_to_go_on(
-    tmp_path: Path, duo: Path, swarmctl: Swarmctl
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_an_end_by_hand_keeps_what_is_finished_and_says_how_to_go_on(
+    tmp_path: Path, duo: Path, number: signal.Signals, code: int
 ) -> None:
     folder = tmp_path / "x"
     process = started("exp", "run", duo, "--seeds", 50, "-j", 2, "--out", folder, cwd=tmp_path)
     wait_until(lambda: finished(folder) >= 3, "three runs are done")
     workers = children(process.pid)
-    process.send_signal(signal.SIGINT)
+    process.send_signal(number)
     _, told = process.communicate(timeout=30)
-    assert process.returncode == 130
+    assert process.returncode == code
     assert not any(Path(f"/proc/{pid}").exists() for pid in workers)
     kept = len(rows(folder))
     assert f"{kept} of 50 runs are kept; to go on: swarmctl exp run " in told

@@ -84,12 +84,12 @@ def test_a_pair_of_which_one_has_no_value_is_left_out() -> None:
 
 def test_samples_of_different_seeds_keep_all_their_values() -> None:
     found = only(side({0: 1.0, 1: 2.0, 2: 9.0}), side({5: 2.0, 6: None}))
-    assert (found.n_a, found.n_b, found.interval, found.verdict) == (3, 1, None, "unknown")
+    assert (found.n_a, found.n_b, found.interval, found.verdict) == (3, 1, None, "too few runs")
 
 
-def test_no_values_at_all_are_unknown() -> None:
+def test_no_values_at_all_have_no_verdict() -> None:
     found = only(side({0: None}), side({0: None}))
-    assert (found.difference, found.mean_a, found.verdict) == (None, None, "unknown")
+    assert (found.difference, found.mean_a, found.verdict) == (None, None, "-")
 
 
 @pytest.mark.parametrize(
