@@ -33,7 +33,7 @@ class Drives:
         Held within each platform's limits, as a base's firmware would; what is not finite is 0.
         """
         finite = np.where(np.isfinite(twists), twists, 0.0)
-        self._wanted = np.clip(finite, -self._limits, self._limits)
+        self._wanted = np.minimum(np.maximum(finite, -self._limits), self._limits)
 
     def forces(self, pose: Array, velocity: Array) -> Array:
         """Forces and torques (n, 3) for the next step, with poses and world velocities (n, 3).

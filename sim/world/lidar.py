@@ -127,18 +127,18 @@ class Lidar:
         by_cos = (cos * along_y - sin * along_x) / side
         by_sin = (cos * along_x + sin * along_y) / -side
         places, counts = self._rays.within(high - turn, high)
-        near = np.repeat(by_cos, counts)
+        near = by_cos.repeat(counts)
         near *= self._rays.cos.take(places)
-        more = np.repeat(by_sin, counts)
+        more = by_sin.repeat(counts)
         more *= self._rays.sin.take(places)
         near += more
-        self._raise(nearness, np.repeat(scan, counts), places, near)
+        self._raise(nearness, scan.repeat(counts), places, near)
 
     def _facing_walls(self, sensors: _Sensors) -> tuple[Indices, Array, Array]:
         """Which sensor (e,) sees a wall, the walls (4, e), the side (e,)."""
         x, y, along_x, along_y = self._walls
         side = (x - sensors.x[:, None]) * along_y - (y - sensors.y[:, None]) * along_x
-        seen = np.flatnonzero((side < -_EDGE_ON) & (side >= self._seen_walls))
+        seen = _places((side < -_EDGE_ON) & (side >= self._seen_walls))
         scan, wall = _divided(seen, len(x))
         return scan, self._walls.take(wall, axis=1), side.take(seen)
 
@@ -147,17 +147,17 @@ class Lidar:
         owners, corners = self._shapes.polygon_owners, self._edges.shape[2]
         at = poses[owners]
         scan, polygon = _near(sensors, at[:, 0], at[:, 1], self._reach + self._spec.range_max)
-        other = np.flatnonzero(owners.take(polygon) != sensors.carriers.take(scan))
+        other = _places(owners.take(polygon) != sensors.carriers.take(scan))
         scan, polygon = scan.take(other), polygon.take(other)
         is_near = np.zeros(len(owners), dtype=np.bool_)
         is_near[polygon] = True
         edges = _placed(self._edges[:, is_near], at[is_near])
-        row = (np.cumsum(is_near) - 1).take(polygon)
+        row = (is_near.cumsum() - 1).take(polygon)
         x, y, along_x, along_y = edges
         side = along_x.take(row, axis=0) * sensors.y.take(scan)[:, None]
         side -= along_y.take(row, axis=0) * sensors.x.take(scan)[:, None]
         side += (x * along_y - y * along_x).take(row, axis=0)
-        seen = np.flatnonzero(side < -_EDGE_ON)
+        seen = _places(side < -_EDGE_ON)
         pair, edge = _divided(seen, corners)
         surfaces = edges.reshape(4, -1).take(row.take(pair) * corners + edge, axis=1)
         return scan.take(pair), surfaces, side.take(seen)
@@ -173,7 +173,7 @@ class Lidar:
         y = y.take(circle) - sensors.y.take(scan)
         radius = radius.take(circle)
         beyond = x * x + y * y - radius * radius
-        seen = np.flatnonzero(beyond > 0.0)  # not from within: no sensor sees its own housing
+        seen = _places(beyond > 0.0)  # not from within: no sensor sees its own housing
         scan, x, y = scan.take(seen), x.take(seen), y.take(seen)
         radius, beyond = radius.take(seen), beyond.take(seen)
         middle = np.arctan2(y, x) - sensors.yaw.take(scan)
@@ -183,10 +183,10 @@ class Lidar:
         ahead, left = np.repeat((cos * x + sin * y, cos * y - sin * x), counts, axis=1)
         cos, sin = self._rays.cos.take(places), self._rays.sin.take(places)
         aside = cos * left - sin * ahead
-        depth = np.sqrt(np.maximum(np.repeat(radius * radius, counts) - aside * aside, 0.0))
+        depth = np.sqrt(np.maximum((radius * radius).repeat(counts) - aside * aside, 0.0))
         # One over (distance to the middle - depth), without the difference of nearly equal ones.
-        near = (cos * ahead + sin * left + depth) / np.repeat(beyond, counts)
-        self._raise(nearness, np.repeat(scan, counts), places, near)
+        near = (cos * ahead + sin * left + depth) / beyond.repeat(counts)
+        self._raise(nearness, scan.repeat(counts), places, near)
 
     def _raise(self, nearness: Array, scan: Indices, places: Indices, near: Array) -> None:
         """Let each ray see what is nearest: the greatest of one over the distances."""
@@ -203,7 +203,12 @@ def _near(sensors: _Sensors, x: Array, y: Array, reach: Array) -> tuple[Indices,
     aside *= aside
     squared += aside
     most = (reach + _ROUNDING).astype(single)
-    return _divided(np.flatnonzero(squared <= most * most), len(x))
+    return _divided(_places(squared <= most * most), len(x))
+
+
+def _places(is_one: NDArray[np.bool_]) -> Indices:
+    """Where an array of any shape, taken as a flat one, is true."""
+    return is_one.ravel().nonzero()[0]
 
 
 def _divided(places: Indices, width: int) -> tuple[Indices, Indices]:

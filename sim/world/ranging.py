@@ -32,6 +32,8 @@ class RangeSensors:
 
     def cast(self, poses: Array, robots: Indices) -> list[Array]:
         """Ranges (rays,) for each of `robots` (m,) with all robots at base `poses` (n, 3)."""
+        if len(self._lidars) == 1:
+            return list(self._lidars[0].cast(poses, robots))
         rows: dict[int, Array] = {}
         for kind in np.unique(self._kinds[robots]):
             observers = robots[self._kinds[robots] == kind]

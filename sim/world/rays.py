@@ -41,8 +41,8 @@ class Rays:
         """
         first = self._place(low - _SEAM)
         counts = self._place(high + _SEAM) - first
-        end = np.cumsum(counts)
-        places = np.repeat(first - end + counts, counts)
+        end = counts.cumsum()
+        places = (first - end + counts).repeat(counts)
         places += np.arange(len(places))
         return places, counts
 

@@ -140,7 +140,9 @@ class World:
 
         It is not there yet: who hands it on holds it back for the robot's `scan_latency`.
         """
-        poses = np.concatenate((self.poses(), self._things.poses()))
+        poses = self.poses()
+        if self.things:
+            poses = np.concatenate((poses, self._things.poses()))
         ranges = self._noise.apply(robots, self._sensors.cast(poses, robots))
         return [self._scan(row, seen) for row, seen in zip(robots.tolist(), ranges, strict=True)]
 
