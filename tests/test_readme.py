@@ -58,8 +58,8 @@ def test_commands_are_as_swarmctl_takes_them(page: Path) -> None:
 
 def test_the_readme_shows_the_verbs_of_every_day() -> None:
     shown = {words[0] for words in commands(ROOT / "README.md")}
-    assert {"members", "run", "stop", "estop", "reset", "describe", "demo", "sim"} <= shown
-    assert shown - {"demo", "sim", "--swarm"} <= set(VERBS)
+    assert {"members", "run", "stop", "estop", "reset", "describe", "demo", "sim", "exp"} <= shown
+    assert shown - {"demo", "sim", "exp", "--swarm"} <= set(VERBS)
 
 
 def _parse(command: click.Command, ctx: click.Context, words: list[str]) -> None:

@@ -78,6 +78,7 @@ class Lockstep:
         rng = np.random.default_rng([seed, *b"phases"])
         self._sweeps = Rhythm(np.array([p.scan.rate for p in self.world.platforms]), rng)
         self._beats = Rhythm(np.full(n, 1.0 / TICK), rng)
+        self._odometry = Rhythm(np.array([1.0 / TICK]))
         self._hearing = Rhythm(np.full(n, _HEARING_RATE), rng)
         self._reading = Rhythm(np.full(n if scenario.fields else 0, _READINGS_RATE), rng)
         self._record = Rhythm(np.array([scenario.trace_rate]))
@@ -218,13 +219,15 @@ class Lockstep:
                 shell.robot.on_readings(world.readings(int(row)))
 
     def _beat(self, now: float) -> None:
-        due = self._beats.due(now)
-        if len(due):
-            for row, odometry in zip(due.tolist(), self.world.odometry(due), strict=True):
-                shell = self.shells[row]
+        if len(self._odometry.due(now)):
+            # All wheels are read at once, since reading one takes as long as reading a hundred.
+            for shell, odometry in zip(self.shells, self.world.odometry(), strict=True):
                 if shell is not None:
                     shell.odometry(odometry, now)
-                    shell.tick(now)
+        for row in self._beats.due(now).tolist():
+            shell = self.shells[row]
+            if shell is not None:
+                shell.tick(now)
         for row in self._wakes.due(self._steps):
             shell = self.shells[row]
             if shell is not None:
