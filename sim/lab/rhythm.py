@@ -8,6 +8,7 @@ from swarmd.sim.world.lidar import Indices
 from swarmd.values import Array
 
 _ROUNDING = 1e-9
+_NOBODY: Indices = np.empty(0, dtype=np.intp)
 
 
 class Rhythm:
@@ -19,13 +20,16 @@ class Rhythm:
         self._phase = np.zeros(len(self._period)) if rng is None else rng.uniform(0, self._period)
         self._beats = np.zeros(len(self._period))
         self._next = self._phase.copy()
+        self._soonest = float(self._next.min(initial=np.inf))
 
     def due(self, now: float) -> Indices:
         """The rows due by `now` s, in order; ask at every step, for each is named once a period."""
-        rows = np.flatnonzero(self._next <= now + _ROUNDING)
-        if len(rows):
-            self._beats[rows] += 1.0
-            self._next[rows] = self._phase[rows] + self._beats[rows] * self._period[rows]
+        if self._soonest > now + _ROUNDING:
+            return _NOBODY
+        rows = (self._next <= now + _ROUNDING).nonzero()[0]
+        self._beats[rows] += 1.0
+        self._next[rows] = self._phase[rows] + self._beats[rows] * self._period[rows]
+        self._soonest = float(self._next.min())
         return rows
 
 
