@@ -111,13 +111,15 @@ def _overridden(
 
 def _built(layers: Layered, name: str) -> Scenario:
     file = layers.build(ScenarioFile)
+    if file.extends is not None:
+        raise layers.error(("extends",), "extends is for files alone; leave it out here")
     arena, fields = arena_of(layers, file.arena), fields_of(layers, file.fields)
     check_air(layers, file.radio)
     cast = cast_of(layers, file, fields)
     starts = _starts(layers, file, cast, arena)
     script = script_of(layers, file, cast)
     configured = ConfiguredParameters(file, cast)
-    plugin_dir = None if file.plugin_dir is None else Path(file.plugin_dir).absolute()
+    plugin_dir = None if file.plugin_dir is None else Path(file.plugin_dir).expanduser().absolute()
     rehearse(layers, script, cast, configured, plugin_dir)
     where = str(layers.error(("realism",), "realism"))
     return Scenario(

@@ -71,12 +71,12 @@ def _box(box: BoxSection) -> Box:
 def _field(layers: Layered, index: int, data: dict[str, Any]) -> Field:
     kinds = {kind.__struct_config__.tag: kind for kind in get_args(Field)}
     keys, key = ("fields", index), f"fields[{index}]"
-    kind = data.pop("kind", None)
+    if "kind" not in data:
+        text = f"{key}.kind is missing; wanted {' or '.join(kinds)}"
+        raise layers.error(keys, text)
+    kind = str(data.pop("kind"))
     if kind not in kinds:
-        fault = unknown("kind of field", str(kind), kinds)
-        raise layers.error(
-            keys, f"{key} needs a kind; {fault}" if kind is None else f"{key}: {fault}"
-        )
+        raise layers.error(keys, f"{key}: {unknown('kind of field', kind, kinds)}")
     name = data.get("name", "")
     if isinstance(name, str) and name and not name.isidentifier():
         raise layers.error(keys, f"{key}.name is {name!r}; wanted letters, digits and _")

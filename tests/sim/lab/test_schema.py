@@ -52,7 +52,7 @@ def test_the_scenario_that_is_changed_here_is_right(load: Load) -> None:
         ("arena.segments.0.to", [-3, -2], "arena.segments[0] begins and ends at [-3.0, -2.0]"),
         ("arena.segments.0", {"from": [0, 0]}, "arena.segments[0].to is missing"),
         ("fields.0.kind", "gausian", "fields[0]: no kind of field 'gausian'; did you mean"),
-        ("fields.0", {"name": "light"}, "fields[0] needs a kind; no kind of field"),
+        ("fields.0", {"name": "light"}, "fields[0].kind is missing; wanted gaussian or linear or"),
         ("fields.0.sigma", -1, "fields[0]: sigma is -1; wanted a number"),
         ("fields.0.name", "the light", "fields[0].name is 'the light'; wanted letters"),
         ("fields.0", 5, "fields[0] is 5; wanted keys and values"),
