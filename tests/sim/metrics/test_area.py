@@ -38,8 +38,11 @@ def test_a_way_covers_a_band_that_grows(run: Run) -> None:
 
 
 def test_what_lies_outside_the_arena_is_not_covered(run: Run, line: Line) -> None:
-    trace = run(line(2.0), meta={"arena": "4x4"})  # at the wall
-    assert area.covered_area(trace, cell=0.02) == pytest.approx(math.pi / 8.0, rel=0.05)
+    half = pytest.approx(math.pi / 8.0, rel=0.05)
+    pose = line(2.0)  # at a wall of an arena of 4 m
+    assert area.covered_area(run(pose, meta={"arena": "4x9"}), cell=0.02) == half
+    turned = pose[..., [1, 0, 2]]
+    assert area.covered_area(run(turned, meta={"arena": "9x4"}), cell=0.02) == half
 
 
 def test_absent_robots_cover_nothing(run: Run, line: Line) -> None:

@@ -61,6 +61,8 @@ def test_a_way_counts_only_while_present(run: Run) -> None:
     np.testing.assert_allclose(effort.path_lengths(trace), np.array([0.4, 0.0]))
     assert effort.mean_speed(trace) == pytest.approx(0.4 / 1.2)
     assert effort.path_length(trace) == pytest.approx(0.2)
+    joins = half_way(run, present=~present | [[False, True]])  # for the last 0.4 m
+    np.testing.assert_allclose(effort.path_lengths(joins), np.array([0.4, 0.0]))
 
 
 def test_who_was_never_there_is_not_in_the_mean(run: Run) -> None:

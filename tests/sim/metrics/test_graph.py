@@ -72,6 +72,8 @@ def test_absent_robots_pass_nothing_on(run: Run, line: Line) -> None:
     trace = run(line(0.0, 1.0, 2.0), present=present, **radio(1.0))
     assert graph.radio_components(trace).tolist() == [2.0]
     assert graph.algebraic_connectivity(trace) == 0.0
+    two = run(line(0.0, 9.0, 1.0), present=present, **radio(1.0))
+    assert graph.algebraic_connectivity(two) == pytest.approx(2.0)
     nobody = run(line(0.0, 1.0), present=np.zeros((1, 2), dtype=bool), **radio(1.0))
     assert np.isnan(graph.radio_components(nobody)).all()
     assert graph.radio_connected(nobody) is None

@@ -57,7 +57,7 @@ def test_movable_boxes_are_told_from_the_arena(run: Run) -> None:
 
 def test_the_list_tells_who_moved_and_how_fast_they_met(run: Run) -> None:
     # Given once from the other side: its speeds belong to the robots all the same.
-    steps = [(1.0, 2, 0, 0.005, 0.2), (1.1, 0, 2, 0.25, 0.01), (1.2, 0, 2, -0.1, 0.0)]
+    steps = [(1.0, 0, 2, 0.2, 0.005), (1.1, 2, 0, 0.01, 0.25), (1.2, 0, 2, -0.1, 0.0)]
     (touch,) = touches.contact_list(run(STILL, steps))
     assert (touch.start, touch.end) == (1.0, 1.2)
     assert (touch.a, touch.b, touch.kind) == ("r0", "r2", "robot")
