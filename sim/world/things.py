@@ -23,7 +23,10 @@ class Things:
     def __init__(
         self, arena: Arena, model: mujoco.MjModel, data: mujoco.MjData, robots: int
     ) -> None:
-        """They are the bodies after the `robots` of the model, and are put where they start."""
+        """They are the bodies after the `robots` of the model, and are put where they start.
+
+        ConfigError if a box would start outside the walls or where something else stands.
+        """
         boxes = [box for _, box in arena.things]
         m = len(boxes)
         self._arena, self._model, self._data = arena, model, data
@@ -42,6 +45,11 @@ class Things:
         starts = np.array([(box.x, box.y, box.yaw) for box in boxes]).reshape(m, 3)
         for row in range(m):
             self._put(row, starts[row] if self.is_there[row] else None)
+        for row in np.flatnonzero(self.is_there).tolist():
+            fault = self._fault(row, starts[row], ())
+            if fault:
+                where = f"box {self.names[row]} starts at ({starts[row, 0]:g}, {starts[row, 1]:g})"
+                raise ConfigError(f"{where}: {fault}")
 
     def poses(self) -> Array:
         """(m, 3) x, y in m and yaw in rad, world frame; NaN while one is not in the arena."""
@@ -55,15 +63,9 @@ class Things:
         SwarmError if something else stands there; ConfigError if there is no such box.
         """
         row = self._row(name)
-        where = f"box {name} cannot be placed at ({pose[0]:g}, {pose[1]:g})"
-        if not np.isfinite(pose).all():
-            raise SwarmError(f"{where}; wanted are finite numbers")
-        corners = transform(self.shapes[row], pose)
-        if (np.abs(corners) > np.array([self._arena.length, self._arena.width]) / 2.0).any():
-            raise SwarmError(f"{where}: that is not inside the walls")
-        for other, outline in (*robots, *self._standing(row)):
-            if overlaps(corners, outline):
-                raise SwarmError(f"{where}: {other} stands there")
+        fault = self._fault(row, pose, robots)
+        if fault:
+            raise SwarmError(f"box {name} cannot be placed at ({pose[0]:g}, {pose[1]:g}): {fault}")
         self._put(row, pose)
 
     def remove(self, name: str) -> None:
@@ -100,6 +102,18 @@ class Things:
         force[data.efc_id[friction]] -= data.efc_force[friction]
         pushes: Array = force[self._dofs].reshape(-1, 3)
         return pushes
+
+    def _fault(self, row: int, pose: Array, robots: Iterable[tuple[str, Array]]) -> str:
+        """What keeps box `row` from standing at a pose; empty if nothing."""
+        if not np.isfinite(pose).all():
+            return "wanted are finite numbers"
+        corners = transform(self.shapes[row], pose)
+        if (np.abs(corners) > np.array([self._arena.length, self._arena.width]) / 2.0).any():
+            return "that is not inside the walls"
+        for other, outline in (*robots, *self._standing(row)):
+            if overlaps(corners, outline):
+                return f"{other} stands there"
+        return ""
 
     def _standing(self, row: int) -> list[tuple[str, Array]]:
         """All but the outer walls and box `row` itself, by name and outline."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from msgspec import Struct
 from numpy.typing import NDArray
 
 from swarmd.values import Array
 
 
-@dataclass(frozen=True, slots=True)
-class Contact:
+class Contact(Struct, frozen=True):
     """Two that touch: a robot `a`, and a robot or `wall/east`, `box/0`, `pole/0`, `segment/0`.
 
     `speed_a` and `speed_b` in m/s: how fast each one's surface moves towards the other.
@@ -79,11 +79,12 @@ class Touches:
             return []
         geoms = np.concatenate([step.geoms for step in steps])
         speeds = np.concatenate([step.speeds for step in steps])
-        order = np.lexsort((-speeds.sum(axis=1), geoms[:, 1], geoms[:, 0]))
-        _, first = np.unique(geoms[order], axis=0, return_index=True)
+        pair = geoms[:, 0] * len(self._names) + geoms[:, 1]
+        order = np.lexsort((-speeds.sum(axis=1), pair))
+        chosen = order[np.flatnonzero(np.diff(pair[order], prepend=-1))]
         return [
-            Contact(self._names[a], self._names[b], float(speed_a), float(speed_b))
+            Contact(self._names[a], self._names[b], speed_a, speed_b)
             for (a, b), (speed_a, speed_b) in zip(
-                geoms[order[first]], speeds[order[first]], strict=True
+                geoms[chosen].tolist(), speeds[chosen].tolist(), strict=True
             )
         ]

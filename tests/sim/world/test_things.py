@@ -202,6 +202,28 @@ def test_is_refused_where_something_stands_and_nothing_changes(
     np.testing.assert_allclose(world.thing_poses(), before, atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("others", "reason"),
+    [
+        ((Box(0.3, 2.0, 0.5, 0.5),), "box/1 stands there"),
+        ((Box(0.2, 2.0, 0.3, 0.3, name="other", mass=1.0),), "box/other stands there"),
+    ],
+)
+def test_cannot_start_where_something_stands(others: tuple[Box, ...], reason: str) -> None:
+    crate = Box(0.0, 2.0, 0.3, 0.3, name="crate", mass=1.0)
+    with pytest.raises(ConfigError, match=rf"box crate starts at \(0, 2\): {reason}"):
+        facing(crate, Arena(6.0, 6.0, boxes=(crate, *others)))
+    with pytest.raises(ConfigError, match="that is not inside the walls"):
+        facing(crate, Arena(6.0, 4.0, boxes=(crate,)))
+
+
+def test_may_stand_right_beside_another() -> None:
+    boxes = (Box(0.0, 2.0, 0.5, 0.5, mass=1.0), Box(0.5, 2.0, 0.5, 0.5, mass=1.0))
+    world = facing(boxes[0], Arena(6.0, 6.0, boxes=boxes))
+    world.step(100)
+    np.testing.assert_allclose(world.thing_poses()[:, 0], [0.0, 0.5], atol=1e-6)
+
+
 def test_may_be_moved_to_where_it_overlaps_its_own_old_place() -> None:
     world = facing(CROWDED.boxes[0], CROWDED)
     world.place("crate", (0.1, -2.0, 0.5))
