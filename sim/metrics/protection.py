@@ -131,7 +131,7 @@ METRICS = (
         "command_alteration",
         "share",
         "mean change of the wished command, 1 being full speed",
-        "|u - u_wish| of Wang et al. 2017, IEEE T-RO 33; the scale: ours",
+        "change of the control: Wang et al. 2017, IEEE T-RO 33; its scale: ours",
         command_alteration,
         mean_alterations,
         "less",
