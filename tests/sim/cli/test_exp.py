@@ -45,6 +45,7 @@ def started(*words: object, cwd: Path) -> subprocess.Popen[str]:
         stderr=subprocess.PIPE,
         text=True,
         cwd=cwd,
+        start_new_session=True,  # so that a signal can reach all, as from a terminal
     )
 
 
@@ -177,6 +178,18 @@ def test_a_killed_sweep_goes_on_where_it_was(tmp_path: Path, duo: Path, swarmctl
 
 
 @pytest.mark.integration
+def test_no_worker_outlives_a_killed_parent(tmp_path: Path, duo: Path) -> None:
+    folder = tmp_path / "x"
+    words = ("--sweep", "duration=1,1e6", "--seeds", 1, "--out", folder)
+    process = started("exp", "run", duo, *words, cwd=tmp_path)
+    wait_until(lambda: finished(folder) == 1, "the short run is done")
+    (worker,) = children(process.pid)
+    process.kill()
+    process.communicate()
+    wait_until(lambda: not Path(f"/proc/{worker}/exe").exists(), "it is gone", cap=20)
+
+
+@pytest.mark.integration
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_an_end_by_hand_keeps_what_is_finished_and_says_how_to_go_on(
     tmp_path: Path, duo: Path, number: signal.Signals, code: int
@@ -185,7 +198,7 @@ def test_an_end_by_hand_keeps_what_is_finished_and_says_how_to_go_on(
     process = started("exp", "run", duo, "--seeds", 50, "-j", 2, "--out", folder, cwd=tmp_path)
     wait_until(lambda: finished(folder) >= 3, "three runs are done")
     workers = children(process.pid)
-    process.send_signal(number)
+    os.killpg(process.pid, number)
     _, told = process.communicate(timeout=30)
     assert process.returncode == code
     assert not any(Path(f"/proc/{pid}").exists() for pid in workers)
@@ -195,6 +208,7 @@ def test_an_end_by_hand_keeps_what_is_finished_and_says_how_to_go_on(
     assert "Traceback" not in told
     assert json.loads((folder / "summary.json").read_text())["finished"] == kept
     assert not list((folder / "traces").glob(".*"))
+    assert not (folder / "failures.json").exists()
 
 
 @pytest.mark.integration

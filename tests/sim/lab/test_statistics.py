@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from statistics import NormalDist
+
 import numpy as np
 import pytest
 
@@ -16,6 +18,7 @@ from swarmd.sim.lab.statistics import (
 )
 from swarmd.values import Array
 
+NORMAL = NormalDist()
 TRIALS = 400
 # 400 trials of 95 % scatter by 1.1 %; bootstrap intervals of 20 values are known to be a little
 # narrow (Efron & Tibshirani 1993, chapter 14), the more so for skewed values.
@@ -60,12 +63,32 @@ def test_a_difference_lies_in_its_interval_about_as_often_as_promised() -> None:
     assert COARSE[0] <= share <= COARSE[1]
 
 
+def test_two_samples_are_drawn_independently() -> None:
+    """The same draws for both would make of them pairs, which they are not."""
+    sample = draws("normal", 20)[0]
+    found = difference_interval(sample, sample)
+    assert found is not None
+    assert found.high - found.low > 2.0 * sample.std() / 20**0.5
+
+
 def test_the_interval_leans_to_the_long_tail() -> None:
-    """What the correction is for: a plain percentile interval leans hardly at all."""
+    """What bias correction and acceleration are for, each: by the formula, done the long way."""
     sample = draws("exponential", 25)[0]
+    n, mean = sample.size, sample.mean()
+    rng = np.random.default_rng([1993, 0])
+    replicates = np.array([sample[row].mean() for row in rng.integers(n, size=(1000, n))])
+    bias = NORMAL.inv_cdf(float((replicates < mean).mean()))
+    left_out = np.array([np.delete(sample, i).mean() for i in range(n)])
+    away = left_out.mean() - left_out  # E&T 14.15
+    acceleration = (away**3).sum() / (6.0 * (away**2).sum() ** 1.5)
+    ends = [
+        NORMAL.cdf(bias + (bias + z) / (1.0 - acceleration * (bias + z)))
+        for z in (NORMAL.inv_cdf(0.025), NORMAL.inv_cdf(0.975))
+    ]
     found = mean_interval(sample)
     assert found is not None
-    assert found.high - sample.mean() > 1.15 * (sample.mean() - found.low)
+    assert (found.low, found.high) == pytest.approx(np.quantile(replicates, ends), rel=1e-12)
+    assert found.high - mean > 1.3 * (mean - found.low)
 
 
 def test_the_interval_of_a_mean_agrees_with_students_for_normal_values() -> None:
