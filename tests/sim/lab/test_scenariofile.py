@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import pickle
+import re
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -181,3 +182,12 @@ def test_a_file_that_is_none_is_refused_in_one_line(
 def test_a_name_that_is_none_is_refused(name: str, fault: str) -> None:
     with pytest.raises(ConfigError, match=fault):
         load_scenario(name)
+
+
+def test_the_scenario_on_the_page_about_scenarios_is_one(tmp_path: Path) -> None:
+    page = Path(__file__).parents[3] / "docs" / "laboratory.md"
+    (block,) = re.findall(r"^```yaml\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+    (tmp_path / "page.yaml").write_text(block)
+    scenario = load_scenario(tmp_path / "page.yaml")
+    assert scenario.starts(0).shape == (5, 3)
+    assert len(scenario.events) == 5
