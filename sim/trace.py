@@ -127,10 +127,19 @@ class Recorder:
     """Gathers a trace of truth and commands while a world runs."""
 
     def __init__(
-        self, ids: Sequence[str], platforms: Sequence[Platform], meta: Mapping[str, Any]
+        self,
+        ids: Sequence[str],
+        platforms: Sequence[Platform],
+        meta: Mapping[str, Any],
+        *,
+        things: Sequence[str] = (),
+        thing_shapes: Array | None = None,
     ) -> None:
-        self._ids = tuple(ids)
+        """`things` are the movable boxes, `thing_shapes` (m, k, 2) their outlines."""
+        self._ids, self._things = tuple(ids), tuple(things)
+        self._shapes = thing_shapes if things else None
         self._index = {robot: i for i, robot in enumerate(ids)}
+        self._index |= {f"box/{name}": ARENA - 1 - i for i, name in enumerate(things)}
         self._platforms = tuple(p.name for p in platforms)
         self._footprints = {p.name: p.footprint for p in platforms}
         self._meta = dict(meta)
@@ -141,13 +150,16 @@ class Recorder:
         self._t: list[float] = []
         self._pose: list[Array] = []
         self._safe: list[Array] = []
+        self._thing_pose: list[Array] = []
         self._contacts: list[tuple[float, int, int, float, float]] = []
 
-    def add(self, time: float, pose: Array, safe: Array) -> None:
-        """One instant: poses and commands (n, 3), which are copied."""
+    def add(self, time: float, pose: Array, safe: Array, thing_pose: Array | None = None) -> None:
+        """One instant: poses and commands (n, 3), poses of things (m, 3), which are copied."""
         self._t.append(time)
         self._pose.append(pose.copy())
         self._safe.append(safe.copy())
+        if self._things and thing_pose is not None:
+            self._thing_pose.append(thing_pose.copy())
 
     def touch(self, time: float, a: str, b: str, speed_a: float, speed_b: float) -> None:
         """One step of a touch between robot `a` and `b`, a robot or part of the arena."""
@@ -156,7 +168,7 @@ class Recorder:
 
     def trace(self, **meta: Any) -> Trace:
         """All since the last `clear`; `meta` is added to what the recorder was made with."""
-        n = len(self._ids)
+        n, m = len(self._ids), len(self._things)
         contacts = np.array(self._contacts, dtype=np.float64).reshape(-1, 5)
         return Trace(
             ids=self._ids,
@@ -169,4 +181,7 @@ class Recorder:
             platforms=self._platforms,
             footprints=self._footprints,
             meta={**self._meta, **meta},
+            things=self._things,
+            thing_pose=np.array(self._thing_pose).reshape(-1, m, 3) if m else None,
+            thing_shapes=self._shapes,
         )

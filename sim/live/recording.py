@@ -37,7 +37,13 @@ class Record:
 
     def __init__(self, world: World, settings: RecordSettings) -> None:
         self._world, self._settings = world, settings
-        self._recorder = Recorder(world.ids, world.platforms, settings.meta)
+        self._recorder = Recorder(
+            world.ids,
+            world.platforms,
+            settings.meta,
+            things=world.things,
+            thing_shapes=world.thing_shapes,
+        )
         self.is_running = False
         self.contacts = 0
         self.arena_contacts = 0
@@ -64,7 +70,8 @@ class Record:
             return
         self._note_contacts()
         if self._settings.path is not None and len(self._due.due(self._world.time)):
-            self._recorder.add(self.seconds, self._world.poses(), safe)
+            world = self._world
+            self._recorder.add(self.seconds, world.poses(), safe, world.thing_poses())
         if self._settings.seconds is not None and self.seconds >= self._settings.seconds - 1e-9:
             self.finish()
 

@@ -23,7 +23,7 @@ from swarmd.sim.live.link import WorldLink, dialling
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT, RealTimeWorld
 from swarmd.sim.live.recording import Record, RecordSettings
 from swarmd.sim.trace import load_trace
-from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.arena import Arena, Box
 from swarmd.sim.world.radio import Radio, RadioSettings
 from swarmd.sim.world.readings import Field, UniformField
 from swarmd.sim.world.realism import IDEAL, Actuation, LidarNoise, Realism
@@ -43,11 +43,12 @@ class Stage:
         realism: Realism = IDEAL,
         reach: float | None = None,
         fields: tuple[Field, ...] = (),
+        boxes: tuple[Box, ...] = (),
     ) -> None:
         self.now = 100.0
         platform = load_platform("burger")
         starts = np.array([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
-        robots, arena = dict.fromkeys(IDS, platform), Arena(6.0, 6.0)
+        robots, arena = dict.fromkeys(IDS, platform), Arena(6.0, 6.0, boxes)
         self.world = World(robots, arena, starts, realism=realism, fields=fields)
         radio = RadioSettings(neighborhood="range", range=reach)
         self.link = WorldLink("s", IDS, "tcp/127.0.0.1:0", clock=lambda: self.now)
@@ -312,3 +313,25 @@ def test_touches_are_counted_and_recorded(tmp_path: Path) -> None:
     trace = load_trace(tmp_path / "run.npz")
     assert set(map(tuple, trace.contact_pair.tolist())) == {(0, -1)}
     assert trace.contact_speed[0, 0] == pytest.approx(0.22)
+
+
+def test_boxes_that_are_pushed_are_recorded(tmp_path: Path) -> None:
+    crate = Box(0.3, 0.0, 0.2, 0.2, name="crate", mass=0.5)
+    stage = Stage(RecordSettings(path=tmp_path / "run.npz"), boxes=(crate,))
+    try:
+        for _ in range(20):
+            seq = stage.world._seq[0]
+            stage.command("a", encode_command(Twist(0.22), seq, seq))
+            stage.pass_time(0.1)
+        stage.record.finish()
+    finally:
+        stage.close()
+    trace = load_trace(tmp_path / "run.npz")
+    assert trace.things == ("crate",)
+    assert trace.thing_pose is not None
+    assert trace.thing_pose.shape == (len(trace.t), 1, 3)
+    assert trace.thing_pose[0, 0, 0] == 0.3
+    assert trace.thing_pose[-1, 0, 0] > 0.4
+    assert trace.thing_shapes is not None
+    assert trace.thing_shapes.shape == (1, 4, 2)
+    assert set(map(tuple, trace.contact_pair.tolist())) == {(0, -2)}
