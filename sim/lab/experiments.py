@@ -20,10 +20,8 @@ from pathlib import Path
 from typing import Any
 
 from swarmd.errors import ConfigError, SwarmError
-from swarmd.layered import Layered
 from swarmd.sim.lab.job import Job, Outcome, perform
 from swarmd.sim.lab.manifest import Manifest, manifest_of, plain
-from swarmd.sim.lab.overrides import nested
 from swarmd.sim.lab.plan import Plan, Run, make_plan
 from swarmd.sim.lab.pool import outcomes
 from swarmd.sim.lab.results import Results
@@ -166,5 +164,4 @@ def _overridden(scenario: str | Path | Scenario, overrides: Mapping[str, Any]) -
             f"scenario {scenario.name!r} has no effective configuration, so it could not be run"
             " again; make it with load_scenario or scenario_of"
         )
-    over = nested(overrides, scenario.effective)
-    return scenario_of(Layered(("set", over), (scenario.name, scenario.effective)).data)
+    return scenario_of(scenario.effective, overrides)
