@@ -6,6 +6,7 @@ steps give bit-identical poses. Robot i of `ids` is row i of every array.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import mujoco
@@ -16,7 +17,7 @@ from swarmd.sim.world import bodies
 from swarmd.sim.world.actuation import Actuators
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.drives import Drives
-from swarmd.sim.world.geometry import transform
+from swarmd.sim.world.geometry import radius, transform
 from swarmd.sim.world.lidar import Indices
 from swarmd.sim.world.noise import NoisyLidar
 from swarmd.sim.world.odometer import Odometers
@@ -82,6 +83,10 @@ class World:
         self._touching: list[Touch] = []
         self._sensors = RangeSensors(self.platforms, arena, visibility)
         self._fields = tuple(fields)
+        shapes = [platform.footprint for platform in self.platforms]
+        self._widest = sum(
+            max(map(radius, some), default=0.0) for some in (shapes, self.thing_shapes)
+        )
 
     @property
     def time(self) -> float:
@@ -129,7 +134,11 @@ class World:
         vx, vy, angular = self._qvel[: 3 * n].reshape(-1, 3).T
         yaw = self._qpos[2 : 3 * n : 3] - angular * (self.dt / 2.0)
         cos, sin = np.cos(yaw), np.sin(yaw)
-        return np.stack((cos * vx + sin * vy, angular, cos * vy - sin * vx), axis=-1)
+        twists = np.empty((n, 3))
+        twists[:, 0] = cos * vx + sin * vy
+        twists[:, 1] = angular
+        twists[:, 2] = cos * vy - sin * vx
+        return twists
 
     def contacts(self) -> list[Contact]:
         """The pairs that touched during the last call of `step`, each with its fastest approach."""
@@ -175,10 +184,13 @@ class World:
         SwarmError if it would stand in a robot, a wall or another thing; ConfigError if there is
         no such box. Nothing has changed then.
         """
-        poses = self.poses()
-        robots = zip(self.ids, self.platforms, poses, strict=True)
-        outlines = ((name, transform(p.footprint, own)) for name, p, own in robots)
-        self._things.place(thing, np.array(pose, dtype=np.float64), outlines)
+        at = np.array(pose, dtype=np.float64)
+        outlines = [
+            (self.ids[row], transform(self.platforms[row].footprint, own))
+            for row, own in enumerate(self.poses())
+            if math.dist(own[:2], at[:2]) <= self._widest
+        ]
+        self._things.place(thing, at, outlines)
 
     def remove(self, thing: str) -> None:
         """Take a movable box out of the arena; SwarmError if it is not in it."""
