@@ -111,8 +111,8 @@ def paint_target(axes: Axes, target: float) -> None:
 def _paint_event(axes: Axes, time: float, word: str) -> None:
     axes.axvline(time, color=GUIDE_COLOUR, linestyle=":", linewidth=1.0, zorder=1.8)
     axes.annotate(word, (time, 1.0), xycoords=("data", "axes fraction"), xytext=(2, -3),
-                  textcoords="offset points", rotation=90, va="top", fontsize=7.5, bbox=_PALE, zorder=2.5,
-                  color=GUIDE_COLOUR)  # fmt: skip
+                  textcoords="offset points", rotation=90, va="top", fontsize=7.5, bbox=_PALE,
+                  color=GUIDE_COLOUR, zorder=2.5)  # fmt: skip
 
 
 def _paint_variant(axes: Axes, bands: Bands, index: int, variants: int, label: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -75,7 +76,8 @@ def save(figure: Figure, path: Path) -> Path:
             figure.savefig(partial, format=kind, dpi=DPI, metadata={dated: None} if dated else None)
         partial.replace(path)
     except OSError as error:
-        partial.unlink(missing_ok=True)
+        with suppress(OSError):
+            partial.unlink()
         raise SwarmError(
             f"{path}: the picture cannot be written: {error.strerror or error}; "
             "make room or name another place"

@@ -48,14 +48,14 @@ def overview_figure(runs: Sequence[tuple[str, Load]], title: str = "", *, note: 
     width, height = extent.panel(_SIDE) if extent else (_SIDE, _SIDE)
     layout = Layout(width=width, height=height, rows=rows, columns=columns, left=0.15, right=0.15,
                     bottom=0.35, top=0.2, across=0.12, down=0.3)  # fmt: skip
-    sheet = Sheet(layout, title or f"{len(shown)} runs")
+    cut = "" if len(shown) == len(runs) else f"the first {len(shown)} of {len(runs)} runs"
+    size = f"each frame {extent.width:.3g} m x {extent.height:.3g} m" if extent else ""
+    below = "; ".join(part for part in (note, cut, size) if part)
+    sheet = Sheet(layout, title or f"{len(shown)} runs", note=below)
     for index, (name, load) in enumerate(shown):
         axes = sheet.map(*divmod(index, columns))
         axes.set_title(name, fontsize=8, pad=3.0)
         _paint_small(axes, load(), extent, width)
-    cut = "" if len(shown) == len(runs) else f"the first {len(shown)} of {len(runs)} runs"
-    size = f"each frame {extent.width:.3g} m x {extent.height:.3g} m" if extent else ""
-    sheet.note("; ".join(part for part in (note, cut, size) if part))
     return sheet.figure
 
 

@@ -30,7 +30,7 @@ FIXED_COLOUR = "0.65"
 THING_COLOUR = "#C49C6B"
 LINK_COLOUR = "0.6"
 _NARROWEST = 0.55  # of the longer side
-_SMALL_PART = 0.6  # of the arena's longer side
+_SMALL_PART = 0.5  # of the arena's longer side
 _MOST_PLACES = 400_000  # drawn of all ways together
 _SPECK, _SMALL = 1.5, 4.0  # points: a footprint's radius below which it is a dot, has no nose
 

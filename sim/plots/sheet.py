@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _LINE = 0.2  # inches a line of a title or legend
 _EDGE = 0.08
+_NOTE_CHARACTER = 0.066
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,20 +44,28 @@ class Layout:
 class Sheet:
     """A figure with its maps, row by row from the upper left, and a title above them."""
 
-    def __init__(self, layout: Layout, title: str, *, least_height: float = 0.0) -> None:
-        """`title` may have several lines; `least_height` in inches is for what stands aside."""
+    def __init__(
+        self, layout: Layout, title: str, *, least_height: float = 0.0, note: str = ""
+    ) -> None:
+        """`title` may have several lines; `note` are small words below all.
+
+        `least_height` in inches is for what stands aside.
+        """
         lines = title.splitlines()
         self._layout = layout
         above = layout.top + 2.0 * _EDGE + _LINE * len(lines)
         self._right = layout.left + self._step_x * layout.columns - layout.across
         self._top = layout.bottom + self._step_y * layout.rows - layout.down
         tall = max(self._top + above, least_height)
-        wide = max(self._right + layout.right, _title_width(lines))
+        words = _title_width(lines), 0.2 + _NOTE_CHARACTER * len(note)
+        wide = max(self._right + layout.right, *words)
         self._x = (wide - self._right - layout.right) / 2.0
         self._y = (tall - self._top - above) / 2.0
         self.width, self.height = wide, tall
         self.figure: Figure = new_figure(wide, tall, has_layout=False)
         self.figure.suptitle(title, fontsize=11, y=1.0 - _EDGE / tall, va="top")
+        self.figure.text(0.5, _EDGE / tall, note, ha="center", va="bottom", fontsize=8,
+                         color=GUIDE_COLOUR)  # fmt: skip
 
     @property
     def _step_x(self) -> float:
@@ -91,11 +100,6 @@ class Sheet:
         handles, labels = zip(*entries, strict=True)
         self.figure.legend(handles, labels, loc="lower center", ncols=columns, frameon=False,
                            bbox_to_anchor=(0.5, _EDGE / self.height), fontsize=9)  # fmt: skip
-
-    def note(self, text: str) -> None:
-        """Small words below all."""
-        self.figure.text(0.5, _EDGE / self.height, text, ha="center", va="bottom", fontsize=8,
-                         color=GUIDE_COLOUR)  # fmt: skip
 
     def _axes(self, left: float, bottom: float, width: float, height: float) -> Axes:
         w, h = self.width, self.height

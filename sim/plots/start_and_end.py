@@ -52,8 +52,8 @@ def start_and_end_figure(trace: Trace, title: str = "", *, link: float | None = 
     rows, columns = (2, 1) if is_wide else (1, 2)
     layout = Layout(width=width, height=height, rows=rows, columns=columns, bottom=0.75, top=0.22,
                     across=0.2, down=0.35)  # fmt: skip
-    sheet = Sheet(layout, title)
     opinions, scale = opinions_of(trace), 72.0 * width / extent.width
+    sheet = Sheet(layout, title, note="" if opinions else _note(trace, reach))
     for index, part in enumerate((first(trace), last(trace))):
         axes = sheet.map(*((index, 0) if is_wide else (0, index)))
         grouping = by_opinion(part, opinions) if opinions else by_cluster(part, reach)
@@ -67,10 +67,12 @@ def start_and_end_figure(trace: Trace, title: str = "", *, link: float | None = 
         axes.set_ylabel("y [m]" if is_wide or not index else "")
     if opinions:
         sheet.legend_below(key_of(opinions), len(opinions))
-        return sheet.figure
-    linked = "" if reach is None else f"one cluster: each within {reach:g} m of the next"
-    sheet.note("; ".join(word for word in (cut_note(trace), linked) if word))
     return sheet.figure
+
+
+def _note(trace: Trace, link: float | None) -> str:
+    linked = "" if link is None else f"one cluster: each within {link:g} m of the next"
+    return "; ".join(word for word in (cut_note(trace), linked) if word)
 
 
 def _paint_instant(axes: Axes, part: Trace, link: float | None) -> None:

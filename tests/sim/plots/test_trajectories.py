@@ -1,36 +1,102 @@
-"""Pictures are pictures."""
+"""The picture of one run."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 
 from swarmd.errors import SwarmError
-from swarmd.platforms import load_platform
-from swarmd.sim.plots.trajectories import draw_trajectories
-from swarmd.sim.trace import Recorder
+from swarmd.sim.plots.trajectories import draw_trajectories, trajectories_figure
+from swarmd.sim.trace import Trace
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from tests.sim.plots.conftest import Cut, Walk
 
 pytest.importorskip("matplotlib")
+Full = Callable[[int], Trace]
 
 
-def recorder(arena: str) -> Recorder:
-    return Recorder(("a", "b"), [load_platform("burger")] * 2, {"arena": arena})
+def labels(figure: Figure) -> list[str]:
+    return [text.get_text() for text in figure.legends[0].get_texts()]
 
 
-@pytest.mark.parametrize("arena", ["6x6,box:1:1:0.5:0.5:20,pole:-1:0:0.2", "nowhere"])
-def test_draws_a_run(tmp_path: Path, arena: str) -> None:
-    record = recorder(arena)
-    for k in range(20):
-        record.add(0.1 * k, np.array([[0.1 * k, 0.0, 0.0], [0.0, 0.1 * k, 1.0]]), np.zeros((2, 3)))
-    record.touch(1.0, "a", "b", 0.1, 0.1)
+@pytest.mark.parametrize("arena", ["6x6,box:1:1:0.5:0.5:20,pole:-1:0:0.2", "nowhere", "60x60"])
+def test_draws_a_run(tmp_path: Path, walk: Walk, arena: str) -> None:
+    from matplotlib.image import imread
+
     path = tmp_path / "new" / "run.png"
-    draw_trajectories(record.trace(), path)
-    assert path.read_bytes().startswith(b"\x89PNG")
-    assert path.stat().st_size > 10_000
+    trace = walk(7, arena=arena)
+    draw_trajectories(trace, path)
+    width, height = trajectories_figure(trace).get_size_inches()
+    pixels = imread(path)
+    assert pixels.shape[:2] == (int(height * 130), int(width * 130))
+    assert pixels[..., :3].std() > 0.05
 
 
-def test_an_empty_run_is_one_clear_error(tmp_path: Path) -> None:
+def test_each_robot_has_its_line_in_the_legend(walk: Walk) -> None:
+    figure = trajectories_figure(walk(3))
+    assert labels(figure) == ["tb3-00", "tb3-01", "tb3-02", "start", "end"]
+    assert figure.axes[0].get_aspect() == 1.0
+
+
+def test_the_legend_tells_who_came_and_went_and_what_marks_mean(full: Full) -> None:
+    assert labels(trajectories_figure(full(3), has_links=True)) == [
+        *("tb3-00 (from 1 s)", "tb3-01 (to 1.5 s)", "tb3-02", "start", "end", "joins", "leaves"),
+        *("movable box", "radio, 1.5 m", "touch, both moving: 1"),
+        *("touch, one moving (its colour): 1", "touch of wall or box: 1"),
+    ]
+
+
+def test_a_robot_that_never_was_there_is_said_to(walk: Walk) -> None:
+    trace = walk(2)
+    present = trace.pose[..., 0] > 1e9
+    assert "tb3-00 (never there)" in labels(trajectories_figure(replace(trace, present=present)))
+
+
+def test_many_robots_are_coloured_by_time_and_not_named(full: Full) -> None:
+    figure = trajectories_figure(full(30))
+    assert labels(figure) == [
+        *("start", "end", "joins", "leaves", "movable box"),
+        *("touch, both moving: 1", "touch, one moving: 1", "touch of wall or box: 1"),
+    ]
+    assert [axes.get_ylabel() for axes in figure.axes] == ["y [m]", "time [s]"]
+
+
+def test_links_are_drawn_only_if_the_radio_has_a_range(walk: Walk) -> None:
+    assert "radio" not in " ".join(labels(trajectories_figure(walk(3), has_links=True)))
+
+
+def test_a_title_may_be_given(walk: Walk) -> None:
+    assert trajectories_figure(walk(2), "one\ntwo").get_suptitle() == "one\ntwo"
+    assert trajectories_figure(walk(2)).get_suptitle() == "2 robots, 2 s"
+
+
+@pytest.mark.parametrize("n", [2, 7, 20, 21, 200])
+def test_no_word_is_cut_off(full: Full, cut_off: Cut, n: int) -> None:
+    trace = full(n)
+    trace = replace(trace, ids=tuple(f"{robot}-waffle_pi-WWW" for robot in trace.ids))
+    title = "paper_exp1_hardware, law=paper,lidar_visibility=real, seed 519\nleast typical run"
+    assert cut_off(trajectories_figure(trace, title, has_links=True)) == []
+
+
+@pytest.mark.parametrize("n", [1, 7, 30])
+def test_one_instant_is_a_picture(walk: Walk, n: int, tmp_path: Path) -> None:
+    draw_trajectories(walk(n, 1), tmp_path / "run.png")
+    assert (tmp_path / "run.png").stat().st_size > 5_000
+
+
+def test_a_thousand_robots_are_a_picture(walk: Walk, tmp_path: Path) -> None:
+    draw_trajectories(walk(1000, arena="40x40"), tmp_path / "run.png")
+    assert (tmp_path / "run.png").stat().st_size > 50_000
+
+
+def test_an_empty_run_is_one_clear_error(tmp_path: Path, walk: Walk) -> None:
     with pytest.raises(SwarmError, match="nothing to draw"):
-        draw_trajectories(recorder("6x6").trace(), tmp_path / "run.png")
+        draw_trajectories(walk(2, 0), tmp_path / "run.png")
+    assert list(tmp_path.iterdir()) == []

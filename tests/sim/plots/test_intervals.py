@@ -1,0 +1,111 @@
+"""Metrics run by run, with means and their intervals."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from swarmd.errors import SwarmError
+from swarmd.sim.lab.statistics import mean_interval, wilson
+from swarmd.sim.plots.intervals import Panel, draw_intervals, intervals_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from tests.sim.plots.conftest import Cut
+
+pytest.importorskip("matplotlib")
+
+VALUES = (0.5, 0.7, 0.6, 0.9)
+
+
+def bars(axes: Axes) -> list[list[float]]:
+    return [[float(x) for x in np.asarray(line.get_xdata())] for line in axes.lines]
+
+
+def test_every_run_is_a_point_and_the_mean_stands_above_with_its_interval() -> None:
+    axes = intervals_figure([Panel(label="gap", unit="m", values={"a": VALUES})]).axes[0]
+    points, mean = (np.asarray(dots.get_offsets()) for dots in axes.collections)
+    assert points[:, 0].tolist() == list(VALUES)
+    assert mean[0, 0] == pytest.approx(np.mean(VALUES))
+    assert mean[0, 1] < points[:, 1].min()
+    interval = mean_interval(np.array(VALUES))
+    assert interval is not None
+    assert bars(axes) == [[interval.low, interval.high]]
+    assert (axes.get_title(loc="left"), axes.get_xlabel()) == ("gap", "m")
+
+
+def test_the_mean_of_yes_and_no_is_a_share_with_wilsons_interval() -> None:
+    values = {"a": (1.0, 1.0, 1.0)}
+    axes = intervals_figure([Panel(label="x", values=values, is_share=True)]).axes[0]
+    assert bars(axes) == [[wilson(3, 3).low, 1.0]]
+    assert axes.get_xlabel() == "share of runs"
+    assert axes.get_xlim() == (-0.05, 1.05)
+
+
+def test_a_row_a_variant_and_a_panel_a_metric() -> None:
+    panels = [Panel(label=f"m{k}", values={"a": VALUES, "b": VALUES}) for k in range(4)]
+    figure = intervals_figure(panels)
+    assert len(figure.axes) == 4
+    names = [text.get_text() for text in figure.axes[0].get_yticklabels()]
+    assert names == ["a (n = 4)", "b (n = 4)"]
+    colours = {
+        tuple(np.asarray(dots.get_facecolor())[0, :3]) for dots in figure.axes[0].collections
+    }
+    assert len(colours) == 2
+
+
+def test_runs_without_a_value_are_counted_and_variants_without_any_are_told() -> None:
+    values = {"a": (1.0, None, float("nan"), 2.0), "b": (None, None)}
+    axes = intervals_figure([Panel(label="x", values=values)]).axes[0]
+    assert [text.get_text() for text in axes.texts] == ["2 without", "no value"]
+
+
+def test_a_variant_that_one_metric_lacks_keeps_its_row() -> None:
+    panels = [
+        Panel(label="x", values={"a": VALUES, "b": VALUES}),
+        Panel(label="y", values={"b": VALUES}),
+    ]
+    axes = intervals_figure(panels).axes[1]
+    assert np.asarray(axes.collections[-1].get_offsets())[0, 1] == pytest.approx(1 - 0.22)
+
+
+def test_one_value_has_no_interval() -> None:
+    axes = intervals_figure([Panel(label="x", values={"a": (0.3,)})]).axes[0]
+    assert bars(axes) == []
+    assert len(axes.collections) == 2
+
+
+def test_values_that_are_all_the_same_are_not_blown_up() -> None:
+    axes = intervals_figure([Panel(label="x", values={"a": (7.0, 7.0)})]).axes[0]
+    assert axes.get_xlim() == (6.0, 8.0)
+    assert axes.get_xticks().tolist() == [7.0]
+
+
+def test_a_target_is_a_line_and_a_word() -> None:
+    axes = intervals_figure([Panel(label="x", unit="m", values={"a": (1.0,)}, target=0.65)]).axes[0]
+    assert bars(axes) == [[0.65, 0.65]]
+    assert axes.get_xlabel() == "m, target 0.65"
+
+
+def test_nothing_to_draw_is_one_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(SwarmError, match="no metric has values"):
+        draw_intervals([], tmp_path / "x.png")
+
+
+@pytest.mark.parametrize(("metrics", "variants"), [(1, 1), (1, 3), (16, 2), (5, 12)])
+def test_no_word_is_cut_off(cut_off: Cut, metrics: int, variants: int) -> None:
+    names = [f"law=paper,lidar_visibility=real,W={k}" for k in range(variants)]
+    panels = [
+        Panel(label="mean distance to centroid late", unit="m", values=dict.fromkeys(names, VALUES))
+        for _ in range(metrics)
+    ]
+    assert cut_off(intervals_figure(panels, "paper_exp1_hardware")) == []
+
+
+def test_writes_a_picture(tmp_path: Path) -> None:
+    draw_intervals([Panel(label="x", values={"": VALUES})], tmp_path / "x.png")
+    assert (tmp_path / "x.png").stat().st_size > 5_000
