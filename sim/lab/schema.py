@@ -74,7 +74,8 @@ class StartSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """Robots of one kind: `count` of them named `<prefix>-01` and on, or those of `robots`.
 
-    With a `pattern` they run it from the beginning; `parameters` are the group's for it.
+    With a `pattern` they run it from the beginning, except those who join later, whom an event has
+    to tell; `parameters` are the group's for it, whenever it runs.
     """
 
     platform: str = "waffle_pi"
