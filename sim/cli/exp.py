@@ -67,7 +67,7 @@ def exp() -> None:
     "sets",
     multiple=True,
     metavar="KEY=VALUE",
-    help="A value above the scenario's, such as groups.all.count=5; may be repeated.",
+    help="A value above the scenario's, such as duration=30; may be repeated.",
 )
 @click.option(
     "--sweep",
@@ -187,12 +187,19 @@ def show(ctx: click.Context, folder: Path, metrics: str | None, output: str | No
 @exp.command()
 @_folder
 @_out("Where the pictures go [DIR/plots].")
-def plot(folder: Path, out: Path | None) -> None:
+@click.option("--metrics", metavar="A,B,..", help="Draw these over time, not the usual ones.")
+@click.option(
+    "--seeds", metavar="SEEDS", help="Draw the runs of these alone: 7, 500-519, or 3,5,9."
+)
+def plot(folder: Path, out: Path | None, metrics: str | None, seeds: str | None) -> None:
     """Draw the experiment in DIR: trajectories, start and end, metrics over time."""
     need("matplotlib")
+    from swarmd.sim.lab.words import read_seeds
     from swarmd.sim.plots.experiment import draw_experiment
 
-    for path in draw_experiment(folder, out):
+    one_or_more = f"{seeds}-{seeds}" if seeds and seeds.isdecimal() else seeds
+    chosen = None if one_or_more is None else read_seeds(one_or_more)
+    for path in draw_experiment(folder, out, metrics=_chosen(metrics), seeds=chosen):
         click.echo(str(path))
 
 

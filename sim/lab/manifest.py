@@ -15,7 +15,6 @@ import swarmd
 from swarmd.errors import ConfigError, SwarmError
 from swarmd.sim.lab.plan import Plan, Variant, check_seeds
 from swarmd.sim.lab.provenance import GitState, digests_of_plugins, git_state, made_with
-from swarmd.sim.lab.scenariofile import scenario_of
 
 NAME = "manifest.json"
 FORMAT = 1
@@ -177,17 +176,12 @@ def write_whole(path: Path, text: str) -> None:
 
 
 def _plugins(plan: Plan) -> dict[str, str]:
-    folders = sorted(
-        {
-            folder
-            for variant in plan.variants
-            if (folder := scenario_of(variant.effective).plugin_dir) is not None
-        }
-    )
+    named = {variant.effective.get("plugin_dir") for variant in plan.variants}
+    folders = sorted(str(folder) for folder in named if folder is not None)
     return {
         f"{folder}/{name}": digest
         for folder in folders
-        for name, digest in digests_of_plugins(folder).items()
+        for name, digest in digests_of_plugins(Path(folder)).items()
     }
 
 

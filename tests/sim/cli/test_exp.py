@@ -318,6 +318,19 @@ def test_compare_finds_what_a_sweep_has_changed(duo: Path, swarmctl: Swarmctl) -
     assert same.stdout.count("no difference shown") == 2
 
 
+@pytest.mark.integration
+def test_plot_draws_the_runs_asked_for(tmp_path: Path, duo: Path, swarmctl: Swarmctl) -> None:
+    swarmctl("exp", "run", duo, "--seeds", "4-5", "--out", "x")
+    done = swarmctl("exp", "plot", "x", "--seeds", "5", "--metrics", "minimum_gap")
+    assert done.returncode == 0, done.stderr
+    made = [tmp_path / line for line in done.stdout.splitlines()]
+    assert made
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in made)
+    other = swarmctl("exp", "plot", "x", "--seeds", "6", "--out", "y")
+    assert (other.returncode, other.stderr.count("\n")) == (2, 1)
+    assert not (tmp_path / "y").exists()
+
+
 def test_list_and_metrics_are_tables_and_json(swarmctl: Swarmctl) -> None:
     listed = json.loads(swarmctl("exp", "list", "-o", "json").stdout)["scenarios"]
     (one,) = [scenario for scenario in listed if scenario["name"] == "aggregation"]

@@ -87,6 +87,13 @@ def test_a_full_disk_leaves_no_partial_trace(duo: Path, tmp_path: Path) -> None:
     assert list(tmp_path.glob(".*")) == []
 
 
+def test_nothing_is_left_of_the_trace_of_a_crashed_run(duo: Path, tmp_path: Path) -> None:
+    (tmp_path / ".s0.npz.partial").write_bytes(b"half")  # killed while it wrote
+    crashed = job(duo, 0, tmp_path / "s0.npz", {END: "kill"})
+    assert done([crashed], 1)["s0"].metrics is None
+    assert list(tmp_path.glob(".*")) == []
+
+
 def test_closing_ends_all_processes(duo: Path) -> None:
     before = set(children(os.getpid()))
     long = [job(duo, seed, None, {"duration": 3600}) for seed in (1, 2)]
