@@ -90,6 +90,7 @@ def test_changes_what_it_names_and_nothing_else(load: Load) -> None:
         ({"groups.rde.count": 5}, "--set: groups.rde.count: no group 'rde'; did you mean 'red'?"),
         ({"groups.red.conut": 5}, "--set: groups.red has no key 'conut'; did you mean 'count'?"),
         ({"groups.red.count": "5"}, "--set: groups.red.count is '5'; wanted a whole number"),
+        ({"extends": "mixed"}, "--set: extends is for files alone; leave it out here"),
         ({"duration.x": 5}, "--set: duration is {'x': 5}; wanted a number"),
         ({"duration": 5, "duration.x": 5}, "--set: duration.x: there is 5, which holds no 'x'"),
         ({"events.1.at": 5}, "--set: events.1.at: no item '1'; there are 1, from 0 on"),

@@ -79,11 +79,14 @@ def test_the_scenario_of_the_tests_is_the_same_from_its_plain_values(load: Load)
 
 
 def test_plain_values_need_no_file_any_more(load: Load, tmp_path: Path) -> None:
-    (tmp_path / "mine.yaml").write_text("extends: burger\nlimits: {linear: 0.1}")
+    (tmp_path / "base.yaml").write_text("extends: burger\nlimits: {linear: 0.2}")
+    (tmp_path / "mine.yaml").write_text("extends: base.yaml\nlimits: {angular: 1}")
     effective = load({"groups.red.platform": "mine.yaml"}).effective
-    (tmp_path / "mine.yaml").unlink()
-    (tmp_path / "here.yaml").unlink()
-    assert scenario_of(effective).robots["red-01"].limits.linear == 0.1
+    for name in ("base.yaml", "mine.yaml", "here.yaml"):
+        (tmp_path / name).unlink()
+    limits = scenario_of(effective).robots["red-01"].limits
+    assert (limits.linear, limits.angular) == (0.2, 1.0)
+    assert str(tmp_path) not in json.dumps(effective)
 
 
 def test_plain_values_can_be_overridden_too(load: Load) -> None:
@@ -136,13 +139,16 @@ def test_extends_another_by_name_or_file(load: Load, tmp_path: Path) -> None:
     assert load_scenario("mine.yaml").duration == 5.0
 
 
-def test_paths_are_relative_to_the_file_in_which_they_stand(load: Load, tmp_path: Path) -> None:
+def test_paths_are_relative_to_the_file_in_which_they_stand(
+    load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "mine.yaml").write_text("extends: burger\nlimits: {linear: 0.1}")
     (tmp_path / "plugins").mkdir()
-    load({"groups.red.platform": "mine.yaml", "plugin_dir": "plugins"})
     (tmp_path / "sub").mkdir()
     (tmp_path / "sub" / "child.yaml").write_text("extends: ../here.yaml")
-    scenario = load_scenario("sub/child.yaml")
+    load({"groups.red.platform": "mine.yaml", "plugin_dir": "plugins"})
+    monkeypatch.chdir(tmp_path / "sub")
+    scenario = load_scenario("child.yaml")
     assert scenario.robots["red-01"].name == "mine"
     assert scenario.plugin_dir is not None
     assert scenario.plugin_dir.resolve() == tmp_path / "plugins"
