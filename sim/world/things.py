@@ -33,18 +33,15 @@ class Things:
         self._dofs = slice(3 * robots, 3 * (robots + m))
         self.names = tuple(name for name, _ in arena.things)
         self.shapes = np.array([box.shape for box in boxes]).reshape(m, 4, 2)
-        self.is_there = np.array([box.is_placed for box in boxes], dtype=np.bool_)
+        self.is_there = np.zeros(m, dtype=np.bool_)
         self._geoms = [model.geom(f"box/{name}").id for name in self.names]
-        # Outside the walls, where nothing is.
-        self._away = np.zeros((m, 3))
-        self._away[:, 0] = arena.length * (1.0 + np.arange(m))
         lever = np.array([_lever(box) for box in boxes])
         self._grip = np.array([_FRICTION * _GRAVITY * (box.mass or 0.0) for box in boxes])
         self._lever = np.stack((np.ones(m), np.ones(m), lever), axis=-1).reshape(m, 3)
         self._inert = np.array([(b.mass, b.mass, moment(b)) for b in boxes]).reshape(m, 3)
         starts = np.array([(box.x, box.y, box.yaw) for box in boxes]).reshape(m, 3)
-        for row in range(m):
-            self._put(row, starts[row] if self.is_there[row] else None)
+        for row, box in enumerate(boxes):
+            self._put(row, starts[row], is_there=box.is_placed)
         for row in np.flatnonzero(self.is_there).tolist():
             fault = self._fault(row, starts[row], ())
             if fault:
@@ -66,14 +63,14 @@ class Things:
         fault = self._fault(row, pose, robots)
         if fault:
             raise SwarmError(f"box {name} cannot be placed at ({pose[0]:g}, {pose[1]:g}): {fault}")
-        self._put(row, pose)
+        self._put(row, pose, is_there=True)
 
     def remove(self, name: str) -> None:
         """Take a box out of the arena; SwarmError if it is not in it, ConfigError for no box."""
         row = self._row(name)
         if not self.is_there[row]:
             raise SwarmError(f"box {name} cannot be removed: it is not in the arena")
-        self._put(row, None)
+        self._put(row, self._data.qpos[self._dofs][3 * row : 3 * row + 3], is_there=False)
 
     def rub(self) -> None:
         """Turn the friction of the floor against motion, the same in all directions.
@@ -91,7 +88,6 @@ class Things:
         share = np.where(size > 0.0, np.abs(against) / np.maximum(size, 1e-300), 3.0**-0.5)
         # Never none at all, or the solver would see one friction more or less at every step.
         force = self._grip[:, None] * self._lever * np.maximum(share, 1e-3)
-        force[~self.is_there] = 0.0
         self._model.dof_frictionloss[self._dofs] = force.ravel()
 
     def _pushes(self) -> Array:
@@ -125,16 +121,13 @@ class Things:
             (f"box/{self.names[i]}", transform(self.shapes[i], poses[i])) for i in others
         ]
 
-    def _put(self, row: int, pose: Array | None) -> None:
-        """At rest at a pose, or out of the arena for None."""
-        self.is_there[row] = pose is not None
-        dofs = slice(self._dofs.start + 3 * row, self._dofs.start + 3 * row + 3)
-        self._data.qpos[dofs] = self._away[row] if pose is None else pose
-        self._data.qvel[dofs] = 0.0
-        self._data.qacc_warmstart[dofs] = 0.0
-        self._model.dof_frictionloss[dofs] = 0.0
-        self._model.geom_contype[self._geoms[row]] = int(pose is not None)
-        self._model.geom_conaffinity[self._geoms[row]] = int(pose is not None)
+    def _put(self, row: int, pose: Array, *, is_there: bool) -> None:
+        """At rest at a pose, there to be touched and seen or not."""
+        self.is_there[row] = is_there
+        self._data.qpos[self._dofs][3 * row : 3 * row + 3] = pose
+        self._data.qvel[self._dofs][3 * row : 3 * row + 3] = 0.0
+        self._model.geom_contype[self._geoms[row]] = int(is_there)
+        self._model.geom_conaffinity[self._geoms[row]] = int(is_there)
 
     def _row(self, name: str) -> int:
         if name not in self.names:

@@ -85,6 +85,9 @@ def test_agrees_with_mujoco_about_boxes_that_were_pushed_and_inner_walls(
     compared = 0
     for seed in range(4):
         world = world_of(MIXED, MOVABLE, seed, visibility)
+        world.model.geom_group[world.model.geom("box/late").id] = (
+            5  # out: nor may the oracle see it
+        )
         robots = np.arange(len(MIXED))
         before = world.thing_poses()
         for _ in range(3):
@@ -211,6 +214,13 @@ def test_a_surface_seen_edge_on_never_counts_as_near() -> None:
         assert not np.isneginf(ranges).any()
         assert not np.isnan(ranges).any()
         assert ranges[90] == pytest.approx(2.9)
+
+
+def test_a_surface_seen_almost_edge_on_is_not_taken_for_near() -> None:
+    # Just below the line of the box's southern face, whose line these rays cross on their way.
+    spec = ScanSpec(np.linspace(2e-13, 3e-12, 20), 5.0, 0.12, 3.5)
+    ranges = look(spec, Arena(20.0, 20.0, boxes=(Box(1.5, 0.5, 1.0, 1.0),)), y=-1e-13)
+    np.testing.assert_allclose(ranges, 1.0)
 
 
 def test_sees_footprints_of_any_number_of_corners_in_one_swarm() -> None:

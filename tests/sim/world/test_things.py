@@ -142,7 +142,7 @@ def test_out_of_the_arena_it_is_neither_seen_nor_touched() -> None:
         drive(world, 0.2, 0.1)
         met += world.contacts()
     assert met == []
-    assert world.poses()[0, 0] > 0.9
+    assert world.poses()[0, 0] > 0.9  # straight through where it stood
 
 
 def test_comes_and_goes_and_comes_again() -> None:
@@ -161,6 +161,23 @@ def test_comes_and_goes_and_comes_again() -> None:
     world.remove("late")
     world.step(10)
     assert not np.isfinite(world.scans(np.array([0]))[0].ranges).any()
+
+
+def test_is_at_rest_where_it_is_placed_whatever_it_did_before() -> None:
+    world = sliding((2.0, 0.0, 3.0), Box(3.0, 0.0, 0.3, 0.3, name="crate", mass=1.0))
+    world.step(5)
+    world.remove("crate")
+    world.step(50)
+    world.place("crate", (-3.0, 0.0, 0.0))
+    world.step(50)
+    np.testing.assert_allclose(world.thing_poses(), [[-3.0, 0.0, 0.0]], atol=1e-9)
+
+
+def test_the_far_end_of_a_long_box_is_refused_where_a_robot_stands() -> None:
+    world = facing(Box(0.0, 3.0, 2.0, 0.2, name="beam", mass=1.0))
+    with pytest.raises(SwarmError, match="a stands there"):
+        world.place("beam", (1.0, 0.0, 0.0))
+    world.place("beam", (1.2, 0.0, 0.0))
 
 
 CROWDED = Arena(
