@@ -134,15 +134,17 @@ class _Gallery:
     def chosen_runs(self, variant: str) -> list[Path]:
         """The ways, start and end of a typical run and of the worst one."""
         runs = self._of(variant)
+        if not self._has_traces:
+            return []
         if self._chief is None:
-            return self._one_run(runs, "typical", "first")
+            return self._first_of(runs, "typical", "first")[0]
         values = np.array([np.nan if v is None else v for v in self._values(self._chief, variant)])
-        typical = [runs[k] for k in typical_first(values)]
-        made = self._one_run(typical, "typical", "typical")
+        nearest = [runs[k] for k in typical_first(values)]
+        made, typical = self._first_of(nearest, "typical", "typical")
         order, word = worst_first(values, self._chief)
-        if len(runs) > 1 and order and runs[order[0]] is not typical[0]:
-            made += self._one_run([runs[k] for k in order], "worst", word)
-        return made
+        # If the trace of the worst is lost, the next one is not the worst.
+        worst = [runs[k] for k in order[:1] if runs[k] is not typical]
+        return made + self._first_of(worst, "worst", word)[0]
 
     def over_time(self, targets: Mapping[str, float]) -> list[Path]:
         """Metrics over time, of all variants."""
@@ -166,9 +168,9 @@ class _Gallery:
                 made.append(path)
         return made
 
-    def _one_run(self, candidates: Sequence[Run], name: str, word: str) -> list[Path]:
-        """Pictures of the first of the candidates that has a trace."""
-        for run in candidates if self._has_traces else ():
+    def _first_of(self, runs: Sequence[Run], name: str, word: str) -> tuple[list[Path], Run | None]:
+        """Pictures of the first of the runs that has a trace, and which one that is."""
+        for run in runs:
             trace = self._trace(run)
             if trace is not None:
                 title = f"{self._title(run.variant.name)}, seed {run.seed}"
@@ -177,8 +179,8 @@ class _Gallery:
                 ends = self._path(f"{name}_start_and_end", run.variant.name)
                 draw_trajectories(trace, ways, title, has_links=True)
                 draw_start_and_end(trace, ends, title)
-                return [ways, ends]
-        return []
+                return [ways, ends], run
+        return [], None
 
     def _trace(self, run: Run) -> Trace | None:
         """The trace of a run; None, and one line the first time, if it cannot be drawn."""
