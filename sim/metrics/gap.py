@@ -15,6 +15,7 @@ from swarmd.sim.world.geometry import gaps, transform
 from swarmd.values import Array
 
 _BLOCK = 2048  # footprints compared at once
+_ROUNDING = 1e-12
 
 
 def minimum_gap(trace: Trace) -> float:
@@ -25,12 +26,12 @@ def minimum_gap(trace: Trace) -> float:
     """
     best = np.inf
     for span in pairs.spans(*trace.pose.shape[:2]):
-        found = _candidates(trace, span, best)
-        lower = found.distance - _reach(trace)[found.a] - _reach(trace)[found.b]
+        bound = _bounds(trace, span).min(initial=np.inf) if np.isinf(best) else best
+        found, lower = _candidates(trace, span, float(bound))
         order = np.argsort(lower, kind="stable")
         for start in range(0, len(order), _BLOCK):
             block = order[start : start + _BLOCK]
-            block = block[lower[block] < best]
+            block = block[lower[block] < best - _ROUNDING]
             if len(block) == 0:
                 break
             best = min(best, float(_exact(trace, span, found, block).min()))
@@ -42,27 +43,54 @@ def minimum_gaps(trace: Trace) -> Array:
     smallest = np.full(len(trace.t), np.inf)
     for span in pairs.spans(*trace.pose.shape[:2]):
         best = smallest[span]
-        found = _candidates(trace, span, np.inf)
-        lower = found.distance - _reach(trace)[found.a] - _reach(trace)[found.b]
+        found, lower = _candidates(trace, span, float(_bounds(trace, span).max(initial=0.0)))
         # First the pair that may be nearest at each instant, then those that may beat it.
         order = np.lexsort((lower, found.instant))
         leading = order[np.unique(found.instant[order], return_index=True)[1]]
         np.minimum.at(best, found.instant[leading], _exact(trace, span, found, leading))
-        rest = np.flatnonzero(lower < best[found.instant])
+        rest = np.flatnonzero(lower < best[found.instant] - _ROUNDING)
         np.minimum.at(best, found.instant[rest], _exact(trace, span, found, rest))
     return smallest
 
 
-def _candidates(trace: Trace, span: slice, best: float) -> Pairs:
-    """Pairs among which the nearest footprints are, if they are nearer than `best`."""
+def _bounds(trace: Trace, span: slice) -> Array:
+    """(T,) what the smallest gap of each instant does not exceed; inf if a robot is alone.
+
+    Footprints are no farther apart than their frames' origins and the way to a corner of each.
+    """
     place = trace.pose[span, :, :2]
+    nearest = pairs.nearest(place, np.ones(place.shape[:2], dtype=bool))
+    bounds: Array = nearest.min(axis=1, initial=np.inf) + 2.0 * _reach(trace).max(initial=0.0)
+    return bounds
+
+
+def _candidates(trace: Trace, span: slice, bound: float) -> tuple[Pairs, Array]:
+    """Pairs whose footprints may be as near as `bound`, and how near they are at least."""
+    place = trace.pose[span, :, :2]
+    reach = _reach(trace)
     is_in = np.ones(place.shape[:2], dtype=bool)
-    if place.shape[1] <= pairs.FEW:
-        return pairs.near(place, is_in, np.inf)
-    reach = _reach(trace).max()
-    between = pairs.nearest(place, is_in).min(axis=1).max(initial=0.0)
-    # No footprints are farther apart than their frames' origins and the way to a corner of each.
-    return pairs.near(place, is_in, min(best, between + 2.0 * reach) + 2.0 * reach)
+    found = pairs.near(place, is_in, bound + 2.0 * reach.max(initial=0.0))
+    found = pairs.chosen(found, found.distance - reach[found.a] - reach[found.b] <= bound)
+    return found, _along(trace, span, found)
+
+
+def _along(trace: Trace, span: slice, found: Pairs) -> Array:
+    """(p,) how far apart the footprints' shadows on the line through both origins are."""
+    pose = trace.pose[span]
+    a, b = pose[found.instant, found.a], pose[found.instant, found.b]
+    bearing = np.arctan2(b[:, 1] - a[:, 1], b[:, 0] - a[:, 0])
+    ahead, back = bearing - a[:, 2], bearing - b[:, 2] + np.pi
+    kind = np.array(trace.platforms)
+    shadow = np.empty(len(found.instant))
+    total = found.distance.copy()
+    for robot, angle in ((found.a, ahead), (found.b, back)):
+        for name in sorted(set(trace.platforms)):
+            of = kind[robot] == name
+            x, y = np.cos(angle[of]), np.sin(angle[of])
+            corners = trace.footprints[name]
+            shadow[of] = np.max([x * cx + y * cy for cx, cy in corners], axis=0)
+        total -= shadow
+    return total
 
 
 def _reach(trace: Trace) -> Array:
