@@ -21,6 +21,8 @@ from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.hearing import Sight
 from swarmd.values import Array
 
+_DECIMALS = 8
+
 
 def radio_range(trace: Trace) -> float:
     """How far in m a robot is heard; inf if the trace gives no range."""
@@ -76,7 +78,8 @@ def algebraic_connectivities(trace: Trace) -> Array:
     """(T,) the second smallest eigenvalue of the graph's Laplacian: 0 if it is in parts.
 
     Fiedler 1973 (Algebraic connectivity of graphs, Czechoslovak Math. J. 23). n if all n hear all,
-    and by our own convention 0 for a robot alone. NaN while none is present.
+    and by our own convention 0 for a robot alone. NaN while none is present. To eight decimals:
+    what comes after depends on how many threads the linear algebra takes.
     """
     here = presence(trace).sum(axis=1)
     if _is_complete(trace):
@@ -129,7 +132,7 @@ def _fiedler(trace: Trace) -> float:
         laplacian[links.a, links.b] = laplacian[links.b, links.a] = -1.0
     laplacian -= np.diag(laplacian.sum(axis=1))
     second = np.linalg.eigvalsh(laplacian[np.ix_(rows, rows)])[1]
-    return max(float(second), 0.0)
+    return max(round(float(second), _DECIMALS), 0.0)
 
 
 _ZAVLANOS = "Zavlanos et al. 2011, Proc. IEEE 99"
