@@ -27,7 +27,8 @@ _OPTIONS = (
     click.option(
         "--arena",
         metavar="LxW[,THING]",
-        help="Size in m, such as 6x6; ,box:x:y:l:w:deg and ,pole:x:y:r put things in it.",
+        help="Size in m, such as 6x6, then things in it, such as ,box:x:y:l:w:deg or ,pole:x:y:r;"
+        " ,box:x:y:l:w:deg:kg can be pushed, ,segment:x1:y1:x2:y2 is an inner wall.",
     ),
     click.option(
         "--layout",
