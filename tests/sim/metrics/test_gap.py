@@ -60,6 +60,20 @@ def test_gaps_are_those_of_looking_at_every_pair(run: Run, n: int, side: float, 
     assert gap.minimum_gap(trace) == pytest.approx(float(by_hand(trace).min()), abs=1e-12)
 
 
+@given(seed=st.integers(0, 10_000))
+@settings(deadline=None, max_examples=40)
+def test_gaps_of_lopsided_footprints(run: Run, seed: int) -> None:
+    trace = strewn(run, seed, 5, 8, 6.0)
+    shapes = {
+        "burger": np.array([[-0.6, -0.1], [0.1, -0.1], [0.2, 0.4]]),
+        "jackal": np.array([[-0.1, -0.2], [0.7, -0.1], [0.1, 0.1], [0.0, 0.1], [-0.1, 0.0]]),
+        "waffle_pi": np.array([[-0.1, 0.0], [0.0, -0.8], [0.1, 0.0], [0.0, 0.1]]),
+    }
+    trace = replace(trace, footprints=shapes)
+    np.testing.assert_allclose(gap.minimum_gaps(trace), by_hand(trace), atol=1e-12)
+    assert gap.minimum_gap(trace) == pytest.approx(float(by_hand(trace).min()), abs=1e-12)
+
+
 def test_gaps_of_more_instants_than_are_worked_on_at_once(run: Run) -> None:
     n = pairs.FEW + 1
     trace = strewn(run, 5, n, 2 * pairs.AT_ONCE // n, 400.0)
