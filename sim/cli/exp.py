@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -105,7 +107,7 @@ def run(
 
     names = _chosen(metrics)
     plan = plan_of(scenario, read_seeds(seeds), read_sets(sets), read_sweeps(sweeps))
-    folder = out or next_folder(Path("experiments"), Path(scenario).stem)
+    folder = out or new_folder(Path("experiments"), Path(scenario).stem)
     command = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]
     command += [word for value in sets for word in ("--set", value)]
     command += [word for value in sweeps for word in ("--sweep", value)]
@@ -136,8 +138,8 @@ def rerun(
 
     for line in again.warnings(folder):
         warn(f"warning: {line}; results may differ")
-    with ends_on_sigterm(), again.place(out) as place, progress() as on_progress:
-        matches = again.rerun(folder, place, jobs, on_progress)
+    with ends_on_sigterm(), progress() as on_progress:
+        matches = again.rerun(folder, out, jobs, on_progress)
     if _is_json(ctx, output):
         listed = [{"run": m.run, "identical": m.is_identical, "why": m.why} for m in matches]
         print_json("Rerun", {"folder": str(folder), "runs": listed})
@@ -257,11 +259,23 @@ def _described(name: str) -> dict[str, Any]:
     return {**about, **numbers, "description": text}
 
 
-def next_folder(base: Path, stem: str) -> Path:
-    """`base/stem-N` with the lowest number above all that are there; nothing is made."""
+def new_folder(base: Path, stem: str) -> Path:
+    """`base/stem-N`, made with the lowest N above all there are; ConfigError if it cannot be."""
     names = [path.name for path in base.iterdir()] if base.is_dir() else []
     found = [re.fullmatch(rf"{re.escape(stem)}-(\d+)", name) for name in names]
-    return base / f"{stem}-{max((int(match[1]) for match in found if match), default=0) + 1}"
+    for number in count(max((int(match[1]) for match in found if match), default=0) + 1):
+        folder = base / f"{stem}-{number}"
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            if not base.is_dir():
+                raise ConfigError(f"{base}: is a file; name a folder with --out") from None
+            continue  # another swarmctl was faster
+        except OSError as error:
+            text = f"{folder}/ cannot be made ({error.strerror})"
+            raise ConfigError(f"{text}; name another folder with --out") from error
+        return folder
+    raise AssertionError("numbers have an end")
 
 
 def _conducted(manifest: Manifest, folder: Path, processes: int) -> Results:
@@ -276,8 +290,9 @@ def _conducted(manifest: Manifest, folder: Path, processes: int) -> Results:
     except (KeyboardInterrupt, SystemExit):
         from swarmd.sim.lab.results import load_results
 
-        done = len(load_results(folder).rows)
-        warn(f"{done} of {total} runs are kept; to go on: {shlex.join(manifest.command)}")
+        with suppress(SwarmError):  # it had not even begun
+            done = len(load_results(folder).rows)
+            warn(f"{done} of {total} runs are kept; to go on: {shlex.join(manifest.command)}")
         raise
 
 
@@ -315,8 +330,8 @@ def _tell_differences(a: Side, b: Side, differences: Sequence[Difference]) -> No
         for d in differences
     ]  # fmt: skip
     print_table(("METRIC", "UNIT", "MEAN A", "MEAN B", "B - A", "95 %", "VERDICT"), rows)
-    count = sum(one.differs for one in differences)
-    click.echo(f"\n{count} of {len(differences)} metrics differ", nl=False)
+    differing = sum(one.differs for one in differences)
+    click.echo(f"\n{differing} of {len(differences)} metrics differ", nl=False)
     click.echo(f"; {by_chance(differences):.2g} would by chance if nothing did\n")
     _warn_of_few(n for one in differences for n in (one.n_a, one.n_b) if n)
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import shutil
 import tempfile
 import weakref
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any
@@ -99,16 +99,19 @@ def conduct(
     processes: int,
     *,
     is_here: bool = False,
+    only: Collection[str] | None = None,
     on_progress: OnProgress | None = None,
 ) -> Results:
     """Do all runs of a manifest that its folder does not have yet, and sum up.
 
-    In this process alone if `is_here`. Whatever ends it early, what was finished stays in the
-    folder and can be read. SwarmError if the folder cannot be used or its disk is full.
+    Those of `only` alone, if it is given, and in this process alone if `is_here`. Whatever ends
+    it early, what was finished stays in the folder and can be read. SwarmError if the folder
+    cannot be used or its disk is full.
     """
     with open_store(folder, manifest, tuple(METRICS)) as store:
         try:
-            _run_missing(store, processes, is_here, on_progress)
+            runs = [run for run in store.missing if only is None or run.id in only]
+            _run(store, runs, processes, is_here, on_progress)
         except BaseException:
             with suppress(SwarmError, OSError):  # what has ended it is what is to be told
                 store.close(_results(store).document())
@@ -118,19 +121,21 @@ def conduct(
         return results
 
 
-def _run_missing(
-    store: Store, processes: int, is_here: bool, on_progress: OnProgress | None
+def _run(
+    store: Store,
+    runs: Sequence[Run],
+    processes: int,
+    is_here: bool,
+    on_progress: OnProgress | None,
 ) -> None:
-    runs = {run.id: run for run in store.missing}
-    jobs = [
-        Job(run.id, run.variant.effective, run.seed, store.trace_of(run)) for run in runs.values()
-    ]
-    total = len(store.plan.runs)
+    by_id = {run.id: run for run in runs}
+    jobs = [Job(run.id, run.variant.effective, run.seed, store.trace_of(run)) for run in runs]
+    total = len(store.rows) + len(runs)
     with closing(_here(jobs) if is_here else outcomes(jobs, processes)) as found:
         if on_progress is not None:
             on_progress(len(store.rows), total, 0)
         for outcome in found:
-            _keep(store, runs[outcome.run], outcome)
+            _keep(store, by_id[outcome.run], outcome)
             if on_progress is not None:
                 failed = len(store.failures)
                 on_progress(len(store.rows) + failed, total, failed)

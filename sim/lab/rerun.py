@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from swarmd.errors import SwarmError
+from swarmd.errors import ConfigError, SwarmError
 from swarmd.sim.lab.experiments import OnProgress, conduct
 from swarmd.sim.lab.manifest import manifest_of, read_manifest, software_differences
 from swarmd.sim.lab.results import Results, load_results
@@ -37,32 +36,28 @@ def warnings(folder: Path) -> list[str]:
     return list(software_differences(old, manifest_of(old.plan, traces=old.traces, command=[])))
 
 
-@contextmanager
-def place(out: Path | None) -> Iterator[Path]:
-    """The folder for a rerun: `out`, or one that is gone afterwards."""
-    if out is not None:
-        yield out
-        return
-    with TemporaryDirectory(prefix="swarmd-exp-") as folder:
-        yield Path(folder)
-
-
 def rerun(
-    folder: Path, out: Path, processes: int, on_progress: OnProgress | None = None
+    folder: Path, out: Path | None, processes: int, on_progress: OnProgress | None = None
 ) -> list[Match]:
     """Make the experiment of `folder` again in `out`, and compare each run that it finished.
 
-    Nothing but the manifest is read to make it, and nothing in `folder` is changed.
+    Without `out` those runs alone are made again, in a folder that is gone afterwards. Nothing but
+    the manifest is read to make them, and nothing in `folder` is changed. ConfigError if `folder`
+    is no experiment, has finished no run, or is `out` itself.
     """
-    old = read_manifest(folder)
     before = load_results(folder)
+    if not before.runs:
+        raise ConfigError(f"{folder}: no run of it has finished, so there is nothing to compare")
+    if out is not None and out.resolve() == folder.resolve():
+        raise ConfigError(f"--out {out} is the experiment itself; name another folder")
+    old = read_manifest(folder)
     manifest = manifest_of(old.plan, traces=old.traces, command=old.command)
-    after = conduct(manifest, out, processes, on_progress=on_progress)
-    rows = [{row["run"]: row for row in results.rows} for results in (before, after)]
-    return [
-        Match(run.id, _difference(before, after, run.id, *(of.get(run.id, {}) for of in rows)))
-        for run in before.runs
-    ]
+    if out is not None:
+        return _matches(before, conduct(manifest, out, processes, on_progress=on_progress))
+    only = {run.id for run in before.runs}
+    with TemporaryDirectory(prefix="swarmd-exp-") as place:
+        after = conduct(manifest, Path(place), processes, only=only, on_progress=on_progress)
+        return _matches(before, after)
 
 
 def trace_differences(a: Trace, b: Trace) -> Iterator[str]:
@@ -71,6 +66,14 @@ def trace_differences(a: Trace, b: Trace) -> Iterator[str]:
         one, other = getattr(a, field.name), getattr(b, field.name)
         if not _same(one, other):
             yield field.name
+
+
+def _matches(before: Results, after: Results) -> list[Match]:
+    rows = [{row["run"]: row for row in results.rows} for results in (before, after)]
+    return [
+        Match(run.id, _difference(before, after, run.id, *(of.get(run.id, {}) for of in rows)))
+        for run in before.runs
+    ]
 
 
 def _difference(

@@ -16,7 +16,8 @@ from typing import Any
 import pytest
 
 from swarmd.cli import cli, exit_code_of, run_cli
-from swarmd.sim.cli.exp import next_folder
+from swarmd.errors import ConfigError
+from swarmd.sim.cli.exp import new_folder
 from swarmd.testing.processes import children, wait_until
 
 Swarmctl = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -343,7 +344,15 @@ def test_list_and_metrics_are_tables_and_json(swarmctl: Swarmctl) -> None:
 
 
 def test_new_folders_are_numbered_on(tmp_path: Path) -> None:
-    assert next_folder(tmp_path, "duo") == tmp_path / "duo-1"
+    assert new_folder(tmp_path / "base", "duo") == tmp_path / "base" / "duo-1"
     for name in ("duo-2", "duo-x", "duo-10", "duo-two-30"):
-        (tmp_path / name).mkdir()
-    assert next_folder(tmp_path, "duo") == tmp_path / "duo-11"
+        (tmp_path / "base" / name).mkdir()
+    assert new_folder(tmp_path / "base", "duo") == tmp_path / "base" / "duo-11"
+    assert (tmp_path / "base" / "duo-11").is_dir()
+
+
+def test_a_new_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "base").write_text("")
+    for base in (tmp_path / "base", tmp_path / "base" / "below"):
+        with pytest.raises(ConfigError, match="--out"):
+            new_folder(base, "duo")

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swarmd.errors import ConfigError
 from swarmd.sim.lab.experiments import simulate
 from swarmd.sim.lab.rerun import rerun, trace_differences, warnings
 from swarmd.sim.lab.results import Results
@@ -65,6 +66,32 @@ def test_a_run_that_fails_now_is_told(results: Results, duo: Path, tmp_path: Pat
     assert warnings(results.folder) == [f"plugin {duo.parent}/plugins/moody.py has changed"]
     found = again(results, tmp_path)
     assert found["s0000"].startswith("failed now: its process ended with code 7")
+
+
+def test_without_a_folder_only_finished_runs_are_made_and_nothing_stays(
+    results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    table = results.folder / "runs.csv"
+    table.write_text("".join(table.read_text().splitlines(keepends=True)[:2]))
+    told: list[tuple[int, int, int]] = []
+    (match,) = rerun(results.folder, None, 1, lambda *numbers: told.append(numbers))
+    assert match.is_identical
+    assert told == [(0, 1, 0), (1, 1, 0)]
+    assert list((tmp_path / "temporary").iterdir()) == []
+
+
+def test_an_experiment_is_not_compared_with_itself(results: Results) -> None:
+    with pytest.raises(ConfigError, match="is the experiment itself"):
+        rerun(results.folder, results.folder / ".." / results.folder.name, 1)
+
+
+def test_an_experiment_without_runs_has_nothing_to_compare(results: Results) -> None:
+    table = results.folder / "runs.csv"
+    table.write_text(table.read_text().splitlines(keepends=True)[0])
+    with pytest.raises(ConfigError, match="no run of it has finished"):
+        rerun(results.folder, None, 1)
 
 
 def test_nothing_has_changed_by_itself(results: Results) -> None:
