@@ -43,10 +43,11 @@ class Touches:
 
     def __init__(self, model: mujoco.MjModel, robots: int) -> None:
         """Of the bodies, the first so many are `robots`."""
-        # Body 0 is the arena; row i is body i + 1. Robots come first, in order of their rows.
-        self._rows = np.array(model.geom_bodyid, dtype=np.intp) - 1
-        self._order = np.where(self._rows < 0, model.nbody, self._rows)
-        self._is_robot = self._order < robots
+        # Body 0 is the arena; row i is body i + 1. The arena's row is the last: it comes last in a
+        # pair, and stands still.
+        row = np.array(model.geom_bodyid, dtype=np.intp) - 1
+        self._rows = np.where(row < 0, model.nbody - 1, row)
+        self._robots = robots
         self._names = [model.geom(geom).name for geom in range(model.ngeom)]
 
     def after_step(self, data: mujoco.MjData, qpos: Array, qvel: Array) -> Touch:
@@ -56,21 +57,23 @@ class Touches:
         has not yet stopped what was about to collide.
         """
         found = data.contact
-        is_touching = (found.dist <= 0.0) & self._is_robot[found.geom].any(axis=1)
-        geoms = found.geom[is_touching].astype(np.intp)
-        place, normal = found.pos[is_touching, :2], found.frame[is_touching, :2]
-        poses = np.concatenate((qpos.reshape(-1, 3), np.zeros((1, 3))))
-        twists = np.concatenate((qvel.reshape(-1, 3), np.zeros((1, 3))))
-        speeds = np.empty((len(geoms), 2))
-        for side, sign in ((0, 1.0), (1, -1.0)):
-            row = self._rows[geoms[:, side]]  # -1, the row of zeros, is the arena's
-            lever = place - poses[row, :2]
-            vx = twists[row, 0] - twists[row, 2] * lever[:, 1]
-            vy = twists[row, 1] + twists[row, 2] * lever[:, 0]
-            speeds[:, side] = sign * (vx * normal[:, 0] + vy * normal[:, 1])
-        turned = self._order[geoms[:, 1]] < self._order[geoms[:, 0]]
-        geoms[turned] = geoms[turned, ::-1]
-        speeds[turned] = speeds[turned, ::-1]
+        geoms = np.asarray(found.geom, dtype=np.intp)
+        rows = self._rows.take(geoms)
+        touching = ((found.dist <= 0.0) & (rows.min(axis=1) < self._robots)).nonzero()[0]
+        geoms, rows = geoms.take(touching, axis=0), rows.take(touching, axis=0)
+        place, normal = found.pos.take(touching, axis=0), found.frame.take(touching, axis=0)
+        standing = np.zeros((1, 3))
+        poses = np.concatenate((qpos.reshape(-1, 3), standing)).take(rows, axis=0)
+        twists = np.concatenate((qvel.reshape(-1, 3), standing)).take(rows, axis=0)
+        angular = twists[..., 2]
+        vx = twists[..., 0] - angular * (place[:, 1:2] - poses[..., 1])
+        vy = twists[..., 1] + angular * (place[:, 0:1] - poses[..., 0])
+        speeds = vx * normal[:, 0:1] + vy * normal[:, 1:2]
+        speeds[:, 1] *= -1.0
+        turned = (rows[:, 1] < rows[:, 0]).nonzero()[0]
+        if len(turned):
+            geoms[turned] = geoms[turned, ::-1]
+            speeds[turned] = speeds[turned, ::-1]
         return Touch(geoms, speeds)
 
     def contacts(self, steps: Sequence[Touch]) -> list[Contact]:
@@ -81,7 +84,10 @@ class Touches:
         speeds = np.concatenate([step.speeds for step in steps])
         pair = geoms[:, 0] * len(self._names) + geoms[:, 1]
         order = np.lexsort((-speeds.sum(axis=1), pair))
-        chosen = order[np.flatnonzero(np.diff(pair[order], prepend=-1))]
+        pair = pair.take(order)
+        is_first = np.ones(len(pair), dtype=np.bool_)
+        np.not_equal(pair[1:], pair[:-1], out=is_first[1:])
+        chosen = order[is_first]
         return [
             Contact(self._names[a], self._names[b], speed_a, speed_b)
             for (a, b), (speed_a, speed_b) in zip(
