@@ -48,8 +48,9 @@ def draw_experiment(
 ) -> list[Path]:
     """Draw what an experiment's folder holds into `out`, by default its `plots`; the files made.
 
-    For each variant all runs at a glance, and a typical run (of the median) and the worst one
-    with their starts and ends; metrics over time and run by run for all variants together.
+    For each variant all runs at a glance, and a typical run (of the median) and the worst one (the
+    least typical, where it depends on the task which way is good) with their starts and ends;
+    metrics over time and run by run for all variants together.
     `metrics`: those instead of the usual ones, of which the first tells runs apart; `seeds`: the
     runs of those alone; `targets` by metric. A trace that is missing or damaged is one line of
     warning. ConfigError for an unknown metric, seed or folder, SwarmError if nothing has finished.
@@ -137,14 +138,14 @@ class _Gallery:
         if not self._has_traces:
             return []
         if self._chief is None:
-            return self._first_of(runs, "typical", "first")[0]
+            return self._first_of(runs, "first")[0]
         values = np.array([np.nan if v is None else v for v in self._values(self._chief, variant)])
         nearest = [runs[k] for k in typical_first(values)]
-        made, typical = self._first_of(nearest, "typical", "typical")
+        made, typical = self._first_of(nearest, "typical")
         order, word = worst_first(values, self._chief)
         # If the trace of the worst is lost, the next one is not the worst.
         worst = [runs[k] for k in order[:1] if runs[k] is not typical]
-        return made + self._first_of(worst, "worst", word)[0]
+        return made + self._first_of(worst, word)[0]
 
     def over_time(self, targets: Mapping[str, float]) -> list[Path]:
         """Metrics over time, of all variants."""
@@ -168,13 +169,14 @@ class _Gallery:
                 made.append(path)
         return made
 
-    def _first_of(self, runs: Sequence[Run], name: str, word: str) -> tuple[list[Path], Run | None]:
+    def _first_of(self, runs: Sequence[Run], word: str) -> tuple[list[Path], Run | None]:
         """Pictures of the first of the runs that has a trace, and which one that is."""
         for run in runs:
             trace = self._trace(run)
             if trace is not None:
                 title = f"{self._title(run.variant.name)}, seed {run.seed}"
                 title += f"\n{word} run{self._chief_words(run, has_name=True)}"
+                name = word.replace(" ", "_")
                 ways = self._path(f"{name}_trajectories", run.variant.name)
                 ends = self._path(f"{name}_start_and_end", run.variant.name)
                 draw_trajectories(trace, ways, title, has_links=True)

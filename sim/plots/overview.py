@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MOST_RUNS = 25
-_SIDE = 2.3  # inches
+_SIDE = 2.3  # inches; the fewer there are, the larger
+_LARGER = ((2, 4.0), (6, 3.0))
 
 
 Load = Callable[[], Trace | None]
@@ -45,7 +46,8 @@ def overview_figure(runs: Sequence[tuple[str, Load]], title: str = "", *, note: 
     columns = min(5, math.ceil(math.sqrt(len(shown))))
     rows = -(-len(shown) // columns)
     extent = _common_extent(shown)
-    width, height = extent.panel(_SIDE) if extent else (_SIDE, _SIDE)
+    side = next((inches for most, inches in _LARGER if len(shown) <= most), _SIDE)
+    width, height = extent.panel(side) if extent else (side, side)
     layout = Layout(width=width, height=height, rows=rows, columns=columns, left=0.15, right=0.15,
                     bottom=0.35, top=0.2, across=0.12, down=0.3)  # fmt: skip
     cut = "" if len(shown) == len(runs) else f"the first {len(shown)} of {len(runs)} runs"

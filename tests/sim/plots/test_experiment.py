@@ -16,7 +16,7 @@ pytest.importorskip("matplotlib")
 OF_A_VARIANT = {
     "runs.png",
     *("typical_trajectories.png", "typical_start_and_end.png"),
-    *("worst_trajectories.png", "worst_start_and_end.png"),
+    *("least_typical_trajectories.png", "least_typical_start_and_end.png"),
 }
 BOTH = {f"law={law}_{name}" for law in ("settling", "paper") for name in OF_A_VARIANT}
 
@@ -80,7 +80,7 @@ def test_a_damaged_and_a_missing_trace_are_one_line_each_and_the_rest_is_drawn(
     (traces / "law=paper_s0000.npz").write_bytes(b"PK\x03\x04 no longer a trace")
     (traces / "law=paper_s0001.npz").unlink()
     made = names(draw_experiment(experiment))
-    left = {"law=paper_worst_trajectories.png", "law=paper_worst_start_and_end.png"}
+    left = {f"law=paper_{name}" for name in OF_A_VARIANT if name.startswith("least")}
     assert BOTH - made == left  # one run of that variant is left, and it is the typical one
     assert "over_time_minimum_gap.png" in made
     told = sorted(warnings(caplog))
@@ -134,3 +134,11 @@ def test_an_experiment_without_finished_runs_is_one_clear_error(experiment: Path
 def test_another_folder_is_no_experiment(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="no experiment"):
         draw_experiment(tmp_path)
+
+
+def test_a_metric_without_any_value_leaves_the_first_run_to_be_drawn(experiment: Path) -> None:
+    made = names(draw_experiment(experiment, metrics=["box_contacts"], seeds=[0]))
+    assert {name.removeprefix("law=paper_") for name in made if "paper" in name} == {
+        *("runs.png", "first_trajectories.png", "first_start_and_end.png")
+    }
+    assert "intervals.png" not in made

@@ -109,3 +109,8 @@ def test_no_word_is_cut_off(cut_off: Cut, metrics: int, variants: int) -> None:
 def test_writes_a_picture(tmp_path: Path) -> None:
     draw_intervals([Panel(label="x", values={"": VALUES})], tmp_path / "x.png")
     assert (tmp_path / "x.png").stat().st_size > 5_000
+
+
+def test_counts_are_counted_in_whole_numbers() -> None:
+    axes = intervals_figure([Panel(label="x", values={"a": (0.0, 1.0, 2.0)})]).axes[0]
+    assert all(float(tick).is_integer() for tick in axes.get_xticks())
