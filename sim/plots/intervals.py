@@ -88,7 +88,7 @@ def _paint_panel(axes: Axes, panel: Panel, runs: Mapping[str, int]) -> None:
     axes.set_ylim(len(runs) - 0.5, -0.6)
     known = [v for values in panel.values.values() for v in values if v is not None]
     is_count = bool(known) and not panel.is_share and all(float(v).is_integer() for v in known)
-    axes.locator_params(axis="x", nbins=5, integer=is_count)
+    axes.locator_params(axis="x", nbins=6, integer=is_count)
     if panel.is_share:
         axes.set_xlim(-0.05, 1.05)
     elif known and min(known) == max(known):  # nothing to scale by
