@@ -81,8 +81,7 @@ def test_set_params_arrives() -> None:
 def test_events_arrive(event: Ready | Refused | Stepped | ParamsSet | Failed) -> None:
     got = decode_event(encode_event(event))
     assert type(got) is type(event)
-    fields = getattr(event, "__struct_fields__", None) or getattr(event, "__slots__", ())
-    for name in fields:
+    for name in type(event).__annotations__:
         assert getattr(got, name) == getattr(event, name)
 
 

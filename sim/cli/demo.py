@@ -8,8 +8,9 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -17,7 +18,7 @@ from swarmd.cli.arguments import Duration, read_assignments
 from swarmd.cli.console import Console
 from swarmd.cli.output import print_json, print_section, warn
 from swarmd.errors import ConfigError, SwarmError
-from swarmd.sim.cli.options import fleet_options, need, robots_for, stage_for
+from swarmd.sim.cli.options import WorldOptions, fleet_for, fleet_options, need
 
 if TYPE_CHECKING:
     from swarmd.sim.live.fleet import FleetSpec
@@ -40,17 +41,13 @@ if TYPE_CHECKING:
 @click.pass_context
 def demo(
     ctx: click.Context,
-    count: int,
-    platform: str,
-    arena: str | None,
-    layout: str | None,
-    seed: int,
-    plugin_dir: Path | None,
+    /,
     pattern: str,
     params: tuple[str, ...],
     seconds: float,
     headless: bool,
     output: str | None,
+    **world: Any,
 ) -> None:
     """Start a world and a daemon for each robot, let them do PATTERN, and sum it up.
 
@@ -59,28 +56,20 @@ def demo(
     """
     need("mujoco", "matplotlib")
     from swarmd.plugins import find_pattern
-    from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.live.show import Play
 
     is_json = (output or (ctx.find_object(Console) or Console()).output) == "json"
+    options = WorldOptions(**world)
     play = Play(
-        pattern=pattern, params=read_assignments(params), seconds=seconds, platform=platform
-    )
-    find_pattern(pattern, plugin_dir)
-    kind, robots = robots_for(platform, count)
-    arena, layout = stage_for(kind, count, arena, layout, seed)
-    folder = new_folder(Path("runs"))
-    spec = FleetSpec(
-        swarm=f"demo-{secrets.token_hex(3)}",
-        robots=robots,
-        folder=folder / "logs",
-        arena=arena,
-        layout=layout,
-        seed=seed,
-        plugin_dir=plugin_dir,
-        trace=folder / "trace.npz",
+        pattern=pattern,
+        params=read_assignments(params),
         seconds=seconds,
+        platform=options.platform,
     )
+    find_pattern(pattern, options.plugin_dir)
+    fleet = fleet_for(options, f"demo-{secrets.token_hex(3)}", Path())
+    folder = new_folder(Path("runs"))
+    spec = replace(fleet, folder=folder / "logs", trace=folder / "trace.npz", seconds=seconds)
     summary = perform(spec, play, is_live=sys.stdout.isatty() and not (headless or is_json))
     finish(summary, folder, is_json=is_json)
     ctx.exit(0 if summary.is_good else 1)

@@ -15,6 +15,7 @@ import click
 from swarmd.cli.console import Console
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.errors import ConfigError, SwarmError
+from swarmd.sim.cli.measure import measure
 from swarmd.sim.cli.options import need
 
 if TYPE_CHECKING:
@@ -243,6 +244,9 @@ def list_metrics(ctx: click.Context, output: str | None) -> None:
         return
     rows = [(m.name, m.unit or "-", m.better or "-", m.meaning, m.source) for m in METRICS.values()]
     print_table(("NAME", "UNIT", "BETTER", "MEANING", "SOURCE"), rows)
+
+
+exp.add_command(measure)
 
 
 def _described(name: str) -> dict[str, Any]:

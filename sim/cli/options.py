@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -13,6 +14,7 @@ from swarmd.errors import ConfigError, PluginError
 from swarmd.keys import is_id
 
 if TYPE_CHECKING:
+    from swarmd.sim.live.fleet import FleetSpec
     from swarmd.values import Platform
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -43,6 +45,26 @@ _OPTIONS = (
         help="Of random layouts.",
     ),
     click.option(
+        "--realism",
+        type=click.Choice(["realistic", "ideal"]),
+        default="realistic",
+        show_default=True,
+        help="Noise and delays of sensors and bases, or none.",
+    ),
+    click.option(
+        "--lidar-visibility",
+        type=click.Choice(["body", "real"]),
+        default="body",
+        show_default=True,
+        help="Lidars see whole robots, or what stands at their height.",
+    ),
+    click.option(
+        "--radio-range",
+        type=click.FloatRange(min=0.0, min_open=True),
+        metavar="M",
+        help="Robots further apart do not hear each other [all do].",
+    ),
+    click.option(
         "--plugin-dir",
         type=click.Path(exists=True, file_okay=False, path_type=Path),
         envvar="SWARM_PLUGIN_DIR",
@@ -52,10 +74,45 @@ _OPTIONS = (
 
 
 def fleet_options(function: Function) -> Function:
-    """Give a verb `count`, `platform`, `arena`, `layout`, `seed` and `plugin_dir`."""
+    """Give a verb the options of `WorldOptions`."""
     for option in reversed(_OPTIONS):
         function = option(function)
     return function
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorldOptions:
+    """What `fleet_options` asks for, as it was given."""
+
+    count: int
+    platform: str
+    arena: str | None
+    layout: str | None
+    seed: int
+    realism: str
+    lidar_visibility: str
+    radio_range: float | None
+    plugin_dir: Path | None
+
+
+def fleet_for(options: WorldOptions, swarm: str, folder: Path) -> FleetSpec:
+    """The fleet that is wanted; ConfigError if it cannot be."""
+    from swarmd.sim.live.fleet import FleetSpec
+
+    kind, robots = robots_for(options.platform, options.count)
+    arena, layout = stage_for(kind, options.count, options.arena, options.layout, options.seed)
+    return FleetSpec(
+        swarm=swarm,
+        robots=robots,
+        folder=folder,
+        arena=arena,
+        layout=layout,
+        seed=options.seed,
+        realism=options.realism,
+        lidar_visibility=options.lidar_visibility,
+        radio_range=options.radio_range,
+        plugin_dir=options.plugin_dir,
+    )
 
 
 def need(*modules: str) -> None:

@@ -9,14 +9,14 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from swarmd.cli.console import DEFAULT_SWARM, Console
 from swarmd.cli.output import print_section, warn
 from swarmd.errors import ConfigError, SwarmError
-from swarmd.sim.cli.options import fleet_options, need, robots_for, stage_for
+from swarmd.sim.cli.options import WorldOptions, fleet_for, fleet_options, need
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -44,14 +44,10 @@ def sim() -> None:
 @click.pass_context
 def up(
     ctx: click.Context,
-    count: int,
-    platform: str,
-    arena: str | None,
-    layout: str | None,
-    seed: int,
-    plugin_dir: Path | None,
+    /,
     swarm: str | None,
     keep: Path | None,
+    **world: Any,
 ) -> None:
     """Start a world and a daemon for each robot; Ctrl-C ends them all.
 
@@ -59,23 +55,12 @@ def up(
     """
     need("mujoco")
     from swarmd.keys import check_id
-    from swarmd.sim.live.fleet import FleetSpec
 
     given = swarm or (ctx.find_object(Console) or Console()).swarm
     name = check_id(given or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
-    kind, robots = robots_for(platform, count)
-    arena, layout = stage_for(kind, count, arena, layout, seed)
+    options = WorldOptions(**world)
     with _folder(keep) as folder:
-        spec = FleetSpec(
-            swarm=name,
-            robots=robots,
-            folder=folder,
-            arena=arena,
-            layout=layout,
-            seed=seed,
-            plugin_dir=plugin_dir,
-        )
-        serve(spec)
+        serve(fleet_for(options, name, folder))
 
 
 def serve(spec: FleetSpec) -> None:

@@ -45,6 +45,9 @@ class FleetSpec:
     arena: str
     layout: str
     seed: int = 0
+    realism: str = "realistic"
+    lidar_visibility: str = "body"
+    radio_range: float | None = None
     plugin_dir: Path | None = None
     trace: Path | None = None
     seconds: float | None = None
@@ -140,7 +143,9 @@ def world_command(spec: FleetSpec) -> list[str]:
     robots = ",".join(f"{robot}:{platform}" for robot, platform in spec.robots.items())
     command = ["swarmd.sim.live.server", "--swarm", spec.swarm, "--robots", robots]
     command += ["--arena", spec.arena, "--layout", spec.layout, "--seed", str(spec.seed)]
-    command += ["--endpoint", "tcp/127.0.0.1:0"]
+    command += ["--endpoint", "tcp/127.0.0.1:0", "--realism", spec.realism]
+    command += ["--lidar-visibility", spec.lidar_visibility]
+    command += [] if spec.radio_range is None else ["--radio-range", str(spec.radio_range)]
     command += ["--trace", str(spec.trace)] if spec.trace else []
     return command + (["--seconds", str(spec.seconds)] if spec.seconds else [])
 

@@ -52,6 +52,7 @@ def live(pattern: str, poses: Poses, folder: Path) -> Trace:
         folder=folder,
         arena="12x12",
         layout=f"list:{placed}",
+        realism="ideal",
         trace=trace,
     )
     with Operator(SessionSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:

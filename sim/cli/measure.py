@@ -1,0 +1,46 @@
+"""`swarmctl exp measure`: the metrics of traces, wherever they come from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from swarmd.cli.console import Console
+from swarmd.cli.output import print_json, print_table
+
+
+@click.command()
+@click.argument(
+    "files", metavar="TRACE.npz..", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
+@click.option(
+    "--metrics", metavar="A,B,..", help="These metrics alone; see `swarmctl exp metrics`."
+)
+@click.option(
+    "-o", "--output", type=click.Choice(["table", "json"]), help="Form of the answer [table]."
+)
+@click.pass_context
+def measure(
+    ctx: click.Context, files: tuple[Path, ...], metrics: str | None, output: str | None
+) -> None:
+    """Measure runs by their traces: of experiments, of `swarmctl demo`, of a world's recording.
+
+    A live trace knows nothing of wishes and states: metrics that need them are left empty.
+    """
+    from swarmd.sim.lab.report import number
+    from swarmd.sim.metrics import catalog
+    from swarmd.sim.trace import load_trace
+
+    names = tuple(catalog.METRICS) if metrics is None else tuple(metrics.split(","))
+    for name in names:
+        catalog.metric_of(name)
+    measured = {str(file): catalog.measure(load_trace(file), names) for file in files}
+    if (output or (ctx.find_object(Console) or Console()).output) == "json":
+        print_json("Measurements", {"traces": measured})
+        return
+    rows = [
+        (name, catalog.METRICS[name].unit, *(number(found[name]) for found in measured.values()))
+        for name in names
+    ]
+    print_table(("METRIC", "UNIT", *(file.stem.upper() for file in files)), rows)
