@@ -21,6 +21,7 @@ T = TypeVar("T", bound=np.generic)
 
 _EMPTY = np.empty(0)
 _TWO_PI = 2.0 * math.pi
+_UNSEEN = 1e9  # m: rays that see nothing are as far as each other, and form runs of their own
 
 
 class Ray(NamedTuple):
@@ -90,19 +91,24 @@ def closest_points(scan: Scan | None, *, within: float, count: int = 24) -> Arra
     minima, among `count` equal sectors, of the ranges up to `within` m.
     """
     ranges, layout = _known(scan)
-    is_seen = ranges <= within
-    ranges, bearings = ranges[is_seen], _wrapped(layout)[is_seen]
-    if not len(ranges):
+    seen = (ranges <= within).nonzero()[0]
+    if not len(seen):
         return np.empty((0, 2))
     # In order of falling range, the last to write into a sector is its nearest ray.
-    order = np.argsort(-ranges, kind="stable")
-    lowest = np.full((2, count), math.inf)
-    lowest[:, _sector_of(bearings, count)[order]] = ranges[order], bearings[order]
-    before, after = _rolled(lowest[0], count - 1), _rolled(lowest[0], 1)
-    is_minimum = (lowest[0] < before) & (lowest[0] <= after)
+    seen = seen.take(np.argsort(-ranges.take(seen), kind="stable"))
+    sector = _in_sectors(layout, count).take(seen)
+    lowest = np.full(count, math.inf)
+    lowest[sector] = ranges.take(seen)
+    nearest_ray = np.empty(count, dtype=np.int64)
+    nearest_ray[sector] = seen
+    is_minimum = (lowest < _rolled(lowest, count - 1)) & (lowest <= _rolled(lowest, 1))
     if count < 3 or not is_minimum.any():
-        is_minimum = lowest[0] == lowest[0].min()
-    return lowest[:, is_minimum & np.isfinite(lowest[0])].T
+        is_minimum = lowest == lowest.min()
+    minima = (is_minimum & (lowest < math.inf)).nonzero()[0]
+    points = np.empty((len(minima), 2))
+    points[:, 0] = lowest.take(minima)
+    points[:, 1] = _wrapped(layout).take(nearest_ray.take(minima))
+    return points
 
 
 def gaps(scan: Scan | None, *, beyond: float) -> list[Gap]:
@@ -142,30 +148,25 @@ def clusters(
     if not len(ranges) or ranges.min() > within:
         return RayClusters(_EMPTY, _EMPTY, _EMPTY, np.empty(0, np.int64), np.empty(0, np.bool_))
     order, bearings, steps, spacing = _in_order(layout)
-    ranges = ranges[order]
-    ranges[ranges > within] = math.inf
-    is_last = _is_last(ranges, steps, spacing, jump, grazing)
+    ranges = ranges.take(order)
+    ranges = np.where(ranges > within, _UNSEEN, ranges)
+    is_last = _is_last(ranges, jump, *_surfaces(layout, grazing))
     # Start behind a break, so that no object spans the end of the arrays.
-    shift = int(np.argmax(is_last)) + 1
-    ranges, bearings = _rolled(ranges, shift), _rolled(bearings, shift)
-    ends = np.flatnonzero(_rolled(is_last, shift))
+    shift = int(is_last.argmax()) + 1
+    ends = _rolled(is_last, shift).nonzero()[0]
     if not len(ends):
         ends = np.array([len(ranges) - 1])
-    return _objects(ranges, bearings, ends, spacing)
+    turned = np.concatenate((bearings[shift:], bearings[:shift] + _TWO_PI))
+    return _objects(_rolled(ranges, shift), turned, ends, spacing)
 
 
 def _is_last(
-    ranges: Array, steps: Array, spacing: float, jump: float, grazing: float
+    ranges: Array, jump: float, slopes: Array, is_apart: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
     """(n,) true where a ray does not belong together with the one after it."""
-    is_seen = np.isfinite(ranges)
-    here = np.where(is_seen, ranges, 0.0)
-    after = _rolled(here, 1)
-    allowed = jump + np.minimum(here, after) * steps / math.tan(grazing)
-    is_together = (np.abs(here - after) <= allowed) & is_seen & _rolled(is_seen, 1)
-    # Up to two rays may be unknown in the middle of an object.
-    is_together &= steps < min(3.5 * spacing, 0.5 * math.pi)
-    breaks: NDArray[np.bool_] = ~is_together
+    after = _rolled(ranges, 1)
+    breaks: NDArray[np.bool_] = np.abs(ranges - after) > jump + np.minimum(ranges, after) * slopes
+    breaks |= is_apart
     return breaks
 
 
@@ -174,21 +175,21 @@ def _objects(
 ) -> RayClusters:
     """The runs that end at `ends`; runs of rays that see nothing are left out."""
     starts = np.concatenate(([0], ends[:-1] + 1))
-    is_seen = np.isfinite(ranges[starts])
-    lowest = np.minimum.reduceat(ranges, starts)[is_seen]
-    first, last = starts[is_seen], ends[is_seen]
-    before, after = ranges[first - 1], ranges[(last + 1) % len(ranges)]
-    spread = (bearings[last] - bearings[first]) % _TWO_PI
-    near, far = ranges[first], ranges[last]
+    lowest = np.minimum.reduceat(ranges, starts)
+    seen = (lowest < _UNSEEN).nonzero()[0]
+    lowest, first, last = lowest.take(seen), starts.take(seen), ends.take(seen)
+    near, far = ranges.take(first), ranges.take(last)
+    spread = bearings.take(last) - bearings.take(first)
     # |near - far e^(i spread)|, written so that it cannot be the root of less than 0.
     chord = np.hypot(near - far, 2.0 * np.sqrt(near * far) * np.sin(0.5 * spread))
     return RayClusters(
         ranges=lowest,
-        bearings=_wrap(bearings[first] + 0.5 * spread),
+        bearings=_wrap(bearings.take(first) + 0.5 * spread),
         # What surrounds the robot, as a room does, has near ends and is wide all the same.
         widths=np.maximum(chord, spread * lowest) + lowest * min(spacing, math.pi),
         counts=last - first + 1,
-        is_free=(before > near) & (after > far),
+        is_free=(ranges.take(first - 1, mode="wrap") > near)
+        & (ranges.take(last + 1, mode="wrap") > far),
     )
 
 
@@ -219,6 +220,22 @@ def _in_order(layout: bytes) -> tuple[NDArray[np.int64], Array, Array, float]:
     steps[-1] += _TWO_PI
     spacing = float(np.sort(steps)[len(steps) // 2]) if len(steps) > 1 else _TWO_PI
     return order, bearings, steps, spacing
+
+
+@lru_cache(maxsize=4)
+def _surfaces(layout: bytes, grazing: float) -> tuple[Array, NDArray[np.bool_]]:
+    """How much a surface at `grazing` rad rises to the next ray, and which rays are too far apart.
+
+    Up to two rays may be unknown in the middle of an object.
+    """
+    _, _, steps, spacing = _in_order(layout)
+    return steps / math.tan(grazing), steps >= min(3.5 * spacing, 0.5 * math.pi)
+
+
+@lru_cache(maxsize=4)
+def _in_sectors(layout: bytes, count: int) -> NDArray[np.int64]:
+    """The sector of each ray."""
+    return _sector_of(_wrapped(layout), count)
 
 
 def _sector_of(bearings: Array, count: int) -> NDArray[np.int64]:
