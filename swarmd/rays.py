@@ -147,7 +147,7 @@ def clusters(
     ranges, layout = _known(scan)
     if not len(ranges) or ranges.min() > within:
         return RayClusters(_EMPTY, _EMPTY, _EMPTY, np.empty(0, np.int64), np.empty(0, np.bool_))
-    order, bearings, steps, spacing = _in_order(layout)
+    order, bearings, _, spacing = _in_order(layout)
     ranges = ranges.take(order)
     ranges = np.where(ranges > within, _UNSEEN, ranges)
     is_last = _is_last(ranges, jump, *_surfaces(layout, grazing))
