@@ -29,6 +29,7 @@ from swarmd.sim.trace import Trace
 from swarmd.sim.world.delays import Held
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.radio import Radio
+from swarmd.sim.world.seeding import generator
 from swarmd.sim.world.world import World
 from swarmd.status import RobotSettings
 from swarmd.values import Array, Scan, Twist, Value
@@ -75,12 +76,13 @@ class Lockstep:
         origins = pattern_names(scenario.plugin_dir)
         self._find = Finder({name: (o.value, o.is_file) for name, o in origins.items()})
         self._radio = Radio(scenario.radio, ids, scenario.arena, seed=seed)
-        rng = np.random.default_rng([seed, *b"phases"])
-        self._sweeps = Rhythm(np.array([p.scan.rate for p in self.world.platforms]), rng)
-        self._beats = Rhythm(np.full(n, 1.0 / TICK), rng)
+        phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
+        self._sweeps = Rhythm(np.array([p.scan.rate for p in self.world.platforms]), phases)
+        self._beats = Rhythm(np.full(n, 1.0 / TICK), phases)
         self._odometry = Rhythm(np.array([1.0 / TICK]))
-        self._hearing = Rhythm(np.full(n, _HEARING_RATE), rng)
-        self._reading = Rhythm(np.full(n if scenario.fields else 0, _READINGS_RATE), rng)
+        self._hearing = Rhythm(np.full(n, _HEARING_RATE), phases)
+        readers = n if scenario.fields else 0
+        self._reading = Rhythm(np.full(readers, _READINGS_RATE), phases[:readers])
         self._record = Rhythm(np.array([scenario.trace_rate]))
         self._wakes = Wakes(n, self.world.dt)
         self._held: Held[tuple[int, Scan]] = Held()

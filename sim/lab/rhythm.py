@@ -14,10 +14,15 @@ _NOBODY: Indices = np.empty(0, dtype=np.intp)
 class Rhythm:
     """Periodic jobs of n robots: no two lidars or daemons of a swarm are in step."""
 
-    def __init__(self, rates: Array, rng: np.random.Generator | None = None) -> None:
-        """`rates` (n,) in Hz; the phases are drawn from `rng`, or all zero."""
+    def __init__(self, rates: Array, begins: Array | None = None) -> None:
+        """`rates` (n,) in Hz. `begins` (n,): when each begins, in s; None: all at once.
+
+        Two rhythms that begin together meet again: a robot ticks when its lidar sweeps, as often as
+        it can, and is taken into the processor's caches once for both.
+        """
         self._period = 1.0 / np.asarray(rates, dtype=np.float64)
-        self._phase = np.zeros(len(self._period)) if rng is None else rng.uniform(0, self._period)
+        starts = np.zeros(len(self._period)) if begins is None else begins
+        self._phase = np.mod(starts, self._period)
         self._beats = np.zeros(len(self._period))
         self._next = self._phase.copy()
         self._soonest = float(self._next.min(initial=np.inf))
