@@ -90,6 +90,7 @@ class Lockstep:
         self._silent_at: dict[int, float] = {}
         self._latches: dict[int, LatchRecord | None] = {}
         self._told: list[tuple[int, dict[str, Latch]]] = []
+        self._held_by: dict[int, dict[str, Latch]] = {}
         self._lives = [0] * n
         self._steps = 0
         self.shells: list[Shell | None] = [None] * n
@@ -117,7 +118,9 @@ class Lockstep:
         )
         self._lives[row] += 1
         self._silent_at.pop(row, None)
-        self.shells[row] = Shell(row, robot, self._find, self, now)
+        shell = self.shells[row] = Shell(row, robot, self._find, self, now)
+        for latches in list(self._held_by.values()):  # before it takes any request
+            shell.settle(robot.on_latches(latches, now), now)
         self._meet(row)
 
     def end(self, row: int, *, in_order: bool) -> None:
@@ -129,6 +132,7 @@ class Lockstep:
         else:
             self._silent_at[row] = now + BODY_TIMEOUT
         self._latches[row] = shell.latches
+        self._held_by.pop(row, None)
         self._wakes.set(row, None)
         self.shells[row] = None
 
@@ -147,9 +151,11 @@ class Lockstep:
         self._radio.send(row, name, plain, now, self.world.poses(), self._boxes())
 
     def tell(self, row: int, status: Status) -> None:
-        """Peers act on the latches of a status alone."""
+        """Peers act on the latches of a status alone, now and when they join."""
+        self._held_by.pop(row, None)
         if status.latches:
-            self._told.append((row, dict(status.latches)))
+            self._held_by[row] = dict(status.latches)
+            self._told.append((row, self._held_by[row]))
 
     def wake(self, row: int, at: float | None) -> None:
         """An alarm between two ticks."""
