@@ -87,8 +87,9 @@ def sides(a: str, b: str) -> list[tuple[Side, Side]]:
 def compare(a: Side, b: Side, names: Sequence[str] | None = None) -> list[Difference]:
     """How each metric that both have differs; ConfigError for a name that is none of them.
 
-    Where both have the same seeds each run is compared with that of the same seed, which takes
-    away what the seeds do to both; else the two are resampled independently.
+    Where both were to have the same seeds each run is compared with that of the same seed, which
+    takes away what the seeds do to both, and a run that failed takes its counterpart along; else
+    the two are resampled independently.
     """
     known = [name for name in a.results.metrics if name in b.results.metrics]
     for name in names or ():
@@ -122,10 +123,11 @@ def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, A
 
 def _difference(a: Side, b: Side, name: str) -> Difference:
     left, right = a.results.metric(name, a.variant), b.results.metric(name, b.variant)
-    seeds = a.results.seeds(a.variant), b.results.seeds(b.variant)
-    is_paired = sorted(seeds[0]) == sorted(seeds[1])
+    is_paired = set(a.results.plan.seeds) == set(b.results.plan.seeds)
     if is_paired:
-        left, right = left[np.argsort(seeds[0])], right[np.argsort(seeds[1])]
+        seeds = a.results.seeds(a.variant), b.results.seeds(b.variant)
+        _, places_a, places_b = np.intersect1d(*seeds, assume_unique=True, return_indices=True)
+        left, right = left[places_a], right[places_b]
         both = ~(np.isnan(left) | np.isnan(right))
         left, right = left[both], right[both]
         found = mean_interval(right - left)

@@ -21,10 +21,13 @@ TRIALS = 200
 SPEED = "groups.all.parameters.speed"
 
 
-def side(values: dict[int, float | None], metric: str = "minimum_gap") -> Side:
-    """One side whose metric has these values by seed."""
+def side(
+    values: dict[int, float | None], metric: str = "minimum_gap", *, lost: tuple[int, ...] = ()
+) -> Side:
+    """One side whose metric has these values by seed; the runs of seeds `lost` have failed."""
     plan = Plan("x", tuple(values), (Variant("", {}),))
-    rows = [Row(run, {metric: values[run.seed]}, 0.1) for run in plan.runs]
+    runs = [run for run in plan.runs if run.seed not in lost]
+    rows = [Row(run, {metric: values[run.seed]}, 0.1) for run in runs]
     return Side("x", Results(Path("x"), plan, rows, {}, (metric,)), "")
 
 
@@ -75,6 +78,22 @@ def test_pairs_go_by_seed_not_by_place() -> None:
     found = only(side(dict(values)), side(dict(shifted)))
     assert found.interval is not None
     assert (found.interval.low, found.interval.high) == pytest.approx((0.5, 0.5))
+
+
+def test_runs_that_failed_leave_the_others_paired() -> None:
+    rng = np.random.default_rng(5)
+    worlds = rng.normal(5.0, 2.0, 20)
+    better = worlds + rng.normal(0.2, 0.1, 20)
+    found = only(side(of(worlds), lost=(4,)), side(of(better), lost=(9, 0)))
+    assert (found.is_paired, found.n_a, found.n_b) == (True, 17, 17)
+    kept = [i for i in range(20) if i not in (0, 4, 9)]
+    assert found.difference == pytest.approx((better - worlds)[kept].mean())
+    assert found.differs
+
+
+def test_pairs_of_which_no_two_are_whole_are_too_few() -> None:
+    found = only(side(of(np.arange(3.0)), lost=(0,)), side(of(np.arange(3.0)), lost=(1,)))
+    assert (found.n_a, found.n_b, found.verdict) == (1, 1, "too few runs")
 
 
 def test_a_pair_of_which_one_has_no_value_is_left_out() -> None:
