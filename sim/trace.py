@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.errors import SwarmError
+from swarmd.errors import ConfigError
 from swarmd.values import Array, Platform
 
 ARENA = -1
@@ -97,13 +96,13 @@ class Trace:
 
 
 def load_trace(path: Path) -> Trace:
-    """The trace of a file; SwarmError if it is none."""
+    """The trace of a file; ConfigError if it cannot be read or is none."""
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
         head = json.loads(str(arrays.pop("head")))
         if head.pop("version") != VERSION:
-            raise SwarmError(f"{path}: a trace of another version; this reads {VERSION}")
+            raise ConfigError(f"{path}: a trace of another version; this reads {VERSION}")
         for key in ("ids", "platforms", "things"):
             head[key] = tuple(head[key])
         for kind in ("report", "words"):
@@ -111,16 +110,12 @@ def load_trace(path: Path) -> Trace:
             head[kind] = {name.partition("/")[2]: arrays.pop(name) for name in named}
         head["footprints"] = {k: np.array(v) for k, v in head["footprints"].items()}
         return Trace(**head, **arrays)
-    except (
-        OSError,
-        EOFError,
-        ValueError,
-        KeyError,
-        TypeError,
-        AttributeError,
-        zipfile.BadZipFile,
-    ) as error:
-        raise SwarmError(f"{path}: not a trace: {error}") from error
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except ConfigError:
+        raise
+    except Exception as error:  # numpy lets through whatever zlib, zipfile and tokenize raise
+        raise ConfigError(f"{path}: not a trace, or damaged; wanted a run's .npz file") from error
 
 
 class Recorder:

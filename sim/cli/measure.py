@@ -8,6 +8,7 @@ import click
 
 from swarmd.cli.console import Console
 from swarmd.cli.output import print_json, print_table
+from swarmd.sim.cli.options import chosen_metrics
 
 
 @click.command()
@@ -32,9 +33,7 @@ def measure(
     from swarmd.sim.metrics import catalog
     from swarmd.sim.trace import load_trace
 
-    names = tuple(catalog.METRICS) if metrics is None else tuple(metrics.split(","))
-    for name in names:
-        catalog.metric_of(name)
+    names = chosen_metrics(metrics) or tuple(catalog.METRICS)
     measured = {str(file): catalog.measure(load_trace(file), names) for file in files}
     if (output or (ctx.find_object(Console) or Console()).output) == "json":
         print_json("Measurements", {"traces": measured})
@@ -43,4 +42,6 @@ def measure(
         (name, catalog.METRICS[name].unit, *(number(found[name]) for found in measured.values()))
         for name in names
     ]
-    print_table(("METRIC", "UNIT", *(file.stem.upper() for file in files)), rows)
+    stems = [Path(file).stem.upper() for file in measured]
+    heads = stems if len(set(stems)) == len(stems) else list(measured)
+    print_table(("METRIC", "UNIT", *heads), rows)

@@ -1,4 +1,4 @@
-"""What `demo` and `sim up` share: which robots, where, and what must be installed."""
+"""What several verbs share: which robots, where, which metrics, and what must be installed."""
 
 from __future__ import annotations
 
@@ -123,6 +123,18 @@ def need(*modules: str) -> None:
                 f"this verb needs {module}, which is not installed;"
                 " run: pip install 'swarmd[sim,plot]'"
             )
+
+
+def chosen_metrics(text: str | None) -> tuple[str, ...] | None:
+    """The metrics of `--metrics A,B`; ConfigError with the nearest name for one that is none."""
+    if text is None:
+        return None
+    from swarmd.sim.metrics.catalog import metric_of
+
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    if not names:
+        raise ConfigError("--metrics names none; see `swarmctl exp metrics`")
+    return tuple(metric_of(name).name for name in names)
 
 
 def robots_for(platform: str, count: int) -> tuple[Platform, dict[str, str]]:

@@ -106,7 +106,12 @@ def _overridden(
 ) -> Scenario:
     if overrides:
         sources = ((SOURCE, nested(overrides, Layered(*sources).data)), *sources)
-    return _built(Layered(*without_stale(sources)), name)
+    layers = Layered(*without_stale(sources))
+    if "groups" not in layers.data:
+        where = next(source for source, _ in sources if source != SOURCE)
+        wanted = "groups: {tb3: {platform: burger, count: 5}}"
+        raise ConfigError(f"{where}: groups is missing; wanted is such as {wanted}")
+    return _built(layers, name)
 
 
 def _built(layers: Layered, name: str) -> Scenario:

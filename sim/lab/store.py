@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
 import json
 import os
@@ -28,6 +29,7 @@ from swarmd.sim.lab.table import Row
 TRACES = "traces"
 FAILURES = "failures.json"
 SUMMARY = "summary.json"
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 _HEAD = {"apiVersion": "swarm/v1", "kind": "ExperimentSummary"}
 
 
@@ -213,4 +215,8 @@ def _told(folder: Path) -> Iterator[None]:
         raise ConfigError(f"{error.filename}: is a file; name a folder with --out") from error
     except OSError as error:
         text = f"{folder}: {error.strerror or error}"
-        raise SwarmError(f"{text}; what was finished is kept, so make room and go on") from error
+        if error.errno in _FULL:
+            raise SwarmError(
+                f"{text}; what was finished is kept, so make room and go on"
+            ) from error
+        raise SwarmError(f"{text}; name another folder with --out") from error

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from swarmd.errors import SwarmError
+from swarmd.errors import ConfigError
 from swarmd.platforms import load_platform
 from swarmd.sim.trace import ARENA, Recorder, Trace, load_trace
 
@@ -91,13 +92,26 @@ def test_recorder_keeps_copies() -> None:
 def test_a_file_that_is_no_trace_is_one_clear_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "run.npz"
     path.write_bytes(content)
-    with pytest.raises(SwarmError, match="not a trace"):
+    with pytest.raises(ConfigError, match="not a trace"):
         load_trace(path)
 
 
 def test_other_arrays_than_a_trace_are_refused(tmp_path: Path) -> None:
     np.savez(tmp_path / "run.npz", numbers=np.arange(3))
-    with pytest.raises(SwarmError, match="not a trace"):
+    with pytest.raises(ConfigError, match="not a trace"):
         load_trace(tmp_path / "run.npz")
-    with pytest.raises(SwarmError, match="not a trace"):
+    with pytest.raises(ConfigError, match=r"missing\.npz: cannot be read: No such file"):
         load_trace(tmp_path / "missing.npz")
+
+
+def test_a_trace_of_which_bytes_have_changed_is_one_clear_error(tmp_path: Path) -> None:
+    path = tmp_path / "run.npz"
+    recorded().save(path)
+    whole, places = path.read_bytes(), np.random.default_rng(1)
+    for _ in range(100):
+        data = bytearray(whole)
+        for place in places.integers(len(data), size=4):
+            data[place] ^= 0x5A
+        path.write_bytes(data)
+        with suppress(ConfigError):  # a few bytes say nothing that matters
+            load_trace(path)

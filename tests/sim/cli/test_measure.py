@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from swarmd.errors import SwarmError
+from swarmd.errors import ConfigError
 from swarmd.platforms import load_platform
 from swarmd.sim.cli.exp import exp
 from swarmd.sim.trace import Recorder
@@ -49,12 +49,27 @@ def test_two_traces_stand_side_by_side(live: Path) -> None:
     assert ["path_length", "m", "0.5", "0.5"] in [row.split() for row in rows]
 
 
+def test_traces_of_one_name_are_told_apart_by_their_folders(live: Path) -> None:
+    other = live.parent / "other" / live.name
+    other.parent.mkdir()
+    other.write_bytes(live.read_bytes())
+    done = CliRunner().invoke(
+        exp, ["measure", str(live), str(other), "--metrics", "path_length, mean_speed"]
+    )
+    assert done.exit_code == 0, done.output
+    head, *rows = done.output.splitlines()
+    assert head.split() == ["METRIC", "UNIT", str(live), str(other)]
+    assert [row.split()[0] for row in rows if row] == ["path_length", "mean_speed"]
+
+
 def test_an_unknown_metric_and_a_file_that_is_no_trace_are_named(live: Path) -> None:
-    with pytest.raises(SwarmError, match="path_length"):
+    with pytest.raises(ConfigError, match="path_length"):
         CliRunner().invoke(
             exp, ["measure", str(live), "--metrics", "path_lenght"], catch_exceptions=False
         )
+    with pytest.raises(ConfigError, match="--metrics names none"):
+        CliRunner().invoke(exp, ["measure", str(live), "--metrics", ","], catch_exceptions=False)
     wrong = live.with_name("none.npz")
     wrong.write_text("no trace")
-    with pytest.raises(SwarmError, match=r"none\.npz: not a trace"):
+    with pytest.raises(ConfigError, match=r"none\.npz: not a trace"):
         CliRunner().invoke(exp, ["measure", str(wrong)], catch_exceptions=False)

@@ -97,6 +97,12 @@ def test_plain_values_can_be_overridden_too(load: Load) -> None:
         scenario_of(load().effective, {"duraton": 30})
 
 
+def test_a_file_without_groups_is_named_and_not_what_was_set(tmp_path: Path) -> None:
+    (tmp_path / "bad.yaml").write_text("duration: 3")
+    with pytest.raises(ConfigError, match=r"bad\.yaml: groups is missing"):
+        load_scenario(tmp_path / "bad.yaml", {"duration": 5})
+
+
 def test_a_scenario_can_be_sent_to_another_process(load: Load) -> None:
     scenario = load()
     assert same(scenario, pickle.loads(pickle.dumps(scenario)))
@@ -160,7 +166,7 @@ def test_paths_are_relative_to_the_file_in_which_they_stand(
         ("duration: 5\nduration: 6", "bad.yaml:2: key 'duration' stands twice, first in line 1"),
         ("duration: [", "bad.yaml:1"),
         ("[1, 2]", "bad.yaml: holds [1, 2]; wanted keys and values"),
-        ("", "bad.yaml: groups is missing; wanted keys and values"),
+        ("", "bad.yaml: groups is missing; wanted is such as groups: {tb3:"),
         ("extends: bad.yaml", "bad.yaml: extends itself: bad.yaml -> bad.yaml"),
         ("extends: paper_exp1_burgr", "bad.yaml: extends: no scenario 'paper_exp1_burgr'; did"),
         ("extends: 5", "bad.yaml: extends is 5; wanted a scenario's name"),

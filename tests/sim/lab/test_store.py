@@ -119,6 +119,15 @@ def test_a_file_in_the_place_of_the_folder_is_one_line(tmp_path: Path, manifest:
             pass
 
 
+def test_a_folder_that_cannot_be_made_is_not_told_of_as_full(manifest: Manifest) -> None:
+    place = Path("/proc/nowhere")
+    with (
+        pytest.raises(SwarmError, match="No such file or directory; name another folder"),
+        open_store(place, manifest, METRICS),
+    ):
+        pass
+
+
 def test_another_experiment_is_refused(folder: Path, manifest: Manifest) -> None:
     with open_store(folder, manifest, METRICS):
         pass
