@@ -43,6 +43,12 @@ _processes = click.option(
     show_default=True,
     help="Runs at a time, each in a process of its own; the results are the same.",
 )
+_timeout = click.option(
+    "--timeout",
+    type=click.FloatRange(min=1.0),
+    metavar="SECONDS",
+    help="A run that gets no further for so long has failed, the others go on [60].",
+)
 _folder = click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 
 
@@ -80,6 +86,7 @@ def exp() -> None:
     help="Values to try one after the other; repeated, every combination is tried.",
 )
 @_processes
+@_timeout
 @_out("Where results go; there, an interrupted sweep goes on [experiments/SCENARIO-N].")
 @click.option("--no-traces", is_flag=True, help="Keep metrics alone; there is less to plot.")
 @_metrics
@@ -92,6 +99,7 @@ def run(
     sets: tuple[str, ...],
     sweeps: tuple[str, ...],
     jobs: int,
+    timeout: float | None,
     out: Path | None,
     no_traces: bool,
     metrics: str | None,
@@ -113,8 +121,9 @@ def run(
     command += [word for value in sets for word in ("--set", value)]
     command += [word for value in sweeps for word in ("--sweep", value)]
     command += ["--jobs", str(jobs), "--out", str(folder), *(["--no-traces"] * no_traces)]
+    command += [] if timeout is None else ["--timeout", f"{timeout:g}"]
     manifest = manifest_of(plan, traces=not no_traces, command=command)
-    results = _conducted(manifest, folder, jobs)
+    results = _conducted(manifest, folder, jobs, timeout)
     _tell(results, names, _is_json(ctx, output))
     warn(f"results: {folder}/ (to see them: swarmctl exp plot {shlex.quote(str(folder))})")
     ctx.exit(_exit_code(results))
@@ -124,10 +133,16 @@ def run(
 @_folder
 @_out("Where the new results go; without it they are compared and gone.")
 @_processes
+@_timeout
 @_output
 @click.pass_context
 def rerun(
-    ctx: click.Context, folder: Path, out: Path | None, jobs: int, output: str | None
+    ctx: click.Context,
+    folder: Path,
+    out: Path | None,
+    jobs: int,
+    timeout: float | None,
+    output: str | None,
 ) -> None:
     """Make the experiment in DIR again from its manifest, and say which runs came out the same.
 
@@ -136,11 +151,12 @@ def rerun(
     need("mujoco")
     from swarmd.sim.cli.progress import ends_on_sigterm, progress
     from swarmd.sim.lab import rerun as again
+    from swarmd.sim.lab.pool import TIMEOUT
 
     for line in again.warnings(folder):
         warn(f"warning: {line}; results may differ")
     with ends_on_sigterm(), progress() as on_progress:
-        matches = again.rerun(folder, out, jobs, on_progress)
+        matches = again.rerun(folder, out, jobs, on_progress, timeout or TIMEOUT)
     if _is_json(ctx, output):
         listed = [{"run": m.run, "identical": m.is_identical, "why": m.why} for m in matches]
         print_json("Rerun", {"folder": str(folder), "runs": listed})
@@ -282,15 +298,18 @@ def new_folder(base: Path, stem: str) -> Path:
     raise AssertionError("numbers have an end")
 
 
-def _conducted(manifest: Manifest, folder: Path, processes: int) -> Results:
+def _conducted(manifest: Manifest, folder: Path, processes: int, timeout: float | None) -> Results:
     """All runs done; on Ctrl-C and SIGTERM a line says how to go on."""
     from swarmd.sim.cli.progress import ends_on_sigterm, progress
     from swarmd.sim.lab.experiments import conduct
+    from swarmd.sim.lab.pool import TIMEOUT
 
     total = len(manifest.plan.runs)
     try:
         with ends_on_sigterm(), progress() as on_progress:
-            return conduct(manifest, folder, processes, on_progress=on_progress)
+            return conduct(
+                manifest, folder, processes, timeout=timeout or TIMEOUT, on_progress=on_progress
+            )
     except (KeyboardInterrupt, SystemExit):
         from swarmd.sim.lab.results import load_results
 

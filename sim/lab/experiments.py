@@ -23,7 +23,7 @@ from swarmd.errors import ConfigError, SwarmError
 from swarmd.sim.lab.job import Job, Outcome, perform
 from swarmd.sim.lab.manifest import Manifest, manifest_of, plain
 from swarmd.sim.lab.plan import Plan, Run, make_plan
-from swarmd.sim.lab.pool import outcomes
+from swarmd.sim.lab.pool import TIMEOUT, outcomes
 from swarmd.sim.lab.results import Results
 from swarmd.sim.lab.scenario import Scenario
 from swarmd.sim.lab.scenariofile import load_scenario, scenario_of
@@ -43,13 +43,15 @@ def simulate(
     jobs: int = 1,
     out: str | Path | None = None,
     traces: bool = True,
+    timeout: float = TIMEOUT,
 ) -> Results:
     """Run a scenario once for each seed (a number n means 0 to n - 1), and measure every run.
 
     `set` and `sweep` are by dotted key of the scenario's file: `{"groups.all.count": 5}`, and
     `{"groups.all.parameters.law": ["ours", "paper"]}` for every combination. With `jobs` above 1
     runs are done by as many processes, from scripts and notebooks alike; with 1 in this one. The
-    results are the same, bit by bit. `out` is a folder as `swarmctl exp` makes and reads them,
+    results are the same, bit by bit. In processes of its own a run that gets no further for
+    `timeout` s is ended and has failed. `out` is a folder as `swarmctl exp` makes and reads them,
     where an interrupted call goes on if it is made again; without it, results last as long as
     this process needs them.
 
@@ -58,11 +60,13 @@ def simulate(
     """
     if jobs < 1:
         raise ConfigError(f"jobs is {jobs}; wanted 1 or more")
+    if not timeout >= 1.0:
+        raise ConfigError(f"timeout is {timeout:g}; wanted 1 s or more")
     plan = plan_of(scenario, range(seeds) if isinstance(seeds, int) else seeds, set, sweep)
     manifest = manifest_of(plan, traces=traces, command=[])
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
-        results = conduct(manifest, folder, jobs, is_here=jobs == 1)
+        results = conduct(manifest, folder, jobs, is_here=jobs == 1, timeout=timeout)
     except BaseException:
         if out is None:
             shutil.rmtree(folder, ignore_errors=True)
@@ -100,18 +104,22 @@ def conduct(
     *,
     is_here: bool = False,
     only: Collection[str] | None = None,
+    timeout: float = TIMEOUT,
     on_progress: OnProgress | None = None,
 ) -> Results:
     """Do all runs of a manifest that its folder does not have yet, and sum up.
 
-    Those of `only` alone, if it is given, and in this process alone if `is_here`. Whatever ends
+    Those of `only` alone, if it is given, and in this process alone if `is_here`; elsewhere none
+    may stand still for `timeout` s. Whatever ends
     it early, what was finished stays in the folder and can be read. SwarmError if the folder
     cannot be used or its disk is full.
     """
     with open_store(folder, manifest, tuple(METRICS)) as store:
         try:
             runs = [run for run in store.missing if only is None or run.id in only]
-            _run(store, runs, processes, is_here, on_progress)
+            jobs = [Job(r.id, r.variant.effective, r.seed, store.trace_of(r)) for r in runs]
+            found = _here(jobs) if is_here else outcomes(jobs, processes, timeout)
+            _gather(store, runs, found, on_progress)
         except BaseException:
             with suppress(SwarmError, OSError):  # what has ended it is what is to be told
                 store.close(_results(store).document())
@@ -121,17 +129,15 @@ def conduct(
         return results
 
 
-def _run(
+def _gather(
     store: Store,
     runs: Sequence[Run],
-    processes: int,
-    is_here: bool,
+    outcomes: Generator[Outcome, None, None],
     on_progress: OnProgress | None,
 ) -> None:
     by_id = {run.id: run for run in runs}
-    jobs = [Job(run.id, run.variant.effective, run.seed, store.trace_of(run)) for run in runs]
     total = len(store.rows) + len(runs)
-    with closing(_here(jobs) if is_here else outcomes(jobs, processes)) as found:
+    with closing(outcomes) as found:
         if on_progress is not None:
             on_progress(len(store.rows), total, 0)
         for outcome in found:

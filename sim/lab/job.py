@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -40,14 +40,15 @@ class Outcome:
     obstacle: str = ""
 
 
-def perform(job: Job) -> Outcome:
+def perform(job: Job, on_progress: Callable[[float], None] | None = None) -> Outcome:
     """Simulate, measure, and write the trace down, in this process.
 
     Nothing is raised for what goes wrong in the run: patterns and metrics may be anyone's.
+    `on_progress` is told after each step which share has been simulated.
     """
     begin = time.perf_counter()
     try:
-        trace = simulate_run(scenario_of(job.effective), job.seed)
+        trace = simulate_run(scenario_of(job.effective), job.seed, on_progress)
         metrics = measure(trace)
     except SwarmError as error:
         return Outcome(job.run, reason=one_line(str(error)))

@@ -46,15 +46,15 @@ def simulate_run(
 ) -> Trace:
     """A whole run. SwarmError if it cannot be set up or a robot refuses what it is asked.
 
-    `on_progress` is called now and then with the share that is done.
+    `on_progress` is called after every step with the share that is done, at last with 1.
     """
-    lab = Lockstep(scenario, seed)
+    told = on_progress or _nobody
+    lab, duration = Lockstep(scenario, seed), scenario.duration
     share = 0.0
     while share < 1.0:
         share = min(share + 0.02, 1.0)
-        lab.advance(share * scenario.duration - lab.world.time)
-        if on_progress is not None:
-            on_progress(share)
+        lab.advance(share * duration - lab.world.time, lambda now: told(min(now / duration, 0.99)))
+    told(1.0)
     return lab.trace()
 
 
@@ -163,11 +163,16 @@ class Lockstep:
 
     # Time
 
-    def advance(self, seconds: float) -> None:
-        """Go on for so long, to the nearest step. SwarmError if a robot refuses an event."""
+    def advance(self, seconds: float, on_step: Callable[[float], None] | None = None) -> None:
+        """Go on for so long, to the nearest step. SwarmError if a robot refuses an event.
+
+        `on_step` is called after each with the time.
+        """
+        told = on_step or _nobody
         with _without_collection():
             for _ in range(round(seconds / self.world.dt)):
                 self._step()
+                told(self.world.time)
 
     def trace(self, **meta: Any) -> Trace:
         """The run so far, up to this instant."""
@@ -268,6 +273,10 @@ class Lockstep:
                 for e in scenario.events
             ],
         }
+
+
+def _nobody(now: float) -> None:
+    """Nobody is told."""
 
 
 @contextmanager

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -13,6 +14,7 @@ import numpy as np
 from swarmd.errors import ConfigError, SwarmError
 from swarmd.sim.lab.experiments import OnProgress, conduct
 from swarmd.sim.lab.manifest import manifest_of, read_manifest, software_differences
+from swarmd.sim.lab.pool import TIMEOUT
 from swarmd.sim.lab.results import Results, load_results
 from swarmd.sim.trace import Trace
 
@@ -37,7 +39,11 @@ def warnings(folder: Path) -> list[str]:
 
 
 def rerun(
-    folder: Path, out: Path | None, processes: int, on_progress: OnProgress | None = None
+    folder: Path,
+    out: Path | None,
+    processes: int,
+    on_progress: OnProgress | None = None,
+    timeout: float = TIMEOUT,
 ) -> list[Match]:
     """Make the experiment of `folder` again in `out`, and compare each run that it finished.
 
@@ -52,12 +58,14 @@ def rerun(
         raise ConfigError(f"--out {out} is the experiment itself; name another folder")
     old = read_manifest(folder)
     manifest = manifest_of(old.plan, traces=old.traces, command=old.command)
+    again = partial(
+        conduct, manifest, processes=processes, on_progress=on_progress, timeout=timeout
+    )
     if out is not None:
-        return _matches(before, conduct(manifest, out, processes, on_progress=on_progress))
+        return _matches(before, again(out))
     only = {run.id for run in before.runs}
     with TemporaryDirectory(prefix="swarmd-exp-") as place:
-        after = conduct(manifest, Path(place), processes, only=only, on_progress=on_progress)
-        return _matches(before, after)
+        return _matches(before, again(Path(place), only=only))
 
 
 def trace_differences(a: Trace, b: Trace) -> Iterator[str]:

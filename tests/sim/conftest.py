@@ -32,7 +32,7 @@ from swarmd.api import Inputs, MovementPattern, Params, Twist
 
 class MoodyParams(Params, frozen=True, kw_only=True):
     speed: Annotated[float, Meta(description="how fast")] = 0.1
-    end: Annotated[str, Meta(description="none, exit or kill")] = "none"
+    end: Annotated[str, Meta(description="see drive")] = "none"
 
 
 class Moody(MovementPattern[MoodyParams]):
@@ -47,6 +47,20 @@ class Moody(MovementPattern[MoodyParams]):
                 os._exit(7)
             if self.params.end == "kill":
                 os.kill(os.getpid(), signal.SIGKILL)
+            if self.params.end == "hang":
+                while True:
+                    pass
+            if self.params.end == "freeze":
+                os.kill(os.getpid(), signal.SIGSTOP)
+            if self.params.end == "close":
+                os.closerange(3, 100)
+            if self.params.end == "fork" and "FORKED" not in os.environ:
+                os.environ["FORKED"] = "yes"  # once; both then go on with the run
+                os.fork()
+            if self.params.end == "remember":
+                os.environ["MOODY"] = "was here"
+        elif "MOODY" in os.environ:
+            return Twist(linear=-self.params.speed)
         return Twist(linear=self.params.speed)
 '''
 

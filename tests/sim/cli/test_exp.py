@@ -116,6 +116,17 @@ def test_results_are_the_same_bits_for_any_number_of_processes(
 
 
 @pytest.mark.integration
+def test_a_hanging_run_fails_and_the_others_go_on(
+    tmp_path: Path, duo: Path, swarmctl: Swarmctl
+) -> None:
+    sweep = f"{END}=hang,none"
+    done = swarmctl("exp", "run", duo, "--seeds", 1, "--sweep", sweep, "--timeout", 3, "--out", "x")
+    assert done.returncode == 3
+    assert "failed: end=hang_s0000: it got no further in 3 s" in done.stderr
+    assert [row["run"] for row in rows(tmp_path / "x")] == ["end=none_s0000"]
+
+
+@pytest.mark.integration
 def test_a_rerun_is_identical_without_the_scenario_and_with_another_hash_seed(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl
 ) -> None:

@@ -157,6 +157,7 @@ def test_names_that_are_none_are_one_line(duo: Path) -> None:
     ("arguments", "fault"),
     [
         ({"jobs": 0}, "jobs is 0"),
+        ({"timeout": 0.5}, "timeout is 0.5; wanted 1 s or more"),
         ({"seeds": 0}, "there is none"),
         ({"seeds": [1, 1]}, "1 stands twice"),
         ({"sweep": {"duration": []}}, "there is no value"),

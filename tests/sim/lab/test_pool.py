@@ -94,6 +94,47 @@ def test_nothing_is_left_of_the_trace_of_a_crashed_run(duo: Path, tmp_path: Path
     assert list(tmp_path.glob(".*")) == []
 
 
+@pytest.mark.parametrize("end", ["hang", "freeze"])
+def test_a_run_that_stands_still_has_failed_and_the_others_go_on(
+    duo: Path, tmp_path: Path, end: str
+) -> None:
+    hanging = job(duo, 0, tmp_path / "s0.npz", {END: end})
+    with closing(outcomes([hanging, job(duo, 1)], 1, timeout=3.0)) as listed:
+        found = {outcome.run: outcome for outcome in listed}
+    assert found["s0"].reason.startswith("it got no further in 3 s")
+    assert found["s1"].metrics is not None
+
+
+def test_a_long_run_that_goes_on_may_take_longer_than_the_limit(duo: Path) -> None:
+    long = job(duo, 0, None, {"duration": 600})
+    with closing(outcomes([long], 1, timeout=2.0)) as listed:
+        (outcome,) = listed
+    assert outcome.metrics is not None, outcome.reason
+    assert outcome.wall > 2.0
+
+
+def test_what_one_run_leaves_in_its_process_no_other_sees(duo: Path) -> None:
+    alone = done([job(duo, 1)], 1)["s1"]
+    after = done([job(duo, 0, None, {END: "remember"}), job(duo, 1)], 1)["s1"]
+    assert after.metrics == alone.metrics is not None
+
+
+def test_a_pattern_that_forks_has_one_outcome(duo: Path) -> None:
+    before = set(children(os.getpid()))
+    jobs = [job(duo, 0, None, {END: "fork"}), job(duo, 1), job(duo, 2)]
+    with closing(outcomes(jobs, 1, timeout=20.0)) as listed:
+        found = [outcome for outcome in listed]
+    assert [outcome.run for outcome in found] == ["s0", "s1", "s2"]
+    assert all(outcome.metrics is not None for outcome in found), found
+    assert set(children(os.getpid())) == before
+
+
+def test_a_pattern_that_closes_all_files_costs_its_own_run(duo: Path) -> None:
+    found = done([crash(duo, 0, "close"), job(duo, 1)], 1)
+    assert found["s0"].reason.startswith("its process ended with code")
+    assert found["s1"].metrics is not None
+
+
 def test_closing_ends_all_processes(duo: Path) -> None:
     before = set(children(os.getpid()))
     long = [job(duo, seed, None, {"duration": 3600}) for seed in (1, 2)]
