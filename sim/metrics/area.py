@@ -25,9 +25,9 @@ def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Ar
     """(T,) the floor in m2 that has been within `radius` m of a robot until each instant.
 
     Sweep coverage (Gage, Command Control for Many-Robot Systems, AUVS 1992) in squares of `cell` m,
-    each counted by its centre, robots taken at the nearest one; walls do not shade, and what lies
-    outside the arena does not count if the trace names its size. Squares are larger where the
-    robots roam so far that there would be more than four million.
+    each counted by its centre; of places less than a tenth of a square apart one is enough. Walls
+    do not shade, and what lies outside the arena does not count if the trace names its size.
+    Squares are larger where the robots roam so far that there would be more than four million.
     """
     when, robot = np.nonzero(presence(trace))
     if len(when) == 0:
@@ -39,18 +39,32 @@ def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Ar
     margin = math.ceil(radius / cell)
     low = index.min(axis=0) - margin
     shape = index.max(axis=0) + margin + 1 - low
-    # Rows are in order of time, and unique gives the first of each: when a robot first came there.
-    index, first = np.unique(index - low, axis=0, return_index=True)
+    off = place - (index + 0.5) * cell
+    some, many = _firsts(index), _firsts(np.floor(place / (cell / 10.0)).astype(np.int64))
     first_at = np.full(shape, len(trace.t), dtype=np.int64)
     for right in range(-margin, margin + 1):
         for up in range(-margin, margin + 1):
-            if math.hypot(right, up) * cell <= radius:
-                at = index[:, 0] + right, index[:, 1] + up
-                first_at[at] = np.minimum(first_at[at], when[first])
+            # A square may be near for all places of another one.
+            is_whole = math.hypot(abs(right) + 0.5, abs(up) + 0.5) * cell <= radius
+            rows = some if is_whole else many
+            near = rows[np.hypot(right * cell - off[rows, 0], up * cell - off[rows, 1]) <= radius]
+            at = index[near, 0] - low[0] + right, index[near, 1] - low[1] + up
+            first_at[at] = np.minimum(first_at[at], when[near])
     first_at[~_in_arena(trace, low, first_at.shape, cell)] = len(trace.t)
     new = np.bincount(first_at.ravel(), minlength=len(trace.t) + 1)[: len(trace.t)]
     areas: Array = np.cumsum(new).astype(np.float64) * cell**2
     return areas
+
+
+def _firsts(index: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The rows that are the first of their square (k, 2), the last such first.
+
+    So of what is written to one place the earliest stays.
+    """
+    low, high = index.min(axis=0), index.max(axis=0)
+    key = (index[:, 0] - low[0]) * (high[1] - low[1] + 1) + index[:, 1] - low[1]
+    rows: NDArray[np.int64] = np.sort(np.unique(key, return_index=True)[1])
+    return rows[::-1]
 
 
 def covered_area(trace: Trace, radius: float = COVER, cell: float = CELL) -> float | None:

@@ -37,6 +37,19 @@ def test_a_way_covers_a_band_that_grows(run: Run) -> None:
     assert back[-1] == pytest.approx(areas[-1])
 
 
+def test_squares_of_the_usual_size_count_what_was_near_and_no_more(run: Run) -> None:
+    """All that is covered, square by square and instant by instant."""
+    t = np.linspace(0.0, 6.0, 150)
+    pose = np.zeros((150, 2, 3))
+    pose[:, 0, :2] = np.stack((1.3 * np.cos(t), 0.9 * np.sin(1.7 * t)), axis=-1)
+    pose[:, 1, :2] = np.stack((0.31 * t - 1.0, 0.4 + 0.0 * t), axis=-1)
+    x, y = np.meshgrid(np.arange(-3.0, 3.0, 0.1) + 0.05, np.arange(-3.0, 3.0, 0.1) + 0.05)
+    away = np.hypot(x[..., None, None] - pose[..., 0], y[..., None, None] - pose[..., 1])
+    expected = np.cumsum((away <= 0.5).any(axis=-1), axis=-1).astype(bool).sum(axis=(0, 1)) * 0.01
+    areas = area.covered_areas(run(pose))
+    np.testing.assert_allclose(areas, expected, rtol=0.005, atol=0.011)
+
+
 def test_what_lies_outside_the_arena_is_not_covered(run: Run, line: Line) -> None:
     half = pytest.approx(math.pi / 8.0, rel=0.05)
     pose = line(2.0)  # at a wall of an arena of 4 m
