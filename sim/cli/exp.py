@@ -16,7 +16,7 @@ from swarmd.cli.console import Console
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.errors import ConfigError, SwarmError
 from swarmd.sim.cli.measure import measure
-from swarmd.sim.cli.options import need
+from swarmd.sim.cli.options import chosen_metrics, need
 
 if TYPE_CHECKING:
     from swarmd.sim.lab.compare import Difference, Side
@@ -114,7 +114,7 @@ def run(
     from swarmd.sim.lab.manifest import manifest_of
     from swarmd.sim.lab.words import read_seeds, read_sets, read_sweeps
 
-    names = _chosen(metrics)
+    names = chosen_metrics(metrics)
     plan = plan_of(scenario, read_seeds(seeds), read_sets(sets), read_sweeps(sweeps))
     folder = out or new_folder(Path("experiments"), Path(scenario).stem)
     command = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]
@@ -181,7 +181,7 @@ def compare(ctx: click.Context, a: str, b: str, metrics: str | None, output: str
     """
     from swarmd.sim.lab import compare as comparing
 
-    names = _chosen(metrics)
+    names = chosen_metrics(metrics)
     found = [(*pair, comparing.compare(*pair, names)) for pair in comparing.sides(a, b)]
     if _is_json(ctx, output):
         documents = [comparing.document(*one) for one in found]
@@ -200,7 +200,7 @@ def show(ctx: click.Context, folder: Path, metrics: str | None, output: str | No
     """The statistics of the experiment in DIR, also of one that was interrupted."""
     from swarmd.sim.lab.results import load_results
 
-    _tell(load_results(folder), _chosen(metrics), _is_json(ctx, output))
+    _tell(load_results(folder), chosen_metrics(metrics), _is_json(ctx, output))
 
 
 @exp.command()
@@ -218,7 +218,7 @@ def plot(folder: Path, out: Path | None, metrics: str | None, seeds: str | None)
 
     one_or_more = f"{seeds}-{seeds}" if seeds and seeds.isdecimal() else seeds
     chosen = None if one_or_more is None else read_seeds(one_or_more)
-    for path in draw_experiment(folder, out, metrics=_chosen(metrics), seeds=chosen):
+    for path in draw_experiment(folder, out, metrics=chosen_metrics(metrics), seeds=chosen):
         click.echo(str(path))
 
 
@@ -349,34 +349,24 @@ def _tell_differences(a: Side, b: Side, differences: Sequence[Difference]) -> No
     click.echo(f"{'paired by seed' if is_paired else 'independent samples'}, 95 % bootstrap\n")
     rows = [
         (d.metric, d.unit or "-", number(d.mean_a), number(d.mean_b), number(d.difference),
-         interval(d.interval), d.verdict)
+         interval(d.interval), str(d.n_a) if d.n_a == d.n_b else f"{d.n_a}, {d.n_b}", d.verdict)
         for d in differences
     ]  # fmt: skip
-    print_table(("METRIC", "UNIT", "MEAN A", "MEAN B", "B - A", "95 %", "VERDICT"), rows)
+    print_table(("METRIC", "UNIT", "MEAN A", "MEAN B", "B - A", "95 %", "RUNS", "VERDICT"), rows)
     differing = sum(one.differs for one in differences)
     click.echo(f"\n{differing} of {len(differences)} metrics differ", nl=False)
     click.echo(f"; {by_chance(differences):.2g} would by chance if nothing did\n")
-    _warn_of_few(n for one in differences for n in (one.n_a, one.n_b) if n)
+    _warn_of_few(max(counts) for counts in zip(*((d.n_a, d.n_b) for d in differences), strict=True))
 
 
 def _warn_of_few(counts: Iterable[int]) -> None:
     from swarmd.sim.lab.statistics import FEW
 
-    fewest = min(counts, default=FEW)
-    if fewest < FEW:
+    fewest = min((n for n in counts if n), default=FEW)
+    if fewest == 1:
+        warn("only 1 run: one value has no interval; 20 seeds are a good number")
+    elif fewest < FEW:
         warn(f"only {fewest} runs: intervals of so few are too narrow; 20 seeds are a good number")
-
-
-def _chosen(metrics: str | None) -> tuple[str, ...] | None:
-    """The metrics of --metrics; ConfigError with the nearest name for one that is none."""
-    if metrics is None:
-        return None
-    from swarmd.sim.metrics.catalog import metric_of
-
-    names = tuple(dict.fromkeys(name.strip() for name in metrics.split(",") if name.strip()))
-    if not names:
-        raise ConfigError("--metrics names none; see `swarmctl exp metrics`")
-    return tuple(metric_of(name).name for name in names)
 
 
 def _is_json(ctx: click.Context, output: str | None) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,8 +68,21 @@ def rehearse(
         done.add(what)
         event = stage.handle(load)
         if isinstance(event, Refused):
-            text = f"{dotted(rehearsal.keys)}: {event.text}"
-            raise layers.error(rehearsal.keys, text)
+            keys = _culprit(layers, rehearsal, cast, event.text)
+            raise layers.error(keys, f"{dotted(keys)}: {event.text}")
+
+
+def _culprit(layers: Layered, rehearsal: Rehearsal, cast: Cast, text: str) -> Keys:
+    """Where the parameter stands that `text` speaks of; else where the pattern does."""
+    match = re.match(r"(?:no )?parameter '?([^' ]+)", text)
+    name = match[1] if match else ""
+    places: tuple[Keys, ...] = (
+        (*rehearsal.keys, name),
+        (*rehearsal.keys[:-1], "parameters", name),
+        ("groups", cast.group_of[rehearsal.robot], "parameters", name),
+        ("parameters", rehearsal.pattern, name),
+    )
+    return next((keys for keys in places if layers.source(*keys)), rehearsal.keys)
 
 
 def _check_name(layers: Layered, keys: Keys, pattern: str, origins: Mapping[str, Origin]) -> None:

@@ -313,6 +313,16 @@ def test_show_and_json_restrict_to_the_metrics_asked_for(duo: Path, swarmctl: Sw
     assert sorted(shown["variants"][0]["metrics"]) == ["minimum_gap", "path_length"]
 
 
+@pytest.mark.parametrize(
+    ("seeds", "told"), [(1, "only 1 run: one value has no interval"), (2, "only 2 runs: intervals")]
+)
+@pytest.mark.integration
+def test_few_runs_are_warned_of(duo: Path, swarmctl: Swarmctl, seeds: int, told: str) -> None:
+    done = swarmctl("exp", "run", duo, "--seeds", seeds, "--no-traces", "--out", "x")
+    assert told in done.stderr
+    assert told in swarmctl("exp", "show", "x").stderr
+
+
 @pytest.mark.integration
 def test_compare_finds_what_a_sweep_has_changed(duo: Path, swarmctl: Swarmctl) -> None:
     sweep = "groups.all.parameters.speed=0.1,0.2"
@@ -322,7 +332,7 @@ def test_compare_finds_what_a_sweep_has_changed(duo: Path, swarmctl: Swarmctl) -
     assert done.returncode == 0, done.stderr
     assert "paired by seed" in done.stdout
     (line,) = [line for line in done.stdout.splitlines() if line.startswith("path_length")]
-    assert "differs" in line
+    assert line.split()[-2:] == ["5", "differs"]
     (found,) = json.loads(swarmctl(*words, "-o", "json").stdout)["comparisons"]
     assert found["metrics"]["path_length"]["differs"] is True
     assert found["metrics"]["path_length"]["interval"][0] > 0.0

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from swarmd.errors import ConfigError
+from swarmd.sim.lab.scenariofile import scenario_of
 
 if TYPE_CHECKING:
     from tests.sim.lab.conftest import Load
@@ -34,7 +35,7 @@ class Needy(MovementPattern[Params]):
         ),
         (
             {"groups.red.parameters": {"spaceing": 1}},
-            "groups.red.pattern: no parameter 'spaceing'; did you mean 'spacing'? (from group red)",
+            "groups.red.parameters.spaceing: no parameter 'spaceing'; did you mean 'spacing'?",
         ),
         (
             {"groups.red.parameters": {"law": "papre"}},
@@ -46,7 +47,7 @@ class Needy(MovementPattern[Params]):
         ),
         (
             {"parameters": {"drive": {"sped": 1}}},
-            "events[0].run: no parameter 'sped'; did you mean 'speed'? (from scenario)",
+            "parameters.drive.sped: no parameter 'sped'; did you mean 'speed'? (from scenario)",
         ),
         (
             {"parameters": {"driev": {"speed": 1}}},
@@ -54,11 +55,11 @@ class Needy(MovementPattern[Params]):
         ),
         (
             {"events.0.parameters": {"speed": 100}},
-            "events[0].run: parameter speed is 100 m/s (from runtime); wanted is a float",
+            "events[0].parameters.speed: parameter speed is 100 m/s (from runtime); wanted is",
         ),
         (
             {"events.+": {"at": 20, "param": {"speeed": 1}, "who": "blue"}},
-            "events[1].param: no parameter 'speeed'; did you mean 'speed'?",
+            "events[1].param.speeed: no parameter 'speeed'; did you mean 'speed'?",
         ),
         ({"events.0.run": "drvie"}, "events[0].run: no pattern 'drvie'; did you mean 'drive'?"),
         ({"plugin_dir": "nowhere"}, "nowhere, which is no folder; make it or leave it out"),
@@ -69,6 +70,12 @@ def test_a_wrong_name_or_value_is_found(load: Load, changes: dict[str, Any], fau
         load(changes)
     assert str(raised.value).startswith("here.yaml: ")
     assert fault in str(raised.value)
+
+
+def test_a_wrong_parameter_that_was_set_is_not_looked_for_in_the_file(load: Load) -> None:
+    effective = load().effective
+    with pytest.raises(ConfigError, match=r"^--set: groups\.red\.parameters\.spaceing: no param"):
+        scenario_of(effective, {"groups.red.parameters.spaceing": 1})
 
 
 def test_a_robot_must_sense_what_the_pattern_needs(load: Load, tmp_path: Path) -> None:
