@@ -13,6 +13,7 @@ from swarmd.sim.lab.lockstep import BODY_TIMEOUT, Lockstep, simulate_run
 from swarmd.sim.lab.scenario import Scenario
 from swarmd.sim.lab.scenariofile import scenario_of
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT
+from swarmd.sim.metrics.touches import contact_list
 from swarmd.sim.trace import Trace
 from swarmd.values import Array
 
@@ -201,7 +202,7 @@ def test_who_joins_a_stopped_swarm_is_held_before_it_can_be_asked_to_run(plugins
 def test_judged_sweeps_are_counted_while_running_and_those_cut_by_protection_apart(
     plugins: str,
 ) -> None:
-    """r-01 drives at a wall and is held back near it; the others have run for a second less."""
+    """It drives at a wall from 1 s on, and is held back near it."""
     trace = simulate_run(
         scenario(
             plugins,
@@ -225,6 +226,38 @@ def test_judged_sweeps_are_counted_while_running_and_those_cut_by_protection_apa
     assert trace.evaded.sum() >= 1
     assert (trace.evaded <= trace.decided).all()
     assert trace.evaded[began:].sum() == pytest.approx(5.0 * trace.active[:, 0].sum() / 100, abs=3)
+
+
+def test_an_event_happens_in_the_step_of_its_time(plugins: str) -> None:
+    trace = simulate_run(scenario(plugins, events=[{"at": 1.23, "stop": "all"}]), 0)
+    assert trace.state is not None
+    assert set(trace.state[at(trace, 1.22)]) == {"running"}
+    assert set(trace.state[at(trace, 1.23)]) == {"stopped"}
+
+
+def test_a_collision_is_noted_when_it_happens_with_who_moved_and_how_fast(plugins: str) -> None:
+    """r-01 drives at 0.15 m/s into r-02, which stands; nearer than that protection sees nothing."""
+    preset = {"threshold": 0.121, "rays": 5, "forward_bias": 2.0}
+    blind = {"preset": "blind", "presets": {"blind": preset}}
+    trace = simulate_run(
+        scenario(
+            plugins,
+            pattern=None,
+            realism="ideal",
+            duration=6.0,
+            platforms={"ram": {"extends": "waffle_pi", "protection": blind}},
+            groups={"all": {"platform": "ram", "count": 2, "prefix": "r"}},
+            start={"layout": "list", "poses": [[0.0, 0.0, 0.0], [0.7, 0.0, 0.0]]},
+            events=[{"at": 0, "run": "drive", "who": ["r-01"], "parameters": {"speed": 0.15}}],
+        ),
+        0,
+    )
+    (touch,) = contact_list(trace)
+    assert (touch.a, touch.b, touch.is_a_moving, touch.is_b_moving) == ("r-01", "r-02", True, False)
+    assert touch.closing_speed == pytest.approx(0.15, abs=1e-3)
+    low, high = trace.footprint(0)[:, 0].min(), trace.footprint(0)[:, 0].max()
+    met = trace.t[np.argmax(trace.pose[:, 0, 0] + high >= trace.pose[:, 1, 0] + low)]
+    assert touch.start == pytest.approx(met, abs=0.021)
 
 
 def test_a_base_gives_up_after_the_same_time_as_in_a_live_world(plugins: str) -> None:
