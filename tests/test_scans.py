@@ -75,6 +75,26 @@ def test_an_lds_zero_is_no_return_where_nothing_was_seen_before() -> None:
     assert conditioned(conditioner, after, 2)[50] == np.inf
 
 
+def test_an_lds_zero_where_the_last_return_is_too_old_is_no_return() -> None:
+    conditioner = ScanConditioner(replace(SPEC, zero="lds"))
+    conditioned(conditioner, 2.0, 1)
+    lost = np.full(360, 2.0)
+    lost[50] = 0.0
+    got = [conditioned(conditioner, lost, seq)[50] for seq in range(2, 7)]
+    assert SPEC.stale_after == pytest.approx(0.7)
+    assert got == [2.0, 2.0, 2.0, np.inf, np.inf]
+
+
+def test_a_ray_far_from_all_that_is_remembered_has_no_memory() -> None:
+    """Half a turn was known; of the other half nothing is made up."""
+    conditioner = ScanConditioner(SPEC)
+    front = sweep(1.0, 1, BEARINGS[:180])
+    assert isinstance(conditioner.take(front, DRIVING, 0.2), Scan)
+    ranges = np.full(360, 1.0)
+    ranges[186:201] = np.nan
+    assert conditioner.take(sweep(ranges, 2), DRIVING, 0.4) is Reason.INVALID_SCAN
+
+
 def test_an_unknown_ray_keeps_its_last_range_for_stale_after_only() -> None:
     conditioner = ScanConditioner(SPEC)
     conditioned(conditioner, 1.0, 1)

@@ -1,0 +1,65 @@
+"""How long a robot remembers whom and what it heard."""
+
+from __future__ import annotations
+
+import pytest
+
+from swarmd.messages import Reason
+from swarmd.platforms import load_platform
+from swarmd.senses import (
+    AGES_EVERY,
+    INBOX_BYTES,
+    NEIGHBOR_FORGOTTEN_AFTER,
+    ODOMETRY_STALE_AFTER,
+    OVERHEAD,
+    Senses,
+)
+from swarmd.testing.story import empty_scan
+from swarmd.values import Neighbor, Odometry, Pose, Twist
+
+
+@pytest.fixture
+def senses() -> Senses:
+    return Senses(load_platform("waffle_pi"))
+
+
+def test_neighbors_age_in_steps_and_are_forgotten_with_what_they_say(senses: Senses) -> None:
+    senses.on_neighbors((Neighbor("b", 0.25, distance=1.0),), 10.0)
+    ages = [senses.neighbors(10.0 + past)[0].age for past in (0.0, 0.4, 0.6, 1.7, 2.9)]
+    assert ages == [0.25, 0.25, 0.25 + AGES_EVERY, 0.25 + 3 * AGES_EVERY, 0.25 + 5 * AGES_EVERY]
+    assert senses.neighbors(11.0)[0].distance == 1.0
+    last = 10.0 + NEIGHBOR_FORGOTTEN_AFTER
+    assert senses.on_message("b", "w", 1, last)
+    assert not senses.on_message("b", "w", 1, last + 0.01)
+    assert senses.neighbors(last + 0.01) == ()
+
+
+def test_strangers_are_not_heard(senses: Senses) -> None:
+    assert not senses.on_message("b", "w", 1, 0.0)
+    senses.on_neighbors((Neighbor("b", 0.0),), 0.0)
+    assert senses.on_message("b", "w", 1, 0.0)
+    assert not senses.on_message("c", "w", 1, 0.0)
+
+
+def test_messages_come_once_with_their_age_and_the_oldest_give_way(senses: Senses) -> None:
+    senses.on_neighbors((Neighbor("b", 0.0),), 0.0)
+    word = b"x" * 800
+    fit = INBOX_BYTES // (OVERHEAD + 800 + 4)  # a version byte and MessagePack's own three
+    for number in range(fit + 3):
+        assert senses.on_message("b", f"w{number}", word, 0.5)
+    got = senses.inputs(0.75, 0.1).messages
+    assert [message.channel for message in got] == [f"w{k}" for k in range(3, fit + 3)]
+    assert {message.age for message in got} == {0.25}
+    assert senses.overflowed == 3
+    assert senses.inputs(0.75, 0.1).messages == ()
+
+
+def test_odometry_whose_stamp_stands_still_grows_stale(senses: Senses) -> None:
+    senses.on_driver(True, "up")
+    platform = load_platform("waffle_pi")
+    for tick in range(13):
+        now = tick * 0.05
+        senses.on_odometry(Odometry(1.0, Pose(), Twist()), now)
+        senses.on_scan(empty_scan(platform, tick, now), now)
+        late = now > ODOMETRY_STALE_AFTER + 1e-9
+        assert senses.hold(now) is (Reason.STALE_ODOMETRY if late else None)
