@@ -199,6 +199,23 @@ def test_who_joins_a_stopped_swarm_is_held_before_it_can_be_asked_to_run(plugins
     assert set(trace.state[is_there, 0]) == {"estopped"}
 
 
+def test_a_latch_that_comes_back_holds_whoever_has_not_reset_it(plugins: str) -> None:
+    """r-03 was killed while the swarm was stopped, and missed the reset; r-04 is new."""
+    events: list[dict[str, Any]] = [
+        {"at": 0.5, "estop": "all"},
+        {"at": 1.0, "kill": ["r-03"]},
+        {"at": 1.5, "reset": "all"},
+        {"at": 2.0, "join": ["r-04"]},
+        {"at": 2.0, "run": "probe"},
+        {"at": 2.5, "join": ["r-03"]},
+    ]
+    group = {"count": 4, "prefix": "r"}
+    trace = simulate_run(scenario(plugins, groups={"all": group}, events=events), 0)
+    assert trace.state is not None
+    assert list(trace.state[at(trace, 2.4)]) == ["running", "running", "", "running"]
+    assert list(trace.state[-1]) == ["running", "running", "estopped", "estopped"]
+
+
 def test_judged_sweeps_are_counted_while_running_and_those_cut_by_protection_apart(
     plugins: str,
 ) -> None:
