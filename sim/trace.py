@@ -19,6 +19,15 @@ ARENA = -1
 
 VERSION = 2
 
+_PARTS = {
+    "t": "f T", "pose": "f T n 3", "safe": "f T n 3", "wish": "f T n 3",
+    "state": "U T n", "reason": "U T n", "active": "b T n", "present": "b T n",
+    "decided": "i T n", "evaded": "i T n", "report": "f T n", "words": "U T n",
+    "contact_t": "f c", "contact_pair": "i c 2", "contact_speed": "f c 2",
+    "thing_pose": "f T m 3", "thing_shapes": "f m k 2",
+}  # fmt: skip
+"""Kind and shape of each array, by the first word of its name in a file."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
@@ -105,6 +114,7 @@ def load_trace(path: Path) -> Trace:
             raise ConfigError(f"{path}: a trace of another version; this reads {VERSION}")
         for key in ("ids", "platforms", "things"):
             head[key] = tuple(head[key])
+        _check_parts(arrays, {"n": len(head["ids"]), "m": len(head["things"])})
         for kind in ("report", "words"):
             named = [name for name in arrays if name.startswith(f"{kind}/")]
             head[kind] = {name.partition("/")[2]: arrays.pop(name) for name in named}
@@ -116,6 +126,18 @@ def load_trace(path: Path) -> Trace:
         raise
     except Exception as error:  # numpy lets through whatever zlib, zipfile and tokenize raise
         raise ConfigError(f"{path}: not a trace, or damaged; wanted a run's .npz file") from error
+
+
+def _check_parts(arrays: Mapping[str, NDArray[Any]], sizes: Mapping[str, int]) -> None:
+    """ValueError if kind or shape of an array is not what `_PARTS` says; `sizes` by letter."""
+    sizes = {"T": len(arrays["t"]), "c": len(arrays["contact_t"]), **sizes}
+    for name, array in arrays.items():
+        kind, *shape = _PARTS[name.partition("/")[0]].split()
+        wanted = [sizes.get(word) if word.isalpha() else int(word) for word in shape]
+        fits = len(wanted) == array.ndim and array.dtype.kind == kind
+        pairs = zip(array.shape, wanted, strict=False)
+        if not fits or any(want not in (None, size) for size, want in pairs):
+            raise ValueError(f"{name} is {array.dtype} {array.shape}")
 
 
 class Recorder:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -102,6 +103,32 @@ def test_other_arrays_than_a_trace_are_refused(tmp_path: Path) -> None:
         load_trace(tmp_path / "run.npz")
     with pytest.raises(ConfigError, match=r"missing\.npz: cannot be read: No such file"):
         load_trace(tmp_path / "missing.npz")
+
+
+def test_arrays_that_do_not_fit_together_are_one_clear_error(tmp_path: Path) -> None:
+    path, n = tmp_path / "run.npz", len(IDS)
+    recorded().save(path)
+    with np.load(path) as file:
+        whole = dict(file)
+    t, pose = whole["t"], whole["pose"]
+    bad: list[dict[str, Any]] = [
+        {"pose": pose[:-1]},
+        {"pose": pose.reshape(-1)},
+        {"safe": pose.astype("U8")},
+        {"wish": pose[:, :1]},
+        {"active": np.zeros((0, n), dtype=bool)},
+        {"report/x": np.zeros(len(t))},
+        {"words/x": np.zeros((len(t), n))},
+        {"contact_pair": whole["contact_pair"].astype(float)},
+        {"thing_pose": np.zeros((len(t), 3, 3))},
+        {"extra": t},
+    ]
+    for change in bad:
+        np.savez(path, **{**whole, **change})
+        with pytest.raises(ConfigError, match="not a trace, or damaged"):
+            load_trace(path)
+    np.savez(path, **whole)
+    assert load_trace(path).ids == IDS
 
 
 def test_a_trace_of_which_bytes_have_changed_is_one_clear_error(tmp_path: Path) -> None:
