@@ -32,7 +32,7 @@ def made_with() -> dict[str, str]:
     """Versions of all that results can hang on, by name; `code` is a digest of swarmd's sources.
 
     numpy chooses its arithmetic by what the processor can, and the last bits follow from that:
-    `simd` holds what it has found.
+    `simd` holds what it has found. OpenBLAS does likewise, and OPENBLAS_CORETYPE overrules it.
     """
     import mujoco
     import numpy as np
@@ -46,6 +46,7 @@ def made_with() -> dict[str, str]:
         "msgspec": msgspec.__version__,
         "machine": f"{platform.system()} {platform.machine()}",
         "simd": " ".join((*simd.get("baseline", ()), *simd.get("found", ()))),
+        "blas": os.environ.get("OPENBLAS_CORETYPE") or "as the processor is",
         "code": digest_of_code(Path(swarmd.__file__).parent),
     }
 

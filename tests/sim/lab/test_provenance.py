@@ -16,6 +16,7 @@ from swarmd.sim.lab.provenance import (
     digest_of_code,
     digests_of_plugins,
     git_state,
+    made_with,
 )
 
 
@@ -45,6 +46,15 @@ def test_the_digest_follows_links_and_leaves_out_what_no_run_reads(tmp_path: Pat
     assert digest_of_code(package) == first
     (tmp_path / "sim" / "a.py").write_text("2")
     assert digest_of_code(package) != first
+
+
+def test_the_arithmetic_that_the_environment_chooses_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("OPENBLAS_CORETYPE", raising=False)
+    free = made_with()
+    monkeypatch.setenv("OPENBLAS_CORETYPE", "Haswell")
+    assert made_with() == {**free, "blas": "Haswell"} != free
 
 
 def test_no_run_reads_what_the_digest_leaves_out() -> None:
