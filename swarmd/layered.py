@@ -22,10 +22,14 @@ T = TypeVar("T")
 
 
 class Layered:
-    """Sources of one mapping, strongest first. Mappings merge by key, lists are replaced."""
+    """Sources of one mapping, strongest first. Mappings merge by key, lists are replaced.
 
-    def __init__(self, *sources: tuple[str, Mapping[str, Any]]) -> None:
+    What is missing in all of them is told of as `home`, by default the strongest.
+    """
+
+    def __init__(self, *sources: tuple[str, Mapping[str, Any]], home: str | None = None) -> None:
         self._sources = sources
+        self._home = home or sources[0][0]
         self.data: Data = {}
         for _, data in reversed(sources):
             self.data = _merge(self.data, data)
@@ -36,8 +40,8 @@ class Layered:
 
     def error(self, keys: Sequence[str | int], text: str) -> ConfigError:
         """The error `<source of the key>: <text>`."""
-        above = (self.source(*keys[:depth]) for depth in range(len(keys), -1, -1))
-        return ConfigError(f"{next(name for name in above if name)}: {text}")
+        above = (self.source(*keys[:depth]) for depth in range(len(keys), 0, -1))
+        return ConfigError(f"{next((name for name in above if name), self._home)}: {text}")
 
     def build(self, kind: type[T]) -> T:
         """The struct of type `kind`; ConfigError names the first key that is wrong."""

@@ -108,3 +108,11 @@ def test_a_missing_key_is_missed_in_the_source_that_should_hold_it() -> None:
     layers = Layered(("a.yaml", {"name": "y"}), ("b.yaml", {"inner": {}}))
     with pytest.raises(ConfigError, match=r"^b\.yaml: inner\.speed is missing"):
         layers.build(Outer)
+
+
+def test_what_no_source_has_said_is_missed_at_home() -> None:
+    sources = ("strong", {"name": "y"}), ("weak", {"flag": True})
+    with pytest.raises(ConfigError, match=r"^strong: inner is missing"):
+        Layered(*sources).build(Outer)
+    with pytest.raises(ConfigError, match=r"^weak: inner is missing"):
+        Layered(*sources, home="weak").build(Outer)

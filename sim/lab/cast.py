@@ -139,7 +139,7 @@ def _platforms(layers: Layered, file: ScenarioFile) -> dict[str, tuple[Platform,
 
 def _platform(layers: Layered, file: ScenarioFile, wanted: str) -> tuple[Platform, Data]:
     name = platform_name(wanted)
-    keys = ("platforms", name)
+    keys: Keys = ("platforms", name)
     sources: list[tuple[str, Data]] = []
     base: object = wanted
     if name in file.platforms:
@@ -149,6 +149,9 @@ def _platform(layers: Layered, file: ScenarioFile, wanted: str) -> tuple[Platfor
     try:
         sources += platform_sources(base) if isinstance(base, str) else ()
     except ConfigError as error:
+        if name not in file.platforms:
+            group = next(g for g, section in file.groups.items() if section.platform == wanted)
+            keys = ("groups", group, "platform")
         raise layers.error(keys, f"{dotted(keys)}: {error}") from error
     whole = Layered(*sources)
     platform = platform_of(name, whole)

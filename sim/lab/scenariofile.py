@@ -104,13 +104,13 @@ def _anchored(data: Data, folder: Path) -> Data:
 def _overridden(
     sources: tuple[tuple[str, Data], ...], overrides: Mapping[str, Any] | None, name: str
 ) -> Scenario:
+    home, data = sources[0][0], Layered(*sources).data
     if overrides:
-        sources = ((SOURCE, nested(overrides, Layered(*sources).data)), *sources)
-    layers = Layered(*without_stale(sources))
+        sources = ((SOURCE, nested(overrides, data)), *sources)
+    layers = Layered(*without_stale(sources), home=home)
     if "groups" not in layers.data:
-        where = next(source for source, _ in sources if source != SOURCE)
         wanted = "groups: {tb3: {platform: burger, count: 5}}"
-        raise ConfigError(f"{where}: groups is missing; wanted is such as {wanted}")
+        raise layers.error(("groups",), f"groups is missing; wanted is such as {wanted}")
     return _built(layers, name)
 
 

@@ -106,6 +106,13 @@ def test_what_cannot_be_set_is_refused(
     assert str(raised.value).startswith(fault)
 
 
+def test_a_fault_in_what_nobody_has_said_is_the_files(load: Load) -> None:
+    with pytest.raises(
+        ConfigError, match=r"^here\.yaml: start: green-01 at \(0, 0\) is not inside"
+    ):
+        load({"groups": {"green": {"count": 1}}, "arena": {"size": [0.1, 0.1]}}, {"duration": 5})
+
+
 def test_two_overrides_of_one_list_both_count() -> None:
     base = {"events": [{"at": 1}, {"at": 2, "stop": "all"}]}
     over = nested({"events.0.at": 5, "events.1.at": 6}, base)
