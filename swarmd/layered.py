@@ -53,9 +53,10 @@ class Layered:
 
 
 def dotted(keys: Sequence[str | int]) -> str:
-    """A key as errors show it, such as `limits.linear` or `footprint[2]`."""
+    """A key as errors show it, such as `limits.linear` or `footprint[2]`, always one line."""
     text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys)
-    return text.removeprefix(".")
+    text = text.removeprefix(".")
+    return "".join(sign if sign.isprintable() else repr(sign)[1:-1] for sign in text)
 
 
 def _merge(base: Mapping[str, Any], over: Mapping[str, Any]) -> Data:

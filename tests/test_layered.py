@@ -116,3 +116,12 @@ def test_what_no_source_has_said_is_missed_at_home() -> None:
         Layered(*sources).build(Outer)
     with pytest.raises(ConfigError, match=r"^weak: inner is missing"):
         Layered(*sources, home="weak").build(Outer)
+
+
+def test_a_key_that_cannot_be_printed_leaves_the_fault_on_one_line() -> None:
+    class Named(Struct, forbid_unknown_fields=True):
+        limits: dict[str, float]
+
+    with pytest.raises(ConfigError) as raised:
+        Layered(("file", {"limits": {"a\nb é": []}})).build(Named)
+    assert str(raised.value) == r"file: limits.a\nb é is []; wanted a number"

@@ -250,6 +250,8 @@ def test_an_event_happens_in_the_step_of_its_time(plugins: str) -> None:
     assert trace.state is not None
     assert set(trace.state[at(trace, 1.22)]) == {"running"}
     assert set(trace.state[at(trace, 1.23)]) == {"stopped"}
+    assert (trace.safe[at(trace, 1.22), :, 0] == 0.1).all()
+    assert (trace.safe[at(trace, 1.23)] == 0.0).all()
 
 
 def test_a_collision_is_noted_when_it_happens_with_who_moved_and_how_fast(plugins: str) -> None:
