@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 MOST_RUNS = 25
 _SIDE = 2.3  # inches; the fewer there are, the larger
 _LARGER = ((2, 4.0), (6, 3.0))
-
+_LEGEND = "; outlines: starts; red: touches"
 
 Load = Callable[[], Trace | None]
 """Gives a run's trace when it is drawn, so that they need not be in memory together."""
@@ -51,7 +51,7 @@ def overview_figure(runs: Sequence[tuple[str, Load]], title: str = "", *, note: 
     layout = Layout(width=width, height=height, rows=rows, columns=columns, left=0.15, right=0.15,
                     bottom=0.35, top=0.2, across=0.12, down=0.3)  # fmt: skip
     cut = "" if len(shown) == len(runs) else f"the first {len(shown)} of {len(runs)} runs"
-    size = f"each frame {extent.width:.3g} m x {extent.height:.3g} m" if extent else ""
+    size = f"each frame {extent.width:.3g} m x {extent.height:.3g} m{_LEGEND}" if extent else ""
     below = "; ".join(part for part in (note, cut, size) if part)
     sheet = Sheet(layout, title or f"{len(shown)} runs", note=below)
     for index, (name, load) in enumerate(shown):

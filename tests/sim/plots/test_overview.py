@@ -34,7 +34,14 @@ def test_all_are_drawn_to_one_scale_which_is_told(walk: Walk) -> None:
     small, large = walk(1, arena="3x3"), walk(9, arena="6x4")
     figure = overview_figure([("a", lambda: small), ("b", lambda: large)], note="by seed")
     assert figure.axes[0].get_xlim() == figure.axes[1].get_xlim()
-    assert note(figure) == "by seed; each frame 6.24 m x 4.24 m"
+    assert note(figure).startswith("by seed; each frame 6.24 m x 4.24 m")
+
+
+def test_says_what_marks_are(walk: Walk) -> None:
+    trace = walk(1)
+    assert note(overview_figure([("a", lambda: trace)])).endswith(
+        "; outlines: starts; red: touches"
+    )
 
 
 def test_a_run_without_a_trace_is_said_to_be_one(walk: Walk) -> None:
