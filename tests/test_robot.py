@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import pytest
 
-from swarmd.api import Outputs, Twist
+from swarmd.api import Inputs, MovementPattern, Outputs, Params, Twist
 from swarmd.codec import Decoder, encode
 from swarmd.frames import Died, Kill, Load, Ready, Step, Stepped
 from swarmd.framing import MAX_FRAME, encode_command
@@ -176,6 +176,32 @@ def test_a_run_with_a_duration_ends_when_it_is_over() -> None:
     assert standing_state(story) == (State.IDLE, Reason.FINISHED)
 
 
+def test_a_pattern_that_failed_once_gets_no_more_time_than_it_was_given() -> None:
+    class Early(MovementPattern[Params]):
+        params_type = Params
+
+        def drive(self, inputs: Inputs) -> Twist:
+            if inputs.now < 1001.2:
+                raise RuntimeError("not yet")
+            return Twist(0.1)
+
+    story = Story(patterns={"early": Early})
+    story.advance(1.0)
+    story.ask("run", pattern="early", seconds=2.0)
+    story.advance(1.5)
+    assert story.twist == Twist(0.1)
+    story.advance(0.6)
+    assert standing_state(story) == (State.IDLE, Reason.FINISHED)
+
+
+def test_a_command_tells_which_scan_its_wish_rests_on() -> None:
+    story = started()
+    story.is_hung = True
+    story.advance(0.25)
+    actions = story.robot.tick(story.now)
+    assert 0 <= actions.wish_seq < actions.verdict.scan_seq
+
+
 def test_the_pattern_is_stepped_at_its_rate_and_on_every_new_scan() -> None:
     story = started()
     story.sent.clear()
@@ -196,6 +222,15 @@ def test_only_neighbours_are_heard_and_only_on_its_own_channels() -> None:
     assert not story.robot.on_message("tb3-03", "listener/count", 9, story.now)
     story.advance(0.2)
     assert story.status.report["heard"] == "(('tb3-02', 7),)"
+
+
+def test_what_was_said_to_an_earlier_run_is_not_heard_in_the_next() -> None:
+    story = started("listener")
+    story.robot.on_neighbors((Neighbor("tb3-02", 0.0),), story.now)
+    assert story.robot.on_message("tb3-02", "listener/count", 7, story.now)
+    story.ask("run", pattern="listener")
+    story.advance(0.5)
+    assert story.status.report["heard"] == "()"
 
 
 def test_what_it_says_goes_out_on_declared_channels_at_most_twenty_times_a_second() -> None:
