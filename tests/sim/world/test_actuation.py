@@ -33,6 +33,16 @@ def test_ideal_actuation_passes_on_what_it_is_told_at_once() -> None:
     assert np.array_equal(actuated.now().view(np.int64), told.view(np.int64))
 
 
+@pytest.mark.parametrize(
+    ("delay", "steps"), [(0.0, 0), (0.03, 3), (0.29, 29), (0.048, 5), (1.0, 100)]
+)
+def test_the_delay_is_the_nearest_number_of_steps(delay: float, steps: int) -> None:
+    actuated = actuators(delay=delay)
+    actuated.put(ONE)
+    moves = np.array_equal(driven(actuated, steps + 1)[-1], ONE), actuated.delay_steps
+    assert moves == (True, steps)
+
+
 def test_what_is_told_holds_though_the_teller_writes_over_it() -> None:
     actuated, told = actuators(), ONE.copy()
     actuated.put(told)
