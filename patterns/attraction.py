@@ -4,18 +4,25 @@ Source of law "paper": Kaiser et al., ICRA 2022, pattern "attraction", and its c
 attractive potential field over all that the lidar sees, always at full speed, so that it never
 settles and is drawn to walls more than to robots.
 
-Law "settling" is ours. It is drawn only to what may be a robot: objects no wider than
-`object_width` that nothing nearer hides. The pull of each falls to nothing at `spacing`, what is
-near only limits the speed towards it, and the robot stands once little pull is left. One that has
-stood for a while with few others in sight, and hears of more, looks for them. Limits: a robot
-within some 0.2 m of a wall is not told from it, a pillar is taken for a robot, and groups of four
-and more that are further apart than `range` do not find each other.
+Law "settling" is ours. A robot is drawn only to what may be a robot: objects no wider than
+`object_width` that nothing nearer hides, the farther the more, as in the paper. What is near only
+limits the speed towards it, so that it slides past, and once little pull is left it rests.
+
+That alone would leave a row a row, for its robots hide one another. So one that has fewer than
+three others beside it, though it sees or hears of more, now and then rolls along the outside of
+the group until it has three, as atoms do on a crystal; the first time even on its way, if all that
+it sees lies in line. Its patience doubles from try to try and only seeing more than ever renews it,
+so that the swarm comes to rest. One with few in sight at last leads away to look for the others.
+
+Limits: a robot within some 0.2 m of a wall is not told from it, a pillar is taken for a robot, and
+groups that are further apart than `range` find each other by chance alone.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
@@ -44,13 +51,22 @@ from swarmd.api import (
 
 # Pull, as a share of full speed, below which a moving robot stops and above which it starts.
 _DOZE, _WAKE = 0.12, 0.25
-# A robot that sees so few others may stand in a line, which hides the rest, or in a group that
-# has lost the rest. It first steps aside, then leads its group away to look, each for so many s,
-# at such a share of the speed; its patience doubles from try to try, until it is content.
+# Within so many times `spacing` another is beside it; on the rim of a hexagon each has three.
+_BESIDE, _ENOUGH = 1.25, 3
+# All that it sees lies in line if the mean of exp(2i bearing) is longer: within some 20 degrees.
+_IN_LINE = 0.7
+# Slower than this share of full speed it turns away from what is in its way while it searches.
+_SLOW = 0.25
+# Two others are to its sides if the sine between them is larger.
+_ASIDE = 0.3
+# How long it rolls, in s.
+_ROLL_TIME = 8.0
+# With so few in sight it may have lost the rest. How long it then leads, in s, and how fast.
 _FEW = 2
-_SIDESTEP_TIME, _SIDESTEP_SPEED = 3.0, 0.6
 _LEAD_TIME, _LEAD_SPEED = 12.0, 0.6
-_PATIENCE, _PATIENCE_MAX = 3.0, 40.0
+# How long, in s, it rests before it rolls: the first time; when it leads instead, if it sees few;
+# and when it never tries again. Each try doubles it.
+_PATIENCE, _PATIENCE_LEAD, _PATIENCE_MAX = 0.5, 10.0, 40.0
 # While searching the heading drifts by up to so much, rad, for so long, s.
 _DRIFT = 0.4
 _DRIFT_TIME = (2.0, 5.0)
@@ -106,8 +122,8 @@ class AttractionParams(Params, frozen=True):
             ge=0.1,
             le=20.0,
             unit="m",
-            source="ours: 1.3 times the protection threshold plus the lidar's offset, so that "
-            "turning on the spot does not wake protection",
+            source="ours: 1.06 times the protection threshold plus 1.3 times the lidar's offset, "
+            "so that turning on the spot does not wake protection",
         ),
     ] = 0.65
     slack: Annotated[
@@ -117,7 +133,7 @@ class AttractionParams(Params, frozen=True):
             ge=0.0,
             le=5.0,
             unit="m",
-            source="ours: a tenth of the protection threshold",
+            source="ours: a twentieth of the protection threshold",
         ),
     ] = 0.05
     brake: Annotated[
@@ -162,6 +178,35 @@ class AttractionParams(Params, frozen=True):
     ] = 1.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _View:
+    """What one scan shows, seen from the base.
+
+    `points` (p, 2) where surfaces are near and `robots` (k, 2) what may be robots: range, bearing.
+    `seen` counts these with the half hidden, `beside` those that are near. `pull` (2,) is all that
+    draws it, at most 1 long; `free` is the length of what near surfaces leave of it.
+    """
+
+    scan: Scan
+    points: Array
+    robots: Array
+    seen: int
+    beside: int
+    pull: Array
+    free: float
+
+    @property
+    def nearest(self) -> float:
+        """The bearing of the nearest robot."""
+        return float(self.robots[np.argmin(self.robots[:, 0]), 1])
+
+    @property
+    def is_line(self) -> bool:
+        """True if all robots lie on one line through this one."""
+        axis = complex(np.exp(2j * self.robots[:, 1]).sum())
+        return abs(axis) > _IN_LINE * len(self.robots)
+
+
 class Attraction(MovementPattern[AttractionParams]):
     """Drives to where other robots are and stands beside them; alone it searches."""
 
@@ -174,7 +219,8 @@ class Attraction(MovementPattern[AttractionParams]):
         self._since = 0.0
         self._patience = _PATIENCE
         self._most_seen = 0
-        self._side = 1.0
+        self._side = float(context.rng.choice((-1.0, 1.0)))
+        self._view: _View | None = None
         self._drift = 0.0
         self._drift_until = -math.inf
 
@@ -187,14 +233,19 @@ class Attraction(MovementPattern[AttractionParams]):
             "speed": min(platform.limits.linear, 0.5),
             "turn": min(platform.limits.angular, 4.0),
             "range": platform.scan.range_max,
-            "spacing": 1.3 * threshold + math.hypot(*platform.scan.offset),
-            "slack": 0.1 * threshold,
+            "spacing": 1.06 * threshold + 1.3 * math.hypot(*platform.scan.offset),
+            "slack": 0.05 * threshold,
             "brake": 0.6 * threshold,
             "object_width": 2.0 * diagonal,
         }
 
+    def update(self, params: AttractionParams) -> None:
+        """Take over changed parameters, and look at the scan anew with them."""
+        super().update(params)
+        self._view = None
+
     def report(self) -> Mapping[str, Scalar]:
-        """What it is doing: search, gather, settled, sidestep or lead."""
+        """What it is doing: search, gather, settled, roll or lead."""
         return {"state": "paper" if self.params.law == "paper" else self._state}
 
     def drive(self, inputs: Inputs) -> Twist:
@@ -222,6 +273,22 @@ class Attraction(MovementPattern[AttractionParams]):
         return field_twist(field.vector, params.speed, params.turn)
 
     def _settle(self, scan: Scan, now: float, heard: int) -> Twist:
+        if self._view is None or self._view.scan is not scan:
+            self._view = self._look(scan)
+        view = self._view
+        is_in_line = heard > view.seen and view.is_line
+        state = self._next_state(view, now, heard, is_in_line)
+        if state != self._state:
+            self._state, self._since = state, now
+        if state == "settled":
+            return ZERO
+        if state == "search":
+            return self._follow(view, self._wander(now))
+        if state == "lead":
+            return self._follow(view, _LEAD_SPEED * self._wander(now) - self._toward(view))
+        return self._follow(view, self._around(view) if state == "roll" else view.pull)
+
+    def _look(self, scan: Scan) -> _View:
         params = self.params
         offset = self.context.platform.scan.offset
         spacing = params.spacing - params.slack
@@ -229,20 +296,16 @@ class Attraction(MovementPattern[AttractionParams]):
         points = from_base(closest_points(scan, within=reach), offset)
         robots, seen = self._robots(scan)
         robots = from_base(robots, offset)
-        pull = keep_clear(self._pull(robots), points, spacing=spacing, brake=params.brake)
-        is_few = seen <= _FEW and not 0 < heard <= seen
-        self._enter(self._next_state(now, len(robots), seen, is_few, math.hypot(*pull)), now)
-        if self._state == "settled":
-            return ZERO
-        vector = pull
-        if self._state == "search":
-            vector = self._wander(now)
-        elif self._state == "lead":
-            vector = _LEAD_SPEED * self._wander(now) - self._nearest(robots)
-        elif self._state == "sidestep":
-            vector = self._aside(robots)
+        beside = int(np.count_nonzero(robots[:, 0] < _BESIDE * params.spacing))
+        pull = self._pull(robots)
+        free = keep_clear(pull, points, spacing=spacing, brake=params.brake)
+        return _View(scan, points, robots, seen, beside, pull, math.hypot(*free))
+
+    def _follow(self, view: _View, vector: Array) -> Twist:
+        params = self.params
+        spacing, points = params.spacing - params.slack, view.points
         vector = keep_clear(vector, points, spacing=spacing, brake=params.brake)
-        if self._state in ("search", "lead") and math.hypot(*vector) < _WAKE:
+        if self._state in ("search", "lead") and math.hypot(*vector) < _SLOW:
             return Twist(angular=math.copysign(0.5 * params.turn, self._drift))
         return steer(
             vector,
@@ -264,46 +327,58 @@ class Attraction(MovementPattern[AttractionParams]):
         return robots, int(np.count_nonzero(is_narrow))
 
     def _pull(self, robots: Array) -> Array:
-        """The sum over the robots, each 0 at `spacing` and 1 from twice that; at most 1 long."""
-        weights = np.minimum(np.maximum(robots[:, 0] / self.params.spacing - 1.0, 0.0), 1.0)
+        """The sum over the robots, each 0 at `spacing` and growing with its range; at most 1."""
+        weights = np.maximum((robots[:, 0] - self.params.spacing) / self.params.brake, 0.0)
         x = float(weights @ np.cos(robots[:, 1]))
         y = float(weights @ np.sin(robots[:, 1]))
         return np.array([x, y]) / max(1.0, math.hypot(x, y))
 
-    def _next_state(self, now: float, robots: int, seen: int, is_few: bool, pull: float) -> str:
-        if robots == 0:
+    def _next_state(self, view: _View, now: float, heard: int, is_in_line: bool) -> str:
+        if len(view.robots) == 0:
             return "search"
-        if seen > self._most_seen:
-            self._most_seen, self._patience = seen, _PATIENCE
-            self._state = "gather" if self._state == "lead" else self._state
-        for state, time in (("sidestep", _SIDESTEP_TIME), ("lead", _LEAD_TIME)):
-            if self._state == state and now - self._since < time:
-                return state
-        if pull > (_DOZE if self._state == "gather" else _WAKE):
-            return "gather"
-        is_bored = self._state == "settled" and now - self._since > self._patience
-        if is_few and is_bored and self._patience < _PATIENCE_MAX:
-            return "sidestep" if self._patience == _PATIENCE else "lead"
-        return "settled"
+        is_going = self._state
+        if view.seen > self._most_seen:
+            self._most_seen, self._patience = view.seen, _PATIENCE
+            is_going = "gather" if is_going == "lead" else is_going
+        age = now - self._since
+        is_few = view.seen <= _FEW and not 0 < heard <= view.seen
+        is_all = view.beside == len(view.robots) and heard <= view.seen
+        is_loose = view.beside < _ENOUGH and (is_few or not is_all)
+        if is_going == "roll" and is_loose and age < _ROLL_TIME:
+            return "roll"
+        if is_going == "lead" and age < _LEAD_TIME:
+            return "lead"
+        is_woken = view.free > (_DOZE if is_going == "gather" else _WAKE)
+        is_first = is_in_line and is_going == "gather" and self._patience == _PATIENCE
+        is_bored = is_going == "settled" and not is_woken and self._patience < _PATIENCE_MAX
+        if (is_first or is_bored) and age > self._patience:
+            if is_few and self._patience > _PATIENCE_LEAD:
+                return self._try("lead", view)
+            if is_first or is_loose:
+                return self._try("roll", view)
+        return "gather" if is_woken else "settled"
 
-    def _enter(self, state: str, now: float) -> None:
-        if state == self._state:
-            return
-        self._state, self._since = state, now
-        if state in ("sidestep", "lead"):
-            self._patience *= 2.0
-            self._side = float(self.context.rng.choice((-1.0, 1.0)))
+    def _try(self, state: str, view: _View) -> str:
+        """Start to roll or lead: away from the second robot if there are two beside it."""
+        self._patience *= 2.0
+        order = np.argsort(view.robots[:, 0])
+        if view.beside > 1:
+            turn = math.sin(float(view.robots[order[1], 1] - view.robots[order[0], 1]))
+            self._side = -math.copysign(1.0, turn) if abs(turn) > _ASIDE else self._side
+        return state
 
-    def _nearest(self, robots: Array) -> Array:
+    def _toward(self, view: _View) -> Array:
         """Towards the nearest robot if it is near: who leads goes where the others are not."""
-        near, bearing = robots[np.argmin(robots[:, 0])].tolist()
+        near, bearing = float(view.robots[:, 0].min()), view.nearest
         weight = min(max(2.0 - near / self.params.spacing, 0.0), 1.0)
         return np.array([weight * math.cos(bearing), weight * math.sin(bearing)])
 
-    def _aside(self, robots: Array) -> Array:
-        """Around the nearest robot, so that a line of robots folds up."""
-        bearing = float(robots[np.argmin(robots[:, 0]), 1]) + self._side * math.pi / 2.0
-        return _SIDESTEP_SPEED * np.array([math.cos(bearing), math.sin(bearing)])
+    def _around(self, view: _View) -> Array:
+        """Around the nearest robot, and where the others draw it."""
+        ahead = view.nearest + self._side * math.pi / 2.0
+        along = np.array([math.cos(ahead), math.sin(ahead)])
+        way = along + view.pull
+        return way / max(1.0, math.hypot(*way))
 
     def _wander(self, now: float) -> Array:
         """Ahead with a drift that changes now and then."""
