@@ -22,12 +22,13 @@ from typing import Any
 from swarmd.errors import ConfigError, SwarmError
 from swarmd.sim.lab.job import Job, Outcome, perform
 from swarmd.sim.lab.manifest import Manifest, manifest_of, plain
+from swarmd.sim.lab.overrides import SOURCE, SWEPT
 from swarmd.sim.lab.plan import Plan, Run, make_plan
 from swarmd.sim.lab.pool import TIMEOUT, outcomes
 from swarmd.sim.lab.results import Results
 from swarmd.sim.lab.scenario import Scenario
 from swarmd.sim.lab.scenariofile import load_scenario, scenario_of
-from swarmd.sim.lab.store import Store, open_store
+from swarmd.sim.lab.store import Store, gone, open_store
 from swarmd.sim.metrics.catalog import METRICS
 
 OnProgress = Callable[[int, int, int], None]
@@ -88,9 +89,10 @@ def plan_of(
     """The plan of an experiment, every variant of the scenario checked, start poses included."""
     name = scenario.name if isinstance(scenario, Scenario) else str(scenario)
     first = tuple(seeds)
+    given = [*([SOURCE] * bool(set)), *([SWEPT] * bool(sweep))]
 
     def effective(overrides: Mapping[str, Any]) -> Mapping[str, Any]:
-        found = _overridden(scenario, overrides)
+        found = _overridden(scenario, overrides, " or ".join(given))
         found.starts(first[0])
         return plain(found.effective)
 
@@ -153,6 +155,8 @@ def _here(jobs: Iterable[Job]) -> Generator[Outcome, None, None]:
 
 
 def _keep(store: Store, run: Run, outcome: Outcome) -> None:
+    if outcome.obstacle and not store.is_whole:
+        raise gone(store.folder)
     if outcome.obstacle:
         text = f"{outcome.obstacle}; {len(store.rows)} finished runs are kept"
         raise SwarmError(f"{text}: make room and give the same command again")
@@ -167,12 +171,14 @@ def _results(store: Store) -> Results:
     return Results(store.folder, store.plan, rows, store.failures, tuple(METRICS))
 
 
-def _overridden(scenario: str | Path | Scenario, overrides: Mapping[str, Any]) -> Scenario:
+def _overridden(
+    scenario: str | Path | Scenario, overrides: Mapping[str, Any], source: str
+) -> Scenario:
     if not isinstance(scenario, Scenario):
-        return load_scenario(str(scenario), overrides)
+        return load_scenario(str(scenario), overrides, source=source)
     if not scenario.effective:
         raise ConfigError(
             f"scenario {scenario.name!r} has no effective configuration, so it could not be run"
             " again; make it with load_scenario or scenario_of"
         )
-    return scenario_of(scenario.effective, overrides)
+    return scenario_of(scenario.effective, overrides, source=source)

@@ -56,6 +56,7 @@ def perform(job: Job, on_progress: Callable[[float], None] | None = None) -> Out
         return Outcome(job.run, reason=one_line(f"{type(error).__name__}: {error}"))
     if job.trace is not None:
         try:
+            job.trace.parent.stat()  # a folder that was taken away is not made anew
             trace.save(job.trace)
         except OSError as error:
             remove_partial(job.trace)

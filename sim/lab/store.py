@@ -55,11 +55,19 @@ class Store:
         """Where the trace of a run goes; None if traces are not kept."""
         return trace_path(self.folder, run) if self.manifest.traces else None
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether nobody has taken the folder away, or its traces."""
+        return (self.folder / (TRACES if self.manifest.traces else manifests.NAME)).exists()
+
     def add(self, run: Run, metrics: Mapping[str, float | None], wall: float) -> None:
         """Keep a finished run; SwarmError if the disk does not take it."""
         row = Row(run, metrics, round(wall, 3))
         with _told(self.folder):
-            _append(self.folder / table.NAME, table.line_of(row))
+            try:
+                _append(self.folder / table.NAME, table.line_of(row))
+            except FileNotFoundError as error:
+                raise gone(self.folder) from error
         self.rows[run.id] = row
 
     def fail(self, run: Run, reason: str) -> None:
@@ -125,6 +133,12 @@ def read_failures(folder: Path) -> dict[str, str]:
         raise ConfigError(f"{path}: damaged; remove it or restore it") from error
 
 
+def gone(folder: Path) -> SwarmError:
+    """The error that someone took the folder, or a file of it, away."""
+    text = f"{folder}: it, or what was in it, has been removed meanwhile"
+    return SwarmError(f"{text}; restore it or remove the rest, and give the same command again")
+
+
 def trace_path(folder: Path, run: Run) -> Path:
     """Where the trace of a run is."""
     return folder / TRACES / f"{run.id}.npz"
@@ -158,6 +172,8 @@ def _resumed(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Stor
         for partial in (folder / TRACES).glob(".*.partial"):
             partial.unlink()
         _cut_torn_line(folder / table.NAME)
+        if old.traces:
+            (folder / TRACES).mkdir(exist_ok=True)
     return Store(folder, old, rows)
 
 
@@ -171,7 +187,7 @@ def _refuse_strangers(folder: Path) -> None:
 
 def _append(path: Path, line: str) -> None:
     """Append a line as a whole, or nothing."""
-    with path.open("ab", buffering=0) as file:
+    with path.open("r+b", buffering=0) as file:
         size = file.seek(0, os.SEEK_END)
         data = line.encode()
         try:

@@ -116,6 +116,27 @@ def test_results_are_the_same_bits_for_any_number_of_processes(
 
 
 @pytest.mark.integration
+@pytest.mark.parametrize("what", [".", "traces", "runs.csv"])
+def test_what_is_removed_meanwhile_is_one_line_and_the_command_works_again(
+    tmp_path: Path, duo: Path, swarmctl: Swarmctl, what: str
+) -> None:
+    command = ("exp", "run", duo, "--seeds", 60, "--out", "x")
+    process = started(*command, cwd=tmp_path)
+    wait_until(lambda: finished(tmp_path / "x") > 1, "two runs are finished")
+    gone = tmp_path / "x" / what
+    gone.rename(tmp_path / "away")
+    _, said = process.communicate(timeout=60)
+    assert process.returncode == 1, said
+    assert "error: x: it, or what was in it, has been removed meanwhile" in said
+    if what == ".":
+        assert not gone.exists()
+    (tmp_path / "away").rename(gone)
+    done = swarmctl(*command)
+    assert (done.returncode, len(rows(tmp_path / "x"))) == (0, 60), done.stderr
+    assert len(traces(tmp_path / "x")) == 60
+
+
+@pytest.mark.integration
 def test_a_hanging_run_fails_and_the_others_go_on(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl
 ) -> None:
@@ -246,8 +267,8 @@ def test_a_full_disk_is_one_line_and_what_is_finished_stays(
         (["run", "DUO", "--set", "duraton=3"], "did you mean 'duration'?"),
         (["run", "DUO", "--set", "duration"], "wanted is key=value"),
         (["run", "DUO", "--sweep", "duration="], "a value is empty"),
-        (["run", "DUO", "--sweep", "duraton=3,4"], "did you mean 'duration'?"),
-        (["run", "DUO", "--sweep", "duration=3,x"], "duration is 'x'"),
+        (["run", "DUO", "--sweep", "duraton=3,4"], "--sweep: no key 'duraton'; did you mean"),
+        (["run", "DUO", "--sweep", "duration=3,x"], "--sweep: duration is 'x'"),
         (["run", "DUO", "--sweep", "duration=3,3"], "3 stands twice"),
         (["run", "DUO", "--set", "duration=1", "--sweep", "duration=3"], "both set and swept"),
         (["run", "DUO", "--metrics", "path_lenght"], "did you mean 'path_length'?"),
