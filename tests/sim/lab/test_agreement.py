@@ -16,7 +16,9 @@ from swarmd.sim.lab.scenariofile import scenario_of
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.show import Watch, await_up
+from swarmd.sim.metrics.voting import consensus_time
 from swarmd.sim.trace import Trace, load_trace
+from swarmd.testing.processes import wait_until
 from swarmd.values import Array
 
 SECONDS = 5.0
@@ -69,6 +71,12 @@ def live(pattern: str, poses: Poses, folder: Path) -> Trace:
     return load_trace(trace)
 
 
+def opinions(operator: Operator) -> list[object]:
+    """What the robots say they hold now."""
+    members = operator.members().members.values()
+    return [one.status.report.get("opinion") for one in members if one.status is not None]
+
+
 def way(trace: Trace) -> Array:
     """(k, n, 2) places every 0.1 s from the first instant at which anyone was commanded to move."""
     first = int(np.argmax((trace.safe != 0.0).any(axis=(1, 2))))
@@ -93,3 +101,43 @@ def test_lockstep_and_daemons_go_the_same_way(pattern: str, poses: Poses, tmp_pa
     went = np.hypot(*np.moveaxis(expected[-1] - expected[0], -1, 0))
     assert went.min() > 0.3
     assert apart.max() <= WITHIN, f"{apart.max():.3f} m apart at most"
+
+
+VOTE = {"opinions": 2, "window": 1.0}
+PATIENCE = 40.0
+"""Many times what any run in lockstep takes: a loaded machine is slow."""
+
+
+def test_voters_in_lockstep_come_to_agree() -> None:
+    group = {"count": 4, "pattern": "majority_rule", "parameters": VOTE}
+    data = {"duration": 15.0, "groups": {"all": group}, "start": {"spacing": 1.5}}
+    times = [consensus_time(simulate_run(scenario_of(data), seed)) for seed in range(5)]
+    assert all(time is not None for time in times)
+
+
+@pytest.mark.integration
+def test_voters_with_daemons_come_to_agree_too_and_stay_so(tmp_path: Path) -> None:
+    ids = tuple(f"r{i}" for i in range(4))
+    swarm = f"agree-{secrets.token_hex(4)}"
+    spec = FleetSpec(
+        swarm=swarm,
+        robots=dict.fromkeys(ids, "waffle_pi"),
+        folder=tmp_path,
+        arena="6x6",
+        layout="grid:1.5",
+    )
+    with Operator(SessionSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:
+        epochs = await_up(operator, fleet, ids).epochs(ids)
+        run = {"pattern": "majority_rule", "params": VOTE}
+        assert len(operator.request("run", epochs, run).applied) == len(ids)
+        wait_until(lambda: agreed(opinions(operator)), "agreed", PATIENCE)
+        with WorldView(swarm, fleet.endpoint) as world:
+            watch = Watch(world)
+            since = watch.wait().time
+            while (state := watch.wait()).time < since + 3.0:
+                watch.wait(since=state.time)
+        assert agreed(opinions(operator))
+
+
+def agreed(held: list[object]) -> bool:
+    return len(held) == 4 and None not in held and len(set(held)) == 1
