@@ -10,27 +10,31 @@ from swarmd.errors import ConfigError, unknown
 from swarmd.yamlfile import brief, read_value
 
 SOURCE = "--set"
+SWEPT = "--sweep"
 
 
-def parse_override(text: str) -> tuple[str, Any]:
+def parse_override(text: str, source: str = SOURCE) -> tuple[str, Any]:
     """Key and value of `key=value`, the value read as in a YAML file; ConfigError if it cannot be.
 
     `null`, or nothing after the =, takes a value away.
     """
     key, equals, value = text.partition("=")
     if not equals or not all(key.strip().split(".")):
-        raise ConfigError(f"{SOURCE} {text!r}: wanted is key=value, such as duration=30")
+        raise ConfigError(f"{source} {text!r}: wanted is key=value, such as duration=30")
     try:
         return key.strip(), read_value(value)
     except ConfigError as error:
-        raise ConfigError(f"{SOURCE} {key.strip()}: {error}") from error
+        raise ConfigError(f"{source} {key.strip()}: {error}") from error
 
 
-def nested(overrides: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, Any]:
+def nested(
+    overrides: Mapping[str, Any], base: Mapping[str, Any], source: str = SOURCE
+) -> dict[str, Any]:
     """The overrides as a file would hold them. Items of lists go by number: `events.0.at`.
 
     `base` is what they are meant for: a list of which they change one item is copied from there.
-    ConfigError for an item that is not there and for a group that `base` does not have.
+    ConfigError, which begins with `source`, for an item that is not there and for a group that
+    `base` does not have.
     """
     over: dict[str, Any] = {}
     for key, value in overrides.items():
@@ -38,30 +42,33 @@ def nested(overrides: Mapping[str, Any], base: Mapping[str, Any]) -> dict[str, A
         groups = base.get("groups")
         names = groups if isinstance(groups, Mapping) else {}
         if keys[0] == "groups" and len(keys) > 1 and keys[1] not in names:
-            raise ConfigError(f"{SOURCE}: {key}: {unknown('group', keys[1], names)}")
+            raise ConfigError(f"{source}: {key}: {unknown('group', keys[1], names)}")
         if keys[0] == "realism" and len(keys) > 1 and isinstance(base.get("realism"), str):
             over.setdefault("realism", {"preset": base["realism"]})
-        _put(over, base, keys, deepcopy(value), key)
+        try:
+            _put(over, base, keys, deepcopy(value))
+        except ConfigError as error:
+            raise ConfigError(f"{source}: {key}: {error}") from error
     return over
 
 
-def _put(over: Any, base: Any, keys: Sequence[str], value: Any, whole: str) -> None:
+def _put(over: Any, base: Any, keys: Sequence[str], value: Any) -> None:
     head: str | int = keys[0]
     if isinstance(over, list):
-        head = _index(over, keys[0], whole)
+        head = _index(over, keys[0])
     elif not isinstance(over, MutableMapping):
-        raise ConfigError(f"{SOURCE}: {whole}: there is {brief(over)}, which holds no {head!r}")
+        raise ConfigError(f"there is {brief(over)}, which holds no {head!r}")
     if len(keys) == 1:
         over[head] = value
         return
     below = base.get(head) if isinstance(base, Mapping) else None
     if isinstance(over, MutableMapping) and over.get(head) is None:
         over[head] = deepcopy(below) if isinstance(below, list) else {}
-    _put(over[head], below, keys[1:], value, whole)
+    _put(over[head], below, keys[1:], value)
 
 
-def _index(items: Sequence[Any], word: str, whole: str) -> int:
+def _index(items: Sequence[Any], word: str) -> int:
     if word.isdecimal() and int(word) < len(items):
         return int(word)
     there = f"there are {len(items)}, from 0 on" if items else "there are none"
-    raise ConfigError(f"{SOURCE}: {whole}: no item {word!r}; {there}")
+    raise ConfigError(f"no item {word!r}; {there}")

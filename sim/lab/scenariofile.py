@@ -37,21 +37,28 @@ def scenario_names() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in _folder().glob("*.yaml")))
 
 
-def load_scenario(name: str | Path, overrides: Mapping[str, Any] | None = None) -> Scenario:
+def load_scenario(
+    name: str | Path, overrides: Mapping[str, Any] | None = None, *, source: str = SOURCE
+) -> Scenario:
     """The scenario of that name, or of that file if it ends in .yaml.
 
     `overrides` by dotted keys of the file: {"groups.all.count": 5, "duration": 30}. ConfigError
-    names file, key, value, what was wanted and the nearest valid key.
+    names file, or `source` for what was overridden, key, value, what was wanted and the nearest
+    valid key.
     """
     path = _find(str(name), Path())
-    return _overridden(tuple(_chain(path)), overrides, path.stem)
+    return _overridden(tuple(_chain(path)), overrides, path.stem, source)
 
 
 def scenario_of(
-    effective: Mapping[str, Any], overrides: Mapping[str, Any] | None = None
+    effective: Mapping[str, Any],
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    source: str = SOURCE,
 ) -> Scenario:
     """The scenario whose `effective` configuration this is; otherwise as `load_scenario`."""
-    return _overridden((("effective configuration", dict(effective)),), overrides, "scenario")
+    sources = (("effective configuration", dict(effective)),)
+    return _overridden(sources, overrides, "scenario", source)
 
 
 def _folder() -> Path:
@@ -102,11 +109,14 @@ def _anchored(data: Data, folder: Path) -> Data:
 
 
 def _overridden(
-    sources: tuple[tuple[str, Data], ...], overrides: Mapping[str, Any] | None, name: str
+    sources: tuple[tuple[str, Data], ...],
+    overrides: Mapping[str, Any] | None,
+    name: str,
+    source: str,
 ) -> Scenario:
     home, data = sources[0][0], Layered(*sources).data
     if overrides:
-        sources = ((SOURCE, nested(overrides, data)), *sources)
+        sources = ((source, nested(overrides, data, source)), *sources)
     layers = Layered(*without_stale(sources), home=home)
     if "groups" not in layers.data:
         wanted = "groups: {tb3: {platform: burger, count: 5}}"

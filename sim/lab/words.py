@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from swarmd.errors import ConfigError
-from swarmd.sim.lab.overrides import parse_override
+from swarmd.sim.lab.overrides import SWEPT, parse_override
 from swarmd.sim.lab.plan import MAX_RUNS, check_seeds
 
 
@@ -50,7 +50,7 @@ def read_sweeps(words: Iterable[str]) -> dict[str, list[Any]]:
         if key.strip() in found:
             raise ConfigError(f"--sweep {key.strip()} is given twice; put all values in one")
         values = split_values(key.strip(), text)
-        found[key.strip()] = [parse_override(f"{key}={value}")[1] for value in values]
+        found[key.strip()] = [parse_override(f"{key}={value}", SWEPT)[1] for value in values]
     return found
 
 
