@@ -16,14 +16,15 @@ import tempfile
 import weakref
 from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
 from contextlib import closing, suppress
+from numbers import Integral
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 from swarmd.errors import ConfigError, SwarmError
 from swarmd.sim.lab.job import Job, Outcome, perform
 from swarmd.sim.lab.manifest import Manifest, manifest_of, plain
 from swarmd.sim.lab.overrides import SOURCE, SWEPT
-from swarmd.sim.lab.plan import Plan, Run, make_plan
+from swarmd.sim.lab.plan import Plan, Run, check_seeds, make_plan
 from swarmd.sim.lab.pool import TIMEOUT, outcomes
 from swarmd.sim.lab.results import Results
 from swarmd.sim.lab.scenario import Scenario
@@ -63,7 +64,7 @@ def simulate(
         raise ConfigError(f"jobs is {jobs}; wanted 1 or more")
     if not timeout >= 1.0:
         raise ConfigError(f"timeout is {timeout:g}; wanted 1 s or more")
-    plan = plan_of(scenario, range(seeds) if isinstance(seeds, int) else seeds, set, sweep)
+    plan = plan_of(scenario, _listed(seeds), set, sweep)
     manifest = manifest_of(plan, traces=traces, command=[])
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
@@ -88,7 +89,7 @@ def plan_of(
 ) -> Plan:
     """The plan of an experiment, every variant of the scenario checked, start poses included."""
     name = scenario.name if isinstance(scenario, Scenario) else str(scenario)
-    first = tuple(seeds)
+    first = check_seeds(seeds)
     given = [*([SOURCE] * bool(set)), *([SWEPT] * bool(sweep))]
 
     def effective(overrides: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -129,6 +130,10 @@ def conduct(
         results = _results(store)
         store.close(results.document())
         return results
+
+
+def _listed(seeds: int | Iterable[int]) -> Iterable[int]:
+    return range(int(seeds)) if isinstance(seeds, Integral) else cast("Iterable[int]", seeds)
 
 
 def _gather(

@@ -8,6 +8,7 @@ import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Integral
 from typing import Any
 
 from swarmd.errors import ConfigError
@@ -69,12 +70,12 @@ def check_seeds(seeds: Iterable[int]) -> tuple[int, ...]:
         raise ConfigError("seeds: there is none; wanted at least one, such as --seeds 20")
     seen: set[int] = set()
     for seed in found:
-        if isinstance(seed, bool) or not isinstance(seed, int) or not 0 <= seed <= MAX_SEED:
+        if isinstance(seed, bool) or not isinstance(seed, Integral) or not 0 <= seed <= MAX_SEED:
             raise ConfigError(f"seeds: {seed!r} is none; wanted whole numbers 0 to {MAX_SEED}")
         if seed in seen:
             raise ConfigError(f"seeds: {seed} stands twice; keep one")
         seen.add(seed)
-    return found
+    return tuple(map(int, found))  # numpy's are none that JSON knows
 
 
 def make_plan(
@@ -91,7 +92,7 @@ def make_plan(
     """
     found = check_seeds(seeds)
     for key, values in sweep.items():
-        _check_sweep(key, values, sets)
+        _check_sweep(key, values, sets, sweep)
     count = len(found)
     for values in sweep.values():
         count *= len(values)
@@ -114,13 +115,20 @@ def shown(value: object) -> str:
     return str(value) if is_plain else json.dumps(value, separators=(",", ":"))
 
 
-def _check_sweep(key: str, values: Sequence[Any], sets: Mapping[str, Any]) -> None:
+def _check_sweep(
+    key: str, values: Sequence[Any], sets: Mapping[str, Any], sweep: Mapping[str, Any]
+) -> None:
     if isinstance(values, str) or not isinstance(values, Sequence):
         raise ConfigError(f"sweep {key}: {values!r} is no list; wanted such as [0.1, 0.2]")
     if not values:
         raise ConfigError(f"sweep {key}: there is no value; wanted such as {key}=0.1,0.2")
     if key in sets:
         raise ConfigError(f"{key} is both set and swept; keep one of them")
+    for other in (*sets, *sweep):
+        if other.startswith(f"{key}."):
+            raise ConfigError(
+                f"sweep {key}: {other} lies in it and would be lost; keep one of them"
+            )
     names = [shown(value) for value in values]
     for i, name in enumerate(names):
         if name in names[:i]:

@@ -66,7 +66,10 @@ def rehearse(
         if what in done:
             continue
         done.add(what)
-        event = stage.handle(load)
+        try:
+            event = stage.handle(load)
+        except SystemExit:  # else it would end the command, and in silence
+            event = Refused(load.generation, f"{rehearsal.pattern} calls sys.exit; leave that out")
         if isinstance(event, Refused):
             keys = _culprit(layers, rehearsal, cast, event.text)
             raise layers.error(keys, f"{dotted(keys)}: {event.text}")

@@ -129,6 +129,13 @@ def test_a_scenario_that_is_loaded_can_be_run_and_changed(duo: Path) -> None:
     }  # fmt: skip
 
 
+def test_seeds_may_be_numbers_of_numpy(duo: Path) -> None:
+    three = small(duo, seeds=np.int64(3), set={"duration": 0.1})
+    some = small(duo, seeds=np.arange(2) + 1, set={"duration": 0.1})
+    assert [row["seed"] for row in three.rows] == [0, 1, 2]
+    assert metrics(some) == metrics(three)[1:]
+
+
 def test_failed_runs_are_told_and_the_others_are_there(duo: Path) -> None:
     results = small(duo, seeds=1, sweep={END: ["exit", "none"]}, jobs=2)
     assert list(results.failures) == ["end=exit_s0000"]

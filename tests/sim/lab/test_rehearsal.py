@@ -89,6 +89,13 @@ def test_a_robot_must_sense_what_the_pattern_needs(load: Load, tmp_path: Path) -
     assert load({**changes, "radio": {"range_and_bearing": True}}).plugin_dir == tmp_path / "mine"
 
 
+def test_a_pattern_that_exits_is_told_of(load: Load, tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "leaving.py").write_text(f"{_NEEDY}\nraise SystemExit\n")
+    with pytest.raises(ConfigError, match=r"groups\.blue\.pattern: leaving calls sys\.exit"):
+        load({"plugin_dir": "mine", "groups.blue.pattern": "leaving"})
+
+
 def test_layers_are_the_platforms_the_scenarios_and_the_groups(load: Load) -> None:
     changes: dict[str, Any] = {
         "platforms": {"burger": {"patterns": {"attraction": {"slack": 0.1}}}},
