@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 ARGS ?=
 
-.PHONY: help demo test check format bench lock clean
+.PHONY: help demo test check format bench paper lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -34,6 +34,10 @@ format: $(VENV)/tools
 
 bench: $(VENV)/tools
 	@$(BIN)/python -m benchmarks $(ARGS)
+
+# The tables and figures of docs/paper.md, in build/paper: 480 runs, half an hour on one core.
+paper: $(VENV)/tools
+	@$(BIN)/python -m benchmarks.paper $(ARGS)
 
 $(VENV)/made:
 	@command -v $(PYTHON) >/dev/null || { echo \
