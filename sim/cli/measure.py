@@ -39,7 +39,11 @@ def measure(
         print_json("Measurements", {"traces": measured})
         return
     rows = [
-        (name, catalog.METRICS[name].unit, *(number(found[name]) for found in measured.values()))
+        (
+            name,
+            catalog.METRICS[name].unit or "-",
+            *(number(found[name]) for found in measured.values()),
+        )
         for name in names
     ]
     stems = [Path(file).stem.upper() for file in measured]

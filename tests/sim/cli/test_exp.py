@@ -335,7 +335,7 @@ def test_show_and_json_restrict_to_the_metrics_asked_for(duo: Path, swarmctl: Sw
 
 
 @pytest.mark.parametrize(
-    ("seeds", "told"), [(1, "only 1 run: one value has no interval"), (2, "only 2 runs: intervals")]
+    ("seeds", "told"), [(1, "only 1 run: that says little"), (2, "only 2 runs: intervals")]
 )
 @pytest.mark.integration
 def test_few_runs_are_warned_of(duo: Path, swarmctl: Swarmctl, seeds: int, told: str) -> None:
