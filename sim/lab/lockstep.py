@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -29,10 +30,11 @@ from swarmd.sim.trace import Trace
 from swarmd.sim.world.delays import Held
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.radio import Radio
+from swarmd.sim.world.realism import Realism
 from swarmd.sim.world.seeding import generator
 from swarmd.sim.world.world import World
 from swarmd.status import RobotSettings
-from swarmd.values import Array, Scan, Twist, Value
+from swarmd.values import Array, Platform, Scan, Twist, Value
 
 BODY_TIMEOUT = 0.5
 """Seconds after which a base whose daemon is gone stops by itself."""
@@ -72,6 +74,7 @@ class Lockstep:
             fields=scenario.fields,
             seed=seed,
         )
+        self._platforms = [_as_sensing(p, scenario.realism) for p in self.world.platforms]
         ids, n = self.world.ids, len(self.world.ids)
         origins = pattern_names(scenario.plugin_dir)
         self._find = Finder({name: (o.value, o.is_file) for name, o in origins.items()})
@@ -109,7 +112,7 @@ class Lockstep:
         labels = tuple(name for name, ids in self.scenario.groups.items() if robot_id in ids)
         robot = Robot(
             robot_id,
-            self.world.platforms[row],
+            self._platforms[row],
             RobotSettings(driver="lockstep", layers=lambda p: layers(robot_id, p), labels=labels),
             seed=self.seed,
             boot=f"lab-{self._lives[row]}",
@@ -273,6 +276,12 @@ class Lockstep:
                 for e in scenario.events
             ],
         }
+
+
+def _as_sensing(platform: Platform, realism: Realism) -> Platform:
+    """The platform; without noise, scans that stay the same do not betray a frozen sensor."""
+    is_noisy = platform.scan.is_noisy and realism.lidar.differs_each_time
+    return replace(platform, scan=replace(platform.scan, is_noisy=is_noisy))
 
 
 def _nobody(now: float) -> None:

@@ -44,6 +44,11 @@ class LidarNoise(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     block_dropout: Share = 0.0
     latency: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.0
 
+    @property
+    def differs_each_time(self) -> bool:
+        """Whether two sweeps of the same scene are hardly ever the same."""
+        return max(self.near_sd, self.far_sd, self.dropout) > 0.0
+
 
 class OdometryNoise(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What the wheels tell wrong; the first two are drawn once for each robot. [UMBmark]

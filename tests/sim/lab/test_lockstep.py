@@ -289,3 +289,10 @@ def test_readings_reach_the_pattern(tmp_path: Path) -> None:
         0,
     )
     np.testing.assert_allclose(trace.report["light"][-1], [-0.5, 4.5], atol=1e-6)
+
+
+def test_who_drives_in_formation_without_noise_is_not_taken_for_frozen() -> None:
+    abreast = {"layout": "row", "spacing": 1.5, "heading_deg": 90}
+    trace = simulate_run(scenario(duration=6.0, start=abreast), 0)
+    assert trace.reason is not None
+    assert set(trace.reason[at(trace, 1.0) :].ravel()) == {""}
