@@ -118,6 +118,9 @@ def load_trace(path: Path) -> Trace:
         for kind in ("report", "words"):
             named = [name for name in arrays if name.startswith(f"{kind}/")]
             head[kind] = {name.partition("/")[2]: arrays.pop(name) for name in named}
+        shapes = [head["footprints"][name] for name in head["platforms"]]
+        if len(shapes) != len(head["ids"]):
+            raise ValueError(f"{len(shapes)} platforms of {len(head['ids'])} robots")
         head["footprints"] = {k: np.array(v) for k, v in head["footprints"].items()}
         return Trace(**head, **arrays)
     except OSError as error:

@@ -122,7 +122,14 @@ def test_arrays_that_do_not_fit_together_are_one_clear_error(tmp_path: Path) -> 
         {"contact_pair": whole["contact_pair"].astype(float)},
         {"thing_pose": np.zeros((len(t), 3, 3))},
         {"extra": t},
+        {
+            "head": np.array(
+                str(whole["head"]).replace('"platforms": ["burger"', '"platforms": ["x"')
+            )
+        },
+        {"head": np.array(str(whole["head"]).replace('"burger", "jackal"', '"burger"'))},
     ]
+    assert len({str(change["head"]) for change in [whole, *bad[-2:]]}) == 3
     for change in bad:
         np.savez(path, **{**whole, **change})
         with pytest.raises(ConfigError, match="not a trace, or damaged"):
