@@ -27,7 +27,7 @@ def measure(
 ) -> None:
     """Measure runs by their traces: of experiments, of `swarmctl demo`, of a world's recording.
 
-    A live trace knows nothing of wishes and states: metrics that need them are left empty.
+    A live trace knows nothing of wishes: metrics that need them are left empty.
     """
     from swarmd.sim.lab.report import number
     from swarmd.sim.metrics import catalog

@@ -23,6 +23,7 @@ from swarmd.platforms import load_platform
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.state import WorldState
+from swarmd.sim.live.statements import Statements
 from swarmd.sim.live.summary import Summary, duties, mean_duty, numbers_of, problems_of
 from swarmd.sim.live.view import Scene
 from swarmd.sim.trace import load_trace
@@ -126,6 +127,7 @@ class Show:
         self._world, self._on_scene = world, on_scene
         self._watch = Watch(world)
         self._robots = tuple(fleet.spec.robots)
+        self._statements = Statements()
 
     def perform(self, trace: Path, began: float) -> Summary:
         """Run the pattern from start to end; `began` is when the command did (boot time)."""
@@ -159,6 +161,7 @@ class Show:
             if time.monotonic() >= next_look:
                 self._fleet.check()
                 statuses = statuses_of(self._operator.members(timeout=LOOK))
+                self._statements.hear(state.recorded, statuses)
                 self._on_scene(self._scene(state, statuses))
                 next_look = time.monotonic() + LOOK
             try:
@@ -189,7 +192,8 @@ class Show:
         after: Mapping[str, Status],
         stopped: Outcome,
     ) -> Summary:
-        spec, trace = self._fleet.spec, load_trace(trace_path)
+        spec, trace = self._fleet.spec, self._statements.brought_into(load_trace(trace_path))
+        trace.save(trace_path)
         kinds = map(load_platform, set(spec.robots.values()))
         platforms = {kind.name: kind for kind in kinds}
         numbers = numbers_of(trace, platforms, mean_duty(after), real_time_factor)

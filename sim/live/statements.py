@@ -1,0 +1,61 @@
+"""What robots said of themselves in a live run, brought into the trace that the world recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.messages import Status
+from swarmd.sim.trace import Trace
+
+_WORD = "U24"
+
+
+class Statements:
+    """Statuses as an operator heard them, each from its time on until the next."""
+
+    def __init__(self) -> None:
+        self._heard: list[tuple[float, Mapping[str, Status]]] = []
+
+    def hear(self, time: float, statuses: Mapping[str, Status]) -> None:
+        """At `time` s of the recording these robots said how they stand; in order of time."""
+        self._heard.append((time, dict(statuses)))
+
+    def brought_into(self, trace: Trace) -> Trace:
+        """The trace with `state`, `reason`, `active`, `report` and `words`.
+
+        Empty, False and NaN before a robot's first word. A wish is not among them: one that is
+        some tenths of a second old cannot be held against the command of an instant.
+        """
+        if not self._heard:
+            return trace
+        shape = len(trace.t), len(trace.ids)
+        state, reason = np.full(shape, "", dtype=_WORD), np.full(shape, "", dtype=_WORD)
+        active = np.zeros(shape, dtype=bool)
+        reports: dict[str, NDArray[Any]] = {}
+        words: dict[str, NDArray[Any]] = {}
+        for time, statuses in self._heard:
+            since = int(np.searchsorted(trace.t, time - 1e-9))
+            for robot, status in statuses.items():
+                if robot not in trace.ids:
+                    continue
+                place = slice(since, None), trace.ids.index(robot)
+                state[place], reason[place] = status.state.value, status.reason or ""
+                active[place] = status.verdict.is_active
+                for name, value in status.report.items():
+                    if isinstance(value, str):
+                        words.setdefault(name, np.full(shape, "", dtype=_WORD))[place] = value
+                    else:
+                        reports.setdefault(name, np.full(shape, np.nan))[place] = float(value)
+        return replace(
+            trace,
+            state=state,
+            reason=reason,
+            active=active,
+            report=dict(sorted(reports.items())),
+            words=dict(sorted(words.items())),
+        )
