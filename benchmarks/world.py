@@ -10,11 +10,11 @@ import numpy as np
 
 from benchmarks.lidar import SIZES, make_world, samples
 from benchmarks.table import Row, print_table
+from swarmd.sim.world.rates import ODOMETRY_RATE
 from swarmd.sim.world.realism import REALISMS
 from swarmd.sim.world.world import World
 
 SCAN_RATE = 5
-ODOMETRY_RATE = 20
 
 
 def drive(world: World) -> None:
@@ -52,7 +52,7 @@ def whole_rows(n: int) -> Iterator[Row]:
         yield Row(
             f"times real time, {n} robots, {name}",
             [1.0 / seconds for seconds in taken],
-            note=f"physics, {SCAN_RATE} sweeps and {ODOMETRY_RATE} odometries a second each,"
+            note=f"physics, {SCAN_RATE} sweeps and {ODOMETRY_RATE:.0f} odometries a second each,"
             " no patterns",
             unit="x",
         )

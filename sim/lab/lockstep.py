@@ -30,6 +30,7 @@ from swarmd.sim.trace import Trace
 from swarmd.sim.world.delays import Held
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.radio import Radio
+from swarmd.sim.world.rates import HEARING_RATE, ODOMETRY_RATE, READINGS_RATE
 from swarmd.sim.world.realism import Realism
 from swarmd.sim.world.seeding import generator
 from swarmd.sim.world.world import World
@@ -38,9 +39,6 @@ from swarmd.values import Array, Platform, Scan, Twist, Value
 
 BODY_TIMEOUT = 0.5
 """Seconds after which a base whose daemon is gone stops by itself."""
-
-_HEARING_RATE = 2.0
-_READINGS_RATE = 10.0
 
 
 def simulate_run(
@@ -82,10 +80,10 @@ class Lockstep:
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
         self._sweeps = Rhythm(np.array([p.scan.rate for p in self.world.platforms]), phases)
         self._beats = Rhythm(np.full(n, 1.0 / TICK), phases)
-        self._odometry = Rhythm(np.array([1.0 / TICK]))
-        self._hearing = Rhythm(np.full(n, _HEARING_RATE), phases)
+        self._odometry = Rhythm(np.array([ODOMETRY_RATE]))
+        self._hearing = Rhythm(np.full(n, HEARING_RATE), phases)
         readers = n if scenario.fields else 0
-        self._reading = Rhythm(np.full(readers, _READINGS_RATE), phases[:readers])
+        self._reading = Rhythm(np.full(readers, READINGS_RATE), phases[:readers])
         self._record = Rhythm(np.array([scenario.trace_rate]))
         self._wakes = Wakes(n, self.world.dt)
         self._held: Held[tuple[int, Scan]] = Held()

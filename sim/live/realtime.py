@@ -26,15 +26,14 @@ from swarmd.sim.live.state import Triple, WorldReply, WorldState, decode_request
 from swarmd.sim.world.delays import Held
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.radio import Radio
+from swarmd.sim.world.rates import HEARING_RATE, ODOMETRY_RATE
 from swarmd.sim.world.world import World
 from swarmd.values import Array, Scan
 
 COMMAND_TIMEOUT = 0.5
 """Real seconds without a command after which a body stops by itself, as a base does."""
 
-ODOMETRY_RATE = 25.0
 STATE_RATE = 10.0
-_HEARING_RATE = 2.0
 
 
 class RealTimeWorld:
@@ -65,7 +64,7 @@ class RealTimeWorld:
         self._sweeps: Held[tuple[int, Scan]] = Held()
         self._scans_due = Staggered(np.array([p.scan.rate for p in world.platforms]), start)
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start)
-        self._hearing_due = Staggered(np.full(n, _HEARING_RATE), start)
+        self._hearing_due = Staggered(np.full(n, HEARING_RATE), start)
         self._state_due = Staggered(np.array([STATE_RATE]), start)
         self._pacer = Pacer(world.dt, clock())
 
