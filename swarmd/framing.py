@@ -207,7 +207,9 @@ def _to_scan(body: list[Any]) -> Scan:
 
 
 def _array(data: bytes) -> Array:
-    return np.frombuffer(data, dtype=np.float64).copy()
+    array = np.frombuffer(data, dtype=np.float64).copy()
+    array.flags.writeable = False  # as it is where patterns run inline
+    return array
 
 
 def _from_odometry(odometry: Odometry) -> list[float]:

@@ -57,6 +57,8 @@ def test_inputs_arrive_bit_by_bit() -> None:
     assert np.array_equal(got.inputs.scan.bearings, SCAN.bearings)
     assert got.inputs.odometry == inputs.odometry
     assert got.inputs.neighbors == inputs.neighbors
+    assert got.inputs.scan is not None
+    assert not got.inputs.scan.ranges.flags.writeable  # as where patterns run inline
     assert got.inputs.messages == inputs.messages
     assert got.inputs.readings == inputs.readings
 
