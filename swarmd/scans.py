@@ -95,10 +95,12 @@ class ScanConditioner:
         if 2 * count > len(ranges):
             return Reason.INVALID_SCAN
         if count:
-            filled = _recall(ranges, ~unknown, memory, now - self._spec.stale_after)
-            ranges = _bridge(filled, scan.bearings, self._spec.max_gap)
+            is_recent = unknown & (memory.known_at >= now - self._spec.stale_after)
+            ranges = np.where(is_recent, memory.ranges, ranges)
             if np.isnan(ranges).any():
-                return Reason.INVALID_SCAN
+                ranges = _bridge(ranges, scan.bearings, self._spec.max_gap)
+                if np.isnan(ranges).any():
+                    return Reason.INVALID_SCAN
         spec = self._spec
         ranges.flags.writeable = False  # it is remembered, and an inline pattern shares it
         return Scan(scan.seq, scan.stamp, ranges, scan.bearings, spec.range_min, spec.range_max)
@@ -151,15 +153,14 @@ class ScanConditioner:
         self, bearings: Array, ranges: Array, unknown: Mask | None, memory: _Memory, now: float
     ) -> None:
         """Keep what is known; what is not (`unknown`, None: all is known) stays as it was."""
+        if unknown is None:
+            kept, known_at = ranges, np.full(len(ranges), now)
+        else:
+            kept = np.where(unknown, memory.ranges, ranges)
+            known_at = np.where(unknown, memory.known_at, now)
         is_near = ranges < self._spec.range_min + NEAR_MARGIN  # false where unknown
-        self._memory = _Memory(
-            bearings,
-            ranges if unknown is None else np.where(unknown, memory.ranges, ranges),
-            np.full(len(ranges), now)
-            if unknown is None
-            else np.where(unknown, memory.known_at, now),
-            np.where(is_near, now, memory.near_at) if is_near.any() else memory.near_at,
-        )
+        near_at = np.where(is_near, now, memory.near_at) if is_near.any() else memory.near_at
+        self._memory = _Memory(bearings, kept, known_at, near_at)
 
 
 def _moves(odometry: Odometry) -> bool:
@@ -177,12 +178,6 @@ def _is_beside(bearings: Array, near: Array) -> Mask:
         return np.zeros(len(bearings), dtype=np.bool_)
     off = np.abs((bearings[:, None] - near + math.pi) % (2.0 * math.pi) - math.pi)
     return np.asarray(off.min(axis=1) <= NEAR_SECTOR + 1e-9)
-
-
-def _recall(ranges: Array, known: Mask, memory: _Memory, since: float) -> Array:
-    """Unknown rays filled with what they last were, if that was known since `since`."""
-    usable = ~known & (memory.known_at >= since)
-    return np.where(usable, memory.ranges, ranges)
 
 
 def _bridge(ranges: Array, bearings: Array, max_gap: float) -> Array:

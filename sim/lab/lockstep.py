@@ -95,6 +95,7 @@ class Lockstep:
         self._lives = [0] * n
         self._steps = 0
         self.shells: list[Shell | None] = [None] * n
+        self._away = n
         for row, robot in enumerate(ids):
             if robot not in scenario.absent:
                 self.start(row)
@@ -119,6 +120,7 @@ class Lockstep:
         )
         self._lives[row] += 1
         self._silent_at.pop(row, None)
+        self._away -= 1
         shell = self.shells[row] = Shell(row, robot, self._find, self, now)
         for latches in list(self._held_by.values()):  # before it takes any request
             shell.settle(robot.on_latches(latches, now), now)
@@ -136,6 +138,7 @@ class Lockstep:
         self._held_by.pop(row, None)
         self._wakes.set(row, None)
         self.shells[row] = None
+        self._away += 1
 
     # What shells hand over
 
@@ -212,7 +215,7 @@ class Lockstep:
         if shell is None:
             return
         heard = self._radio.neighbors(row, self.world.poses(), self._boxes())
-        if None in self.shells:
+        if self._away:
             there = {one.robot.id for one in self.shells if one is not None}
             heard = tuple(neighbor for neighbor in heard if neighbor.id in there)
         shell.neighbors(heard, self.world.time)

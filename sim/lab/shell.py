@@ -45,6 +45,7 @@ class Shell:
         self.replies: list[Reply] = []
         self.decided = 0
         self.evaded = 0
+        self._twist: Twist | None = None
         self._outside = outside
         self._runner = InlineRunner(lambda: Stage(find))
         self.settle(robot.on_driver(True, "simulated", now), now)
@@ -90,7 +91,9 @@ class Shell:
 
     def _carry_out(self, actions: Actions, now: float) -> None:
         outside = self._outside
-        outside.command(self.row, actions.twist)
+        if actions.twist is not self._twist:  # most ticks change nothing
+            self._twist = actions.twist
+            outside.command(self.row, actions.twist)
         if actions.latches is not None:
             self.latches = actions.latches
         if actions.host is not None:

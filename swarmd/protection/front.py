@@ -53,7 +53,7 @@ class Protection:
             decision = Decision(ZERO, is_active=False)
             return self._verdict(wanted, decision, Reason.NO_SCAN, None)
         decision = self._arbiter.decide(wanted, scan_age=scan_age, odometry=odometry)
-        if not decision.twist.is_finite:
+        if decision.twist is not wanted and not decision.twist.is_finite:
             decision = Decision(ZERO, is_active=True, rows=decision.rows)
         reason = None
         if decision.twist.is_zero:
