@@ -15,8 +15,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from benchmarks.table import Row, print_table
-from swarmd.sim.lab.lockstep import Lockstep
-from swarmd.sim.lab.scenariofile import load_scenario
+from swarmd.sim.lockstep.lockstep import Lockstep
+from swarmd.sim.scenarios.scenariofile import load_scenario
 
 SIZES = (7, 100, 1000)
 PATTERNS = ("attraction", "random_walk", "drive")

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.errors import SwarmError
-from swarmd.sim.lab.experiments import simulate
-from swarmd.sim.lab.results import Results, load_results
-from swarmd.sim.lab.statistics import median_interval, wilson
+from swarmd.sim.experiments.results import Results, load_results
+from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.experiments.statistics import median_interval, wilson
 from swarmd.sim.metrics import aggregation
 from swarmd.sim.plots.bands import draw_series
 from swarmd.sim.plots.choice import typical_first

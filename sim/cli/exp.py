@@ -19,9 +19,9 @@ from swarmd.sim.cli.measure import measure
 from swarmd.sim.cli.options import chosen_metrics, need
 
 if TYPE_CHECKING:
-    from swarmd.sim.lab.compare import Difference, Side
-    from swarmd.sim.lab.manifest import Manifest
-    from swarmd.sim.lab.results import Results
+    from swarmd.sim.experiments.compare import Difference, Side
+    from swarmd.sim.experiments.manifest import Manifest
+    from swarmd.sim.experiments.results import Results
 
 FAILED, PARTIAL = 1, 3  # as swarmctl has them: of all runs, and of some
 MAX_PROCESSES = 256
@@ -110,9 +110,9 @@ def run(
     Exit code 0 if every run came to its end, 3 if some failed, 1 if all did.
     """
     need("mujoco")
-    from swarmd.sim.lab.experiments import plan_of
-    from swarmd.sim.lab.manifest import manifest_of
-    from swarmd.sim.lab.words import read_seeds, read_sets, read_sweeps
+    from swarmd.sim.experiments.manifest import manifest_of
+    from swarmd.sim.experiments.simulate import plan_of
+    from swarmd.sim.experiments.words import read_seeds, read_sets, read_sweeps
 
     names = chosen_metrics(metrics)
     plan = plan_of(scenario, read_seeds(seeds), read_sets(sets), read_sweeps(sweeps))
@@ -150,8 +150,8 @@ def rerun(
     """
     need("mujoco")
     from swarmd.sim.cli.progress import ends_on_sigterm, progress
-    from swarmd.sim.lab import rerun as again
-    from swarmd.sim.lab.pool import TIMEOUT
+    from swarmd.sim.experiments import rerun as again
+    from swarmd.sim.experiments.pool import TIMEOUT
 
     for line in again.warnings(folder):
         warn(f"warning: {line}; results may differ")
@@ -179,7 +179,7 @@ def compare(ctx: click.Context, a: str, b: str, metrics: str | None, output: str
 
     A metric differs if the 95 % interval of the difference of means excludes 0.
     """
-    from swarmd.sim.lab import compare as comparing
+    from swarmd.sim.experiments import compare as comparing
 
     names = chosen_metrics(metrics)
     found = [(*pair, comparing.compare(*pair, names)) for pair in comparing.sides(a, b)]
@@ -198,7 +198,7 @@ def compare(ctx: click.Context, a: str, b: str, metrics: str | None, output: str
 @click.pass_context
 def show(ctx: click.Context, folder: Path, metrics: str | None, output: str | None) -> None:
     """The statistics of the experiment in DIR, also of one that was interrupted."""
-    from swarmd.sim.lab.results import load_results
+    from swarmd.sim.experiments.results import load_results
 
     _tell(load_results(folder), chosen_metrics(metrics), _is_json(ctx, output))
 
@@ -213,7 +213,7 @@ def show(ctx: click.Context, folder: Path, metrics: str | None, output: str | No
 def plot(folder: Path, out: Path | None, metrics: str | None, seeds: str | None) -> None:
     """Draw the experiment in DIR: trajectories, start and end, metrics over time."""
     need("matplotlib")
-    from swarmd.sim.lab.words import read_seeds
+    from swarmd.sim.experiments.words import read_seeds
     from swarmd.sim.plots.experiment import draw_experiment
 
     one_or_more = f"{seeds}-{seeds}" if seeds and seeds.isdecimal() else seeds
@@ -228,7 +228,7 @@ def plot(folder: Path, out: Path | None, metrics: str | None, seeds: str | None)
 def list_scenarios(ctx: click.Context, output: str | None) -> None:
     """The scenarios that come with swarmd."""
     need("mujoco")
-    from swarmd.sim.lab.scenariofile import scenario_names
+    from swarmd.sim.scenarios.scenariofile import scenario_names
 
     found = [_described(name) for name in scenario_names()]
     if _is_json(ctx, output):
@@ -267,7 +267,7 @@ exp.add_command(measure)
 
 def _described(name: str) -> dict[str, Any]:
     """A scenario as it is listed, also one that needs what is not installed."""
-    from swarmd.sim.lab.scenariofile import load_scenario
+    from swarmd.sim.scenarios.scenariofile import load_scenario
 
     about = {"name": name, "description": "", "robots": None, "duration": None, "error": ""}
     try:
@@ -301,8 +301,8 @@ def new_folder(base: Path, stem: str) -> Path:
 def _conducted(manifest: Manifest, folder: Path, processes: int, timeout: float | None) -> Results:
     """All runs done; on Ctrl-C and SIGTERM a line says how to go on."""
     from swarmd.sim.cli.progress import ends_on_sigterm, progress
-    from swarmd.sim.lab.experiments import conduct
-    from swarmd.sim.lab.pool import TIMEOUT
+    from swarmd.sim.experiments.pool import TIMEOUT
+    from swarmd.sim.experiments.simulate import conduct
 
     total = len(manifest.plan.runs)
     try:
@@ -311,7 +311,7 @@ def _conducted(manifest: Manifest, folder: Path, processes: int, timeout: float 
                 manifest, folder, processes, timeout=timeout or TIMEOUT, on_progress=on_progress
             )
     except (KeyboardInterrupt, SystemExit):
-        from swarmd.sim.lab.results import load_results
+        from swarmd.sim.experiments.results import load_results
 
         with suppress(SwarmError):  # it had not even begun
             done = len(load_results(folder).rows)
@@ -321,7 +321,7 @@ def _conducted(manifest: Manifest, folder: Path, processes: int, timeout: float 
 
 def _tell(results: Results, names: Sequence[str] | None, is_json: bool) -> None:
     """Statistics on stdout, failures on stderr."""
-    from swarmd.sim.lab.report import HEADER, summary_rows
+    from swarmd.sim.experiments.report import HEADER, summary_rows
 
     if is_json:
         print_json("ExperimentSummary", {**results.document(names), "folder": str(results.folder)})
@@ -341,8 +341,8 @@ def _tell(results: Results, names: Sequence[str] | None, is_json: bool) -> None:
 
 
 def _tell_differences(a: Side, b: Side, differences: Sequence[Difference]) -> None:
-    from swarmd.sim.lab.compare import by_chance
-    from swarmd.sim.lab.report import interval, number
+    from swarmd.sim.experiments.compare import by_chance
+    from swarmd.sim.experiments.report import interval, number
 
     is_paired = any(one.is_paired for one in differences)
     click.echo(f"A: {a.label}\nB: {b.label}")
@@ -360,7 +360,7 @@ def _tell_differences(a: Side, b: Side, differences: Sequence[Difference]) -> No
 
 
 def _warn_of_few(counts: Iterable[int]) -> None:
-    from swarmd.sim.lab.statistics import FEW
+    from swarmd.sim.experiments.statistics import FEW
 
     fewest = min((n for n in counts if n), default=FEW)
     if fewest == 1:

@@ -29,7 +29,7 @@ def measure(
 
     A live trace knows nothing of wishes: metrics that need them are left empty.
     """
-    from swarmd.sim.lab.report import number
+    from swarmd.sim.experiments.report import number
     from swarmd.sim.metrics import catalog
     from swarmd.sim.trace import load_trace
 

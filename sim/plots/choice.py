@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from swarmd.sim.lab.results import Results
+from swarmd.sim.experiments.results import Results
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.values import Array
 

@@ -10,8 +10,8 @@ from textwrap import fill
 import numpy as np
 
 from swarmd.errors import ConfigError, SwarmError
-from swarmd.sim.lab.plan import Run
-from swarmd.sim.lab.results import Results, load_results, unit_of
+from swarmd.sim.experiments.plan import Run
+from swarmd.sim.experiments.results import Results, load_results, unit_of
 from swarmd.sim.metrics.catalog import METRICS, metric_of
 from swarmd.sim.plots.bands import draw_series
 from swarmd.sim.plots.choice import (

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmd.errors import SwarmError
-from swarmd.sim.lab.statistics import mean_interval, wilson
+from swarmd.sim.experiments.statistics import mean_interval, wilson
 from swarmd.sim.plots.canvas import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
 from swarmd.values import Array
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swarmd.sim.lab.statistics import wilson
+from swarmd.sim.experiments.statistics import wilson
 from swarmd.values import Array
 
 Series = tuple[Array, Array]

@@ -91,7 +91,7 @@ def full(walk: Walk) -> Callable[[int], Trace]:
 def conducted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of an experiment of two variants and three seeds, for reading alone."""
     pytest.importorskip("mujoco")
-    from swarmd.sim.lab.experiments import simulate
+    from swarmd.sim.experiments.simulate import simulate
 
     folder = tmp_path_factory.mktemp("conducted")
     (folder / "gathering.yaml").write_text(GATHERING)

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarmd.sim.lab.plan import Plan, Variant
-from swarmd.sim.lab.results import Results
-from swarmd.sim.lab.table import Row
+from swarmd.sim.experiments.plan import Plan, Variant
+from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.table import Row
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.plots.choice import (
     AT_A_GLANCE,

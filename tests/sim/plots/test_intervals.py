@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swarmd.errors import SwarmError
-from swarmd.sim.lab.statistics import mean_interval, wilson
+from swarmd.sim.experiments.statistics import mean_interval, wilson
 from swarmd.sim.plots.intervals import Panel, draw_intervals, intervals_figure
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarmd.sim.lab.statistics import wilson
+from swarmd.sim.experiments.statistics import wilson
 from swarmd.sim.plots.spread import (
     MOST_INSTANTS,
     Series,

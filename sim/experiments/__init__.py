@@ -1,0 +1,1 @@
+"""Experiments: a scenario over seeds and parameters, kept, compared and made again."""

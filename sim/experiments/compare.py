@@ -1,0 +1,184 @@
+"""Which metrics differ between two experiments, by how much, and how sure that is."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from swarmd.errors import ConfigError, unknown
+from swarmd.sim.experiments.results import Results, load_results, unit_of
+from swarmd.sim.experiments.statistics import LEVEL, Interval, difference_interval, mean_interval
+from swarmd.sim.metrics.catalog import METRICS
+from swarmd.values import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Side:
+    """One side of a comparison: a variant of an experiment, `label` as the user named it."""
+
+    label: str
+    results: Results
+    variant: str
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """How one metric differs: `difference` is the mean of `b` less that of `a`.
+
+    `interval` holds the difference in 95 % of such comparisons. `is_paired`: taken seed by seed.
+    All but `n_a` and `n_b` are None where a side has no values, `interval` also below two.
+    `better` is the side that is better, None if they do not differ or neither way is good as such.
+    """
+
+    metric: str
+    unit: str
+    n_a: int
+    n_b: int
+    mean_a: float | None
+    mean_b: float | None
+    difference: float | None
+    interval: Interval | None
+    is_paired: bool
+    better: Literal["a", "b"] | None
+
+    @property
+    def differs(self) -> bool:
+        """Whether the interval excludes 0."""
+        return self.interval is not None and 0.0 not in self.interval
+
+    @property
+    def verdict(self) -> str:
+        """In a word or two."""
+        if self.difference is None:
+            return "-"
+        if self.interval is None:
+            return "too few runs"
+        if not self.differs:
+            return "no difference shown"
+        return "differs" if self.better is None else f"{self.better.upper()} is better"
+
+
+def sides(a: str, b: str) -> list[tuple[Side, Side]]:
+    """The pairs that `A` and `B` stand for: FOLDER, or FOLDER:VARIANT of a sweep.
+
+    Two folders with the same variants are compared variant by variant. ConfigError if it is not
+    clear which variants are meant.
+    """
+    left, right = _named(a), _named(b)
+    if len(left) == 1 or len(right) == 1:
+        if len(left) == len(right):
+            return [(left[0], right[0])]
+        folder, many = (a, left) if len(left) > 1 else (b, right)
+        variants = ", ".join(side.variant for side in many)
+        raise ConfigError(f"{folder}: name one of its variants, as {many[0].label}: {variants}")
+    if [side.variant for side in left] != [side.variant for side in right]:
+        raise ConfigError(
+            f"{a} and {b}: their variants are not the same; name one of each,"
+            f" such as {left[0].label} and {right[0].label}"
+        )
+    return list(zip(left, right, strict=True))
+
+
+def compare(a: Side, b: Side, names: Sequence[str] | None = None) -> list[Difference]:
+    """How each metric that both have differs; ConfigError for a name that is none of them.
+
+    Where both were to have the same seeds each run is compared with that of the same seed, which
+    takes away what the seeds do to both, and a run that failed takes its counterpart along; else
+    the two are resampled independently.
+    """
+    known = [name for name in a.results.metrics if name in b.results.metrics]
+    for name in names or ():
+        if name not in known:
+            raise ConfigError(unknown("metric", name, known))
+    return [_difference(a, b, name) for name in (known if names is None else names)]
+
+
+def by_chance(differences: Sequence[Difference]) -> float:
+    """How many of these would be found to differ if nothing did: 5 % of those with an interval."""
+    return 0.05 * sum(one.interval is not None for one in differences)
+
+
+def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, Any]:
+    """A comparison as plain values."""
+    return {
+        "a": a.label,
+        "b": b.label,
+        "level": LEVEL,
+        "differ_by_chance": by_chance(differences),
+        "metrics": {
+            one.metric: {
+                **asdict(one),
+                "interval": one.interval and [one.interval.low, one.interval.high],
+                "differs": one.differs,
+            }
+            for one in differences
+        },
+    }
+
+
+def _difference(a: Side, b: Side, name: str) -> Difference:
+    left, right = a.results.metric(name, a.variant), b.results.metric(name, b.variant)
+    is_paired = set(a.results.plan.seeds) == set(b.results.plan.seeds)
+    if is_paired:
+        seeds = a.results.seeds(a.variant), b.results.seeds(b.variant)
+        _, places_a, places_b = np.intersect1d(*seeds, assume_unique=True, return_indices=True)
+        left, right = left[places_a], right[places_b]
+        both = ~(np.isnan(left) | np.isnan(right))
+        left, right = left[both], right[both]
+        found = mean_interval(right - left)
+    else:
+        left, right = left[~np.isnan(left)], right[~np.isnan(right)]
+        found = difference_interval(left, right)
+    mean_a, mean_b = _mean(left), _mean(right)
+    apart = None if mean_a is None or mean_b is None else mean_b - mean_a
+    return Difference(
+        metric=name,
+        unit=unit_of(name),
+        n_a=left.size,
+        n_b=right.size,
+        mean_a=mean_a,
+        mean_b=mean_b,
+        difference=apart,
+        interval=found,
+        is_paired=is_paired,
+        better=_better(found, METRICS[name].better if name in METRICS else None),
+    )
+
+
+def _better(
+    interval: Interval | None, wanted: Literal["less", "more"] | None
+) -> Literal["a", "b"] | None:
+    if interval is None or wanted is None or 0.0 in interval:
+        return None
+    return "b" if (interval.low > 0.0) == (wanted == "more") else "a"
+
+
+def _mean(values: Array) -> float | None:
+    return float(values.mean()) if values.size else None
+
+
+def _named(text: str) -> list[Side]:
+    """The variants that one word of the command line stands for."""
+    folder, variant = _parted(text)
+    results = load_results(folder)
+    if not results.rows:
+        raise ConfigError(f"{folder}: no run of it has finished; run it first")
+    if variant is not None and variant not in results.variants:
+        raise ConfigError(f"{folder}: {unknown('variant', variant, results.variants)}")
+    wanted = results.variants if variant is None else (variant,)
+    return [Side(f"{folder}:{name}" if name else str(folder), results, name) for name in wanted]
+
+
+def _parted(text: str) -> tuple[Path, str | None]:
+    """Folder and variant: the part before a colon is the folder, unless the whole is one."""
+    if Path(text).is_dir():
+        return Path(text), None
+    for colon in re.finditer(":", text):
+        if Path(text[: colon.start()]).is_dir():
+            return Path(text[: colon.start()]), text[colon.end() :]
+    return Path(text), None

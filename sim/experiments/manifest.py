@@ -1,0 +1,202 @@
+"""The manifest of an experiment: all that it takes to make it again, bit by bit."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+import swarmd
+from swarmd.errors import ConfigError, SwarmError
+from swarmd.sim.experiments.plan import Plan, Variant, check_seeds
+from swarmd.sim.experiments.provenance import GitState, digests_of_plugins, git_state, made_with
+
+NAME = "manifest.json"
+FORMAT = 1
+
+
+class VariantEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A variant as it stands in a manifest."""
+
+    name: str
+    values: dict[str, Any]
+    effective: dict[str, Any]
+
+
+class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What was to be run, and with what.
+
+    `scenario` as it was named, `sets` and `sweep` by dotted key, and what they came to as
+    `variants`, each with its whole scenario. `made_with` are versions and the digest of the code,
+    `plugins` digests of one-file patterns by name, `git` the checkouts of swarmd and of the
+    scenario's folder, None where there was none. `traces`: whether they were kept. `command` the
+    words that do the same again, empty if it was Python. `created` in UTC.
+    """
+
+    format: int
+    created: str
+    command: list[str]
+    scenario: str
+    seeds: list[int]
+    sets: dict[str, Any]
+    sweep: dict[str, list[Any]]
+    traces: bool
+    made_with: dict[str, str]
+    git: dict[str, GitState | None]
+    plugins: dict[str, str]
+    variants: list[VariantEntry]
+
+    @property
+    def plan(self) -> Plan:
+        """The runs; from this alone, not from any scenario file."""
+        return Plan(
+            scenario=self.scenario,
+            seeds=check_seeds(self.seeds),
+            variants=tuple(Variant(v.name, v.values, v.effective) for v in self.variants),
+            sets=self.sets,
+            sweep=self.sweep,
+        )
+
+
+def manifest_of(plan: Plan, *, traces: bool, command: list[str]) -> Manifest:
+    """The manifest of a plan that is run here and now."""
+    place = Path(plan.scenario)
+    return Manifest(
+        format=FORMAT,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        command=command,
+        scenario=plan.scenario,
+        seeds=list(plan.seeds),
+        sets=plain(plan.sets),
+        sweep=plain(plan.sweep),
+        traces=traces,
+        made_with=made_with(),
+        git={
+            "swarmd": git_state(Path(swarmd.__file__).resolve().parent),
+            "scenario": git_state(place.resolve().parent) if place.is_file() else None,
+        },
+        plugins=_plugins(plan),
+        variants=[
+            VariantEntry(name=v.name, values=plain(v.values), effective=plain(v.effective))
+            for v in plan.variants
+        ],
+    )
+
+
+def plain(values: Mapping[str, Any]) -> dict[str, Any]:
+    """The values as JSON has them, so that what runs is what the manifest says.
+
+    SwarmError if they are none, such as infinite ones.
+    """
+    try:
+        text = json.dumps(values, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise SwarmError(f"the scenario cannot be written down as JSON: {error}") from error
+    found: dict[str, Any] = json.loads(text)
+    return found
+
+
+def write_manifest(manifest: Manifest, folder: Path) -> None:
+    """Write manifest.json; the file appears whole or not at all."""
+    write_json(folder / NAME, msgspec.to_builtins(manifest))
+
+
+def read_manifest(folder: Path) -> Manifest:
+    """The manifest of an experiment's folder; ConfigError in one line if there is none."""
+    path = folder / NAME
+    try:
+        data = json.loads(path.read_bytes())
+    except FileNotFoundError:
+        text = f"{folder}: no experiment: there is no {NAME}"
+        raise ConfigError(f"{text}; name a folder that `swarmctl exp run` has made") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, RecursionError) as error:
+        raise ConfigError(f"{path}: damaged: no JSON ({_brief(error)}); restore it") from error
+    if isinstance(data, dict) and isinstance(data.get("format"), int) and data["format"] != FORMAT:
+        text = f"{path}: format {data['format']}, and this swarmd reads {FORMAT}"
+        raise ConfigError(f"{text}; use the swarmd that has made it")
+    try:
+        manifest = msgspec.convert(data, Manifest)
+        assert manifest.plan.runs
+    except (msgspec.ValidationError, ConfigError, AssertionError) as error:
+        text = f"{path}: damaged: {_brief(error) or 'no variants'}"
+        raise ConfigError(f"{text}; restore it, or run the experiment anew") from error
+    return manifest
+
+
+def differences(old: Manifest, new: Manifest) -> Iterator[str]:
+    """In words, what of `new` would give other results than `old`, or other files."""
+    if old.scenario != new.scenario:
+        yield f"the scenario was {old.scenario}, now {new.scenario}"
+    if old.seeds != new.seeds:
+        yield f"the seeds were {_seeds(old.seeds)}, now {_seeds(new.seeds)}"
+    if (old.sets, list(old.sweep.items())) != (new.sets, list(new.sweep.items())):
+        yield f"it was {_overrides(old)}, now {_overrides(new)}"
+    elif [v.effective for v in old.variants] != [v.effective for v in new.variants]:
+        yield "the scenario's contents have changed"
+    if old.traces != new.traces:
+        yield "traces were kept, now they are not" if old.traces else "traces were not kept"
+    yield from software_differences(old, new)
+
+
+def software_differences(old: Manifest, new: Manifest) -> Iterator[str]:
+    """In words, what of versions, code and plugins differs; each alone may change results."""
+    names = sorted({*old.made_with, *new.made_with})
+    for name in names:
+        was, now = old.made_with.get(name, "unknown"), new.made_with.get(name, "unknown")
+        if was != now and name in ("code", "simd"):
+            yield {"code": "swarmd's code has changed", "simd": "the processor is another"}[name]
+        elif was != now:
+            yield f"{name} was {was}, now {now}"
+    for name in sorted({*old.plugins, *new.plugins}):
+        if old.plugins.get(name) != new.plugins.get(name):
+            yield f"plugin {name} has changed"
+
+
+def write_json(path: Path, data: Any) -> None:
+    """Write a JSON file; it appears whole or not at all."""
+    write_whole(path, json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a text file; it appears whole or not at all, and nothing is left of a failure."""
+    partial = path.with_name(f".{path.name}.partial")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, path)
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
+
+
+def _plugins(plan: Plan) -> dict[str, str]:
+    named = {variant.effective.get("plugin_dir") for variant in plan.variants}
+    folders = sorted(str(folder) for folder in named if folder is not None)
+    return {
+        f"{folder}/{name}": digest
+        for folder in folders
+        for name, digest in digests_of_plugins(Path(folder)).items()
+    }
+
+
+def _overrides(manifest: Manifest) -> str:
+    words = [f"--set {k}={v}" for k, v in manifest.sets.items()]
+    words += [f"--sweep {k}={','.join(map(str, v))}" for k, v in manifest.sweep.items()]
+    return " ".join(words) or "without --set and --sweep"
+
+
+def _seeds(seeds: list[int]) -> str:
+    if len(seeds) > 1 and seeds == list(range(seeds[0], seeds[-1] + 1)):
+        return f"{seeds[0]}-{seeds[-1]}"
+    text = ",".join(map(str, seeds))
+    return text if len(text) <= 40 else f"{text[:37]}..."
+
+
+def _brief(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]

@@ -1,0 +1,172 @@
+"""Many jobs in several processes: what kills or hangs one process costs one run."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections import deque
+from collections.abc import Generator, Iterable
+from contextlib import suppress
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection, wait
+
+from swarmd.processes import how_it_ended
+from swarmd.sim.experiments.job import Job, Outcome, one_line, remove_partial
+
+WORKER = "swarmd.sim.experiments.worker"
+GRACE = 2.0  # s in which a worker without work ends by itself
+TIMEOUT = 60.0  # s on the clock for one step of a simulation, or for setting it up
+_LOOK = 0.5  # s between two looks at workers that say nothing
+_TAIL = 8192  # bytes of what a worker has said last
+_ONE_THREAD = {
+    f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL", "NUMEXPR", "VECLIB")
+}
+
+
+def outcomes(
+    jobs: Iterable[Job], processes: int, timeout: float = TIMEOUT
+) -> Generator[Outcome, None, None]:
+    """The outcome of each job as it comes; `processes` of them are done at a time.
+
+    One that gets no further in its simulation for `timeout` s is ended and has failed. Close the
+    iterator (`contextlib.closing`) if it is not exhausted: the workers end with it.
+    """
+    waiting = deque(jobs)
+    workers: dict[Connection, _Worker] = {}
+    try:
+        for _ in range(min(processes, len(waiting))):
+            _employ(workers, waiting.popleft())
+        before = time.monotonic()
+        while workers:
+            ready = wait(list(workers), _LOOK)
+            now = time.monotonic()
+            # Time in which this process stood still too, as a suspended one does, does not count.
+            passed, before = min(now - before, 2.0 * _LOOK), now
+            for pipe, worker in list(workers.items()):
+                outcome = worker.outcome() if pipe in ready else worker.silent(passed, timeout)
+                if outcome is None:
+                    continue
+                if worker.is_alive and waiting:
+                    worker.give(waiting.popleft())
+                else:
+                    workers.pop(pipe).end()
+                    if waiting:
+                        _employ(workers, waiting.popleft())
+                yield outcome
+    finally:
+        for worker in workers.values():
+            worker.kill()
+            worker.clean()
+
+
+def _employ(workers: dict[Connection, _Worker], job: Job) -> None:
+    worker = _Worker()
+    workers[worker.pipe] = worker
+    worker.give(job)
+
+
+class _Worker:
+    """One process, the pipe to it, and the job it is at. `is_alive`: it can take another."""
+
+    def __init__(self) -> None:
+        self.is_alive = True
+        self.pipe, theirs = Pipe()
+        self._log = tempfile.TemporaryFile()  # noqa: SIM115  # closed by `kill`
+        with theirs:
+            self._process = subprocess.Popen(
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    "swarmd.sim.experiments.worker",
+                    *self._arguments(theirs),
+                ],
+                pass_fds=(theirs.fileno(),),
+                stdin=subprocess.DEVNULL,
+                stdout=self._log,
+                stderr=self._log,
+                env={**os.environ, **_ONE_THREAD},
+                process_group=0,  # Ctrl-C is for the parent, which ends them
+            )
+
+    @staticmethod
+    def _arguments(theirs: Connection) -> tuple[str, str]:
+        return str(theirs.fileno()), str(os.getpid())
+
+    def give(self, job: Job) -> None:
+        """Let it do a job; if it has gone, `outcome` will say so."""
+        self._job = job
+        self._silence: float | None = 0.0
+        self._begin = os.fstat(self._log.fileno()).st_size
+        with suppress(OSError):
+            self.pipe.send(job)
+
+    def outcome(self) -> Outcome | None:
+        """What came of the job, None if it was but a word on the way; it must have said something.
+
+        If it has ended instead, that is the outcome.
+        """
+        try:
+            word: Outcome | float = self.pipe.recv()
+        except Exception:  # its end, or what a pattern has written into the pipe
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(GRACE)
+            self._end_group()
+            code = self._process.returncode
+            hint = " (the memory was full, or someone did it)" if code == -signal.SIGKILL else ""
+            return self._lost(f"its process {how_it_ended(code)}{hint}")
+        if isinstance(word, Outcome):
+            return word
+        self._silence = 0.0 if word < 1.0 else None  # what is left is up to nobody's pattern
+        return None
+
+    def silent(self, seconds: float, timeout: float) -> Outcome | None:
+        """It has said nothing for so long again: ended, and the outcome, if that is too long."""
+        if self._silence is None:
+            return None
+        self._silence += seconds
+        if self._silence < timeout:
+            return None
+        self._end_group()
+        return self._lost(f"it got no further in {timeout:g} s, as if a pattern never returned")
+
+    def end(self) -> None:
+        """Let it end, as it does when nothing more can come."""
+        self.pipe.close()
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(GRACE)
+        self.kill()
+
+    def kill(self) -> None:
+        """End it now, whatever it is at."""
+        self._end_group()
+        self.pipe.close()
+        self._log.close()
+
+    def clean(self) -> None:
+        """Remove what it has left of the trace it was at; it must have ended."""
+        if self._job.trace is not None:
+            remove_partial(self._job.trace)
+
+    def _end_group(self) -> None:
+        """End it and all that it or a pattern has started."""
+        with suppress(ProcessLookupError):
+            os.killpg(self._process.pid, signal.SIGKILL)
+        self._process.wait()
+
+    def _lost(self, reason: str) -> Outcome:
+        self.is_alive = False
+        self.clean()
+        return Outcome(self._job.run, reason=f"{reason}{self._last_words()}")
+
+    def _last_words(self) -> str:
+        """The last line it has said since it was given its job."""
+        end = self._log.seek(0, os.SEEK_END)
+        self._log.seek(max(self._begin, end - _TAIL))
+        lines = self._log.read().decode(errors="replace").split("\n")
+        said = [line for line in lines if line.strip()]
+        return f": {one_line(said[-1])}" if said else ""

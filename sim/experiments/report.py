@@ -1,0 +1,53 @@
+"""Statistics as a reader wants them: tables of words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from swarmd.sim.experiments.statistics import Interval, Summary
+from swarmd.sim.metrics.catalog import METRICS
+
+HEADER = ("METRIC", "UNIT", "MEAN", "95 %", "MEDIAN", "95 %", "MIN", "MAX", "RUNS")
+NOTHING = "-"
+
+
+def summary_rows(summary: Mapping[str, Summary]) -> list[tuple[str, ...]]:
+    """A row of words for each metric; a metric that is 0 or 1 has the interval of its share."""
+    return [
+        (
+            name,
+            (METRICS[name].unit if name in METRICS else "") or NOTHING,
+            number(one.mean),
+            interval(one.mean_interval if one.share is None else one.share_interval),
+            number(one.median) if one.share is None else NOTHING,
+            interval(one.median_interval if one.share is None else None),
+            number(one.min),
+            number(one.max),
+            str(one.n),
+        )
+        for name, one in summary.items()
+    ]
+
+
+def summary_lines(summary: Mapping[str, Summary]) -> list[str]:
+    """The same as lines of aligned columns."""
+    return aligned(HEADER, summary_rows(summary))
+
+
+def aligned(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Lines of aligned columns."""
+    widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
+    return [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in (header, *rows)
+    ]
+
+
+def number(value: float | None) -> str:
+    """Four digits that count."""
+    return NOTHING if value is None else f"{value:.4g}"
+
+
+def interval(found: Interval | None) -> str:
+    """Both ends, four digits each."""
+    return NOTHING if found is None else f"{found.low:.4g} to {found.high:.4g}"

@@ -1,0 +1,109 @@
+"""An experiment made again from its manifest alone, and compared with itself bit by bit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from swarmd.errors import ConfigError, SwarmError
+from swarmd.sim.experiments.manifest import manifest_of, read_manifest, software_differences
+from swarmd.sim.experiments.pool import TIMEOUT
+from swarmd.sim.experiments.results import Results, load_results
+from swarmd.sim.experiments.simulate import OnProgress, conduct
+from swarmd.sim.trace import Trace
+
+
+@dataclass(frozen=True, slots=True)
+class Match:
+    """Whether a run came out the same; if not, `why` says what differs."""
+
+    run: str
+    why: str
+
+    @property
+    def is_identical(self) -> bool:
+        """Every array of the trace has the same bits, or every metric if there is no trace."""
+        return not self.why
+
+
+def warnings(folder: Path) -> list[str]:
+    """In words, what is not as it was when the experiment was made; ConfigError if it is none."""
+    old = read_manifest(folder)
+    return list(software_differences(old, manifest_of(old.plan, traces=old.traces, command=[])))
+
+
+def rerun(
+    folder: Path,
+    out: Path | None,
+    processes: int,
+    on_progress: OnProgress | None = None,
+    timeout: float = TIMEOUT,
+) -> list[Match]:
+    """Make the experiment of `folder` again in `out`, and compare each run that it finished.
+
+    Without `out` those runs alone are made again, in a folder that is gone afterwards. Nothing but
+    the manifest is read to make them, and nothing in `folder` is changed. ConfigError if `folder`
+    is no experiment, has finished no run, or is `out` itself.
+    """
+    before = load_results(folder)
+    if not before.runs:
+        raise ConfigError(f"{folder}: no run of it has finished, so there is nothing to compare")
+    if out is not None and out.resolve() == folder.resolve():
+        raise ConfigError(f"--out {out} is the experiment itself; name another folder")
+    old = read_manifest(folder)
+    manifest = manifest_of(old.plan, traces=old.traces, command=old.command)
+    again = partial(
+        conduct, manifest, processes=processes, on_progress=on_progress, timeout=timeout
+    )
+    if out is not None:
+        return _matches(before, again(out))
+    only = {run.id for run in before.runs}
+    with TemporaryDirectory(prefix="swarmd-exp-") as place:
+        return _matches(before, again(Path(place), only=only))
+
+
+def trace_differences(a: Trace, b: Trace) -> Iterator[str]:
+    """The names of what differs between two traces, in a single bit or more."""
+    for field in fields(Trace):
+        one, other = getattr(a, field.name), getattr(b, field.name)
+        if not _same(one, other):
+            yield field.name
+
+
+def _matches(before: Results, after: Results) -> list[Match]:
+    rows = [{row["run"]: row for row in results.rows} for results in (before, after)]
+    return [
+        Match(run.id, _difference(before, after, run.id, *(of.get(run.id, {}) for of in rows)))
+        for run in before.runs
+    ]
+
+
+def _difference(
+    before: Results, after: Results, run: str, old: Mapping[str, Any], new: Mapping[str, Any]
+) -> str:
+    if run in after.failures:
+        return f"failed now: {after.failures[run]}"
+    both = [name for name in before.metrics if name in after.metrics]
+    differing = ", ".join(name for name in both if old[name] != new[name])
+    try:
+        traces = before.traces[run], after.traces[run]
+    except SwarmError:  # not kept, removed or damaged: the metrics have to do
+        return differing and f"metrics: {differing}"
+    found = ", ".join(trace_differences(*traces))
+    return f"trace: {found}" if found else differing and f"metrics of the same trace: {differing}"
+
+
+def _same(a: Any, b: Any) -> bool:
+    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
+        return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
+    if isinstance(a, dict) and isinstance(b, dict):
+        return a.keys() == b.keys() and all(_same(a[key], b[key]) for key in a)
+    if isinstance(a, Sequence) and isinstance(b, Sequence) and not isinstance(a, str):
+        return len(a) == len(b) and all(_same(*pair) for pair in zip(a, b, strict=True))
+    return type(a) is type(b) and a == b

@@ -1,0 +1,194 @@
+"""What an experiment has found, read from its folder: rows, statistics and traces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, overload
+
+import numpy as np
+
+from swarmd.errors import ConfigError, SwarmError, unknown
+from swarmd.sim.experiments.manifest import read_manifest
+from swarmd.sim.experiments.plan import Plan, Run
+from swarmd.sim.experiments.report import summary_lines
+from swarmd.sim.experiments.statistics import LEVEL, METHOD, Summary, summarize
+from swarmd.sim.experiments.store import read_failures, trace_path
+from swarmd.sim.experiments.table import Row, read_table
+from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.trace import Trace, load_trace
+from swarmd.values import Array
+
+YES_OR_NO = "0 or 1"
+"""The unit of metrics that are true or false of a run."""
+
+
+class Traces(Sequence[Trace]):
+    """Traces of finished runs, each read from the disk when it is asked for, by number or run."""
+
+    def __init__(self, folder: Path, runs: Sequence[Run]) -> None:
+        self._folder = folder
+        self._runs = {run.id: run for run in runs}
+
+    def __len__(self) -> int:
+        return len(self._runs)
+
+    @overload
+    def __getitem__(self, which: int | str) -> Trace: ...
+    @overload
+    def __getitem__(self, which: slice) -> list[Trace]: ...
+    def __getitem__(self, which: int | str | slice) -> Trace | list[Trace]:
+        """The trace of a run; SwarmError if it was not kept or is damaged."""
+        ids = list(self._runs)
+        if isinstance(which, slice):
+            return [self[run] for run in ids[which]]
+        if isinstance(which, str) and which not in self._runs:
+            raise ConfigError(unknown("run", which, ids))
+        run = self._runs[which if isinstance(which, str) else ids[which]]
+        path = trace_path(self._folder, run)
+        if not path.exists():
+            raise SwarmError(f"{path}: there is no trace; it was not kept, or has been removed")
+        return load_trace(path)
+
+
+class Results:
+    """The finished runs of an experiment, in the order of its plan.
+
+    `failures` has the reason of each run that failed, by run. `variants` are the points of the
+    sweep by name, one without a name if nothing was swept.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        plan: Plan,
+        rows: Iterable[Row],
+        failures: Mapping[str, str],
+        metrics: Sequence[str],
+    ) -> None:
+        self.folder = folder
+        self.plan = plan
+        self.failures = dict(failures)
+        self.metrics = tuple(metrics)
+        self.variants = tuple(variant.name for variant in plan.variants)
+        self._rows = tuple(rows)
+        self._rows_of: dict[str, list[Row]] = {name: [] for name in self.variants}
+        for row in self._rows:
+            self._rows_of[row.run.variant.name].append(row)
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """A mapping for each run, as pandas takes them: names, swept values, seed and metrics."""
+        return [row.plain() for row in self._rows]
+
+    @property
+    def runs(self) -> tuple[Run, ...]:
+        """The finished runs."""
+        return tuple(row.run for row in self._rows)
+
+    @property
+    def traces(self) -> Traces:
+        """The traces of the finished runs, in the order of `rows`."""
+        return Traces(self.folder, self.runs)
+
+    def metric(self, name: str, variant: str | None = None) -> Array:
+        """The values (runs,) of a metric, NaN where it has none; of all variants if None.
+
+        ConfigError with the nearest name if there is no such metric or variant.
+        """
+        if name not in self.metrics:
+            raise ConfigError(unknown("metric", name, self.metrics))
+        rows = self._rows if variant is None else self._of(variant)
+        return np.array([_number(row.metrics[name]) for row in rows], dtype=np.float64)
+
+    def seeds(self, variant: str) -> tuple[int, ...]:
+        """The seeds of the finished runs of a variant, in the order of `metric`."""
+        return tuple(row.run.seed for row in self._of(variant))
+
+    def summary(
+        self, variant: str | None = None, names: Sequence[str] | None = None
+    ) -> dict[str, Summary]:
+        """Mean, median and their 95 % intervals by metric, of the variant, or the only one.
+
+        Of the named metrics alone, if any are. ConfigError if a variant must be named.
+        """
+        if variant is None:
+            if len(self.variants) > 1:
+                text = f"there are {len(self.variants)} variants: {', '.join(self.variants)}"
+                raise ConfigError(f"{text}; name one")
+            variant = self.variants[0]
+        return {
+            name: summarize(self.metric(name, variant), is_share=unit_of(name) == YES_OR_NO)
+            for name in names or self.metrics
+        }
+
+    def document(self, names: Sequence[str] | None = None) -> dict[str, Any]:
+        """All statistics as plain values, or of the named metrics: the contents of summary.json."""
+        return {
+            "scenario": self.plan.scenario,
+            "runs": len(self.plan.runs),
+            "finished": len(self._rows),
+            "failed": len(self.failures),
+            "level": LEVEL,
+            "method": METHOD,
+            "variants": [
+                {
+                    "name": variant.name,
+                    "values": dict(variant.values),
+                    "finished": len(self.seeds(variant.name)),
+                    "metrics": {
+                        name: {"unit": unit_of(name), **_plain(summary)}
+                        for name, summary in self.summary(variant.name, names).items()
+                    },
+                }
+                for variant in self.plan.variants
+            ],
+        }
+
+    def __str__(self) -> str:
+        return "\n".join(self._lines())
+
+    def __repr__(self) -> str:
+        return f"<Results of {self.plan.scenario}: {len(self._rows)} runs in {self.folder}>"
+
+    def _lines(self) -> Iterator[str]:
+        failed = f", {len(self.failures)} failed" if self.failures else ""
+        yield f"{self.plan.scenario}: {len(self._rows)} of {len(self.plan.runs)} runs{failed}"
+        for variant in self.variants:
+            yield from (["", variant] if variant else [""])
+            yield from summary_lines(self.summary(variant))
+
+    def _of(self, variant: str) -> Sequence[Row]:
+        if variant not in self._rows_of:
+            raise ConfigError(unknown("variant", variant, self.variants))
+        return self._rows_of[variant]
+
+
+def load_results(folder: str | Path) -> Results:
+    """What an experiment's folder holds, also of one that was interrupted.
+
+    ConfigError in one line if it is no such folder or damaged.
+    """
+    place = Path(folder)
+    plan = read_manifest(place).plan
+    metrics, rows = read_table(place, plan)
+    failures = {run: why for run, why in read_failures(place).items() if run not in rows}
+    return Results(place, plan, rows.values(), failures, metrics)
+
+
+def unit_of(metric: str) -> str:
+    """The unit of a metric; none for one that is not known, as of another version."""
+    return METRICS[metric].unit if metric in METRICS else ""
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else value
+
+
+def _plain(summary: Summary) -> dict[str, Any]:
+    """A summary for JSON: intervals as [low, high]."""
+    return {
+        key: list(value.values()) if isinstance(value, dict) else value
+        for key, value in asdict(summary).items()
+    }

@@ -1,0 +1,189 @@
+"""Experiments from Python: a scenario, over seeds, with statistics.
+
+::
+
+    from swarmd.sim.experiments.simulate import simulate
+    results = simulate("aggregation", seeds=20)
+    print(results)
+
+The same as `swarmctl exp run`, with the same results to the last bit.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+import weakref
+from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
+from contextlib import closing, suppress
+from numbers import Integral
+from pathlib import Path
+from typing import Any, cast
+
+from swarmd.errors import ConfigError, SwarmError
+from swarmd.sim.experiments.job import Job, Outcome, perform
+from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
+from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan
+from swarmd.sim.experiments.pool import TIMEOUT, outcomes
+from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.store import Store, gone, open_store
+from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.scenarios.overrides import SOURCE, SWEPT
+from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
+
+OnProgress = Callable[[int, int, int], None]
+"""Told after each run: how many are done, of how many, and how many of them failed."""
+
+
+def simulate(
+    scenario: str | Path | Scenario,
+    seeds: int | Iterable[int] = 20,
+    *,
+    set: Mapping[str, Any] | None = None,
+    sweep: Mapping[str, Sequence[Any]] | None = None,
+    jobs: int = 1,
+    out: str | Path | None = None,
+    traces: bool = True,
+    timeout: float = TIMEOUT,
+) -> Results:
+    """Run a scenario once for each seed (a number n means 0 to n - 1), and measure every run.
+
+    `set` and `sweep` are by dotted key of the scenario's file: `{"groups.all.count": 5}`, and
+    `{"groups.all.parameters.law": ["ours", "paper"]}` for every combination. With `jobs` above 1
+    runs are done by as many processes, from scripts and notebooks alike; with 1 in this one. The
+    results are the same, bit by bit. In processes of its own a run that gets no further for
+    `timeout` s is ended and has failed. `out` is a folder as `swarmctl exp` makes and reads them,
+    where an interrupted call goes on if it is made again; without it, results last as long as
+    this process needs them.
+
+    ConfigError before anything runs if scenario, seeds or overrides cannot be. Runs that fail are
+    in `failures` of the results; SwarmError if all of them did.
+    """
+    if jobs < 1:
+        raise ConfigError(f"jobs is {jobs}; wanted 1 or more")
+    if not timeout >= 1.0:
+        raise ConfigError(f"timeout is {timeout:g}; wanted 1 s or more")
+    plan = plan_of(scenario, _listed(seeds), set, sweep)
+    manifest = manifest_of(plan, traces=traces, command=[])
+    folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
+    try:
+        results = conduct(manifest, folder, jobs, is_here=jobs == 1, timeout=timeout)
+    except BaseException:
+        if out is None:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+    if out is None:
+        weakref.finalize(results, shutil.rmtree, folder, ignore_errors=True)
+    if results.failures and not results.rows:
+        run, reason = next(iter(results.failures.items()))
+        raise SwarmError(f"all {len(results.failures)} runs failed; the first, {run}: {reason}")
+    return results
+
+
+def plan_of(
+    scenario: str | Path | Scenario,
+    seeds: Iterable[int],
+    set: Mapping[str, Any] | None = None,
+    sweep: Mapping[str, Sequence[Any]] | None = None,
+) -> Plan:
+    """The plan of an experiment, every variant of the scenario checked, start poses included."""
+    name = scenario.name if isinstance(scenario, Scenario) else str(scenario)
+    first = check_seeds(seeds)
+    given = [*([SOURCE] * bool(set)), *([SWEPT] * bool(sweep))]
+
+    def effective(overrides: Mapping[str, Any]) -> Mapping[str, Any]:
+        found = _overridden(scenario, overrides, " or ".join(given))
+        found.starts(first[0])
+        return plain(found.effective)
+
+    return make_plan(name, first, set or {}, sweep or {}, effective)
+
+
+def conduct(
+    manifest: Manifest,
+    folder: Path,
+    processes: int,
+    *,
+    is_here: bool = False,
+    only: Collection[str] | None = None,
+    timeout: float = TIMEOUT,
+    on_progress: OnProgress | None = None,
+) -> Results:
+    """Do all runs of a manifest that its folder does not have yet, and sum up.
+
+    Those of `only` alone, if it is given, and in this process alone if `is_here`; elsewhere none
+    may stand still for `timeout` s. Whatever ends
+    it early, what was finished stays in the folder and can be read. SwarmError if the folder
+    cannot be used or its disk is full.
+    """
+    with open_store(folder, manifest, tuple(METRICS)) as store:
+        try:
+            runs = [run for run in store.missing if only is None or run.id in only]
+            jobs = [Job(r.id, r.variant.effective, r.seed, store.trace_of(r)) for r in runs]
+            found = _here(jobs) if is_here else outcomes(jobs, processes, timeout)
+            _gather(store, runs, found, on_progress)
+        except BaseException:
+            with suppress(SwarmError, OSError):  # what has ended it is what is to be told
+                store.close(_results(store).document())
+            raise
+        results = _results(store)
+        store.close(results.document())
+        return results
+
+
+def _listed(seeds: int | Iterable[int]) -> Iterable[int]:
+    return range(int(seeds)) if isinstance(seeds, Integral) else cast("Iterable[int]", seeds)
+
+
+def _gather(
+    store: Store,
+    runs: Sequence[Run],
+    outcomes: Generator[Outcome, None, None],
+    on_progress: OnProgress | None,
+) -> None:
+    by_id = {run.id: run for run in runs}
+    total = len(store.rows) + len(runs)
+    with closing(outcomes) as found:
+        if on_progress is not None:
+            on_progress(len(store.rows), total, 0)
+        for outcome in found:
+            _keep(store, by_id[outcome.run], outcome)
+            if on_progress is not None:
+                failed = len(store.failures)
+                on_progress(len(store.rows) + failed, total, failed)
+
+
+def _here(jobs: Iterable[Job]) -> Generator[Outcome, None, None]:
+    for job in jobs:
+        yield perform(job)
+
+
+def _keep(store: Store, run: Run, outcome: Outcome) -> None:
+    if outcome.obstacle and not store.is_whole:
+        raise gone(store.folder)
+    if outcome.obstacle:
+        text = f"{outcome.obstacle}; {len(store.rows)} finished runs are kept"
+        raise SwarmError(f"{text}: make room and give the same command again")
+    if outcome.metrics is None:
+        store.fail(run, outcome.reason)
+    else:
+        store.add(run, outcome.metrics, outcome.wall)
+
+
+def _results(store: Store) -> Results:
+    rows = [store.rows[run.id] for run in store.plan.runs if run.id in store.rows]
+    return Results(store.folder, store.plan, rows, store.failures, tuple(METRICS))
+
+
+def _overridden(
+    scenario: str | Path | Scenario, overrides: Mapping[str, Any], source: str
+) -> Scenario:
+    if not isinstance(scenario, Scenario):
+        return load_scenario(str(scenario), overrides, source=source)
+    if not scenario.effective:
+        raise ConfigError(
+            f"scenario {scenario.name!r} has no effective configuration, so it could not be run"
+            " again; make it with load_scenario or scenario_of"
+        )
+    return scenario_of(scenario.effective, overrides, source=source)

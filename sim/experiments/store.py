@@ -1,0 +1,244 @@
+"""The folder of an experiment while it is made: what is in it is whole at every instant.
+
+::
+
+    manifest.json   what was to be run, and with what
+    runs.csv        a row for each finished run
+    traces/ID.npz   what happened in it
+    failures.json   the runs that failed, and why
+    summary.json    means, medians and intervals by variant and metric
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from swarmd.errors import ConfigError, SwarmError
+from swarmd.sim.experiments import manifest as manifests
+from swarmd.sim.experiments import table
+from swarmd.sim.experiments.manifest import (
+    Manifest,
+    read_manifest,
+    write_json,
+    write_manifest,
+    write_whole,
+)
+from swarmd.sim.experiments.plan import Run
+from swarmd.sim.experiments.table import Row
+
+TRACES = "traces"
+FAILURES = "failures.json"
+SUMMARY = "summary.json"
+_FULL = (errno.ENOSPC, errno.EDQUOT)
+_HEAD = {"apiVersion": "swarm/v1", "kind": "ExperimentSummary"}
+
+
+class Store:
+    """An experiment's folder, open for more. `rows` and `failures` (reasons) are by run.
+
+    Runs that failed before are not among `failures`: they are tried again.
+    """
+
+    def __init__(self, folder: Path, manifest: Manifest, rows: dict[str, Row]) -> None:
+        self.folder = folder
+        self.manifest = manifest
+        self.plan = manifest.plan
+        self.rows = rows
+        self.failures: dict[str, str] = {}
+
+    @property
+    def missing(self) -> tuple[Run, ...]:
+        """The runs that have no row yet, in order."""
+        return tuple(run for run in self.plan.runs if run.id not in self.rows)
+
+    def trace_of(self, run: Run) -> Path | None:
+        """Where the trace of a run goes; None if traces are not kept."""
+        return trace_path(self.folder, run) if self.manifest.traces else None
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether nobody has taken the folder away, or its traces."""
+        return (self.folder / (TRACES if self.manifest.traces else manifests.NAME)).exists()
+
+    def add(self, run: Run, metrics: Mapping[str, float | None], wall: float) -> None:
+        """Keep a finished run; SwarmError if the disk does not take it."""
+        row = Row(run, metrics, round(wall, 3))
+        with _told(self.folder):
+            try:
+                _append(self.folder / table.NAME, table.line_of(row))
+            except FileNotFoundError as error:
+                raise gone(self.folder) from error
+        self.rows[run.id] = row
+
+    def fail(self, run: Run, reason: str) -> None:
+        """Keep that a run failed, and why; SwarmError if the disk does not take it."""
+        self.failures[run.id] = reason
+        with _told(self.folder):
+            self._write_failures()
+
+    def close(self, summary: Mapping[str, object]) -> None:
+        """Put the rows in order and write the summary; SwarmError if the disk is full."""
+        rows = [self.rows[run.id] for run in self.plan.runs if run.id in self.rows]
+        with _told(self.folder):
+            if rows:
+                head = table.lines([table.header(self.plan, rows[0].metrics)])
+                text = head + "".join(map(table.line_of, rows))
+                write_whole(self.folder / table.NAME, text)
+            self._write_failures()
+            write_json(self.folder / SUMMARY, {**_HEAD, **summary})
+
+    def _write_failures(self) -> None:
+        listed = [
+            {"run": run.id, "variant": run.variant.name, "seed": run.seed,
+             "reason": self.failures[run.id]}
+            for run in self.plan.runs if run.id in self.failures
+        ]  # fmt: skip
+        path = self.folder / FAILURES
+        if listed or path.exists():
+            write_json(path, {"failures": listed})
+
+
+@contextmanager
+def open_store(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Iterator[Store]:
+    """The folder for this experiment: a new one, or the same experiment's, which goes on.
+
+    ConfigError, and nothing is touched, if the folder holds anything else, belongs to another
+    experiment or is in use.
+    """
+    with _told(folder):
+        made = not folder.is_dir()
+        folder.mkdir(parents=True, exist_ok=True)
+    with _held(folder):
+        if (folder / manifests.NAME).exists():
+            store = _resumed(folder, manifest, metrics)
+        else:
+            if not made:
+                _refuse_strangers(folder)
+            _begin(folder, manifest, metrics)
+            store = Store(folder, manifest, {})
+        yield store
+
+
+def read_failures(folder: Path) -> dict[str, str]:
+    """The reasons by run of failures.json, {} without one; ConfigError if it is damaged."""
+    path = folder / FAILURES
+    try:
+        listed = json.loads(path.read_bytes())["failures"]
+        return {str(failure["run"]): str(failure["reason"]) for failure in listed}
+    except FileNotFoundError:
+        return {}
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        raise ConfigError(f"{path}: damaged; remove it or restore it") from error
+
+
+def gone(folder: Path) -> SwarmError:
+    """The error that someone took the folder, or a file of it, away."""
+    text = f"{folder}: it, or what was in it, has been removed meanwhile"
+    return SwarmError(f"{text}; restore it or remove the rest, and give the same command again")
+
+
+def trace_path(folder: Path, run: Run) -> Path:
+    """Where the trace of a run is."""
+    return folder / TRACES / f"{run.id}.npz"
+
+
+def _begin(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> None:
+    with _told(folder):
+        write_manifest(manifest, folder)  # first: with it, the folder is an experiment's
+        _begin_table(folder, manifest, metrics)
+
+
+def _begin_table(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> None:
+    write_whole(folder / table.NAME, table.lines([table.header(manifest.plan, metrics)]))
+    if manifest.traces:
+        (folder / TRACES).mkdir(exist_ok=True)
+
+
+def _resumed(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Store:
+    old = read_manifest(folder)
+    differing = next(manifests.differences(old, manifest), None)
+    if differing is not None:
+        text = f"{folder}: holds another experiment: {differing}"
+        raise ConfigError(f"{text}; name another folder with --out, or remove this one")
+    if not (folder / table.NAME).exists():  # cut off between the two, or deleted
+        with _told(folder):
+            _begin_table(folder, old, metrics)
+    known, rows = table.read_table(folder, old.plan)
+    if known != metrics:
+        raise ConfigError(f"{folder}: holds other metrics; name another folder with --out")
+    with _told(folder):
+        for partial in (folder / TRACES).glob(".*.partial"):
+            partial.unlink()
+        _cut_torn_line(folder / table.NAME)
+        if old.traces:
+            (folder / TRACES).mkdir(exist_ok=True)
+    return Store(folder, old, rows)
+
+
+def _refuse_strangers(folder: Path) -> None:
+    cut_off = f".{manifests.NAME}.partial"
+    strangers = sorted(path.name for path in folder.iterdir() if path.name != cut_off)
+    if strangers:
+        text = f"{folder}: is no experiment's folder: it holds {strangers[0]}"
+        raise ConfigError(f"{text}; name a new or empty one with --out")
+
+
+def _append(path: Path, line: str) -> None:
+    """Append a line as a whole, or nothing."""
+    with path.open("r+b", buffering=0) as file:
+        size = file.seek(0, os.SEEK_END)
+        data = line.encode()
+        try:
+            written = 0
+            while written < len(data):
+                written += file.write(data[written:]) or 0
+        except BaseException:
+            with suppress(OSError):  # else the line is torn, and is cut off when it goes on
+                file.truncate(size)
+            raise
+
+
+def _cut_torn_line(path: Path) -> None:
+    data = path.read_bytes()
+    whole = data.rfind(b"\n") + 1
+    if whole < len(data):
+        os.truncate(path, whole)
+
+
+@contextmanager
+def _held(folder: Path) -> Iterator[None]:
+    """The folder for this process alone; ConfigError if another has it."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            text = f"{folder}: another swarmctl is at work in it"
+            raise ConfigError(f"{text}; wait for it, or name another folder") from error
+        yield
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def _told(folder: Path) -> Iterator[None]:
+    """What the disk refuses is one line that names the folder."""
+    try:
+        yield
+    except (FileExistsError, NotADirectoryError) as error:
+        raise ConfigError(f"{error.filename}: is a file; name a folder with --out") from error
+    except OSError as error:
+        text = f"{folder}: {error.strerror or error}"
+        if error.errno in _FULL:
+            raise SwarmError(
+                f"{text}; what was finished is kept, so make room and go on"
+            ) from error
+        raise SwarmError(f"{text}; name another folder with --out") from error

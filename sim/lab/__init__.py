@@ -1,1 +1,0 @@
-"""The laboratory: scenarios in lockstep, and experiments over seeds and parameters."""

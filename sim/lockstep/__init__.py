@@ -1,0 +1,1 @@
+"""Lockstep: a whole swarm in one process, of the same robots as live ones."""

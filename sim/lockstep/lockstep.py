@@ -1,0 +1,301 @@
+"""Lockstep: a whole swarm in one process, as fast as the processor goes, the same bits each time.
+
+The same `World` and the same `Robot` as with live daemons; patterns run inline, messages go through
+the radio model. Nothing sleeps, nothing reads a clock, and every random number comes from the seed.
+"""
+
+from __future__ import annotations
+
+import gc
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from swarmd.codec import decode_value, encode_value
+from swarmd.errors import CodecError
+from swarmd.latches import LatchRecord
+from swarmd.loading import Finder
+from swarmd.messages import Latch, Status
+from swarmd.plugins import pattern_names
+from swarmd.robot import TICK, Robot
+from swarmd.sim.lockstep.logbook import Logbook
+from swarmd.sim.lockstep.rhythm import Rhythm, Wakes
+from swarmd.sim.lockstep.shell import Shell
+from swarmd.sim.lockstep.timeline import Timeline
+from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.trace import Trace
+from swarmd.sim.world.delays import Held
+from swarmd.sim.world.geometry import transform
+from swarmd.sim.world.radio import Radio
+from swarmd.sim.world.rates import HEARING_RATE, ODOMETRY_RATE, READINGS_RATE
+from swarmd.sim.world.realism import Realism
+from swarmd.sim.world.seeding import generator
+from swarmd.sim.world.world import World
+from swarmd.status import RobotSettings
+from swarmd.values import Array, Platform, Scan, Twist, Value
+
+BODY_TIMEOUT = 0.5
+"""Seconds after which a base whose daemon is gone stops by itself."""
+
+
+def simulate_run(
+    scenario: Scenario, seed: int, on_progress: Callable[[float], None] | None = None
+) -> Trace:
+    """A whole run. SwarmError if it cannot be set up or a robot refuses what it is asked.
+
+    `on_progress` is called after every step with the share that is done, at last with 1.
+    """
+    told = on_progress or _nobody
+    lab, duration = Lockstep(scenario, seed), scenario.duration
+    share = 0.0
+    while share < 1.0:
+        share = min(share + 0.02, 1.0)
+        lab.advance(share * duration - lab.world.time, lambda now: told(min(now / duration, 0.99)))
+    told(1.0)
+    return lab.trace()
+
+
+class Lockstep:
+    """A swarm that goes on for as long as `advance` is told."""
+
+    def __init__(self, scenario: Scenario, seed: int) -> None:
+        self.scenario, self.seed = scenario, seed
+        self.world = World(
+            scenario.robots,
+            scenario.arena,
+            scenario.starts(seed),
+            visibility=scenario.visibility,
+            realism=scenario.realism,
+            fields=scenario.fields,
+            seed=seed,
+        )
+        self._platforms = [_as_sensing(p, scenario.realism) for p in self.world.platforms]
+        ids, n = self.world.ids, len(self.world.ids)
+        origins = pattern_names(scenario.plugin_dir)
+        self._find = Finder({name: (o.value, o.is_file) for name, o in origins.items()})
+        self._radio = Radio(scenario.radio, ids, scenario.arena, seed=seed)
+        phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
+        self._sweeps = Rhythm(np.array([p.scan.rate for p in self.world.platforms]), phases)
+        self._beats = Rhythm(np.full(n, 1.0 / TICK), phases)
+        self._odometry = Rhythm(np.array([ODOMETRY_RATE]))
+        self._hearing = Rhythm(np.full(n, HEARING_RATE), phases)
+        readers = n if scenario.fields else 0
+        self._reading = Rhythm(np.full(readers, READINGS_RATE), phases[:readers])
+        self._record = Rhythm(np.array([scenario.trace_rate]))
+        self._wakes = Wakes(n, self.world.dt)
+        self._held: Held[tuple[int, Scan]] = Held()
+        self._commands = np.zeros((n, 3))
+        self._silent_at: dict[int, float] = {}
+        self._latches: dict[int, LatchRecord | None] = {}
+        self._told: list[tuple[int, dict[str, Latch]]] = []
+        self._held_by: dict[int, dict[str, Latch]] = {}
+        self._lives = [0] * n
+        self._steps = 0
+        self.shells: list[Shell | None] = [None] * n
+        self._away = n
+        for row, robot in enumerate(ids):
+            if robot not in scenario.absent:
+                self.start(row)
+        self._timeline = Timeline(scenario.events, self)
+        self._logbook = Logbook(self.world)
+
+    # What a scenario does with daemons
+
+    def start(self, row: int) -> None:
+        """A daemon starts on robot `row`; latches that an earlier life wrote down hold it."""
+        now, robot_id = self.world.time, self.world.ids[row]
+        layers = self.scenario.layers
+        labels = tuple(name for name, ids in self.scenario.groups.items() if robot_id in ids)
+        robot = Robot(
+            robot_id,
+            self._platforms[row],
+            RobotSettings(driver="lockstep", layers=lambda p: layers(robot_id, p), labels=labels),
+            seed=self.seed,
+            boot=f"lab-{self._lives[row]}",
+            now=now,
+            latches=self._latches.get(row),
+        )
+        self._lives[row] += 1
+        self._silent_at.pop(row, None)
+        self._away -= 1
+        shell = self.shells[row] = Shell(row, robot, self._find, self, now)
+        for latches in list(self._held_by.values()):  # before it takes any request
+            shell.settle(robot.on_latches(latches, now), now)
+        self._meet(row)
+
+    def end(self, row: int, *, in_order: bool) -> None:
+        """The daemon of robot `row` ends; if it is killed, its base stops by its own timeout."""
+        shell, now = self.shells[row], self.world.time
+        assert shell is not None
+        if in_order:
+            shell.leave(now)
+        else:
+            self._silent_at[row] = now + BODY_TIMEOUT
+        self._latches[row] = shell.latches
+        self._held_by.pop(row, None)
+        self._wakes.set(row, None)
+        self.shells[row] = None
+        self._away += 1
+
+    # What shells hand over
+
+    def command(self, row: int, twist: Twist) -> None:
+        """The base's command from now on."""
+        self._commands[row] = twist.linear, twist.angular, twist.lateral
+
+    def say(self, row: int, name: str, value: Value, now: float) -> None:
+        """Through the radio, in the form in which it would go over the network."""
+        try:
+            plain = decode_value(encode_value(value))
+        except CodecError:
+            return
+        self._radio.send(row, name, plain, now, self.world.poses(), self._boxes())
+
+    def tell(self, row: int, status: Status) -> None:
+        """Peers act on the latches of a status alone, now and when they join."""
+        self._held_by.pop(row, None)
+        if status.latches:
+            self._held_by[row] = dict(status.latches)
+            self._told.append((row, self._held_by[row]))
+
+    def wake(self, row: int, at: float | None) -> None:
+        """An alarm between two ticks."""
+        self._wakes.set(row, at)
+
+    # Time
+
+    def advance(self, seconds: float, on_step: Callable[[float], None] | None = None) -> None:
+        """Go on for so long, to the nearest step. SwarmError if a robot refuses an event.
+
+        `on_step` is called after each with the time.
+        """
+        told = on_step or _nobody
+        with _without_collection():
+            for _ in range(round(seconds / self.world.dt)):
+                self._step()
+                told(self.world.time)
+
+    def trace(self, **meta: Any) -> Trace:
+        """The run so far, up to this instant."""
+        self._logbook.instant(self.world.time, self._commands, self.shells)
+        return self._logbook.trace({**self._meta(), **meta})
+
+    def _step(self) -> None:
+        world, now = self.world, self.world.time
+        self._timeline.apply(now)
+        self._talk(now)
+        self._sense(now)
+        self._beat(now)
+        if len(self._record.due(now)):
+            self._logbook.instant(now, self._commands, self.shells)
+        world.set_commands(self._commands)
+        world.step()
+        self._steps += 1
+        self._logbook.touches(world.time)
+
+    def _talk(self, now: float) -> None:
+        for hearer, sender, name, value in self._radio.arrived(now):
+            shell = self.shells[hearer]
+            if shell is not None:
+                shell.hear(self.world.ids[sender], name, value, now)
+        told, self._told = self._told, []
+        for row, latches in told:
+            for shell in self.shells:
+                if shell is not None and shell.row != row:
+                    shell.settle(shell.robot.on_latches(latches, now), now)
+        for row in self._hearing.due(now):
+            self._meet(int(row))
+
+    def _meet(self, row: int) -> None:
+        """Robot `row` learns who is within hearing."""
+        shell = self.shells[row]
+        if shell is None:
+            return
+        heard = self._radio.neighbors(row, self.world.poses(), self._boxes())
+        if self._away:
+            there = {one.robot.id for one in self.shells if one is not None}
+            heard = tuple(neighbor for neighbor in heard if neighbor.id in there)
+        shell.neighbors(heard, self.world.time)
+
+    def _sense(self, now: float) -> None:
+        world = self.world
+        due = self._sweeps.due(now)
+        if len(due):
+            for row, scan in zip(due.tolist(), world.scans(due), strict=True):
+                self._held.put(now + float(world.scan_latency[row]), (row, scan))
+        for row, scan in self._held.due(now):
+            shell = self.shells[row]
+            if shell is not None:
+                shell.scan(scan, now)
+        for row in self._reading.due(now):
+            shell = self.shells[row]
+            if shell is not None:
+                shell.robot.on_readings(world.readings(int(row)))
+
+    def _beat(self, now: float) -> None:
+        if len(self._odometry.due(now)):
+            # All wheels are read at once, since reading one takes as long as reading a hundred.
+            for shell, odometry in zip(self.shells, self.world.odometry(), strict=True):
+                if shell is not None:
+                    shell.odometry(odometry, now)
+        for row in self._beats.due(now).tolist():
+            shell = self.shells[row]
+            if shell is not None:
+                shell.tick(now)
+        for row in self._wakes.due(self._steps):
+            shell = self.shells[row]
+            if shell is not None:
+                shell.tick(now)
+        for row, at in list(self._silent_at.items()):
+            if now >= at:
+                self._commands[row] = 0.0
+                del self._silent_at[row]
+
+    def _boxes(self) -> Array | None:
+        """The corners (m, 4, 2) of movable boxes, if the radio must see past them."""
+        if not self.scenario.radio.line_of_sight or not self.world.things:
+            return None
+        return transform(self.world.thing_shapes, self.world.thing_poses())
+
+    def _meta(self) -> dict[str, Any]:
+        scenario, platforms = self.scenario, self.world.platforms
+        return {
+            "scenario": scenario.name,
+            "seed": self.seed,
+            "duration": scenario.duration,
+            "arena": scenario.arena.text,
+            "lidar_visibility": scenario.visibility,
+            "radio": scenario.effective.get("radio", {}),
+            "groups": {name: list(ids) for name, ids in scenario.groups.items()},
+            "thresholds": {p.name: p.protection.get("threshold", 0.0) for p in platforms},
+            "v_max": {p.name: p.limits.linear for p in platforms},
+            "events": [
+                {"at": e.at, "action": e.action, "robots": list(e.robots), "pattern": e.pattern}
+                for e in scenario.events
+            ],
+        }
+
+
+def _as_sensing(platform: Platform, realism: Realism) -> Platform:
+    """The platform; without noise, scans that stay the same do not betray a frozen sensor."""
+    is_noisy = platform.scan.is_noisy and realism.lidar.differs_each_time
+    return replace(platform, scan=replace(platform.scan, is_noisy=is_noisy))
+
+
+def _nobody(now: float) -> None:
+    """Nobody is told."""
+
+
+@contextmanager
+def _without_collection() -> Iterator[None]:
+    """No garbage collection: a run makes hardly any cycles, and walking 1000 robots takes long."""
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was_enabled:
+            gc.enable()

@@ -1,0 +1,103 @@
+"""A scenario's events, carried out as an operator, a power switch or a hand would."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+from swarmd.errors import SwarmError
+from swarmd.messages import Code, Request
+from swarmd.sim.lockstep.shell import Shell
+from swarmd.sim.scenarios.scenario import Event
+from swarmd.sim.world.world import World
+
+OPERATOR = "scenario"
+_ROUNDING = 1e-9
+
+
+class Swarm(Protocol):
+    """What events act on. `shells`: by row, None where no daemon is."""
+
+    world: World
+    shells: list[Shell | None]
+
+    def start(self, row: int) -> None:
+        """A daemon starts on robot `row`."""
+
+    def end(self, row: int, *, in_order: bool) -> None:
+        """The daemon of robot `row` ends: in order, or killed."""
+
+
+class Timeline:
+    """Carries events out when they are due."""
+
+    def __init__(self, events: Sequence[Event], swarm: Swarm) -> None:
+        self._events = events
+        self._swarm = swarm
+        self._rows = {robot: row for row, robot in enumerate(swarm.world.ids)}
+        self._next = 0
+
+    def apply(self, now: float) -> None:
+        """Carry out all that is due by `now` s. SwarmError if a robot refuses."""
+        while self._next < len(self._events) and self._events[self._next].at <= now + _ROUNDING:
+            event = self._events[self._next]
+            self._next += 1
+            self._carry_out(event, now)
+
+    def _carry_out(self, event: Event, now: float) -> None:
+        swarm = self._swarm
+        if event.action == "place":
+            assert event.pose is not None
+            swarm.world.place(event.thing, event.pose)
+        elif event.action == "remove":
+            swarm.world.remove(event.thing)
+        elif event.action == "join":
+            for row in self._rows_of(event):
+                if swarm.shells[row] is None:
+                    swarm.start(row)
+        elif event.action in ("leave", "kill"):
+            for row in self._rows_of(event):
+                if swarm.shells[row] is not None:
+                    swarm.end(row, in_order=event.action == "leave")
+        else:
+            self._ask_all(event, now)
+
+    def _rows_of(self, event: Event) -> list[int]:
+        return [self._rows[robot] for robot in event.robots]
+
+    def _ask_all(self, event: Event, now: float) -> None:
+        """Ask each of the event's robots that is there."""
+        for row in self._rows_of(event):
+            shell = self._swarm.shells[row]
+            if shell is None:
+                continue
+            reply = shell.ask(self._request(event, shell, now), now)
+            if reply is None or reply.code is not Code.APPLIED:
+                said = "gave no answer" if reply is None else reply.text
+                what = f"{event.action} {event.pattern}".rstrip()
+                raise SwarmError(f"at {event.at:g} s {what}: {shell.robot.id}: {said}")
+
+    def _is_for_all(self, event: Event) -> bool:
+        chosen = frozenset(event.robots)
+        return all(one is None or one.robot.id in chosen for one in self._swarm.shells)
+
+    def _request(self, event: Event, shell: Shell, now: float) -> Request:
+        robot = shell.robot
+        arguments: Mapping[str, Callable[[], dict[str, Any]]] = {
+            "run": lambda: {
+                "pattern": event.pattern,
+                "params": dict(event.parameters),
+                **({} if event.seconds is None else {"seconds": event.seconds}),
+            },
+            "param": lambda: {"set": dict(event.parameters)},
+            "estop": lambda: {"scope": "swarm" if self._is_for_all(event) else "robots"},
+            "reset": lambda: {"ids": list(robot.status(now).latches)},
+            "stop": dict,
+        }
+        return Request(
+            id=f"event-{self._next}",
+            operator=OPERATOR,
+            verb=event.action,
+            targets={robot.id: robot.epoch},
+            args=arguments[event.action](),
+        )

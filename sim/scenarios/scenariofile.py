@@ -1,0 +1,190 @@
+"""Scenarios read from files, checked in every respect that does not need a run.
+
+Weakest to strongest: what a file extends, the file, overrides. `Scenario.effective` is the whole
+of it in plain values, platforms included, from which the same scenario can be made without files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
+from pathlib import Path
+from typing import Any
+
+from msgspec import json
+
+import swarmd.config
+from swarmd.errors import ConfigError, unknown
+from swarmd.layered import Layered
+from swarmd.sim.scenarios.cast import Cast, cast_of, platform_name
+from swarmd.sim.scenarios.overrides import SOURCE, nested, parse_override
+from swarmd.sim.scenarios.rehearsal import ConfiguredParameters, rehearse
+from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.scenarios.scenery import arena_of, check_air, fields_of
+from swarmd.sim.scenarios.schema import ScenarioFile
+from swarmd.sim.scenarios.script import script_of
+from swarmd.sim.scenarios.starts import Starts, part_of, without_stale
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.readings import Field
+from swarmd.sim.world.realism import realism_of
+from swarmd.yamlfile import Data, read, shown
+
+__all__ = ["load_scenario", "parse_override", "scenario_names", "scenario_of"]
+
+
+def scenario_names() -> tuple[str, ...]:
+    """The scenarios that come with the project."""
+    return tuple(sorted(path.stem for path in _folder().glob("*.yaml")))
+
+
+def load_scenario(
+    name: str | Path, overrides: Mapping[str, Any] | None = None, *, source: str = SOURCE
+) -> Scenario:
+    """The scenario of that name, or of that file if it ends in .yaml.
+
+    `overrides` by dotted keys of the file: {"groups.all.count": 5, "duration": 30}. ConfigError
+    names file, or `source` for what was overridden, key, value, what was wanted and the nearest
+    valid key.
+    """
+    path = _find(str(name), Path())
+    return _overridden(tuple(_chain(path)), overrides, path.stem, source)
+
+
+def scenario_of(
+    effective: Mapping[str, Any],
+    overrides: Mapping[str, Any] | None = None,
+    *,
+    source: str = SOURCE,
+) -> Scenario:
+    """The scenario whose `effective` configuration this is; otherwise as `load_scenario`."""
+    sources = (("effective configuration", dict(effective)),)
+    return _overridden(sources, overrides, "scenario", source)
+
+
+def _folder() -> Path:
+    return Path(swarmd.config.__path__[0]).resolve() / "scenarios"
+
+
+def _find(name: str, near: Path) -> Path:
+    if name.endswith(".yaml"):
+        return near / Path(name).expanduser()
+    if name not in scenario_names():
+        known = unknown("scenario", name, scenario_names())
+        raise ConfigError(f"{known} (or give a path ending in .yaml)")
+    return _folder() / f"{name}.yaml"
+
+
+def _chain(path: Path) -> Iterator[tuple[str, Data]]:
+    """The file and those it extends, strongest first."""
+    seen: list[Path] = []
+    while True:
+        if path.resolve() in seen:
+            files = " -> ".join(shown(file) for file in (*seen, path))
+            raise ConfigError(f"{shown(path)}: extends itself: {files}; take one of them out")
+        seen.append(path.resolve())
+        data = read(path)
+        base = data.pop("extends", None)
+        yield shown(path), _anchored(data, path.parent.absolute())
+        if base is None:
+            return
+        if not isinstance(base, str):
+            raise ConfigError(f"{shown(path)}: extends is {base!r}; wanted a scenario's name")
+        try:
+            path = _find(base, path.parent)
+        except ConfigError as error:
+            raise ConfigError(f"{shown(path)}: extends: {error}") from error
+
+
+def _anchored(data: Data, folder: Path) -> Data:
+    """The data with paths that do not depend on where the file is."""
+    holders: list[tuple[Any, str]] = [(data, "plugin_dir")]
+    for section, key in (("groups", "platform"), ("platforms", "extends")):
+        items = data.get(section)
+        holders += [(item, key) for item in (items.values() if isinstance(items, dict) else ())]
+    for holder, key in holders:
+        value = holder.get(key) if isinstance(holder, dict) else None
+        if isinstance(value, str) and (key == "plugin_dir" or value.endswith(".yaml")):
+            holder[key] = str(folder / Path(value).expanduser())
+    return data
+
+
+def _overridden(
+    sources: tuple[tuple[str, Data], ...],
+    overrides: Mapping[str, Any] | None,
+    name: str,
+    source: str,
+) -> Scenario:
+    home, data = sources[0][0], Layered(*sources).data
+    if overrides:
+        sources = ((source, nested(overrides, data, source)), *sources)
+    layers = Layered(*without_stale(sources), home=home)
+    if "groups" not in layers.data:
+        wanted = "groups: {tb3: {platform: burger, count: 5}}"
+        raise layers.error(("groups",), f"groups is missing; wanted is such as {wanted}")
+    return _built(layers, name)
+
+
+def _built(layers: Layered, name: str) -> Scenario:
+    file = layers.build(ScenarioFile)
+    if file.extends is not None:
+        raise layers.error(("extends",), "extends is for files alone; leave it out here")
+    arena, fields = arena_of(layers, file.arena), fields_of(layers, file.fields)
+    check_air(layers, file.radio)
+    cast = cast_of(layers, file, fields)
+    starts = _starts(layers, file, cast, arena)
+    script = script_of(layers, file, cast)
+    configured = ConfiguredParameters(file, cast)
+    plugin_dir = None if file.plugin_dir is None else Path(file.plugin_dir).expanduser().absolute()
+    rehearse(layers, script, cast, configured, plugin_dir)
+    where = str(layers.error(("realism",), "realism"))
+    return Scenario(
+        name=file.name or name,
+        description=file.description,
+        duration=file.duration,
+        robots=cast.robots,
+        groups=cast.groups,
+        starts=starts,
+        arena=arena,
+        fields=fields,
+        realism=realism_of(file.realism, where),
+        visibility=file.lidar_visibility,
+        radio=file.radio,
+        layers=configured,
+        events=script.events,
+        absent=script.absent,
+        trace_rate=file.trace_rate,
+        plugin_dir=plugin_dir,
+        effective=_effective(file, name, cast, fields, plugin_dir),
+    )
+
+
+def _effective(
+    file: ScenarioFile, name: str, cast: Cast, fields: Sequence[Field], plugin_dir: Path | None
+) -> Mapping[str, Any]:
+    data: Data = json.decode(json.encode(file))
+    for group in data["groups"].values():
+        group["platform"] = platform_name(group["platform"])
+    whole = {
+        "name": file.name or name,
+        "platforms": deepcopy(dict(cast.platform_files)),
+        "fields": json.decode(json.encode(fields)),
+        "plugin_dir": None if plugin_dir is None else str(plugin_dir),
+    }
+    return {**data, **whole}
+
+
+def _starts(layers: Layered, file: ScenarioFile, cast: Cast, arena: Arena) -> Starts:
+    rows = {robot: row for row, robot in enumerate(cast.robots)}
+    parts, shared = [], []
+    for name, group in file.groups.items():
+        own = [rows[robot] for robot in cast.groups[name]]
+        if group.start is None:
+            shared += own
+        else:
+            parts.append(part_of(layers, ("groups", name, "start"), group.start, own))
+    if shared:
+        parts.append(part_of(layers, ("start",), file.start, shared))
+    footprints = [platform.footprint for platform in cast.robots.values()]
+    starts = Starts(tuple(cast.robots), footprints, arena, parts)
+    starts.check()
+    return starts

@@ -1,0 +1,192 @@
+"""A comparison finds a difference that is there, and none that is not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarmd.errors import ConfigError
+from swarmd.sim.experiments.compare import Difference, Side, by_chance, compare, document, sides
+from swarmd.sim.experiments.manifest import manifest_of
+from swarmd.sim.experiments.plan import Plan, Variant
+from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.simulate import plan_of
+from swarmd.sim.experiments.store import open_store
+from swarmd.sim.experiments.table import Row
+from swarmd.values import Array
+
+TRIALS = 200
+SPEED = "groups.all.parameters.speed"
+
+
+def side(
+    values: dict[int, float | None], metric: str = "minimum_gap", *, lost: tuple[int, ...] = ()
+) -> Side:
+    """One side whose metric has these values by seed; the runs of seeds `lost` have failed."""
+    plan = Plan("x", tuple(values), (Variant("", {}),))
+    runs = [run for run in plan.runs if run.seed not in lost]
+    rows = [Row(run, {metric: values[run.seed]}, 0.1) for run in runs]
+    return Side("x", Results(Path("x"), plan, rows, {}, (metric,)), "")
+
+
+def of(values: Array, first: int = 0) -> dict[int, float | None]:
+    return {first + seed: float(value) for seed, value in enumerate(values)}
+
+
+def only(a: Side, b: Side) -> Difference:
+    (found,) = compare(a, b)
+    return found
+
+
+def test_a_planted_difference_is_found_and_a_null_one_is_not() -> None:
+    rng = np.random.default_rng(3)
+    a, b = rng.normal(1.0, 0.2, 20), rng.normal(1.3, 0.2, 20)
+    planted, null = only(side(of(a)), side(of(b, 20))), only(side(of(a)), side(of(a[::-1], 20)))
+    assert planted.differs
+    assert planted.difference == pytest.approx(b.mean() - a.mean())
+    assert not planted.is_paired
+    assert not null.differs
+    assert null.verdict == "no difference shown"
+
+
+@pytest.mark.parametrize("first", [0, 20])
+def test_null_differences_are_called_ones_about_as_rarely_as_promised(first: int) -> None:
+    """5 % of 200 scatter by 1.5 %; bootstrap intervals of 20 values are a little narrow."""
+    rng = np.random.default_rng(11)
+    found = [
+        only(side(of(rng.normal(1.0, 0.2, 20))), side(of(rng.normal(1.0, 0.2, 20), first)))
+        for _ in range(TRIALS)
+    ]
+    assert {one.is_paired for one in found} == {first == 0}
+    assert 0.01 <= np.mean([one.differs for one in found]) <= 0.11
+
+
+def test_pairs_show_what_the_scatter_of_seeds_hides() -> None:
+    """The same worlds, a little better in each: invisible without the pairing."""
+    rng = np.random.default_rng(5)
+    worlds = rng.normal(5.0, 2.0, 20)
+    better = worlds + rng.normal(0.2, 0.1, 20)
+    assert only(side(of(worlds)), side(of(better))).differs
+    assert not only(side(of(worlds)), side(of(better, 100))).differs
+
+
+def test_pairs_go_by_seed_not_by_place() -> None:
+    values = {3: 1.0, 1: 5.0, 2: 3.0}
+    shifted = {1: 5.5, 2: 3.5, 3: 1.5}
+    found = only(side(dict(values)), side(dict(shifted)))
+    assert found.interval is not None
+    assert (found.interval.low, found.interval.high) == pytest.approx((0.5, 0.5))
+
+
+def test_runs_that_failed_leave_the_others_paired() -> None:
+    rng = np.random.default_rng(5)
+    worlds = rng.normal(5.0, 2.0, 20)
+    better = worlds + rng.normal(0.2, 0.1, 20)
+    found = only(side(of(worlds), lost=(4,)), side(of(better), lost=(9, 0)))
+    assert (found.is_paired, found.n_a, found.n_b) == (True, 17, 17)
+    kept = [i for i in range(20) if i not in (0, 4, 9)]
+    assert found.difference == pytest.approx((better - worlds)[kept].mean())
+    assert found.differs
+
+
+def test_pairs_of_which_no_two_are_whole_are_too_few() -> None:
+    found = only(side(of(np.arange(3.0)), lost=(0,)), side(of(np.arange(3.0)), lost=(1,)))
+    assert (found.n_a, found.n_b, found.verdict) == (1, 1, "too few runs")
+
+
+def test_a_pair_of_which_one_has_no_value_is_left_out() -> None:
+    found = only(side({0: 1.0, 1: 2.0, 2: 9.0}), side({0: 2.0, 1: 3.0, 2: None}))
+    assert (found.n_a, found.n_b, found.difference) == (2, 2, 1.0)
+
+
+def test_samples_of_different_seeds_keep_all_their_values() -> None:
+    found = only(side({0: 1.0, 1: 2.0, 2: 9.0}), side({5: 2.0, 6: None}))
+    assert (found.n_a, found.n_b, found.interval, found.verdict) == (3, 1, None, "too few runs")
+
+
+def test_no_values_at_all_have_no_verdict() -> None:
+    found = only(side({0: None}), side({0: None}))
+    assert (found.difference, found.mean_a, found.verdict) == (None, None, "-")
+
+
+@pytest.mark.parametrize(
+    ("metric", "shift", "better", "verdict"),
+    [
+        ("hardest_contact", 1.0, "a", "A is better"),
+        ("hardest_contact", -1.0, "b", "B is better"),
+        ("minimum_gap", 1.0, "b", "B is better"),
+        ("path_length", 1.0, None, "differs"),
+        ("unheard_of", 1.0, None, "differs"),
+    ],
+)
+def test_the_better_side_is_named_where_the_metric_has_one(
+    metric: str, shift: float, better: str | None, verdict: str
+) -> None:
+    values = np.linspace(1.0, 2.0, 8)
+    found = only(side(of(values), metric), side(of(values + shift), metric))
+    assert found.differs
+    assert (found.better, found.verdict) == (better, verdict)
+
+
+def test_what_chance_would_find_is_told() -> None:
+    found = compare(side(of(np.arange(8.0))), side(of(np.arange(8.0) + 1.0)))
+    assert by_chance(found) == 0.05
+    plain = document(side({0: 1.0}), side({0: 1.0}), found)
+    assert plain["metrics"]["minimum_gap"]["interval"] == [1.0, 1.0]
+    assert plain["metrics"]["minimum_gap"]["differs"] is True
+
+
+def test_an_unknown_metric_is_one_line() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'minimum_gap'"):
+        compare(side({0: 1.0}), side({0: 1.0}), ["minimum_gop"])
+
+
+@pytest.fixture
+def folders(duo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`one` and `two:points` without a sweep, `swept` and `other` with one, `empty` unfinished."""
+    monkeypatch.chdir(tmp_path)
+    for name, speeds in (
+        ("one", []), ("two:points", []), ("empty", []),
+        ("swept", [0.1, 0.2]), ("again", [0.1, 0.2]), ("other", [0.1, 0.3]),
+    ):  # fmt: skip
+        plan = plan_of(duo, (0, 1), {}, {SPEED: speeds} if speeds else {})
+        manifest = manifest_of(plan, traces=False, command=[])
+        with open_store(tmp_path / name, manifest, ("minimum_gap",)) as store:
+            for run in store.missing if name != "empty" else ():
+                store.add(run, {"minimum_gap": 1.0}, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "pairs"),
+    [
+        ("one", "two:points", [("one", "two:points")]),
+        ("swept:speed=0.1", "one", [("swept:speed=0.1", "one")]),
+        ("swept:speed=0.1", "swept:speed=0.2", [("swept:speed=0.1", "swept:speed=0.2")]),
+        ("swept", "again", [("swept:speed=0.1", "again:speed=0.1"),
+                            ("swept:speed=0.2", "again:speed=0.2")]),
+    ],
+)  # fmt: skip
+@pytest.mark.usefixtures("folders")
+def test_sides_are_folders_or_variants(a: str, b: str, pairs: list[tuple[str, str]]) -> None:
+    assert [(left.label, right.label) for left, right in sides(a, b)] == pairs
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "fault"),
+    [
+        ("swept", "one", "swept: name one of its variants, as swept:speed=0.1: speed=0.1, speed="),
+        ("one", "swept", "swept: name one of its variants"),
+        ("swept", "other", "their variants are not the same; name one of each"),
+        ("swept:speed=0.11", "one", "swept: no variant 'speed=0.11'; did you mean 'speed=0.1'?"),
+        ("one", "empty", "empty: no run of it has finished"),
+        ("one", "nowhere", "nowhere: no experiment"),
+        ("one:x", "one", "one: no variant 'x'"),
+    ],
+)
+@pytest.mark.usefixtures("folders")
+def test_sides_that_cannot_be_are_one_line(a: str, b: str, fault: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        sides(a, b)
+    assert fault in str(caught.value)

@@ -1,0 +1,148 @@
+"""A manifest comes back as it was, or says in one line what is wrong or what differs."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from swarmd.errors import ConfigError, SwarmError
+from swarmd.sim.experiments.manifest import (
+    NAME,
+    Manifest,
+    differences,
+    manifest_of,
+    plain,
+    read_manifest,
+    write_manifest,
+)
+from swarmd.sim.experiments.simulate import plan_of
+
+SPEED = "groups.all.parameters.speed"
+
+
+@pytest.fixture
+def manifest(duo: Path) -> Manifest:
+    plan = plan_of(duo, (3, 1), {"duration": 1.5}, {SPEED: [0.1, 0.2]})
+    return manifest_of(plan, traces=True, command=["swarmctl", "exp", "run"])
+
+
+def test_comes_back_as_it_was_and_gives_the_same_runs(manifest: Manifest, tmp_path: Path) -> None:
+    write_manifest(manifest, tmp_path)
+    again = read_manifest(tmp_path)
+    assert again == manifest
+    assert again.plan == manifest.plan
+    assert [run.id for run in again.plan.runs][:2] == ["speed=0.1_s0003", "speed=0.1_s0001"]
+    assert again.plan.variants[1].effective["duration"] == 1.5
+    assert sorted(path.name for path in tmp_path.iterdir() if path.is_file()) == [NAME]
+
+
+def test_says_what_it_was_made_with(manifest: Manifest, duo: Path) -> None:
+    made = manifest.made_with
+    assert {
+        "swarmd",
+        "python",
+        "numpy",
+        "mujoco",
+        "msgspec",
+        "machine",
+        "simd",
+        "blas",
+        "code",
+    } == set(made)
+    assert all(made.values())
+    assert list(manifest.plugins) == [f"{duo.parent}/plugins/moody.py"]
+    assert manifest.git["scenario"] is None
+    assert manifest.created.endswith("+00:00")
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "fault"),
+    [
+        (("format",), 99, "format 99, and this swarmd reads 1"),
+        (("seeds",), [], "damaged: seeds: there is none"),
+        (("seeds",), [1, 1], "damaged: seeds: 1 stands twice"),
+        (("seeds",), "1", r"damaged: Expected `array`, got `str` - at `$.seeds`"),
+        (("variants",), [], "damaged: no variants"),
+        (("variants", 0, "effective"), 3, "damaged: Expected `object`"),
+        (("surprise",), 1, "damaged: Object contains unknown field `surprise`"),
+    ],
+)
+def test_damage_is_one_line(
+    manifest: Manifest, tmp_path: Path, path: tuple[str | int, ...], value: Any, fault: str
+) -> None:
+    data: Any = msgspec.to_builtins(manifest)
+    holder = data
+    for key in path[:-1]:
+        holder = holder[key]
+    holder[path[-1]] = value
+    (tmp_path / NAME).write_text(json.dumps(data))
+    with pytest.raises(ConfigError) as caught:
+        read_manifest(tmp_path)
+    assert f"{tmp_path / NAME}: " in str(caught.value)
+    assert fault in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("data", [b"", b"{", b"[]", b"3", b"\xff\xfe", b"[" * 100_000, b"{}"])
+def test_what_is_no_manifest_is_one_line(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / NAME).write_bytes(data)
+    with pytest.raises(ConfigError, match="damaged") as caught:
+        read_manifest(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_without_one_is_no_experiment(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"no experiment: there is no manifest\.json"):
+        read_manifest(tmp_path)
+
+
+def changed(manifest: Manifest, **changes: Any) -> Manifest:
+    return msgspec.structs.replace(manifest, **changes)
+
+
+def test_the_same_experiment_has_no_differences(manifest: Manifest, duo: Path) -> None:
+    plan = plan_of(duo, (3, 1), {"duration": 1.5}, {SPEED: [0.1, 0.2]})
+    again = manifest_of(plan, traces=True, command=[])
+    assert list(differences(manifest, again)) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "line"),
+    [
+        ({"seeds": [0, 1, 2, 3]}, "the seeds were 3,1, now 0-3"),
+        ({"scenario": "other"}, "duo.yaml, now other"),
+        ({"sets": {}}, f"--set duration=1.5 --sweep {SPEED}=0.1,0.2, now --sweep"),
+        ({"sweep": {SPEED: [0.2, 0.1]}}, f"now --set duration=1.5 --sweep {SPEED}=0.2,0.1"),
+        ({"traces": False}, "traces were kept, now they are not"),
+        ({"plugins": {}}, "plugins/moody.py has changed"),
+        ({"variants": []}, "the scenario's contents have changed"),
+    ],
+)
+def test_differences_are_told(manifest: Manifest, changes: dict[str, Any], line: str) -> None:
+    (found,) = differences(manifest, changed(manifest, **changes))
+    assert line in found
+
+
+@pytest.mark.parametrize(
+    ("name", "line"),
+    [
+        ("numpy", "numpy was 1.0, now "),
+        ("code", "swarmd's code has changed"),
+        ("simd", "the processor is another"),
+        ("new", "new was 1.0, now unknown"),
+    ],
+)
+def test_other_software_is_told(manifest: Manifest, name: str, line: str) -> None:
+    old = changed(manifest, made_with={**manifest.made_with, name: "1.0"})
+    (found,) = differences(old, manifest)
+    assert found.startswith(line)
+
+
+@pytest.mark.parametrize("value", [float("inf"), float("nan"), {1, 2}, object()])
+def test_what_json_has_not_is_refused(value: object) -> None:
+    with pytest.raises(SwarmError, match="cannot be written down"):
+        plain({"x": value})

@@ -1,0 +1,101 @@
+"""A plan holds every run that was asked for, once, in order, or says what is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import pytest
+
+from swarmd.errors import ConfigError
+from swarmd.sim.experiments.plan import Plan, make_plan
+
+
+def planned(
+    seeds: tuple[int, ...] = (0, 1),
+    sets: Mapping[str, Any] | None = None,
+    sweep: Mapping[str, Any] | None = None,
+) -> Plan:
+    return make_plan("gather", seeds, sets or {}, sweep or {}, lambda overrides: dict(overrides))
+
+
+def test_a_sweep_is_the_full_grid_in_the_order_given() -> None:
+    plan = planned((5, 3), {"duration": 9}, {"a.speed": [0.2, 0.1], "law": ["ours", "paper"]})
+    assert [run.id for run in plan.runs] == [
+        "speed=0.2,law=ours_s0005",
+        "speed=0.2,law=ours_s0003",
+        "speed=0.2,law=paper_s0005",
+        "speed=0.2,law=paper_s0003",
+        "speed=0.1,law=ours_s0005",
+        "speed=0.1,law=ours_s0003",
+        "speed=0.1,law=paper_s0005",
+        "speed=0.1,law=paper_s0003",
+    ]
+    assert plan.variants[1].effective == {"duration": 9, "a.speed": 0.2, "law": "paper"}
+    assert plan.variants[1].values == {"a.speed": 0.2, "law": "paper"}
+
+
+def test_without_a_sweep_there_is_one_variant_without_a_name() -> None:
+    plan = planned((500,))
+    assert [variant.name for variant in plan.variants] == [""]
+    assert [run.id for run in plan.runs] == ["s0500"]
+
+
+def test_keys_that_end_alike_are_told_apart() -> None:
+    plan = planned((0,), sweep={"a.count": [1], "b.count": [2]})
+    assert plan.variants[0].name == "a.count=1,b.count=2"
+
+
+@pytest.mark.parametrize("value", ["a/b", "../../x", "/etc", "a\\b", "x\n", "~", "é", "a b"])
+def test_no_value_leads_out_of_the_folder(value: str) -> None:
+    (run,) = planned((0,), sweep={"k": [value]}).runs
+    assert run.id.startswith("k=")
+    assert not set(run.id) - set("abcdefghijklmnopqrstuvwxyz0123456789=_.-")
+
+
+def test_names_that_are_made_safe_alike_stay_apart() -> None:
+    runs = planned((0,), sweep={"k": ["a/b", "a b", "A/b", "c"]}).runs
+    assert len({run.id.lower() for run in runs}) == 4
+    assert runs[3].id == "k=c_s0000"
+
+
+def test_long_names_fit_a_file_name_and_stay_apart() -> None:
+    runs = planned((0,), sweep={"k": ["x" * 300 + "1", "x" * 300 + "2"]}).runs
+    assert len({run.id for run in runs}) == 2
+    assert max(len(run.id) for run in runs) < 200
+
+
+@pytest.mark.parametrize(
+    ("sets", "sweep", "fault"),
+    [
+        ({}, {"k": []}, "sweep k: there is no value; wanted such as k=0.1,0.2"),
+        ({}, {"k": [1, 2, 1]}, "sweep k: 1 stands twice; keep one"),
+        ({}, {"k": "abc"}, "sweep k: 'abc' is no list"),
+        ({"k": 1}, {"k": [1]}, "k is both set and swept"),
+        ({"k.a": 1}, {"k": [{"a": 2}]}, "sweep k: k.a lies in it and would be lost"),
+        ({}, {"k.a": [1, 2], "k": [{"a": 3}]}, "sweep k: k.a lies in it and would be lost"),
+        ({}, {"a": list(range(1000)), "b": list(range(1000))}, "2000000 runs; at most 100000"),
+    ],
+)
+def test_a_sweep_that_cannot_be_is_one_line(
+    sets: dict[str, Any], sweep: dict[str, Any], fault: str
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        planned(sets=sets, sweep=sweep)
+    assert fault in str(caught.value)
+
+
+def test_every_variant_is_asked_for_before_anything_runs() -> None:
+    def refuse(overrides: Mapping[str, Any]) -> Mapping[str, Any]:
+        if overrides["k"] == 3:
+            raise ConfigError("k: 3 is too much")
+        return overrides
+
+    with pytest.raises(ConfigError, match="too much"):
+        make_plan("x", (0,), {}, {"k": [1, 2, 3]}, refuse)
+
+
+@pytest.mark.parametrize("seeds", [(), (1, 1), (-1,), (True,), (0.5,)])
+def test_seeds_from_python_are_checked_too(seeds: tuple[Any, ...]) -> None:
+    with pytest.raises(ConfigError, match="seeds: "):
+        planned(seeds)

@@ -1,0 +1,144 @@
+"""Jobs in processes: each is done once, and a process that ends costs its own job alone."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from contextlib import closing
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from swarmd.sim.experiments.job import Job, Outcome, perform
+from swarmd.sim.experiments.pool import outcomes
+from swarmd.sim.scenarios.scenariofile import load_scenario
+from swarmd.sim.trace import load_trace
+from swarmd.testing.processes import children
+
+END = "groups.all.parameters.end"
+
+pytestmark = pytest.mark.integration
+
+
+def job(
+    duo: Path, seed: int, trace: Path | None = None, changes: Mapping[str, Any] | None = None
+) -> Job:
+    effective = load_scenario(duo, {"duration": 1, **(changes or {})}).effective
+    return Job(f"s{seed}", effective, seed, trace)
+
+
+def crash(duo: Path, seed: int, end: str) -> Job:
+    return job(duo, seed, None, {END: end})
+
+
+def done(jobs: list[Job], processes: int) -> dict[str, Outcome]:
+    with closing(outcomes(jobs, processes)) as found:
+        listed = list(found)
+    assert sorted(outcome.run for outcome in listed) == sorted(job.run for job in jobs)
+    return {outcome.run: outcome for outcome in listed}
+
+
+def test_a_process_gives_what_this_one_gives(duo: Path, tmp_path: Path) -> None:
+    here = perform(job(duo, 5, tmp_path / "here.npz"))
+    there = done([job(duo, 5, tmp_path / "there.npz")], 1)["s5"]
+    assert here.metrics is not None
+    assert here.metrics == there.metrics
+    assert (tmp_path / "here.npz").read_bytes() == (tmp_path / "there.npz").read_bytes()
+    assert load_trace(tmp_path / "there.npz").meta["seed"] == 5
+
+
+@pytest.mark.parametrize("processes", [1, 2, 5])
+def test_every_job_is_done_once_whatever_ends(duo: Path, processes: int) -> None:
+    jobs = [job(duo, 0), crash(duo, 1, "exit"), crash(duo, 2, "kill"), job(duo, 3)]
+    found = done(jobs, processes)
+    assert [found[f"s{i}"].metrics is not None for i in range(4)] == [True, False, False, True]
+    assert found["s1"].reason == "its process ended with code 7: moody has had enough"
+    assert found["s2"].reason.startswith("its process was killed by SIGKILL")
+
+
+def test_a_process_goes_on_after_a_run_that_cannot_be(duo: Path) -> None:
+    crowded = job(duo, 0, None, {"groups.all.count": 300})
+    found = done([crowded, job(duo, 1)], 1)
+    assert found["s0"].metrics is None
+    assert found["s0"].reason
+    assert "\n" not in found["s0"].reason
+    assert found["s1"].metrics is not None
+
+
+def test_what_raises_is_a_reason_in_one_line(duo: Path) -> None:
+    broken = Job("s0", {"groups": None}, 0, None)
+    assert perform(broken).reason
+    unhashable = Job("s0", 3, 0, None)  # type: ignore[arg-type]
+    assert ": " in perform(unhashable).reason
+
+
+def test_a_trace_that_cannot_be_written_is_an_obstacle(duo: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    outcome = perform(job(duo, 0, tmp_path / "file" / "s0.npz"))
+    assert outcome.metrics is None
+    assert str(tmp_path / "file") in outcome.obstacle
+
+
+def test_a_full_disk_leaves_no_partial_trace(duo: Path, tmp_path: Path) -> None:
+    (tmp_path / ".s0.npz.partial").symlink_to("/dev/full")
+    outcome = perform(job(duo, 0, tmp_path / "s0.npz"))
+    assert outcome.obstacle.endswith("No space left on device")
+    assert list(tmp_path.glob(".*")) == []
+
+
+def test_nothing_is_left_of_the_trace_of_a_crashed_run(duo: Path, tmp_path: Path) -> None:
+    (tmp_path / ".s0.npz.partial").write_bytes(b"half")  # killed while it wrote
+    crashed = job(duo, 0, tmp_path / "s0.npz", {END: "kill"})
+    assert done([crashed], 1)["s0"].metrics is None
+    assert list(tmp_path.glob(".*")) == []
+
+
+@pytest.mark.parametrize("end", ["hang", "freeze"])
+def test_a_run_that_stands_still_has_failed_and_the_others_go_on(
+    duo: Path, tmp_path: Path, end: str
+) -> None:
+    hanging = job(duo, 0, tmp_path / "s0.npz", {END: end})
+    with closing(outcomes([hanging, job(duo, 1)], 1, timeout=3.0)) as listed:
+        found = {outcome.run: outcome for outcome in listed}
+    assert found["s0"].reason.startswith("it got no further in 3 s")
+    assert found["s1"].metrics is not None
+
+
+def test_a_long_run_that_goes_on_may_take_longer_than_the_limit(duo: Path) -> None:
+    long = job(duo, 0, None, {"duration": 600})
+    with closing(outcomes([long], 1, timeout=2.0)) as listed:
+        (outcome,) = listed
+    assert outcome.metrics is not None, outcome.reason
+    assert outcome.wall > 2.0
+
+
+def test_what_one_run_leaves_in_its_process_no_other_sees(duo: Path) -> None:
+    alone = done([job(duo, 1)], 1)["s1"]
+    after = done([job(duo, 0, None, {END: "remember"}), job(duo, 1)], 1)["s1"]
+    assert after.metrics == alone.metrics is not None
+
+
+def test_a_pattern_that_forks_has_one_outcome(duo: Path) -> None:
+    before = set(children(os.getpid()))
+    jobs = [job(duo, 0, None, {END: "fork"}), job(duo, 1), job(duo, 2)]
+    with closing(outcomes(jobs, 1, timeout=20.0)) as listed:
+        found = [outcome for outcome in listed]
+    assert [outcome.run for outcome in found] == ["s0", "s1", "s2"]
+    assert all(outcome.metrics is not None for outcome in found), found
+    assert set(children(os.getpid())) == before
+
+
+def test_a_pattern_that_closes_all_files_costs_its_own_run(duo: Path) -> None:
+    found = done([crash(duo, 0, "close"), job(duo, 1)], 1)
+    assert found["s0"].reason.startswith("its process ended with code")
+    assert found["s1"].metrics is not None
+
+
+def test_closing_ends_all_processes(duo: Path) -> None:
+    before = set(children(os.getpid()))
+    long = [job(duo, seed, None, {"duration": 3600}) for seed in (1, 2)]
+    with closing(outcomes([job(duo, 0), *long], 2)) as found:
+        assert next(found).run == "s0"
+        assert len(set(children(os.getpid())) - before) == 2
+    assert set(children(os.getpid())) == before

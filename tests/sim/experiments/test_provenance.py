@@ -1,0 +1,106 @@
+"""What results depend on is found out: code, plugins and the state of git."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import swarmd
+from swarmd.errors import SwarmError
+from swarmd.sim.experiments.provenance import (
+    NOT_IN_RUNS,
+    digest_of_code,
+    digests_of_plugins,
+    git_state,
+    made_with,
+)
+
+
+def git(folder: Path, *words: str) -> None:
+    who = ("-c", "user.name=x", "-c", "user.email=x@y")
+    subprocess.run(["git", "-C", str(folder), *who, *words], check=True, capture_output=True)
+
+
+def test_the_digest_follows_names_and_contents(tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text("1")
+    first = digest_of_code(tmp_path)
+    assert digest_of_code(tmp_path) == first
+    (tmp_path / "a.py").write_text("2")
+    second = digest_of_code(tmp_path)
+    (tmp_path / "a.py").rename(tmp_path / "b.py")
+    assert len({first, second, digest_of_code(tmp_path)}) == 3
+
+
+def test_the_digest_follows_links_and_leaves_out_what_no_run_reads(tmp_path: Path) -> None:
+    package = tmp_path / "package"
+    for folder in (tmp_path / "sim", package / "cli"):
+        folder.mkdir(parents=True)
+        (folder / "a.py").write_text("1")
+    (package / "sim").symlink_to("../sim")
+    first = digest_of_code(package)
+    (package / "cli" / "a.py").write_text("2")
+    assert digest_of_code(package) == first
+    (tmp_path / "sim" / "a.py").write_text("2")
+    assert digest_of_code(package) != first
+
+
+def test_the_arithmetic_that_the_environment_chooses_is_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("OPENBLAS_CORETYPE", raising=False)
+    free = made_with()
+    monkeypatch.setenv("OPENBLAS_CORETYPE", "Haswell")
+    assert made_with() == {**free, "blas": "Haswell"} != free
+
+
+def test_no_run_reads_what_the_digest_leaves_out() -> None:
+    code = "import sys, swarmd.sim.experiments.job, swarmd.patterns.attraction; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = [name for name in done.stdout.split() if name.partition(".")[0] == "swarmd"]
+    assert not [name for name in loaded if NOT_IN_RUNS & set(name.split("."))]
+    assert "swarmd.sim.lockstep.lockstep" in loaded
+
+
+def test_plugins_are_listed_with_their_digests(tmp_path: Path) -> None:
+    assert digests_of_plugins(None) == {}
+    (tmp_path / "b.py").write_text("")
+    (tmp_path / "a.py").write_text("")
+    (tmp_path / "notes.txt").write_text("")
+    empty = "e3b0c44298fc1c149afbf4c8996fb92427ae41e4649b934ca495991b7852b855"
+    assert list(digests_of_plugins(tmp_path).items()) == [("a.py", empty), ("b.py", empty)]
+
+
+def test_a_plugin_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a.py").symlink_to("nowhere")
+    with pytest.raises(SwarmError, match=r"a\.py: cannot be read: No such file"):
+        digests_of_plugins(tmp_path)
+
+
+def test_git_tells_commit_and_whether_files_have_changed(tmp_path: Path) -> None:
+    git(tmp_path, "init", "-q")
+    inside = tmp_path / "scenarios"
+    inside.mkdir()
+    (inside / "a.yaml").write_text("1")
+    assert git_state(inside) is None
+    git(tmp_path, "add", ".")
+    git(tmp_path, "commit", "-qm", "x")
+    clean = git_state(inside)
+    assert clean is not None
+    assert len(clean.commit) == 40
+    assert not clean.is_dirty
+    (inside / "a.yaml").write_text("2")
+    dirty = git_state(inside)
+    assert dirty is not None
+    assert (dirty.commit, dirty.is_dirty) == (clean.commit, True)
+
+
+def test_without_git_or_outside_of_it_there_is_no_state(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert git_state(tmp_path) is None
+    monkeypatch.setenv("PATH", os.devnull)
+    assert git_state(Path(swarmd.__file__).resolve().parent) is None

@@ -1,0 +1,112 @@
+"""Made again from the manifest alone, and a single other bit is told."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarmd.errors import ConfigError
+from swarmd.sim.experiments.rerun import rerun, trace_differences, warnings
+from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.trace import load_trace
+
+
+@pytest.fixture
+def results(duo: Path, tmp_path: Path) -> Results:
+    return simulate(duo, seeds=2, set={"duration": 1}, out=tmp_path / "x")
+
+
+def again(results: Results, tmp_path: Path) -> dict[str, str]:
+    return {match.run: match.why for match in rerun(results.folder, tmp_path / "y", 2)}
+
+
+def test_every_run_is_identical_even_without_the_scenario(
+    results: Results, duo: Path, tmp_path: Path
+) -> None:
+    duo.unlink()
+    assert again(results, tmp_path) == {"s0000": "", "s0001": ""}
+
+
+def test_one_other_bit_is_told(results: Results, tmp_path: Path) -> None:
+    path = results.folder / "traces" / "s0001.npz"
+    trace = load_trace(path)
+    pose = trace.pose.copy()
+    pose[-1, 0, 2] = np.nextafter(pose[-1, 0, 2], np.inf)
+    dataclasses.replace(trace, pose=pose).save(path)
+    assert again(results, tmp_path) == {"s0000": "", "s0001": "trace: pose"}
+
+
+def test_without_traces_the_metrics_are_compared(results: Results, tmp_path: Path) -> None:
+    for path in (results.folder / "traces").iterdir():
+        path.unlink()
+    table = results.folder / "runs.csv"
+    old = repr(results.rows[1]["minimum_gap"])
+    assert table.read_text().count(f",{old},") == 1
+    table.write_text(table.read_text().replace(f",{old},", f",{float(old) + 1e-12!r},"))
+    assert again(results, tmp_path) == {"s0000": "", "s0001": "metrics: minimum_gap"}
+
+
+def test_a_metric_that_does_not_belong_to_its_trace_is_told(
+    results: Results, tmp_path: Path
+) -> None:
+    table = results.folder / "runs.csv"
+    old = repr(results.rows[0]["minimum_gap"])
+    table.write_text(table.read_text().replace(f",{old},", ",7.5,"))
+    found = again(results, tmp_path)
+    assert found == {"s0000": "metrics of the same trace: minimum_gap", "s0001": ""}
+
+
+def test_a_run_that_fails_now_is_told(results: Results, duo: Path, tmp_path: Path) -> None:
+    plugin = duo.parent / "plugins" / "moody.py"
+    plugin.write_text(plugin.read_text().replace('self.params.end == "exit"', "True"))
+    assert warnings(results.folder) == [f"plugin {duo.parent}/plugins/moody.py has changed"]
+    found = again(results, tmp_path)
+    assert found["s0000"].startswith("failed now: its process ended with code 7")
+
+
+def test_without_a_folder_only_finished_runs_are_made_and_nothing_stays(
+    results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    table = results.folder / "runs.csv"
+    table.write_text("".join(table.read_text().splitlines(keepends=True)[:2]))
+    told: list[tuple[int, int, int]] = []
+    (match,) = rerun(results.folder, None, 1, lambda *numbers: told.append(numbers))
+    assert match.is_identical
+    assert told == [(0, 1, 0), (1, 1, 0)]
+    assert list((tmp_path / "temporary").iterdir()) == []
+
+
+def test_an_experiment_is_not_compared_with_itself(results: Results) -> None:
+    with pytest.raises(ConfigError, match="is the experiment itself"):
+        rerun(results.folder, results.folder / ".." / results.folder.name, 1)
+
+
+def test_an_experiment_without_runs_has_nothing_to_compare(results: Results) -> None:
+    table = results.folder / "runs.csv"
+    table.write_text(table.read_text().splitlines(keepends=True)[0])
+    with pytest.raises(ConfigError, match="no run of it has finished"):
+        rerun(results.folder, None, 1)
+
+
+def test_nothing_has_changed_by_itself(results: Results) -> None:
+    assert warnings(results.folder) == []
+
+
+def test_traces_differ_in_values_types_and_words(results: Results) -> None:
+    trace = results.traces[0]
+    for other, names in (
+        (trace, []),
+        (dataclasses.replace(trace, t=-trace.t), ["t"]),
+        (dataclasses.replace(trace, wish=None), ["wish"]),
+        (dataclasses.replace(trace, ids=("a", "b")), ["ids"]),
+        (dataclasses.replace(trace, safe=trace.safe.astype(np.float32)), ["safe"]),
+        (dataclasses.replace(trace, meta={**trace.meta, "seed": 9}), ["meta"]),
+        (dataclasses.replace(trace, report={"x": trace.t}), ["report"]),
+    ):
+        assert list(trace_differences(trace, other)) == names

@@ -1,0 +1,195 @@
+"""Experiments from Python: three lines, in a script without a guard, with what it takes after."""
+
+from __future__ import annotations
+
+import gc
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.errors import ConfigError, SwarmError
+from swarmd.sim.experiments.results import Results, load_results
+from swarmd.sim.experiments.simulate import plan_of, simulate
+from swarmd.sim.scenarios.scenariofile import load_scenario
+from swarmd.sim.trace import Trace
+
+SPEED = "groups.all.parameters.speed"
+END = "groups.all.parameters.end"
+
+
+def small(duo: Path, **more: Any) -> Results:
+    return simulate(duo, **{"seeds": 2, "set": {"duration": 1}, **more})
+
+
+def metrics(results: Results) -> list[dict[str, Any]]:
+    return [{k: v for k, v in row.items() if k != "wall"} for row in results.rows]
+
+
+def test_three_lines_give_rows_statistics_and_traces(duo: Path) -> None:
+    results = small(duo)
+    assert [(row["run"], row["seed"]) for row in results.rows] == [("s0000", 0), ("s0001", 1)]
+    paths = results.metric("path_length")
+    assert paths.shape == (2,)
+    summary = results.summary()["path_length"]
+    assert summary.mean == pytest.approx(paths.mean())
+    assert summary.mean_interval is not None
+    assert isinstance(results.traces[0], Trace)
+    assert [trace.meta["seed"] for trace in results.traces] == [0, 1]
+    assert results.traces["s0001"].meta["seed"] == 1
+    assert results.traces[-1].meta["seed"] == 1
+    assert len(results.traces[:]) == 2
+    text = str(results)
+    assert f"{duo}: 2 of 2 runs" in text
+    assert "path_length" in text
+
+
+def test_without_a_folder_nothing_stays(
+    duo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    results = small(duo)
+    assert results.folder.parent == tmp_path / "temporary"
+    assert results.folder.is_dir()
+    del results
+    gc.collect()
+    assert list((tmp_path / "temporary").iterdir()) == []
+
+
+def test_a_failure_leaves_no_temporary_folder(
+    duo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "temporary"))
+    (tmp_path / "temporary").mkdir()
+    with pytest.raises(SwarmError):
+        small(duo, set={END: "exit"}, jobs=2)
+    gc.collect()
+    assert list((tmp_path / "temporary").iterdir()) == []
+
+
+def test_a_folder_is_as_swarmctl_makes_it_and_is_not_done_again(duo: Path, tmp_path: Path) -> None:
+    results = small(duo, out=tmp_path / "x")
+    stamps = {path: path.stat().st_mtime_ns for path in (tmp_path / "x" / "traces").iterdir()}
+    assert len(stamps) == 2
+    again = small(duo, out=tmp_path / "x")
+    assert metrics(again) == metrics(results) == metrics(load_results(tmp_path / "x"))
+    assert {path: path.stat().st_mtime_ns for path in stamps} == stamps
+
+
+def test_several_processes_give_the_same_bits(duo: Path, tmp_path: Path) -> None:
+    one, two = (small(duo, out=tmp_path / str(jobs), jobs=jobs) for jobs in (1, 2))
+    assert metrics(one) == metrics(two)
+    for name in ("s0000.npz", "s0001.npz"):
+        first, second = ((tmp_path / jobs / "traces" / name).read_bytes() for jobs in "12")
+        assert first == second
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_script_needs_no_guard(duo: Path, tmp_path: Path, jobs: int) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from swarmd.sim.experiments.simulate import simulate\n"
+        f"results = simulate({str(duo)!r}, seeds=2, jobs={jobs})\n"
+        "print(len(results.rows), results.metric('path_length').mean())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, script], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("2 0.")
+
+
+def test_sweeps_have_a_variant_for_each_point(duo: Path) -> None:
+    results = small(duo, sweep={SPEED: [0.1, 0.2]})
+    assert results.variants == ("speed=0.1", "speed=0.2")
+    assert [row[SPEED] for row in results.rows] == [0.1, 0.1, 0.2, 0.2]
+    slow, fast = (results.metric("path_length", name) for name in results.variants)
+    assert (fast > slow).all()
+    np.testing.assert_array_equal(results.metric("path_length"), [*slow, *fast])
+    assert results.summary("speed=0.2")["path_length"].mean == pytest.approx(fast.mean())
+    with pytest.raises(
+        ConfigError, match=r"there are 2 variants: speed=0\.1, speed=0\.2; name one"
+    ):
+        results.summary()
+    with pytest.raises(ConfigError, match=r"no variant 'speed=0\.3'"):
+        results.summary("speed=0.3")
+
+
+def test_a_scenario_that_is_loaded_can_be_run_and_changed(duo: Path) -> None:
+    loaded = load_scenario(duo, {"duration": 1})
+    results = simulate(loaded, seeds=[4], sweep={SPEED: [0.05, 0.2]})
+    assert metrics(results)[1] == {
+        **metrics(simulate(duo, seeds=[4], set={"duration": 1, SPEED: 0.2}))[0],
+        "run": "speed=0.2_s0004", "variant": "speed=0.2", SPEED: 0.2,
+    }  # fmt: skip
+
+
+def test_seeds_may_be_numbers_of_numpy(duo: Path) -> None:
+    three = small(duo, seeds=np.int64(3), set={"duration": 0.1})
+    some = small(duo, seeds=np.arange(2) + 1, set={"duration": 0.1})
+    assert [row["seed"] for row in three.rows] == [0, 1, 2]
+    assert metrics(some) == metrics(three)[1:]
+
+
+def test_failed_runs_are_told_and_the_others_are_there(duo: Path) -> None:
+    results = small(duo, seeds=1, sweep={END: ["exit", "none"]}, jobs=2)
+    assert list(results.failures) == ["end=exit_s0000"]
+    assert [row["run"] for row in results.rows] == ["end=none_s0000"]
+    assert "1 of 2 runs, 1 failed" in str(results)
+
+
+def test_if_all_runs_fail_it_raises(duo: Path) -> None:
+    with pytest.raises(SwarmError, match="all 1 runs failed; the first, s0000: its process ended"):
+        small(duo, seeds=1, set={END: "exit"}, jobs=2)
+
+
+def test_names_that_are_none_are_one_line(duo: Path) -> None:
+    results = small(duo, traces=False)
+    with pytest.raises(ConfigError, match="did you mean 'path_length'"):
+        results.metric("path_lenght")
+    with pytest.raises(ConfigError, match="no run 's0009'"):
+        results.traces["s0009"]
+    with pytest.raises(IndexError):
+        results.traces[2]
+    with pytest.raises(SwarmError, match="there is no trace; it was not kept"):
+        results.traces[0]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fault"),
+    [
+        ({"jobs": 0}, "jobs is 0"),
+        ({"timeout": 0.5}, "timeout is 0.5; wanted 1 s or more"),
+        ({"seeds": 0}, "there is none"),
+        ({"seeds": [1, 1]}, "1 stands twice"),
+        ({"sweep": {"duration": []}}, "there is no value"),
+        ({"sweep": {"duraton": [1]}}, "did you mean 'duration'"),
+        ({"sweep": {"duration": [1, -1]}}, "duration is -1"),
+        ({"scenario": "agregation"}, "did you mean 'aggregation'"),
+        ({"set": {"groups.all.count": 400}}, "start"),
+    ],
+)
+def test_mistakes_are_found_before_anything_runs(
+    duo: Path, tmp_path: Path, arguments: dict[str, Any], fault: str
+) -> None:
+    with pytest.raises(ConfigError, match=fault):
+        simulate(**{"scenario": duo, "out": tmp_path / "x", **arguments})
+    assert not (tmp_path / "x").exists()
+
+
+def test_a_plan_is_complete_in_plain_values(duo: Path) -> None:
+    plan = plan_of(duo, (0,), {}, {"duration": [1, 2]})
+    assert [variant.effective["duration"] for variant in plan.variants] == [1.0, 2.0]
+    assert plan.variants[0].effective["plugin_dir"] == str(duo.parent / "plugins")
+
+
+def test_a_damaged_trace_is_one_line(duo: Path, tmp_path: Path) -> None:
+    results = small(duo, out=tmp_path / "x")
+    (tmp_path / "x" / "traces" / "s0000.npz").write_bytes(b"PK\x03\x04")
+    with pytest.raises(SwarmError, match=r"s0000\.npz: not a trace"):
+        results.traces[0]

@@ -1,0 +1,93 @@
+"""The words of `exp run` are taken as they are meant, or answered in one line."""
+
+from __future__ import annotations
+
+import pytest
+
+from swarmd.errors import ConfigError
+from swarmd.sim.experiments.words import read_seeds, read_sets, read_sweeps, split_values
+
+
+@pytest.mark.parametrize(
+    ("text", "seeds"),
+    [
+        ("3", (0, 1, 2)),
+        ("500-502", (500, 501, 502)),
+        ("3,5,9", (3, 5, 9)),
+        ("9,3", (9, 3)),
+        ("0-2,10", (0, 1, 2, 10)),
+        ("7-7", (7,)),
+        (" 1, 2 ", (1, 2)),
+    ],
+)
+def test_seeds_are_a_number_of_them_a_range_or_a_list(text: str, seeds: tuple[int, ...]) -> None:
+    assert read_seeds(text) == seeds
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("", "'' is no seed or range"),
+        ("0", "there is none"),
+        ("-3", "'-3' is no seed or range"),
+        ("5-3", "'5-3' is no seed or range"),
+        ("1,,2", "'' is no seed or range"),
+        ("a", "'a' is no seed or range; wanted 20 (0 to 19), 500-519 or 3,5,9"),
+        ("1.5", "is no seed or range"),
+        ("3,3", "3 stands twice"),
+        ("0-4,2", "2 stands twice"),
+        ("9999999", "at most 100000"),
+        ("0-9999999", "at most 100000"),
+        ("9999999999-9999999999", "wanted whole numbers 0 to 4294967295"),
+    ],
+)
+def test_seeds_that_cannot_be_are_one_line(text: str, fault: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        read_seeds(text)
+    assert fault in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_commas_in_brackets_and_quotes_do_not_part_values() -> None:
+    assert split_values("k", "1,[2,3], {a: 4, b: 5},'x,y'") == (
+        "1", "[2,3]", "{a: 4, b: 5}", "'x,y'",
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("text", ["", "1,", ",", "1,,2"])
+def test_an_empty_value_is_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="a value is empty"):
+        split_values("speed", text)
+
+
+def test_values_are_read_as_in_a_file() -> None:
+    assert read_sets(["a.b=5", "c=real", "d=0.1", "e=true", "f=[1, 2]", "g=null"]) == {
+        "a.b": 5, "c": "real", "d": 0.1, "e": True, "f": [1, 2], "g": None,
+    }  # fmt: skip
+
+
+def test_sweeps_keep_their_order_and_types() -> None:
+    found = read_sweeps(["b=0.2,0.1,1", "a=x,[1, 2],null"])
+    assert list(found.items()) == [("b", [0.2, 0.1, 1]), ("a", ["x", [1, 2], None])]
+
+
+@pytest.mark.parametrize(
+    ("words", "fault"),
+    [
+        (["speed"], "--sweep 'speed': wanted is key=a,b,c"),
+        (["=1,2"], "wanted is key=a,b,c"),
+        (["a..b=1"], "wanted is key=a,b,c"),
+        (["speed="], "a value is empty"),
+        (["a=1", "a=2"], "--sweep a is given twice"),
+        (["a=[1"], "--sweep a: '[1' is no value"),
+    ],
+)
+def test_sweeps_that_cannot_be_are_one_line(words: list[str], fault: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        read_sweeps(words)
+    assert fault in str(caught.value)
+
+
+def test_a_value_set_twice_is_refused() -> None:
+    with pytest.raises(ConfigError, match="--set a is given twice"):
+        read_sets(["a=1", "a=2"])

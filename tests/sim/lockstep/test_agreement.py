@@ -1,0 +1,150 @@
+"""The laboratory tells the truth: lockstep and real daemons in real time go the same way."""
+
+from __future__ import annotations
+
+import math
+import secrets
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarmd.network.operator import Operator
+from swarmd.network.session import SessionSettings
+from swarmd.sim.live.fleet import Fleet, FleetSpec
+from swarmd.sim.live.link import WorldView
+from swarmd.sim.live.show import Watch, await_up
+from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.sim.metrics.voting import consensus_time
+from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.sim.trace import Trace, load_trace
+from swarmd.testing.processes import wait_until
+from swarmd.values import Array
+
+SECONDS = 5.0
+WITHIN = 0.05
+PHASES = range(5)
+Poses = list[tuple[float, float, float]]
+
+
+def in_lockstep(pattern: str, poses: Poses, seed: int) -> Trace:
+    group = {"robots": [f"r{i}" for i in range(len(poses))], "pattern": pattern}
+    start = {"layout": "list", "poses": [[x, y, math.degrees(yaw)] for x, y, yaw in poses]}
+    return simulate_run(
+        scenario_of(
+            {
+                "duration": SECONDS + 1.0,
+                "trace_rate": 50.0,
+                "realism": "ideal",
+                "arena": {"size": [12.0, 12.0]},
+                "groups": {"all": group},
+                "start": start,
+            }
+        ),
+        seed,
+    )
+
+
+def live(pattern: str, poses: Poses, folder: Path) -> Trace:
+    robots = {f"r{i}": "waffle_pi" for i in range(len(poses))}
+    placed = ",".join(f"{x}:{y}:{math.degrees(yaw)}" for x, y, yaw in poses)
+    swarm, trace = f"agree-{secrets.token_hex(4)}", folder / "trace.npz"
+    spec = FleetSpec(
+        swarm=swarm,
+        robots=robots,
+        folder=folder,
+        arena="12x12",
+        layout=f"list:{placed}",
+        realism="ideal",
+        trace=trace,
+    )
+    with Operator(SessionSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:
+        view = await_up(operator, fleet, tuple(robots))
+        with WorldView(swarm, fleet.endpoint) as world:
+            world.ask("start")
+            epochs = view.epochs(tuple(robots))
+            outcome = operator.request("run", epochs, {"pattern": pattern, "params": {}})
+            assert len(outcome.applied) == len(robots), outcome.line
+            watch = Watch(world)
+            while (state := watch.wait()).recorded < SECONDS + 2.0:
+                watch.wait(since=state.time)
+            world.ask("finish")
+    return load_trace(trace)
+
+
+def opinions(operator: Operator) -> list[object]:
+    """What the robots say they hold now."""
+    members = operator.members().members.values()
+    return [one.status.report.get("opinion") for one in members if one.status is not None]
+
+
+def way(trace: Trace) -> Array:
+    """(k, n, 2) places every 0.1 s, of each robot from its own first command to move on.
+
+    A lidar sweeps five times a second, so that one may see the other 0.2 s before it is seen.
+    """
+    ticks = np.arange(0.0, SECONDS, 0.1)
+    places = []
+    for robot in range(len(trace.ids)):
+        first = int(np.argmax((trace.safe[:, robot] != 0.0).any(axis=1)))
+        t = trace.t - trace.t[first]
+        places.append([np.interp(ticks, t, trace.pose[:, robot, k]) for k in (0, 1)])
+    return np.transpose(np.array(places), (2, 0, 1))
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(
+    ("pattern", "poses"),
+    [
+        ("drive", [(-2.0, 0.5, 0.4)]),
+        ("attraction", [(-1.2, 0.1, 0.2), (1.1, -0.2, 2.6)]),
+    ],
+)
+def test_lockstep_and_daemons_go_the_same_way(pattern: str, poses: Poses, tmp_path: Path) -> None:
+    """To within 5 cm of what lockstep gives for one of some phases of the lidars."""
+    seen = way(live(pattern, poses, tmp_path))
+    went = np.hypot(*np.moveaxis(seen[-1] - seen[0], -1, 0))
+    assert went.min() > 0.3
+    expected = [way(in_lockstep(pattern, poses, seed)) for seed in PHASES]
+    apart = [np.hypot(*np.moveaxis(one - seen, -1, 0)).max() for one in expected]
+    assert min(apart) <= WITHIN, f"{min(apart):.3f} m apart at most"
+
+
+VOTE = {"opinions": 2, "window": 1.0}
+PATIENCE = 40.0
+"""Many times what any run in lockstep takes: a loaded machine is slow."""
+
+
+def test_voters_in_lockstep_come_to_agree() -> None:
+    group = {"count": 4, "pattern": "majority_rule", "parameters": VOTE}
+    data = {"duration": 15.0, "groups": {"all": group}, "start": {"spacing": 1.5}}
+    times = [consensus_time(simulate_run(scenario_of(data), seed)) for seed in range(5)]
+    assert all(time is not None for time in times)
+
+
+@pytest.mark.integration
+def test_voters_with_daemons_come_to_agree_too_and_stay_so(tmp_path: Path) -> None:
+    ids = tuple(f"r{i}" for i in range(4))
+    swarm = f"agree-{secrets.token_hex(4)}"
+    spec = FleetSpec(
+        swarm=swarm,
+        robots=dict.fromkeys(ids, "waffle_pi"),
+        folder=tmp_path,
+        arena="6x6",
+        layout="grid:1.5",
+    )
+    with Operator(SessionSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:
+        epochs = await_up(operator, fleet, ids).epochs(ids)
+        run = {"pattern": "majority_rule", "params": VOTE}
+        assert len(operator.request("run", epochs, run).applied) == len(ids)
+        wait_until(lambda: agreed(opinions(operator)), "agreed", PATIENCE)
+        with WorldView(swarm, fleet.endpoint) as world:
+            watch = Watch(world)
+            since = watch.wait().time
+            while (state := watch.wait()).time < since + 3.0:
+                watch.wait(since=state.time)
+        assert agreed(opinions(operator))
+
+
+def agreed(held: list[object]) -> bool:
+    return len(held) == 4 and None not in held and len(set(held)) == 1

@@ -1,0 +1,285 @@
+"""What robots sense, hear and do in lockstep is as old, as frequent and as much as with daemons."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.robot import TICK
+from swarmd.sim.live.realtime import COMMAND_TIMEOUT
+from swarmd.sim.lockstep.lockstep import BODY_TIMEOUT, Lockstep, simulate_run
+from swarmd.sim.metrics.touches import contact_list
+from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.sim.trace import Trace
+from swarmd.values import Array
+
+PROBE = """
+from swarmd.api import Outputs, Params, Pattern, Twist
+
+class Probe(Pattern[Params]):
+    params_type = Params
+    needs = frozenset({"scan"})
+    channels = {"word": list}
+    rate = 50.0
+
+    def __init__(self, params, context):
+        self.steps, self.oldest, self.delay, self.heard, self.long = 0, 0.0, -1.0, -1.0, 0.0
+        self.word, self.robot = [0.0, 1.0], context.robot
+
+    def step(self, inputs):
+        self.steps += 1
+        scan, odometry = inputs.scan, inputs.odometry
+        for message in inputs.messages:
+            if len(message.value) > 2:
+                self.long += 1.0
+            else:
+                said, self.heard = message.value
+                self.delay = inputs.now - message.age - said
+        said = {}
+        if self.steps == 100:
+            said = {"word": [0.0] * 200}
+        elif self.steps % 25 == 0:
+            self.word[:] = [inputs.now, 1.0]
+            said = {"word": self.word}
+        elif self.steps % 25 == 1:
+            self.word[1] = 2.0  # what was said is said
+        near = inputs.neighbors
+        return Outputs(
+            twist=Twist(0.1),
+            messages=said,
+            report={
+                "steps": self.steps,
+                "scan_stamp": -1.0 if scan is None else scan.stamp,
+                "scan_age": -1.0 if not inputs.is_new_scan else inputs.now - scan.stamp,
+                "odometry_stamp": -1.0 if odometry is None else odometry.stamp,
+                "neighbors": len(near),
+                "distance": (near[0].distance or -1.0) if near else -1.0,
+                "delay": self.delay,
+                "heard": self.heard,
+                "long": self.long,
+            },
+        )
+"""
+
+
+@pytest.fixture
+def plugins(tmp_path: Path) -> str:
+    (tmp_path / "probe.py").write_text(PROBE)
+    return str(tmp_path)
+
+
+def scenario(plugins: str, pattern: str | None = "probe", **changes: Any) -> Scenario:
+    data: dict[str, Any] = {
+        "duration": 4.0,
+        "trace_rate": 100.0,
+        "realism": "realistic",
+        "arena": {"size": [40.0, 40.0]},
+        "groups": {"all": {"count": 3, "prefix": "r", "pattern": pattern}},
+        "start": {"layout": "row", "spacing": 5.0},
+        "plugin_dir": plugins,
+    }
+    return scenario_of({**data, **changes})
+
+
+def told(trace: Trace, name: str, row: int = 0) -> Array:
+    """(k,) what a robot reported, while it did."""
+    values: Array = trace.report[name][:, row]
+    return values[~np.isnan(values)]
+
+
+def at(trace: Trace, time: float) -> int:
+    return int(np.searchsorted(trace.t, time - 1e-9))
+
+
+def test_sweeps_come_at_the_sensors_rate_and_as_late_as_realism_says(plugins: str) -> None:
+    trace = simulate_run(scenario(plugins), 0)
+    stamps = np.unique(told(trace, "scan_stamp"))
+    assert np.diff(stamps[stamps >= 0.0]) == pytest.approx(0.2)
+    ages = told(trace, "scan_age")
+    assert ages[ages >= 0.0] == pytest.approx(0.1)  # half a sweep
+
+
+def test_odometry_beats_and_alarms_come_at_their_rates(plugins: str) -> None:
+    lab = Lockstep(scenario(plugins), 0)
+    lab.advance(4.0)
+    shell, trace = lab.shells[0], lab.trace()
+    assert shell is not None
+    assert len(np.unique(told(trace, "odometry_stamp"))) == pytest.approx(4.0 / TICK, abs=2)
+    # A pattern that is faster than the beats is stepped by alarms between them.
+    assert told(trace, "steps")[-1] == pytest.approx(4.0 * 50.0, rel=0.05)
+
+
+def test_a_slow_pattern_has_but_its_beats(plugins: str) -> None:
+    lab = Lockstep(scenario(plugins, pattern="drive"), 0)
+    lab.advance(4.0)
+    shell = lab.shells[0]
+    assert shell is not None
+    decisions = shell.robot.status(lab.world.time).verdict.decisions
+    assert 4.0 / TICK - 2 <= decisions <= 2 * 4.0 / TICK
+
+
+def test_who_is_near_is_known_twice_a_second(plugins: str) -> None:
+    radio = {"neighborhood": "range", "range": 6.0, "range_and_bearing": True}
+    trace = simulate_run(scenario(plugins, radio=radio), 0)
+    # One with noise for each time that it was told, and one from its start.
+    assert len(np.unique(told(trace, "distance"))) == pytest.approx(2 * 4.0 + 1, abs=1)
+
+
+def test_words_arrive_as_they_were_said_after_the_delay_and_none_too_long(plugins: str) -> None:
+    trace = simulate_run(scenario(plugins, radio={"delay": 0.25}), 0)
+    assert told(trace, "delay")[-1] == pytest.approx(0.25, abs=0.011)
+    assert told(trace, "heard")[-1] == 1.0
+    assert told(trace, "long")[-1] == 0.0
+
+
+def test_who_joins_knows_its_neighbors_at_once_and_who_is_gone_is_none(plugins: str) -> None:
+    trace = simulate_run(
+        scenario(
+            plugins,
+            events=[
+                {"at": 1.0, "kill": ["r-01"]},
+                {"at": 2.0, "join": ["r-01"]},
+                {"at": 2.0, "run": "probe", "who": ["r-01"]},
+            ],
+        ),
+        0,
+    )
+    assert trace.report["neighbors"][at(trace, 0.9), 1] == 2.0
+    assert trace.report["neighbors"][at(trace, 1.6), 1] == 1.0
+    began = trace.report["neighbors"][at(trace, 2.01) :, 0]
+    assert began[~np.isnan(began)][0] == 2.0
+    assert trace.report["neighbors"][at(trace, 2.6), 1] == 2.0
+
+
+def test_the_base_of_a_killed_daemon_obeys_the_next_one(plugins: str) -> None:
+    trace = simulate_run(
+        scenario(
+            plugins,
+            pattern="drive",
+            events=[
+                {"at": 2.0, "kill": ["r-01"]},
+                {"at": 2.2, "join": ["r-01"]},
+                {"at": 2.2, "run": "drive", "who": ["r-01"]},
+            ],
+        ),
+        0,
+    )
+    moving = trace.safe[:, 0, 0] > 0.0
+    back = at(trace, 2.2) + int(np.argmax(moving[at(trace, 2.25) :])) + 6
+    assert trace.t[back] < 2.0 + BODY_TIMEOUT
+    assert moving[back:].all()
+
+
+def test_an_emergency_stop_of_one_robot_outlives_its_daemon(plugins: str) -> None:
+    events: list[dict[str, Any]] = [
+        {"at": 1.0, "estop": ["r-01"]},
+        {"at": 2.0, "kill": ["r-01"]},
+        {"at": 2.5, "join": ["r-01"]},
+    ]
+    trace = simulate_run(scenario(plugins, events=events), 0)
+    assert trace.state is not None
+    assert list(trace.state[-1]) == ["estopped", "running", "running"]
+
+
+def test_who_joins_a_stopped_swarm_is_held_before_it_can_be_asked_to_run(plugins: str) -> None:
+    """A daemon asks its peers for their latches before it takes a `run`."""
+    events: list[dict[str, Any]] = [
+        {"at": 0.5, "kill": ["r-01"]},
+        {"at": 1.5, "estop": "all"},
+        {"at": 1.6, "join": ["r-01"]},
+    ]
+    trace = simulate_run(scenario(plugins, events=events), 0)
+    assert trace.state is not None
+    assert trace.present is not None
+    is_there = trace.present[:, 0] & (trace.t > 1.0)
+    assert set(trace.state[is_there, 0]) == {"estopped"}
+
+
+def test_a_latch_that_comes_back_holds_whoever_has_not_reset_it(plugins: str) -> None:
+    """r-03 was killed while the swarm was stopped, and missed the reset; r-04 is new."""
+    events: list[dict[str, Any]] = [
+        {"at": 0.5, "estop": "all"},
+        {"at": 1.0, "kill": ["r-03"]},
+        {"at": 1.5, "reset": "all"},
+        {"at": 2.0, "join": ["r-04"]},
+        {"at": 2.0, "run": "probe"},
+        {"at": 2.5, "join": ["r-03"]},
+    ]
+    group = {"count": 4, "prefix": "r"}
+    trace = simulate_run(scenario(plugins, groups={"all": group}, events=events), 0)
+    assert trace.state is not None
+    assert list(trace.state[at(trace, 2.4)]) == ["running", "running", "", "running"]
+    assert list(trace.state[-1]) == ["running", "running", "estopped", "estopped"]
+
+
+def test_judged_sweeps_are_counted_while_running_and_those_cut_by_protection_apart(
+    plugins: str,
+) -> None:
+    """It drives at a wall from 1 s on, and is held back near it."""
+    trace = simulate_run(
+        scenario(
+            plugins,
+            pattern="drive",
+            duration=6.0,
+            arena={"size": [2.4, 8.0]},
+            groups={"all": {"count": 1, "prefix": "r"}},
+            start={"layout": "list", "poses": [[-0.2, 0.0, 0.0]]},
+            events=[{"at": 1.0, "run": "drive"}],
+        ),
+        0,
+    )
+    assert trace.decided is not None
+    assert trace.evaded is not None
+    assert trace.active is not None
+    assert trace.decided[: at(trace, 1.0)].sum() == 0
+    assert trace.decided.sum() == pytest.approx(5.0 * 5.0, abs=1)
+    began = int(np.argmax(trace.active[:, 0]))
+    assert began > 0
+    assert trace.evaded[: began - 1].sum() == 0
+    assert trace.evaded.sum() >= 1
+    assert (trace.evaded <= trace.decided).all()
+    assert trace.evaded[began:].sum() == pytest.approx(5.0 * trace.active[:, 0].sum() / 100, abs=3)
+
+
+def test_an_event_happens_in_the_step_of_its_time(plugins: str) -> None:
+    trace = simulate_run(scenario(plugins, events=[{"at": 1.23, "stop": "all"}]), 0)
+    assert trace.state is not None
+    assert set(trace.state[at(trace, 1.22)]) == {"running"}
+    assert set(trace.state[at(trace, 1.23)]) == {"stopped"}
+    assert (trace.safe[at(trace, 1.22), :, 0] == 0.1).all()
+    assert (trace.safe[at(trace, 1.23)] == 0.0).all()
+
+
+def test_a_collision_is_noted_when_it_happens_with_who_moved_and_how_fast(plugins: str) -> None:
+    """r-01 drives at 0.15 m/s into r-02, which stands; nearer than that protection sees nothing."""
+    preset = {"threshold": 0.121, "rays": 5, "forward_bias": 2.0}
+    blind = {"preset": "blind", "presets": {"blind": preset}}
+    trace = simulate_run(
+        scenario(
+            plugins,
+            pattern=None,
+            realism="ideal",
+            duration=6.0,
+            platforms={"ram": {"extends": "waffle_pi", "protection": blind}},
+            groups={"all": {"platform": "ram", "count": 2, "prefix": "r"}},
+            start={"layout": "list", "poses": [[0.0, 0.0, 0.0], [0.7, 0.0, 0.0]]},
+            events=[{"at": 0, "run": "drive", "who": ["r-01"], "parameters": {"speed": 0.15}}],
+        ),
+        0,
+    )
+    (touch,) = contact_list(trace)
+    assert (touch.a, touch.b, touch.is_a_moving, touch.is_b_moving) == ("r-01", "r-02", True, False)
+    assert touch.closing_speed == pytest.approx(0.15, abs=1e-3)
+    low, high = trace.footprint(0)[:, 0].min(), trace.footprint(0)[:, 0].max()
+    met = trace.t[np.argmax(trace.pose[:, 0, 0] + high >= trace.pose[:, 1, 0] + low)]
+    assert touch.start == pytest.approx(met, abs=0.021)
+
+
+def test_a_base_gives_up_after_the_same_time_as_in_a_live_world(plugins: str) -> None:
+    assert BODY_TIMEOUT == COMMAND_TIMEOUT
+    trace = simulate_run(scenario(plugins), 0)
+    assert trace.meta["v_max"] == {"waffle_pi": 0.26}

@@ -1,0 +1,298 @@
+"""A swarm in lockstep: the same bits for a seed, and what events do to robots."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.errors import SwarmError
+from swarmd.sim.lockstep.lockstep import BODY_TIMEOUT, Lockstep, simulate_run
+from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.sim.trace import Trace
+
+RANDOM = {
+    "duration": 3.0,
+    "arena": {"size": [6.0, 6.0], "boxes": [{"name": "crate", "at": [0.0, 0.0], "size": [0.4, 0.4],
+                                             "mass": 1.0}]},
+    "groups": {
+        "slow": {"count": 2, "prefix": "s", "pattern": "random_walk"},
+        "voters": {"platform": "burger", "count": 3, "prefix": "v", "pattern": "majority_rule"},
+    },
+    "start": {"layout": "random", "clearance": 0.1},
+    "radio": {"loss": 0.2, "delay": 0.02, "jitter": 0.01},
+    "lidar_visibility": "real",
+}  # fmt: skip
+
+
+def scenario(**changes: Any) -> Scenario:
+    """Three Waffle Pis that drive, each on its own side of a large room; ideal."""
+    data: dict[str, Any] = {
+        "duration": 4.0,
+        "realism": "ideal",
+        "arena": {"size": [30.0, 30.0]},
+        "groups": {"all": {"count": 3, "prefix": "r", "pattern": "drive"}},
+        "start": {"layout": "row", "spacing": 5.0},
+    }
+    return scenario_of({**data, **changes})
+
+
+def events(*items: dict[str, Any]) -> Scenario:
+    return scenario(events=list(items))
+
+
+def speeds(trace: Trace) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """(T - 1, n) m/s."""
+    step = np.diff(trace.pose[..., :2], axis=0)
+    along: np.ndarray[Any, np.dtype[np.float64]] = np.hypot(step[..., 0], step[..., 1])
+    return along / np.diff(trace.t)[:, None]
+
+
+def at(trace: Trace, time: float) -> int:
+    return int(np.argmin(np.abs(trace.t - time)))
+
+
+def digest(trace: Trace) -> str:
+    """Of every array."""
+    whole = hashlib.sha256()
+    for name in ("t", "pose", "safe", "wish", "contact_t", "contact_speed", "decided", "evaded"):
+        whole.update(np.ascontiguousarray(getattr(trace, name)).tobytes())
+    for name in sorted(trace.report):
+        whole.update(trace.report[name].tobytes())
+    return whole.hexdigest()
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_seed_others() -> None:
+    runs = [digest(simulate_run(scenario_of(RANDOM), seed)) for seed in (4, 4, 5)]
+    assert runs[0] == runs[1]
+    assert runs[0] != runs[2]
+
+
+def test_the_bits_do_not_depend_on_the_process() -> None:
+    script = (
+        "import json, sys; from pathlib import Path; sys.path.insert(0, sys.argv[1])\n"
+        "from test_lockstep import RANDOM, digest, scenario_of, simulate_run\n"
+        "print(digest(simulate_run(scenario_of(RANDOM), 4)))"
+    )
+    here = str(Path(__file__).parent)
+    told = {
+        subprocess.run(
+            [sys.executable, "-c", script, here],
+            env={**os.environ, "PYTHONHASHSEED": hash_seed},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout.strip()
+        for hash_seed in ("1", "2")
+    }
+    assert told == {digest(simulate_run(scenario_of(RANDOM), 4))}
+
+
+def test_in_pieces_it_is_the_same_run() -> None:
+    whole = simulate_run(scenario_of(RANDOM), 1)
+    lab = Lockstep(scenario_of(RANDOM), 1)
+    for _ in range(30):
+        lab.advance(0.1)
+    np.testing.assert_array_equal(lab.trace().pose, whole.pose)
+
+
+def test_robots_drive_at_their_speed_and_say_so() -> None:
+    trace = simulate_run(scenario(), 0)
+    assert trace.t[0] == 0.0
+    assert trace.t[-1] == pytest.approx(4.0)
+    assert np.diff(trace.t) == pytest.approx(0.1)
+    np.testing.assert_allclose(speeds(trace)[20:], 0.13, atol=0.135)
+    assert trace.state is not None
+    assert (trace.state[1:] == "running").all()
+    assert trace.decided is not None
+    assert trace.decided.sum() == pytest.approx(3 * 4.0 * 5.0, abs=3)
+    assert trace.meta["thresholds"] == {"waffle_pi": 0.5}
+
+
+def test_stop_stops_the_named_robot_alone_and_run_starts_it_again() -> None:
+    trace = simulate_run(
+        events({"at": 1.5, "stop": ["r-02"]}, {"at": 3.0, "run": "drive", "who": ["r-02"]}), 0
+    )
+    moving = speeds(trace)
+    still = slice(at(trace, 2.0), at(trace, 2.9))
+    assert (moving[still, 1] < 1e-6).all()
+    assert (moving[still][:, [0, 2]] > 0.1).all()
+    assert moving[-1, 1] > 0.1
+    assert trace.reason is not None
+    assert trace.reason[at(trace, 2.5), 1] == "operator"
+
+
+def test_an_estop_of_all_holds_whoever_joins_later_until_a_reset() -> None:
+    trace = simulate_run(
+        scenario(
+            duration=6.0,
+            events=[
+                {"at": 0.5, "kill": ["r-03"]},
+                {"at": 1.0, "estop": "all"},
+                {"at": 2.0, "join": ["r-03"]},
+                {"at": 4.0, "reset": "all"},
+                {"at": 4.5, "run": "drive"},
+            ],
+        ),
+        0,
+    )
+    assert trace.state is not None
+    assert set(trace.state[at(trace, 3.5)]) == {"estopped"}
+    assert (speeds(trace)[at(trace, 2.0) : at(trace, 4.4)] < 1e-6).all()
+    assert (speeds(trace)[-1] > 0.1).all()
+
+
+def test_who_left_stands_at_once_and_who_was_killed_when_its_base_gives_up() -> None:
+    trace = simulate_run(events({"at": 2.0, "leave": ["r-01"]}, {"at": 2.0, "kill": ["r-02"]}), 0)
+    moving = speeds(trace)
+    assert trace.present is not None
+    np.testing.assert_array_equal(trace.present[-1], [False, False, True])
+    assert moving[at(trace, 2.3), 0] < 1e-6
+    assert moving[at(trace, 2.0 + BODY_TIMEOUT - 0.15), 1] > 0.1
+    assert moving[at(trace, 2.0 + BODY_TIMEOUT + 0.3), 1] < 1e-6
+    assert moving[-1, 2] > 0.1
+
+
+def test_who_joins_later_has_stood_in_its_place() -> None:
+    joining = scenario(
+        events=[{"at": 1.0, "join": ["r-01"]}, {"at": 2.0, "run": "drive", "who": ["r-01"]}]
+    )
+    trace = simulate_run(joining, 0)
+    assert trace.present is not None
+    assert not trace.present[at(trace, 0.5), 0]
+    assert trace.present[at(trace, 1.2), 0]
+    np.testing.assert_array_equal(trace.pose[0, 0], trace.pose[at(trace, 1.9), 0])
+    assert speeds(trace)[-1, 0] > 0.1
+
+
+def test_parameters_of_a_run_and_of_param_reach_the_pattern() -> None:
+    trace = simulate_run(events({"at": 2.0, "param": {"speed": 0.05}, "who": ["r-01"]}), 0)
+    late = speeds(trace)[at(trace, 3.0) :]
+    np.testing.assert_allclose(late[:, 0], 0.05, atol=1e-3)
+    assert (late[:, 1] > 0.1).all()
+
+
+def test_a_run_for_some_seconds_finishes() -> None:
+    running = {"count": 3, "prefix": "r"}
+    trace = simulate_run(
+        scenario(groups={"all": running}, events=[{"at": 0.5, "run": "drive", "for": 1.0}]), 0
+    )
+    assert trace.reason is not None
+    assert set(trace.reason[-1]) == {"finished"}
+    assert (speeds(trace)[-1] < 1e-6).all()
+
+
+def test_messages_pass_the_radio_alone() -> None:
+    """Majority rule of five: whoever hears nobody keeps its opinion."""
+    voters: dict[str, Any] = {
+        "duration": 14.0,
+        "groups": {"all": {"count": 5, "prefix": "r", "pattern": "majority_rule"}},
+        "start": {"layout": "row", "spacing": 2.0},
+    }
+    together = simulate_run(scenario(**voters), 3)
+    apart = simulate_run(scenario(**voters, radio={"neighborhood": "range", "range": 1.0}), 3)
+    assert len(set(together.report["opinion"][-1])) == 1
+    np.testing.assert_array_equal(apart.report["opinion"][-1], apart.report["opinion"][5])
+    assert len(set(apart.report["opinion"][-1])) > 1
+
+
+def faulty(folder: Path, *more: dict[str, Any]) -> Scenario:
+    """One robot whose pattern always raises."""
+    (folder / "faulty.py").write_text(
+        "from swarmd.api import MovementPattern, Params, Twist\n"
+        "class Faulty(MovementPattern[Params]):\n"
+        "    params_type = Params\n"
+        "    def drive(self, inputs):\n"
+        "        raise RuntimeError('boom') if inputs.now else RuntimeError('at once')\n"
+    )
+    one = {"count": 1, "prefix": "r", "pattern": "faulty"}
+    return scenario(groups={"all": one}, plugin_dir=str(folder), events=list(more))
+
+
+def test_a_pattern_that_raises_is_restarted_and_then_quarantined(tmp_path: Path) -> None:
+    trace = simulate_run(faulty(tmp_path), 0)
+    assert trace.state is not None
+    assert trace.state[-1, 0] == "faulted"
+    assert (speeds(trace) < 1e-6).all()
+
+
+def test_a_refusal_ends_the_run_with_what_the_robot_said(tmp_path: Path) -> None:
+    with pytest.raises(SwarmError, match=r"at 3 s run drive: r-01: faulted .* reset it first"):
+        simulate_run(faulty(tmp_path, {"at": 3.0, "run": "drive"}), 0)
+
+
+def test_a_robot_pushes_a_box_and_the_trace_tells_of_both() -> None:
+    trace = simulate_run(
+        scenario(
+            duration=6.0,
+            arena={
+                "size": [20.0, 20.0],
+                "boxes": [
+                    {"name": "crate", "at": [0.9, 0.0], "size": [0.1, 0.1], "mass": 0.2},
+                    {"name": "late", "size": [0.2, 0.2], "mass": 5.0},
+                ],
+            },
+            groups={"all": {"count": 1, "prefix": "r", "pattern": "drive"}},
+            platforms={"waffle_pi": {"protection": {"presets": {"paper": {"threshold": 0.121}}}}},
+            events=[
+                {"at": 2.0, "place": "late", "pose": [0.0, 3.0, 0.0]},
+                {"at": 4.0, "remove": "late"},
+            ],
+        ),
+        0,
+    )
+    assert trace.things == ("crate", "late")
+    assert trace.thing_pose is not None
+    assert trace.thing_pose[-1, 0, 0] > 1.0
+    assert set(trace.contact_pair[:, 1]) == {-2}
+    is_there = np.isfinite(trace.thing_pose[:, 1, 0])
+    assert not is_there[at(trace, 1.9)]
+    assert is_there[at(trace, 3.0)]
+    assert not is_there[-1]
+
+
+def test_readings_reach_the_pattern(tmp_path: Path) -> None:
+    (tmp_path / "sniff.py").write_text(
+        "from swarmd.api import ZERO, MovementPattern, Params\n"
+        "class Sniff(MovementPattern[Params]):\n"
+        "    params_type = Params\n"
+        "    needs = frozenset({'scan', 'reading:light'})\n"
+        "    light = 0.0\n"
+        "    def drive(self, inputs):\n"
+        "        self.light = inputs.readings.get('light', -1.0)\n"
+        "        return ZERO\n"
+        "    def report(self):\n"
+        "        return {'light': self.light}\n"
+    )
+    trace = simulate_run(
+        scenario(
+            groups={"all": {"count": 2, "prefix": "r", "pattern": "sniff"}},
+            plugin_dir=str(tmp_path),
+            fields=[
+                {
+                    "name": "light",
+                    "kind": "linear",
+                    "slope": 1.0,
+                    "base": 2.0,
+                    "origin": [0.0, 0.0],
+                    "direction_deg": 90.0,
+                }
+            ],
+        ),
+        0,
+    )
+    np.testing.assert_allclose(trace.report["light"][-1], [-0.5, 4.5], atol=1e-6)
+
+
+def test_who_drives_in_formation_without_noise_is_not_taken_for_frozen() -> None:
+    abreast = {"layout": "row", "spacing": 1.5, "heading_deg": 90}
+    trace = simulate_run(scenario(duration=6.0, start=abreast), 0)
+    assert trace.reason is not None
+    assert set(trace.reason[at(trace, 1.0) :].ravel()) == {""}

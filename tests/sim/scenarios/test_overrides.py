@@ -1,0 +1,120 @@
+"""Values above those of a file: read as in the file, at keys that are there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarmd.errors import ConfigError
+from swarmd.sim.scenarios.overrides import nested, parse_override
+
+if TYPE_CHECKING:
+    from tests.sim.scenarios.conftest import Load
+
+
+@pytest.mark.parametrize(
+    ("text", "override"),
+    [
+        ("duration=30", ("duration", 30)),
+        ("groups.all.parameters.law=paper", ("groups.all.parameters.law", "paper")),
+        ("radio.loss=1e-3", ("radio.loss", 0.001)),
+        ("radio.line_of_sight=true", ("radio.line_of_sight", True)),
+        ("arena.size=[6, 4.5]", ("arena.size", [6, 4.5])),
+        ("groups.all.start={layout: ring}", ("groups.all.start", {"layout": "ring"})),
+        ("groups.all.pattern=null", ("groups.all.pattern", None)),
+        ("groups.all.pattern=", ("groups.all.pattern", None)),
+        ("description=a=b", ("description", "a=b")),
+        (" duration = 30", ("duration", 30)),
+    ],
+)
+def test_a_value_is_what_it_would_be_in_a_file(text: str, override: tuple[str, Any]) -> None:
+    assert parse_override(text) == override
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("duration", "--set 'duration': wanted is key=value, such as duration=30"),
+        ("=5", "wanted is key=value"),
+        ("groups..count=5", "wanted is key=value"),
+        ("arena.size=[6", "--set arena.size: '[6' is no value; wanted is YAML"),
+        ("x={a: 1, a: 2}", "is no value"),
+    ],
+)
+def test_what_is_no_override_is_refused(text: str, fault: str) -> None:
+    with pytest.raises(ConfigError) as raised:
+        parse_override(text)
+    assert fault in str(raised.value)
+    assert "\n" not in str(raised.value)
+
+
+@given(st.text(max_size=20))
+def test_any_text_is_read_or_refused_in_one_line(text: str) -> None:
+    fault = ""
+    try:
+        parse_override(f"key={text}")
+    except ConfigError as error:
+        fault = str(error)
+    assert "\n" not in fault
+
+
+def test_changes_what_it_names_and_nothing_else(load: Load) -> None:
+    overrides = {
+        "groups.red.count": 3,
+        "groups.red.parameters.law": "paper",
+        "arena.boxes.0.mass": 4.0,
+        "events.0.at": 12,
+        "realism.lidar.bias": 0.0,
+        "platforms.burger.limits.linear": 0.1,
+    }
+    scenario = load({}, overrides)
+    assert scenario.groups["red"] == ("red-01", "red-02", "red-03")
+    assert scenario.layers("red-01", "attraction") == (("group red", {"law": "paper"}),)
+    assert [box.mass for box in scenario.arena.boxes] == [4.0, 2.0, None]
+    assert scenario.arena.boxes[0].name == "crate"
+    assert (scenario.events[1].at, scenario.events[1].pattern) == (12.0, "drive")
+    assert scenario.realism.lidar.bias == 0.0
+    assert scenario.realism.lidar.far_sd == load().realism.lidar.far_sd > 0.0
+    assert scenario.robots["red-01"].limits.linear == 0.1
+    assert scenario.duration == 60.0
+
+
+@pytest.mark.parametrize(
+    ("overrides", "fault"),
+    [
+        ({"duraton": 5}, "--set: no key 'duraton'; did you mean 'duration'?"),
+        ({"groups.rde.count": 5}, "--set: groups.rde.count: no group 'rde'; did you mean 'red'?"),
+        ({"groups.red.conut": 5}, "--set: groups.red has no key 'conut'; did you mean 'count'?"),
+        ({"groups.red.count": "5"}, "--set: groups.red.count is '5'; wanted a whole number"),
+        ({"extends": "mixed"}, "--set: extends is for files alone; leave it out here"),
+        ({"duration.x": 5}, "--set: duration is {'x': 5}; wanted a number"),
+        ({"duration": 5, "duration.x": 5}, "--set: duration.x: there is 5, which holds no 'x'"),
+        ({"events.1.at": 5}, "--set: events.1.at: no item '1'; there are 1, from 0 on"),
+        ({"events.first.at": 5}, "--set: events.first.at: no item 'first'"),
+        ({"groups.red.count": 90}, "here.yaml: groups.red.start: red-01 at (0, -44.5) is not"),
+    ],
+)
+def test_what_cannot_be_set_is_refused(
+    load: Load, overrides: Mapping[str, Any], fault: str
+) -> None:
+    with pytest.raises(ConfigError) as raised:
+        load({}, overrides)
+    assert str(raised.value).startswith(fault)
+
+
+def test_a_fault_in_what_nobody_has_said_is_the_files(load: Load) -> None:
+    with pytest.raises(
+        ConfigError, match=r"^here\.yaml: start: green-01 at \(0, 0\) is not inside"
+    ):
+        load({"groups": {"green": {"count": 1}}, "arena": {"size": [0.1, 0.1]}}, {"duration": 5})
+
+
+def test_two_overrides_of_one_list_both_count() -> None:
+    base = {"events": [{"at": 1}, {"at": 2, "stop": "all"}]}
+    over = nested({"events.0.at": 5, "events.1.at": 6}, base)
+    assert over == {"events": [{"at": 5}, {"at": 6, "stop": "all"}]}
+    assert base == {"events": [{"at": 1}, {"at": 2, "stop": "all"}]}

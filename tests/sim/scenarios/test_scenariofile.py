@@ -1,0 +1,205 @@
+"""Scenarios from names and files, with what they extend, and back from their plain values."""
+
+from __future__ import annotations
+
+import json
+import math
+import pickle
+import re
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from swarmd.errors import ConfigError
+from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names, scenario_of
+from swarmd.values import Platform
+
+if TYPE_CHECKING:
+    from tests.sim.scenarios.conftest import Load
+
+# Those that name a pattern which is not there yet.
+WAITING = {"paper_exp2": "groups.all.pattern: no pattern 'discussed_dispersion'"}
+SHIPPED = sorted(set(scenario_names()) - set(WAITING))
+
+
+def plain(platform: Platform) -> dict[str, Any]:
+    """All values of a platform, to be compared."""
+    data = asdict(platform)
+    data["footprint"] = platform.footprint.tolist()
+    data["scan"]["bearings"] = platform.scan.bearings.tolist()
+    return data
+
+
+def same(a: Scenario, b: Scenario, seed: int = 3) -> bool:
+    """True if nothing that a run sees differs."""
+    assert list(map(plain, a.robots.values())) == list(map(plain, b.robots.values()))
+    assert [repr(event) for event in a.events] == [repr(event) for event in b.events]
+    np.testing.assert_array_equal(a.starts(seed), b.starts(seed))
+    pairs = [(robot, event.pattern) for event in a.events for robot in event.robots]
+    assert [a.layers(*pair) for pair in pairs] == [b.layers(*pair) for pair in pairs]
+    names = "name description duration groups arena fields realism visibility radio absent"
+    names += " trace_rate plugin_dir effective"
+    differing = [name for name in names.split() if getattr(a, name) != getattr(b, name)]
+    return list(a.robots) == list(b.robots) and differing == []
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_shipped_scenario_is_described_and_the_same_from_its_plain_values(name: str) -> None:
+    scenario = load_scenario(name)
+    again = scenario_of(json.loads(json.dumps(scenario.effective)))
+    assert same(scenario, again)
+    assert scenario.name == name
+    assert 10 < len(scenario.description) <= 100
+
+
+@pytest.mark.parametrize("name", WAITING)
+def test_a_scenario_whose_pattern_is_not_there_says_so(name: str) -> None:
+    with pytest.raises(ConfigError, match=WAITING[name]):
+        load_scenario(name)
+
+
+def test_the_scenario_of_the_tests_is_the_same_from_its_plain_values(load: Load) -> None:
+    events = [
+        {"at": 20, "join": "red-02"},
+        {"at": 22, "place": "spare", "pose": [0, 2, 33.3]},
+        {"at": 25, "param": {"speed": 0.1}, "who": "blue"},
+    ]
+    changes = {
+        "platforms": {"burger": {"patterns": {"attraction": {"slack": 0.1}}}},
+        "parameters": {"attraction": {"spacing": 0.8}},
+        "realism": {"preset": "ideal", "lidar": {"bias": 0.01}},
+        "events": [{"at": 10, "run": "drive", "who": "blue", "for": 30}, *events],
+    }
+    scenario = load(changes)
+    assert same(scenario, scenario_of(json.loads(json.dumps(scenario.effective))))
+
+
+def test_plain_values_need_no_file_any_more(load: Load, tmp_path: Path) -> None:
+    (tmp_path / "base.yaml").write_text("extends: burger\nlimits: {linear: 0.2}")
+    (tmp_path / "mine.yaml").write_text("extends: base.yaml\nlimits: {angular: 1}")
+    effective = load({"groups.red.platform": "mine.yaml"}).effective
+    for name in ("base.yaml", "mine.yaml", "here.yaml"):
+        (tmp_path / name).unlink()
+    limits = scenario_of(effective).robots["red-01"].limits
+    assert (limits.linear, limits.angular) == (0.2, 1.0)
+    assert str(tmp_path) not in json.dumps(effective)
+
+
+def test_plain_values_can_be_overridden_too(load: Load) -> None:
+    scenario = scenario_of(load().effective, {"groups.red.start.layout": "ring", "duration": 30})
+    assert scenario.duration == 30.0
+    np.testing.assert_allclose(np.hypot(*scenario.starts(0)[:2, :2].T), 1.5)
+    with pytest.raises(ConfigError, match="--set: no key 'duraton'; did you mean 'duration'"):
+        scenario_of(load().effective, {"duraton": 30})
+
+
+def test_a_file_without_groups_is_named_and_not_what_was_set(tmp_path: Path) -> None:
+    (tmp_path / "bad.yaml").write_text("duration: 3")
+    with pytest.raises(ConfigError, match=r"bad\.yaml: groups is missing"):
+        load_scenario(tmp_path / "bad.yaml", {"duration": 5})
+
+
+def test_a_scenario_can_be_sent_to_another_process(load: Load) -> None:
+    scenario = load()
+    assert same(scenario, pickle.loads(pickle.dumps(scenario)))
+
+
+def test_experiment_1_stands_as_the_paper_says() -> None:
+    for name, n in (("burger", 7), ("waffle_pi", 7), ("jackal", 5)):
+        scenario = load_scenario(f"paper_exp1_{name}")
+        expected = np.zeros((n, 3))
+        expected[:, 1] = np.arange(n)
+        np.testing.assert_array_equal(scenario.starts(1), expected)
+        assert {platform.name for platform in scenario.robots.values()} == {name}
+        assert (scenario.arena.length, scenario.arena.width, scenario.duration) == (18, 18, 120)
+
+
+def test_the_hardware_of_experiment_1_starts_near_each_other() -> None:
+    scenario = load_scenario("paper_exp1_hardware")
+    for seed in range(20):
+        places = scenario.starts(seed)[:, :2]
+        apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
+        nearest = np.where(np.eye(7, dtype=bool), math.inf, apart).min(axis=1)
+        assert np.all((nearest >= 0.62) & (nearest <= 0.8))
+
+
+def test_a_thousand_robots_have_room_for_any_seed() -> None:
+    scenario = load_scenario("thousand")
+    assert scenario.starts(0).shape == (1000, 3)
+    assert scenario.arena.length * scenario.arena.width == pytest.approx(1000, rel=0.01)
+
+
+def test_extends_another_by_name_or_file(load: Load, tmp_path: Path) -> None:
+    load()
+    (tmp_path / "sub").mkdir()
+    child = "extends: ../here.yaml\nduration: 20\ngroups: {red: {count: 1}}"
+    (tmp_path / "sub" / "child.yaml").write_text(child)
+    scenario = load_scenario(tmp_path / "sub" / "child.yaml")
+    assert (scenario.name, scenario.duration) == ("child", 20.0)
+    assert scenario.groups == {"red": ("red-01",), "blue": ("b-one", "b-two")}
+    (tmp_path / "mine.yaml").write_text("extends: paper_exp1_burger\nduration: 5")
+    assert load_scenario("mine.yaml").duration == 5.0
+
+
+def test_paths_are_relative_to_the_file_in_which_they_stand(
+    load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "mine.yaml").write_text("extends: burger\nlimits: {linear: 0.1}")
+    (tmp_path / "plugins").mkdir()
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "child.yaml").write_text("extends: ../here.yaml")
+    load({"groups.red.platform": "mine.yaml", "plugin_dir": "plugins"})
+    monkeypatch.chdir(tmp_path / "sub")
+    scenario = load_scenario("child.yaml")
+    assert scenario.robots["red-01"].name == "mine"
+    assert scenario.plugin_dir is not None
+    assert scenario.plugin_dir.resolve() == tmp_path / "plugins"
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("duration: 5\nduration: 6", "bad.yaml:2: key 'duration' stands twice, first in line 1"),
+        ("duration: [", "bad.yaml:1"),
+        ("[1, 2]", "bad.yaml: holds [1, 2]; wanted keys and values"),
+        ("", "bad.yaml: groups is missing; wanted is such as groups: {tb3:"),
+        ("extends: bad.yaml", "bad.yaml: extends itself: bad.yaml -> bad.yaml"),
+        ("extends: paper_exp1_burgr", "bad.yaml: extends: no scenario 'paper_exp1_burgr'; did"),
+        ("extends: 5", "bad.yaml: extends is 5; wanted a scenario's name"),
+        ("extends: paper_exp1_burger\nduration: -1", "bad.yaml: duration is -1; wanted"),
+    ],
+)
+def test_a_file_that_is_none_is_refused_in_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, fault: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bad.yaml").write_text(text)
+    with pytest.raises(ConfigError) as raised:
+        load_scenario("bad.yaml")
+    assert str(raised.value).startswith(fault)
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "fault"),
+    [
+        ("agregation", r"no scenario 'agregation'; did you mean 'aggregation'\? \(or give a path"),
+        ("nowhere/none.yaml", "nowhere/none.yaml: cannot be read: No such file"),
+    ],
+)
+def test_a_name_that_is_none_is_refused(name: str, fault: str) -> None:
+    with pytest.raises(ConfigError, match=fault):
+        load_scenario(name)
+
+
+def test_the_scenario_on_the_page_about_scenarios_is_one(tmp_path: Path) -> None:
+    page = Path(__file__).parents[3] / "docs" / "laboratory.md"
+    (block,) = re.findall(r"^```yaml\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
+    (tmp_path / "page.yaml").write_text(block)
+    scenario = load_scenario(tmp_path / "page.yaml")
+    assert scenario.starts(0).shape == (5, 3)
+    assert len(scenario.events) == 5
