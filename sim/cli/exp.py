@@ -333,11 +333,19 @@ def _tell(results: Results, names: Sequence[str] | None, is_json: bool) -> None:
             click.echo(f"\n{variant}" if variant else "")
             print_table(HEADER, summary_rows(results.summary(variant, names)))
     _warn_of_few(len(results.seeds(variant)) for variant in results.variants)
+    _warn_of_patterns(results)
     for name, reason in list(results.failures.items())[:_FAILURES_SHOWN]:
         warn(f"failed: {name}: {reason}")
     more = len(results.failures) - _FAILURES_SHOWN
     if more > 0:
         warn(f"and {more} more; see {results.folder}/failures.json")
+
+
+def _warn_of_patterns(results: Results) -> None:
+    if "failed_patterns" in results.metrics:
+        count = int((results.metric("failed_patterns") > 0.0).sum())
+        if count:
+            warn(f"patterns failed in {count} runs: see failed_patterns, and reason in the traces")
 
 
 def _tell_differences(a: Side, b: Side, differences: Sequence[Difference]) -> None:

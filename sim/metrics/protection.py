@@ -100,6 +100,21 @@ def hold_share(trace: Trace) -> float | None:
     return mean(is_held.astype(np.float64), _running(trace))
 
 
+def failed_patterns(trace: Trace) -> int | None:
+    """The number of robots whose pattern failed at least once: it was restarted, or set aside.
+
+    Ours: a pattern that raises does not end a run. None if states were not recorded, or nobody
+    was there.
+    """
+    is_here = presence(trace)
+    if trace.state is None or trace.reason is None or not is_here.any():
+        return None
+    is_failing = (trace.state == str(State.FAULTED)) | (
+        trace.reason == str(Reason.PATTERN_RESTARTING)
+    )
+    return int((is_failing & is_here).any(axis=0).sum())
+
+
 def _running(trace: Trace) -> NDArray[np.bool_]:
     """(T, n) present, and running as far as the trace says."""
     is_here = presence(trace)
@@ -142,6 +157,15 @@ METRICS = (
         "running time in which a hold kept a robot standing",
         "ours",
         hold_share,
+        None,
+        "less",
+    ),
+    Metric(
+        "failed_patterns",
+        "robots",
+        "robots whose pattern failed: it was restarted, or set aside",
+        "ours",
+        failed_patterns,
         None,
         "less",
     ),

@@ -99,6 +99,15 @@ def test_alteration_needs_wishes_and_limits(run: Run) -> None:
     assert protection.mean_alterations(run(STILL)) is None
 
 
+def test_robots_whose_pattern_failed_are_counted_once_each(run: Run) -> None:
+    state = np.array([["running"] * 2, ["running"] * 2, ["faulted", "running"], ["idle", "idle"]])
+    reason = np.array([["", ""], ["pattern_restarting", ""], ["pattern_quarantined", ""], ["", ""]])
+    assert protection.failed_patterns(run(STILL, state=state, reason=reason)) == 1
+    both = np.array([["", ""], ["", "pattern_restarting"], ["", ""], ["", ""]])
+    assert protection.failed_patterns(run(STILL, state=state, reason=both)) == 2
+    assert protection.failed_patterns(run(STILL)) is None
+
+
 def test_holds_are_counted_while_running(run: Run) -> None:
     state = np.array([["running"] * 2, ["running"] * 2, ["stopped", "running"], ["running"] * 2])
     reason = np.array([["stale_scan", ""], ["no_wish", ""], ["stale_scan", "no_scan"], ["", ""]])
