@@ -7,6 +7,7 @@ the tables and figures of docs/paper.md to OUT. What OUT has already is not run 
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -62,6 +63,7 @@ def experiment(out: Path, name: str, law: str, seeds: Sequence[int]) -> Results:
         set={"groups.all.parameters.law": law},
         sweep={"lidar_visibility": list(VISIBILITIES)},
         out=folder_of(out, name, law, seeds),
+        jobs=os.cpu_count() or 1,
     )
 
 

@@ -398,21 +398,3 @@ def test_a_new_folder_that_cannot_be_made_is_one_line(tmp_path: Path) -> None:
     for base in (tmp_path / "base", tmp_path / "base" / "below"):
         with pytest.raises(ConfigError, match="--out"):
             new_folder(base, "duo")
-
-
-@pytest.mark.integration
-def test_patterns_that_fail_are_told_of(tmp_path: Path, swarmctl: Swarmctl) -> None:
-    (tmp_path / "plugins").mkdir()
-    (tmp_path / "plugins" / "boom.py").write_text(
-        "from swarmd.api import MovementPattern, Params\n"
-        "class Boom(MovementPattern[Params]):\n"
-        "    params_type = Params\n"
-        "    def drive(self, inputs):\n"
-        "        raise RuntimeError('boom')\n"
-    )
-    (tmp_path / "one.yaml").write_text(
-        "duration: 2\nplugin_dir: plugins\ngroups: {all: {count: 1, pattern: boom}}\n"
-    )
-    done = swarmctl("exp", "run", tmp_path / "one.yaml", "--seeds", "2")
-    assert done.returncode == 0, done.stderr
-    assert "patterns failed in 2 runs" in done.stderr
