@@ -184,7 +184,8 @@ class _View:
 
     `points` (p, 2) where surfaces are near and `robots` (k, 2) what may be robots: range, bearing.
     `seen` counts these with the half hidden, `beside` those that are near. `pull` (2,) is all that
-    draws it, at most 1 long; `free` is the length of what near surfaces leave of it.
+    draws it, at most 1 long; `free` is the length of what near surfaces leave of it. `is_line`:
+    all robots lie on one line through this one.
     """
 
     scan: Scan
@@ -194,17 +195,12 @@ class _View:
     beside: int
     pull: Array
     free: float
+    is_line: bool
 
     @property
     def nearest(self) -> float:
         """The bearing of the nearest robot."""
         return float(self.robots[np.argmin(self.robots[:, 0]), 1])
-
-    @property
-    def is_line(self) -> bool:
-        """True if all robots lie on one line through this one."""
-        axis = complex(np.exp(2j * self.robots[:, 1]).sum())
-        return abs(axis) > _IN_LINE * len(self.robots)
 
 
 class Attraction(MovementPattern[AttractionParams]):
@@ -299,7 +295,9 @@ class Attraction(MovementPattern[AttractionParams]):
         beside = int(np.count_nonzero(robots[:, 0] < _BESIDE * params.spacing))
         pull = self._pull(robots)
         free = keep_clear(pull, points, spacing=spacing, brake=params.brake)
-        return _View(scan, points, robots, seen, beside, pull, math.hypot(*free))
+        axis = complex(np.exp(2j * robots[:, 1]).sum())
+        is_line = abs(axis) > _IN_LINE * len(robots)
+        return _View(scan, points, robots, seen, beside, pull, math.hypot(*free), is_line)
 
     def _follow(self, view: _View, vector: Array) -> Twist:
         params = self.params

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Literal, cast
 
@@ -16,7 +16,7 @@ from swarmd.errors import ConfigError, unknown
 from swarmd.layered import Layered
 from swarmd.swarmfile import Options, Parameters
 from swarmd.values import Limits, Platform, ScanSpec, Value
-from swarmd.yamlfile import Data, read, shown
+from swarmd.yamlfile import Data, read_extended, shown
 
 Coordinate = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Point = tuple[Coordinate, Coordinate]
@@ -89,13 +89,14 @@ def load_platform(name: str, near: Path | None = None) -> Platform:
 
     ConfigError names file, key, value, what was wanted and the nearest valid key.
     """
-    path = _find(name, near or Path())
-    return platform_of(path.stem, Layered(*_chain(path)))
+    stem = _find(name, near or Path()).stem
+    return platform_of(stem, Layered(*platform_sources(name, near)))
 
 
 def platform_sources(name: str, near: Path | None = None) -> tuple[tuple[str, Data], ...]:
     """What `load_platform` reads: the file and those it extends, by name, strongest first."""
-    return tuple(_chain(_find(name, near or Path())))
+    files = read_extended(_find(name, near or Path()), _find)
+    return tuple((shown(path), data) for path, data in files)
 
 
 def platform_of(name: str, layers: Layered) -> Platform:
@@ -117,25 +118,6 @@ def _find(name: str, near: Path) -> Path:
             f"{unknown('platform', name, platform_names())} (or give a path ending in .yaml)"
         )
     return _folder() / f"{name}.yaml"
-
-
-def _chain(path: Path) -> Iterator[tuple[str, Data]]:
-    """The file and those it extends, strongest first."""
-    seen: list[Path] = []
-    while True:
-        if path.resolve() in seen:
-            files = " -> ".join(shown(file) for file in (*seen, path))
-            raise ConfigError(f"{shown(path)}: extends itself: {files}; take one of them out")
-        seen.append(path.resolve())
-        data = read(path)
-        base = data.get("extends")
-        yield shown(path), data
-        if not isinstance(base, str):
-            return
-        try:
-            path = _find(base, path.parent)
-        except ConfigError as error:
-            raise ConfigError(f"{shown(path)}: extends: {error}") from error
 
 
 def _check(layers: Layered, file: PlatformFile) -> None:

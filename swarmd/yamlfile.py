@@ -7,6 +7,7 @@ itself). What the values mean is checked by `swarmd.layered`.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,28 @@ def read(path: Path) -> Data:
     if not isinstance(data, dict):
         raise ConfigError(f"{name}: holds {brief(data)}; wanted keys and values, such as `id: r1`")
     return data
+
+
+def read_extended(path: Path, find: Callable[[str, Path], Path]) -> Iterator[tuple[Path, Data]]:
+    """A file and those it `extends`, strongest first; `find(name, folder)` says where they are.
+
+    ConfigError if a file extends itself, or one that is not there.
+    """
+    seen: list[Path] = []
+    while True:
+        if path.resolve() in seen:
+            files = " -> ".join(shown(file) for file in (*seen, path))
+            raise ConfigError(f"{shown(path)}: extends itself: {files}; take one of them out")
+        seen.append(path.resolve())
+        data = read(path)
+        yield path, data
+        base = data.get("extends")
+        if not isinstance(base, str):
+            return
+        try:
+            path = find(base, path.parent)
+        except ConfigError as error:
+            raise ConfigError(f"{shown(path)}: extends: {error}") from error
 
 
 def read_value(text: str) -> Any:

@@ -27,7 +27,7 @@ from swarmd.sim.scenarios.starts import Starts, part_of, without_stale
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.readings import Field
 from swarmd.sim.world.realism import realism_of
-from swarmd.yamlfile import Data, read, shown
+from swarmd.yamlfile import Data, read_extended, shown
 
 __all__ = ["load_scenario", "parse_override", "scenario_names", "scenario_of"]
 
@@ -76,23 +76,12 @@ def _find(name: str, near: Path) -> Path:
 
 def _chain(path: Path) -> Iterator[tuple[str, Data]]:
     """The file and those it extends, strongest first."""
-    seen: list[Path] = []
-    while True:
-        if path.resolve() in seen:
-            files = " -> ".join(shown(file) for file in (*seen, path))
-            raise ConfigError(f"{shown(path)}: extends itself: {files}; take one of them out")
-        seen.append(path.resolve())
-        data = read(path)
-        base = data.pop("extends", None)
-        yield shown(path), _anchored(data, path.parent.absolute())
-        if base is None:
-            return
-        if not isinstance(base, str):
-            raise ConfigError(f"{shown(path)}: extends is {base!r}; wanted a scenario's name")
-        try:
-            path = _find(base, path.parent)
-        except ConfigError as error:
-            raise ConfigError(f"{shown(path)}: extends: {error}") from error
+    for file, data in read_extended(path, _find):
+        base = data.get("extends")
+        if base is not None and not isinstance(base, str):
+            raise ConfigError(f"{shown(file)}: extends is {base!r}; wanted a scenario's name")
+        rest = {key: value for key, value in data.items() if key != "extends"}
+        yield shown(file), _anchored(rest, file.parent.absolute())
 
 
 def _anchored(data: Data, folder: Path) -> Data:
