@@ -6,10 +6,19 @@ import faulthandler
 import os
 import secrets
 import shutil
+import signal
 import subprocess
 from collections.abc import Iterator
 
 import pytest
+
+
+def pytest_configure() -> None:
+    """Give processes that tests start the usual signals: a shell's background jobs ignore some."""
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            usual = signal.default_int_handler if number is signal.SIGINT else signal.SIG_DFL
+            signal.signal(number, usual)
 
 
 def pytest_unconfigure() -> None:
