@@ -20,6 +20,7 @@ from swarmd.frames import Ready, Step, Stepped
 from swarmd.framing import decode_command, encode_command
 from swarmd.messages import Epoch, Request
 from swarmd.protection.front import Protection
+from swarmd.protection.moment import Moment
 from swarmd.robot import Robot
 from swarmd.scans import ScanConditioner
 from swarmd.sensing import decode_scan, encode_scan
@@ -106,10 +107,10 @@ def rows() -> Iterator[Row]:
 
     def decide(scan: Scan) -> None:
         protection.observe(scan, None)
-        protection.decide(WISH, is_running=True, hold=None, scan_age=0.0, odometry=None)
+        protection.decide(WISH, Moment(0.0, 0.0), is_running=True, hold=None)
 
     def again(scan: Scan) -> None:
-        protection.decide(WISH, is_running=True, hold=None, scan_age=0.0, odometry=None)
+        protection.decide(WISH, Moment(0.0, 0.0), is_running=True, hold=None)
 
     conditioner = ScanConditioner(platform.scan)
     yield Row(

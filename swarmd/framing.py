@@ -226,7 +226,7 @@ def _to_odometry(body: list[float]) -> Odometry:
 def _from_platform(platform: Platform) -> dict[str, Any]:
     spec, limits = platform.scan, platform.limits
     scan = [spec.bearings.tobytes(), spec.rate, spec.range_min, spec.range_max]
-    scan += [list(spec.offset), spec.max_gap, spec.zero, spec.is_noisy]
+    scan += [list(spec.offset), spec.max_gap, spec.zero, spec.is_noisy, spec.near, spec.latency]
     return {
         "name": platform.name,
         "limits": [limits.linear, limits.angular, limits.lateral],
@@ -240,10 +240,8 @@ def _from_platform(platform: Platform) -> dict[str, Any]:
 
 
 def _to_platform(body: dict[str, Any]) -> Platform:
-    bearings, rate, range_min, range_max, offset, max_gap, zero, is_noisy = body["scan"]
-    spec = ScanSpec(
-        _array(bearings), rate, range_min, range_max, tuple(offset), max_gap, zero, is_noisy
-    )
+    bearings, rate, range_min, range_max, offset, *rest = body["scan"]
+    spec = ScanSpec(_array(bearings), rate, range_min, range_max, tuple(offset), *rest)
     return Platform(
         name=body["name"],
         limits=Limits(*body["limits"]),

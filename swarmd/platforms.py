@@ -14,6 +14,12 @@ import swarmd.config
 from swarmd.angles import wrap
 from swarmd.errors import ConfigError, unknown
 from swarmd.layered import Layered
+from swarmd.protection.settings import (
+    BarrierSettings,
+    Mode,
+    PotentialFieldSettings,
+    StopZoneSettings,
+)
 from swarmd.swarmfile import Options, Parameters
 from swarmd.values import Limits, Platform, ScanSpec, Value
 from swarmd.yamlfile import Data, read_extended, shown
@@ -35,7 +41,11 @@ class LimitsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The range sensor: rays spread evenly over 360 degrees, rate in Hz, ranges in m."""
+    """The range sensor: rays spread evenly over 360 degrees, rate in Hz, ranges in m.
+
+    `latency`: the mean age of its rays in s when a sweep arrives; None: half a sweep, as of one
+    that turns. `near`: whether it tells of what is nearer than `range_min`.
+    """
 
     rays: Annotated[int, Meta(ge=1, le=10_000)]
     rate: Annotated[float, Meta(gt=0.0, le=200.0)]
@@ -46,22 +56,18 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     zero: Literal["no_return", "too_close", "unknown", "lds"] = "no_return"
     noisy: bool = True
     max_gap_deg: Annotated[float, Meta(gt=0.0, le=180.0)] = 12.0
-
-
-class PresetSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """One set of numbers for the arbiter: threshold in m from the sensor, rays that trigger it."""
-
-    threshold: Positive
-    rays: Annotated[int, Meta(ge=1, le=10_000)]
-    forward_bias: Annotated[float, Meta(ge=0.0, le=100.0)]
+    near: Literal["reported", "lost"] = "reported"
+    latency: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
 
 
 class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The arbiter: its mode, the presets there are and the one in force."""
+    """The arbiter: its mode, and what each mode is told; `preset` is the potential field's."""
 
-    mode: Literal["potential_field"] = "potential_field"
+    mode: Mode = "potential_field"
     preset: str
-    presets: dict[str, PresetSection]
+    presets: dict[str, PotentialFieldSettings]
+    barrier: BarrierSettings | None = None
+    stop_zone: StopZoneSettings = StopZoneSettings()
 
 
 class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -190,12 +196,16 @@ def _platform(name: str, file: PlatformFile) -> Platform:
             max_gap=math.radians(scan.max_gap_deg),
             zero=scan.zero,
             is_noisy=scan.noisy,
+            near=scan.near,
+            latency=0.5 / scan.rate if scan.latency is None else scan.latency,
         ),
         provides=frozenset(file.provides),
         protection={
             "mode": protection.mode,
             "preset": protection.preset,
             **to_builtins(protection.presets[protection.preset]),
+            "barrier": to_builtins(protection.barrier),
+            "stop_zone": to_builtins(protection.stop_zone),
         },
         patterns=file.patterns,
         drivers=cast(Mapping[str, Mapping[str, Value]], file.drivers),

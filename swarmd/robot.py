@@ -238,10 +238,9 @@ class Robot:
         running = self._conduct.hosting.running
         return self._protection.decide(
             None if running is None else running.wish.twist,
+            self._senses.moment(now),
             is_running=self._conduct.is_running and running is not None,
             hold=hold,
-            scan_age=self._senses.scan_age(now),
-            odometry=self._senses.odometry,
         )
 
     def _restart(self, turn: Turn) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from swarmd.codec import encode_value
 from swarmd.messages import Reason
+from swarmd.protection.moment import Moment
 from swarmd.scans import ScanConditioner
 from swarmd.values import Inputs, Message, Neighbor, Odometry, Platform, Scan, Value
 
@@ -121,6 +122,11 @@ class Senses:
     def scan_age(self, now: float) -> float | None:
         """Seconds since the last valid scan arrived; None before the first."""
         return None if self._scan_at is None else now - self._scan_at
+
+    def moment(self, now: float) -> Moment:
+        """What a decision at `now` rests on."""
+        odometry_age = None if self._odometry_at is None else now - self._odometry_at
+        return Moment(now, self.scan_age(now), self.odometry, odometry_age)
 
     def scan_rate(self, now: float) -> float:
         """Valid scans a second over the last few; 0 once they have stopped."""

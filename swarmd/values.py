@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from msgspec import Struct
@@ -45,6 +45,18 @@ class Twist(Struct, frozen=True):
 
 
 ZERO = Twist()
+
+
+class TouchZone(Struct, frozen=True):
+    """Where and how fast a robot may close on what it touches, for patterns that push or dock.
+
+    A sector of directions from the axle, `bearing` +- `half_width` in rad; `speed` in m/s, the
+    fastest that its outline may move towards what is there.
+    """
+
+    bearing: float
+    half_width: float
+    speed: float
 
 
 class Pose(Struct, frozen=True):
@@ -136,7 +148,9 @@ class ScanSpec:
     sensor's (x, y) in the base frame in m, `max_gap` rad the widest unknown sector that may be
     bridged, `zero` what a range of exactly 0 means: no_return, too_close, unknown or lds (the
     rule for the LDS family in `scans.py`), `is_noisy` whether identical scans betray a frozen
-    sensor, `stale_after` in s.
+    sensor, `stale_after` in s. `near` says whether the sensor tells of what is nearer than
+    `range_min`, or gives the same as for nothing. `latency` is the mean age of its rays in s when
+    a sweep arrives.
     """
 
     bearings: Array
@@ -147,6 +161,8 @@ class ScanSpec:
     max_gap: float = math.radians(12.0)
     zero: str = "no_return"
     is_noisy: bool = True
+    near: Literal["reported", "lost"] = "reported"
+    latency: float = 0.0
 
     @property
     def stale_after(self) -> float:
@@ -159,7 +175,8 @@ class Platform:
     """One kind of robot, from its file in config/platforms.
 
     `footprint` is a (k, 2) convex polygon, counter-clockwise, in the base frame in m.
-    `protection` holds the settings of the arbiter, validated by the arbiter's own types;
+    `protection` holds the settings of the arbiter: `mode`, the values of the potential field's
+    preset in force, and those of `barrier` and `stop_zone` under these names (None: not given);
     `patterns` parameters by pattern name; `drivers` options by driver name; `body` what the
     simulated world needs (mass, heights, wheel base, lidar target radius ...).
     """
@@ -169,7 +186,7 @@ class Platform:
     footprint: Array
     scan: ScanSpec
     provides: frozenset[str]
-    protection: Mapping[str, Scalar]
+    protection: Mapping[str, Any]
     patterns: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
     drivers: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
     body: Mapping[str, float] = field(default_factory=dict)

@@ -100,6 +100,8 @@ def test_flattens_the_preset_in_force(folder: Path) -> None:
         "threshold": 0.3,
         "rays": 5,
         "forward_bias": 2.0,
+        "barrier": None,
+        "stop_zone": {"stop": 0.1, "slow": 0.25, "slow_share": 0.3},
     }
 
 
@@ -149,7 +151,11 @@ def test_refuses_an_unknown_base(folder: Path) -> None:
         ("scan.offset", [0.0], "scan.offset is [0.0]; wanted [a number"),
         ("provides", ["scam"], "provides: no word 'scam'; did you mean 'scan'?"),
         ("provides", ["reading:"], "provides: no word 'reading:'"),
-        ("protection.mode", "of", "protection.mode is 'of'; wanted potential_field"),
+        (
+            "protection.mode",
+            "of",
+            "protection.mode is 'of'; wanted barrier or off or potential_field",
+        ),
         ("protection.preset", "papr", "protection.preset: no preset 'papr'; did you mean 'paper'?"),
         (
             "protection.presets.repo.threshold",

@@ -6,9 +6,10 @@ from typing import Protocol
 
 from swarmd.errors import ConfigError, unknown
 from swarmd.protection.footprint import Sight
+from swarmd.protection.moment import Moment
 from swarmd.protection.potential_field import PotentialField
 from swarmd.protection.verdict import Decision
-from swarmd.values import Odometry, Platform, Scan, Twist
+from swarmd.values import Odometry, Platform, Scan, TouchZone, Twist
 
 MODES = ("potential_field",)
 
@@ -21,8 +22,11 @@ class Arbiter(Protocol):
     def observe(self, scan: Scan, sight: Sight, odometry: Odometry | None) -> None:
         """Take in a new scan: all its geometry, once. `sight` says where its rays end."""
 
-    def decide(self, wish: Twist, *, scan_age: float, odometry: Odometry | None) -> Decision:
-        """The safe command for a wish within limits; `scan_age` in s."""
+    def decide(self, wish: Twist, moment: Moment, touch: TouchZone | None) -> Decision:
+        """The safe command for a wish within limits; the moment has a scan.
+
+        `touch`: where the running pattern may touch what is near.
+        """
 
 
 def make_arbiter(platform: Platform) -> Arbiter:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from swarmd.messages import Reason
 from swarmd.protection.arbiter import make_arbiter
 from swarmd.protection.footprint import Footprint, Sight
+from swarmd.protection.moment import NO_PERMIT, Moment, Permit
 from swarmd.protection.verdict import Decision, Verdict
 from swarmd.values import ZERO, Odometry, Platform, Scan, Twist
 
@@ -34,11 +35,11 @@ class Protection:
     def decide(
         self,
         wish: Twist | None,
+        moment: Moment,
         *,
         is_running: bool,
         hold: Reason | None,
-        scan_age: float | None,
-        odometry: Odometry | None,
+        permit: Permit = NO_PERMIT,
     ) -> Verdict:
         """The safe command for a wish (None: stands), with its grounds.
 
@@ -48,20 +49,20 @@ class Protection:
         limits = self._platform.limits
         wanted = limits.clip(wish) if wish is not None and wish.is_finite else ZERO
         if not is_running or hold is not None:
-            return self._verdict(wanted, Decision(ZERO, is_active=False), hold, scan_age)
-        if scan_age is None:
+            return self._verdict(wanted, Decision(ZERO, is_active=False), hold, moment)
+        if moment.scan_age is None:
             decision = Decision(ZERO, is_active=False)
-            return self._verdict(wanted, decision, Reason.NO_SCAN, None)
-        decision = self._arbiter.decide(wanted, scan_age=scan_age, odometry=odometry)
+            return self._verdict(wanted, decision, Reason.NO_SCAN, moment)
+        decision = self._arbiter.decide(wanted, moment, permit.touch)
         if decision.twist is not wanted and not decision.twist.is_finite:
             decision = Decision(ZERO, is_active=True, rows=decision.rows)
         reason = None
         if decision.twist.is_zero:
             reason = Reason.PROTECTION if decision.is_active else Reason.NO_WISH
-        return self._verdict(wanted, decision, reason, scan_age)
+        return self._verdict(wanted, decision, reason, moment)
 
     def _verdict(
-        self, wish: Twist, decision: Decision, reason: Reason | None, scan_age: float | None
+        self, wish: Twist, decision: Decision, reason: Reason | None, moment: Moment
     ) -> Verdict:
         return Verdict(
             mode=self._arbiter.mode,
@@ -71,6 +72,6 @@ class Protection:
             is_active=decision.is_active,
             rows=decision.rows,
             min_gap=self._min_gap,
-            scan_age=scan_age,
+            scan_age=moment.scan_age,
             scan_seq=self._scan_seq,
         )

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from swarmd.fields import field_twist, potential_field
 from swarmd.protection.footprint import Sight
+from swarmd.protection.moment import Moment
 from swarmd.protection.verdict import Decision
-from swarmd.values import Odometry, Platform, Scan, Twist
+from swarmd.values import Odometry, Platform, Scan, TouchZone, Twist
 
 
 class PotentialField:
@@ -42,7 +43,7 @@ class PotentialField:
             return
         self._evasion = field_twist(field.vector, self._limits.linear, self._limits.angular)
 
-    def decide(self, wish: Twist, *, scan_age: float, odometry: Odometry | None) -> Decision:
+    def decide(self, wish: Twist, moment: Moment, touch: TouchZone | None) -> Decision:
         """The evading command if there is something to evade, else the wish."""
         if self._evasion is None:
             return Decision(wish, is_active=False)

@@ -9,7 +9,11 @@ from swarmd.values import Twist
 
 
 class Row(Struct, frozen=True):
-    """One obstacle that bounds the command: bearing rad, gap m to the footprint, cap m/s."""
+    """One obstacle that bounds the command.
+
+    `bearing` rad from the axle, `gap` m to the footprint, `cap` m/s: how fast the outline may at
+    most move towards it.
+    """
 
     bearing: float
     gap: float
@@ -30,7 +34,9 @@ class Verdict(Struct, frozen=True):
     `wish` is within the platform's limits, `safe` is what the driver gets. `reason` is the hold
     that zeroed the command, or why the robot stands although it runs; None while it moves, and
     outside `running`. `min_gap` in m from the footprint to the nearest return (None: nothing
-    seen), `scan_age` in s (None: no scan yet), `scan_seq` -1 without a scan.
+    seen), `scan_age` in s (None: no scan yet), `scan_seq` -1 without a scan. `is_unsticking`: what
+    was judged is not the wish but a way around what blocks it. `rows`: what bounds the command,
+    the tightest first.
     """
 
     mode: str
@@ -42,3 +48,4 @@ class Verdict(Struct, frozen=True):
     min_gap: float | None
     scan_age: float | None
     scan_seq: int
+    is_unsticking: bool = False

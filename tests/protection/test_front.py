@@ -10,6 +10,7 @@ from hypothesis.extra.numpy import arrays
 
 from swarmd.messages import Reason
 from swarmd.protection.front import Protection
+from swarmd.protection.moment import Moment
 from swarmd.protection.verdict import Verdict
 from swarmd.settings import load_platform
 from swarmd.values import ZERO, Array, Platform, Scan, Twist
@@ -40,9 +41,8 @@ def decide(
     hold: Reason | None = None,
     scan_age: float | None = 0.05,
 ) -> Verdict:
-    return protection.decide(
-        wish, is_running=is_running, hold=hold, scan_age=scan_age, odometry=None
-    )
+    moment = Moment(0.0, scan_age)
+    return protection.decide(wish, moment, is_running=is_running, hold=hold)
 
 
 def test_a_wish_passes_where_nothing_is_near() -> None:
