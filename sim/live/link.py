@@ -24,6 +24,7 @@ from swarmd.network.session import open_with
 from swarmd.network.sockets import tune_sockets
 from swarmd.sim.live.state import (
     Action,
+    Triple,
     WorldReply,
     WorldRequest,
     WorldState,
@@ -184,7 +185,27 @@ class WorldView:
 
     def ask(self, action: Action, timeout: float = 10.0) -> WorldReply:
         """The world's answer; NetworkError if there is none within `timeout` s."""
-        request = encode(WorldRequest(action=action))
+        return self._ask(WorldRequest(action=action), timeout)
+
+    def place(self, thing: str, pose: Triple, timeout: float = 10.0) -> WorldState:
+        """Put a movable box at rest at x, y in m and yaw in rad, wherever it was; the state then.
+
+        SwarmError if something else stands there or there is no such box; NetworkError as `ask`.
+        """
+        return self._done(WorldRequest(action="place", thing=thing, pose=pose), timeout)
+
+    def remove(self, thing: str, timeout: float = 10.0) -> WorldState:
+        """Take a movable box out of the arena; SwarmError if it is not in it."""
+        return self._done(WorldRequest(action="remove", thing=thing), timeout)
+
+    def _done(self, request: WorldRequest, timeout: float) -> WorldState:
+        reply = self._ask(request, timeout)
+        if not reply.is_done:
+            raise SwarmError(reply.text)
+        return reply.state
+
+    def _ask(self, question: WorldRequest, timeout: float) -> WorldReply:
+        request = encode(question)
         deadline = time.monotonic() + timeout
         while (left := deadline - time.monotonic()) > 0.0:
             replies = self._session.get(control_key(self._swarm), payload=request, timeout=left)
@@ -194,8 +215,8 @@ class WorldView:
             # Right after opening there is no link yet, and a get ends at once with nothing.
             threading.Event().wait(0.02)
         raise NetworkError(
-            f"the world of swarm {self._swarm!r} at {self._endpoint} did not answer {action!r}"
-            f" within {timeout:g} s; is it running?"
+            f"the world of swarm {self._swarm!r} at {self._endpoint} did not answer"
+            f" {question.action!r} within {timeout:g} s; is it running?"
         )
 
     def close(self) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from swarmd.errors import CodecError
+from swarmd.errors import CodecError, SwarmError
 from swarmd.sensing import (
     decode_command,
     encode_neighbors,
@@ -22,7 +22,7 @@ from swarmd.sensing import (
 from swarmd.sim.live.link import Question, WorldLink
 from swarmd.sim.live.pacing import Pacer, Staggered
 from swarmd.sim.live.recording import Record
-from swarmd.sim.live.state import Triple, WorldReply, WorldState, decode_request
+from swarmd.sim.live.state import Triple, WorldReply, WorldRequest, WorldState, decode_request
 from swarmd.sim.world.delays import Held
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.radio import Radio
@@ -140,17 +140,27 @@ class RealTimeWorld:
 
     def _answer(self, question: Question) -> None:
         try:
-            action = decode_request(question.payload).action
-        except CodecError as error:
-            self._unreadable += 1
+            request = decode_request(question.payload)
+            path = self._do(request)
+        except SwarmError as error:
+            self._unreadable += isinstance(error, CodecError)
             question.answer(WorldReply(is_done=False, text=str(error)[:200], state=self._state()))
             return
-        path = ""
-        if action == "start":
-            self._record.begin()
-        elif action == "finish":
-            path = str(self._record.finish() or "")
-        question.answer(WorldReply(is_done=True, text=action, state=self._state(), path=path))
+        done = WorldReply(is_done=True, text=request.action, state=self._state(), path=path)
+        question.answer(done)
+
+    def _do(self, request: WorldRequest) -> str:
+        """Where the trace is, if the action was to write it."""
+        match request.action:
+            case "start":
+                self._record.begin()
+            case "finish":
+                return str(self._record.finish() or "")
+            case "place":
+                self._world.place(request.thing, request.pose)
+            case "remove":
+                self._world.remove(request.thing)
+        return ""
 
     def _state(self) -> WorldState:
         world, record = self._world, self._record

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 from msgspec import Meta, Struct
 
 from swarmd.codec import MAX_SENSE, Decoder
-from swarmd.messages import Count, Line, Metres, Name, Rate, Seconds
+from swarmd.messages import Count, Line, Metres, Name, Rate, Seconds, Word
 
-Action = Literal["start", "finish", "poses"]
+Action = Literal["start", "finish", "poses", "place", "remove"]
 Triple = tuple[Metres, Metres, Metres]
 
 
@@ -39,13 +39,18 @@ class WorldState(Struct, frozen=True, kw_only=True):
 
 
 class WorldRequest(Struct, frozen=True, kw_only=True):
-    """`start`: begin the recording here. `finish`: end and write it. `poses`: the state now."""
+    """`start`: begin the recording here. `finish`: end and write it. `poses`: the state now.
+
+    `place`: put the movable box `thing` at rest at `pose`; `remove`: take it out of the arena.
+    """
 
     action: Action
+    thing: Word = ""
+    pose: Triple = (0.0, 0.0, 0.0)
 
 
 class WorldReply(Struct, frozen=True, kw_only=True):
-    """The state after the action; `path` of the trace once it is written, else empty."""
+    """The state after the action, or why it was not done; `path` of the trace once written."""
 
     is_done: bool
     text: Line

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
 import zenoh
 
+from swarmd.errors import SwarmError
 from swarmd.platforms import load_platform
 from swarmd.sensing import (
     decode_neighbors,
@@ -19,9 +21,10 @@ from swarmd.sensing import (
     decode_scan,
     encode_command,
 )
-from swarmd.sim.live.link import WorldLink, dialling
+from swarmd.sim.live.link import WorldLink, WorldView, dialling
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT, RealTimeWorld
 from swarmd.sim.live.recording import Record, RecordSettings
+from swarmd.sim.live.state import WorldState
 from swarmd.sim.trace import load_trace
 from swarmd.sim.world.arena import Arena, Box
 from swarmd.sim.world.radio import Radio, RadioSettings
@@ -313,6 +316,52 @@ def test_touches_are_counted_and_recorded(tmp_path: Path) -> None:
     trace = load_trace(tmp_path / "run.npz")
     assert set(map(tuple, trace.contact_pair.tolist())) == {(0, -1)}
     assert trace.contact_speed[0, 0] == pytest.approx(0.22)
+
+
+def asked(stage: Stage, deed: Callable[[WorldView], WorldState]) -> WorldState:
+    """The state that a viewer is told once the world has done, or refused, what it asks for."""
+    with ThreadPoolExecutor(1) as pool, WorldView("s", stage.link.endpoint) as view:
+        answer = pool.submit(deed, view)
+
+        def is_answered() -> bool:
+            stage.pass_time(0.01)
+            return answer.done()
+
+        assert until(is_answered)
+        return answer.result()
+
+
+def test_a_box_is_put_in_the_way_and_taken_out_of_it(tmp_path: Path) -> None:
+    crate = Box(0.0, 0.0, 0.2, 0.2, name="crate", mass=5.0, is_placed=False)
+    stage = Stage(RecordSettings(path=tmp_path / "run.npz"), boxes=(crate,))
+    try:
+        state = asked(stage, lambda view: view.place("crate", (1.0, 0.0, 0.0)))
+        there = stage.world.thing_poses()[0].tolist()
+        asked(stage, lambda view: view.remove("crate"))
+        stage.record.finish()
+    finally:
+        stage.close()
+    assert state.ids == IDS
+    assert there == [1.0, 0.0, 0.0]
+    assert np.isnan(stage.world.thing_poses()).all()
+    poses = load_trace(tmp_path / "run.npz").thing_pose
+    assert poses is not None
+    assert np.unique(poses[~np.isnan(poses[:, 0, 0]), 0], axis=0).tolist() == [[1.0, 0.0, 0.0]]
+
+
+@pytest.mark.parametrize(
+    ("thing", "fault"),
+    [("crate", "a stands there"), ("create", "no movable box 'create'; did you mean 'crate'")],
+)
+def test_a_box_that_cannot_be_placed_is_refused_with_the_reason(thing: str, fault: str) -> None:
+    crate = Box(0.0, 0.0, 0.2, 0.2, name="crate", mass=5.0, is_placed=False)
+    stage = Stage(RecordSettings(), boxes=(crate,))
+    try:
+        with pytest.raises(SwarmError, match=fault):
+            asked(stage, lambda view: view.place(thing, (0.0, 0.0, 0.0)))
+        assert stage.server._state().dropped == 0
+    finally:
+        stage.close()
 
 
 def test_boxes_that_are_pushed_are_recorded(tmp_path: Path) -> None:
