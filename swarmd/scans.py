@@ -68,9 +68,13 @@ class ScanConditioner:
     `take` returns the conditioned scan, or the reason why this one is none: INVALID_SCAN (lengths
     differ, no rays, fewer than half known, a sector wider than `max_gap` unknown) or FROZEN_SCAN
     (stamp or sequence stands still; bit-identical scans of a noisy sensor while odometry moves).
+
+    `known_at` is the time in s as of which the last scan it gave can be relied on: that of its
+    arrival, unless a sector wider than `max_gap` is remembered in it from earlier.
     """
 
     def __init__(self, spec: ScanSpec) -> None:
+        self.known_at = -math.inf
         self._spec = spec
         self._memory = _blank(np.empty(0))
         self._last: Scan | None = None
@@ -91,10 +95,12 @@ class ScanConditioner:
         ranges = self._meanings(scan.ranges, memory, now)
         unknown = np.isnan(ranges)
         count = int(np.count_nonzero(unknown))
-        self._remember(scan.bearings, ranges, unknown if count else None, memory, now)
+        self._remember(scan, ranges, unknown if count else None, memory, now)
         if 2 * count > len(ranges):
             return Reason.INVALID_SCAN
+        self.known_at = now
         if count:
+            self.known_at = self._known_at(scan, unknown, memory, now)
             is_recent = unknown & (memory.known_at >= now - self._spec.stale_after)
             ranges = np.where(is_recent, memory.ranges, ranges)
             if np.isnan(ranges).any():
@@ -122,6 +128,19 @@ class ScanConditioner:
             self._identical += 1
         return self._identical >= FROZEN_AFTER
 
+    def _known_at(self, scan: Scan, unknown: Mask, memory: _Memory, now: float) -> float:
+        """The latest time since when no sector wider than `max_gap` has gone unseen.
+
+        A zero that an LDS gives counts as seen: it may be a drop-out, and once it has lasted for
+        `stale_after` it means that nothing is there.
+        """
+        is_lost = unknown & (scan.ranges != 0.0) if self._spec.zero == "lds" else unknown
+        known_at = np.where(is_lost, memory.known_at, now)
+        for time in (now, *np.unique(known_at[is_lost])[::-1].tolist()):
+            if _widest(known_at < time, scan.bearings) <= self._spec.max_gap + 1e-9:
+                return float(time)
+        return -math.inf
+
     def _meanings(self, raw: Array, memory: _Memory, now: float) -> Array:
         """+inf, -inf, NaN or a distance within the sensor's range, for each ray."""
         spec = self._spec
@@ -146,21 +165,26 @@ class ScanConditioner:
         near = np.flatnonzero(memory.near_at >= now - NEAR_MEMORY)
         was_near = _is_beside(memory.bearings[rays], memory.bearings[near])
         is_recent = memory.known_at[rays] >= now - self._spec.stale_after
-        had_return = is_recent & (memory.ranges[rays] < np.inf)
+        had_return = is_recent & np.isfinite(memory.ranges[rays])
         return np.where(was_near, -np.inf, np.where(had_return, np.nan, np.inf))
 
     def _remember(
-        self, bearings: Array, ranges: Array, unknown: Mask | None, memory: _Memory, now: float
+        self, scan: Scan, ranges: Array, unknown: Mask | None, memory: _Memory, now: float
     ) -> None:
-        """Keep what is known; what is not (`unknown`, None: all is known) stays as it was."""
+        """Keep what is known; what is not (`unknown`, None: all is known) stays as it was.
+
+        A zero does not renew what made it mean something near: else one passer-by would make an
+        open field too close, ray by ray and for good.
+        """
         if unknown is None:
             kept, known_at = ranges, np.full(len(ranges), now)
         else:
             kept = np.where(unknown, memory.ranges, ranges)
             known_at = np.where(unknown, memory.known_at, now)
         is_near = ranges < self._spec.range_min + NEAR_MARGIN  # false where unknown
+        is_near &= scan.ranges != 0.0
         near_at = np.where(is_near, now, memory.near_at) if is_near.any() else memory.near_at
-        self._memory = _Memory(bearings, kept, known_at, near_at)
+        self._memory = _Memory(scan.bearings, kept, known_at, near_at)
 
 
 def _moves(odometry: Odometry) -> bool:
@@ -178,6 +202,20 @@ def _is_beside(bearings: Array, near: Array) -> Mask:
         return np.zeros(len(bearings), dtype=np.bool_)
     off = np.abs((bearings[:, None] - near + math.pi) % (2.0 * math.pi) - math.pi)
     return np.asarray(off.min(axis=1) <= NEAR_SECTOR + 1e-9)
+
+
+def _widest(unknown: Mask, bearings: Array) -> float:
+    """The widest unknown sector in rad, from known ray to known ray; 0 without one."""
+    known = np.flatnonzero(~unknown)
+    if len(known) == len(unknown):
+        return 0.0
+    if not len(known):
+        return math.inf
+    angles = np.unwrap(bearings)
+    turn = math.copysign(2.0 * math.pi, angles[-1] - angles[0])
+    after = np.append(known[1:], known[0] + len(bearings))
+    widths = np.diff(angles[known], append=angles[known[0]] + turn)
+    return float(np.abs(widths[after - known > 1]).max())
 
 
 def _bridge(ranges: Array, bearings: Array, max_gap: float) -> Array:

@@ -61,8 +61,8 @@ class Senses:
         if isinstance(conditioned, Reason):
             self._problem = conditioned
             return False
-        self._problem = None
-        self._scan_at = now
+        self._scan_at = self._conditioner.known_at
+        self._problem = None if self._scan_at == now else Reason.INVALID_SCAN
         self._scan_times.append(now)
         self._is_new_scan = True
         self.scan = conditioned
@@ -120,7 +120,11 @@ class Senses:
         return now - self._neighbors_at <= NEIGHBOR_FORGOTTEN_AFTER
 
     def scan_age(self, now: float) -> float | None:
-        """Seconds since the last valid scan arrived; None before the first."""
+        """Seconds since what the last valid scan holds was known; None before the first.
+
+        That is since it arrived, unless it lacks a sector and is only as new as what is
+        remembered of that.
+        """
         return None if self._scan_at is None else now - self._scan_at
 
     def moment(self, now: float) -> Moment:

@@ -82,6 +82,21 @@ def test_invalid_scans_stop_it_with_their_own_reason(what: str) -> None:
     assert standing_state(story) == (State.STOPPED, Reason.INVALID_SCAN)
 
 
+def test_a_lost_sector_zeroes_exactly_stale_after_it_was_last_seen() -> None:
+    story = started()
+    age = story.status.verdict.scan_age
+    assert age is not None
+    limit = story.now - age + story.platform.scan.stale_after
+    story.scans = story.nan_scan(0.0, sector=(0.0, 0.5))
+    story.commands.clear()
+    story.advance(1.5)
+    moving = [at for at, twist in story.commands if not twist.is_zero]
+    stood = [at for at, twist in story.commands if twist.is_zero]
+    assert limit - 0.05 < max(moving) <= limit
+    assert limit < min(stood) <= limit + 0.001
+    assert story.status.reason is Reason.INVALID_SCAN
+
+
 def test_single_unknown_rays_do_not_stop_it() -> None:
     story = started()
     story.scans = story.nan_scan(0.1)

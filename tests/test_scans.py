@@ -65,6 +65,19 @@ def test_an_lds_zero_is_too_close_where_something_was_near_just_before() -> None
     assert got[110] == 2.0  # a drop-out: the ray had a return, so it keeps its last range
 
 
+def test_an_lds_zero_is_something_near_for_a_second_after_it_was_measured_near() -> None:
+    conditioner = ScanConditioner(replace(SPEC, zero="lds"))
+    before = np.full(360, 2.0)
+    before[100] = 0.15
+    conditioned(conditioner, before, 1)
+    after = np.full(360, 2.0)
+    after[95:106] = 0.0
+    got = [conditioned(conditioner, after, seq) for seq in range(2, 10)]
+    assert [ranges[100] for ranges in got] == [-np.inf] * 5 + [np.inf] * 3
+    # What zeros are said to mean is no measurement, from which the next ray's would follow.
+    assert [np.isneginf(ranges).sum() for ranges in got] == [7] * 5 + [0] * 3
+
+
 def test_an_lds_zero_is_no_return_where_nothing_was_seen_before() -> None:
     conditioner = ScanConditioner(replace(SPEC, zero="lds"))
     before = np.full(360, 2.0)
@@ -103,6 +116,59 @@ def test_an_unknown_ray_keeps_its_last_range_for_stale_after_only() -> None:
     for seq in range(2, 5):
         assert (conditioned(conditioner, lost, seq)[5:40] == 1.0).all()
     assert conditioner.take(sweep(lost, 5), DRIVING, 1.0) is Reason.INVALID_SCAN
+
+
+LOST, NARROW = slice(5, 40), slice(100, 110)
+
+
+def ages(spec: ScanSpec, raws: list[Array]) -> list[float]:
+    """How old each scan is as it arrives, one every 0.2 s."""
+    conditioner, found = ScanConditioner(spec), []
+    for seq, ranges in enumerate(raws):
+        conditioned(conditioner, ranges, seq)
+        found.append(round(seq * 0.2 - conditioner.known_at, 9))
+    return found
+
+
+def lacking(*sectors: slice, what: float = np.nan) -> Array:
+    ranges = np.full(360, 2.0)
+    for sector in sectors:
+        ranges[sector] = what
+    return ranges
+
+
+def test_a_scan_that_lacks_a_wide_sector_is_as_old_as_what_is_remembered_of_it() -> None:
+    raws = [lacking(), lacking(LOST), lacking(LOST), lacking(), lacking(LOST)]
+    assert ages(SPEC, raws) == [0.0, 0.2, 0.4, 0.0, 0.2]
+
+
+def test_single_rays_and_sectors_that_can_be_bridged_do_not_make_a_scan_older() -> None:
+    scattered = lacking()
+    scattered[::3] = np.nan
+    assert ages(SPEC, [lacking(), lacking(NARROW), lacking(NARROW), scattered]) == [0.0] * 4
+
+
+def test_a_lost_sector_is_as_new_as_its_rays_without_those_that_can_be_bridged() -> None:
+    """Of the sector's rays a few were missing already the time before: that was no lost sector."""
+    inside = slice(15, 20)
+    assert ages(SPEC, [lacking(), lacking(inside), lacking(LOST)]) == [0.0, 0.0, 0.2]
+    assert ages(SPEC, [lacking(), lacking(slice(0, 20)), lacking(LOST)]) == [0.0, 0.2, 0.4]
+
+
+def test_a_lost_sector_across_the_first_ray_counts_too() -> None:
+    around = [slice(0, 10), slice(350, 360)]
+    assert ages(SPEC, [lacking(), lacking(*around)]) == [0.0, 0.2]
+    clockwise = ScanConditioner(SPEC)
+    for seq, ranges in enumerate([lacking(), lacking(*around)]):
+        assert isinstance(clockwise.take(sweep(ranges, seq, -BEARINGS), DRIVING, seq * 0.2), Scan)
+    assert clockwise.known_at == 0.0
+
+
+def test_zeros_of_an_lds_do_not_make_a_scan_older() -> None:
+    """They say that nothing is there, as soon as they have lasted."""
+    raws = [lacking(), *[lacking(LOST, what=0.0)] * 5]
+    assert ages(replace(SPEC, zero="lds"), raws) == [0.0] * 6
+    assert ages(replace(SPEC, zero="unknown"), raws[:4]) == [0.0, 0.2, 0.4, 0.6]
 
 
 def test_a_narrow_unknown_sector_takes_the_nearer_of_its_edges() -> None:

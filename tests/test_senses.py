@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from swarmd.messages import Reason
@@ -63,3 +66,23 @@ def test_odometry_whose_stamp_stands_still_grows_stale(senses: Senses) -> None:
         senses.on_scan(empty_scan(platform, tick, now), now)
         late = now > ODOMETRY_STALE_AFTER + 1e-9
         assert senses.hold(now) is (Reason.STALE_ODOMETRY if late else None)
+
+
+def test_a_lost_sector_holds_once_it_has_not_been_seen_for_stale_after(senses: Senses) -> None:
+    platform = load_platform("waffle_pi")
+    stale_after = platform.scan.stale_after
+    senses.on_driver(True, "up")
+    senses.on_scan(empty_scan(platform, 0, 0.0, 2.0), 10.0)
+    is_lost = np.arange(360) < 30
+    for seq in range(1, 6):
+        now = 10.0 + 0.2 * seq
+        scan = empty_scan(platform, seq, now, 2.0)
+        senses.on_odometry(Odometry(now, Pose(), Twist()), now)
+        senses.on_scan(replace(scan, ranges=np.where(is_lost, np.nan, scan.ranges)), now)
+        assert senses.scan_age(now) == now - 10.0
+        assert senses.stale_at() == 10.0 + stale_after
+        assert senses.hold(now) is (Reason.INVALID_SCAN if now - 10.0 > stale_after else None)
+    assert senses.hold(10.0 + stale_after - 1e-6) is None
+    assert senses.hold(10.0 + stale_after + 1e-6) is Reason.INVALID_SCAN
+    senses.on_scan(empty_scan(platform, 9, 11.2, 2.0), 11.2)
+    assert (senses.scan_age(11.2), senses.hold(11.2)) == (0.0, None)
