@@ -3,7 +3,8 @@
 A planar body slides along the world's x and y and turns about the vertical through its AXLE
 CENTRE, which is also its centre of mass: 4 to 7 times cheaper than wheels, with better tracking
 (measured). Bodies collide as their footprints, extruded to one common height, since everything
-stands on the same floor.
+stands on the same floor. A platform whose body says `solid: 0` is a ghost: robots pass through
+it, walls and boxes do not.
 """
 
 from __future__ import annotations
@@ -19,6 +20,10 @@ from swarmd.values import Array, Platform
 
 COLLISION, BODY, HOUSING, FIXED = range(4)
 """Groups of geoms: what collides; what is seen at its true height, twice; the arena."""
+SOLID, GHOST = 1, 2
+"""What geoms are to each other: a ghost meets what lets ghosts touch it, a solid any other."""
+THING = SOLID | GHOST
+"""What walls and boxes are: solid to all."""
 
 _HEIGHT = 0.5
 _WALL = 0.1
@@ -64,6 +69,8 @@ def _add_arena(spec: mujoco.MjSpec, arena: Arena) -> None:
             size=[pole.radius, _HEIGHT / 2.0, 0.0],
             group=FIXED,
             condim=1,
+            contype=THING,
+            conaffinity=SOLID,
         )
 
 
@@ -77,6 +84,8 @@ def _add_box(
         size=[*size, _HEIGHT / 2.0],
         group=FIXED,
         condim=1,
+        contype=THING,
+        conaffinity=SOLID,
     )
 
 
@@ -112,6 +121,7 @@ def _add_shapes(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:
     low, high = _rectangle(platform)
     x, y = (low + high) / 2.0
     half_x, half_y = (high - low) / 2.0
+    contype, conaffinity = (SOLID, SOLID) if is_solid(platform) else (0, GHOST)
     for name, height, group in (
         ("", _HEIGHT, COLLISION),
         ("/body", value(platform, "height"), BODY),
@@ -123,8 +133,8 @@ def _add_shapes(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:
             size=[half_x, half_y, height / 2.0],
             group=group,
             condim=1,
-            contype=int(group == COLLISION),
-            conaffinity=int(group == COLLISION),
+            contype=contype if group == COLLISION else 0,
+            conaffinity=conaffinity if group == COLLISION else 0,
         )
     bottom, top = value(platform, "height"), value(platform, "target_top")
     body.add_geom(
@@ -159,6 +169,17 @@ def value(platform: Platform, key: str) -> float:
         f"platform {platform.name}: body.{key} is {platform.body.get(key)}; to be simulated it"
         " must be greater than 0"
     )
+
+
+def is_solid(platform: Platform) -> bool:
+    """Whether other robots cannot pass through it; ConfigError if `body.solid` is not 0 or 1."""
+    solid = platform.body.get("solid", 1.0)
+    if solid not in (0.0, 1.0):
+        raise ConfigError(
+            f"platform {platform.name}: body.solid is {solid:g}; wanted 1, or 0 for a robot that"
+            " others pass through"
+        )
+    return solid == 1.0
 
 
 def _rectangle(platform: Platform) -> tuple[Array, Array]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from swarmd.errors import ConfigError, SwarmError, unknown
 from swarmd.sim.world.arena import Arena, Box
-from swarmd.sim.world.bodies import moment
+from swarmd.sim.world.bodies import SOLID, THING, moment
 from swarmd.sim.world.geometry import overlaps, transform
 from swarmd.values import Array
 
@@ -126,8 +126,8 @@ class Things:
         self.is_there[row] = is_there
         self._data.qpos[self._dofs][3 * row : 3 * row + 3] = pose
         self._data.qvel[self._dofs][3 * row : 3 * row + 3] = 0.0
-        self._model.geom_contype[self._geoms[row]] = int(is_there)
-        self._model.geom_conaffinity[self._geoms[row]] = int(is_there)
+        self._model.geom_contype[self._geoms[row]] = THING if is_there else 0
+        self._model.geom_conaffinity[self._geoms[row]] = SOLID if is_there else 0
 
     def _row(self, name: str) -> int:
         if name not in self.names:
