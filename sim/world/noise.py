@@ -1,4 +1,4 @@
-"""What range sensors get wrong: bias, noise, rounding and lost rays."""
+"""What range sensors get wrong: bias, noise, rounding, lost rays, and what is too near to see."""
 
 from __future__ import annotations
 
@@ -36,6 +36,8 @@ class NoisyLidar:
         self._factors = np.array([1.0 + noise.bias * r.standard_normal() for r in self._rngs])
         self._reach = np.array([(spec.range_min, spec.range_max) for spec in specs]).reshape(-1, 2)
         self._lost = np.array([_lost(spec) for spec in specs])
+        self._near = np.array([_near(spec) for spec in specs])
+        self._nothing = np.array([_nothing(spec) for spec in specs])
         blocks = [noise.block_dropout if spec.zero == "lds" else 0.0 for spec in specs]
         self._block_dropout = np.array(blocks)
         changed = (noise.bias, noise.near_sd, noise.far_sd, noise.resolution)
@@ -44,12 +46,24 @@ class NoisyLidar:
     def apply(self, rows: Indices, ranges: Sequence[Array]) -> list[Array]:
         """What robots `rows` (m,) measure where exact sensors give `ranges`, (rays,) each.
 
-        What was no distance stays what it was. What is measured beyond range_max becomes +inf, and
-        nearer than range_min -inf; a lost ray is what the platform's sensor gives for one: NaN if
-        its zeros mean too close, else 0.
+        What was no distance stays none. What is measured beyond range_max becomes +inf, and nearer
+        than range_min -inf; a lost ray is what the platform's sensor gives for one: NaN if its
+        zeros mean too close, else 0. In the end each is as the sensor's driver says it: nothing
+        seen is a zero of an LDS, and what a sensor loses nearby is the same as nothing seen.
         """
-        if self._is_exact:
-            return list(ranges)
+        measured = list(ranges) if self._is_exact else self._noisy(rows, ranges)
+        return [self._said(row, r) for row, r in zip(rows.tolist(), measured, strict=True)]
+
+    def _said(self, row: int, ranges: Array) -> Array:
+        """`ranges` (rays,) of robot `row` in its driver's words; a copy where they differ."""
+        near, nothing = self._near[row], self._nothing[row]
+        if near == -np.inf and nothing == np.inf:
+            return ranges
+        said = np.where(ranges == np.inf, nothing, ranges)
+        np.copyto(said, near, where=ranges == -np.inf)
+        return said
+
+    def _noisy(self, rows: Indices, ranges: Sequence[Array]) -> list[Array]:
         alike: dict[int, list[int]] = {}
         for place, row in enumerate(ranges):
             alike.setdefault(len(row), []).append(place)
@@ -101,3 +115,13 @@ class NoisyLidar:
 def _lost(spec: ScanSpec) -> float:
     """A lost ray as its driver gives it: a zero, unless zeros mean something else (REP 117)."""
     return math.nan if spec.zero == "too_close" else 0.0
+
+
+def _nothing(spec: ScanSpec) -> float:
+    """What nothing seen reads as: an LDS knows no other word for it than 0."""
+    return 0.0 if spec.zero == "lds" else math.inf
+
+
+def _near(spec: ScanSpec) -> float:
+    """What reads where something is nearer than range_min."""
+    return _nothing(spec) if spec.near == "lost" else -math.inf

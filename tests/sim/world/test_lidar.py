@@ -18,7 +18,8 @@ from swarmd.sim.world.lidar import Lidar
 from swarmd.sim.world.ranging import Visibility
 from swarmd.sim.world.visibility import shapes_of
 from swarmd.sim.world.world import World
-from swarmd.values import Array, ScanSpec
+from swarmd.testing.variants import with_plain_scan
+from swarmd.values import Array, Platform, ScanSpec
 
 OBSTACLES = "7x6,box:1:1:0.5:0.3:30,box:-2:-1:0.2:1.5:-75,pole:-2:2:0.1,pole:2:-2:0.3,pole:0:0:0.02"
 TIGHT = "4x4"
@@ -30,8 +31,13 @@ MIXED = ("burger", "waffle_pi", "jackal", "waffle_pi", "burger", "jackal", "burg
 FIELD = Arena(20.0, 20.0)
 
 
+def plain(kind: str) -> Platform:
+    """With a sensor that tells near from nothing, as the caster does."""
+    return with_plain_scan(load_platform(kind))
+
+
 def world_of(kinds: Sequence[str], arena: str, seed: int, visibility: Visibility) -> World:
-    platforms = [load_platform(kind) for kind in kinds]
+    platforms = [plain(kind) for kind in kinds]
     space = parse_arena(arena)
     starts = parse_layout("random:0.01", [p.footprint for p in platforms], space, seed=seed)
     robots = {f"r{i}": platform for i, platform in enumerate(platforms)}
@@ -111,7 +117,7 @@ def test_a_sweep_is_the_same_whoever_else_is_swept_with_it() -> None:
 
 
 def test_a_sweep_in_a_crowd_is_the_same_whoever_else_is_swept_with_it() -> None:
-    platform = load_platform("waffle_pi")
+    platform = plain("waffle_pi")
     arena = Arena(12.0, 12.0)
     starts = parse_layout("random:0.05", [platform.footprint] * 120, arena, seed=1)
     world = World({f"r{i}": platform for i in range(120)}, arena, starts)
@@ -123,7 +129,7 @@ def test_a_sweep_in_a_crowd_is_the_same_whoever_else_is_swept_with_it() -> None:
 
 
 def test_a_segment_is_seen_from_both_sides() -> None:
-    platform = load_platform("waffle_pi")
+    platform = plain("waffle_pi")
     starts = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, math.pi]])
     world = World({"a": platform, "b": platform}, parse_arena("9x9,segment:0:-1:0:1"), starts)
     for scan in world.scans(np.arange(2)):
@@ -141,7 +147,7 @@ def test_the_worlds_compared_hold_hits_misses_and_near_things() -> None:
 
 
 def test_at_true_height_a_waffle_sees_of_a_waffle_only_the_lidar_housing() -> None:
-    platform = load_platform("waffle_pi")
+    platform = plain("waffle_pi")
     robots = {"a": platform, "b": platform}
     starts = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     arena = Arena(20.0, 20.0)
@@ -155,7 +161,7 @@ def test_at_true_height_a_waffle_sees_of_a_waffle_only_the_lidar_housing() -> No
 
 
 def test_at_true_height_a_burger_looks_over_a_waffle_which_sees_its_whole_body() -> None:
-    robots = {"low": load_platform("waffle_pi"), "high": load_platform("burger")}
+    robots = {"low": plain("waffle_pi"), "high": plain("burger")}
     starts = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     real = World(robots, Arena(20.0, 20.0), starts, visibility="real")
     whole = World(robots, Arena(20.0, 20.0), starts)
@@ -166,7 +172,7 @@ def test_at_true_height_a_burger_looks_over_a_waffle_which_sees_its_whole_body()
 
 
 def test_measures_from_the_sensor_not_from_the_axle() -> None:
-    platform = load_platform("waffle_pi")
+    platform = plain("waffle_pi")
     world = World({"a": platform}, Arena(4.0, 4.0), np.array([[0.5, 0.0, 0.0]]))
     ranges = world.scans(np.array([0]))[0].ranges
     bearings = world.platforms[0].scan.bearings
@@ -225,7 +231,7 @@ def test_a_surface_seen_almost_edge_on_is_not_taken_for_near() -> None:
 
 def test_sees_footprints_of_any_number_of_corners_in_one_swarm() -> None:
     # A triangle, whose tip points at the first robot, beside a rectangle of the same reach.
-    box = load_platform("burger")
+    box = plain("burger")
     triangle = np.array([[-0.2, 0.0], [0.2, -0.2], [0.2, 0.2]])
     wedge = replace(box, name="wedge", footprint=triangle)
     lidar = Lidar(
@@ -242,7 +248,7 @@ def test_sees_footprints_of_any_number_of_corners_in_one_swarm() -> None:
 
 
 def test_no_robot_sees_itself_even_where_its_sensor_stands_beside_its_body() -> None:
-    platform = load_platform("burger")
+    platform = plain("burger")
     outside = replace(platform, scan=replace(platform.scan, offset=(0.5, 0.0)))
     world = World({"a": outside}, FIELD, np.zeros((1, 3)))
     assert np.isposinf(world.scans(np.array([0]))[0].ranges).all()

@@ -14,10 +14,12 @@ import pytest
 from swarmd.platforms import load_platform
 from swarmd.sim.world.noise import BLOCK, NoisyLidar
 from swarmd.sim.world.realism import IDEAL, REALISTIC, LidarNoise
+from swarmd.testing.variants import with_plain_scan
 from swarmd.values import Array, Platform
 
 BURGER = load_platform("burger")
 JACKAL = load_platform("jackal")
+PLAIN = with_plain_scan(BURGER)
 RAYS = 360
 
 
@@ -38,7 +40,7 @@ def measured(noisy: NoisyLidar, distance: float, sweeps: int, n: int = 1) -> Arr
 
 
 def test_an_ideal_sensor_gives_the_very_same_arrays() -> None:
-    noisy = sensors(IDEAL.lidar, 2)
+    noisy = sensors(IDEAL.lidar, 2, PLAIN)
     exact = [np.array([1.0, np.inf, -np.inf, 0.123456789]), np.full(RAYS, 0.1)]
     given = noisy.apply(np.arange(2), exact)
     assert given[0] is exact[0]
@@ -102,18 +104,43 @@ def test_a_lost_ray_never_reads_as_something_near(zero: str, lost: float) -> Non
 def test_what_is_no_distance_stays_what_it_is() -> None:
     exact = np.tile([np.inf, -np.inf, np.nan], RAYS // 3)
     noise = LidarNoise(bias=0.2, near_sd=1.0, far_sd=0.2, resolution=0.1, dropout=1.0)
-    given = sensors(noise).apply(np.arange(1), [exact.copy()])[0]
+    given = sensors(noise, platform=PLAIN).apply(np.arange(1), [exact.copy()])[0]
     assert np.array_equal(given, exact, equal_nan=True)
 
 
 def test_beyond_reach_is_nothing_and_before_it_too_near() -> None:
     noise = LidarNoise(near_sd=0.05, near=100.0)
-    far = measured(sensors(noise), BURGER.scan.range_max, 5)
-    near = measured(sensors(noise), BURGER.scan.range_min, 5)
+    far = measured(sensors(noise, platform=PLAIN), BURGER.scan.range_max, 5)
+    near = measured(sensors(noise, platform=PLAIN), BURGER.scan.range_min, 5)
     assert np.isposinf(far).mean() == pytest.approx(0.5, abs=0.06)
     assert np.isneginf(near).mean() == pytest.approx(0.5, abs=0.06)
     assert far[np.isfinite(far)].max() <= BURGER.scan.range_max
     assert near[np.isfinite(near)].min() >= BURGER.scan.range_min
+
+
+@pytest.mark.parametrize("noise", [IDEAL.lidar, LidarNoise(near_sd=1e-9, far_sd=1e-9)])
+@pytest.mark.parametrize(("platform", "nothing"), [(BURGER, 0.0), (JACKAL, np.inf)])
+def test_what_is_too_near_reads_as_nothing_where_the_sensor_loses_it(
+    noise: LidarNoise, platform: Platform, nothing: float
+) -> None:
+    within = platform.scan.range_min + 0.1
+    exact = np.array([np.inf, -np.inf, within, np.nan])
+    given = sensors(noise, platform=platform).apply(np.arange(1), [exact])[0]
+    assert given == pytest.approx([nothing, nothing, within, np.nan], abs=1e-6, nan_ok=True)
+
+
+def test_what_noise_brings_within_the_blind_zone_is_lost_too() -> None:
+    noisy = sensors(LidarNoise(near_sd=0.05, near=100.0))
+    near = measured(noisy, BURGER.scan.range_min, 5)
+    assert (near == 0.0).mean() == pytest.approx(0.5, abs=0.06)
+    assert near[near > 0.0].min() >= BURGER.scan.range_min
+
+
+def test_one_lidar_that_loses_and_one_that_tells_sweep_together() -> None:
+    exact = [np.array([np.inf, -np.inf])] * 3
+    noisy = NoisyLidar(IDEAL.lidar, [BURGER, PLAIN, JACKAL], names(3), 0)
+    given = noisy.apply(np.array([2, 0, 1]), exact)
+    np.testing.assert_array_equal(given, [[np.inf, np.inf], [0.0, 0.0], [np.inf, -np.inf]])
 
 
 def test_exact_ranges_are_left_alone() -> None:

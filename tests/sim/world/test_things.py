@@ -12,9 +12,10 @@ from swarmd.platforms import load_platform
 from swarmd.sim.world.arena import Arena, Box, Pole, Segment
 from swarmd.sim.world.geometry import gaps, transform
 from swarmd.sim.world.world import World
+from swarmd.testing.variants import with_plain_scan
 from swarmd.values import Array
 
-WAFFLE = load_platform("waffle_pi")
+WAFFLE = with_plain_scan(load_platform("waffle_pi"))
 FRICTION = 0.4 * 9.81
 
 
