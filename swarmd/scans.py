@@ -135,9 +135,11 @@ class ScanConditioner:
         `stale_after` it means that nothing is there.
         """
         is_lost = unknown & (scan.ranges != 0.0) if self._spec.zero == "lds" else unknown
-        known_at = np.where(is_lost, memory.known_at, now)
-        for time in (now, *np.unique(known_at[is_lost])[::-1].tolist()):
-            if _widest(known_at < time, scan.bearings) <= self._spec.max_gap + 1e-9:
+        most = self._spec.max_gap + 1e-9
+        if _widest(is_lost, scan.bearings) <= most:
+            return now
+        for time in np.unique(memory.known_at[is_lost])[::-1].tolist():
+            if _widest(is_lost & (memory.known_at < time), scan.bearings) <= most:
                 return float(time)
         return -math.inf
 
@@ -207,15 +209,16 @@ def _is_beside(bearings: Array, near: Array) -> Mask:
 def _widest(unknown: Mask, bearings: Array) -> float:
     """The widest unknown sector in rad, from known ray to known ray; 0 without one."""
     known = np.flatnonzero(~unknown)
-    if len(known) == len(unknown):
-        return 0.0
     if not len(known):
         return math.inf
-    angles = np.unwrap(bearings)
-    turn = math.copysign(2.0 * math.pi, angles[-1] - angles[0])
-    after = np.append(known[1:], known[0] + len(bearings))
-    widths = np.diff(angles[known], append=angles[known[0]] + turn)
-    return float(np.abs(widths[after - known > 1]).max())
+    before = np.flatnonzero(np.diff(known, append=known[0] + len(bearings)) > 1)
+    if not len(before):
+        return 0.0
+    turn = 2.0 * math.pi
+    direction = math.copysign(1.0, math.remainder(bearings[-1] - bearings[-2], turn))
+    ends = bearings[known[(before + 1) % len(known)]]
+    back = (direction * (bearings[known[before]] - ends)) % turn
+    return float((turn - back).max())  # a full turn, not none, where a single ray is known
 
 
 def _bridge(ranges: Array, bearings: Array, max_gap: float) -> Array:

@@ -164,6 +164,14 @@ def test_a_lost_sector_across_the_first_ray_counts_too() -> None:
     assert clockwise.known_at == 0.0
 
 
+def test_of_two_rays_one_is_a_lost_sector() -> None:
+    conditioner = ScanConditioner(SPEC)
+    pair = np.array([0.0, math.pi])
+    for seq, ranges in enumerate((np.ones(2), np.array([1.0, np.nan]))):
+        assert isinstance(conditioner.take(sweep(ranges, seq, pair), DRIVING, seq * 0.2), Scan)
+    assert conditioner.known_at == 0.0
+
+
 def test_zeros_of_an_lds_do_not_make_a_scan_older() -> None:
     """They say that nothing is there, as soon as they have lasted."""
     raws = [lacking(), *[lacking(LOST, what=0.0)] * 5]
