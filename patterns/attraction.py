@@ -38,6 +38,7 @@ from swarmd.api import (
     Scalar,
     Scan,
     Twist,
+    Unstick,
     Value,
     about,
     closest_points,
@@ -176,6 +177,7 @@ class AttractionParams(Params, frozen=True):
         float,
         about("law paper: turn rate if alone", ge=-4.0, le=4.0, unit="rad/s", source="ROS2swarm"),
     ] = 1.0
+    unstick: Unstick = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

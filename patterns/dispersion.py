@@ -28,6 +28,7 @@ from swarmd.api import (
     Scalar,
     Scan,
     Twist,
+    Unstick,
     Value,
     about,
     closest_points,
@@ -135,6 +136,7 @@ class DispersionParams(Params, frozen=True):
             source="ROS2swarm 1.0: stop",
         ),
     ] = 0.0
+    unstick: Unstick = False
 
 
 class Dispersion(MovementPattern[DispersionParams]):

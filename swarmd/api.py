@@ -9,7 +9,7 @@ from swarmd.behavior import Context, Make, MovementPattern, Pattern
 from swarmd.combined import CombinedPattern
 from swarmd.errors import ConfigError, PluginError
 from swarmd.fields import FieldKind, FieldResult, field_twist, potential_field
-from swarmd.params import P, Params, about
+from swarmd.params import P, Params, Unstick, about
 from swarmd.rays import Gap, Ray, RayClusters, closest_points, clusters, gaps, nearest, sectors
 from swarmd.steering import from_base, keep_clear, steer
 from swarmd.values import (
@@ -24,6 +24,7 @@ from swarmd.values import (
     Pose,
     Scalar,
     Scan,
+    TouchZone,
     Twist,
     Value,
 )
@@ -58,7 +59,9 @@ __all__ = [
     "Scalar",
     "Scan",
     "Ties",
+    "TouchZone",
     "Twist",
+    "Unstick",
     "Value",
     "VoteWindow",
     "VotingParams",

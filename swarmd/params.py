@@ -24,13 +24,25 @@ from swarmd.values import Scalar, Value
 _TYPES: Mapping[object, str] = {float: "float", int: "int", bool: "bool", str: "str"}
 
 
+Unstick = Annotated[
+    bool,
+    Meta(
+        description="whether to be led around what blocks the way",
+        extra={"unit": "", "source": "ours: else two robots that meet head-on block each other"},
+    ),
+]
+
+
 class Params(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The parameters of one pattern: fields `name: Annotated[type, about(...)] = default`.
 
     The type is float, int, bool, str or a Literal of strings; `Annotated[int, about(...)] | None`
     if None means something. A check over several fields is a `__post_init__` that raises
-    ValueError.
+    ValueError. `unstick` is every pattern's; one that means to stand or to push declares it anew,
+    `unstick: Unstick = False`.
     """
+
+    unstick: Unstick = True
 
 
 P = TypeVar("P", bound=Params)
@@ -94,7 +106,7 @@ def build(
     sends text. ConfigError with one line for the first value that is wrong.
     """
     specs, hints = _declared(params_type)
-    values: dict[str, Scalar | None] = {}
+    values: dict[str, Any] = {}
     sources = dict.fromkeys(specs, "pattern")
     for source, given in layers:
         for name, value in given.items():

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Annotated, ClassVar, TypeVar
 
 from swarmd.behavior import Context, Pattern
-from swarmd.params import Params, about
+from swarmd.params import Params, Unstick, about
 from swarmd.values import Inputs, Outputs
 from swarmd.votes import VoteWindow, read_opinion
 
@@ -54,6 +54,7 @@ class VotingParams(Params, frozen=True, kw_only=True):
             source="ours: a robot that has gone must not vote",
         ),
     ] = 3.0
+    unstick: Unstick = False
 
     def __post_init__(self) -> None:
         """Check what bounds of single fields cannot."""
