@@ -13,6 +13,7 @@ from swarmd.errors import PluginError
 from swarmd.frames import Layers
 from swarmd.keys import check_id
 from swarmd.params import build
+from swarmd.touch import check_zone
 from swarmd.values import Platform, Scalar, Value
 
 # From a pattern's name to its class; PluginError if there is none.
@@ -70,6 +71,7 @@ def assemble(
     pattern = kind(built, context)
     _check_needs(name, pattern.needs, platform)
     _check_channels(name, pattern.channels)
+    check_zone(name, pattern.touches)
     return Assembled(pattern, sources)
 
 

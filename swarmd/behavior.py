@@ -15,7 +15,7 @@ from numpy.random import Generator
 
 from swarmd.errors import PluginError
 from swarmd.params import P, Params
-from swarmd.values import Inputs, Outputs, Platform, Scalar, Twist, Value
+from swarmd.values import Inputs, Outputs, Platform, Scalar, TouchZone, Twist, Value
 
 
 class Make(Protocol):
@@ -59,7 +59,9 @@ class Pattern(ABC, Generic[P]):
     Class attributes: `params_type`; `needs`, drawn from scan, odometry, neighbors,
     neighbors.distance, neighbors.bearing, neighbors.heading and reading:<name>; `channels`, by
     name the type of what is said there; `rate` in Hz; `is_symmetric`, the claim that mirrored
-    inputs give mirrored commands, which `swarmd.testing.PatternContract` then checks.
+    inputs give mirrored commands, which `swarmd.testing.PatternContract` then checks; `touches`,
+    where it must touch what is near, to push or to dock: it may as far as the robot's
+    configuration grants it, and what its parts ask for does not count.
     """
 
     params_type: ClassVar[type[Params]] = Params
@@ -67,6 +69,7 @@ class Pattern(ABC, Generic[P]):
     channels: Mapping[str, type] = {}
     rate: ClassVar[float] = 10.0
     is_symmetric: ClassVar[bool] = False
+    touches: ClassVar[TouchZone | None] = None
 
     def __init__(self, params: P, context: Context) -> None:
         self.params = params

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from msgspec import Struct
 
@@ -28,9 +28,11 @@ from swarmd.hosting import LOAD_TIMEOUT, SILENT_AFTER, Hosting
 from swarmd.latches import Latches, LatchRecord
 from swarmd.messages import Code, Epoch, Event, Latch, Reason, Reply, Request, State
 from swarmd.outbox import Outbox
+from swarmd.protection.moment import NO_PERMIT, Permit
 from swarmd.supervisor import Event as Change
 from swarmd.supervisor import Supervisor
-from swarmd.values import Platform, Scalar, Value
+from swarmd.touch import in_force
+from swarmd.values import Platform, Scalar, TouchZone, Value
 
 HOLD_LASTS = 2.0
 EVENTS = 10
@@ -52,12 +54,13 @@ class Turn(Struct, eq=False):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Identity:
-    """What a pattern is loaded for."""
+    """What a pattern is loaded for. `touch`: where which pattern may touch what is near."""
 
     robot: str
     platform: Platform
     seed: int
     boot: str
+    touch: Mapping[str, TouchZone] = field(default_factory=dict)
 
 
 class Conduct:
@@ -92,6 +95,15 @@ class Conduct:
     def epoch(self) -> Epoch:
         """What an operator must quote to change this robot."""
         return Epoch(self._identity.boot, self.revision)
+
+    @property
+    def permit(self) -> Permit:
+        """What the pattern in force may; nothing outside `running` and while it is replaced."""
+        running = self.hosting.running
+        if running is None or not self.is_running or self.hosting.is_restarting:
+            return NO_PERMIT
+        may_unstick, _ = running.values.get("unstick", (False, ""))
+        return Permit(may_unstick=may_unstick is True, touch=running.touch)
 
     def note(self, text: str, now: float) -> None:
         """Keep an event for describe."""
@@ -152,11 +164,20 @@ class Conduct:
         self.supervisor.apply(Change.RUN, None, "", turn.now)
         if loading.request is None:
             self.note(f"{loading.pattern} restarted", turn.now)
-            return
-        turn.is_new_run = True
-        self.report = {}
-        self.note(f"runs {loading.pattern}, by {loading.request.operator}", turn.now)
-        self.reply(turn, loading.request, Code.APPLIED, f"runs {loading.pattern}")
+        else:
+            turn.is_new_run = True
+            self.report = {}
+            self.note(f"runs {loading.pattern}, by {loading.request.operator}", turn.now)
+            self.reply(turn, loading.request, Code.APPLIED, f"runs {loading.pattern}")
+        self._let_touch(loading.pattern, event, turn)
+
+    def _let_touch(self, pattern: str, event: Ready, turn: Turn) -> None:
+        """For this generation alone; every way out of it forgets what is running."""
+        assert self.hosting.running is not None
+        granted = self._identity.touch.get(pattern)
+        self.hosting.running.touch, text = in_force(pattern, event.touches, granted)
+        if text:
+            self.note(f"{pattern} {text}", turn.now)
 
     def _refused(self, text: str, turn: Turn) -> None:
         loading, self.hosting.loading = self.hosting.loading, None

@@ -99,6 +99,7 @@ class Daemon:
                 host=socket.gethostname(),
                 profile=settings.profile,
                 labels=settings.labels,
+                touch=settings.touch_zones,
             ),
             seed=secrets.randbits(48),
             boot=self._boot,

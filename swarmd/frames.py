@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 from msgspec import Struct
 
-from swarmd.values import Inputs, Outputs, Platform, Scalar, Value
+from swarmd.values import Inputs, Outputs, Platform, Scalar, TouchZone, Value
 
 Layers = tuple[tuple[str, Mapping[str, Value]], ...]
 
@@ -56,12 +56,16 @@ class Kill:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ready:
-    """The pattern is loaded and will be stepped. `params`: name -> (value, source)."""
+    """The pattern is loaded and will be stepped. `params`: name -> (value, source).
+
+    `touches`: where it asks to touch what is near.
+    """
 
     generation: int
     rate: float
     channels: frozenset[str]
     params: Mapping[str, tuple[Scalar | None, str]]
+    touches: TouchZone | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,6 +39,7 @@ from swarmd.values import (
     Pose,
     Scan,
     ScanSpec,
+    TouchZone,
     Twist,
 )
 
@@ -84,6 +85,7 @@ class _ReadyWire(Struct, frozen=True, array_like=True, tag="ready"):
     rate: Annotated[float, Meta(ge=0.1, le=1000.0)]
     channels: list[str]
     params: dict[str, tuple[Scalar | None, str]]
+    touches: tuple[Speed, Speed, Speed] | None
 
 
 class _RefusedWire(Struct, frozen=True, array_like=True, tag="refused"):
@@ -122,7 +124,9 @@ def encode_event(event: Event) -> bytes:
     generation = event.generation
     if isinstance(event, Ready):
         params = {name: list(pair) for name, pair in event.params.items()}
-        body: list[Any] = ["ready", generation, event.rate, sorted(event.channels), params]
+        zone = event.touches
+        touches = None if zone is None else [zone.bearing, zone.half_width, zone.speed]
+        body: list[Any] = ["ready", generation, event.rate, sorted(event.channels), params, touches]
     elif isinstance(event, Stepped):
         outputs = event.outputs
         twist = outputs.twist
@@ -151,7 +155,8 @@ def decode_event(frame: bytes) -> Event:
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
         raise CodecError(f"the pattern host said something unreadable: {error}") from error
     if isinstance(wire, _ReadyWire):
-        return Ready(wire.generation, wire.rate, frozenset(wire.channels), wire.params)
+        touches = None if wire.touches is None else TouchZone(*wire.touches)
+        return Ready(wire.generation, wire.rate, frozenset(wire.channels), wire.params, touches)
     if isinstance(wire, _SteppedWire):
         twist = None if wire.twist is None else Twist(*wire.twist)
         report = {k: v for k, v in wire.report.items() if isinstance(v, bool | int | float | str)}

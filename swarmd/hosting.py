@@ -11,7 +11,7 @@ from msgspec import Struct
 
 from swarmd.frames import Ready, Stepped
 from swarmd.messages import Request
-from swarmd.values import Scalar, Twist
+from swarmd.values import Scalar, TouchZone, Twist
 
 LOAD_TIMEOUT = 3.0
 SILENT_AFTER = 1.0
@@ -44,7 +44,7 @@ class Loading:
 
 @dataclass(slots=True, eq=False)
 class Running:
-    """The pattern in force."""
+    """The pattern in force. `touch`: where it may touch what is near."""
 
     generation: int
     pattern: str
@@ -54,6 +54,7 @@ class Running:
     channels: frozenset[str]
     values: Mapping[str, tuple[Scalar | None, str]]
     wish: Wish
+    touch: TouchZone | None = None
 
     def channel(self, name: str) -> str | None:
         """What the pattern itself calls `<pattern>/<channel>`; None if it does not listen to it."""

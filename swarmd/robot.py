@@ -53,7 +53,8 @@ class Robot:
         self._beat = now
         self._senses = Senses(platform)
         self._protection = Protection(platform)
-        self._conduct = Conduct(Identity(id, platform, seed, boot), latches, now)
+        identity = Identity(id, platform, seed, boot, settings.touch)
+        self._conduct = Conduct(identity, latches, now)
         self._verbs = Verbs(id, self._conduct, settings.layers, self._standing)
         self._duty = Duty()
         self._published: tuple[object, ...] = ()
@@ -241,6 +242,7 @@ class Robot:
             self._senses.moment(now),
             is_running=self._conduct.is_running and running is not None,
             hold=hold,
+            permit=self._conduct.permit,
         )
 
     def _restart(self, turn: Turn) -> None:

@@ -15,11 +15,13 @@ from typing import Literal, cast
 
 from swarmd.errors import ConfigError
 from swarmd.frames import Layers
+from swarmd.grants import Touch
 from swarmd.keys import check_id
 from swarmd.layered import Layered
 from swarmd.platforms import load_platform, platform_names
 from swarmd.swarmfile import DEFAULT, DaemonFile, ParametersSection, check, layered
-from swarmd.values import Platform, Value
+from swarmd.touch import zones
+from swarmd.values import Platform, TouchZone, Value
 from swarmd.yamlfile import shown
 
 __all__ = ["DaemonSettings", "load_daemon_settings", "load_platform", "platform_names"]
@@ -52,11 +54,17 @@ class DaemonSettings:
     labels: tuple[str, ...]
     label_members: Mapping[str, tuple[str, ...]]
     parameters: ParametersSection
+    touch: Touch
     roster: tuple[str, ...]
     state_dir: Path
     plugin_dir: Path | None
     die_with_parent: int | None = None
     provenance: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def touch_zones(self) -> Mapping[str, TouchZone]:
+        """Where which pattern may touch what is near."""
+        return zones(self.touch)
 
     def pattern_layers(self, pattern: str) -> Layers:
         """The parameters configured for a pattern by source, weakest first; empty ones left out.
@@ -107,6 +115,7 @@ def load_daemon_settings(
         labels=tuple(label for label, robots in file.labels.items() if robot in robots),
         label_members={label: tuple(robots) for label, robots in file.labels.items()},
         parameters=file.parameters,
+        touch=file.touch,
         roster=tuple(file.roster),
         state_dir=_path(layers, "state_dir", file.state_dir, config) or _state_dir(environ),
         plugin_dir=_path(layers, "plugin_dir", file.plugin_dir, config),

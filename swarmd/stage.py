@@ -57,7 +57,8 @@ class Stage:
         self._load, self._assembled = load, assembled
         pattern = assembled.pattern
         channels = frozenset(pattern.channels)
-        return Ready(load.generation, float(pattern.rate), channels, assembled.params)
+        rate = float(pattern.rate)
+        return Ready(load.generation, rate, channels, assembled.params, pattern.touches)
 
     def _on_step(self, step: Step) -> Event:
         assert self._assembled is not None

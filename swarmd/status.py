@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import msgspec
@@ -14,7 +14,7 @@ from swarmd.messages import Health, Param, Reason, Status, VerdictSummary
 from swarmd.messages import Scalar as BoundedScalar
 from swarmd.protection.verdict import Verdict
 from swarmd.senses import Senses
-from swarmd.values import Platform, Scalar
+from swarmd.values import Platform, Scalar, TouchZone
 
 REPORTED = 16
 SCALAR: Any = BoundedScalar  # the type as msgspec reads it, with its bounds
@@ -24,7 +24,11 @@ TEXT = 256
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotSettings:
-    """What a robot knows of itself. `layers`: the configured parameters of a pattern by name."""
+    """What a robot knows of itself.
+
+    `layers`: the configured parameters of a pattern by name; `touch`: where which pattern may
+    touch what is near.
+    """
 
     driver: str
     layers: Callable[[str], Layers]
@@ -32,6 +36,7 @@ class RobotSettings:
     profile: str = "dev"
     is_secured: bool = False
     labels: tuple[str, ...] = ()
+    touch: Mapping[str, TouchZone] = field(default_factory=dict)
 
 
 @dataclass(slots=True, eq=False)

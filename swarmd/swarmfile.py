@@ -13,6 +13,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct
 
 from swarmd.errors import ConfigError, unknown
+from swarmd.grants import Touch
 from swarmd.keys import check_id
 from swarmd.layered import Layered
 from swarmd.messages import Scalar
@@ -48,6 +49,7 @@ class SwarmFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     roster: list[str] = []
     labels: dict[str, list[str]] = {}
     parameters: ParametersSection = ParametersSection()
+    touch: Touch = {}
 
 
 class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=True):

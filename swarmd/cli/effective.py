@@ -32,6 +32,7 @@ def effective_config(settings: DaemonSettings) -> str:
         "roster": list(settings.roster),
         "labels": {label: list(robots) for label, robots in settings.label_members.items()},
         "parameters": to_builtins(settings.parameters),
+        "touch": to_builtins(settings.touch),
         "state_dir": str(settings.state_dir.absolute()),
         "plugin_dir": str(settings.plugin_dir.absolute()) if settings.plugin_dir else None,
     }

@@ -28,7 +28,7 @@ from swarmd.runner import InlineRunner
 from swarmd.settings import load_platform
 from swarmd.stage import Stage
 from swarmd.status import RobotSettings
-from swarmd.values import ZERO, Odometry, Platform, Pose, Scan, Twist
+from swarmd.values import ZERO, Odometry, Platform, Pose, Scan, TouchZone, Twist
 
 ScanSource = Callable[[int, float], Scan | None]
 
@@ -55,6 +55,7 @@ class Story:
         *,
         latches: LatchRecord | None = None,
         boot: str = "boot1",
+        touch: Mapping[str, TouchZone] | None = None,
     ) -> None:
         self.platform = load_platform(platform)
         self.now = 1000.0
@@ -74,7 +75,7 @@ class Story:
         self.robot = Robot(
             "tb3-01",
             self.platform,
-            RobotSettings(driver="story", layers=lambda name: ()),
+            RobotSettings(driver="story", layers=lambda name: (), touch=touch or {}),
             seed=1,
             boot=boot,
             now=self.now,
