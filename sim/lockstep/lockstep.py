@@ -109,10 +109,16 @@ class Lockstep:
         now, robot_id = self.world.time, self.world.ids[row]
         layers = self.scenario.layers
         labels = tuple(name for name, ids in self.scenario.groups.items() if robot_id in ids)
+        settings = RobotSettings(
+            driver="lockstep",
+            layers=lambda p: layers(robot_id, p),
+            labels=labels,
+            touch=self.scenario.touch.get(robot_id, {}),
+        )
         robot = Robot(
             robot_id,
             self._platforms[row],
-            RobotSettings(driver="lockstep", layers=lambda p: layers(robot_id, p), labels=labels),
+            settings,
             seed=self.seed,
             boot=f"lab-{self._lives[row]}",
             now=now,

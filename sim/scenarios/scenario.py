@@ -13,7 +13,7 @@ from swarmd.sim.world.radio import RadioSettings
 from swarmd.sim.world.ranging import Visibility
 from swarmd.sim.world.readings import Field
 from swarmd.sim.world.realism import Realism
-from swarmd.values import Array, Platform, Scalar
+from swarmd.values import Array, Platform, Scalar, TouchZone
 
 Action = Literal[
     "run", "stop", "estop", "reset", "join", "leave", "kill", "place", "remove", "param"
@@ -47,8 +47,9 @@ class Scenario:
     (n, 3) x, y in m and yaw in rad; ConfigError if they cannot be. `groups`: ids by group name.
     `absent`: ids whose daemon is not there until an event lets it join; their bodies stand at
     their start poses. `layers(robot, pattern)` are the parameters configured beside those of a
-    run. `events` in order of time. `effective` is the configuration in plain values, complete and
-    after all overrides: `scenario_of(effective)` is the same scenario again.
+    run, `touch[robot]` where which pattern may touch what is near. `events` in order of time.
+    `effective` is the configuration in plain values, complete and after all overrides:
+    `scenario_of(effective)` is the same scenario again.
     """
 
     name: str
@@ -65,6 +66,7 @@ class Scenario:
     layers: Callable[[str, str], Layers]
     events: tuple[Event, ...]
     absent: frozenset[str] = frozenset()
+    touch: Mapping[str, Mapping[str, TouchZone]] = field(default_factory=dict)
     trace_rate: float = 10.0
     plugin_dir: Path | None = None
     effective: Mapping[str, Any] = field(default_factory=dict)

@@ -27,6 +27,7 @@ from swarmd.sim.scenarios.starts import Starts, part_of, without_stale
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.readings import Field
 from swarmd.sim.world.realism import realism_of
+from swarmd.touch import zones
 from swarmd.yamlfile import Data, read_extended, shown
 
 __all__ = ["load_scenario", "parse_override", "scenario_names", "scenario_of"]
@@ -141,6 +142,7 @@ def _built(layers: Layered, name: str) -> Scenario:
         layers=configured,
         events=script.events,
         absent=script.absent,
+        touch={r: zones(file.groups[group].touch) for r, group in cast.group_of.items()},
         trace_rate=file.trace_rate,
         plugin_dir=plugin_dir,
         effective=_effective(file, name, cast, fields, plugin_dir),

@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, field
 
+from swarmd.grants import Touch
 from swarmd.messages import Scalar
 from swarmd.sim.world.radio import RadioSettings
 
@@ -75,7 +76,8 @@ class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """Robots of one kind: `count` of them named `<prefix>-01` and on, or those of `robots`.
 
     With a `pattern` they run it from the beginning, except those who join later, whom an event has
-    to tell; `parameters` are the group's for it, whenever it runs.
+    to tell; `parameters` are the group's for it, whenever it runs. `touch` grants patterns where
+    they may touch what is near, as a daemon's file does.
     """
 
     platform: str = "waffle_pi"
@@ -85,6 +87,7 @@ class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     start: StartSection | None = None
     pattern: str | None = None
     parameters: Values = {}
+    touch: Touch = {}
 
 
 class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
