@@ -115,8 +115,24 @@ class Reply(Struct, frozen=True, kw_only=True):
     data: dict[Word, Scalar | dict[Word, Scalar | None] | None] = {}
 
 
+class Row(Struct, frozen=True):
+    """One obstacle that bounds the command.
+
+    `bearing` rad from the axle, `gap` m to the footprint, `cap` m/s: how fast the outline may at
+    most move towards it.
+    """
+
+    bearing: Annotated[float, Meta(ge=-7.0, le=7.0)]
+    gap: Metres
+    cap: Speed
+
+
 class VerdictSummary(Struct, frozen=True, kw_only=True):
-    """The arbiter's latest decision, and since `run` the share of ticks it was active in."""
+    """The arbiter's latest decision, and since `run` the share of ticks it was active in.
+
+    `rows`: what bounds the command, the tightest first. `is_unsticking`: it judged not the wish
+    but a way around what blocks it.
+    """
 
     mode: Word = "potential_field"
     is_active: bool = False
@@ -126,6 +142,8 @@ class VerdictSummary(Struct, frozen=True, kw_only=True):
     safe_angular: Speed = 0.0
     min_gap: Metres | None = None
     scan_age: Seconds | None = None
+    rows: tuple[Row, ...] = ()
+    is_unsticking: bool = False
     duty: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     decisions: Count = 0
 

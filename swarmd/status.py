@@ -17,6 +17,7 @@ from swarmd.senses import Senses
 from swarmd.values import Platform, Scalar, TouchZone
 
 REPORTED = 16
+ROWS = 4
 SCALAR: Any = BoundedScalar  # the type as msgspec reads it, with its bounds
 WORD = 64
 TEXT = 256
@@ -118,6 +119,8 @@ def _summary(verdict: Verdict, duty: Duty) -> VerdictSummary:
         safe_angular=verdict.safe.angular,
         min_gap=verdict.min_gap,
         scan_age=verdict.scan_age,
+        rows=verdict.rows[:ROWS],
+        is_unsticking=verdict.is_unsticking,
         duty=duty.share,
         decisions=duty.decisions,
     )

@@ -4,20 +4,10 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from swarmd.messages import Reason
+from swarmd.messages import Reason, Row
 from swarmd.values import Twist
 
-
-class Row(Struct, frozen=True):
-    """One obstacle that bounds the command.
-
-    `bearing` rad from the axle, `gap` m to the footprint, `cap` m/s: how fast the outline may at
-    most move towards it.
-    """
-
-    bearing: float
-    gap: float
-    cap: float
+__all__ = ["Decision", "Row", "Verdict"]
 
 
 class Decision(Struct, frozen=True):
