@@ -106,7 +106,7 @@ def rows() -> Iterator[Row]:
     protection = Protection(platform)
 
     def decide(scan: Scan) -> None:
-        protection.observe(scan, None)
+        protection.observe(scan, Moment(0.0))
         protection.decide(WISH, Moment(0.0, 0.0), is_running=True, hold=None)
 
     def again(scan: Scan) -> None:

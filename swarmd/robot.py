@@ -52,7 +52,7 @@ class Robot:
         self._born = now
         self._beat = now
         self._senses = Senses(platform)
-        self._protection = Protection(platform)
+        self._protection = Protection(platform, f"{seed}/{id}")
         identity = Identity(id, platform, seed, boot, settings.touch)
         self._conduct = Conduct(identity, latches, now)
         self._verbs = Verbs(id, self._conduct, settings.layers, self._standing)
@@ -100,7 +100,7 @@ class Robot:
         turn = self._enter(now)
         turn.is_new_scan = self._senses.on_scan(scan, now)
         if turn.is_new_scan and self._senses.scan is not None:
-            self._protection.observe(self._senses.scan, self._senses.odometry)
+            self._protection.observe(self._senses.scan, self._senses.moment(now))
         return self._settle(turn)
 
     def on_odometry(self, odometry: Odometry, now: float) -> None:

@@ -2,36 +2,56 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Protocol
 
 from swarmd.errors import ConfigError, unknown
+from swarmd.protection.barrier import Barrier
 from swarmd.protection.footprint import Sight
 from swarmd.protection.moment import Moment
+from swarmd.protection.off import Off
 from swarmd.protection.potential_field import PotentialField
+from swarmd.protection.stop_zone import StopZone
 from swarmd.protection.verdict import Decision
-from swarmd.values import Odometry, Platform, Scan, TouchZone, Twist
-
-MODES = ("potential_field",)
+from swarmd.values import Platform, Scan, TouchZone, Twist
 
 
 class Arbiter(Protocol):
-    """One mode. It is asked only when the fail-safe front has found nothing that forbids motion."""
+    """One mode. It is asked only when the fail-safe front has found nothing that forbids motion.
+
+    `can_block`: it may leave a robot standing that wishes to move, for as long as it wishes so.
+    """
 
     mode: str
+    can_block: bool
 
-    def observe(self, scan: Scan, sight: Sight, odometry: Odometry | None) -> None:
+    def observe(self, scan: Scan, sight: Sight, moment: Moment) -> None:
         """Take in a new scan: all its geometry, once. `sight` says where its rays end."""
 
-    def decide(self, wish: Twist, moment: Moment, touch: TouchZone | None) -> Decision:
+    def decide(
+        self, wish: Twist, moment: Moment, *, command: Twist, touch: TouchZone | None
+    ) -> Decision:
         """The safe command for a wish within limits; the moment has a scan.
 
-        `touch`: where the running pattern may touch what is near.
+        `command` is the one in force. `touch`: where the running pattern may touch what is near.
         """
+
+
+MODES: Mapping[str, Callable[[Platform], Arbiter]] = MappingProxyType(
+    {
+        "barrier": Barrier,
+        "potential_field": PotentialField,
+        "stop_zone": StopZone,
+        "off": Off,
+    }
+)
+"""How the arbiter of each mode is made."""
 
 
 def make_arbiter(platform: Platform) -> Arbiter:
     """The mode that the platform's file names; ConfigError if there is none such."""
-    mode = str(platform.protection.get("mode", "potential_field"))
-    if mode == "potential_field":
-        return PotentialField(platform)
-    raise ConfigError(f"platform {platform.name}: {unknown('protection mode', mode, MODES)}")
+    mode = str(platform.protection.get("mode", "barrier"))
+    if mode not in MODES:
+        raise ConfigError(f"platform {platform.name}: {unknown('protection mode', mode, MODES)}")
+    return MODES[mode](platform)

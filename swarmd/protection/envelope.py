@@ -7,27 +7,24 @@ all of them keep; compare "passive safety" in Mitsch et al., IJRR 2017).
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
 from swarmd.protection.feasible import Point
 from swarmd.values import Array
 
+BOX: tuple[Point, ...] = ((1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0))
+"""All twists within the limits."""
+
 _DIRECTIONS = 48  # multiples of 7.5 degrees: the corners of the box are among them
 
 
-def envelope(
-    corners: Array, along: Point, limits: Point, speed: float = math.inf
-) -> tuple[Point, ...]:
+def envelope(corners: Array, along: Point, limits: Point, speed: float) -> tuple[Point, ...]:
     """The polygon of (linear, angular), each over its limit, with which no corner exceeds `speed`.
 
     `corners` (k, 2) in the base frame in m; `along` the direction of the linear motion, of length
-    1; `limits` m/s and rad/s; `speed` m/s, inf: only the limits count. An inner approximation: its
-    corners are exact, and what it approximates is convex.
+    1; `limits` m/s and rad/s; `speed` m/s. An inner approximation: its corners are exact, and what
+    it approximates is convex.
     """
-    if speed == math.inf:
-        return ((1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0))
     angles = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
     ways = np.stack((np.cos(angles), np.sin(angles)), axis=1)
     ways /= np.abs(ways).max(axis=1)[:, None]  # on the box of the limits

@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
 from swarmd.values import Array, Scan, ScanSpec
+
+
+class Facing(NamedTuple):
+    """How an outline and n points face each other: an element each, in the base frame.
+
+    `gap` m from the outline, 0 for points inside; `nx`, `ny` from the outline to the point, of
+    length 1; `lever` m: turning by 1 rad moves the outline's nearest place so far along them.
+    """
+
+    gap: Array
+    nx: Array
+    ny: Array
+    lever: Array
 
 
 class Sight:
@@ -43,6 +59,7 @@ class Footprint:
         self._axes = np.concatenate((along, outward))
         self._origins = np.einsum("ka,ka->k", self._axes, np.tile(self.corners, (2, 1)))[:, None]
         self._outward = outward
+        self._along, self._starts = along.T.copy(), self.corners.T.copy()
         self._known: dict[tuple[float, float], tuple[float, float]] = {}
 
     def gaps(self, points: Array) -> Array:
@@ -57,18 +74,62 @@ class Footprint:
         distances: Array = np.sqrt(squares)
         return distances
 
-    def min_gap(self, scan: Scan, sight: Sight) -> float | None:
-        """The smallest of the gaps to what a scan shows; None if it shows nothing.
+    def facing(self, x: Array, y: Array) -> Facing:
+        """How the outline faces points at `x`, `y` (n,)."""
+        k = len(self._lengths)
+        placed = self._axes.dot(np.stack((x, y))) - self._origins
+        along, above = placed[:k], placed[k:]
+        on = np.minimum(np.maximum(along, 0.0), self._lengths[:, None])
+        beyond = along - on
+        squares = beyond * beyond
+        squares += above * above
+        edge = squares.argmin(axis=0)
+        cell = edge * len(x) + np.arange(len(x))
+        is_inside = above.max(axis=0) <= 0.0
+        gap = np.sqrt(squares.ravel().take(cell))
+        gap[is_inside] = 0.0
+        far, high = beyond.ravel().take(cell), above.ravel().take(cell)
+        # On the outline and inside it there is no way from it to the point: the edge's own counts.
+        at = gap < 1e-9
+        inverse = 1.0 / np.where(at, 1.0, gap)
+        far, high = np.where(at, 0.0, far * inverse), np.where(at, 1.0, high * inverse)
+        along_x, along_y = self._along.take(edge, axis=1)
+        nx, ny = far * along_x + high * along_y, far * along_y - high * along_x
+        share = on.ravel().take(cell)
+        foot_x = self._starts[0].take(edge) + share * along_x
+        foot_y = self._starts[1].take(edge) + share * along_y
+        return Facing(gap, nx, ny, foot_x * ny - foot_y * nx)
 
-        The outline lies between two circles around the lidar. So only a ray whose range is within
-        their difference of the smallest can show the nearest point.
+    def along_rays(self, place: tuple[float, float], directions: Array) -> Array:
+        """(n,) m from a place inside to the outline along `directions` (n, 2); 0 from outside."""
+        heights = self._origins[len(self._lengths) :, 0] - self._outward.dot(np.array(place))
+        approach = directions.dot(self._outward.T)
+        with np.errstate(divide="ignore"):
+            ways = np.where(approach > 1e-12, heights / approach, np.inf)
+        distances: Array = np.maximum(ways.min(axis=1), 0.0)
+        return distances
+
+    def nearest(self, scan: Scan, sight: Sight) -> tuple[float, float] | None:
+        """Gap in m and bearing in rad, from the axle, of the return nearest to the outline.
+
+        None if the scan shows nothing. The outline lies between two circles around the lidar. So
+        only a ray whose range is within their difference of the smallest can show that point.
         """
         nearest = float(scan.ranges.min(initial=np.inf))
         if nearest == np.inf:
             return None
         inner, outer = self._circles(sight.offset)
         within = max(max(nearest, scan.range_min) - inner, 0.0) + outer
-        return float(self.gaps(sight.points(scan, within)).min())
+        points = sight.points(scan, within)
+        gaps = self.gaps(points)
+        index = int(gaps.argmin())
+        x, y = points[index].tolist()
+        return float(gaps[index]), math.atan2(y, x)
+
+    def min_gap(self, scan: Scan, sight: Sight) -> float | None:
+        """The smallest of the gaps to what a scan shows; None if it shows nothing."""
+        nearest = self.nearest(scan, sight)
+        return None if nearest is None else nearest[0]
 
     def _circles(self, place: tuple[float, float]) -> tuple[float, float]:
         """The radii around a place within which all is outline, and beyond which nothing is.

@@ -6,31 +6,40 @@ from swarmd.messages import Reason
 from swarmd.protection.arbiter import make_arbiter
 from swarmd.protection.footprint import Footprint, Sight
 from swarmd.protection.moment import NO_PERMIT, Moment, Permit
+from swarmd.protection.unstick import Unstick
 from swarmd.protection.verdict import Decision, Verdict
-from swarmd.values import ZERO, Odometry, Platform, Scan, Twist
+from swarmd.values import ZERO, Platform, Scan, Twist
+
+_STAND = Decision(ZERO, is_active=False)
 
 
 class Protection:
-    """Decides on every scan, every wish and every tick; never off, pure but for the last scan."""
+    """Decides on every scan, every wish and every tick; never off, pure but for what it has seen.
 
-    def __init__(self, platform: Platform) -> None:
+    `seed` decides to which sides it leads around what is in the way.
+    """
+
+    def __init__(self, platform: Platform, seed: str = "") -> None:
         self._platform = platform
         self._arbiter = make_arbiter(platform)
         self._footprint = Footprint(platform.footprint)
         self._sight = Sight(platform.scan)
         self._scan_seq = -1
         self._min_gap: float | None = None
+        self._scan: Scan | None = None
+        self._safe = ZERO
+        self._unstick = Unstick(platform.limits.angular, seed)
 
     @property
     def mode(self) -> str:
         """The mode's name."""
         return self._arbiter.mode
 
-    def observe(self, scan: Scan, odometry: Odometry | None) -> None:
+    def observe(self, scan: Scan, moment: Moment) -> None:
         """Take in a conditioned scan: its geometry is computed here, once."""
-        self._scan_seq = scan.seq
+        self._scan_seq, self._scan = scan.seq, scan
         self._min_gap = self._footprint.min_gap(scan, self._sight)
-        self._arbiter.observe(scan, self._sight, odometry)
+        self._arbiter.observe(scan, self._sight, moment)
 
     def decide(
         self,
@@ -49,11 +58,11 @@ class Protection:
         limits = self._platform.limits
         wanted = limits.clip(wish) if wish is not None and wish.is_finite else ZERO
         if not is_running or hold is not None:
-            return self._verdict(wanted, Decision(ZERO, is_active=False), hold, moment)
+            self._unstick.reset()
+            return self._verdict(wanted, _STAND, hold, moment)
         if moment.scan_age is None:
-            decision = Decision(ZERO, is_active=False)
-            return self._verdict(wanted, decision, Reason.NO_SCAN, moment)
-        decision = self._arbiter.decide(wanted, moment, permit.touch)
+            return self._verdict(wanted, _STAND, Reason.NO_SCAN, moment)
+        decision = self._judge(wanted, moment, permit)
         if decision.twist is not wanted and not decision.twist.is_finite:
             decision = Decision(ZERO, is_active=True, rows=decision.rows)
         reason = None
@@ -61,17 +70,37 @@ class Protection:
             reason = Reason.PROTECTION if decision.is_active else Reason.NO_WISH
         return self._verdict(wanted, decision, reason, moment)
 
+    def _judge(self, wanted: Twist, moment: Moment, permit: Permit) -> Decision:
+        """The arbiter's decision on the wish, or on the way around what blocks it."""
+
+        def allowed(twist: Twist) -> Decision:
+            return self._arbiter.decide(twist, moment, command=self._safe, touch=permit.touch)
+
+        if not permit.may_unstick or not self._arbiter.can_block:
+            self._unstick.reset()
+            return allowed(wanted)
+        decision = allowed(wanted)
+        way = self._unstick.instead(
+            wanted, decision.twist, moment.now, self._scan, lambda twist: allowed(twist).twist
+        )
+        if way is wanted:
+            return decision
+        decision = allowed(self._platform.limits.clip(way))
+        return Decision(decision.twist, is_active=True, rows=decision.rows)
+
     def _verdict(
         self, wish: Twist, decision: Decision, reason: Reason | None, moment: Moment
     ) -> Verdict:
+        self._safe = self._platform.limits.clip(decision.twist)
         return Verdict(
             mode=self._arbiter.mode,
             wish=wish,
-            safe=self._platform.limits.clip(decision.twist),
+            safe=self._safe,
             reason=reason,
             is_active=decision.is_active,
             rows=decision.rows,
             min_gap=self._min_gap,
             scan_age=moment.scan_age,
             scan_seq=self._scan_seq,
+            is_unsticking=self._unstick.is_leading,
         )

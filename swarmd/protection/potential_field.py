@@ -12,13 +12,14 @@ from swarmd.fields import field_twist, potential_field
 from swarmd.protection.footprint import Sight
 from swarmd.protection.moment import Moment
 from swarmd.protection.verdict import Decision
-from swarmd.values import Odometry, Platform, Scan, TouchZone, Twist
+from swarmd.values import Platform, Scan, TouchZone, Twist
 
 
 class PotentialField:
     """Evades while more than `rays` rays are nearer than `threshold` m (from the lidar)."""
 
     mode = "potential_field"
+    can_block = False
 
     def __init__(self, platform: Platform) -> None:
         settings = platform.protection
@@ -28,7 +29,7 @@ class PotentialField:
         self._forward_bias = float(settings["forward_bias"])
         self._evasion: Twist | None = None
 
-    def observe(self, scan: Scan, sight: Sight, odometry: Odometry | None) -> None:
+    def observe(self, scan: Scan, sight: Sight, moment: Moment) -> None:
         """Compute the evading command, or that there is nothing to evade."""
         field = potential_field(
             scan.ranges,
@@ -43,7 +44,9 @@ class PotentialField:
             return
         self._evasion = field_twist(field.vector, self._limits.linear, self._limits.angular)
 
-    def decide(self, wish: Twist, moment: Moment, touch: TouchZone | None) -> Decision:
+    def decide(
+        self, wish: Twist, moment: Moment, *, command: Twist, touch: TouchZone | None
+    ) -> Decision:
         """The evading command if there is something to evade, else the wish."""
         if self._evasion is None:
             return Decision(wish, is_active=False)

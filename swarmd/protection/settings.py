@@ -27,9 +27,10 @@ class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     far other bodies reach beyond what the scan plane meets of them. margin: what is kept free
     beside, for noise. braking_linear (m/s2) and braking_angular (rad/s2): what the base can do at
     least. surface_speed: what no corner of this robot exceeds while something is within
-    `envelope_within` of its outline; None: others_speed. responsibility: passive (others may come
-    at others_speed) or reciprocal (each gives way by half). keep_out: a circle around the sensor
-    in which nothing may come, for one that is blind nearby; None: no such circle.
+    `envelope_within` of its outline; None: others_speed, and as far as rows can bind.
+    responsibility: passive (others may come at others_speed) or reciprocal (each gives way by
+    half). keep_out: the radius of a circle around the sensor in which nothing may come, for one
+    that is blind nearby; None: no such circle.
     """
 
     others_speed: Speed
@@ -38,7 +39,7 @@ class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     braking_linear: Braking = 1.0
     braking_angular: Braking = 3.0
     surface_speed: Speed | None = None
-    envelope_within: Length = 1.0
+    envelope_within: Length | None = None
     responsibility: Literal["passive", "reciprocal"] = "passive"
     keep_out: Length | None = None
 

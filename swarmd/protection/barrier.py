@@ -1,0 +1,286 @@
+"""Mode `barrier`: the command nearest to the wish with which the robot can always still stop.
+
+For every return of the lidar that is near, the speed at which the outline closes on it is linear
+in the twist, A (v, w), and must not exceed a cap (`caps.py`) from which the robot can still stop
+before the two touch, while the other comes on at its assumed speed. The command is the one within
+these half-planes that is nearest to the wish. To stand still always is one of them, moving away is
+always free, and where nothing is near a wish passes as it is, to the last bit.
+
+Sources: control barrier functions as filters of a wish (Ames, Xu, Grizzle and Tabuada, IEEE TAC
+2017); for swarms Wang, Ames and Egerstedt, IEEE T-RO 2017; no fault of one's own at contact,
+"passive safety": Mitsch, Ghorbal, Vogelbacher and Platzer, IJRR 2017. Unlike theirs, all is taken
+from the robot's own lidar and odometry. What is promised, and what is not, is in docs/safety.md.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import msgspec
+import numpy as np
+
+from swarmd.errors import ConfigError
+from swarmd.protection.caps import passive_caps, reciprocal_caps
+from swarmd.protection.envelope import BOX, envelope
+from swarmd.protection.feasible import Point, nearest_feasible
+from swarmd.protection.footprint import Footprint, Sight
+from swarmd.protection.memory import NearMemory
+from swarmd.protection.moment import Moment
+from swarmd.protection.motion import REACTION, TRUSTED, Motion, relative
+from swarmd.protection.settings import BarrierSettings
+from swarmd.protection.verdict import Decision, Row
+from swarmd.values import Array, Platform, Pose, Scan, TouchZone, Twist
+
+TICK = 0.05
+"""Seconds until the next decision, at the latest."""
+
+_LEAST_BRAKING = 0.02  # m/s2, for rows that hardly any motion closes
+_ROWS = 4
+
+
+class _Seen(NamedTuple):
+    """What one scan shows of what is near, in the base frame of the moment it was taken.
+
+    `points` (k, 2) m, `unseen` (k,) s for which each has not been seen at that moment, `rays` (c,)
+    the indices of those that are too close to measure, and their directions `ways` (c, 2).
+    """
+
+    points: Array
+    unseen: Array
+    rays: Array
+    ways: Array
+    is_near: bool
+
+
+class _Rows(NamedTuple):
+    """Half-planes: closing speed = linear * v + lever * w <= cap, for points at x, y."""
+
+    linear: Array
+    lever: Array
+    caps: Array
+    x: Array
+    y: Array
+    gaps: Array
+
+
+_NOTHING = _Seen(np.empty((0, 2)), np.empty(0), np.empty(0, np.intp), np.empty((0, 2)), False)
+
+
+class Barrier:
+    """See the module. Units: m, s, rad."""
+
+    mode = "barrier"
+    can_block = True
+
+    def __init__(self, platform: Platform) -> None:
+        given = platform.protection["barrier"]
+        if given is None:
+            raise ConfigError(
+                f"platform {platform.name}: protection mode barrier has no settings; wanted is"
+                " protection.barrier with others_speed and unseen_extent"
+            )
+        self._settings = settings = msgspec.convert(given, BarrierSettings)
+        self._limits, self._spec = platform.limits, platform.scan
+        self._outline = Footprint(platform.footprint)
+        self._offset = platform.scan.offset
+        self._speed = settings.surface_speed or settings.others_speed
+        self._polygons: dict[Point, tuple[Point, ...]] = {}
+        self._motion = Motion(settings.braking_linear, settings.braking_angular)
+        self._memory = NearMemory(platform.scan) if platform.scan.near == "lost" else None
+        self._seen, self._taken_at, self._taken = _NOTHING, Pose(), 0.0
+        self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
+        self._reach = self._farthest(platform.footprint)
+        within = settings.envelope_within
+        self._within = self._reach if within is None else within
+
+    def observe(self, scan: Scan, sight: Sight, moment: Moment) -> None:
+        """Take in a new scan: which of its points are near enough to matter."""
+        self._motion.update(moment)
+        latency = self._spec.latency
+        pose = self._motion.pose(moment, latency)
+        taken = moment.now - latency
+        if self._memory is not None:
+            self._memory.update(
+                scan, sight, relative(pose, self._taken_at), max(taken - self._taken, 0.0)
+            )
+        self._taken_at, self._taken = pose, taken
+        self._seen = self._look(scan, sight)
+
+    def decide(
+        self, wish: Twist, moment: Moment, *, command: Twist, touch: TouchZone | None
+    ) -> Decision:
+        """The command nearest to the wish within all rows; the wish itself if it violates none."""
+        self._motion.update(moment)
+        seen = self._seen
+        if wish.is_zero or not (seen.is_near or len(seen.points)):
+            return Decision(wish, is_active=False)
+        along, speed = _split(wish)
+        limits = self._most(along), self._limits.angular
+        rows = self._rows(seen, moment, command, along, touch)
+        wanted = speed / limits[0], wish.angular / limits[1]
+        normals = np.stack((rows.linear * limits[0], rows.lever * limits[1]), axis=1)
+        polygon = self._polygon(along, limits) if seen.is_near else BOX
+        point, tight = nearest_feasible(wanted, polygon, normals, rows.caps)
+        if point == wanted:
+            return Decision(wish, is_active=False)
+        s, angular = point[0] * limits[0], point[1] * limits[1]
+        twist = Twist(s * along[0], angular, s * along[1])
+        return Decision(twist, is_active=True, rows=_bounding(rows, tight))
+
+    def _rows(
+        self,
+        seen: _Seen,
+        moment: Moment,
+        command: Twist,
+        along: Point,
+        touch: TouchZone | None,
+    ) -> _Rows:
+        frame = relative(self._taken_at, self._motion.ahead(moment, command))
+        x, y = _placed(seen.points, frame)
+        age = moment.now - self._taken + REACTION
+        unseen = seen.unseen + age
+        facing = self._outline.facing(x, y)
+        linear = facing.nx * along[0] + facing.ny * along[1]
+        settings = self._settings
+        braking = np.abs(linear) * settings.braking_linear
+        braking += np.abs(facing.lever) * settings.braking_angular
+        np.maximum(braking, _LEAST_BRAKING, out=braking)
+        room = facing.gap - (settings.margin + settings.unseen_extent + self._blurred(moment))
+        caps = self._caps(room, braking, unseen)
+        rows = _Rows(linear, facing.lever, caps, x, y, facing.gap)
+        if len(seen.rays):
+            rows = self._with_contacts(rows, seen, frame, along)
+        if settings.keep_out is not None:
+            rows = self._with_keep_out(rows, settings.keep_out, along, age)
+        return rows if touch is None else _allowed(rows, touch)
+
+    def _caps(self, room: Array, braking: Array, unseen: Array) -> Array:
+        settings = self._settings
+        if settings.responsibility == "reciprocal":
+            return reciprocal_caps(room, braking, unseen, TICK)
+        return passive_caps(room, braking, settings.others_speed, unseen, TICK)
+
+    def _with_contacts(self, rows: _Rows, seen: _Seen, frame: Pose, along: Point) -> _Rows:
+        """What is too close to measure counts as touching, and may not be closed on along its ray.
+
+        Without the latter a corner that grazes a slanted surface has only a row across its way.
+        """
+        caps = rows.caps.copy()
+        caps[seen.rays] = 0.0
+        cos, sin = math.cos(frame.yaw), math.sin(frame.yaw)
+        nx = cos * seen.ways[:, 0] - sin * seen.ways[:, 1]
+        ny = sin * seen.ways[:, 0] + cos * seen.ways[:, 1]
+        x, y = rows.x[seen.rays], rows.y[seen.rays]
+        zeros = np.zeros(len(x))
+        return _joined(
+            rows._replace(caps=caps),
+            _Rows(nx * along[0] + ny * along[1], x * ny - y * nx, zeros, x, y, zeros),
+        )
+
+    def _with_keep_out(self, rows: _Rows, radius: float, along: Point, age: float) -> _Rows:
+        """Nothing is let into the circle around a sensor that is blind nearby, by half each."""
+        dx, dy = rows.x - self._offset[0], rows.y - self._offset[1]
+        distance = np.maximum(np.hypot(dx, dy), 1e-9)
+        nx, ny = dx / distance, dy / distance
+        linear = nx * along[0] + ny * along[1]
+        lever = self._offset[0] * ny - self._offset[1] * nx  # of the circle's own turn: none else
+        settings = self._settings
+        braking = np.abs(linear) * settings.braking_linear
+        braking += np.abs(lever) * settings.braking_angular
+        np.maximum(braking, _LEAST_BRAKING, out=braking)
+        caps = reciprocal_caps(distance - radius, braking, age, TICK)
+        return _joined(rows, _Rows(linear, lever, caps, rows.x, rows.y, rows.gaps))
+
+    def _look(self, scan: Scan, sight: Sight) -> _Seen:
+        outline = self._outline
+        within = max(self._within, self._reach) + self._outer
+        shown = np.flatnonzero(scan.ranges <= within)
+        points = sight.points(scan, within)
+        is_contact = scan.ranges.take(shown) == -np.inf
+        gaps = outline.gaps(points)
+        bearings = scan.bearings.take(shown[is_contact])
+        ways = np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
+        if len(ways):
+            depths = outline.along_rays(self._offset, ways)
+            points[is_contact] = self._offset + depths[:, None] * ways
+            gaps[is_contact] = 0.0
+        is_near = bool(len(gaps)) and float(gaps.min()) <= self._within
+        reached = np.flatnonzero(gaps <= self._reach)
+        points, is_contact = points.take(reached, axis=0), is_contact.take(reached)
+        unseen = np.zeros(len(points))
+        if self._memory is not None and len(self._memory.points):
+            points = np.concatenate((points, self._memory.points))
+            unseen = np.concatenate((unseen, self._memory.ages))
+            is_near = True
+        return _Seen(points, unseen, np.flatnonzero(is_contact), ways, is_near)
+
+    def _blurred(self, moment: Moment) -> float:
+        """m by which the robot may be elsewhere than odometry of that age says."""
+        late = max((moment.odometry_age or 0.0) - TRUSTED, 0.0)
+        return late * self._speed
+
+    def _most(self, along: Point) -> float:
+        """The limit of the linear speed in a direction."""
+        linear, lateral = abs(along[0]), abs(along[1])
+        return min(
+            self._limits.linear / linear if linear else math.inf,
+            self._limits.lateral / lateral if lateral else math.inf,
+        )
+
+    def _polygon(self, along: Point, limits: Point) -> tuple[Point, ...]:
+        if along not in self._polygons:
+            if len(self._polygons) > 8:  # of a base that moves in any direction
+                self._polygons.clear()
+            self._polygons[along] = envelope(self._outline.corners, along, limits, self._speed)
+        return self._polygons[along]
+
+    def _farthest(self, corners: Array) -> float:
+        """The gap in m beyond which no row binds, whatever the robot does within the envelope."""
+        settings, speed = self._settings, self._speed
+        spin = min(self._limits.angular, speed / float(np.hypot(*corners.T).max()))
+        linear = min(speed, max(self._limits.linear, self._limits.lateral))
+        braking = max(linear / settings.braking_linear, spin / settings.braking_angular)
+        unseen = self._spec.stale_after + self._spec.latency + REACTION
+        gap = speed * (TICK + 0.5 * braking) + settings.others_speed * (unseen + TICK + braking)
+        return gap + settings.margin + settings.unseen_extent
+
+
+def _split(wish: Twist) -> tuple[Point, float]:
+    """The direction of the linear motion and the speed along it; ahead if there is none."""
+    if wish.lateral == 0.0:
+        return (1.0, 0.0), wish.linear
+    speed = math.hypot(wish.linear, wish.lateral)
+    return (wish.linear / speed, wish.lateral / speed), speed
+
+
+def _allowed(rows: _Rows, touch: TouchZone) -> _Rows:
+    """The rows, with what lies in the sector closed on at the granted speed at least."""
+    off = np.arctan2(rows.y, rows.x) - touch.bearing
+    is_covered = np.abs((off + np.pi) % (2.0 * np.pi) - np.pi) <= touch.half_width
+    caps = np.where(is_covered, np.maximum(rows.caps, touch.speed), rows.caps)
+    return rows._replace(caps=caps)
+
+
+def _placed(points: Array, frame: Pose) -> tuple[Array, Array]:
+    """The x and y of points of a frame."""
+    cos, sin = math.cos(frame.yaw), math.sin(frame.yaw)
+    x, y = points[:, 0], points[:, 1]
+    return frame.x + cos * x - sin * y, frame.y + sin * x + cos * y
+
+
+def _joined(one: _Rows, other: _Rows) -> _Rows:
+    return _Rows(*(np.concatenate(pair) for pair in zip(one, other, strict=True)))
+
+
+def _bounding(rows: _Rows, tight: list[int]) -> tuple[Row, ...]:
+    """The rows that bound the command, those with the lowest caps first."""
+    order = sorted(tight, key=lambda i: (float(rows.caps[i]), float(rows.gaps[i])))
+    return tuple(
+        Row(
+            math.atan2(float(rows.y[i]), float(rows.x[i])),
+            float(rows.gaps[i]),
+            float(rows.caps[i]),
+        )
+        for i in order[:_ROWS]
+    )
