@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from swarmd.codec import MAX_DEPTH, MAX_MESSAGE, Decoder, decode_value, encode, encode_value
 from swarmd.errors import CodecError
-from swarmd.messages import Epoch, Request, VerdictSummary
+from swarmd.messages import Epoch, Request, Row, VerdictSummary
 
 OPEN = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text(),
@@ -57,6 +57,20 @@ def test_other_versions_truncated_and_oversized_bytes_are_unreadable(payload: by
 def test_bounds_refuse_what_is_no_speed(bad: float) -> None:
     with pytest.raises(CodecError):
         Decoder(VerdictSummary)(encode(VerdictSummary(safe_linear=bad)))
+
+
+@pytest.mark.parametrize("row", [Row(9.0, 0.1, 0.1), Row(0.0, math.inf, 0.1), Row(0.0, 0.1, 1e9)])
+def test_bounds_refuse_what_is_no_obstacle(row: Row) -> None:
+    with pytest.raises(CodecError):
+        Decoder(VerdictSummary)(encode(VerdictSummary(rows=(row,))))
+
+
+def test_a_summary_comes_through_as_it_was_and_one_of_an_older_peer_too() -> None:
+    summary = VerdictSummary(rows=(Row(-0.5, 0.21, 0.0), Row(3.0, 0.4, 0.1)), is_unsticking=True)
+    assert Decoder(VerdictSummary)(encode(summary)) == summary
+    older = {"mode": "potential_field", "is_active": True, "min_gap": 0.3, "scan_age": 0.1}
+    read = Decoder(VerdictSummary)(encode(older))
+    assert (read.is_active, read.rows, read.is_unsticking) == (True, (), False)
 
 
 @given(st.binary(max_size=200))

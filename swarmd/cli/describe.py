@@ -9,7 +9,7 @@ from swarmd.cli.arguments import check_name
 from swarmd.cli.asking import meet
 from swarmd.cli.console import Console, common
 from swarmd.cli.output import NOTHING, number, print_json, print_section, printable, seconds
-from swarmd.cli.reasons import why
+from swarmd.cli.reasons import activity, obstacles, why
 from swarmd.messages import Condition, Member, Status
 
 
@@ -82,10 +82,13 @@ def _latch(status: Status, latch_id: str) -> str:
 def _protection(status: Status) -> list[tuple[str, str]]:
     verdict = status.verdict
     gap, age = verdict.min_gap, verdict.scan_age
+    titles = ("limited by", *[""] * len(verdict.rows))
+    limits = [f"{text}, at most {row.cap:.2f} m/s" for text, row in obstacles(verdict.rows)]
     return [
-        ("mode", f"{verdict.mode}, {'active' if verdict.is_active else 'clear'}"),
+        ("mode", f"{verdict.mode}, {activity(verdict)}"),
         ("wish", f"{verdict.wish_linear:.3f} m/s, {verdict.wish_angular:.3f} rad/s"),
         ("safe", f"{verdict.safe_linear:.3f} m/s, {verdict.safe_angular:.3f} rad/s"),
+        *zip(titles, limits, strict=False),
         ("nearest", NOTHING if gap is None else f"{gap:.2f} m"),
         ("scan age", NOTHING if age is None else seconds(age)),
         ("active for", f"{verdict.duty:.0%} of {verdict.decisions} decisions since run"),

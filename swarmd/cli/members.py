@@ -13,7 +13,8 @@ from swarmd.cli.arguments import check_name
 from swarmd.cli.asking import meet
 from swarmd.cli.console import Console, common
 from swarmd.cli.output import NOTHING, print_json, print_table, printable, seconds
-from swarmd.messages import Condition, Member, Status
+from swarmd.cli.reasons import activity
+from swarmd.messages import Condition, Member
 from swarmd.network.requests import REFUSED
 
 if TYPE_CHECKING:
@@ -81,16 +82,11 @@ def row(member: Member) -> tuple[str, ...]:
         status.reason or NOTHING,
         status.pattern or NOTHING,
         str(status.generation),
-        protection(status),
+        activity(status.verdict),
         f"{status.health.scan_rate:.1f} Hz",
         seconds(status.health.loop_p99),
         _seen(member),
     )
-
-
-def protection(status: Status) -> str:
-    """Whether the arbiter changes what the pattern wishes: `clear`, `active`."""
-    return "active" if status.verdict.is_active else "clear"
 
 
 def health(view: MembersView) -> Iterator[str]:

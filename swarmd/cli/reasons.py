@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Iterator
+
 from swarmd.cli.output import seconds
-from swarmd.messages import Condition, Member, Reason, State, Status
+from swarmd.messages import Condition, Member, Reason, Row, State, Status, VerdictSummary
+
+_SAME_OBSTACLE = math.radians(10.0)
 
 _SENTENCES = {
     Reason.NEVER_ASKED: "it was never asked to run; `swarmctl run PATTERN {robot}` starts it",
@@ -52,14 +57,16 @@ def why(member: Member) -> str:
         return "alive, but it has not told how it is yet; ask again"
     reason = status.reason
     if reason is None:
-        return f"{status.state} {status.pattern or 'no pattern'}, and moves"
+        way = " around what blocks it" if status.verdict.is_unsticking else ""
+        moves = f"moves{way}{_bounded(status.verdict)}"
+        return f"{status.state} {status.pattern or 'no pattern'}, and {moves}"
     sentence = _SENTENCES[reason].format(
         robot=member.robot,
         detail=f" ({status.detail})" if status.detail else "",
         latches=_latches(status),
         age=_age(status),
         driver=f" ({status.health.driver})" if status.health.driver else "",
-        gap=_gap(status),
+        gap=_gap(status.verdict),
     )
     if status.state is State.RUNNING:
         return f"running {status.pattern}, and stands: {sentence}"
@@ -83,6 +90,34 @@ def _age(status: Status) -> str:
     return f" ({seconds(age)})" if age is not None else ""
 
 
-def _gap(status: Status) -> str:
-    gap = status.verdict.min_gap
+def obstacles(rows: Iterable[Row]) -> Iterator[tuple[str, Row]]:
+    """Each obstacle once, as `an obstacle at -30 deg, 0.21 m`, with its tightest row."""
+    told: list[Row] = []
+    for row in rows:
+        if not any(_is_alike(row, other) for other in told):
+            told.append(row)
+            degrees = round(math.degrees(row.bearing)) or 0  # no -0
+            yield f"an obstacle at {degrees} deg, {max(row.gap, 0.0):.2f} m", row
+
+
+def _is_alike(row: Row, other: Row) -> bool:
+    """Whether a reader would take both for one obstacle."""
+    return math.cos(row.bearing - other.bearing) > math.cos(_SAME_OBSTACLE)
+
+
+def activity(verdict: VerdictSummary) -> str:
+    """Whether the arbiter changes what the pattern wishes: `clear`, `active`, `unsticking`."""
+    if verdict.is_unsticking:
+        return "unsticking"
+    return "active" if verdict.is_active else "clear"
+
+
+def _bounded(verdict: VerdictSummary) -> str:
+    return next((f", limited by {text}" for text, _ in obstacles(verdict.rows)), "")
+
+
+def _gap(verdict: VerdictSummary) -> str:
+    if verdict.rows:
+        return _bounded(verdict)
+    gap = verdict.min_gap
     return f": the nearest obstacle is {gap:.2f} m away" if gap is not None else ""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import msgspec
 
 from swarmd.cli.describe import sections
-from swarmd.messages import Member, Reason, Status
+from swarmd.messages import Member, Reason, Row, Status, VerdictSummary
 
 MakeMember = Callable[..., Member]
 
@@ -30,6 +31,25 @@ def test_shows_what_protection_makes_of_the_wish(make_member: MakeMember) -> Non
     assert rows["wish"] == "0.200 m/s, 0.000 rad/s"
     assert rows["safe"] == "0.100 m/s, 0.000 rad/s"
     assert rows["nearest"] == "0.61 m"
+
+
+def test_shows_each_obstacle_that_bounds_the_command_the_tightest_first(
+    make_member: MakeMember,
+) -> None:
+    rows = (
+        Row(math.radians(-30.4), 0.208, 0.0),
+        Row(math.radians(-33.0), 0.208, 0.01),  # the same wall
+        Row(math.pi, 0.4, 0.123),
+    )
+    verdict = VerdictSummary(mode="barrier", is_active=True, is_unsticking=True, rows=rows)
+    member = make_member(verdict=verdict)
+    assert member.status is not None
+    shown_rows = dict(sections(member, member.status))["Protection"]
+    assert shown_rows[0] == ("mode", "barrier, unsticking")
+    assert shown_rows[3:5] == [
+        ("limited by", "an obstacle at -30 deg, 0.21 m, at most 0.00 m/s"),
+        ("", "an obstacle at 180 deg, 0.40 m, at most 0.12 m/s"),
+    ]
 
 
 def test_shows_what_it_does_and_who_said_so(make_member: MakeMember) -> None:

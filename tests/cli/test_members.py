@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from swarmd.cli.members import HEADER, health, row
-from swarmd.messages import Condition, Health, Member, Reason, State
+from swarmd.messages import Condition, Health, Member, Reason, State, VerdictSummary
 from swarmd.network.views import MembersView
 
 MakeMember = Callable[..., Member]
@@ -27,6 +27,15 @@ def test_shows_a_running_robot(make_member: MakeMember) -> None:
         "LOOP99": "4 ms",
         "SEEN": "now",
     }
+
+
+def test_shows_what_protection_is_doing(make_member: MakeMember) -> None:
+    for verdict, word in (
+        (VerdictSummary(), "clear"),
+        (VerdictSummary(is_active=True), "active"),
+        (VerdictSummary(is_active=True, is_unsticking=True), "unsticking"),
+    ):
+        assert line(make_member(verdict=verdict))["PROTECTION"] == word
 
 
 def test_shows_why_a_robot_stands(make_member: MakeMember) -> None:

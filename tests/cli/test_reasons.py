@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import pytest
+from msgspec.structs import replace
 
-from swarmd.cli.reasons import why
-from swarmd.messages import Condition, Member, Reason, State
+from swarmd.cli.reasons import obstacles, why
+from swarmd.messages import Condition, Member, Reason, Row, State, VerdictSummary
 
 MakeMember = Callable[..., Member]
 
@@ -37,6 +39,25 @@ def test_a_robot_that_protection_holds_says_how_near_the_obstacle_is(
     assert text == (
         "running drive, and stands: protection holds it: the nearest obstacle is 0.61 m away"
     )
+
+
+def test_a_robot_that_is_bounded_says_by_what(make_member: MakeMember) -> None:
+    rows = (Row(math.radians(-30.2), 0.214, 0.0), Row(0.0, 0.3, 0.1))
+    held = VerdictSummary(mode="barrier", is_active=True, rows=rows, min_gap=0.21)
+    where = "limited by an obstacle at -30 deg, 0.21 m"
+    text = why(make_member(verdict=held, reason=Reason.PROTECTION))
+    assert text == f"running drive, and stands: protection holds it, {where}"
+    assert why(make_member(verdict=held)) == f"running drive, and moves, {where}"
+    unsticking = replace(held, is_unsticking=True)
+    text = why(make_member(verdict=unsticking))
+    assert text == f"running drive, and moves around what blocks it, {where}"
+
+
+def test_obstacles_are_told_once_each_and_never_at_minus_zero() -> None:
+    rows = (Row(-0.001, -0.004, 0.0), Row(math.radians(9.0), 0.1, 0.1), Row(3.14, 0.2, 0.1),
+            Row(-3.14, 0.2, 0.1))  # fmt: skip
+    told = [text for text, _ in obstacles(rows)]
+    assert told == ["an obstacle at 0 deg, 0.00 m", "an obstacle at 180 deg, 0.20 m"]
 
 
 def test_a_failed_robot_says_since_when_and_how_it_was(make_member: MakeMember) -> None:
