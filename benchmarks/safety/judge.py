@@ -1,0 +1,170 @@
+"""What a trace says of a swarm's safety and progress: MuJoCo's contacts, never the arbiter's word.
+
+A collision is a touch of two robots, at least one of them protected; it counts once for each second
+that it lasts. It is at fault if the own surface of a protected one moved towards the other
+at more than 2 cm/s: a robot that stands and is rammed is at no fault.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+
+import numpy as np
+from msgspec import Struct
+
+from swarmd.sim.metrics.gap import minimum_gap
+from swarmd.sim.metrics.protection import alterations
+from swarmd.sim.metrics.touches import WALLS
+from swarmd.sim.trace import ARENA, Trace
+from swarmd.values import Array
+
+FAULT = 0.02
+"""m/s: how fast a protected surface may at most close on what it touches."""
+ONCE = 1.0
+"""Seconds of touch that count as one collision."""
+WINDOW = 10.0
+STUCK = 0.05
+"""A robot is stuck in a window of so many s in which it gets no farther than this from its start,
+in m."""
+
+_APART = 0.5  # s without touch after which two that started in touch are judged like any others
+_START = 0.1  # s: what touches by then has been put there
+_ROUNDING = 1e-9
+
+
+class Collision(Struct, frozen=True):
+    """One count of a touch.
+
+    `a` is a robot's id, `b` another's, the name of a movable box or WALLS. `own_speed` m/s: the
+    fastest that a protected one's own surface moved towards the other; `who` that was.
+    """
+
+    time: float
+    a: str
+    b: str
+    own_speed: float
+    who: str
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether a protected robot drove into the other."""
+        return self.own_speed > FAULT
+
+
+class Judgement(Struct, frozen=True, kw_only=True):
+    """The numbers of a run, of its protected robots alone; they add up over runs.
+
+    `seconds`: of all of them together. Collisions with robots, and touches of walls, boxes and
+    poles, each with those at fault and the fastest own surface among them in m/s (0: none).
+    `goals` reached (None: there were none to reach); `windows` of WINDOW s, and how many of them
+    `stuck` (0 and 0 without goals). `altered`: mean change of the wish, times `seconds`.
+    `min_gap` m between two robots' outlines at the trace's instants.
+    """
+
+    seconds: float
+    collisions: int
+    faults: int
+    worst: float
+    touches: int
+    touch_faults: int
+    worst_touch: float
+    goals: int | None
+    windows: int
+    stuck: int
+    altered: float
+    min_gap: float
+
+
+def judge(trace: Trace, unprotected: Collection[str] = ()) -> Judgement:
+    """A trace's numbers; the ids of robots that nothing protects from others are `unprotected`."""
+    rows = np.array([row for row, robot in enumerate(trace.ids) if robot not in unprotected])
+    found = collisions(trace, unprotected)
+    robots = [one for one in found if one.b in trace.ids]
+    arena = [one for one in found if one.b not in trace.ids]
+    goals = trace.report.get("goals")
+    seconds = trace.duration * len(rows)
+    windows, stuck = (0, 0) if goals is None else stuck_windows(trace, rows)
+    changes = alterations(trace)
+    altered = 0.0 if changes is None else float(np.nan_to_num(np.nanmean(changes[:, rows])))
+    return Judgement(
+        seconds=seconds,
+        collisions=len(robots),
+        faults=sum(one.is_fault for one in robots),
+        worst=max((one.own_speed for one in robots), default=0.0),
+        touches=len(arena),
+        touch_faults=sum(one.is_fault for one in arena),
+        worst_touch=max((one.own_speed for one in arena), default=0.0),
+        goals=None if goals is None else int(np.nanmax(goals[:, rows], axis=0, initial=0).sum()),
+        windows=windows,
+        stuck=stuck,
+        altered=altered * seconds,
+        min_gap=minimum_gap(trace),
+    )
+
+
+def collisions(trace: Trace, unprotected: Collection[str] = ()) -> list[Collision]:
+    """All counts of touches that a protected robot took part in, in order of time."""
+    is_protected = np.array([robot not in unprotected for robot in trace.ids], dtype=bool)
+    first, second = trace.contact_pair.T
+    # What is not protected, arena and boxes included, has no speed of its own to answer for.
+    answers = np.stack((is_protected[first], (second >= 0) & is_protected[second]), axis=1)
+    own = np.where(answers, trace.contact_speed, -np.inf)
+    found = []
+    pairs = np.unique(np.sort(trace.contact_pair[answers.any(axis=1)], axis=1), axis=0)
+    for low, high in pairs.tolist():
+        of = np.flatnonzero(
+            ((first == low) & (second == high)) | ((first == high) & (second == low))
+        )
+        of = of[np.argsort(trace.contact_t[of], kind="stable")]
+        for part in _counts(trace.contact_t[of], float(trace.t[0])):
+            found.append(_collision(trace, of[part], own))
+    return sorted(found, key=lambda one: one.time)
+
+
+def stuck_windows(trace: Trace, rows: np.ndarray) -> tuple[int, int]:
+    """How many whole windows the robots `rows` had, and in how many of them they were stuck."""
+    starts = np.arange(trace.t[0], trace.t[-1] - WINDOW + _ROUNDING, WINDOW)
+    stuck = 0
+    for start in starts:
+        is_in = (trace.t >= start - _ROUNDING) & (trace.t <= start + WINDOW + _ROUNDING)
+        place = trace.pose[is_in][:, rows, :2]
+        away = place - place[0]
+        stuck += int((np.hypot(away[..., 0], away[..., 1]).max(axis=0) < STUCK).sum())
+    return len(starts) * len(rows), stuck
+
+
+def _counts(times: Array, begin: float) -> Iterator[slice]:
+    """The parts of a pair's times of touch (k,), in order, that count once each."""
+    first, last = 0, -np.inf
+    if times[0] <= begin + _START:  # they were put there in touch
+        gaps = np.flatnonzero(np.diff(times) > _APART)
+        first = int(gaps[0]) + 1 if len(gaps) else len(times)
+    start = first
+    for index in range(first, len(times)):
+        if index == first:
+            last = times[index]
+        elif times[index] >= last + ONCE - _ROUNDING:
+            yield slice(start, index)
+            start, last = index, times[index]
+    if first < len(times):
+        yield slice(start, len(times))
+
+
+def _collision(trace: Trace, rows: np.ndarray, own: Array) -> Collision:
+    """The rows of one count; `own` (c, 2) are the speeds that somebody answers for."""
+    row, side = divmod(int(own[rows].argmax()), 2)
+    pair = trace.contact_pair[rows[row]].tolist()
+    a, b = pair if pair[1] < 0 or pair[0] <= pair[1] else pair[::-1]
+    return Collision(
+        time=float(trace.contact_t[rows[0]]),
+        a=trace.ids[a],
+        b=_name(trace, b),
+        own_speed=max(float(own[rows[row], side]), 0.0),
+        who=trace.ids[pair[side]],
+    )
+
+
+def _name(trace: Trace, index: int) -> str:
+    if index >= 0:
+        return trace.ids[index]
+    return WALLS if index == ARENA else trace.things[ARENA - 1 - index]

@@ -1,0 +1,73 @@
+"""Chases the nearest robot that it sees and drives into it: what others have to live with.
+
+No point of its own outline ever moves faster than it is told: what protection assumes of others.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import numpy as np
+
+from swarmd.api import Context, Inputs, MovementPattern, Params, Twist, about, clusters
+
+_WIDEST = 0.8  # m: what is wider is a wall
+_GAIN = 3.0  # 1/s, of the heading
+_NEAR = 0.4  # m beyond the sensor's blind zone: who is as near is run down, seen or not
+_BLIND = 2.0  # s for which it then goes on
+# m/s2: every base turns faster at less than this, so that no turn overlaps with the speed before.
+_EASY = 0.3
+
+
+class RamParams(Params, frozen=True):
+    """How fast."""
+
+    surface_speed: Annotated[
+        float,
+        about("the fastest that any point of its outline moves", ge=0.01, le=5.0, unit="m/s"),
+    ] = 0.3
+
+
+class Ram(MovementPattern[RamParams]):
+    """Towards the nearest thing that is no wall; where it sees none it wanders."""
+
+    params_type = RamParams
+
+    def __init__(self, params: RamParams, context: Context) -> None:
+        super().__init__(params, context)
+        self._radius = float(np.hypot(*context.platform.footprint.T).max())
+        self._near = context.platform.scan.range_min + _NEAR
+        self._blind_until = -math.inf
+        self._bearing = 0.0
+        self._twist = Twist()
+
+    def drive(self, inputs: Inputs) -> Twist:
+        """Straight at it, within the speed of the outline."""
+        self._bearing -= self._twist.angular * inputs.dt
+        if inputs.is_new_scan:
+            self._look(inputs)
+        limits, most = self.context.platform.limits, self.params.surface_speed
+        turn = min(max(_GAIN * self._bearing, -limits.angular), limits.angular)
+        # The turn comes first: what it leaves of the speed is for driving.
+        ahead = max(math.cos(self._bearing), 0.0) * min(most, limits.linear)
+        wanted = min(ahead, max(most - abs(turn) * self._radius, 0.0))
+        change, now = _EASY * inputs.dt, self._twist.linear
+        linear = min(max(wanted, now - change), now + change)
+        room = (most - linear) / self._radius
+        self._twist = Twist(linear=linear, angular=min(max(turn, -room), room))
+        return self._twist
+
+    def _look(self, inputs: Inputs) -> None:
+        seen = clusters(inputs.scan, within=math.inf)
+        is_body = seen.is_free & (seen.widths < _WIDEST)
+        ranges = np.where(is_body, seen.ranges, np.inf)
+        nearest = float(ranges.min(initial=np.inf))
+        if nearest < self._near:
+            self._blind_until = inputs.now + _BLIND
+        elif inputs.now < self._blind_until:
+            return
+        if nearest < np.inf:
+            self._bearing = float(seen.bearings[ranges.argmin()])
+        else:
+            self._bearing = float(self.context.rng.normal(0.0, 0.5))

@@ -1,0 +1,38 @@
+"""Any command for any time, backwards too: what no sane pattern would ask for."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from swarmd.api import Context, Inputs, MovementPattern, Params, Twist, about
+
+
+class RandomTwistsParams(Params, frozen=True):
+    """How long a command is held."""
+
+    shortest: Annotated[float, about("at least", ge=0.05, le=60.0, unit="s")] = 0.5
+    longest: Annotated[float, about("at most", ge=0.05, le=60.0, unit="s")] = 4.0
+
+
+class RandomTwists(MovementPattern[RandomTwistsParams]):
+    """A command evenly drawn within the limits; one in three goes straight, one in six spins."""
+
+    params_type = RandomTwistsParams
+    needs = frozenset[str]()
+
+    def __init__(self, params: RandomTwistsParams, context: Context) -> None:
+        super().__init__(params, context)
+        self._twist = Twist()
+        self._until = 0.0
+
+    def drive(self, inputs: Inputs) -> Twist:
+        """The same until its time is up."""
+        if inputs.now >= self._until:
+            rng, limits = self.context.rng, self.context.platform.limits
+            linear = float(rng.uniform(-limits.linear, limits.linear))
+            angular = float(rng.uniform(-limits.angular, limits.angular))
+            kind = int(rng.integers(6))
+            self._twist = Twist(0.0 if kind == 0 else linear, 0.0 if kind in (1, 2) else angular)
+            lasts = float(rng.uniform(self.params.shortest, self.params.longest))
+            self._until = inputs.now + lasts
+        return self._twist
