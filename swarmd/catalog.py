@@ -20,6 +20,7 @@ from swarmd.loading import Finder
 from swarmd.params import schema
 from swarmd.plugins import pattern_names
 from swarmd.settings import load_platform
+from swarmd.touch import check_zone, in_words
 from swarmd.values import Platform
 from swarmd.voting import VotingPattern
 
@@ -45,6 +46,7 @@ def _describe(name: str, source: str, finder: Finder, platform: Platform) -> dic
         kind = finder(name)
         params = schema(kind.params_type)
         derived = kind.defaults(platform)
+        check_zone(name, kind.touches)
     except (Exception, SystemExit) as error:  # a plugin may raise anything
         text = str(error) if isinstance(error, SwarmError) else f"{type(error).__name__}: {error}"
         return {"name": name, "error": text, "source": source}
@@ -58,6 +60,7 @@ def _describe(name: str, source: str, finder: Finder, platform: Platform) -> dic
         "missing": sorted(kind.needs - platform.provides),
         "channels": {channel: of.__name__ for channel, of in dict(kind.channels).items()},
         "rate": kind.rate,
+        "touches": None if kind.touches is None else in_words(kind.touches),
         "platform": platform.name,
         "params": [
             {

@@ -89,7 +89,7 @@ class ParamSpec:
 
 
 def schema(params_type: type[Params]) -> list[ParamSpec]:
-    """The parameters of a pattern, in the order of their declaration.
+    """The parameters of a pattern, in the order of their declaration; those of all come last.
 
     PluginError if one has a type that neither YAML nor the command line can give.
     """
@@ -178,8 +178,10 @@ def _spec(params_type: type[Params], field: Any, hint: Any) -> ParamSpec:
     )
 
 
-def _fields(params_type: type[Params]) -> tuple[Any, ...]:
-    return msgspec.structs.fields(params_type)
+def _fields(params_type: type[Params]) -> list[Any]:
+    """Those of the pattern in their order, then those that every pattern has."""
+    shared = Params.__struct_fields__
+    return sorted(msgspec.structs.fields(params_type), key=lambda field: field.name in shared)
 
 
 def _unwrap(hint: Any) -> tuple[Any, Meta, bool]:

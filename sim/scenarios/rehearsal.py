@@ -56,6 +56,9 @@ def rehearse(
         if pattern not in origins:
             text = f"parameters: {unknown('pattern', pattern, origins)}"
             raise layers.error(("parameters", pattern), text)
+    for group, section in configured.file.groups.items():
+        for pattern in section.touch:
+            _check_name(layers, ("groups", group, "touch", pattern), pattern, origins)
     stage = Stage(Finder({name: (o.value, o.is_file) for name, o in origins.items()}))
     done: set[str] = set()
     for rehearsal in script.rehearsals:

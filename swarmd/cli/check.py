@@ -16,6 +16,7 @@ from swarmd.driver import Finding
 from swarmd.errors import SwarmError, unknown
 from swarmd.plugins import load_driver, pattern_names
 from swarmd.settings import DaemonSettings
+from swarmd.touch import in_words
 
 _DRIVER_SECONDS = 3.0
 
@@ -111,7 +112,9 @@ def _patterns(settings: DaemonSettings) -> Iterator[Finding]:
             yield Finding(f"pattern {name}", True, text)
         else:
             yield Finding(f"pattern {name}", True, row["source"])
-    yield from _configured(settings, {row["name"]: row for row in rows})
+    by_name = {row["name"]: row for row in rows}
+    yield from _configured(settings, by_name)
+    yield from _touching(settings, by_name)
 
 
 def _configured(settings: DaemonSettings, rows: Mapping[str, Row]) -> Iterator[Finding]:
@@ -128,6 +131,16 @@ def _configured(settings: DaemonSettings, rows: Mapping[str, Row]) -> Iterator[F
                 fault = _parameter_fault(specs, key, value)
                 if fault:
                     yield Finding("parameters", False, f"{source}: {name}: {fault}")
+
+
+def _touching(settings: DaemonSettings, rows: Mapping[str, Row]) -> Iterator[Finding]:
+    """Each pattern that may touch what is near, and whether it asks to."""
+    for name, zone in settings.touch_zones.items():
+        if name not in rows:
+            yield Finding("touch", False, unknown("pattern", name, rows))
+            continue
+        asked = rows[name].get("touches") or "nothing"
+        yield Finding("touch", True, f"{name}: granted {in_words(zone)}; it asks for {asked}")
 
 
 def _parameter_fault(specs: Mapping[str, Row], key: str, value: object) -> str:

@@ -85,6 +85,7 @@ def _about(row: Row) -> list[tuple[str, str]]:
         ("needs", (", ".join(row["needs"]) or NOTHING) + lacking),
         ("says", ", ".join(channels) or NOTHING),
         ("rate", f"{row['rate']:g} Hz"),
+        ("touches", f"{row['touches']}, if granted" if row["touches"] else NOTHING),
     ]
 
 
