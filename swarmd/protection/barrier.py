@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.errors import ConfigError
 from swarmd.protection.caps import passive_caps, reciprocal_caps
@@ -48,7 +49,7 @@ class _Seen(NamedTuple):
 
     points: Array
     unseen: Array
-    rays: Array
+    rays: NDArray[np.intp]
     ways: Array
     is_near: bool
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.protection.footprint import Sight
 from swarmd.values import Array, Pose, Scan, ScanSpec
@@ -46,7 +47,7 @@ class NearMemory:
         self._candidates = sight.points(scan, self._blind + _BAND)
         self._candidate_ages = np.zeros(len(self._candidates))
 
-    def _is_hidden(self, points: Array, scan: Scan) -> Array:
+    def _is_hidden(self, points: Array, scan: Scan) -> NDArray[np.bool_]:
         """(n,) true for points in the blind zone through which no ray sees."""
         seen = points - self._offset
         distances = np.hypot(seen[:, 0], seen[:, 1])
@@ -54,5 +55,5 @@ class NearMemory:
         off = np.abs((scan.bearings - bearings[:, None] + np.pi) % (2.0 * np.pi) - np.pi)
         through = scan.ranges[off.argmin(axis=1)]
         sees_beyond = np.isfinite(through) & (through > distances + _BEYOND)
-        hidden: Array = (distances < self._blind) & ~sees_beyond
+        hidden: NDArray[np.bool_] = (distances < self._blind) & ~sees_beyond
         return hidden

@@ -29,7 +29,7 @@ class Motion:
         self._readings: deque[Odometry] = deque(maxlen=_HISTORY)
 
     def update(self, moment: Moment) -> None:
-        """Remember the odometry of this moment, if it is new; a clock that jumps back starts anew."""
+        """Remember the odometry of this moment, if it is new. A clock set back starts anew."""
         odometry, readings = moment.odometry, self._readings
         if odometry is None or (readings and odometry is readings[-1]):
             return
