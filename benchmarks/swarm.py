@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from types import TracebackType
+from types import MappingProxyType, TracebackType
 from typing import Any, Self
 
 import yaml
@@ -32,15 +32,27 @@ Process = subprocess.Popen[bytes]
 
 
 class Swarm:
-    """`count` Waffle Pis in a world with MuJoCo at 100 Hz, ready to be told to run.
+    """`count` robots of a platform in a world with MuJoCo at 100 Hz, ready to be told to run.
 
     A context manager. The world stamps scans and commands at its Zenoh session; the stamps are in
-    `folder` after `close`. `is_stamped` daemons also stamp each stage in between.
+    `folder` after `close`. `is_stamped` daemons also stamp each stage in between. `bodies` are
+    further robots, by name, with their platforms, that have no daemon; `world` further options of
+    the world.
     """
 
-    def __init__(self, count: int, *, is_stamped: bool = False) -> None:
+    def __init__(
+        self,
+        count: int,
+        platform: str = "waffle_pi",
+        *,
+        is_stamped: bool = False,
+        bodies: Mapping[str, str] = MappingProxyType({}),
+        world: Sequence[str] = (),
+    ) -> None:
         self.name = f"bench-{secrets.token_hex(3)}"
         self.robots = tuple(f"tb3-{number:02d}" for number in range(1, count + 1))
+        self.endpoint = ""
+        self._platform, self._bodies, self._options = platform, bodies, world
         self.daemons: dict[str, Process] = {}
         self.world: Process | None = None
         self._is_stamped = is_stamped
@@ -117,28 +129,30 @@ class Swarm:
         line = self.world.stdout.readline()
         if not line:
             sys.exit(f"the world did not start: {self._last_words()}")
-        endpoint = json.loads(line)["endpoint"]
+        self.endpoint = json.loads(line)["endpoint"]
         for robot in self.robots:
-            self.daemons[robot] = self._spawn(robot, self._daemon_command(robot, endpoint))
+            self.daemons[robot] = self._spawn(robot, self._daemon_command(robot))
         self.operator = self._exit.enter_context(Operator(SessionSettings(swarm=self.name)))
         self.wait_ready()
 
     def _spawn_world(self) -> Process:
-        robots = ",".join(f"{robot}:waffle_pi" for robot in self.robots)
+        there = {**dict.fromkeys(self.robots, self._platform), **self._bodies}
+        robots = ",".join(f"{robot}:{platform}" for robot, platform in there.items())
         command = ["benchmarks.stamped_world", str(self.folder / "world.npz"), "--swarm", self.name]
         side = 6 if len(self.robots) <= 9 else 9
         command += ["--robots", robots, "--arena", f"{side}x{side}", "--layout", "grid:1.0"]
         command += ["--endpoint", "tcp/127.0.0.1:0", "--die-with-parent", str(os.getpid())]
+        command += self._options
         return self._spawn("world", command, stdout=subprocess.PIPE)
 
-    def _daemon_command(self, robot: str, endpoint: str) -> list[str]:
+    def _daemon_command(self, robot: str) -> list[str]:
         config = self.folder / f"{robot}.yaml"
         settings: dict[str, object] = {
             "id": robot,
             "swarm": self.name,
-            "platform": "waffle_pi",
+            "platform": self._platform,
             "driver": "simulated",
-            "driver_options": {"endpoint": endpoint},
+            "driver_options": {"endpoint": self.endpoint},
             "state_dir": str(self.folder / "state"),
             "plugin_dir": str(PLUGINS),
         }
