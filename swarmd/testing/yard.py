@@ -14,10 +14,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from swarmd.protection.front import Protection
-from swarmd.protection.moment import NO_PERMIT, Permit
+from swarmd.protection.moment import NO_PERMIT, Moment, Permit
 from swarmd.protection.verdict import Verdict
 from swarmd.senses import Senses
-from swarmd.values import ZERO, Array, Odometry, Platform, Pose, Scan, ScanSpec, Twist
+from swarmd.values import (
+    ZERO,
+    Array,
+    Odometry,
+    Platform,
+    Pose,
+    Scan,
+    ScanSpec,
+    TouchZone,
+    Twist,
+)
 
 DT = 0.01
 TICK = 0.05
@@ -30,6 +40,28 @@ def under_barrier(platform: Platform, **told: object) -> Platform:
     protection = platform.protection
     settings = {**protection["barrier"], **told}
     return replace(platform, protection={**protection, "mode": "barrier", "barrier": settings})
+
+
+def decided(
+    platform: Platform,
+    scan: Scan,
+    wish: Twist,
+    *,
+    age: float = 0.0,
+    touch: TouchZone | None = None,
+) -> Verdict:
+    """What fresh protection makes of the wish of a robot at rest, `age` s after its first sweep."""
+    protection, begin = Protection(platform), 10.0
+    odometry = Odometry(begin, HERE, ZERO)
+    protection.observe(scan, Moment(begin, 0.0, odometry, 0.0))
+    later = Odometry(begin + age, HERE, ZERO)
+    return protection.decide(
+        wish,
+        Moment(begin + age, age, later, 0.0),
+        is_running=True,
+        hold=None,
+        permit=Permit(touch=touch),
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -193,7 +225,7 @@ class Yard:
             _, scan = self._coming.pop(0)
             is_new = self.senses.on_scan(scan, self.time)
             if is_new and self.senses.scan is not None:
-                self.protection.observe(self.senses.scan, self.senses.odometry)
+                self.protection.observe(self.senses.scan, self.senses.moment(self.time))
         return is_new
 
     def _decide(self, wish: Twist, permit: Permit) -> Verdict:
@@ -289,6 +321,19 @@ def separation(one: Array, other: Array) -> tuple[float, Array, Array]:
         (_nearest(one, other), _reversed(_nearest(other, one))), key=lambda found: found[0]
     )
     return gap, at, (to - at) / max(gap, 1e-12)
+
+
+def outline_point(corners: Array, point: Array) -> tuple[float, Array, Array]:
+    """Gap in m from a convex outline to a point, the nearest place on it and the way to the point.
+
+    0 for points inside, with a place and way that mean nothing.
+    """
+    edge = np.roll(corners, -1, axis=0) - corners
+    off = point - corners
+    if (edge[:, 0] * off[:, 1] - edge[:, 1] * off[:, 0] >= 0.0).all():
+        return 0.0, point, np.zeros(2)
+    gap, to, at = _nearest(point[None], corners)
+    return gap, at, (to - at) / gap
 
 
 def _is_apart(one: Array, other: Array) -> bool:

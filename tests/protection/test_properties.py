@@ -1,0 +1,272 @@
+"""What holds of mode `barrier` for every scan and every wish; its oracles share nothing with it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from swarmd.protection.front import Protection
+from swarmd.protection.moment import Moment
+from swarmd.settings import load_platform
+from swarmd.testing.scans import mirrored, reordered, scan_from
+from swarmd.testing.yard import decided, outline_point, under_barrier
+from swarmd.values import ZERO, Array, Odometry, Platform, Pose, Scan, TouchZone, Twist
+
+TICK = 0.05
+PLATFORMS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")]
+BURGER, WAFFLE, JACKAL = PLATFORMS
+PLATFORM = st.sampled_from(PLATFORMS)
+AGE = st.floats(0.0, 0.3)
+SHARE = st.floats(-1, 1)
+RAYS = 360
+RETURN = st.tuples(st.integers(0, RAYS - 1), st.one_of(st.floats(0, 1), st.just(-1.0)))
+RETURNS = st.lists(RETURN, max_size=12)
+
+Returns = Sequence[tuple[int, float]]
+
+
+def seeing(platform: Platform, returns: Returns) -> Scan:
+    """Nothing but these: ray and share of 2 m beyond range_min; less than 0: too close."""
+    ranges = np.full(RAYS, math.inf)
+    for ray, share in returns:
+        ranges[ray] = platform.scan.range_min + 2.0 * share if share >= 0.0 else -math.inf
+    return scan_from(platform, ranges, platform.scan.bearings)
+
+
+def wishing(platform: Platform, v: float, w: float) -> Twist:
+    return Twist(v * platform.limits.linear, w * platform.limits.angular)
+
+
+def told(platform: Platform, **changes: Any) -> Platform:
+    """The same platform with other settings, its promise to others unchanged."""
+    surface_speed = platform.protection["barrier"]["others_speed"]
+    return under_barrier(platform, **{"surface_speed": surface_speed, **changes})
+
+
+def passes(platform: Platform, scan: Scan, twist: Twist, age: float = 0.0) -> bool:
+    """Whether a command is allowed, that is, comes out as it went in."""
+    safe = decided(platform, scan, twist, age=age).safe
+    return math.isclose(safe.linear, twist.linear, abs_tol=1e-9) and math.isclose(
+        safe.angular, twist.angular, abs_tol=1e-9
+    )
+
+
+@given(PLATFORM, SHARE, SHARE, st.lists(st.integers(0, RAYS - 1), max_size=20), AGE)
+def test_where_nothing_is_in_reach_a_wish_passes_to_the_last_bit(
+    platform: Platform, v: float, w: float, rays: list[int], age: float
+) -> None:
+    far = platform.scan.range_max - 0.1
+    ranges = np.full(RAYS, math.inf)
+    ranges[rays] = far
+    wish = wishing(platform, v, w)
+    verdict = decided(platform, scan_from(platform, ranges, platform.scan.bearings), wish, age=age)
+    assert verdict.safe == wish
+    assert not verdict.is_active
+    assert verdict.rows == ()
+
+
+@given(PLATFORM, RETURNS, AGE)
+def test_who_wishes_nothing_is_never_moved(
+    platform: Platform, returns: Returns, age: float
+) -> None:
+    verdict = decided(platform, seeing(platform, returns), ZERO, age=age)
+    assert verdict.safe == ZERO
+    assert not verdict.is_active
+
+
+ANYTHING = st.floats(allow_nan=True, allow_infinity=True)
+WILD = st.floats(-1e6, 1e6)
+
+
+@given(
+    PLATFORM,
+    arrays(np.float64, RAYS, elements=st.one_of(st.floats(0.0, 5.0), st.sampled_from(
+        [-math.inf, math.inf]))),
+    st.builds(Twist, ANYTHING, ANYTHING, ANYTHING),
+    st.builds(Odometry, ANYTHING, st.builds(Pose, WILD, WILD, WILD), st.builds(Twist, WILD, WILD)),
+    st.floats(0, 10),
+)  # fmt: skip
+def test_whatever_comes_in_what_comes_out_is_finite_and_within_limits(
+    platform: Platform, ranges: Array, wish: Twist, odometry: Odometry, age: float
+) -> None:
+    protection = Protection(platform)
+    clean = np.where(ranges < platform.scan.range_min, -math.inf, ranges)
+    clean = np.where(clean > platform.scan.range_max, math.inf, clean)
+    scan = scan_from(platform, clean, platform.scan.bearings)
+    for at in (5.0, 5.2):
+        moment = Moment(at, age, odometry, age)
+        protection.observe(scan, moment)
+        safe = protection.decide(wish, moment, is_running=True, hold=None).safe
+        assert safe.is_finite
+        assert platform.limits.clip(safe) == safe
+
+
+@given(PLATFORM, RETURNS, SHARE, SHARE, AGE)
+def test_from_what_it_closes_on_it_can_always_still_stop(
+    platform: Platform, returns: Returns, v: float, w: float, age: float
+) -> None:
+    """Each return against the safe command by the equation, with places found by brute force."""
+    settings = platform.protection["barrier"]
+    scan = seeing(platform, returns)
+    safe = decided(platform, scan, wishing(platform, v, w), age=age).safe
+    unseen = platform.scan.latency + age
+    free = settings["margin"] + settings["unseen_extent"]
+    for bearing, distance in zip(scan.bearings, scan.ranges, strict=True):
+        if not math.isfinite(distance):
+            continue
+        point = platform.scan.offset + distance * np.array([math.cos(bearing), math.sin(bearing)])
+        gap, at, towards = outline_point(platform.footprint, point)
+        if gap == 0.0:
+            continue
+        lever = at[0] * towards[1] - at[1] * towards[0]
+        closing = safe.linear * towards[0] + safe.angular * lever
+        braking = abs(towards[0]) * settings["braking_linear"]
+        braking = max(braking + abs(lever) * settings["braking_angular"], 0.02)
+        own = closing * TICK + closing**2 / (2.0 * braking)
+        theirs = settings["others_speed"] * (unseen + TICK + closing / braking)
+        assert closing <= 1e-9 or own + theirs <= gap - free + 1e-9
+
+
+@given(PLATFORM, st.integers(0, RAYS - 1), SHARE, SHARE)
+def test_along_a_ray_that_is_too_close_it_never_closes(
+    platform: Platform, ray: int, v: float, w: float
+) -> None:
+    scan = seeing(platform, [(ray, -1.0)])
+    safe = decided(platform, scan, wishing(platform, v, w)).safe
+    bearing = float(platform.scan.bearings[ray])
+    way = np.array([math.cos(bearing), math.sin(bearing)])
+    at = edge_along(platform, way)
+    closing = safe.linear * way[0] + safe.angular * (at[0] * way[1] - at[1] * way[0])
+    assert closing <= 1e-9
+
+
+def edge_along(platform: Platform, way: Array) -> Array:
+    """Where a ray from the sensor leaves the outline, by bisection."""
+    inside, outside = 0.0, 2.0
+    for _ in range(60):
+        middle = 0.5 * (inside + outside)
+        point = platform.scan.offset + middle * way
+        is_inside = outline_point(platform.footprint, point)[0] == 0.0
+        inside, outside = (middle, outside) if is_inside else (inside, middle)
+    edge: Array = platform.scan.offset + inside * way
+    return edge
+
+
+@given(PLATFORM, RETURNS, SHARE, SHARE, AGE)
+def test_what_is_allowed_is_given_back(
+    platform: Platform, returns: Returns, v: float, w: float, age: float
+) -> None:
+    scan = seeing(platform, returns)
+    safe = decided(platform, scan, wishing(platform, v, w), age=age).safe
+    assert passes(platform, scan, safe, age)
+
+
+@given(PLATFORM, RETURNS, RETURNS, SHARE, SHARE, AGE)
+def test_what_more_is_seen_never_allows_more(
+    platform: Platform, returns: Returns, more: Returns, v: float, w: float, age: float
+) -> None:
+    taken = {ray for ray, _ in returns}
+    both = [*returns, *(one for one in more if one[0] not in taken)]
+    safe = decided(platform, seeing(platform, both), wishing(platform, v, w), age=age).safe
+    assert passes(platform, seeing(platform, returns), safe, age)
+
+
+@given(PLATFORM, RETURNS, SHARE, SHARE, AGE, st.floats(0.0, 0.3))
+def test_an_older_scan_never_allows_more(
+    platform: Platform, returns: Returns, v: float, w: float, age: float, more: float
+) -> None:
+    scan = seeing(platform, returns)
+    safe = decided(platform, scan, wishing(platform, v, w), age=age + more).safe
+    assert passes(platform, scan, safe, age)
+
+
+@pytest.mark.parametrize("setting", ["others_speed", "margin", "unseen_extent"])
+@given(platform=PLATFORM, returns=RETURNS, v=SHARE, w=SHARE, more=st.floats(0.0, 1.0))
+def test_more_caution_never_allows_more(
+    setting: str, platform: Platform, returns: Returns, v: float, w: float, more: float
+) -> None:
+    scan = seeing(platform, returns)
+    value = platform.protection["barrier"][setting]
+    cautious = told(platform, **{setting: value + more})
+    safe = decided(cautious, scan, wishing(platform, v, w)).safe
+    assert passes(told(platform), scan, safe)
+
+
+@given(PLATFORM, RETURNS, SHARE, SHARE, AGE)
+def test_left_and_right_are_alike(
+    platform: Platform, returns: Returns, v: float, w: float, age: float
+) -> None:
+    scan, wish = seeing(platform, returns), wishing(platform, v, w)
+    safe = decided(platform, scan, wish, age=age).safe
+    other = decided(platform, mirrored(scan), Twist(wish.linear, -wish.angular), age=age).safe
+    assert other.linear == pytest.approx(safe.linear, abs=1e-9)
+    assert other.angular == pytest.approx(-safe.angular, abs=1e-9)
+
+
+@given(PLATFORM, RETURNS, SHARE, SHARE, st.integers(0, 1000))
+def test_the_order_of_rays_and_what_is_seen_twice_do_not_matter(
+    platform: Platform, returns: Returns, v: float, w: float, seed: int
+) -> None:
+    scan, wish = seeing(platform, returns), wishing(platform, v, w)
+    safe = decided(platform, scan, wish).safe
+    twice = replace(scan, ranges=np.tile(scan.ranges, 2), bearings=np.tile(scan.bearings, 2))
+    for changed in (reordered(scan, np.random.default_rng(seed)), twice):
+        other = decided(platform, changed, wish).safe
+        assert other.linear == pytest.approx(safe.linear, abs=1e-9)
+        assert other.angular == pytest.approx(safe.angular, abs=1e-9)
+
+
+@given(PLATFORM, RETURNS, SHARE, SHARE)
+def test_the_promise_to_others_is_kept_wherever_something_is_near(
+    platform: Platform, returns: Returns, v: float, w: float
+) -> None:
+    scan = seeing(platform, [*returns, (0, 0.1)])
+    safe = decided(platform, scan, wishing(platform, v, w)).safe
+    speeds = [
+        math.hypot(safe.linear - safe.angular * y, safe.angular * x) for x, y in platform.footprint
+    ]
+    assert max(speeds) <= platform.protection["barrier"]["others_speed"] + 1e-9
+
+
+@given(PLATFORM, RETURNS, SHARE, SHARE)
+def test_what_bounds_a_command_is_named_tightest_first(
+    platform: Platform, returns: Returns, v: float, w: float
+) -> None:
+    verdict = decided(platform, seeing(platform, returns), wishing(platform, v, w))
+    caps = [row.cap for row in verdict.rows]
+    assert caps == sorted(caps)
+    assert all(row.gap >= 0.0 <= row.cap for row in verdict.rows)
+    assert verdict.is_active or not caps
+
+
+@given(PLATFORM, RETURNS, SHARE, SHARE, st.floats(-3, 3), st.floats(0.05, 1.0), st.floats(0, 0.3))
+def test_a_touch_zone_takes_nothing_away_and_frees_its_own_sector_alone(
+    platform: Platform, returns: Returns, v: float, w: float, bearing: float, half: float,
+    speed: float,
+) -> None:  # fmt: skip
+    zone = TouchZone(bearing, half, speed)
+    scan, wish = seeing(platform, returns), wishing(platform, v, w)
+    without = decided(platform, scan, wish).safe
+    again = decided(platform, scan, without, touch=zone).safe
+    assert (again.linear, again.angular) == pytest.approx((without.linear, without.angular))
+    outside = [one for one in returns if not within(platform, scan, one[0], zone)]
+    freed = decided(platform, scan, wish, touch=zone).safe
+    assert passes(platform, seeing(platform, outside), freed)
+
+
+def within(platform: Platform, scan: Scan, ray: int, zone: TouchZone) -> bool:
+    """Whether what a ray sees lies in the zone's sector as seen from the axle, or almost."""
+    bearing = scan.bearings[ray]
+    way = np.array([math.cos(bearing), math.sin(bearing)])
+    is_seen = math.isfinite(scan.ranges[ray])
+    place = platform.scan.offset + scan.ranges[ray] * way if is_seen else edge_along(platform, way)
+    off = math.remainder(math.atan2(place[1], place[0]) - zone.bearing, 2.0 * math.pi)
+    return abs(off) <= zone.half_width + 1e-6
