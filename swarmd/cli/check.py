@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile
+from typing import Any
 
 import click
 
@@ -47,12 +48,33 @@ def _findings(settings: DaemonSettings) -> Iterator[Finding]:
 
 def _platform_text(settings: DaemonSettings) -> str:
     platform = settings.platform
-    protection = platform.protection
+    limits = platform.limits
     return (
-        f"{platform.name}: up to {platform.limits.linear:g} m/s and "
-        f"{platform.limits.angular:g} rad/s; protection {protection['mode']} "
-        f"({protection['preset']}) within {protection['threshold']:g} m"
+        f"{platform.name}: up to {limits.linear:g} m/s and {limits.angular:g} rad/s;"
+        f" protection {protection_text(platform.protection)}"
     )
+
+
+def protection_text(protection: Mapping[str, Any]) -> str:
+    """The mode in force with its main numbers, from a platform's `protection`."""
+    mode = protection["mode"]
+    if mode == "barrier":
+        told = protection["barrier"]
+        text = (
+            f"barrier ({told['responsibility']}): others come at up to {told['others_speed']:g}"
+            f" m/s and reach {told['unseen_extent']:g} m beyond what is seen, {told['margin']:g} m"
+            f" more is kept, brakes {told['braking_linear']:g} m/s2 and"
+            f" {told['braking_angular']:g} rad/s2"
+        )
+        keep_out = told["keep_out"]
+        return text if keep_out is None else f"{text}, nothing within {keep_out:g} m of the sensor"
+    if mode == "stop_zone":
+        told = protection["stop_zone"]
+        share = f"{told['slow_share']:.0%} of the wish"
+        return f"stop_zone: stops within {told['stop']:g} m, {share} within {told['slow']:g} m"
+    if mode == "potential_field":
+        return f"potential_field ({protection['preset']}) within {protection['threshold']:g} m"
+    return f"{mode}: nothing keeps it from touching anything"
 
 
 def _network(settings: DaemonSettings) -> Finding:
