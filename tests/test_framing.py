@@ -11,7 +11,7 @@ from swarmd.errors import CodecError
 from swarmd.frames import Failed, Load, ParamsSet, Ready, Refused, SetParams, Step, Stepped
 from swarmd.framing import decode_command, decode_event, encode_command, encode_event
 from swarmd.settings import load_platform
-from swarmd.values import Inputs, Message, Neighbor, Odometry, Outputs, Pose, Scan, Twist
+from swarmd.values import Inputs, Message, Neighbor, Odometry, Outputs, Pose, Scan, TouchZone, Twist
 
 PLATFORM = load_platform("jackal")
 SPEC = PLATFORM.scan
@@ -73,6 +73,7 @@ def test_set_params_arrives() -> None:
     "event",
     [
         Ready(1, 10.0, frozenset({"a"}), {"speed": (0.1, "robot"), "law": ("paper", "pattern")}),
+        Ready(1, 10.0, frozenset(), {}, TouchZone(0.5, 0.3, 0.1)),
         Refused(2, "no such pattern"),
         Stepped(3, Outputs(Twist(0.1, -0.2), {"a": 1}, {"state": "go"}, "done"), 9, 2),
         Stepped(3, Outputs(), -1),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import socket
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from swarmd.errors import ConfigError
 from swarmd.settings import DaemonSettings, load_daemon_settings, platform_names
+from swarmd.values import TouchZone
 
 HOME = {"HOME": "/home/someone"}
 
@@ -132,6 +134,19 @@ def test_pattern_parameters_come_in_layers_weakest_first(folder: Path) -> None:
     )
     assert settings.pattern_layers("attraction") == (("robot", {"range_max": 1}),)
     assert settings.pattern_layers("dispersion") == ()
+
+
+def test_what_a_swarm_grants_a_robots_own_file_can_change_and_take_away(folder: Path) -> None:
+    (folder / "swarm.yaml").write_text(
+        "touch: {push: {half_width_deg: 20, speed: 0.1}, dock: {half_width_deg: 5, speed: 0.02}}"
+    )
+    settings = load("id: r1\nswarm_file: swarm.yaml\ntouch: {dock: null, push: {speed: 0.05}}")
+    assert settings.touch_zones == {"push": TouchZone(0.0, math.radians(20.0), 0.05)}
+    assert settings.provenance["touch"] == "r.yaml"
+
+
+def test_nothing_may_be_touched_by_default(folder: Path) -> None:
+    assert load("id: r1").touch_zones == {}
 
 
 def test_a_source_is_never_longer_than_a_status_can_name(folder: Path) -> None:

@@ -89,6 +89,23 @@ def test_takes_the_file_of_a_daemon_as_well(file: Path) -> None:
             {"parameters": {"robots": {"r1": {"drive": {"linear": [1]}}}}},
             "swarm.yaml: parameters.robots.r1.drive.linear is [1]; wanted",
         ),
+        (
+            {"touch": {"push": {"half_width_deg": 20, "speed": 0.31}}},
+            "swarm.yaml: touch.push.speed is 0.31; wanted a number above 0 and up to 0.3",
+        ),
+        (
+            {"touch": {"push": {"half_width_deg": 61, "speed": 0.1}}},
+            "swarm.yaml: touch.push.half_width_deg is 61; wanted a number above 0 and up to 60",
+        ),
+        (
+            {"touch": {"push": {"speed": 0.1}}},
+            "swarm.yaml: touch.push.half_width_deg is missing; wanted a number above 0",
+        ),
+        (
+            {"touch": {"push": {"half_width": 20, "speed": 0.1}}},
+            "swarm.yaml: touch.push has no key 'half_width'; did you mean 'half_width_deg'?",
+        ),
+        ({"touch": {"push": True}}, "swarm.yaml: touch.push is True; wanted keys and values:"),
         ({"swarm_file": "none.yaml"}, "none.yaml: cannot be read: No such file"),
     ],
 )

@@ -13,6 +13,8 @@ from swarmd.settings import load_daemon_settings, load_platform
 from swarmd.testing.body import Body
 from swarmd.testing.processes import unique_swarm
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
 
 def swarmd(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "HOME": str(cwd), "SWARM": ""}
@@ -67,7 +69,8 @@ def test_a_mistake_is_one_line_and_exit_2(tmp_path: Path, args: list[str], fault
 def test_the_effective_configuration_names_sources_and_reads_back_the_same(tmp_path: Path) -> None:
     (tmp_path / "swarm.yaml").write_text("swarm: lab\nroster: [r1, r2]\nlabels: {red: [r1]}")
     (tmp_path / "r.yaml").write_text(
-        "swarm_file: swarm.yaml\nplatform: burger\ndriver_options: {endpoint: tcp/127.0.0.1:9}"
+        "swarm_file: swarm.yaml\nplatform: burger\ndriver_options: {endpoint: tcp/127.0.0.1:9}\n"
+        "touch: {push: {half_width_deg: 20, speed: 0.1}, dock: null}"
     )
     done = swarmd("--config", "r.yaml", "--id", "r1", "--print-effective-config", cwd=tmp_path)
     lines = [line.split("  #") for line in done.stdout.splitlines() if "  #" in line]
@@ -80,7 +83,8 @@ def test_the_effective_configuration_names_sources_and_reads_back_the_same(tmp_p
     (tmp_path / "again.yaml").write_text(done.stdout)
     first = load_daemon_settings(tmp_path / "r.yaml", {"id": "r1"}, {"HOME": str(tmp_path)})
     again = load_daemon_settings(tmp_path / "again.yaml", {}, {})
-    for key in ("id", "swarm", "roster", "labels", "driver_options", "state_dir", "platform_name"):
+    same = ("id", "swarm", "roster", "labels", "driver_options", "state_dir", "platform_name")
+    for key in (*same, "touch"):
         assert getattr(again, key) == getattr(first, key)
 
 
@@ -101,6 +105,19 @@ def test_check_looks_at_everything_and_moves_nothing(tmp_path: Path) -> None:
     assert "No module named 'nothing_of_that_name'" in done.stdout
     assert "not well" in done.stdout.splitlines()[-1]
     assert not (tmp_path / ".local").exists()
+
+
+def test_check_tells_of_what_may_be_touched_and_whether_that_is_asked_for(tmp_path: Path) -> None:
+    (tmp_path / "r.yaml").write_text(
+        f"id: r1\nplugin_dir: {EXAMPLES}\ndriver_options: {{endpoint: tcp/127.0.0.1:9}}\n"
+        "touch: {push: {half_width_deg: 10, speed: 0.1}, pusch: {half_width_deg: 9, speed: 0.1}}"
+    )
+    done = swarmd("--config", "r.yaml", "--check", cwd=tmp_path)
+    granted, unknown = (line for line in done.stdout.splitlines() if line[6:].startswith("touch"))
+    assert granted.startswith("ok")
+    assert "push: granted +-10 deg ahead at up to 0.10 m/s; it asks for +-20 deg" in granted
+    assert unknown.startswith("FAIL")
+    assert "no pattern 'pusch'; did you mean 'push'?" in unknown
 
 
 def test_check_tries_to_write_where_latches_are_kept(tmp_path: Path) -> None:

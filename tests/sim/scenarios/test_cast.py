@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,6 +10,8 @@ import pytest
 
 from swarmd.errors import ConfigError
 from swarmd.platforms import load_platform
+from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.values import TouchZone
 
 if TYPE_CHECKING:
     from tests.sim.scenarios.conftest import Load
@@ -38,6 +41,15 @@ def test_values_of_a_platform_can_be_changed_for_one_scenario(load: Load) -> Non
     scenario = load({"platforms": {"burger": {"protection": {"preset": "repo"}}}})
     assert scenario.robots["red-01"].protection["threshold"] == 0.22
     assert scenario.robots["b-one"].protection["threshold"] == 0.5
+
+
+def test_a_group_grants_its_robots_where_a_pattern_may_touch(load: Load) -> None:
+    granted = {"attraction": {"bearing_deg": 90, "half_width_deg": 9, "speed": 0.1}, "drive": None}
+    scenario = load({"groups.red.touch": granted})
+    zone = TouchZone(math.radians(90.0), math.radians(9.0), 0.1)
+    assert scenario.touch["red-02"] == {"attraction": zone}
+    assert scenario.touch["b-one"] == {}
+    assert scenario_of(scenario.effective).touch == scenario.touch
 
 
 def test_a_platform_can_be_made_from_another(load: Load) -> None:

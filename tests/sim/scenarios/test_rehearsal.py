@@ -54,6 +54,10 @@ class Needy(MovementPattern[Params]):
             "parameters: no pattern 'driev'; did you mean 'drive'?",
         ),
         (
+            {"groups.red.touch": {"driev": {"half_width_deg": 9, "speed": 0.1}}},
+            "groups.red.touch.driev: no pattern 'driev'; did you mean 'drive'?",
+        ),
+        (
             {"events.0.parameters": {"speed": 100}},
             "events[0].parameters.speed: parameter speed is 100 m/s (from runtime); wanted is",
         ),

@@ -65,6 +65,11 @@ def test_the_scenario_that_is_changed_here_is_right(load: Load) -> None:
         ("groups.red.count", 2.5, "groups.red.count is 2.5; wanted a whole number"),
         ("groups.red.count", True, "groups.red.count is True; wanted a whole number"),
         ("groups.red.cuont", 3, "groups.red has no key 'cuont'; did you mean 'count'?"),
+        (
+            "groups.red.touch.drive",
+            {"half_width_deg": 9},
+            "groups.red.touch.drive.speed is missing",
+        ),
         ("groups.red.parameters", [1], "groups.red.parameters is [1]; wanted keys and values"),
         ("groups.red.start.spacing", 0, "groups.red.start.spacing is 0; wanted a number of at"),
         (

@@ -1,0 +1,35 @@
+"""The example that touches, found and loaded as a user's own file would be."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+from swarmd.behavior import Pattern
+from swarmd.loading import Finder
+from swarmd.plugins import find_pattern
+from swarmd.testing.pattern_contract import PatternContract
+from swarmd.touch import in_force
+from swarmd.values import TouchZone
+
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
+
+
+def load() -> type[Pattern[Any]]:
+    origin = find_pattern("push", EXAMPLES)
+    return Finder({"push": (origin.value, origin.is_file)})("push")
+
+
+class TestPush(PatternContract):
+    pattern = load()
+
+
+def test_it_may_touch_all_that_it_asks_for_as_its_text_says_it_is_granted() -> None:
+    granted = TouchZone(0.0, math.radians(20.0), 0.1)  # what its own text tells to configure
+    assert "touch: {push: {half_width_deg: 20, speed: 0.1}}" in (EXAMPLES / "push.py").read_text()
+    assert in_force("push", load().touches, granted)[0] == granted
+
+
+def test_it_is_not_led_around_what_it_pushes() -> None:
+    assert load().params_type().unstick is False
