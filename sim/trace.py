@@ -17,12 +17,13 @@ from swarmd.values import Array, Platform
 ARENA = -1
 """The index that stands for walls, boxes and poles in a contact."""
 
-VERSION = 2
+VERSION = 3
 
 _PARTS = {
     "t": "f T", "pose": "f T n 3", "safe": "f T n 3", "wish": "f T n 3",
     "state": "U T n", "reason": "U T n", "active": "b T n", "present": "b T n",
-    "decided": "i T n", "evaded": "i T n", "report": "f T n", "words": "U T n",
+    "decided": "i T n", "evaded": "i T n", "unsticking": "b T n",
+    "gap": "f T n", "scan_age": "f T n", "bound": "f T n 3", "report": "f T n", "words": "U T n",
     "contact_t": "f c", "contact_pair": "i c 2", "contact_speed": "f c 2",
     "thing_pose": "f T m 3", "thing_shapes": "f m k 2",
 }  # fmt: skip
@@ -38,14 +39,21 @@ class Trace:
     `contact_pair` (c, 2) robot indices, the second ARENA for a wall and
     ARENA - 1 - m for movable box m, and `contact_speed` (c, 2)
     m/s at which each surface moved towards the other: one row for every step of a touch.
-    `platforms` by name, each with its footprint (k, 2); `meta` holds arena, seed and the like.
+    `platforms` by name, each with its footprint (k, 2); `meta` holds arena, seed and the
+    like, and `modes`: that of protection, by platform.
 
     What only the robots themselves know is None unless they said it: `wish` (T, n, 3), `state`
     and `reason` (T, n) words, `active` (T, n) bool: protection has replaced or cut the wish, and
     `decided` and `evaded` (T, n) how many sweeps it has judged while running since the instant
-    before, and in how many of them it was active. `present` (T, n) bool: the robot's daemon is
-    there (None: all are, always). `report` (T, n) by name: numbers that patterns reported, NaN
-    where they did not; `words` the same for words, empty where they did not.
+    before, and in how many of them it was active. `gap` (T, n) m from the footprint to the nearest
+    that the robot saw, NaN if nothing, and `scan_age` (T, n) s, NaN before the first scan. `bound`
+    (T, n, 3) what bound the command most: its bearing in rad from the axle, its gap in m and the
+    speed in m/s at which the outline might at most move towards it; NaN if nothing. `unsticking`
+    (T, n) bool: protection judged not the wish but a way around what blocks it.
+
+    `present` (T, n) bool: the robot's daemon is there (None: all are, always). `report` (T, n) by
+    name: numbers that patterns reported, NaN where they did not; `words` the same for words, empty
+    where they did not.
 
     `thing_pose` (T, m, 3) are the poses of the movable boxes `things`, NaN while one is not in
     the arena; `thing_shapes` (m, k, 2) their outlines in their own frames.
@@ -67,6 +75,10 @@ class Trace:
     active: NDArray[np.bool_] | None = None
     decided: NDArray[np.int64] | None = None
     evaded: NDArray[np.int64] | None = None
+    gap: Array | None = None
+    scan_age: Array | None = None
+    bound: Array | None = None
+    unsticking: NDArray[np.bool_] | None = None
     present: NDArray[np.bool_] | None = None
     report: Mapping[str, Array] = field(default_factory=dict)
     words: Mapping[str, NDArray[np.str_]] = field(default_factory=dict)

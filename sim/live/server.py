@@ -148,6 +148,7 @@ def _meta(options: argparse.Namespace, robots: Mapping[str, Platform]) -> dict[s
         "lidar_visibility": options.lidar_visibility,
         "realism": options.realism,
         "radio": to_builtins(_radio_settings(options)),
+        "modes": {name: p.protection["mode"] for name, p in kinds.items()},
         "thresholds": {name: p.protection.get("threshold", 0.0) for name, p in kinds.items()},
         "v_max": {name: p.limits.linear for name, p in kinds.items()},
     }

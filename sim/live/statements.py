@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from swarmd.messages import Status
@@ -26,16 +27,16 @@ class Statements:
         self._heard.append((time, dict(statuses)))
 
     def brought_into(self, trace: Trace) -> Trace:
-        """The trace with `state`, `reason`, `active`, `report` and `words`.
+        """The trace with what a status tells of state, protection, `report` and `words`.
 
         Empty, False and NaN before a robot's first word. A wish is not among them: one that is
-        some tenths of a second old cannot be held against the command of an instant.
+        some tenths of a second old cannot be held against the command of an instant. `gap`,
+        `scan_age` and `bound` are those of the moment of the last word.
         """
         if not self._heard:
             return trace
         shape = len(trace.t), len(trace.ids)
-        state, reason = np.full(shape, "", dtype=_WORD), np.full(shape, "", dtype=_WORD)
-        active = np.zeros(shape, dtype=bool)
+        known = _blank(shape)
         reports: dict[str, NDArray[Any]] = {}
         words: dict[str, NDArray[Any]] = {}
         for time, statuses in self._heard:
@@ -44,8 +45,7 @@ class Statements:
                 if robot not in trace.ids:
                     continue
                 place = slice(since, None), trace.ids.index(robot)
-                state[place], reason[place] = status.state.value, status.reason or ""
-                active[place] = status.verdict.is_active
+                _enter(known, place, status)
                 for name, value in status.report.items():
                     if isinstance(value, str):
                         words.setdefault(name, np.full(shape, "", dtype=_WORD))[place] = value
@@ -53,9 +53,29 @@ class Statements:
                         reports.setdefault(name, np.full(shape, np.nan))[place] = float(value)
         return replace(
             trace,
-            state=state,
-            reason=reason,
-            active=active,
+            **known,
             report=dict(sorted(reports.items())),
             words=dict(sorted(words.items())),
         )
+
+
+def _blank(shape: tuple[int, int]) -> dict[str, Any]:
+    """What is known of robots that have said nothing yet."""
+    return {
+        "state": np.full(shape, "", dtype=_WORD),
+        "reason": np.full(shape, "", dtype=_WORD),
+        "active": np.zeros(shape, dtype=bool),
+        "unsticking": np.zeros(shape, dtype=bool),
+        "gap": np.full(shape, np.nan),
+        "scan_age": np.full(shape, np.nan),
+        "bound": np.full((*shape, 3), np.nan),
+    }
+
+
+def _enter(known: Mapping[str, Any], place: tuple[slice, int], status: Status) -> None:
+    verdict = status.verdict
+    known["state"][place], known["reason"][place] = status.state.value, status.reason or ""
+    known["active"][place], known["unsticking"][place] = verdict.is_active, verdict.is_unsticking
+    known["gap"][place] = np.nan if verdict.min_gap is None else verdict.min_gap
+    known["scan_age"][place] = np.nan if verdict.scan_age is None else verdict.scan_age
+    known["bound"][place] = astuple(verdict.rows[0]) if verdict.rows else np.nan

@@ -276,6 +276,7 @@ class Lockstep:
             "lidar_visibility": scenario.visibility,
             "radio": scenario.effective.get("radio", {}),
             "groups": {name: list(ids) for name, ids in scenario.groups.items()},
+            "modes": {p.name: p.protection["mode"] for p in platforms},
             "thresholds": {p.name: p.protection.get("threshold", 0.0) for p in platforms},
             "v_max": {p.name: p.limits.linear for p in platforms},
             "events": [

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from swarmd.sim.lockstep.shell import Shell
@@ -37,33 +38,13 @@ class Logbook:
 
     def instant(self, now: float, safe: Array, shells: Sequence[Shell | None]) -> None:
         """Note how all stand at `now`, with the commands `safe` (n, 3) in force."""
-        n, instant = len(shells), len(self._t)
-        wish, active = np.zeros((n, 3)), np.zeros(n, dtype=bool)
-        counts = np.zeros((2, n), dtype=np.int64)
-        state, reason = np.full(n, "", dtype=_WORD), np.full(n, "", dtype=_WORD)
+        kept = _blank(len(shells))
+        kept["pose"], kept["safe"] = self._world.poses(), safe.copy()
         for row, shell in enumerate(shells):
-            if shell is None:
-                continue
-            robot = shell.robot
-            verdict = robot.verdict
-            wish[row] = verdict.wish.linear, verdict.wish.angular, verdict.wish.lateral
-            active[row] = verdict.is_active
-            counts[:, row] = shell.decided, shell.evaded
-            shell.decided = shell.evaded = 0
-            state[row], reason[row] = robot.state.value, (robot.reason or "")
-            self._note(robot.report, instant, row)
+            if shell is not None:
+                _enter(kept, row, shell)
+                self._note(shell.robot.report, len(self._t), row)
         self._t.append(now)
-        kept = {
-            "pose": self._world.poses(),
-            "safe": safe.copy(),
-            "wish": wish,
-            "active": active,
-            "decided": counts[0],
-            "evaded": counts[1],
-            "state": state,
-            "reason": reason,
-            "present": np.array([shell is not None for shell in shells]),
-        }
         if self._world.things:
             kept["thing_pose"] = self._world.thing_poses()
         for name, values in kept.items():
@@ -96,6 +77,42 @@ class Logbook:
                 self._words.setdefault(name, []).append((instant, row, value))
             else:
                 self._reports.setdefault(name, []).append((instant, row, float(value)))
+
+
+def _blank(n: int) -> dict[str, NDArray[Any]]:
+    """What is known of n robots that are not there."""
+    flags, counts = np.zeros((3, n), dtype=bool), np.zeros((2, n), dtype=np.int64)
+    words, numbers = np.full((2, n), "", dtype=_WORD), np.full((2, n), np.nan)
+    return {
+        "present": flags[0],
+        "active": flags[1],
+        "unsticking": flags[2],
+        "decided": counts[0],
+        "evaded": counts[1],
+        "state": words[0],
+        "reason": words[1],
+        "gap": numbers[0],
+        "scan_age": numbers[1],
+        "bound": np.full((n, 3), np.nan),
+        "wish": np.zeros((n, 3)),
+    }
+
+
+def _enter(kept: Mapping[str, NDArray[Any]], row: int, shell: Shell) -> None:
+    """Note how robot `row` stands, and what it has judged since the last instant."""
+    robot, verdict = shell.robot, shell.robot.verdict
+    kept["present"][row] = True
+    kept["state"][row], kept["reason"][row] = robot.state.value, robot.reason or ""
+    kept["wish"][row] = verdict.wish.linear, verdict.wish.angular, verdict.wish.lateral
+    kept["active"][row], kept["unsticking"][row] = verdict.is_active, verdict.is_unsticking
+    kept["decided"][row], kept["evaded"][row] = shell.decided, shell.evaded
+    shell.decided = shell.evaded = 0
+    if verdict.min_gap is not None:
+        kept["gap"][row] = verdict.min_gap
+    if verdict.scan_age is not None:
+        kept["scan_age"][row] = verdict.scan_age
+    if verdict.rows:
+        kept["bound"][row] = astuple(verdict.rows[0])
 
 
 def _filled(entries: list[tuple[int, int, float]], shape: tuple[int, int]) -> Array:

@@ -11,7 +11,7 @@ import pytest
 
 from swarmd.errors import ConfigError
 from swarmd.platforms import load_platform
-from swarmd.sim.trace import ARENA, Recorder, Trace, load_trace
+from swarmd.sim.trace import ARENA, VERSION, Recorder, Trace, load_trace
 
 IDS = ("a", "b")
 
@@ -49,6 +49,8 @@ def test_keeps_what_robots_said_of_themselves(tmp_path: Path) -> None:
         trace.contact_t, trace.contact_pair, trace.contact_speed,
         trace.platforms, trace.footprints,
         wish=trace.safe, state=np.full((10, 2), "running"), active=np.ones((10, 2), dtype=bool),
+        gap=np.full((10, 2), 0.3), scan_age=np.full((10, 2), np.nan),
+        bound=np.arange(60.0).reshape(10, 2, 3), unsticking=np.ones((10, 2), dtype=bool),
         report={"opinion": np.arange(20.0).reshape(10, 2)}, words={"state": np.full((10, 2), "x")},
         things=("crate",), thing_pose=np.full((10, 1, 3), np.nan),
     )  # fmt: skip
@@ -58,6 +60,8 @@ def test_keeps_what_robots_said_of_themselves(tmp_path: Path) -> None:
     assert again.state[3, 1] == "running"
     assert again.active is not None
     assert again.active.all()
+    for name in ("gap", "scan_age", "bound", "unsticking"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(said, name))
     assert again.reason is None
     np.testing.assert_array_equal(again.report["opinion"], said.report["opinion"])
     assert again.words["state"][4, 0] == "x"
@@ -89,6 +93,16 @@ def test_recorder_keeps_copies() -> None:
     np.testing.assert_array_equal(recorder.trace().pose, 0.0)
 
 
+def test_a_trace_of_another_version_is_said_to_be_one(tmp_path: Path) -> None:
+    recorded().save(tmp_path / "run.npz")
+    with np.load(tmp_path / "run.npz") as file:
+        whole = dict(file)
+    whole["head"] = np.array(str(whole["head"]).replace(f'"version": {VERSION}', '"version": 2'))
+    np.savez(tmp_path / "run.npz", **whole)
+    with pytest.raises(ConfigError, match=f"a trace of another version; this reads {VERSION}"):
+        load_trace(tmp_path / "run.npz")
+
+
 @pytest.mark.parametrize("content", [b"", b"rubbish", b"PK\x03\x04rubbish"])
 def test_a_file_that_is_no_trace_is_one_clear_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "run.npz"
@@ -117,6 +131,9 @@ def test_arrays_that_do_not_fit_together_are_one_clear_error(tmp_path: Path) -> 
         {"safe": pose.astype("U8")},
         {"wish": pose[:, :1]},
         {"active": np.zeros((0, n), dtype=bool)},
+        {"bound": pose[:, :, 0]},
+        {"gap": pose},
+        {"unsticking": pose[:, :, 0]},
         {"report/x": np.zeros(len(t))},
         {"words/x": np.zeros((len(t), n))},
         {"contact_pair": whole["contact_pair"].astype(float)},

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from swarmd.messages import Reason, State, Status
+from swarmd.messages import Reason, Row, State, Status
 from swarmd.platforms import load_platform
 from swarmd.sim.live.statements import Statements
 from swarmd.sim.metrics.catalog import measure
@@ -29,7 +29,15 @@ def status() -> Status:
 
 
 def say(status: Status, robot: str, opinion: int, *, is_active: bool) -> Status:
-    verdict = msgspec.structs.replace(status.verdict, is_active=is_active)
+    rows = (Row(-0.5, 0.21, 0.05), Row(0.5, 0.4, 0.1)) if is_active else ()
+    verdict = msgspec.structs.replace(
+        status.verdict,
+        is_active=is_active,
+        is_unsticking=is_active,
+        rows=rows,
+        min_gap=0.2 if is_active else None,
+        scan_age=0.1,
+    )
     return msgspec.structs.replace(
         status,
         robot=robot,
@@ -60,6 +68,23 @@ def test_a_word_holds_from_its_time_until_the_next(trace: Trace, status: Status)
     np.testing.assert_array_equal(told.report["opinion"][[4, 5, 10], 0], [np.nan, 1.0, 2.0])
     assert told.words["mood"][20, 1] == "calm"
     assert told.wish is None
+
+
+def test_what_bounded_a_robot_is_in_the_trace(trace: Trace, status: Status) -> None:
+    statements = Statements()
+    statements.hear(0.5, {"a": say(status, "a", 1, is_active=True)})
+    statements.hear(1.0, {"a": say(status, "a", 1, is_active=False)})
+    told = statements.brought_into(trace)
+    assert told.gap is not None
+    assert told.scan_age is not None
+    assert told.bound is not None
+    assert told.unsticking is not None
+    np.testing.assert_array_equal(told.gap[[4, 5, 9, 10], 0], [np.nan, 0.2, 0.2, np.nan])
+    np.testing.assert_array_equal(told.scan_age[[4, 5, 20], 0], [np.nan, 0.1, 0.1])
+    np.testing.assert_array_equal(told.bound[[5, 9], 0], [[-0.5, 0.21, 0.05]] * 2)
+    assert np.isnan(told.bound[[4, 10], 0]).all()
+    assert np.isnan(told.bound[:, 1]).all()
+    assert told.unsticking[:, 0].tolist() == [*[False] * 5, *[True] * 5, *[False] * 11]
 
 
 def test_metrics_of_what_robots_say_can_then_be_taken(trace: Trace, status: Status) -> None:

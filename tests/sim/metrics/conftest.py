@@ -66,6 +66,10 @@ def make_full_run(seed: int, n: int = 6, instants: int = 12) -> Trace:
         active=rng.random(shape) < 0.3,
         decided=decided,
         evaded=rng.integers(0, decided + 1),
+        gap=rng.uniform(0.0, 2.0, shape),
+        scan_age=rng.uniform(0.0, 0.3, shape),
+        bound=rng.normal(size=(*shape, 3)),
+        unsticking=rng.random(shape) < 0.2,
         present=rng.random(shape) < 0.9,
         report={"opinion": rng.integers(0, 2, shape).astype(np.float64)},
     )

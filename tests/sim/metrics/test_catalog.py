@@ -44,7 +44,10 @@ def moved(trace: Trace, shift: tuple[float, float], turn: float) -> Trace:
 def shuffled(trace: Trace, order: list[int]) -> Trace:
     """The same run, its robots in another order."""
     place = np.argsort(order)
-    parts = ("pose", "safe", "wish", "state", "reason", "active", "decided", "evaded", "present")
+    parts = (
+        *("pose", "safe", "wish", "state", "reason", "active", "decided", "evaded", "present"),
+        *("gap", "scan_age", "bound", "unsticking"),
+    )
     return replace(
         trace,
         ids=tuple(trace.ids[i] for i in order),
