@@ -15,6 +15,7 @@ from swarmd.errors import ConfigError, unknown
 from swarmd.sim.metrics import (
     aggregation,
     area,
+    clearance,
     effort,
     flock,
     gap,
@@ -38,6 +39,7 @@ _ALL = (
     *voting.METRICS,
     *touches.METRICS,
     *gap.METRICS,
+    *clearance.METRICS,
     *protection.METRICS,
 )
 METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for metric in _ALL})

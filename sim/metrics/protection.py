@@ -100,6 +100,16 @@ def hold_share(trace: Trace) -> float | None:
     return mean(is_held.astype(np.float64), _running(trace))
 
 
+def unstick_share(trace: Trace) -> float | None:
+    """The share of the running robots' instants in which protection sought a way around something.
+
+    Ours. None if that was not recorded, or nothing ran.
+    """
+    if trace.unsticking is None:
+        return None
+    return mean(trace.unsticking.astype(np.float64), _running(trace))
+
+
 def failed_patterns(trace: Trace) -> int | None:
     """The number of robots whose pattern failed at least once: it was restarted, or set aside.
 
@@ -157,6 +167,15 @@ METRICS = (
         "running time in which a hold kept a robot standing",
         "ours",
         hold_share,
+        None,
+        "less",
+    ),
+    Metric(
+        "unstick_share",
+        "share",
+        "running time in which a robot was led around what blocked it",
+        "ours",
+        unstick_share,
         None,
         "less",
     ),

@@ -16,6 +16,7 @@ from swarmd.sim.metrics import (
     aggregation,
     area,
     catalog,
+    clearance,
     effort,
     flock,
     gap,
@@ -119,6 +120,7 @@ def test_nobody_there_is_no_number_but_that_of_the_bodies(full_run: Run) -> None
 
 def test_every_series_has_a_value_for_each_instant(full_run: Run) -> None:
     trace = full_run(7)
+    trace = replace(trace, meta={**trace.meta, "arena": "9x9,box:1:1:0.5:0.5,pole:-1:1:0.1"})
     for name, metric in METRICS.items():
         if metric.series is not None:
             values = catalog.series(trace, name)
@@ -155,7 +157,8 @@ def test_a_number_of_a_whole_run_has_no_series(full_run: Run) -> None:
 
 def test_names_are_unique_and_told() -> None:
     rows = catalog.table()
-    subjects = (aggregation, area, effort, flock, gap, graph, protection, touches, voting)
+    singles = (aggregation, area, clearance, effort, flock, gap, graph)
+    subjects = (*singles, protection, touches, voting)
     listed = sorted(metric.name for subject in subjects for metric in subject.METRICS)
     assert sorted(row[0] for row in rows) == listed  # each once
     assert all(name.isidentifier() and name == name.lower() for name, *_ in rows)

@@ -108,6 +108,15 @@ def test_robots_whose_pattern_failed_are_counted_once_each(run: Run) -> None:
     assert protection.failed_patterns(run(STILL)) is None
 
 
+def test_getting_unstuck_is_counted_while_running(run: Run) -> None:
+    unsticking = np.array([[True, True], [True, False], [True, False], [False, False]])
+    state = np.array([["running"] * 2, ["running"] * 2, ["stopped", "running"], ["running"] * 2])
+    trace = run(STILL, unsticking=unsticking, state=state)
+    assert protection.unstick_share(trace) == pytest.approx(3.0 / 7.0)
+    assert protection.unstick_share(run(STILL)) is None
+    assert protection.unstick_share(replace(trace, state=np.full((4, 2), "idle"))) is None
+
+
 def test_holds_are_counted_while_running(run: Run) -> None:
     state = np.array([["running"] * 2, ["running"] * 2, ["stopped", "running"], ["running"] * 2])
     reason = np.array([["stale_scan", ""], ["no_wish", ""], ["stale_scan", "no_scan"], ["", ""]])

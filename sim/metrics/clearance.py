@@ -1,0 +1,108 @@
+"""How near robots came to what is no robot: walls, boxes, poles and inner walls. Truth, and exact.
+
+Every body counts, whether its robot is present or not. Distances of convex polygons: Ericson,
+Real-Time Collision Detection, 2005, chapters 5 and 9.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.errors import ConfigError
+from swarmd.sim.metrics import pairs
+from swarmd.sim.metrics.metric import Metric
+from swarmd.sim.trace import Trace
+from swarmd.sim.world.arena import Arena, Pole, parse_arena
+from swarmd.sim.world.geometry import apart, gaps, radius, transform
+from swarmd.values import Array
+
+Measure: TypeAlias = Callable[[Array, NDArray[np.int64]], Array]
+"""The distances of outlines (p, k, 2) at instants (p,) from one obstacle."""
+
+
+def clearances(trace: Trace) -> Array | None:
+    """(T,) m from the nearest outline of a robot to the arena's walls, or to what stands in it.
+
+    0 if they touch; inf if there is no robot. None if the arena is not known.
+    """
+    try:
+        arena = parse_arena(str(trace.meta.get("arena", "")))
+    except ConfigError:  # a trace from elsewhere
+        return None
+    smallest = np.full(len(trace.t), np.inf)
+    for span in pairs.spans(*trace.pose.shape[:2]):
+        for name in sorted(set(trace.platforms)):
+            _note_nearest(smallest[span], trace, span, name, arena)
+    return smallest
+
+
+def clearance(trace: Trace) -> float | None:
+    """The smallest of these; None if the arena is not known, or there is no robot."""
+    smallest = clearances(trace)
+    return None if smallest is None else float(smallest.min(initial=np.inf))
+
+
+def _note_nearest(best: Array, trace: Trace, span: slice, platform: str, arena: Arena) -> None:
+    """Put into best (T,) what robots of one platform are nearer to at the instants of a span."""
+    shape = trace.footprints[platform]
+    pose = trace.pose[span][:, [name == platform for name in trace.platforms]]
+    corners = transform(shape, pose)
+    walls = np.array([arena.length, arena.width]) / 2.0 - np.abs(corners)
+    np.minimum(best, np.maximum(walls, 0.0).min(axis=(1, 2, 3)), out=best)
+    instants = np.indices(pose.shape[:2])[0]
+    for centre, size, distance in _obstacles(trace, span, arena):
+        away = np.hypot(*np.moveaxis(pose[..., :2] - centre, -1, 0)) - radius(shape) - size
+        is_near = away < best[:, None]  # never where an obstacle is not in the arena: NaN
+        found = distance(corners[is_near], instants[is_near])
+        np.minimum.at(best, instants[is_near], found)
+
+
+def _obstacles(trace: Trace, span: slice, arena: Arena) -> Iterator[tuple[Array, float, Measure]]:
+    """Each with its centre, (2,) or (T, 1, 2), and the radius of a circle around all of it."""
+    for _, box in arena.fixed:
+        yield np.array([box.x, box.y]), radius(box.shape), _from_fixed(box.corners)
+    for pole in arena.poles:
+        yield np.array([pole.x, pole.y]), pole.radius, _from_pole(pole)
+    if trace.thing_pose is None or trace.thing_shapes is None:
+        return
+    for thing, shape in enumerate(trace.thing_shapes):
+        pose = trace.thing_pose[span, thing]
+        yield pose[:, None, :2], radius(shape), _from_moving(transform(shape, pose))
+
+
+def _from_fixed(corners: Array) -> Measure:
+    return lambda outlines, instants: gaps(outlines, corners)
+
+
+def _from_moving(corners: Array) -> Measure:
+    return lambda outlines, instants: gaps(outlines, corners[instants])
+
+
+def _from_pole(pole: Pole) -> Measure:
+    centre = np.array([pole.x, pole.y])
+
+    def distance(outlines: Array, instants: NDArray[np.int64]) -> Array:
+        following = np.roll(outlines, -1, axis=-2)
+        edge, to = following - outlines, centre - outlines
+        is_inside = (edge[..., 0] * to[..., 1] >= edge[..., 1] * to[..., 0]).all(axis=-1)
+        nearest = apart(centre, outlines, following).min(axis=-1) - pole.radius
+        return np.where(is_inside, 0.0, np.maximum(nearest, 0.0))
+
+    return distance
+
+
+METRICS = (
+    Metric(
+        "clearance",
+        "m",
+        "smallest distance of a robot's footprint from walls, boxes and poles",
+        "Ericson 2005, Real-Time Collision Detection",
+        clearance,
+        clearances,
+        "more",
+    ),
+)
