@@ -14,7 +14,7 @@ MAX_TOUCH_HALF_WIDTH_DEG = 60.0
 
 
 class TouchSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where, seen from the axle, a pattern may touch what is near, and how fast (m/s)."""
+    """In which directions a pattern may press against what is near, and how fast in m/s."""
 
     bearing_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] = 0.0
     half_width_deg: Annotated[float, Meta(gt=0.0, le=MAX_TOUCH_HALF_WIDTH_DEG)]

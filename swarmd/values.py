@@ -50,8 +50,8 @@ ZERO = Twist()
 class TouchZone(Struct, frozen=True):
     """Where and how fast a robot may close on what it touches, for patterns that push or dock.
 
-    A sector of directions from the axle, `bearing` +- `half_width` in rad; `speed` in m/s, the
-    fastest that its outline may move towards what is there.
+    The directions in which its outline may press, `bearing` +- `half_width` in rad, of the shortest
+    way from the outline to what is there; `speed` in m/s, the fastest that it may move that way.
     """
 
     bearing: float

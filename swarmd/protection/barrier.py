@@ -154,7 +154,7 @@ class Barrier:
             rows = self._with_contacts(rows, seen, frame, along)
         if settings.keep_out is not None:
             rows = self._with_keep_out(rows, settings.keep_out, along, age)
-        return rows if touch is None else _allowed(rows, touch)
+        return rows if touch is None else self._allowed(rows, touch)
 
     def _caps(self, room: Array, braking: Array, unseen: Array) -> Array:
         settings = self._settings
@@ -192,6 +192,18 @@ class Barrier:
         np.maximum(braking, _LEAST_BRAKING, out=braking)
         caps = reciprocal_caps(distance - radius, braking, age, TICK)
         return _joined(rows, _Rows(linear, lever, caps, rows.x, rows.y, rows.gaps))
+
+    def _allowed(self, rows: _Rows, touch: TouchZone) -> _Rows:
+        """The rows, with what the outline faces in the sector closed on as fast as is granted.
+
+        By the way the outline faces it: from the axle a box that is being pushed is wider than any
+        sector.
+        """
+        facing = self._outline.facing(rows.x, rows.y)
+        off = np.arctan2(facing.ny, facing.nx) - touch.bearing
+        is_covered = np.abs((off + np.pi) % (2.0 * np.pi) - np.pi) <= touch.half_width
+        caps = np.where(is_covered, np.maximum(rows.caps, touch.speed), rows.caps)
+        return rows._replace(caps=caps)
 
     def _look(self, scan: Scan, sight: Sight) -> _Seen:
         outline = self._outline
@@ -253,14 +265,6 @@ def _split(wish: Twist) -> tuple[Point, float]:
         return (1.0, 0.0), wish.linear
     speed = math.hypot(wish.linear, wish.lateral)
     return (wish.linear / speed, wish.lateral / speed), speed
-
-
-def _allowed(rows: _Rows, touch: TouchZone) -> _Rows:
-    """The rows, with what lies in the sector closed on at the granted speed at least."""
-    off = np.arctan2(rows.y, rows.x) - touch.bearing
-    is_covered = np.abs((off + np.pi) % (2.0 * np.pi) - np.pi) <= touch.half_width
-    caps = np.where(is_covered, np.maximum(rows.caps, touch.speed), rows.caps)
-    return rows._replace(caps=caps)
 
 
 def _placed(points: Array, frame: Pose) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from swarmd.protection.footprint import Footprint
 from swarmd.protection.front import Protection
 from swarmd.protection.moment import Moment
 from swarmd.settings import load_platform
@@ -263,10 +264,12 @@ def test_a_touch_zone_takes_nothing_away_and_frees_its_own_sector_alone(
 
 
 def within(platform: Platform, scan: Scan, ray: int, zone: TouchZone) -> bool:
-    """Whether what a ray sees lies in the zone's sector as seen from the axle, or almost."""
+    """Whether the outline faces what a ray sees in the zone's sector, or almost."""
     bearing = scan.bearings[ray]
     way = np.array([math.cos(bearing), math.sin(bearing)])
     is_seen = math.isfinite(scan.ranges[ray])
     place = platform.scan.offset + scan.ranges[ray] * way if is_seen else edge_along(platform, way)
-    off = math.remainder(math.atan2(place[1], place[0]) - zone.bearing, 2.0 * math.pi)
+    facing = Footprint(platform.footprint).facing(place[:1], place[1:])
+    way_there = math.atan2(float(facing.ny[0]), float(facing.nx[0]))
+    off = math.remainder(way_there - zone.bearing, 2.0 * math.pi)
     return abs(off) <= zone.half_width + 1e-6
