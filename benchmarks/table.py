@@ -49,12 +49,15 @@ def print_table(title: str, rows: Iterable[Row]) -> None:
     after = os.getloadavg()
     load = " -> ".join(" ".join(f"{one:.1f}" for one in some) for some in (before, after))
     print(f"\n### {title}\n\nLoad average (1, 5, 15 min) {load}\n")
-    widths = [max(len(row[column]) for row in cells) for column in range(len(HEAD))]
-    for number, row in enumerate(cells):
-        print(_line(row, widths))
-        if number == 0:
-            print(_line(["-" * width for width in widths], widths))
+    print(markdown(cells))
     sys.stdout.flush()
+
+
+def markdown(rows: Sequence[Sequence[str]]) -> str:
+    """A Markdown table in columns of even width; the first row is its head."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [_line(row, widths) for row in rows]
+    return "\n".join([lines[0], _line(["-" * width for width in widths], widths), *lines[1:]])
 
 
 def _line(cells: Iterable[str], widths: Sequence[int]) -> str:

@@ -87,6 +87,17 @@ class Scene(Struct, frozen=True, order=True):
         """Where it happens, and how many take part."""
         return (SPARSE if self.is_sparse else ROOMS)[self.platform]
 
+    @property
+    def rammers(self) -> int:
+        """How many of each kind ram the others: a third."""
+        each = self.room.robots // len(kinds_of(self.platform))
+        return each // 3 if self.family == RAM else 0
+
+    @property
+    def protected(self) -> int:
+        """How many robots do not ram."""
+        return self.room.robots - self.rammers * len(kinds_of(self.platform))
+
 
 def scenario(scene: Scene) -> Scenario:
     """The scene as a scenario; ConfigError if there is no such scene."""
@@ -154,21 +165,20 @@ def _platforms(scene: Scene) -> dict[str, dict[str, Any]]:
 def _groups(scene: Scene) -> dict[str, dict[str, Any]]:
     kinds = kinds_of(scene.platform)
     count = scene.room.robots // len(kinds)
-    rammers = count // 3 if scene.family == RAM else 0
     groups: dict[str, dict[str, Any]] = {}
     for kind in kinds:
         pattern, parameters = _task(scene)
         groups[kind] = {
             "platform": kind,
-            "count": count - rammers,
+            "count": count - scene.rammers,
             "prefix": kind.partition("_")[0],
             "pattern": pattern,
             "parameters": parameters,
         }
-        if rammers:
+        if scene.rammers:
             groups[f"{RAMMERS}-{kind}"] = {
                 "platform": f"{RAMMERS}-{kind}",
-                "count": rammers,
+                "count": scene.rammers,
                 "pattern": "ram",
                 "parameters": {"surface_speed": _others_speed(scene, kind)},
             }

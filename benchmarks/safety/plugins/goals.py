@@ -81,8 +81,8 @@ class Goals(MovementPattern[GoalsParams]):
         self._reached = 0
 
     def report(self) -> Mapping[str, Scalar]:
-        """How many goals it has reached."""
-        return {"goals": self._reached}
+        """How many goals it has reached, where there are any to reach."""
+        return {} if self.params.choice == "centre" else {"goals": self._reached}
 
     def drive(self, inputs: Inputs) -> Twist:
         """Towards the goal."""

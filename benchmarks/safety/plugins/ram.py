@@ -59,7 +59,7 @@ class Ram(MovementPattern[RamParams]):
         return self._twist
 
     def _look(self, inputs: Inputs) -> None:
-        seen = clusters(inputs.scan, within=math.inf)
+        seen = clusters(inputs.scan, within=self.context.platform.scan.range_max)
         is_body = seen.is_free & (seen.widths < _WIDEST)
         ranges = np.where(is_body, seen.ranges, np.inf)
         nearest = float(ranges.min(initial=np.inf))
