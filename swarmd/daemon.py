@@ -21,7 +21,7 @@ import msgspec
 from swarmd.actions import Actions
 from swarmd.clock import boottime
 from swarmd.codec import Decoder, decode_value, encode, encode_value
-from swarmd.driver import Driver
+from swarmd.driver import Driver, check_protected
 from swarmd.errors import CodecError, SwarmError
 from swarmd.frames import Load
 from swarmd.heartbeat import Heartbeat
@@ -72,6 +72,7 @@ class Daemon:
     """One robot's daemon; `run` is its whole life. Also the driver's sink."""
 
     def __init__(self, settings: DaemonSettings, driver: Driver) -> None:
+        check_protected(settings.platform, driver, settings.driver)
         self._settings = settings
         self._driver = driver
         self._loop = asyncio.get_running_loop()

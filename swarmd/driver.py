@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
+from swarmd.errors import ConfigError
 from swarmd.values import Neighbor, Odometry, Platform, Scan, Twist, Value
 
 
@@ -65,3 +66,12 @@ class DriverFactory(Protocol):
         self, *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
     ) -> Driver:
         """A driver that has not connected yet; ConfigError for options it does not know."""
+
+
+def check_protected(platform: Platform, driver: Driver, name: str) -> None:
+    """ConfigError if nothing would stand between a pattern and a real base: driver `name`'s."""
+    if platform.protection["mode"] == "off" and not driver.is_simulated:
+        raise ConfigError(
+            f"platform {platform.name}: protection.mode is off, and driver {name} moves a real"
+            " robot; wanted barrier, potential_field or stop_zone: change the platform's file"
+        )

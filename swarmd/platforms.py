@@ -127,23 +127,8 @@ def _find(name: str, near: Path) -> Path:
 
 
 def _check(layers: Layered, file: PlatformFile) -> None:
-    scan, protection = file.scan, file.protection
-    if scan.range_min >= scan.range_max:
-        text = f"scan.range_min is {scan.range_min:g}"
-        raise layers.error(
-            ("scan", "range_min"), f"{text}; wanted less than scan.range_max ({scan.range_max:g})"
-        )
-    if protection.preset not in protection.presets:
-        fault = unknown("preset", protection.preset, protection.presets)
-        raise layers.error(("protection", "preset"), f"protection.preset: {fault}")
-    for name, preset in protection.presets.items():
-        if not scan.range_min < preset.threshold < scan.range_max:
-            key = ("protection", "presets", name, "threshold")
-            raise layers.error(
-                key,
-                f"{'.'.join(key)} is {preset.threshold:g}; wanted a range the sensor can measure,"
-                f" between {scan.range_min:g} and {scan.range_max:g}",
-            )
+    _check_scan(layers, file.scan)
+    _check_protection(layers, file)
     for index, word in enumerate(file.provides):
         if word not in (*_SENSED, *_OF_NEIGHBORS) and not _is_reading(word):
             words = (*_SENSED, *_OF_NEIGHBORS, f"{_READING}<name>")
@@ -154,6 +139,62 @@ def _check(layers: Layered, file: PlatformFile) -> None:
             ("footprint",),
             f"footprint {fault}; wanted a convex polygon in m, counter-clockwise seen from above",
         )
+
+
+def _check_scan(layers: Layered, scan: ScanSection) -> None:
+    if scan.range_min >= scan.range_max:
+        text = f"scan.range_min is {scan.range_min:g}"
+        raise layers.error(
+            ("scan", "range_min"), f"{text}; wanted less than scan.range_max ({scan.range_max:g})"
+        )
+    if scan.near == "lost" and scan.zero == "too_close":
+        raise layers.error(
+            ("scan", "near"),
+            "scan.near is lost, but scan.zero is too_close; wanted is reported, or another zero",
+        )
+
+
+def _check_protection(layers: Layered, file: PlatformFile) -> None:
+    scan, protection = file.scan, file.protection
+    if protection.preset not in protection.presets:
+        fault = unknown("preset", protection.preset, protection.presets)
+        raise layers.error(("protection", "preset"), f"protection.preset: {fault}")
+    measured = f"between {scan.range_min:g} and {scan.range_max:g}"
+    for name, preset in protection.presets.items():
+        if not scan.range_min < preset.threshold < scan.range_max:
+            key = ("protection", "presets", name, "threshold")
+            raise layers.error(
+                key,
+                f"{'.'.join(key)} is {preset.threshold:g}; wanted a range the sensor can measure,"
+                f" {measured}",
+            )
+    zone, barrier = protection.stop_zone, protection.barrier
+    if zone.slow < zone.stop:
+        raise layers.error(
+            ("protection", "stop_zone"),
+            f"protection.stop_zone.slow is {zone.slow:g}; wanted at least stop ({zone.stop:g})",
+        )
+    keep_out = None if barrier is None else barrier.keep_out
+    if keep_out is not None and not scan.range_min < keep_out < scan.range_max:
+        raise layers.error(
+            ("protection", "barrier", "keep_out"),
+            f"protection.barrier.keep_out is {keep_out:g}; wanted a range the sensor can measure,"
+            f" {measured}",
+        )
+    if protection.mode == "barrier":
+        _check_barrier(layers, file)
+
+
+def _check_barrier(layers: Layered, file: PlatformFile) -> None:
+    """What mode `barrier` cannot do without."""
+    if file.protection.barrier is None:
+        lacks = "protection.barrier; give it others_speed and unseen_extent"
+    elif "odometry" not in file.provides:
+        lacks = "odometry; add it to provides"
+    else:
+        return
+    text = f"protection.mode is barrier, which needs {lacks}, or take another mode"
+    raise layers.error(("protection", "mode"), text)
 
 
 def _is_reading(word: str) -> bool:

@@ -168,6 +168,22 @@ def test_refuses_an_unknown_base(folder: Path) -> None:
             0.1,
             "protection.presets.paper.threshold is 0.1; wanted a range the sensor can measure",
         ),
+        (
+            "protection.mode",
+            "barrier",
+            "protection.mode is barrier, which needs protection.barrier; give it others_speed and",
+        ),
+        ("protection.barrier", {"others_speed": 0.3}, "protection.barrier.unseen_extent is missi"),
+        (
+            "protection.barrier",
+            {"others_speed": 0.3, "unseen_extent": 0.1, "keep_out": 0.12},
+            "protection.barrier.keep_out is 0.12; wanted a range the sensor can measure, between",
+        ),
+        (
+            "protection.stop_zone",
+            {"stop": 0.3, "slow": 0.2},
+            "protection.stop_zone.slow is 0.2; wanted at least stop (0.3)",
+        ),
         ("patterns.attraction", 3, "patterns.attraction is 3; wanted keys and values"),
         ("patterns.attraction.range_max", math.inf, "patterns.attraction.range_max is inf"),
         ("drivers.simulated.endpoint", math.nan, "drivers.simulated.endpoint is nan"),
@@ -193,6 +209,31 @@ def test_refuses_in_one_line(folder: Path, path: str, value: object, fault: str)
         load_platform(write(folder, with_value(path, value)))
     assert str(caught.value).startswith(f"x.yaml: {fault}")
     assert "\n" not in str(caught.value)
+
+
+def test_the_barrier_is_refused_where_nothing_tells_how_the_robot_moves(folder: Path) -> None:
+    data = with_value("protection.mode", "barrier")
+    data["protection"]["barrier"] = {"others_speed": 0.3, "unseen_extent": 0.1}
+    assert load_platform(write(folder, data)).protection["mode"] == "barrier"
+    data["provides"] = ["scan"]
+    with pytest.raises(
+        ConfigError, match=r"^x\.yaml: protection\.mode is barrier, which needs odo"
+    ):
+        load_platform(write(folder, data))
+
+
+def test_refuses_a_sensor_that_loses_what_its_zeros_tell(folder: Path) -> None:
+    data = with_value("scan.zero", "too_close")
+    data["scan"]["near"] = "lost"
+    with pytest.raises(
+        ConfigError, match=r"^x\.yaml: scan\.near is lost, but scan\.zero is too_cl"
+    ):
+        load_platform(write(folder, data))
+
+
+@pytest.mark.parametrize("name", ["burger", "waffle_pi", "jackal"])
+def test_shipped_lidars_lose_what_is_nearer_than_they_measure(name: str) -> None:
+    assert load_platform(name).scan.near == "lost"
 
 
 @pytest.mark.parametrize("key", ["limits", "footprint", "scan", "provides", "protection"])

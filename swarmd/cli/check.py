@@ -13,7 +13,7 @@ from typing import Any
 import click
 
 from swarmd.cli.catalog import Row, describe_patterns
-from swarmd.driver import Finding
+from swarmd.driver import Finding, check_protected
 from swarmd.errors import SwarmError, unknown
 from swarmd.plugins import load_driver, pattern_names
 from swarmd.settings import DaemonSettings
@@ -192,5 +192,6 @@ def _driver(settings: DaemonSettings) -> Iterator[Finding]:
             options=settings.driver_options,
         )
         yield from asyncio.run(driver.check(_DRIVER_SECONDS))
+        check_protected(settings.platform, driver, settings.driver)
     except SwarmError as error:
         yield Finding(subject, False, str(error))

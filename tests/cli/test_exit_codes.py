@@ -13,6 +13,8 @@ import pytest
 from swarmd.testing.processes import DaemonProcess, unique_swarm
 
 DRIVER = """
+from pathlib import Path
+
 from swarmd.errors import DriverError
 
 
@@ -22,22 +24,41 @@ def unusable(**options):
 
 def wrong(**options):
     return 1 / 0
+
+
+class Real:
+    is_simulated = False
+
+    def __init__(self, **options):
+        pass
+
+    async def check(self, seconds):
+        return ()
+
+    async def run(self, sink):
+        Path("connected").touch()
+
+    def send(self, twist, scan_seq, wish_seq):
+        Path("connected").touch()
 """
+UNPROTECTED = "extends: burger\nprotection: {mode: 'off'}\n"
 
 
 def swarmd(folder: Path, *args: str) -> subprocess.CompletedProcess[str]:
-    """A daemon that is expected to end by itself, with two drivers more to choose from."""
+    """A daemon that is expected to end by itself, with three drivers more to choose from."""
     info = folder / "outsider-1.dist-info"
     info.mkdir(parents=True, exist_ok=True)
     (info / "METADATA").write_text("Name: outsider\nVersion: 1\n")
     (info / "entry_points.txt").write_text(
         "[swarmd.drivers]\nunusable = outsider_driver:unusable\nwrong = outsider_driver:wrong\n"
+        "real = outsider_driver:Real\n"
     )
     (folder / "outsider_driver.py").write_text(DRIVER)
     return subprocess.run(
         [sys.executable, "-m", "swarmd.cli.daemon", "--state-dir", str(folder / "state"), *args],
         capture_output=True,
         text=True,
+        cwd=folder,
         env={**os.environ, "PYTHONPATH": str(folder), "SWARM": unique_swarm()},
         timeout=60,
         check=False,
@@ -67,6 +88,27 @@ def test_2_for_a_driver_that_is_not_there(tmp_path: Path) -> None:
         2,
         "error: no driver 'unusabel'; did you mean 'unusable'?\n",
     )
+
+
+def test_2_for_a_real_robot_without_protection_before_it_is_touched(tmp_path: Path) -> None:
+    (tmp_path / "bare.yaml").write_text(UNPROTECTED)
+    done = swarmd(tmp_path, "--id", "r1", "--platform", "bare.yaml", "--driver", "real")
+    assert (done.returncode, done.stderr) == (
+        2,
+        "error: platform bare: protection.mode is off, and driver real moves a real robot; wanted"
+        " barrier, potential_field or stop_zone: change the platform's file\n",
+    )
+    assert not (tmp_path / "connected").exists()
+
+
+def test_check_tells_of_a_real_robot_without_protection(tmp_path: Path) -> None:
+    (tmp_path / "bare.yaml").write_text(UNPROTECTED)
+    args = ("--id", "r1", "--platform", "bare.yaml", "--check", "--driver")
+    done = swarmd(tmp_path, *args, "real")
+    (line,) = (line for line in done.stdout.splitlines() if line.startswith("FAIL"))
+    assert done.returncode == 1
+    assert "protection.mode is off, and driver real moves a real robot" in line
+    assert "moves a real robot" not in swarmd(tmp_path, *args, "simulated").stdout
 
 
 @pytest.mark.integration
