@@ -32,7 +32,7 @@ _SLACK = 0.4  # m, at most so much further away than it must be
 _PAUSE = 1.0  # s between two things
 _TURN = 0.6  # of its speed the rammer spends on turning at most
 _EAGER = 2.0  # rad/s for each rad it is off its target
-_CHASE = 10.0  # s, then another
+_CHASE = 20.0  # s, then another
 _RETREAT = 1.0  # s
 
 
