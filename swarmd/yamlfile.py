@@ -83,7 +83,10 @@ def brief(value: object) -> str:
 
 
 class _StrictLoader(yaml.SafeLoader):
-    """safe_load without duplicate keys, keys that are not text, and anchors."""
+    """safe_load without duplicate keys, keys that are not text, and anchors.
+
+    Of YAML 1.1's booleans only true and false are left, as in YAML 1.2: `mode: off` is text.
+    """
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         event = self.peek_event()  # type: ignore[no-untyped-call]  # types-PyYAML leaves it out
@@ -112,6 +115,10 @@ class _StrictLoader(yaml.SafeLoader):
 
 
 # YAML 1.1 as PyYAML reads it takes 1e-3 for text, since it has no point.
+_StrictLoader.yaml_implicit_resolvers = {
+    first: [(tag, form) for tag, form in rules if first in "tTfF" or not tag.endswith(":bool")]
+    for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
 _StrictLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
 )

@@ -23,6 +23,8 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("# nothing\n", {}),
         ("a: 1\nb: {c: [x, 2.5]}", {"a": 1, "b": {"c": ["x", 2.5]}}),
         ("a: 1e-3\nb: -2E5\nc: 1e3x", {"a": 0.001, "b": -200000.0, "c": "1e3x"}),
+        ("a: [off, no, Yes, on, y]", {"a": ["off", "no", "Yes", "on", "y"]}),
+        ("a: [true, False, TRUE]", {"a": [True, False, True]}),
     ],
 )
 def test_reads_what_stands_there(file: Path, text: str, data: object) -> None:
@@ -38,7 +40,7 @@ def test_reads_what_stands_there(file: Path, text: str, data: object) -> None:
         ("a: [{b: 1, b: 2}]", "x.yaml:1: key 'b' stands twice, first in line 1; keep one"),
         ("a: &x 1\nb: *x", "x.yaml:1: & and * are not read here; write the value out"),
         ("a: &x [*x]", "x.yaml:1: & and * are not read here; write the value out"),
-        ("on: 1", "x.yaml:1: key True is not text; put it in quotes"),
+        ("true: 1", "x.yaml:1: key True is not text; put it in quotes"),
         ("1: 1", "x.yaml:1: key 1 is not text; put it in quotes"),
         ("[a]: 1", "x.yaml:1: key ['a'] is not text; put it in quotes"),
         ("a:\n - b: ]", "x.yaml:2: expected the node content, but found ']'"),
@@ -84,7 +86,7 @@ def test_shortens_long_values() -> None:
 
 
 def test_a_value_alone_is_read_as_in_a_file() -> None:
-    assert [read_value(text) for text in ("1e-3", "[1, a]", "{a: 1}", "yes", "")] == [
+    assert [read_value(text) for text in ("1e-3", "[1, a]", "{a: 1}", "true", "")] == [
         *(0.001, [1, "a"], {"a": 1}, True, None)
     ]
     with pytest.raises(ConfigError, match=r"'\[1' is no value; wanted is YAML, such as 3 or"):

@@ -41,7 +41,7 @@ class Real:
     def send(self, twist, scan_seq, wish_seq):
         Path("connected").touch()
 """
-UNPROTECTED = "extends: burger\nprotection: {mode: 'off'}\n"
+UNPROTECTED = "extends: burger\nprotection: {mode: off}\n"
 
 
 def swarmd(folder: Path, *args: str) -> subprocess.CompletedProcess[str]:
