@@ -114,11 +114,11 @@ class _StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep=deep)
 
 
-# YAML 1.1 as PyYAML reads it takes 1e-3 for text, since it has no point.
 _StrictLoader.yaml_implicit_resolvers = {
     first: [(tag, form) for tag, form in rules if first in "tTfF" or not tag.endswith(":bool")]
     for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
 }
+# YAML 1.1 as PyYAML reads it takes 1e-3 for text, since it has no point.
 _StrictLoader.add_implicit_resolver(
     "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
 )
