@@ -15,7 +15,7 @@ from the robot's own lidar and odometry. What is promised, and what is not, is i
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
@@ -23,12 +23,13 @@ from numpy.typing import NDArray
 
 from swarmd.errors import ConfigError
 from swarmd.protection.caps import passive_caps, reciprocal_caps
-from swarmd.protection.envelope import BOX, envelope
+from swarmd.protection.envelope import BOX, envelope, half_planes
 from swarmd.protection.feasible import Point, nearest_feasible
 from swarmd.protection.footprint import Footprint, Sight
 from swarmd.protection.memory import NearMemory
 from swarmd.protection.moment import Moment
 from swarmd.protection.motion import REACTION, TRUSTED, Motion, relative
+from swarmd.protection.pressing import pressing
 from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.verdict import Decision, Row
 from swarmd.values import Array, Platform, Pose, Scan, TouchZone, Twist
@@ -65,6 +66,7 @@ class _Rows(NamedTuple):
     gaps: Array
 
 
+_Occasion: TypeAlias = tuple[Moment, Twist, Point, TouchZone | None]
 _NOTHING = _Seen(np.empty((0, 2)), np.empty(0), np.empty(0, np.intp), np.empty((0, 2)), False)
 
 
@@ -86,7 +88,8 @@ class Barrier:
         self._outline = Footprint(platform.footprint)
         self._offset = platform.scan.offset
         self._speed = settings.surface_speed or settings.others_speed
-        self._polygons: dict[Point, tuple[Point, ...]] = {}
+        self._envelopes: dict[Point, tuple[Array, Array]] = {}
+        self._known: tuple[_Occasion, _Rows, Array, Array] | None = None
         self._motion = Motion(settings.braking_linear, settings.braking_angular)
         self._memory = NearMemory(platform.scan) if platform.scan.near == "lost" else None
         self._seen, self._taken_at, self._taken = _NOTHING, Pose(), 0.0
@@ -107,6 +110,7 @@ class Barrier:
             )
         self._taken_at, self._taken = pose, taken
         self._seen = self._look(scan, sight)
+        self._known = None
 
     def decide(
         self, wish: Twist, moment: Moment, *, command: Twist, touch: TouchZone | None
@@ -114,20 +118,36 @@ class Barrier:
         """The command nearest to the wish within all rows; the wish itself if it violates none."""
         self._motion.update(moment)
         seen = self._seen
-        if wish.is_zero or not (seen.is_near or len(seen.points)):
+        is_free = touch is None and not (seen.is_near or len(seen.points))
+        if wish.is_zero or is_free:
             return Decision(wish, is_active=False)
         along, speed = _split(wish)
         limits = self._most(along), self._limits.angular
-        rows = self._rows(seen, moment, command, along, touch)
+        occasion = moment, command, along, touch
+        if self._known is None or not _is_same(self._known[0], occasion):
+            rows = self._rows(seen, *occasion)
+            self._known = occasion, rows, *self._half_planes(rows, along, limits)
+        _, rows, normals, caps = self._known
         wanted = speed / limits[0], wish.angular / limits[1]
-        normals = np.stack((rows.linear * limits[0], rows.lever * limits[1]), axis=1)
-        polygon = self._polygon(along, limits) if seen.is_near else BOX
-        point, tight = nearest_feasible(wanted, polygon, normals, rows.caps)
+        point, tight = nearest_feasible(wanted, BOX, normals, caps)
         if point == wanted:
             return Decision(wish, is_active=False)
         s, angular = point[0] * limits[0], point[1] * limits[1]
         twist = Twist(s * along[0], angular, s * along[1])
         return Decision(twist, is_active=True, rows=_bounding(rows, tight))
+
+    def _half_planes(self, rows: _Rows, along: Point, limits: Point) -> tuple[Array, Array]:
+        """Those of the rows and then those of the envelope, in speeds over their limits."""
+        normals = np.array((rows.linear * limits[0], rows.lever * limits[1])).T
+        if not self._seen.is_near:
+            return normals, rows.caps
+        if along not in self._envelopes:
+            if len(self._envelopes) > 8:  # of a base that moves in any direction
+                self._envelopes.clear()
+            polygon = envelope(self._outline.corners, along, limits, self._speed)
+            self._envelopes[along] = half_planes(polygon)
+        more, caps = self._envelopes[along]
+        return np.concatenate((normals, more)), np.concatenate((rows.caps, caps))
 
     def _rows(
         self,
@@ -154,7 +174,7 @@ class Barrier:
             rows = self._with_contacts(rows, seen, frame, along)
         if settings.keep_out is not None:
             rows = self._with_keep_out(rows, settings.keep_out, along, age)
-        return rows if touch is None else self._allowed(rows, touch)
+        return rows if touch is None else self._allowed(rows, touch, along)
 
     def _caps(self, room: Array, braking: Array, unseen: Array) -> Array:
         settings = self._settings
@@ -193,17 +213,20 @@ class Barrier:
         caps = reciprocal_caps(distance - radius, braking, age, TICK)
         return _joined(rows, _Rows(linear, lever, caps, rows.x, rows.y, rows.gaps))
 
-    def _allowed(self, rows: _Rows, touch: TouchZone) -> _Rows:
+    def _allowed(self, rows: _Rows, touch: TouchZone, along: Point) -> _Rows:
         """The rows, with what the outline faces in the sector closed on as fast as is granted.
 
         By the way the outline faces it: from the axle a box that is being pushed is wider than any
-        sector.
+        sector. Nothing may be faster that way, for what is pushed is not always seen.
         """
         facing = self._outline.facing(rows.x, rows.y)
         off = np.arctan2(facing.ny, facing.nx) - touch.bearing
         is_covered = np.abs((off + np.pi) % (2.0 * np.pi) - np.pi) <= touch.half_width
         caps = np.where(is_covered, np.maximum(rows.caps, touch.speed), rows.caps)
-        return rows._replace(caps=caps)
+        nx, ny, x, y = pressing(self._outline.corners, touch)
+        speeds, gaps = np.full(len(x), touch.speed), np.full(len(x), np.inf)  # of nothing seen
+        linear, lever = nx * along[0] + ny * along[1], x * ny - y * nx
+        return _joined(rows._replace(caps=caps), _Rows(linear, lever, speeds, x, y, gaps))
 
     def _look(self, scan: Scan, sight: Sight) -> _Seen:
         outline = self._outline
@@ -241,13 +264,6 @@ class Barrier:
             self._limits.lateral / lateral if lateral else math.inf,
         )
 
-    def _polygon(self, along: Point, limits: Point) -> tuple[Point, ...]:
-        if along not in self._polygons:
-            if len(self._polygons) > 8:  # of a base that moves in any direction
-                self._polygons.clear()
-            self._polygons[along] = envelope(self._outline.corners, along, limits, self._speed)
-        return self._polygons[along]
-
     def _farthest(self, corners: Array) -> float:
         """The gap in m beyond which no row binds, whatever the robot does within the envelope."""
         settings, speed = self._settings, self._speed
@@ -257,6 +273,11 @@ class Barrier:
         unseen = self._spec.stale_after + self._spec.latency + REACTION
         gap = speed * (TICK + 0.5 * braking) + settings.others_speed * (unseen + TICK + braking)
         return gap + settings.margin + settings.unseen_extent
+
+
+def _is_same(one: _Occasion, other: _Occasion) -> bool:
+    """True for the very same moment and command: several wishes are judged in one decision."""
+    return one[0] is other[0] and one[1] is other[1] and one[2:] == other[2:]
 
 
 def _split(wish: Twist) -> tuple[Point, float]:
@@ -280,7 +301,9 @@ def _joined(one: _Rows, other: _Rows) -> _Rows:
 
 def _bounding(rows: _Rows, tight: list[int]) -> tuple[Row, ...]:
     """The rows that bound the command, those with the lowest caps first."""
-    order = sorted(tight, key=lambda i: (float(rows.caps[i]), float(rows.gaps[i])))
+    among = [i for i in tight if i < len(rows.caps)]  # the others are the envelope's
+    seen = [i for i in among if rows.gaps[i] < math.inf]  # the others are of a touch zone
+    order = sorted(seen, key=lambda i: (float(rows.caps[i]), float(rows.gaps[i])))
     return tuple(
         Row(
             math.atan2(float(rows.y[i]), float(rows.x[i])),

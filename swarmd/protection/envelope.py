@@ -7,6 +7,8 @@ all of them keep; compare "passive safety" in Mitsch et al., IJRR 2017).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from swarmd.protection.feasible import Point
@@ -34,3 +36,12 @@ def envelope(corners: Array, along: Point, limits: Point, speed: float) -> tuple
     fastest = np.hypot(x, y).max(axis=1)
     shares = np.minimum(1.0, speed / np.maximum(fastest, 1e-12))
     return tuple((float(a), float(b)) for a, b in ways * shares[:, None])
+
+
+def half_planes(polygon: Sequence[Point]) -> tuple[Array, Array]:
+    """Normals (k, 2) and caps (k,): normals @ point <= caps for each point of a convex polygon."""
+    corners = np.array(polygon)
+    edges = np.roll(corners, -1, axis=0) - corners
+    normals = np.stack((edges[:, 1], -edges[:, 0]), axis=1)
+    normals /= np.hypot(normals[:, 0], normals[:, 1])[:, None]
+    return normals, np.einsum("ka,ka->k", normals, corners)

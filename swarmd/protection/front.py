@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from swarmd.messages import Reason
 from swarmd.protection.arbiter import make_arbiter
 from swarmd.protection.footprint import Footprint, Sight
 from swarmd.protection.moment import NO_PERMIT, Moment, Permit
 from swarmd.protection.unstick import Unstick
 from swarmd.protection.verdict import Decision, Verdict
-from swarmd.values import ZERO, Platform, Scan, Twist
+from swarmd.values import ZERO, Array, Platform, Scan, Twist
 
 _STAND = Decision(ZERO, is_active=False)
 
@@ -28,7 +30,7 @@ class Protection:
         self._min_gap: float | None = None
         self._scan: Scan | None = None
         self._safe = ZERO
-        self._unstick = Unstick(platform.limits.angular, seed)
+        self._unstick = Unstick(platform.footprint, platform.limits.angular, seed)
 
     @property
     def mode(self) -> str:
@@ -79,14 +81,15 @@ class Protection:
         if not permit.may_unstick or not self._arbiter.can_block:
             self._unstick.reset()
             return allowed(wanted)
-        decision = allowed(wanted)
-        way = self._unstick.instead(
-            wanted, decision.twist, moment.now, self._scan, lambda twist: allowed(twist).twist
-        )
+        way = self._unstick.instead(wanted, self._safe, moment, self._points)
         if way is wanted:
-            return decision
+            return allowed(wanted)
         decision = allowed(self._platform.limits.clip(way))
         return Decision(decision.twist, is_active=True, rows=decision.rows)
+
+    def _points(self) -> Array:
+        """(k, 2) what the last scan shows up to 2 m, in the base frame in m."""
+        return np.empty((0, 2)) if self._scan is None else self._sight.points(self._scan, 2.0)
 
     def _verdict(
         self, wish: Twist, decision: Decision, reason: Reason | None, moment: Moment

@@ -1,8 +1,9 @@
 """Leads a robot around what blocks its way: acts on the wish, before protection judges it.
 
 So it cannot weaken protection: whatever it asks for passes the same arbiter. A filter that only
-says no leaves robots standing face to face; this gives each a way of its own, as a person would
-who steps aside to the right.
+says no leaves robots standing face to face; this looks for a way near the one that is wished, as a
+person would who steps aside to the right. The free ways are the corridors of the robot's width in
+which the lidar sees nothing near (after the vector field histogram, Borenstein and Koren 1991).
 """
 
 from __future__ import annotations
@@ -10,43 +11,49 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from random import Random
+from typing import TypeAlias
 
 import numpy as np
 
-from swarmd.values import Scan, Twist
+from swarmd.protection.moment import Moment
+from swarmd.values import ZERO, Array, Twist
 
-BLOCKED = 0.3
-"""Blocked is who gets less than this share of the speed that he wishes."""
-FREE = 0.6
-"""A way is free that allows this share of it."""
-
-_PATIENCE = 0.3  # s for which it is blocked before it acts
-_STRAIGHT = 1.0  # s for which it follows a way that it has found free
-_STANDS = 2.0  # s after which turning that does not turn gives way to backing off
-_BACKS = 1.0  # s
-_ENDS = 8.0  # s after which it lets go, whatever has come of it
-_KEEPS_SIDE = 10.0  # s for which it goes on to the side it has once chosen
+_BLOCKED = 0.3  # who gets less than this share of the speed he asks for is blocked
+_PATIENCE = 0.3  # s for which it is so before something is done
 _LEAST = 0.02  # m/s: slower wishes are not going anywhere
+_STANDS = 1.0  # s after which turning that does not turn gives way to moving along the axis
+_FOLLOWS = 1.5  # s for which a free way is followed
+_BACKS = 0.8  # s
+_ENDS = 8.0  # s after which it lets go, whatever has come of it
+_KEEPS_SIDE = 10.0  # s for which it goes on to the side that it has once chosen
 _FLIP = 0.15  # chance to take the other side, so that two do not dance for ever
-_EVEN = 0.1  # m: what two sides must differ by to matter
+_ALIGNED = math.radians(15.0)
+_CLEAR = 0.6  # m that a way must be free
+_BESIDE = 0.06  # m that must be free to each side of the robot
+_OTHER_SIDE = math.radians(40.0)  # what a way on the other side must be nearer, to be taken
+_AXIS = np.array((0.0, np.pi))
+_WAYS = np.radians(np.arange(-180.0, 180.0, 10.0))
 
-Allowed = Callable[[Twist], Twist]
+
+Points: TypeAlias = Callable[[], Array]
 
 
 class Unstick:
     """States: follow the wish, turn to a free way, go along it, back off. Times in s, handed in."""
 
-    def __init__(self, angular: float, seed: str) -> None:
-        """The base's limit in rad/s; `seed` decides its random choices."""
+    def __init__(self, corners: Array, angular: float, seed: str) -> None:
+        """The outline (k, 2) in m and the base's limit in rad/s; `seed` decides random choices."""
+        self._half = float(np.abs(corners[:, 1]).max()) + _BESIDE
         self._turn = min(angular, 1.5)
         self._rng = Random(seed)
-        self._side = -1.0
-        self._side_until = -math.inf
+        self._side, self._side_until = -1.0, -math.inf
+        self._way = self._yaw = 0.0
+        self._backwards = False
         self.reset()
 
     def reset(self) -> None:
         """Follow the wish again."""
-        self._state = "follow"
+        self._state, self._asked = "follow", ZERO
         self._since = self._began = -math.inf
         self._blocked_since: float | None = None
 
@@ -55,82 +62,90 @@ class Unstick:
         """True while something else than the wish is asked for."""
         return self._state != "follow"
 
-    def instead(
-        self, wish: Twist, given: Twist, now: float, scan: Scan | None, allowed: Allowed
-    ) -> Twist:
+    def instead(self, wish: Twist, given: Twist, moment: Moment, points: Points) -> Twist:
         """What to ask for instead of the wish; the wish itself while nothing blocks it.
 
-        `given` is what protection makes of the wish now, and `allowed` what of any twist.
+        `given` is what protection last made of what was asked for, `points` gives (k, 2) what the
+        lidar saw, in the base frame in m.
         """
-        speed = math.hypot(wish.linear, wish.lateral)
-        if speed < _LEAST:
+        now, speed = moment.now, math.hypot(wish.linear, wish.lateral)
+        if speed < _LEAST or (self.is_leading and now - self._began > _ENDS):
             self.reset()
             return wish
-        if self._state == "follow":
-            if not self._is_blocked_for_long(wish, given, now):
-                return wish
-            self._choose_side(now, scan)
+        is_blocked = self._is_blocked(given, now)
+        if not self.is_leading and is_blocked:
             self._began = now
-            self._enter("turn", now)
-        elif now - self._began > _ENDS:
-            self.reset()
-            return wish
-        return self._lead(speed, now, allowed)
+            self._plan(math.atan2(wish.lateral, wish.linear), moment, points())
+        self._asked = self._lead(speed, moment, points, is_blocked) if self.is_leading else wish
+        return self._asked
 
-    def _is_blocked_for_long(self, wish: Twist, given: Twist, now: float) -> bool:
-        if _share(given, wish) >= BLOCKED:
+    def _is_blocked(self, given: Twist, now: float) -> bool:
+        """True once it has for a while got next to nothing of what it asked for."""
+        asked = self._asked
+        square = asked.linear**2 + asked.lateral**2
+        if square > 0.0:
+            got = (given.linear * asked.linear + given.lateral * asked.lateral) / square
+        else:
+            got = abs(given.angular / asked.angular) if asked.angular else 1.0
+        if got >= _BLOCKED:
             self._blocked_since = None
             return False
         if self._blocked_since is None:
             self._blocked_since = now
-        return now - self._blocked_since >= _PATIENCE
+        return now - self._blocked_since >= (_PATIENCE if square > 0.0 else _STANDS)
 
-    def _lead(self, speed: float, now: float, allowed: Allowed) -> Twist:
-        ahead = Twist(speed)
-        if self._state == "back":
-            if now - self._since < _BACKS:
-                return Twist(-0.5 * speed)
-            self._enter("turn", now)
-        if self._state == "go":
-            if now - self._since >= _STRAIGHT:
-                self.reset()
-                return ahead
-            if _share(allowed(ahead), ahead) >= BLOCKED:
-                return ahead
-            self._enter("turn", now)
-        if _share(allowed(ahead), ahead) >= FREE:
-            self._enter("go", now)
-            return ahead
-        turning = Twist(angular=self._side * self._turn)
-        if abs(allowed(turning).angular) > BLOCKED * self._turn:
-            self._blocked_since = None
-        elif self._blocked_since is None:
-            self._blocked_since = now
-        elif now - self._blocked_since >= _STANDS:
-            self._blocked_since = None
-            self._side = -self._side
+    def _lead(self, speed: float, moment: Moment, points: Points, is_blocked: bool) -> Twist:
+        now = moment.now
+        if self._state == "turn" and is_blocked:
+            ahead, behind = self._free(points(), _AXIS)
+            self._backwards = bool(behind > ahead)
             self._enter("back", now)
-            return Twist(-0.5 * speed)
-        return turning
+        elif self._state == "back" and (is_blocked or now - self._since >= _BACKS):
+            self._plan(0.0, moment, points())
+        elif self._state == "go" and is_blocked:
+            self._plan(self._way - self._turned(moment), moment, points())
+        if self._state == "back":
+            return Twist(-0.5 * speed if self._backwards else 0.5 * speed)
+        left = math.remainder(self._way - self._turned(moment), 2.0 * math.pi)
+        if self._state == "turn":
+            if abs(left) > _ALIGNED:
+                return Twist(angular=math.copysign(self._turn, left))
+            self._enter("go", now)
+        if now - self._since >= _FOLLOWS:
+            self.reset()
+        return Twist(speed, max(min(2.0 * left, self._turn), -self._turn))
+
+    def _plan(self, wished: float, moment: Moment, points: Array) -> None:
+        """Choose a free way near the one wished, both as bearings in rad from here."""
+        now = moment.now
+        if now >= self._side_until:
+            self._side = 1.0 if self._rng.random() < _FLIP else -1.0
+        self._side_until = now + _KEEPS_SIDE
+        off = np.remainder(_WAYS - wished + np.pi, 2.0 * np.pi) - np.pi
+        is_other = off * self._side < -1e-9
+        costs = np.abs(off) + _OTHER_SIDE * is_other
+        free = self._free(points, _WAYS)
+        costs += 20.0 * np.maximum(_CLEAR - free, 0.0)
+        best = int(costs.argmin())
+        self._way = float(_WAYS[best])
+        self._yaw = 0.0 if moment.odometry is None else moment.odometry.pose.yaw
+        self._enter("turn", now)
+
+    def _free(self, points: Array, ways: Array) -> Array:
+        """(w,) m of corridor that is free from the axle along each bearing (w,)."""
+        cos, sin = np.cos(ways)[:, None], np.sin(ways)[:, None]
+        x, y = points[:, 0], points[:, 1]
+        ahead, aside = cos * x + sin * y, cos * y - sin * x
+        is_in = (ahead > 0.0) & (np.abs(aside) < self._half)
+        free: Array = np.where(is_in, ahead, 2.0).min(axis=1, initial=2.0)
+        return free
+
+    def _turned(self, moment: Moment) -> float:
+        """How far it has turned since the way was chosen, in rad."""
+        if moment.odometry is None:
+            return math.copysign(self._turn * (moment.now - self._since), self._way)
+        return moment.odometry.pose.yaw - self._yaw
 
     def _enter(self, state: str, now: float) -> None:
         self._state, self._since = state, now
         self._blocked_since = None
-
-    def _choose_side(self, now: float, scan: Scan | None) -> None:
-        """The side on which there is more room ahead; the right one if they are alike."""
-        if now >= self._side_until and scan is not None:
-            room = np.minimum(np.maximum(scan.ranges, scan.range_min), 2.0)
-            ahead = np.cos(scan.bearings) > -0.5
-            left = room[ahead & (np.sin(scan.bearings) > 0.0)].mean()
-            right = room[ahead & (np.sin(scan.bearings) < 0.0)].mean()
-            self._side = 1.0 if left > right + _EVEN else -1.0
-            if self._rng.random() < _FLIP:
-                self._side = -self._side
-        self._side_until = now + _KEEPS_SIDE
-
-
-def _share(given: Twist, wish: Twist) -> float:
-    """How much of a wish's speed is given, in its own direction."""
-    square = wish.linear**2 + wish.lateral**2
-    return (given.linear * wish.linear + given.lateral * wish.lateral) / square
