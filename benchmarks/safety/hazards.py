@@ -41,6 +41,7 @@ class Rammer:
 
     `reach` is the distance of its farthest corner from its axle in m. What turning takes of the
     speed, driving must do without: as long as the body still turns, not only while it is told to.
+    What it was told a moment ago counts too: a state may be older than that.
     """
 
     def __init__(self, speed: float, reach: float) -> None:
@@ -71,8 +72,8 @@ class Rammer:
         return self._twist(wanted, spin, max(0.0, math.cos(bearing)))
 
     def _twist(self, wanted: float, spin: float, share: float) -> Twist:
-        turning = max(abs(wanted), abs(self._told), abs(spin))
-        self._told = wanted
+        turning = max(abs(wanted), self._told, abs(spin))
+        self._told = max(abs(wanted), self._told / 2.0)
         left = max(0.0, self._speed - turning * self._reach)
         return Twist(linear=share * left, angular=wanted)
 
