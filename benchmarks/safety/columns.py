@@ -20,13 +20,15 @@ def upper_bound(count: int, hours: float) -> float:
 
 
 def rate(count: int, seconds: float) -> str:
-    """Such as `0 (< 0.03)`: how many, and what they are fewer than in an hour, at 95 %."""
-    return f"{count} (< {upper_bound(count, seconds / HOUR):.2g})"
+    """Such as `3 (0.3, < 0.78)`: how many, how many an hour, and what that is below at 95 %."""
+    hours = seconds / HOUR
+    measured = f"{count / hours:.2g}, " if count else ""
+    return f"{count} ({measured}< {upper_bound(count, hours):.2g})"
 
 
 def goals_a_minute(found: Judgement) -> float | None:
     """Of one robot; None where there were none to reach."""
-    return None if found.goals is None else 60.0 * found.goals / found.seconds
+    return 60.0 * found.goals / found.goal_seconds if found.goal_seconds else None
 
 
 def _faults(count: int, seconds: float, worst: float) -> str:

@@ -56,8 +56,9 @@ class Judgement(Struct, frozen=True, kw_only=True):
 
     `seconds`: of all of them together. Collisions with robots, and touches of walls, boxes and
     poles, each with those at fault and the fastest own surface among them in m/s (0: none).
-    `goals` reached (None: there were none to reach); `windows` of WINDOW s, and how many of them
-    `stuck` (0 and 0 without goals). `altered`: mean change of the wish, times `seconds`.
+    `goals` reached within `goal_seconds` of all of them together, `windows` of WINDOW s, and how
+    many of them `stuck`: all 0 where there was no goal to reach. `altered`: mean change of the
+    wish, times `seconds`.
     `min_gap` m between two robots' outlines at the trace's instants.
     """
 
@@ -68,7 +69,8 @@ class Judgement(Struct, frozen=True, kw_only=True):
     touches: int
     touch_faults: int
     worst_touch: float
-    goals: int | None
+    goals: int
+    goal_seconds: float
     windows: int
     stuck: int
     altered: float
@@ -83,6 +85,7 @@ def judge(trace: Trace, unprotected: Collection[str] = ()) -> Judgement:
     arena = [one for one in found if one.b not in trace.ids]
     goals = trace.report.get("goals")
     seconds = trace.duration * len(rows)
+    reached = np.zeros(1) if goals is None else np.nanmax(goals[:, rows], axis=0, initial=0.0)
     windows, stuck = (0, 0) if goals is None else stuck_windows(trace, rows)
     changes = alterations(trace)
     altered = 0.0 if changes is None else float(np.nan_to_num(np.nanmean(changes[:, rows])))
@@ -94,7 +97,8 @@ def judge(trace: Trace, unprotected: Collection[str] = ()) -> Judgement:
         touches=len(arena),
         touch_faults=sum(one.is_fault for one in arena),
         worst_touch=max((one.own_speed for one in arena), default=0.0),
-        goals=None if goals is None else int(np.nanmax(goals[:, rows], axis=0, initial=0).sum()),
+        goals=int(reached.sum()),
+        goal_seconds=0.0 if goals is None else seconds,
         windows=windows,
         stuck=stuck,
         altered=altered * seconds,
@@ -135,19 +139,14 @@ def stuck_windows(trace: Trace, rows: np.ndarray) -> tuple[int, int]:
 
 def _counts(times: Array, begin: float) -> Iterator[slice]:
     """The parts of a pair's times of touch (k,), in order, that count once each."""
-    first, last = 0, -np.inf
+    start = 0
     if times[0] <= begin + _START:  # they were put there in touch
         gaps = np.flatnonzero(np.diff(times) > _APART)
-        first = int(gaps[0]) + 1 if len(gaps) else len(times)
-    start = first
-    for index in range(first, len(times)):
-        if index == first:
-            last = times[index]
-        elif times[index] >= last + ONCE - _ROUNDING:
-            yield slice(start, index)
-            start, last = index, times[index]
-    if first < len(times):
-        yield slice(start, len(times))
+        start = int(gaps[0]) + 1 if len(gaps) else len(times)
+    while start < len(times):
+        stop = int(np.searchsorted(times, times[start] + ONCE - _ROUNDING))
+        yield slice(start, stop)
+        start = stop
 
 
 def _collision(trace: Trace, rows: np.ndarray, own: Array) -> Collision:

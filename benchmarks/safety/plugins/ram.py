@@ -18,6 +18,7 @@ _NEAR = 0.4  # m beyond the sensor's blind zone: who is as near is run down, see
 _BLIND = 2.0  # s for which it then goes on
 # m/s2: every base turns faster at less than this, so that no turn overlaps with the speed before.
 _EASY = 0.3
+_BELOW = 0.97  # of the speed told, since a base brakes its turn a little later than it speeds up
 
 
 class RamParams(Params, frozen=True):
@@ -47,7 +48,7 @@ class Ram(MovementPattern[RamParams]):
         self._bearing -= self._twist.angular * inputs.dt
         if inputs.is_new_scan:
             self._look(inputs)
-        limits, most = self.context.platform.limits, self.params.surface_speed
+        limits, most = self.context.platform.limits, _BELOW * self.params.surface_speed
         turn = min(max(_GAIN * self._bearing, -limits.angular), limits.angular)
         # The turn comes first: what it leaves of the speed is for driving.
         ahead = max(math.cos(self._bearing), 0.0) * min(most, limits.linear)
