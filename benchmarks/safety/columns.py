@@ -20,7 +20,7 @@ def upper_bound(count: int, hours: float) -> float:
 
 
 def rate(count: int, seconds: float) -> str:
-    """Such as `3 (0.3, < 0.78)`: how many, how many an hour, and what that is below at 95 %."""
+    """Such as `3 (0.3, < 0.77)`: how many, how many an hour, and what that is below at 95 %."""
     hours = seconds / HOUR
     measured = f"{count / hours:.2g}, " if count else ""
     return f"{count} ({measured}< {upper_bound(count, hours):.2g})"
