@@ -1,0 +1,92 @@
+"""Touching what is in the way: only where it is asked for and granted, and no faster."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.sim.trace import Trace
+
+EXAMPLES = Path(__file__).resolve().parents[3] / "examples"
+AHEAD = {"half_width_deg": 20, "speed": 0.1}
+SLIPS = 0.015
+"""m/s by which realistic wheels and the push back of a crate exceed what was commanded."""
+
+
+def pushed(
+    platform: str = "burger",
+    touch: dict[str, Any] | None = None,
+    *,
+    events: tuple[dict[str, Any], ...] = (),
+    duration: float = 12.0,
+    **parameters: float,
+) -> Trace:
+    """A robot told to push drives at a light crate half as wide as itself, 0.7 m ahead."""
+    scenario = scenario_of(
+        {
+            "duration": duration,
+            "plugin_dir": str(EXAMPLES),
+            "arena": {
+                "size": [3.4, 3.0],
+                "boxes": [{"name": "crate", "at": [0.4, 0.0], "size": [0.3, 0.1], "mass": 0.5}],
+            },
+            "platforms": {platform: {"protection": {"mode": "barrier"}}},
+            "groups": {
+                "all": {
+                    "platform": platform,
+                    "count": 1,
+                    "pattern": "push",
+                    "parameters": parameters,
+                    "touch": touch or {},
+                    "start": {"layout": "list", "poses": [[-0.6, 0.0, 0.0]]},
+                }
+            },
+            "events": list(events),
+        }
+    )
+    return simulate_run(scenario, seed=1)
+
+
+def moved(trace: Trace, since: float = 0.0) -> float:
+    """m that the crate was moved ahead."""
+    assert trace.thing_pose is not None
+    later = trace.thing_pose[trace.t >= since, 0, 0]
+    return float(later[-1] - later[0])
+
+
+@pytest.mark.parametrize("platform", ["burger", "waffle_pi"])
+def test_what_is_asked_for_and_granted_is_pushed(platform: str) -> None:
+    trace = pushed(platform, {"push": AHEAD})
+    assert moved(trace) > 0.1
+    assert trace.contact_speed[:, 0].max() <= AHEAD["speed"] + SLIPS
+
+
+def test_a_lower_speed_that_is_granted_holds_also_once_the_lidar_sees_it_no_more() -> None:
+    trace = pushed(touch={"push": {"half_width_deg": 20, "speed": 0.06}}, duration=20, speed=0.2)
+    assert moved(trace) > 0.1
+    assert trace.contact_speed[:, 0].max() <= 0.06 + SLIPS
+
+
+@pytest.mark.parametrize(
+    "touch",
+    [
+        {},
+        {"drive": AHEAD},
+        {"push": {"bearing_deg": 90, **AHEAD}},
+    ],
+)
+def test_what_is_not_granted_is_not_touched(touch: dict[str, Any]) -> None:
+    trace = pushed(touch=touch)
+    assert not len(trace.contact_t)
+    assert moved(trace) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_the_next_pattern_presses_no_further() -> None:
+    drive = {"at": 10, "run": "drive", "parameters": {"unstick": False, "speed": 0.1}}
+    trace = pushed(touch={"push": AHEAD}, events=(drive,), duration=14)
+    assert trace.contact_t.max() > 9.0
+    assert moved(trace, since=10.5) == pytest.approx(0.0, abs=0.005)
