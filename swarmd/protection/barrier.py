@@ -91,7 +91,8 @@ class Barrier:
         self._envelopes: dict[Point, tuple[Array, Array]] = {}
         self._known: tuple[_Occasion, _Rows, Array, Array] | None = None
         self._motion = Motion(settings.braking_linear, settings.braking_angular)
-        self._memory = NearMemory(platform.scan) if platform.scan.near == "lost" else None
+        is_blind = platform.scan.near == "lost"
+        self._memory = NearMemory(platform.scan, settings.others_speed) if is_blind else None
         self._seen, self._taken_at, self._taken = _NOTHING, Pose(), 0.0
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
         self._reach = self._farthest(platform.footprint)
