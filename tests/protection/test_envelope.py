@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.protection.envelope import envelope
-from swarmd.protection.feasible import nearest
+from swarmd.protection.envelope import BOX, envelope, half_planes
+from swarmd.protection.feasible import nearest, nearest_feasible
 from swarmd.settings import load_platform
 from swarmd.values import Array, Platform
 
@@ -72,10 +72,19 @@ def test_a_larger_promise_leaves_at_least_as_much(
     assert nearest(loose, allowed) == pytest.approx(allowed, abs=1e-9)
 
 
-def test_without_a_promise_only_the_limits_count() -> None:
-    assert sorted(envelope(PLATFORMS[0].footprint, AHEAD, (0.22, 2.84))) == [
-        (-1.0, -1.0),
-        (-1.0, 1.0),
-        (1.0, -1.0),
-        (1.0, 1.0),
-    ]
+@given(PLATFORM, st.floats(-1, 1), st.floats(-1, 1))
+def test_where_the_promise_is_no_bound_only_the_limits_count(
+    platform: Platform, v: float, w: float
+) -> None:
+    polygon = [tuple(point) for point in polygon_of(platform, 100.0).tolist()]
+    assert nearest(polygon, (v, w)) == pytest.approx((v, w), abs=1e-12)
+
+
+@given(PLATFORM, SPEED, st.floats(-1, 1), st.floats(-1, 1))
+def test_its_half_planes_are_the_polygon(
+    platform: Platform, speed: float, v: float, w: float
+) -> None:
+    polygon = [tuple(point) for point in polygon_of(platform, speed).tolist()]
+    normals, caps = half_planes(polygon)
+    allowed, _ = nearest_feasible((v, w), BOX, normals, caps)
+    assert allowed == pytest.approx(nearest(polygon, (v, w)), abs=1e-9)
