@@ -39,6 +39,7 @@ TICK = 0.05
 
 _LEAST_BRAKING = 0.02  # m/s2, for rows that hardly any motion closes
 _ROWS = 4
+_SAME_TIME = 1e-6  # s, for the rounding of ages
 
 
 class _Seen(NamedTuple):
@@ -93,18 +94,24 @@ class Barrier:
         self._motion = Motion(settings.braking_linear, settings.braking_angular)
         is_blind = platform.scan.near == "lost"
         self._memory = NearMemory(platform.scan, settings.others_speed) if is_blind else None
-        self._seen, self._taken_at, self._taken = _NOTHING, Pose(), 0.0
+        self._seen, self._taken_at, self._taken = _NOTHING, Pose(), -math.inf
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
         self._reach = self._farthest(platform.footprint)
         within = settings.envelope_within
         self._within = self._reach if within is None else within
 
     def observe(self, scan: Scan, sight: Sight, moment: Moment) -> None:
-        """Take in a new scan: which of its points are near enough to matter."""
+        """Take in a new scan: which of its points are near enough to matter.
+
+        One that lacks a sector is as old as what is remembered of that. Unless it is newer than the
+        one before even so, that one stays: dead-reckoned, which what is remembered is not.
+        """
         self._motion.update(moment)
         latency = self._spec.latency
+        taken = moment.now - latency - (moment.scan_age or 0.0)
+        if taken < self._taken + _SAME_TIME:
+            return
         pose = self._motion.pose(moment, latency)
-        taken = moment.now - latency
         if self._memory is not None:
             self._memory.update(
                 scan, sight, relative(pose, self._taken_at), max(taken - self._taken, 0.0)

@@ -1,0 +1,68 @@
+"""A scan that lacks a sector is only as new as what is remembered of it, for the barrier too."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from swarmd.platforms import load_platform
+from swarmd.protection.front import Protection
+from swarmd.protection.moment import Moment
+from swarmd.protection.verdict import Verdict
+from swarmd.testing.story import empty_scan
+from swarmd.testing.variants import with_mode
+from swarmd.values import Odometry, Platform, Pose, Scan, Twist
+
+SPEED = 0.2
+AHEAD = Twist(SPEED)
+
+
+@pytest.fixture
+def platform() -> Platform:
+    return with_mode(load_platform("burger"), "barrier")
+
+
+def wall(platform: Platform, seq: int, x: float) -> Scan:
+    """A wall across the way, x m ahead of the lidar."""
+    scan = empty_scan(platform, seq, 0.2 * seq)
+    ahead = np.cos(scan.bearings) > 0.5
+    scan.ranges[ahead] = x / np.cos(scan.bearings[ahead])
+    return scan
+
+
+def drive(platform: Platform, ages: list[float | None]) -> list[Verdict]:
+    """Decisions while it drives at a wall; by scan how old what it holds is, None: none came."""
+    protection, verdicts = Protection(platform), []
+    known = 0.0
+    for tick in range(4 * len(ages)):
+        now = 10.0 + 0.05 * tick
+        odometry = Odometry(now, Pose(SPEED * 0.05 * tick), AHEAD)
+        seq, rest = divmod(tick, 4)
+        age = ages[seq] if rest == 0 else None
+        if age is not None:
+            known = now - age
+        moment = Moment(now, now - known, odometry, 0.0)
+        if age is not None:
+            x = 0.5 - SPEED * (known - 10.0 - platform.scan.latency)
+            protection.observe(wall(platform, seq, x), moment)
+        verdicts.append(protection.decide(AHEAD, moment, is_running=True, hold=None))
+    return verdicts
+
+
+def test_a_lost_sector_is_dead_reckoned_as_if_no_scan_had_come(platform: Platform) -> None:
+    lost = drive(platform, [0.0, 0.2, 0.4, 0.6])
+    none = drive(platform, [0.0, None, None, None])
+    assert [one.safe for one in lost] == [one.safe for one in none]
+    assert lost[-1].is_active
+
+
+def test_a_sector_that_returns_counts_at_once(platform: Platform) -> None:
+    again = drive(platform, [0.0, 0.2, 0.4, 0.0])
+    whole = drive(platform, [0.0, None, None, 0.0])
+    assert [one.safe for one in again] == [one.safe for one in whole]
+
+
+def test_of_two_scans_that_lack_a_sector_the_newer_counts_with_its_age(platform: Platform) -> None:
+    by_turns = drive(platform, [0.0, 0.2, 0.2, 0.2])
+    assert by_turns[-1].safe.linear > drive(platform, [0.0, None, None, None])[-1].safe.linear
+    assert by_turns[-1].safe.linear < drive(platform, [0.0, 0.0, 0.0, 0.0])[-1].safe.linear
