@@ -107,9 +107,9 @@ class Barrier:
         one before even so, that one stays: dead-reckoned, which what is remembered is not.
         """
         self._motion.update(moment)
-        latency = self._spec.latency
-        taken = moment.now - latency - (moment.scan_age or 0.0)
-        if taken < self._taken + _SAME_TIME:
+        latency, age = self._spec.latency, moment.scan_age or 0.0
+        taken = moment.now - latency - age
+        if age > 0.0 and taken < self._taken + _SAME_TIME:
             return
         pose = self._motion.pose(moment, latency)
         if self._memory is not None:
