@@ -240,7 +240,7 @@ def test_a_robot_pushes_a_box_and_the_trace_tells_of_both() -> None:
                 ],
             },
             groups={"all": {"count": 1, "prefix": "r", "pattern": "drive"}},
-            platforms={"waffle_pi": {"protection": {"presets": {"paper": {"threshold": 0.121}}}}},
+            platforms={"waffle_pi": {"protection": {"mode": "off"}}},
             events=[
                 {"at": 2.0, "place": "late", "pose": [0.0, 3.0, 0.0]},
                 {"at": 4.0, "remove": "late"},
