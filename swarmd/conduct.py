@@ -100,7 +100,7 @@ class Conduct:
     def permit(self) -> Permit:
         """What the pattern in force may; nothing outside `running` and while it is replaced."""
         running = self.hosting.running
-        if running is None or not self.is_running or self.hosting.is_restarting:
+        if running is None or self.hosting.is_restarting:
             return NO_PERMIT
         may_unstick, _ = running.values.get("unstick", (False, ""))
         return Permit(may_unstick=may_unstick is True, touch=running.touch)

@@ -21,18 +21,19 @@ def pushed(
     platform: str = "burger",
     touch: dict[str, Any] | None = None,
     *,
+    width: float = 0.1,
     events: tuple[dict[str, Any], ...] = (),
     duration: float = 12.0,
     **parameters: float,
 ) -> Trace:
-    """A robot told to push drives at a light crate half as wide as itself, 0.7 m ahead."""
+    """A robot told to push drives at a light crate, narrower than itself, 0.7 m ahead."""
     scenario = scenario_of(
         {
             "duration": duration,
             "plugin_dir": str(EXAMPLES),
             "arena": {
                 "size": [3.4, 3.0],
-                "boxes": [{"name": "crate", "at": [0.4, 0.0], "size": [0.3, 0.1], "mass": 0.5}],
+                "boxes": [{"name": "crate", "at": [0.4, 0.0], "size": [0.3, width], "mass": 0.5}],
             },
             "platforms": {platform: {"protection": {"mode": "barrier"}}},
             "groups": {
@@ -83,6 +84,11 @@ def test_what_is_not_granted_is_not_touched(touch: dict[str, Any]) -> None:
     trace = pushed(touch=touch)
     assert not len(trace.contact_t)
     assert moved(trace) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_what_its_corners_would_pass_is_not_reached() -> None:
+    trace = pushed(touch={"push": AHEAD}, width=0.4)
+    assert not len(trace.contact_t)
 
 
 def test_the_next_pattern_presses_no_further() -> None:
