@@ -19,7 +19,6 @@ from typing import NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from swarmd.errors import ConfigError
 from swarmd.protection.caps import passive_caps, reciprocal_caps
@@ -45,13 +44,11 @@ _SAME_TIME = 1e-6  # s, for the rounding of ages
 class _Seen(NamedTuple):
     """What one scan shows of what is near, in the base frame of the moment it was taken.
 
-    `points` (k, 2) m, `unseen` (k,) s for which each has not been seen at that moment, `rays` (c,)
-    the indices of those that are too close to measure, and their directions `ways` (c, 2).
+    `points` (k, 2) m. The last c of them lie on the outline, along rays that are too close to
+    measure; `ways` (c, 2) are the directions of these rays. `is_near`: the envelope is in force.
     """
 
     points: Array
-    unseen: Array
-    rays: NDArray[np.intp]
     ways: Array
     is_near: bool
 
@@ -68,7 +65,8 @@ class _Rows(NamedTuple):
 
 
 _Occasion: TypeAlias = tuple[Moment, Twist, Point, TouchZone | None]
-_NOTHING = _Seen(np.empty((0, 2)), np.empty(0), np.empty(0, np.intp), np.empty((0, 2)), False)
+_NO_WAYS = np.empty((0, 2))
+_NOTHING = _Seen(np.empty((0, 2)), _NO_WAYS, is_near=False)
 
 
 class Barrier:
@@ -93,7 +91,7 @@ class Barrier:
         self._known: tuple[_Occasion, _Rows, Array, Array] | None = None
         self._motion = Motion(settings.braking_linear, settings.braking_angular)
         is_blind = platform.scan.near == "lost"
-        self._memory = NearMemory(platform.scan, settings.others_speed) if is_blind else None
+        self._memory = NearMemory(platform.scan.range_min) if is_blind else None
         self._seen, self._taken_at, self._taken = _NOTHING, Pose(), -math.inf
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
         self._reach = self._farthest(platform.footprint)
@@ -113,9 +111,8 @@ class Barrier:
             return
         pose = self._motion.pose(moment, latency)
         if self._memory is not None:
-            self._memory.update(
-                scan, sight, relative(pose, self._taken_at), max(taken - self._taken, 0.0)
-            )
+            turned = math.remainder(pose.yaw - self._taken_at.yaw, 2.0 * math.pi)
+            self._memory.update(scan, turned, max(taken - self._taken, 0.0))
         self._taken_at, self._taken = pose, taken
         self._seen = self._look(scan, sight)
         self._known = None
@@ -168,7 +165,6 @@ class Barrier:
         frame = relative(self._taken_at, self._motion.ahead(moment, command))
         x, y = _placed(seen.points, frame)
         age = moment.now - self._taken + REACTION
-        unseen = seen.unseen + age
         facing = self._outline.facing(x, y)
         linear = facing.nx * along[0] + facing.ny * along[1]
         settings = self._settings
@@ -176,15 +172,15 @@ class Barrier:
         braking += np.abs(facing.lever) * settings.braking_angular
         np.maximum(braking, _LEAST_BRAKING, out=braking)
         room = facing.gap - (settings.margin + settings.unseen_extent + self._blurred(moment))
-        caps = self._caps(room, braking, unseen)
+        caps = self._caps(room, braking, age)
         rows = _Rows(linear, facing.lever, caps, x, y, facing.gap)
-        if len(seen.rays):
+        if len(seen.ways):
             rows = self._with_contacts(rows, seen, frame, along)
         if settings.keep_out is not None:
             rows = self._with_keep_out(rows, settings.keep_out, along, age)
         return rows if touch is None else self._allowed(rows, touch, along)
 
-    def _caps(self, room: Array, braking: Array, unseen: Array) -> Array:
+    def _caps(self, room: Array, braking: Array, unseen: float) -> Array:
         settings = self._settings
         if settings.responsibility == "reciprocal":
             return reciprocal_caps(room, braking, unseen, TICK)
@@ -195,12 +191,13 @@ class Barrier:
 
         Without the latter a corner that grazes a slanted surface has only a row across its way.
         """
+        first = len(rows.x) - len(seen.ways)
         caps = rows.caps.copy()
-        caps[seen.rays] = 0.0
+        caps[first:] = 0.0
         cos, sin = math.cos(frame.yaw), math.sin(frame.yaw)
         nx = cos * seen.ways[:, 0] - sin * seen.ways[:, 1]
         ny = sin * seen.ways[:, 0] + cos * seen.ways[:, 1]
-        x, y = rows.x[seen.rays], rows.y[seen.rays]
+        x, y = rows.x[first:], rows.y[first:]
         zeros = np.zeros(len(x))
         return _joined(
             rows._replace(caps=caps),
@@ -237,27 +234,22 @@ class Barrier:
         return _joined(rows._replace(caps=caps), _Rows(linear, lever, speeds, x, y, gaps))
 
     def _look(self, scan: Scan, sight: Sight) -> _Seen:
-        outline = self._outline
+        """What matters of a scan: returns within reach, and rays that are too close to measure."""
         within = max(self._within, self._reach) + self._outer
-        shown = np.flatnonzero(scan.ranges <= within)
-        points = sight.points(scan, within)
-        is_contact = scan.ranges.take(shown) == -np.inf
-        gaps = outline.gaps(points)
-        bearings = scan.bearings.take(shown[is_contact])
+        shown = np.flatnonzero((scan.ranges <= within) & (scan.ranges > -np.inf))
+        points = sight.ends(scan, shown)
+        gaps = self._outline.gaps(points)
+        points = points.take(np.flatnonzero(gaps <= self._reach), axis=0)
+        bearings = scan.bearings[scan.ranges == -np.inf]
+        if self._memory is not None:
+            bearings = np.concatenate((bearings, self._memory.bearings))
+        is_near = bool(len(bearings)) or float(gaps.min(initial=np.inf)) <= self._within
+        if not len(bearings):
+            return _Seen(points, _NO_WAYS, is_near)
         ways = np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
-        if len(ways):
-            depths = outline.along_rays(self._offset, ways)
-            points[is_contact] = self._offset + depths[:, None] * ways
-            gaps[is_contact] = 0.0
-        is_near = bool(len(gaps)) and float(gaps.min()) <= self._within
-        reached = np.flatnonzero(gaps <= self._reach)
-        points, is_contact = points.take(reached, axis=0), is_contact.take(reached)
-        unseen = np.zeros(len(points))
-        if self._memory is not None and len(self._memory.points):
-            points = np.concatenate((points, self._memory.points))
-            unseen = np.concatenate((unseen, self._memory.ages))
-            is_near = True
-        return _Seen(points, unseen, np.flatnonzero(is_contact), ways, is_near)
+        depths = self._outline.along_rays(self._offset, ways)
+        touched = self._offset + depths[:, None] * ways
+        return _Seen(np.concatenate((points, touched)), ways, is_near)
 
     def _blurred(self, moment: Moment) -> float:
         """m by which the robot may be elsewhere than odometry of that age says."""

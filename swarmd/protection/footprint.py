@@ -6,6 +6,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.values import Array, Scan, ScanSpec
 
@@ -37,13 +38,16 @@ class Sight:
 
         A ray that is too close to measure gives the point at range_min along it.
         """
+        is_seen = scan.ranges < np.inf if within == np.inf else scan.ranges <= within
+        return self.ends(scan, np.flatnonzero(is_seen))
+
+    def ends(self, scan: Scan, rays: NDArray[np.intp]) -> Array:
+        """(k, 2) the points of `rays` (k,), which all see something."""
         if scan.bearings is not self._bearings:  # most sensors never change theirs
             self._bearings = scan.bearings
             self._directions = np.stack((np.cos(scan.bearings), np.sin(scan.bearings)), axis=1)
-        is_seen = scan.ranges < np.inf if within == np.inf else scan.ranges <= within
-        seen = np.flatnonzero(is_seen)
-        distances = np.maximum(scan.ranges[seen], scan.range_min)
-        return self._offset + distances[:, None] * self._directions[seen]
+        distances = np.maximum(scan.ranges[rays], scan.range_min)
+        return self._offset + distances[:, None] * self._directions[rays]
 
 
 class Footprint:

@@ -1,4 +1,4 @@
-"""What a sensor that is blind nearby saw last before it came too near to be seen."""
+"""Where something has come too near to be seen, for a sensor that says nothing of it."""
 
 from __future__ import annotations
 
@@ -7,78 +7,64 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.protection.footprint import Sight
-from swarmd.values import Array, Pose, Scan, ScanSpec
+from swarmd.values import Array, Scan
 
 LASTS = 30.0
-"""Seconds for which a point is remembered that nothing shows to have gone."""
+"""Seconds for which it is remembered where nothing shows that it has gone."""
 
-_BEYOND = 0.03  # m by which a ray must see further than a point to show that it has gone
-_BAND = 0.25  # m beyond range_min from which things can get into the blind zone between two scans
+_BAND = 0.25  # m beyond range_min from where things can get into the blind zone between two scans
+_SHIFT = math.radians(12.0)  # by which what is in the blind zone may have moved between two scans
+_RUN = 3  # rays side by side without a return: fewer are lost ones
+
+Mask = NDArray[np.bool_]
 
 
 class NearMemory:
-    """Points inside the blind zone, in the base frame of the last scan; (n, 2) m and ages in s.
+    """The bearings (n,) rad, in the base frame of the last scan, along which something is hidden.
 
-    A point gets there because the base moves, or by its own motion, at `others_speed` m/s at most:
-    then its ray shows nothing any more, and nothing is left within reach of where it was. It is
-    forgotten when a ray through its place sees beyond it (a remembered point that is not cleared
-    so would hold the robot for ever), when it is out of the blind zone, faster than it could
-    follow or seen there, and after `LASTS` s.
+    A sensor that is blind nearby gives no return for what is there. So a ray that has a return
+    proves its part of the blind zone empty, and one that has none may be hidden or see nothing:
+    hidden it is if something was near there before. That moves with its shadow, and is forgotten
+    once a return shows its place to be empty, or itself to be out again. A memory that is not
+    cleared so would hold the robot for ever.
     """
 
-    def __init__(self, spec: ScanSpec, others_speed: float) -> None:
-        self._offset = np.array(spec.offset)
-        self._blind = spec.range_min
-        self._others_speed = others_speed
-        self._candidates = np.empty((0, 2))
-        self.points = np.empty((0, 2))
+    def __init__(self, range_min: float) -> None:
+        """The radius in m within which the sensor is blind."""
+        self._rim = range_min + _BAND
+        self._near = np.empty(0)
+        self.bearings = np.empty(0)
         self.ages = np.empty(0)
 
-    def update(self, scan: Scan, sight: Sight, moved: Pose, seconds: float) -> None:
-        """Take in a scan, taken `seconds` after the one before; `moved` is the base since then."""
-        shown = sight.points(scan, self._blind + _BAND)
-        points = np.concatenate((self.points, self._candidates))
-        ages = np.concatenate((self.ages, np.zeros(len(self._candidates)))) + seconds
-        if len(points):
-            points = self._followed(_seen_from(points, moved), scan, shown, seconds)
-            is_kept = self._is_hidden(points, scan) & (ages < LASTS)
-            points, ages = points[is_kept], ages[is_kept]
-        self.points, self.ages, self._candidates = points, ages, shown
+    def update(self, scan: Scan, turned: float, seconds: float) -> None:
+        """Take in a scan; since the one before the base has turned by so many rad."""
+        is_near = (scan.ranges <= self._rim) & (scan.ranges > -np.inf)
+        if len(self._near) or len(self.bearings):
+            bearings = np.concatenate((self.bearings, self._near)) - turned
+            ages = np.concatenate((self.ages, np.zeros(len(self._near)))) + seconds
+            self.bearings, self.ages = self._shadows(scan, is_near, bearings, ages)
+        self._near = scan.bearings[is_near]
 
-    def _followed(self, points: Array, scan: Scan, shown: Array, seconds: float) -> Array:
-        """The points; those outside the blind zone that may have come inside, just inside."""
-        off = points - self._offset
-        distances = np.hypot(off[:, 0], off[:, 1])
-        moves = self._others_speed * seconds + _BEYOND
-        is_lost = (distances >= self._blind) & (distances < self._blind + moves)
-        is_lost &= self._through(points, scan) == np.inf
-        for i in np.flatnonzero(is_lost).tolist():
-            left = shown - points[i]
-            is_lost[i] = not (left[:, 0] ** 2 + left[:, 1] ** 2 < moves * moves).any()
-        shares = np.where(is_lost, 0.999 * self._blind / np.maximum(distances, 1e-9), 1.0)
-        followed: Array = self._offset + off * shares[:, None]
-        return followed
-
-    def _is_hidden(self, points: Array, scan: Scan) -> NDArray[np.bool_]:
-        """(n,) true for points in the blind zone through which no ray sees."""
-        distances = np.hypot(*(points - self._offset).T)
-        through = self._through(points, scan)
-        sees_beyond = np.isfinite(through) & (through > distances + _BEYOND)
-        hidden: NDArray[np.bool_] = (distances < self._blind) & ~sees_beyond
-        return hidden
-
-    def _through(self, points: Array, scan: Scan) -> Array:
-        """(n,) the ranges of the rays through points."""
-        off = points - self._offset
-        bearings = np.arctan2(off[:, 1], off[:, 0])
-        turn = np.abs((scan.bearings - bearings[:, None] + np.pi) % (2.0 * np.pi) - np.pi)
-        through: Array = scan.ranges[turn.argmin(axis=1)]
-        return through
+    def _shadows(
+        self, scan: Scan, is_near: Mask, bearings: Array, ages: Array
+    ) -> tuple[Array, Array]:
+        """Where those at `bearings` hide now: at the nearest ray of a run without a return."""
+        off = np.abs((scan.bearings - bearings[:, None] + np.pi) % (2.0 * np.pi) - np.pi)
+        off[off > _SHIFT] = np.inf
+        is_out = np.isfinite(off[:, is_near]).any(axis=1)
+        off[:, ~_in_runs(scan.ranges == np.inf)] = np.inf
+        place = off.argmin(axis=1)
+        is_hidden = np.isfinite(off[np.arange(len(off)), place]) & ~is_out & (ages < LASTS)
+        rays, first = np.unique(place[is_hidden], return_index=True)
+        return scan.bearings[rays], ages[is_hidden][first]
 
 
-def _seen_from(points: Array, moved: Pose) -> Array:
-    """Points of a frame, in that of a base that has moved so since."""
-    cos, sin = math.cos(moved.yaw), math.sin(moved.yaw)
-    x, y = points[:, 0] - moved.x, points[:, 1] - moved.y
-    return np.stack((cos * x + sin * y, cos * y - sin * x), axis=1)
+def _in_runs(is_empty: Mask) -> Mask:
+    """True for rays without a return among at least `_RUN` such side by side."""
+    found = np.zeros(len(is_empty), np.bool_)
+    for first in range(_RUN):
+        run = np.ones(len(is_empty), np.bool_)
+        for shift in range(_RUN):
+            run &= np.roll(is_empty, first - shift)
+        found |= run
+    return found

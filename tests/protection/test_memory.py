@@ -7,103 +7,104 @@ import math
 import numpy as np
 import pytest
 
-from swarmd.protection.footprint import Sight
 from swarmd.protection.memory import LASTS, NearMemory
 from swarmd.settings import load_platform
 from swarmd.testing.scans import scan_from
-from swarmd.values import Pose
 
 JACKAL = load_platform("jackal")
-SIGHT = Sight(JACKAL.scan)
-HERE = Pose()
 PERIOD = 0.1
-SPEED = 0.6
+WIDE = range(-15, 16)
 
 
 def remembering() -> NearMemory:
-    return NearMemory(JACKAL.scan, SPEED)
+    return NearMemory(JACKAL.scan.range_min)
 
 
 def look(
     memory: NearMemory,
     things: dict[int, float],
-    moved: Pose = HERE,
+    turned: float = 0.0,
     seconds: float = PERIOD,
-    beyond: float = math.inf,
-) -> NearMemory:
-    """One more scan: ranges by bearing in whole degrees, `beyond` elsewhere; what it remembers."""
+    beyond: float = 4.0,
+) -> list[int]:
+    """One more scan: ranges by degrees, `beyond` elsewhere; where something is remembered."""
     ranges = np.full(360, beyond)
     for degrees, distance in things.items():
         ranges[degrees % 360] = distance
-    memory.update(scan_from(JACKAL, ranges, JACKAL.scan.bearings), SIGHT, moved, seconds)
+    memory.update(scan_from(JACKAL, ranges, JACKAL.scan.bearings), turned, seconds)
+    degrees = np.rint(np.degrees(memory.bearings)).astype(int)
+    return sorted(((degrees + 180) % 360 - 180).tolist())
+
+
+def entered(beyond: float = 4.0) -> NearMemory:
+    """One before which something was at 0.85 m, and then gave no return any more."""
+    memory = remembering()
+    look(memory, dict.fromkeys(WIDE, 0.85), beyond=beyond)
+    look(memory, dict.fromkeys(WIDE, math.inf), beyond=beyond)
     return memory
 
 
-def entered(beyond: float = math.inf) -> NearMemory:
-    """One that has driven towards something 0.85 m ahead until it was 0.75 m away, unseen."""
-    memory = look(remembering(), {0: 0.85}, beyond=beyond)
-    return look(memory, {}, Pose(0.10), beyond=math.inf)
-
-
-def test_what_it_drives_up_to_is_remembered_where_it_is() -> None:
+def test_what_gives_no_return_any_more_where_something_was_near_is_hidden() -> None:
     memory = entered()
-    assert memory.points == pytest.approx(np.array([[0.75, 0.0]]), abs=1e-9)
-    assert memory.ages == pytest.approx([PERIOD])
-    look(memory, {}, Pose(0.05, 0.0, math.pi / 2))
-    assert memory.points == pytest.approx(np.array([[0.0, -0.70]]), abs=1e-9)
-    assert memory.ages == pytest.approx([2 * PERIOD])
+    assert len(memory.bearings) == len(WIDE)
+    assert memory.ages == pytest.approx(np.full(len(WIDE), PERIOD))
 
 
-def test_what_comes_in_by_its_own_motion_is_remembered_at_the_edge() -> None:
-    memory = look(remembering(), {359: 0.83, 0: 0.83, 1: 0.83})
-    look(memory, {})
-    assert len(memory.points) == 3
-    assert np.hypot(*memory.points.T) == pytest.approx(np.full(3, 0.8), abs=1e-3)
+def test_what_was_not_near_has_not_come_in() -> None:
+    memory = remembering()
+    look(memory, dict.fromkeys(WIDE, 1.2))
+    assert not look(memory, dict.fromkeys(WIDE, math.inf))
 
 
-def test_what_comes_in_stays_remembered_while_the_robot_backs_away_from_it() -> None:
-    memory = look(remembering(), {0: 0.83})
-    for _ in range(20):
-        look(memory, {}, Pose(-0.04))
-    assert len(memory.points) == 1
+def test_what_is_still_seen_near_by_is_not_hidden() -> None:
+    memory = remembering()
+    look(memory, dict.fromkeys(WIDE, 0.85), beyond=math.inf)
+    assert not look(memory, {degrees + 4: 0.83 for degrees in WIDE}, beyond=math.inf)
 
 
-def test_what_is_too_far_off_to_have_come_in_is_not_there() -> None:
-    memory = look(remembering(), {0: 0.95})
-    assert not len(look(memory, {}).points)
-
-
-def test_what_has_moved_aside_and_is_seen_there_has_not_come_in() -> None:
-    memory = look(remembering(), {0: 0.83})
-    assert not len(look(memory, {4: 0.83}).points)
-
-
-def test_what_can_be_seen_through_is_forgotten() -> None:
+def test_it_keeps_its_place_while_the_robot_turns() -> None:
     memory = entered()
-    assert len(look(memory, {0: 0.77}).points) == 1  # noise, or something of the same thing
-    assert not len(look(memory, {0: 2.0}).points)
+    shadow = dict.fromkeys((degrees - 9 for degrees in WIDE), math.inf)
+    assert look(memory, shadow, turned=math.radians(9.0)) == [degrees - 9 for degrees in WIDE]
 
 
-def test_that_nothing_is_seen_does_not_show_that_it_has_gone() -> None:
+def test_it_moves_with_its_shadow() -> None:
     memory = entered()
+    for step in range(1, 20):
+        shadow = [degrees + 8 * step for degrees in WIDE]
+        hidden = look(memory, dict.fromkeys(shadow, math.inf))
+        assert hidden
+        assert set(hidden) <= {(degrees + 180) % 360 - 180 for degrees in shadow}
+
+
+def test_a_return_from_beyond_shows_that_it_has_gone() -> None:
+    memory = entered()
+    assert not look(memory, {})
+
+
+def test_rays_lost_one_by_one_do_not_keep_it() -> None:
+    memory = entered()
+    assert not look(memory, {0: math.inf, 3: math.inf, 4: math.inf})
+
+
+def test_where_nothing_is_seen_beyond_it_may_be_there_still() -> None:
+    memory = entered(beyond=math.inf)
     for _ in range(50):
-        look(memory, {}, beyond=math.inf)
-    assert len(memory.points) == 1
+        assert look(memory, {}, beyond=math.inf)
+
+
+def test_it_does_not_spread_where_nothing_is_seen() -> None:
+    memory = entered(beyond=math.inf)
+    for _ in range(50):
+        assert look(memory, {}, beyond=math.inf) == list(WIDE)
+
+
+def test_what_is_seen_outside_again_is_not_inside() -> None:
+    memory = entered(beyond=math.inf)
+    assert not look(memory, dict.fromkeys(WIDE, 0.82), beyond=math.inf)
 
 
 def test_it_is_forgotten_in_time() -> None:
-    memory = entered()
-    look(memory, {}, seconds=LASTS - 1.0)
-    assert len(memory.points) == 1
-    look(memory, {}, seconds=2.0)
-    assert not len(memory.points)
-
-
-def test_what_the_robot_leaves_faster_than_it_could_follow_is_forgotten() -> None:
-    memory = entered()
-    assert not len(look(memory, {}, Pose(-0.2)).points)
-
-
-def test_what_it_sees_again_outside_is_not_remembered_inside() -> None:
-    memory = entered()
-    assert not len(look(memory, {0: 0.81}, Pose(-0.06)).points)
+    memory = entered(beyond=math.inf)
+    assert look(memory, {}, seconds=LASTS - 1.0, beyond=math.inf)
+    assert not look(memory, {}, seconds=2.0, beyond=math.inf)
