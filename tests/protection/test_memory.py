@@ -13,98 +13,96 @@ from swarmd.testing.scans import scan_from
 
 JACKAL = load_platform("jackal")
 PERIOD = 0.1
-WIDE = range(-15, 16)
-
-
-def remembering() -> NearMemory:
-    return NearMemory(JACKAL.scan.range_min)
+WIDE = range(-4, 5)
 
 
 def look(
     memory: NearMemory,
-    things: dict[int, float],
+    near: range = range(0),
+    *,
+    distance: float = 0.85,
+    empty: range = range(0),
     turned: float = 0.0,
     seconds: float = PERIOD,
-    beyond: float = 4.0,
+    beyond: float = 3.0,
 ) -> list[int]:
-    """One more scan: ranges by degrees, `beyond` elsewhere; where something is remembered."""
+    """One more scan; in whole degrees where something is hidden then.
+
+    Along `near` there are returns at `distance`, along `empty` none, elsewhere at `beyond`; the
+    base has turned by so many degrees since the scan before.
+    """
     ranges = np.full(360, beyond)
-    for degrees, distance in things.items():
-        ranges[degrees % 360] = distance
-    memory.update(scan_from(JACKAL, ranges, JACKAL.scan.bearings), turned, seconds)
-    degrees = np.rint(np.degrees(memory.bearings)).astype(int)
-    return sorted(((degrees + 180) % 360 - 180).tolist())
+    ranges[list(empty)] = math.inf
+    ranges[list(near)] = distance
+    scan = scan_from(JACKAL, ranges, JACKAL.scan.bearings)
+    memory.update(scan, math.radians(turned), seconds)
+    return sorted(round(degrees) for degrees in np.degrees(memory.bearings).tolist())
 
 
-def entered(beyond: float = 4.0) -> NearMemory:
-    """One before which something was at 0.85 m, and then gave no return any more."""
-    memory = remembering()
-    look(memory, dict.fromkeys(WIDE, 0.85), beyond=beyond)
-    look(memory, dict.fromkeys(WIDE, math.inf), beyond=beyond)
+def hiding() -> NearMemory:
+    """One that has seen something near ahead, and then nothing there."""
+    memory = NearMemory(JACKAL.scan.range_min)
+    look(memory, WIDE)
+    assert look(memory, empty=WIDE) == list(WIDE)
     return memory
 
 
-def test_what_gives_no_return_any_more_where_something_was_near_is_hidden() -> None:
-    memory = entered()
-    assert len(memory.bearings) == len(WIDE)
-    assert memory.ages == pytest.approx(np.full(len(WIDE), PERIOD))
+def test_what_was_near_and_vanishes_is_hidden() -> None:
+    hiding()
 
 
-def test_what_was_not_near_has_not_come_in() -> None:
-    memory = remembering()
-    look(memory, dict.fromkeys(WIDE, 1.2))
-    assert not look(memory, dict.fromkeys(WIDE, math.inf))
+@pytest.mark.parametrize("distance", [1.1, 2.0])
+def test_what_was_not_near_has_gone(distance: float) -> None:
+    memory = NearMemory(JACKAL.scan.range_min)
+    look(memory, WIDE, distance=distance)
+    assert look(memory, empty=WIDE) == []
 
 
-def test_what_is_still_seen_near_by_is_not_hidden() -> None:
-    memory = remembering()
-    look(memory, dict.fromkeys(WIDE, 0.85), beyond=math.inf)
-    assert not look(memory, {degrees + 4: 0.83 for degrees in WIDE}, beyond=math.inf)
+def test_nothing_is_hidden_where_nothing_was() -> None:
+    memory = NearMemory(JACKAL.scan.range_min)
+    look(memory, WIDE)
+    assert look(memory, WIDE, empty=range(100, 140)) == []
 
 
-def test_it_keeps_its_place_while_the_robot_turns() -> None:
-    memory = entered()
-    shadow = dict.fromkeys((degrees - 9 for degrees in WIDE), math.inf)
-    assert look(memory, shadow, turned=math.radians(9.0)) == [degrees - 9 for degrees in WIDE]
+def test_it_stays_hidden_while_nothing_shows_that_it_has_gone() -> None:
+    memory = hiding()
+    for _ in range(50):
+        assert look(memory, empty=WIDE) == list(WIDE)
+
+
+def test_a_return_beyond_shows_its_place_to_be_empty() -> None:
+    memory = hiding()
+    assert look(memory, empty=range(0, 5)) == list(range(0, 5))
+    assert look(memory) == []
+
+
+def test_a_return_nearby_shows_that_it_is_out_again() -> None:
+    memory = hiding()
+    assert look(memory, WIDE, distance=0.9) == []
+    assert look(memory, empty=range(0)) == []
 
 
 def test_it_moves_with_its_shadow() -> None:
-    memory = entered()
-    for step in range(1, 20):
-        shadow = [degrees + 8 * step for degrees in WIDE]
-        hidden = look(memory, dict.fromkeys(shadow, math.inf))
+    memory = hiding()
+    assert set(look(memory, empty=range(2, 11))) <= set(range(2, 11))
+    for first in range(4, 20, 2):
+        hidden = look(memory, empty=range(first, first + 9))
         assert hidden
-        assert set(hidden) <= {(degrees + 180) % 360 - 180 for degrees in shadow}
+        assert set(hidden) <= set(range(first, first + 9))
 
 
-def test_a_return_from_beyond_shows_that_it_has_gone() -> None:
-    memory = entered()
-    assert not look(memory, {})
+def test_it_stays_where_it_is_when_the_robot_turns() -> None:
+    memory = hiding()
+    assert look(memory, empty=range(-44, -35), turned=40.0) == list(range(-44, -35))
 
 
-def test_rays_lost_one_by_one_do_not_keep_it() -> None:
-    memory = entered()
-    assert not look(memory, {0: math.inf, 3: math.inf, 4: math.inf})
-
-
-def test_where_nothing_is_seen_beyond_it_may_be_there_still() -> None:
-    memory = entered(beyond=math.inf)
-    for _ in range(50):
-        assert look(memory, {}, beyond=math.inf)
-
-
-def test_it_does_not_spread_where_nothing_is_seen() -> None:
-    memory = entered(beyond=math.inf)
-    for _ in range(50):
-        assert look(memory, {}, beyond=math.inf) == list(WIDE)
-
-
-def test_what_is_seen_outside_again_is_not_inside() -> None:
-    memory = entered(beyond=math.inf)
-    assert not look(memory, dict.fromkeys(WIDE, 0.82), beyond=math.inf)
+def test_one_ray_that_is_lost_hides_nothing() -> None:
+    memory = NearMemory(JACKAL.scan.range_min)
+    look(memory, WIDE)
+    assert look(memory, range(-4, 4), empty=range(4, 5)) == []
 
 
 def test_it_is_forgotten_in_time() -> None:
-    memory = entered(beyond=math.inf)
-    assert look(memory, {}, seconds=LASTS - 1.0, beyond=math.inf)
-    assert not look(memory, {}, seconds=2.0, beyond=math.inf)
+    memory = hiding()
+    assert look(memory, empty=WIDE, seconds=LASTS - 1.0) == list(WIDE)
+    assert look(memory, empty=WIDE, seconds=2.0) == []

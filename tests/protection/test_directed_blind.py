@@ -1,0 +1,123 @@
+"""One mechanism at a time, in closed loop: what a sensor does not see because it is too near.
+
+Each test fails without its mechanism; `python -m benchmarks.mutants` takes them out one by one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swarmd.settings import load_platform
+from swarmd.testing.yard import Shape, Yard, box, placed, pole, under_barrier
+from swarmd.values import Platform, Pose, Twist
+
+BURGER, JACKAL = under_barrier(load_platform("burger")), under_barrier(load_platform("jackal"))
+BLIND = JACKAL.scan.range_min
+AHEAD = Twist(0.5)
+NO_FAULT = 0.02
+
+
+def calm(platform: Platform, near: str = "lost", **told: object) -> Platform:
+    """Nothing is expected to move or to reach beyond what is seen, and no circle is kept out."""
+    scan = replace(platform.scan, near=near)  # type: ignore[arg-type]  # one of the two words
+    settings = {"others_speed": 0.001, "surface_speed": 5.0, "unseen_extent": 0.0, "keep_out": None}
+    return under_barrier(replace(platform, scan=scan), **{**settings, **told})
+
+
+def distances(yard: Yard) -> float:
+    """How near the sensor is to a corner of any shape, in m."""
+    sensor = placed(np.array([yard.platform.scan.offset]), yard.pose)[0]
+    corners = [placed(shape.corners, shape.at(yard.time)) for shape in yard.shapes]
+    return min(float(np.hypot(*(some - sensor).T).min()) for some in corners)
+
+
+def test_too_close_to_measure_is_contact() -> None:
+    """A Jackal whose sensor told of what is nearer than 0.8 m, with something 0.5 m ahead."""
+    platform = calm(JACKAL, near="reported")
+    ride = Yard(platform, [pole(0.1, Pose(0.6))]).run(AHEAD, 4.0)
+    assert ride.touch is None
+    assert ride.poses[-1].x == pytest.approx(0.0, abs=1e-6)
+
+
+def test_what_is_too_close_beside_does_not_keep_it_from_leaving() -> None:
+    platform = calm(JACKAL, near="reported")
+    ride = Yard(platform, [pole(0.1, Pose(0.6))]).run(Twist(-0.5), 3.0)
+    assert ride.poses[-1].x < -1.0
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_corner_does_not_graze_a_slanted_face_that_is_too_close(side: float) -> None:
+    """The corner of a Burger is nearer to its lidar than the lidar can see.
+
+    The outline's nearest place to such a return is on its side, so its row lies across the way.
+    """
+    wedge = np.array([[0.0, 0.0], [0.4, 0.0], [0.4, 0.3], [0.25, 0.3]])
+    wedge = wedge if side > 0.0 else (wedge * (1.0, -1.0))[::-1]
+    near = Shape(wedge, Pose(0.012, side * 0.093))
+    ride = Yard(calm(BURGER, near="reported", margin=0.0), [near]).run(Twist(0.22), 3.0)
+    assert ride.touch is None
+
+
+def test_a_target_that_crosses_into_the_blind_zone_is_not_closed_on() -> None:
+    """It comes at the speed that is assumed of others, and a Jackal drives at it."""
+    speed = JACKAL.protection["barrier"]["others_speed"]
+    for phase in (0.0, 0.03, 0.06):
+        comes = pole(0.15, Pose(2.0, 0.05), velocity=(-speed, 0.0))
+        ride = Yard(JACKAL, [comes], phase=phase, noise=0.01).run(AHEAD, 5.0)
+        assert ride.touch is not None
+        assert ride.touch.speed <= NO_FAULT
+
+
+def test_nothing_that_stands_is_let_into_the_blind_zone() -> None:
+    """By what is kept out, not by how far others may reach or come."""
+    yard = Yard(calm(JACKAL, keep_out=0.85), [box(0.1, 4.0, Pose(2.0))])
+    ride = yard.run(AHEAD, 8.0)
+    assert ride.poses[-1].x > 0.9
+    assert 1.95 - ride.poses[-1].x >= BLIND
+
+
+def test_what_it_drove_up_to_is_remembered_when_it_vanishes() -> None:
+    """A driver that keeps on wishing stands before what he no longer sees, and may leave."""
+    yard = Yard(calm(JACKAL), [box(0.1, 0.6, Pose(2.0))])
+    ride = yard.run(AHEAD, 8.0)
+    assert ride.touch is None
+    assert ride.min_gap < BLIND - 0.254
+    assert ride.twists[-1].linear == pytest.approx(0.0, abs=1e-6)
+    assert yard.run(Twist(-0.5), 2.0).poses[-1].x < ride.poses[-1].x - 0.8
+
+
+def test_what_has_gone_is_forgotten_once_it_can_be_seen_through() -> None:
+    """Something stands where it cannot be seen, leaves sideways, and a wall is seen behind it."""
+    thing = box(0.1, 0.4, Pose(1.5), velocity=(0.0, 1.0), begin=6.0, end=8.0)
+    walls = [box(0.1, 8.0, Pose(x)) for x in (-2.0, 4.0)]
+    walls += [box(8.0, 0.1, Pose(0.0, y)) for y in (-3.5, 3.5)]
+    yard = Yard(calm(JACKAL), [thing, *walls])
+    stands = yard.run(AHEAD, 6.0)
+    assert stands.poses[-1].x < 1.2
+    goes = yard.run(AHEAD, 6.0)
+    assert goes.touch is None
+    assert goes.poses[-1].x > 2.5
+
+
+def test_lost_near_returns_of_an_lds_are_not_taken_for_free() -> None:
+    """Zeros say both too near and nothing there: a body comes until the lidar is blind to it."""
+    comes = box(0.2, 0.3, Pose(0.9), velocity=(-0.25, 0.0), end=0.732 / 0.25)
+    yard = Yard(BURGER, [comes])
+    assert yard.run(Twist(0.0), 4.0).min_gap == pytest.approx(0.03, abs=0.001)
+    ride = yard.run(Twist(0.22), 5.0)
+    assert ride.touch is None
+    assert ride.poses[-1].x == pytest.approx(0.0, abs=1e-3)
+
+
+def test_pressed_against_it_can_leave() -> None:
+    comes = box(0.2, 0.3, Pose(0.9), velocity=(-0.25, 0.0), end=0.732 / 0.25)
+    yard = Yard(BURGER, [comes])
+    yard.run(Twist(0.0), 4.0)
+    ride = yard.run(Twist(-0.22), 4.0)
+    assert ride.poses[-1].x < -0.5
+    assert math.isclose(ride.poses[-1].y, 0.0, abs_tol=0.01)
+    assert distances(yard) > BURGER.scan.range_min

@@ -1,0 +1,165 @@
+"""One mechanism at a time, in closed loop: what makes the barrier stop in time.
+
+Each test fails without its mechanism; `python -m benchmarks.mutants` takes them out one by one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swarmd.messages import Reason
+from swarmd.settings import load_platform
+from swarmd.testing.yard import Yard, box, pole, round_corners, under_barrier
+from swarmd.values import Platform, Pose, Twist
+
+BURGER, WAFFLE = under_barrier(load_platform("burger")), under_barrier(load_platform("waffle_pi"))
+MARGIN = 0.03
+ROUNDING = 0.005  # m: what a ray's slant and a tick's length leave of exactness
+NO_FAULT = 0.02  # m/s: whose own surface is slower at a touch has not caused it
+
+
+def still(platform: Platform) -> Platform:
+    """Nothing is expected to move or to reach beyond what is seen; no promise is made."""
+    return under_barrier(platform, others_speed=0.001, surface_speed=5.0, unseen_extent=0.0)
+
+
+def reach(platform: Platform, way: int) -> float:
+    """How far the outline reaches ahead (way 1) or back (-1) of the axle."""
+    return float((way * platform.footprint[:, 0]).max())
+
+
+@pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
+@pytest.mark.parametrize("way", [1, -1], ids=["ahead", "reversing"])
+@pytest.mark.parametrize("distance", [0.05, 0.4, 1.1])
+def test_stops_at_a_wall_just_short_of_the_margin(
+    platform: Platform, way: int, distance: float
+) -> None:
+    wall = box(0.1, 4.0, Pose(way * (reach(platform, way) + distance + 0.05)))
+    ride = Yard(still(platform), [wall]).run(Twist(way * platform.limits.linear), 8.0)
+    assert ride.min_gap == pytest.approx(MARGIN + 0.0005, abs=ROUNDING)
+    assert abs(ride.twists[-1].linear) < 0.001
+
+
+@pytest.mark.parametrize("late", [0.2, 0.4])
+def test_what_a_late_sweep_shows_is_where_it_was_then(late: float) -> None:
+    """At full speed a Waffle Pi drives 0.10 m within 0.4 s: three margins."""
+    platform = replace(still(WAFFLE), scan=replace(WAFFLE.scan, latency=late))
+    wall = box(0.1, 4.0, Pose(1.2))
+    ride = Yard(platform, [wall]).run(Twist(0.26), 8.0)
+    assert ride.min_gap == pytest.approx(MARGIN, abs=ROUNDING)
+
+
+def test_while_it_turns_a_late_sweep_is_turned_back() -> None:
+    """At 1.8 rad/s the sweep is 40 degrees off by the time it counts: a pole ahead is then not."""
+    platform = replace(still(WAFFLE), scan=replace(WAFFLE.scan, latency=0.4))
+    for phase in (0.0, 0.05, 0.1, 0.15):
+        yard = Yard(platform, [pole(0.03, Pose(0.05, 0.27))], phase=phase)
+        assert yard.run(lambda t: Twist(0.0, 1.8 * math.sin(3.0 * t)), 5.0).touch is None
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
+def test_a_corner_does_not_swing_into_what_is_beside(platform: Platform, side: float) -> None:
+    half = float(platform.footprint[:, 1].max())
+    wall = box(4.0, 0.1, Pose(0.0, side * (half + 0.035 + 0.05)))
+    for way in (1.0, -1.0):
+        ride = Yard(still(platform), [wall]).run(Twist(0.0, way * platform.limits.angular), 3.0)
+        assert ride.min_gap >= MARGIN - ROUNDING
+
+
+def test_the_axle_is_not_in_the_middle() -> None:
+    """A Burger reaches 38 mm ahead of its axle and 102 mm behind it."""
+    gaps = []
+    for way in (1, -1):
+        wall = box(0.1, 4.0, Pose(way * 0.8))
+        ride = Yard(still(BURGER), [wall]).run(Twist(way * 0.22), 6.0)
+        gaps.append(ride.min_gap)
+    assert gaps == pytest.approx([MARGIN, MARGIN], abs=ROUNDING)
+
+
+@pytest.mark.parametrize("bearing", [0.0, 0.6, -0.9, 2.6, math.pi])
+@pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
+def test_who_is_rammed_at_the_assumed_speed_is_not_closing(
+    platform: Platform, bearing: float
+) -> None:
+    speed = platform.protection["barrier"]["others_speed"]
+    way = math.cos(bearing), math.sin(bearing)
+    front = box(0.2, 3.0, Pose(1.6 * way[0], 1.6 * way[1], bearing),
+                velocity=(-speed * way[0], -speed * way[1]))  # fmt: skip
+    wish = Twist(math.copysign(platform.limits.linear, way[0]))
+    ride = Yard(platform, [front], noise=0.01).run(wish, 9.0)
+    assert ride.touch is not None
+    assert ride.touch.speed <= NO_FAULT
+
+
+def test_what_stands_may_start() -> None:
+    """It begins to come when there is just enough room left for a robot that stands."""
+    starts = box(0.2, 0.3, Pose(0.6), velocity=(-0.30, 0.0), begin=2.0)
+    ride = Yard(BURGER, [starts]).run(Twist(0.22), 5.0)
+    assert ride.touch is not None
+    assert ride.touch.speed <= NO_FAULT
+
+
+def test_a_body_that_reaches_beyond_what_is_seen_of_it_is_not_touched() -> None:
+    """Of a Burger a level lidar sees the housing of its lidar alone."""
+    corners = BURGER.footprint - BURGER.scan.offset
+    told = under_barrier(BURGER, others_speed=0.001, surface_speed=5.0)
+    for yaw in (0.0, 0.8, math.pi / 2, 2.2, math.pi):
+        other = replace(
+            pole(0.055, Pose(0.6, 0.0, yaw)), corners=corners, seen=round_corners(0.055)
+        )
+        ride = Yard(told, [other]).run(Twist(0.22), 5.0)
+        assert ride.min_gap >= MARGIN - ROUNDING
+
+
+def test_in_the_open_a_frozen_lidar_stops_it_in_time() -> None:
+    yard = Yard(BURGER, [box(0.1, 4.0, Pose(3.3))])
+    assert yard.run(Twist(0.22), 1.0).twists[-1].linear == pytest.approx(0.22)
+    yard.has_lidar = False
+    ride = yard.run(Twist(0.22), 1.5)
+    stands = next(
+        t for t, twist in zip(ride.times, ride.twists, strict=True) if twist.linear == 0.0
+    )
+    ages = BURGER.scan.latency + 1.0 / BURGER.scan.rate  # the last sweep may have just been taken
+    assert stands <= 1.0 + ages + BURGER.scan.stale_after + 0.05 + 0.04 + 0.22
+    assert ride.verdicts[-1][1].reason is Reason.STALE_SCAN
+
+
+def test_near_something_a_frozen_lidar_stops_it_before_others_could_be_there() -> None:
+    yard = Yard(BURGER, [box(0.1, 4.0, Pose(0.85))])
+    yard.run(Twist(0.22), 1.0)
+    yard.has_lidar = False
+    ride = yard.run(Twist(0.22), 2.0)
+    assert ride.min_gap >= 0.10
+    assert ride.twists[-1].is_zero
+
+
+@pytest.mark.parametrize("at", [0.4, 0.9, 1.4, 1.9, 2.4])
+def test_lost_odometry_stops_it_before_dead_reckoning_goes_wrong(at: float) -> None:
+    yard = Yard(still(BURGER), [box(0.1, 4.0, Pose(0.6))])
+    yard.run(Twist(0.22), at)
+    yard.has_odometry = False
+    ride = yard.run(Twist(0.22), 2.0)
+    assert ride.min_gap >= MARGIN - ROUNDING
+    assert ride.verdicts[-1][1].reason is Reason.STALE_ODOMETRY
+
+
+@pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
+def test_nobody_sees_a_corner_of_it_come_faster_than_promised(platform: Platform) -> None:
+    told = under_barrier(platform, surface_speed=0.15)
+    yard = Yard(told, [box(0.2, 0.2, Pose(-0.2, 0.6))])
+    ride = yard.run(Twist(platform.limits.linear, platform.limits.angular), 4.0)
+    x, y = platform.footprint.T
+    fastest = max(np.hypot(t.linear - t.angular * y, t.angular * x).max() for t in ride.twists[30:])
+    assert fastest == pytest.approx(0.15, abs=0.005)
+
+
+def test_it_does_not_reverse_into_another() -> None:
+    other = replace(pole(0.055, Pose(-0.7)), corners=BURGER.footprint - BURGER.scan.offset)
+    ride = Yard(BURGER, [other]).run(Twist(-0.22, 0.1), 6.0)
+    assert ride.min_gap >= MARGIN
+    assert ride.poses[-1].x < -0.2
