@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.safety import hours, progress
-from benchmarks.safety.judge import collisions, judge
+from benchmarks.safety.judge import Collision, collisions, judge
 from benchmarks.safety.runs import Task, carry_out, rammers
 from benchmarks.safety.scenes import (
     ACCEPTANCE_SEEDS,
@@ -79,11 +79,17 @@ def run_one(options: Options) -> str:
     if options.trace is not None:
         trace.save(options.trace)
     among = rammers(trace)
-    lines = [
-        f"{one.time:7.2f} s {one.a} {one.b}: {100.0 * one.own_speed:.1f} cm/s by {one.who}"
-        for one in collisions(trace, among)
-    ]
+    lines = [_told(one) for one in collisions(trace, among)]
     return "\n".join([f"{scene.name} seed {task.seed}", *lines, str(judge(trace, among))])
+
+
+def _told(one: Collision) -> str:
+    verdict = "at fault" if one.is_fault else "pushed" if one.is_pushed else "at no fault"
+    speed = one.pushed_speed if one.is_pushed else one.own_speed
+    return (
+        f"{one.time:7.2f} s {one.a} {one.b}: {one.who} {verdict}, {100.0 * speed:.1f} cm/s,"
+        f" told {100.0 * one.commanded:.1f} cm/s"
+    )
 
 
 def _parser() -> argparse.ArgumentParser:

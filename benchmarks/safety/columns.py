@@ -48,6 +48,7 @@ COLUMNS: Mapping[str, Callable[[Judgement], str]] = {
     "collisions (a robot-h)": lambda f: rate(f.collisions, f.seconds),
     "at fault": lambda f: _faults(f.faults, f.seconds, f.worst),
     "walls, at fault": lambda f: _faults(f.touch_faults, f.seconds, f.worst_touch),
+    "pushed": lambda f: str(f.pushed),
     "min gap [m]": lambda f: f"{f.min_gap:.3f}",
     "goals/min": lambda f: _number(goals_a_minute(f)),
     "stuck": lambda f: _share(f.stuck, f.windows),

@@ -2,7 +2,9 @@
 
 A collision is a touch of two robots, at least one of them protected; it counts once for each second
 that it lasts. It is at fault if the own surface of a protected one moved towards the other
-at more than 2 cm/s: a robot that stands and is rammed is at no fault.
+at more than 2 cm/s: a robot that stands and is rammed is at no fault. Nor is one for what it is
+pushed into, while somebody else drives into it; such collisions are counted apart. In a
+swarm in which all are protected nobody is pushed before somebody has been at fault.
 """
 
 from __future__ import annotations
@@ -27,6 +29,7 @@ STUCK = 0.05
 """A robot is stuck in a window of so many s in which it gets no farther than this from its start,
 in m."""
 
+_PUSHED = 0.2  # s for which a push, by somebody at more than FAULT, explains where one goes
 _APART = 0.5  # s without touch after which two that started in touch are judged like any others
 _START = 0.1  # s: what touches by then has been put there
 _ROUNDING = 1e-9
@@ -36,26 +39,36 @@ class Collision(Struct, frozen=True):
     """One count of a touch.
 
     `a` is a robot's id, `b` another's, the name of a movable box or WALLS. `own_speed` m/s: the
-    fastest that a protected one's own surface moved towards the other; `who` that was.
+    fastest that a protected one's own surface moved towards the other by itself; `pushed_speed`
+    the same while it was pushed. `who` that was. `commanded` m/s: the fastest that
+    its outline was told to move, at the instant before.
     """
 
     time: float
     a: str
     b: str
     own_speed: float
+    pushed_speed: float
     who: str
+    commanded: float
 
     @property
     def is_fault(self) -> bool:
         """Whether a protected robot drove into the other."""
         return self.own_speed > FAULT
 
+    @property
+    def is_pushed(self) -> bool:
+        """Whether one came only since it was pushed."""
+        return self.own_speed <= FAULT < self.pushed_speed
+
 
 class Judgement(Struct, frozen=True, kw_only=True):
     """The numbers of a run, of its protected robots alone; they add up over runs.
 
     `seconds`: of all of them together. Collisions with robots, and touches of walls, boxes and
-    poles, each with those at fault and the fastest own surface among them in m/s (0: none).
+    poles, each with those at fault and the fastest own surface among them in m/s (0: none);
+    `pushed`: those of both that one was pushed into.
     `goals` reached within `goal_seconds` of all of them together, `windows` of WINDOW s, and how
     many of them `stuck`: all 0 where there was no goal to reach. `altered`: mean change of the
     wish, times `seconds`.
@@ -69,6 +82,7 @@ class Judgement(Struct, frozen=True, kw_only=True):
     touches: int
     touch_faults: int
     worst_touch: float
+    pushed: int
     goals: int
     goal_seconds: float
     windows: int
@@ -97,6 +111,7 @@ def judge(trace: Trace, unprotected: Collection[str] = ()) -> Judgement:
         touches=len(arena),
         touch_faults=sum(one.is_fault for one in arena),
         worst_touch=max((one.own_speed for one in arena), default=0.0),
+        pushed=sum(one.is_pushed for one in found),
         goals=int(reached.sum()),
         goal_seconds=0.0 if goals is None else seconds,
         windows=windows,
@@ -113,6 +128,8 @@ def collisions(trace: Trace, unprotected: Collection[str] = ()) -> list[Collisio
     # What is not protected, arena and boxes included, has no speed of its own to answer for.
     answers = np.stack((is_protected[first], (second >= 0) & is_protected[second]), axis=1)
     own = np.where(answers, trace.contact_speed, -np.inf)
+    own = np.stack((own, own), axis=-1)  # by itself, pushed
+    _tell_pushes(trace, own)
     found = []
     pairs = np.unique(np.sort(trace.contact_pair[answers.any(axis=1)], axis=1), axis=0)
     for low, high in pairs.tolist():
@@ -149,18 +166,46 @@ def _counts(times: Array, begin: float) -> Iterator[slice]:
         start = stop
 
 
+def _tell_pushes(trace: Trace, own: Array) -> None:
+    """Leave in `own` (c, 2, 2) each speed either as the robot's own or as that of one pushed."""
+    time, pair, speed = trace.contact_t, trace.contact_pair, trace.contact_speed
+    is_own = np.ones(pair.shape, dtype=bool)
+    for row, side in np.argwhere(own[..., 0] > FAULT).tolist():
+        robot, other = pair[row, side], pair[row, 1 - side]
+        is_recent = (time <= time[row] + _ROUNDING) & (time >= time[row] - _PUSHED)
+        for end in (0, 1):
+            by = (pair[:, end] == robot) & (pair[:, 1 - end] != other) & is_recent
+            if (by & (speed[:, 1 - end] > FAULT)).any():
+                is_own[row, side] = False
+    own[~is_own, 0] = -np.inf
+    own[is_own, 1] = -np.inf
+
+
 def _collision(trace: Trace, rows: np.ndarray, own: Array) -> Collision:
-    """The rows of one count; `own` (c, 2) are the speeds that somebody answers for."""
-    row, side = divmod(int(own[rows].argmax()), 2)
+    """The rows of one count; `own` (c, 2, 2) are the speeds that somebody answers for."""
+    by_itself, pushed = own[rows, :, 0], own[rows, :, 1]
+    told = by_itself if by_itself.max() > FAULT or not pushed.max() > FAULT else pushed
+    row, side = divmod(int(told.argmax()), 2)
     pair = trace.contact_pair[rows[row]].tolist()
     a, b = pair if pair[1] < 0 or pair[0] <= pair[1] else pair[::-1]
+    when = float(trace.contact_t[rows[row]])
     return Collision(
         time=float(trace.contact_t[rows[0]]),
         a=trace.ids[a],
         b=_name(trace, b),
-        own_speed=max(float(own[rows[row], side]), 0.0),
+        own_speed=max(float(by_itself.max()), 0.0),
+        pushed_speed=max(float(pushed.max()), 0.0),
         who=trace.ids[pair[side]],
+        commanded=_commanded(trace, pair[side], when),
     )
+
+
+def _commanded(trace: Trace, robot: int, when: float) -> float:
+    """The fastest that the outline was told to move at the last instant up to `when`."""
+    instant = max(int(np.searchsorted(trace.t, when + _ROUNDING)) - 1, 0)
+    linear, angular, lateral = trace.safe[instant, robot]
+    x, y = trace.footprint(robot).T
+    return float(np.hypot(linear - angular * y, lateral + angular * x).max())
 
 
 def _name(trace: Trace, index: int) -> str:

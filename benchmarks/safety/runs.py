@@ -123,6 +123,7 @@ def _sum(a: Judgement, b: Judgement) -> Judgement:
         touches=a.touches + b.touches,
         touch_faults=a.touch_faults + b.touch_faults,
         worst_touch=max(a.worst_touch, b.worst_touch),
+        pushed=a.pushed + b.pushed,
         goals=a.goals + b.goals,
         goal_seconds=a.goal_seconds + b.goal_seconds,
         windows=a.windows + b.windows,
@@ -136,5 +137,6 @@ def _line(record: Record) -> str:
     found = record.found
     return (
         f"{record.task.scene.name} seed {record.task.seed}: {found.collisions} collisions,"
-        f" {found.faults} at fault, {found.touch_faults} with the arena, {record.cpu:.0f} s"
+        f" {found.faults} at fault, {found.touch_faults} with the arena,"
+        f" {found.pushed} pushed, {record.cpu:.0f} s"
     )

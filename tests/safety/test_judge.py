@@ -90,6 +90,44 @@ def test_the_fastest_own_surface_within_a_count_is_told() -> None:
     assert found[0].own_speed == pytest.approx(0.07)
 
 
+def test_who_is_pushed_into_another_is_at_no_fault() -> None:
+    push: Row = (5.0, 0, 2, -0.2, 0.2)
+    found = judged(push, (5.1, 0, 1, 0.2, 0.0))
+    assert (found.collisions, found.faults, found.pushed) == (2, 0, 1)
+    into_a_wall = judged(push, (5.1, 0, ARENA, 0.2, 0.0))
+    assert (into_a_wall.touch_faults, into_a_wall.pushed) == (0, 1)
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        (4.7, 0, 2, -0.2, 0.2),  # long ago
+        (5.0, 0, 2, -0.2, 0.02),  # by somebody who hardly moves
+        (5.0, 1, 2, 0.0, 0.3),  # another one is pushed
+        (5.0, 0, 1, 0.0, 0.3),  # by the very one that it then hits
+        (5.2, 0, 2, -0.2, 0.2),  # only later
+    ],
+)
+def test_no_other_touch_is_an_excuse(before: Row) -> None:
+    found = judged(before, (5.1, 0, 1, 0.2, 0.0))
+    assert (found.faults, found.pushed) == (1, 0)
+
+
+def test_who_drives_on_by_itself_after_a_push_is_at_fault_within_the_same_count() -> None:
+    found = collisions(
+        run([(5.0, 0, 2, -0.2, 0.2), (5.1, 0, 1, 0.3, 0.0), (5.5, 0, 1, 0.1, 0.0)]), {"ram"}
+    )
+    assert [one.is_fault for one in found if one.b == "b"] == [True]
+    assert [one.own_speed for one in found if one.b == "b"] == pytest.approx([0.1])
+
+
+def test_what_the_robot_was_told_at_the_time_is_told() -> None:
+    trace = run([(5.04, 0, 1, 0.1, 0.0)])
+    trace.safe[50, 0] = (0.1, 1.0, 0.0)  # at 5.0 s
+    corner = np.hypot(0.1 + 0.089, 0.102)
+    assert collisions(trace)[0].commanded == pytest.approx(corner)
+
+
 def test_a_rammers_speed_is_nobodys_fault() -> None:
     found = judged((5.0, 0, 2, -0.2, 0.6))
     assert (found.faults, found.worst) == (0, 0.0)

@@ -22,6 +22,7 @@ NOTHING = Judgement(
     touches=0,
     touch_faults=0,
     worst_touch=0.0,
+    pushed=0,
     goals=0,
     goal_seconds=0.0,
     windows=0,
