@@ -23,6 +23,7 @@ import yaml
 import zenoh
 
 from benchmarks.latency import Stamps, between, read_stamps, row
+from benchmarks.safety.driven import faults
 from benchmarks.safety.hazards import THINGS, Obstacles, Rammer, room
 from benchmarks.safety.judge import FAULT, Collision, collisions
 from benchmarks.safety.scenes import KINDS
@@ -66,8 +67,8 @@ class Outcome:
         return collisions(self.trace, unprotected=(RAMMER,))
 
     def faults(self) -> list[Collision]:
-        """The touches at which such a robot drove into the other."""
-        return [touch for touch in self.touches() if touch.is_fault]
+        """The touches at which such a robot drove into the other, and was not pushed into it."""
+        return list(faults(self.trace, unprotected=(RAMMER,)))
 
     def ram_speeds(self) -> list[float]:
         """The speed of the rammer's fastest corner at instants without a touch, in m/s: truth.
@@ -222,12 +223,14 @@ def rows(platform: str, options: argparse.Namespace) -> Iterator[Row]:
     course = Course(platform, options.mode, visibility=options.visibility, seed=options.seed)
     with course:
         outcome = course.run(options.seconds)
-    touches, faults = outcome.touches(), outcome.faults()
-    for fault in faults:
+    touches, driven = outcome.touches(), outcome.faults()
+    for fault in driven:
         print(f"{platform}: {fault}")
+    pushed = sum(touch.is_fault for touch in touches) - len(driven)
+    note = f"{len(driven)} at fault, {pushed} more pushed; {outcome.appeared} things appeared,"
+    note += f" none nearer than {outcome.nearest():.2f} m;"
+    note += f" {outcome.trace.duration * ROBOTS / 60.0:.0f} robot-min"
     speeds = [touch.own_speed for touch in touches]
-    note = f"{len(faults)} at fault; {outcome.appeared} things appeared, none nearer than"
-    note += f" {outcome.nearest():.2f} m; {outcome.trace.duration * ROBOTS / 60.0:.0f} robot-min"
     yield Row(f"{platform}: own speed at touches", speeds, f"{FAULT} m/s", note, unit="m/s")
     most = f"{course.others_speed:g} m/s"
     yield Row(f"{platform}: rammer's fastest corner", outcome.ram_speeds(), most, unit="m/s")
