@@ -1,0 +1,61 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarmd.platforms import load_platform
+from swarmd.testing.scans import scan_from
+from swarmd.testing.variants import with_mode
+from swarmd.testing.yard import Yard, box, decided
+from swarmd.values import ZERO, Platform, Pose, Scan, Twist
+
+BURGER = with_mode(load_platform("burger"), "stop_zone")
+WISH = Twist(0.2, 0.3)
+FRONT = 0.038 + 0.032  # m from the lidar to the foremost of the outline
+
+
+def ahead(gap: float, platform: Platform = BURGER) -> Scan:
+    """One return, so far from the front of the outline."""
+    ranges = np.full(360, math.inf)
+    ranges[0] = FRONT + gap
+    return scan_from(platform, ranges, platform.scan.bearings)
+
+
+@pytest.mark.parametrize(("gap", "share"), [(0.26, 1.0), (0.24, 0.3), (0.11, 0.3), (0.09, 0.0)])
+def test_two_zones_one_slows_and_one_stops(gap: float, share: float) -> None:
+    verdict = decided(BURGER, ahead(gap), WISH)
+    assert verdict.safe.linear == pytest.approx(share * 0.2)
+    assert verdict.safe.angular == pytest.approx(share * 0.3)
+    assert verdict.is_active is (share < 1.0)
+
+
+@given(st.floats(-0.22, 0.22), st.floats(-2.84, 2.84), st.floats(0.06, 1.0))
+def test_it_only_ever_slows_down(v: float, w: float, gap: float) -> None:
+    safe = decided(BURGER, ahead(gap), Twist(v, w)).safe
+    share = safe.linear / v if abs(v) > 1e-6 else 1.0
+    assert 0.0 <= share <= 1.0
+    assert abs(safe.angular) <= abs(w)
+
+
+def test_what_is_near_is_named() -> None:
+    (row,) = decided(BURGER, ahead(0.2), WISH).rows
+    assert (row.bearing, row.gap) == pytest.approx((0.0, 0.2), abs=1e-9)
+    assert row.cap == pytest.approx(0.3 * 0.22)
+
+
+def test_who_wishes_nothing_is_not_held_back() -> None:
+    verdict = decided(BURGER, ahead(0.05), ZERO)
+    assert (verdict.safe, verdict.is_active) == (ZERO, False)
+
+
+def test_it_stops_before_a_wall_and_cannot_leave_it() -> None:
+    """Which is why it is not the default."""
+    yard = Yard(BURGER, [box(0.1, 4.0, Pose(0.6))])
+    assert 0.05 < yard.run(Twist(0.22), 6.0).min_gap < 0.10
+    stood = yard.pose
+    yard.run(Twist(-0.22), 2.0)
+    assert yard.pose.x == pytest.approx(stood.x)
