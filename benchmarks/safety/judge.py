@@ -2,9 +2,8 @@
 
 A collision is a touch of two robots, at least one of them protected; it counts once for each second
 that it lasts. It is at fault if the own surface of a protected one moved towards the other
-at more than 2 cm/s: a robot that stands and is rammed is at no fault. Nor is one for what it is
-pushed into, while somebody else drives into it; such collisions are counted apart. In a
-swarm in which all are protected nobody is pushed before somebody has been at fault.
+at more than 2 cm/s: a robot that stands and is rammed is at no fault. Nor is one that has been told
+to stand for half a second and moves all the same: it is pushed. Such collisions are counted apart.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ STUCK = 0.05
 """A robot is stuck in a window of so many s in which it gets no farther than this from its start,
 in m."""
 
-_PUSHED = 0.2  # s for which a push, by somebody at more than FAULT, explains where one goes
+_STANDS = 0.5  # s within which every base here comes to rest, late as it is told
 _APART = 0.5  # s without touch after which two that started in touch are judged like any others
 _START = 0.1  # s: what touches by then has been put there
 _ROUNDING = 1e-9
@@ -40,8 +39,7 @@ class Collision(Struct, frozen=True):
 
     `a` is a robot's id, `b` another's, the name of a movable box or WALLS. `own_speed` m/s: the
     fastest that a protected one's own surface moved towards the other by itself; `pushed_speed`
-    the same while it was pushed. `who` that was. `commanded` m/s: the fastest that
-    its outline was told to move, at the instant before.
+    the same of one that was told to stand. `who` that was.
     """
 
     time: float
@@ -50,7 +48,6 @@ class Collision(Struct, frozen=True):
     own_speed: float
     pushed_speed: float
     who: str
-    commanded: float
 
     @property
     def is_fault(self) -> bool:
@@ -59,7 +56,7 @@ class Collision(Struct, frozen=True):
 
     @property
     def is_pushed(self) -> bool:
-        """Whether one came only since it was pushed."""
+        """Whether one came only because it was pushed."""
         return self.own_speed <= FAULT < self.pushed_speed
 
 
@@ -68,7 +65,7 @@ class Judgement(Struct, frozen=True, kw_only=True):
 
     `seconds`: of all of them together. Collisions with robots, and touches of walls, boxes and
     poles, each with those at fault and the fastest own surface among them in m/s (0: none);
-    `pushed`: those of both that one was pushed into.
+    `pushed`: those of both into which one was pushed.
     `goals` reached within `goal_seconds` of all of them together, `windows` of WINDOW s, and how
     many of them `stuck`: all 0 where there was no goal to reach. `altered`: mean change of the
     wish, times `seconds`.
@@ -128,8 +125,9 @@ def collisions(trace: Trace, unprotected: Collection[str] = ()) -> list[Collisio
     # What is not protected, arena and boxes included, has no speed of its own to answer for.
     answers = np.stack((is_protected[first], (second >= 0) & is_protected[second]), axis=1)
     own = np.where(answers, trace.contact_speed, -np.inf)
-    own = np.stack((own, own), axis=-1)  # by itself, pushed
-    _tell_pushes(trace, own)
+    is_told = _is_told_to_move(trace)
+    # By itself, and pushed.
+    own = np.stack((np.where(is_told, own, -np.inf), np.where(is_told, -np.inf, own)), axis=-1)
     found = []
     pairs = np.unique(np.sort(trace.contact_pair[answers.any(axis=1)], axis=1), axis=0)
     for low, high in pairs.tolist():
@@ -166,19 +164,21 @@ def _counts(times: Array, begin: float) -> Iterator[slice]:
         start = stop
 
 
-def _tell_pushes(trace: Trace, own: Array) -> None:
-    """Leave in `own` (c, 2, 2) each speed either as the robot's own or as that of one pushed."""
-    time, pair, speed = trace.contact_t, trace.contact_pair, trace.contact_speed
-    is_own = np.ones(pair.shape, dtype=bool)
-    for row, side in np.argwhere(own[..., 0] > FAULT).tolist():
-        robot, other = pair[row, side], pair[row, 1 - side]
-        is_recent = (time <= time[row] + _ROUNDING) & (time >= time[row] - _PUSHED)
-        for end in (0, 1):
-            by = (pair[:, end] == robot) & (pair[:, 1 - end] != other) & is_recent
-            if (by & (speed[:, 1 - end] > FAULT)).any():
-                is_own[row, side] = False
-    own[~is_own, 0] = -np.inf
-    own[is_own, 1] = -np.inf
+def _is_told_to_move(trace: Trace) -> np.ndarray:
+    """(c, 2) whether the command in force shortly before a touch moved a point of the outline."""
+    commanded = np.zeros(trace.safe.shape[:2])
+    for row in range(len(trace.ids)):
+        linear, angular, lateral = trace.safe[:, row].T
+        for x, y in trace.footprint(row):
+            speed = np.hypot(linear - angular * y, lateral + angular * x)
+            np.maximum(commanded[:, row], speed, out=commanded[:, row])
+    since = np.searchsorted(trace.t, trace.contact_t - _STANDS)
+    until = np.searchsorted(trace.t, trace.contact_t + _ROUNDING)
+    is_told = np.zeros(trace.contact_pair.shape, dtype=bool)
+    for touch, (first, stop) in enumerate(zip(since, np.maximum(until, since + 1), strict=True)):
+        most = commanded[first:stop].max(axis=0)
+        is_told[touch] = most[trace.contact_pair[touch]] > FAULT
+    return is_told
 
 
 def _collision(trace: Trace, rows: np.ndarray, own: Array) -> Collision:
@@ -188,7 +188,6 @@ def _collision(trace: Trace, rows: np.ndarray, own: Array) -> Collision:
     row, side = divmod(int(told.argmax()), 2)
     pair = trace.contact_pair[rows[row]].tolist()
     a, b = pair if pair[1] < 0 or pair[0] <= pair[1] else pair[::-1]
-    when = float(trace.contact_t[rows[row]])
     return Collision(
         time=float(trace.contact_t[rows[0]]),
         a=trace.ids[a],
@@ -196,16 +195,7 @@ def _collision(trace: Trace, rows: np.ndarray, own: Array) -> Collision:
         own_speed=max(float(by_itself.max()), 0.0),
         pushed_speed=max(float(pushed.max()), 0.0),
         who=trace.ids[pair[side]],
-        commanded=_commanded(trace, pair[side], when),
     )
-
-
-def _commanded(trace: Trace, robot: int, when: float) -> float:
-    """The fastest that the outline was told to move at the last instant up to `when`."""
-    instant = max(int(np.searchsorted(trace.t, when + _ROUNDING)) - 1, 0)
-    linear, angular, lateral = trace.safe[instant, robot]
-    x, y = trace.footprint(robot).T
-    return float(np.hypot(linear - angular * y, lateral + angular * x).max())
 
 
 def _name(trace: Trace, index: int) -> str:

@@ -122,7 +122,7 @@ def mapping(scene: Scene) -> dict[str, Any]:
     return {
         "name": scene.name,
         "duration": scene.duration,
-        "trace_rate": 5.0,
+        "trace_rate": 20.0,
         "lidar_visibility": scene.visibility,
         "realism": "realistic",
         "arena": {"size": [room.side, room.side]},

@@ -18,18 +18,26 @@ Row = tuple[float, int, int, float, float]
 """A step of a touch: time, the two, and how fast each one's surface came."""
 
 
-def run(touches: Sequence[Row] = (), *, pose: Array | None = None, seconds: float = 20.0) -> Trace:
-    """Two robots and a rammer 2 m apart, ten instants a second, with these touches."""
+def run(
+    touches: Sequence[Row] = (),
+    *,
+    pose: Array | None = None,
+    seconds: float = 20.0,
+    told: float = 0.1,
+) -> Trace:
+    """Two robots and a rammer 2 m apart, ten instants a second, `told` m/s, with these touches."""
     t = np.linspace(0.0, seconds, round(10.0 * seconds) + 1)
     if pose is None:
         pose = np.zeros((len(t), 3, 3))
         pose[:, :, 0] = (0.0, 2.0, 4.0)
+    safe = np.zeros_like(pose)
+    safe[..., 0] = told
     rows = np.array(touches, dtype=np.float64).reshape(-1, 5)
     return Trace(
         ids=("a", "b", "ram"),
         t=t,
         pose=pose,
-        safe=np.zeros_like(pose),
+        safe=safe,
         contact_t=rows[:, 0],
         contact_pair=rows[:, 1:3].astype(np.int64),
         contact_speed=rows[:, 3:],
@@ -90,42 +98,44 @@ def test_the_fastest_own_surface_within_a_count_is_told() -> None:
     assert found[0].own_speed == pytest.approx(0.07)
 
 
-def test_who_is_pushed_into_another_is_at_no_fault() -> None:
-    push: Row = (5.0, 0, 2, -0.2, 0.2)
-    found = judged(push, (5.1, 0, 1, 0.2, 0.0))
-    assert (found.collisions, found.faults, found.pushed) == (2, 0, 1)
-    into_a_wall = judged(push, (5.1, 0, ARENA, 0.2, 0.0))
-    assert (into_a_wall.touch_faults, into_a_wall.pushed) == (0, 1)
+def test_who_was_told_to_stand_and_moves_is_pushed_and_at_no_fault() -> None:
+    trace = run([(5.0, 0, 1, 0.2, 0.0), (8.0, 0, ARENA, 0.2, 0.0)], told=0.0)
+    found = judge(trace)
+    assert (found.collisions, found.touches) == (1, 1)
+    assert (found.faults, found.touch_faults, found.pushed) == (0, 0, 2)
 
 
 @pytest.mark.parametrize(
-    "before",
+    ("at", "twist", "is_fault"),
     [
-        (4.7, 0, 2, -0.2, 0.2),  # long ago
-        (5.0, 0, 2, -0.2, 0.02),  # by somebody who hardly moves
-        (5.0, 1, 2, 0.0, 0.3),  # another one is pushed
-        (5.0, 0, 1, 0.0, 0.3),  # by the very one that it then hits
-        (5.2, 0, 2, -0.2, 0.2),  # only later
+        (4.9, (0.1, 0.0), True),
+        (4.6, (0.1, 0.0), True),
+        (4.9, (0.0, 0.2), True),  # a corner of it moves at 2.7 cm/s
+        (4.9, (0.0, 0.1), False),
+        (4.3, (0.1, 0.0), False),  # it must have come to rest since
+        (5.1, (0.1, 0.0), False),  # only later
     ],
 )
-def test_no_other_touch_is_an_excuse(before: Row) -> None:
-    found = judged(before, (5.1, 0, 1, 0.2, 0.0))
-    assert (found.faults, found.pushed) == (1, 0)
+def test_a_command_shortly_before_makes_a_motion_its_own(
+    at: float, twist: tuple[float, float], is_fault: bool
+) -> None:
+    trace = run([(5.0, 0, 1, 0.2, 0.0)], told=0.0)
+    trace.safe[np.isclose(trace.t, at), 0, :2] = twist
+    assert [one.is_fault for one in collisions(trace)] == [is_fault]
 
 
-def test_who_drives_on_by_itself_after_a_push_is_at_fault_within_the_same_count() -> None:
-    found = collisions(
-        run([(5.0, 0, 2, -0.2, 0.2), (5.1, 0, 1, 0.3, 0.0), (5.5, 0, 1, 0.1, 0.0)]), {"ram"}
-    )
-    assert [one.is_fault for one in found if one.b == "b"] == [True]
-    assert [one.own_speed for one in found if one.b == "b"] == pytest.approx([0.1])
+def test_a_command_is_no_excuse_for_another_robot() -> None:
+    trace = run([(5.0, 0, 1, 0.2, 0.0)], told=0.0)
+    trace.safe[:, 1, 0] = 0.1
+    assert [one.is_pushed for one in collisions(trace)] == [True]
 
 
-def test_what_the_robot_was_told_at_the_time_is_told() -> None:
-    trace = run([(5.04, 0, 1, 0.1, 0.0)])
-    trace.safe[50, 0] = (0.1, 1.0, 0.0)  # at 5.0 s
-    corner = np.hypot(0.1 + 0.089, 0.102)
-    assert collisions(trace)[0].commanded == pytest.approx(corner)
+def test_who_drives_on_after_a_push_is_at_fault_within_the_same_count() -> None:
+    trace = run([(5.0, 0, 1, 0.3, 0.0), (5.5, 0, 1, 0.1, 0.0)], told=0.0)
+    trace.safe[np.isclose(trace.t, 5.5), 0, 0] = 0.1
+    (found,) = collisions(trace)
+    assert (found.is_fault, found.is_pushed) == (True, False)
+    assert (found.own_speed, found.pushed_speed) == pytest.approx((0.1, 0.3))
 
 
 def test_a_rammers_speed_is_nobodys_fault() -> None:
