@@ -1,0 +1,127 @@
+"""Two robots and what they meet, in MuJoCo: its contacts judge, which know nothing of the arbiter.
+
+Noise, delays and lost rays are those of `realistic`; the default mode protects.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.sim.trace import Trace
+
+NO_FAULT = 0.02
+KINDS = ("burger", "waffle_pi", "jackal")
+SPEEDS = {"burger": 0.22, "waffle_pi": 0.26, "jackal": 0.5}
+Pose = tuple[float, float, float]
+
+
+def group(platform: str, name: str, pose: Pose, speed: float, turn: float = 0.0) -> dict[str, Any]:
+    """One robot that drives, whatever is in its way."""
+    return {
+        "platform": platform,
+        "robots": [name],
+        "pattern": "drive",
+        "parameters": {"speed": speed, "turn": turn, "unstick": False},
+        "start": {"layout": "list", "poses": [[*pose[:2], math.degrees(pose[2])]]},
+    }
+
+
+def meeting(
+    *groups: dict[str, Any],
+    seed: int = 1,
+    duration: float = 12.0,
+    visibility: str = "body",
+    arena: dict[str, Any] | None = None,
+) -> Trace:
+    """What comes of it; platforms as they are, and `ram-<platform>`, which nothing protects."""
+    barrier = {kind: {"extends": kind, "protection": {"mode": "barrier"}} for kind in KINDS}
+    free = {f"ram-{kind}": {"extends": kind, "protection": {"mode": "off"}} for kind in KINDS}
+    data = {
+        "duration": duration,
+        "lidar_visibility": visibility,
+        "arena": {"size": [12.0, 12.0], **(arena or {})},
+        "platforms": {**barrier, **free},
+        "groups": {f"group-{one['robots'][0]}": one for one in groups},
+    }
+    return simulate_run(scenario_of(data), seed)
+
+
+def first_touch(trace: Trace, name: str = "a") -> float:
+    """The speed in m/s with which a robot's own surface closed when it was first touched.
+
+    What comes after is the rammer's doing: it throws who it hits.
+    """
+    own = trace.contact_pair == trace.ids.index(name)
+    speeds = trace.contact_speed[own]
+    return float(speeds[0]) if len(speeds) else 0.0
+
+
+def driven(trace: Trace, name: str = "a") -> float:
+    """How far a robot got from its start, in m."""
+    path = trace.pose[:, trace.ids.index(name), :2]
+    return float(np.hypot(*(path - path[0]).T).max())
+
+
+@pytest.mark.parametrize("visibility", ["body", "real"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_two_that_drive_at_each_other_stop(kind: str, visibility: str) -> None:
+    speed = SPEEDS[kind]
+    trace = meeting(
+        group(kind, "a", (-2.0, 0.0, 0.0), speed),
+        group(kind, "b", (2.0, 0.06, math.pi), speed),
+        visibility=visibility,
+    )
+    assert len(trace.contact_t) == 0
+    assert min(driven(trace, "a"), driven(trace, "b")) > 1.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("way", [1.0, -1.0], ids=["ahead", "reversing"])
+def test_who_drives_at_a_wall_stops(kind: str, way: float) -> None:
+    trace = meeting(group(kind, "a", (way * 4.0, 0.0, 0.2), way * SPEEDS[kind]))
+    assert len(trace.contact_t) == 0
+    assert driven(trace) > 0.7
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_pole_is_not_too_thin(kind: str) -> None:
+    arena = {"poles": [{"at": [0.0, 0.05], "radius": 0.03}]}
+    trace = meeting(group(kind, "a", (-2.0, 0.0, 0.0), SPEEDS[kind]), arena=arena)
+    assert len(trace.contact_t) == 0
+    assert driven(trace) > 0.7
+
+
+@pytest.mark.parametrize("kind", ["burger", "waffle_pi"])
+@pytest.mark.parametrize("bearing", [0.0, 1.2, math.pi])
+def test_who_is_rammed_at_a_robots_top_speed_is_not_at_fault(kind: str, bearing: float) -> None:
+    """The rammer comes from anywhere; who is rammed drives at it or, from behind, backs."""
+    x, y = 1.6 * math.cos(bearing), 1.6 * math.sin(bearing)
+    way = -1.0 if bearing > 2.0 else 1.0
+    trace = meeting(
+        group(kind, "a", (0.0, 0.0, 0.0), 0.5 * way * SPEEDS[kind]),
+        group(f"ram-{kind}", "b", (x, y, bearing + math.pi), SPEEDS[kind]),
+    )
+    assert first_touch(trace) <= NO_FAULT
+
+
+def test_a_jackal_is_rammed_within_what_it_cannot_see_and_is_not_at_fault() -> None:
+    trace = meeting(
+        group("jackal", "a", (-2.0, 0.0, 0.0), 0.5),
+        group("ram-jackal", "b", (2.0, 0.1, math.pi), 0.5),
+    )
+    assert len(trace.contact_t) > 0
+    assert first_touch(trace) <= NO_FAULT
+
+
+def test_who_turns_beside_another_does_not_swing_into_it() -> None:
+    trace = meeting(
+        group("burger", "a", (0.0, 0.0, 0.0), 0.0, 2.84),
+        group("burger", "b", (-0.4, 1.5, -math.pi / 2), 0.22),
+    )
+    assert len(trace.contact_t) == 0
