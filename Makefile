@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 ARGS ?=
 
-.PHONY: help demo test check format bench paper lock clean
+.PHONY: help demo test check format bench paper mutants lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -38,6 +38,10 @@ bench: $(VENV)/tools
 # The tables and figures of docs/paper.md, in build/paper: 480 runs, half an hour on one core.
 paper: $(VENV)/tools
 	@$(BIN)/python -m benchmarks.paper $(ARGS)
+
+# The table of docs/safety.md: which tests fail without which mechanism; ten minutes on two cores.
+mutants: $(VENV)/tools
+	@$(BIN)/python -m benchmarks.mutants $(ARGS)
 
 $(VENV)/made:
 	@command -v $(PYTHON) >/dev/null || { echo \
