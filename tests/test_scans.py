@@ -108,6 +108,48 @@ def test_a_ray_far_from_all_that_is_remembered_has_no_memory() -> None:
     assert conditioner.take(sweep(ranges, 2), DRIVING, 0.4) is Reason.INVALID_SCAN
 
 
+def facing(yaw: float) -> Odometry:
+    return Odometry(0.0, Pose(0.0, 0.0, yaw), Twist(0.0, 1.0))
+
+
+def test_what_is_remembered_stays_where_it_was_while_the_sensor_turns() -> None:
+    conditioner = ScanConditioner(replace(SPEC, zero="lds"))
+    before = np.zeros(360)
+    before[60:80] = 1.0
+    before[200] = 0.15
+    conditioner.take(sweep(before, 1), facing(3.0), 0.2)
+    after = np.zeros(360)
+    after[30:50] = 1.0
+    after[35:41] = 0.0  # a drop-out
+    scan = conditioner.take(sweep(after, 2), facing(3.0 + math.radians(30.0)), 0.4)
+    assert isinstance(scan, Scan)
+    assert np.flatnonzero(scan.ranges == 1.0).tolist() == list(range(30, 50))
+    assert np.flatnonzero(np.isneginf(scan.ranges)).tolist() == list(range(167, 174))
+
+
+def test_slow_turns_add_up() -> None:
+    conditioner = ScanConditioner(replace(SPEC, zero="lds"))
+    ranges = np.zeros(360)
+    ranges[100] = 0.15
+    conditioner.take(sweep(ranges, 0), facing(0.0), 0.0)
+    for n in range(1, 10):
+        scan = conditioner.take(sweep(np.zeros(360), n), facing(math.radians(0.3 * n)), 0.1 * n)
+    assert isinstance(scan, Scan)
+    assert abs(np.flatnonzero(np.isneginf(scan.ranges)).mean() - 97.3) <= 1.0
+
+
+@pytest.mark.parametrize("odometry", [None, facing(math.nan)])
+def test_without_a_heading_what_is_remembered_stays_by_the_ray(odometry: Odometry | None) -> None:
+    conditioner = ScanConditioner(SPEC)
+    conditioner.take(sweep(1.0, 1), facing(1.0), 0.2)
+    for seq, told in ((2, odometry), (3, facing(2.0))):
+        ranges = np.full(360, 2.0)
+        ranges[5] = np.nan
+        scan = conditioner.take(sweep(ranges, seq), told, 0.2 * seq)
+        assert isinstance(scan, Scan)
+        assert scan.ranges[5] == 1.0
+
+
 def test_an_unknown_ray_keeps_its_last_range_for_stale_after_only() -> None:
     conditioner = ScanConditioner(SPEC)
     conditioned(conditioner, 1.0, 1)
@@ -140,6 +182,10 @@ def lacking(*sectors: slice, what: float = np.nan) -> Array:
 def test_a_scan_that_lacks_a_wide_sector_is_as_old_as_what_is_remembered_of_it() -> None:
     raws = [lacking(), lacking(LOST), lacking(LOST), lacking(), lacking(LOST)]
     assert ages(SPEC, raws) == [0.0, 0.2, 0.4, 0.0, 0.2]
+
+
+def test_what_is_seen_again_is_as_new_as_the_rest() -> None:
+    assert ages(SPEC, [lacking(), lacking(LOST), lacking(slice(200, 240))]) == [0.0, 0.2, 0.2]
 
 
 def test_single_rays_and_sectors_that_can_be_bridged_do_not_make_a_scan_older() -> None:
