@@ -26,7 +26,7 @@ from benchmarks.latency import Stamps, between, read_stamps, row
 from benchmarks.safety.driven import faults
 from benchmarks.safety.hazards import THINGS, Obstacles, Rammer, room
 from benchmarks.safety.judge import FAULT, Collision, collisions
-from benchmarks.safety.scenes import KINDS
+from benchmarks.safety.scenes import KINDS, VISIBILITIES
 from benchmarks.swarm import Swarm
 from benchmarks.table import Row, print_table
 from swarmd import keys
@@ -97,6 +97,11 @@ class Outcome:
         apart = [gaps(robots[:, :, 0], things[:, :, thing]) for thing in range(len(trace.things))]
         found = [some[is_there[:, thing]] for thing, some in enumerate(apart)]
         return min((float(some.min()) for some in found if some.size), default=math.inf)
+
+
+def is_ram(touch: Collision) -> bool:
+    """Whether the rammer was one of those two."""
+    return RAMMER in (touch.a, touch.b)
 
 
 class Course:
@@ -223,15 +228,14 @@ def rows(platform: str, options: argparse.Namespace) -> Iterator[Row]:
     course = Course(platform, options.mode, visibility=options.visibility, seed=options.seed)
     with course:
         outcome = course.run(options.seconds)
-    touches, driven = outcome.touches(), outcome.faults()
-    for fault in driven:
-        print(f"{platform}: {fault}")
-    pushed = sum(touch.is_fault for touch in touches) - len(driven)
-    note = f"{len(driven)} at fault, {pushed} more pushed; {outcome.appeared} things appeared,"
-    note += f" none nearer than {outcome.nearest():.2f} m;"
-    note += f" {outcome.trace.duration * ROBOTS / 60.0:.0f} robot-min"
-    speeds = [touch.own_speed for touch in touches]
-    yield Row(f"{platform}: own speed at touches", speeds, f"{FAULT} m/s", note, unit="m/s")
+    if options.traces is not None:
+        outcome.trace.save(options.traces / f"{platform}-{options.visibility}-{options.seed}.npz")
+    for fault in outcome.faults():
+        print(fault)
+    note = f"in {outcome.trace.duration * ROBOTS / 60.0:.0f} robot-minutes"
+    yield _speeds(f"{platform}: own speed when rammed", outcome, True, note)
+    note = f"of {outcome.appeared} things none nearer than {outcome.nearest():.2f} m"
+    yield _speeds(f"{platform}: own speed at other touches", outcome, False, note)
     most = f"{course.others_speed:g} m/s"
     yield Row(f"{platform}: rammer's fastest corner", outcome.ram_speeds(), most, unit="m/s")
     stamps, span = outcome.stamps, outcome.span
@@ -241,13 +245,22 @@ def rows(platform: str, options: argparse.Namespace) -> Iterator[Row]:
     yield row(f"{platform}: full, {ROBOTS} live daemons", "p50 2 ms, p99 8 ms", full)
 
 
+def _speeds(what: str, outcome: Outcome, is_by_rammer: bool, note: str) -> Row:
+    touches = [one for one in outcome.touches() if is_ram(one) is is_by_rammer]
+    count = sum(is_ram(one) is is_by_rammer for one in outcome.faults())
+    thrown = sum(one.is_fault for one in touches) - count
+    note = f"{count} at fault, {thrown} more only thrown; {note}"
+    return Row(what, [one.own_speed for one in touches], f"{FAULT:g} m/s", note, unit="m/s")
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("platforms", nargs="*", default=KINDS)
     parser.add_argument("--seconds", type=float, default=SECONDS)
     parser.add_argument("--mode", default="barrier")
-    parser.add_argument("--visibility", choices=("body", "real"), default="body")
+    parser.add_argument("--visibility", choices=VISIBILITIES, default="body")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--traces", type=Path, metavar="DIR", help="where traces are kept")
     options = parser.parse_args(arguments)
     for platform in options.platforms:
         title = f"{platform} live, mode {options.mode}, lidar visibility {options.visibility}"
