@@ -13,18 +13,18 @@ from swarmd.protection.moment import Moment
 from swarmd.protection.off import Off
 from swarmd.protection.potential_field import PotentialField
 from swarmd.protection.stop_zone import StopZone
+from swarmd.protection.unstick import Berth
 from swarmd.protection.verdict import Decision
 from swarmd.values import Platform, Scan, TouchZone, Twist
 
 
 class Arbiter(Protocol):
-    """One mode. It is asked only when the fail-safe front has found nothing that forbids motion.
-
-    `can_block`: it may leave a robot standing that wishes to move, for as long as it wishes so.
-    """
+    """One mode. It is asked only when the fail-safe front has found nothing that forbids motion."""
 
     mode: str
-    can_block: bool
+
+    def berth(self, speed: float) -> Berth | None:
+        """The room that it takes to drive at `speed` m/s unhindered; None: it never blocks."""
 
     def observe(self, scan: Scan, sight: Sight, moment: Moment) -> None:
         """Take in a new scan: all its geometry, once. `sight` says where its rays end."""

@@ -15,7 +15,7 @@ from the robot's own lidar and odometry. What is promised, and what is not, is i
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -30,6 +30,7 @@ from swarmd.protection.moment import Moment
 from swarmd.protection.motion import REACTION, TRUSTED, Motion, relative
 from swarmd.protection.pressing import pressing
 from swarmd.protection.settings import BarrierSettings
+from swarmd.protection.unstick import Berth
 from swarmd.protection.verdict import Decision, Row
 from swarmd.values import Array, Platform, Pose, Scan, TouchZone, Twist
 
@@ -64,7 +65,6 @@ class _Rows(NamedTuple):
     gaps: Array
 
 
-_Occasion: TypeAlias = tuple[Moment, Twist, Point, TouchZone | None]
 _NO_WAYS = np.empty((0, 2))
 _NOTHING = _Seen(np.empty((0, 2)), _NO_WAYS, is_near=False)
 
@@ -73,7 +73,6 @@ class Barrier:
     """See the module. Units: m, s, rad."""
 
     mode = "barrier"
-    can_block = True
 
     def __init__(self, platform: Platform) -> None:
         given = platform.protection["barrier"]
@@ -88,15 +87,34 @@ class Barrier:
         self._offset = platform.scan.offset
         self._speed = settings.surface_speed or settings.others_speed
         self._envelopes: dict[Point, tuple[Array, Array]] = {}
-        self._known: tuple[_Occasion, _Rows, Array, Array] | None = None
         self._motion = Motion(settings.braking_linear, settings.braking_angular)
         is_blind = platform.scan.near == "lost"
-        self._memory = NearMemory(platform.scan.range_min) if is_blind else None
+        self._memory = NearMemory(platform.scan.range_min, self._band()) if is_blind else None
         self._seen, self._taken_at, self._taken = _NOTHING, Pose(), -math.inf
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
         self._reach = self._farthest(platform.footprint)
         within = settings.envelope_within
         self._within = self._reach if within is None else within
+
+    def berth(self, speed: float) -> Berth:
+        """Where a row would not yet keep it below that speed ahead, nor stop it beside."""
+        settings, braking = self._settings, np.array([self._settings.braking_linear])
+        age = 0.5 / self._spec.rate + self._spec.latency + REACTION
+
+        def fastest(distance: float) -> float:
+            """The speed ahead that something at a distance from the axle leaves."""
+            gap = distance - float(self._outline.corners[:, 0].max())
+            room = np.array([gap - settings.margin - settings.unseen_extent])
+            caps = self._caps(room, braking, age)
+            if settings.keep_out is not None:
+                left = np.array([distance - self._offset[0] - settings.keep_out])
+                caps = np.minimum(caps, reciprocal_caps(left, braking, age, TICK))
+            return float(caps[0])
+
+        ahead = next((d for d in np.arange(0.0, 5.0, 0.05) if fastest(d) >= speed), 5.0)
+        beside = float(np.abs(self._outline.corners[:, 1]).max())
+        beside += settings.margin + settings.unseen_extent + 0.03
+        return Berth(float(ahead), max(beside, settings.keep_out or 0.0))
 
     def observe(self, scan: Scan, sight: Sight, moment: Moment) -> None:
         """Take in a new scan: which of its points are near enough to matter.
@@ -115,7 +133,6 @@ class Barrier:
             self._memory.update(scan, turned, max(taken - self._taken, 0.0))
         self._taken_at, self._taken = pose, taken
         self._seen = self._look(scan, sight)
-        self._known = None
 
     def decide(
         self, wish: Twist, moment: Moment, *, command: Twist, touch: TouchZone | None
@@ -128,11 +145,8 @@ class Barrier:
             return Decision(wish, is_active=False)
         along, speed = _split(wish)
         limits = self._most(along), self._limits.angular
-        occasion = moment, command, along, touch
-        if self._known is None or not _is_same(self._known[0], occasion):
-            rows = self._rows(seen, *occasion)
-            self._known = occasion, rows, *self._half_planes(rows, along, limits)
-        _, rows, normals, caps = self._known
+        rows = self._rows(seen, moment, command, along, touch)
+        normals, caps = self._half_planes(rows, along, limits)
         wanted = speed / limits[0], wish.angular / limits[1]
         point, tight = nearest_feasible(wanted, BOX, normals, caps)
         if point == wanted:
@@ -251,6 +265,11 @@ class Barrier:
         touched = self._offset + depths[:, None] * ways
         return _Seen(np.concatenate((points, touched)), ways, is_near)
 
+    def _band(self) -> float:
+        """m by which something may have come nearer since the scan before, with one scan lost."""
+        own = max(self._limits.linear, self._limits.lateral)
+        return 2.0 * (self._settings.others_speed + own) / self._spec.rate
+
     def _blurred(self, moment: Moment) -> float:
         """m by which the robot may be elsewhere than odometry of that age says."""
         late = max((moment.odometry_age or 0.0) - TRUSTED, 0.0)
@@ -273,11 +292,6 @@ class Barrier:
         unseen = self._spec.stale_after + self._spec.latency + REACTION
         gap = speed * (TICK + 0.5 * braking) + settings.others_speed * (unseen + TICK + braking)
         return gap + settings.margin + settings.unseen_extent
-
-
-def _is_same(one: _Occasion, other: _Occasion) -> bool:
-    """True for the very same moment and command: several wishes are judged in one decision."""
-    return one[0] is other[0] and one[1] is other[1] and one[2:] == other[2:]
 
 
 def _split(wish: Twist) -> tuple[Point, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from msgspec.structs import replace
 
 from swarmd.messages import Reason
 from swarmd.protection.arbiter import make_arbiter
@@ -12,6 +13,7 @@ from swarmd.protection.unstick import Unstick
 from swarmd.protection.verdict import Decision, Verdict
 from swarmd.values import ZERO, Array, Platform, Scan, Twist
 
+_EASE = 0.6  # of the top speed is what a way must allow to be led along it
 _STAND = Decision(ZERO, is_active=False)
 
 
@@ -30,7 +32,8 @@ class Protection:
         self._min_gap: float | None = None
         self._scan: Scan | None = None
         self._safe = ZERO
-        self._unstick = Unstick(platform.footprint, platform.limits.angular, seed)
+        berth = self._arbiter.berth(_EASE * platform.limits.linear)
+        self._unstick = None if berth is None else Unstick(berth, platform.limits, seed)
 
     @property
     def mode(self) -> str:
@@ -59,37 +62,30 @@ class Protection:
         """
         limits = self._platform.limits
         wanted = limits.clip(wish) if wish is not None and wish.is_finite else ZERO
+        if is_running and hold is None and moment.scan_age is None:
+            hold = Reason.NO_SCAN
         if not is_running or hold is not None:
-            self._unstick.reset()
+            if self._unstick is not None:
+                self._unstick.reset()
             return self._verdict(wanted, _STAND, hold, moment)
-        if moment.scan_age is None:
-            return self._verdict(wanted, _STAND, Reason.NO_SCAN, moment)
-        decision = self._judge(wanted, moment, permit)
+        asked = wanted
+        if self._unstick is not None and permit.may_unstick:
+            asked = limits.clip(self._unstick.instead(wanted, self._safe, moment, self._points))
+        decision = self._arbiter.decide(asked, moment, command=self._safe, touch=permit.touch)
         if decision.twist is not wanted and not decision.twist.is_finite:
             decision = Decision(ZERO, is_active=True, rows=decision.rows)
+        elif asked is not wanted:
+            decision = replace(decision, is_active=True)
         reason = None
         if decision.twist.is_zero:
             reason = Reason.PROTECTION if decision.is_active else Reason.NO_WISH
         return self._verdict(wanted, decision, reason, moment)
 
-    def _judge(self, wanted: Twist, moment: Moment, permit: Permit) -> Decision:
-        """The arbiter's decision on the wish, or on the way around what blocks it."""
-
-        def allowed(twist: Twist) -> Decision:
-            return self._arbiter.decide(twist, moment, command=self._safe, touch=permit.touch)
-
-        if not permit.may_unstick or not self._arbiter.can_block:
-            self._unstick.reset()
-            return allowed(wanted)
-        way = self._unstick.instead(wanted, self._safe, moment, self._points)
-        if way is wanted:
-            return allowed(wanted)
-        decision = allowed(self._platform.limits.clip(way))
-        return Decision(decision.twist, is_active=True, rows=decision.rows)
-
     def _points(self) -> Array:
-        """(k, 2) what the last scan shows up to 2 m, in the base frame in m."""
-        return np.empty((0, 2)) if self._scan is None else self._sight.points(self._scan, 2.0)
+        """(k, 2) what the last scan shows of the ways around, in the base frame in m."""
+        if self._scan is None or self._unstick is None:
+            return np.empty((0, 2))
+        return self._sight.points(self._scan, self._unstick.sight)
 
     def _verdict(
         self, wish: Twist, decision: Decision, reason: Reason | None, moment: Moment
@@ -105,5 +101,5 @@ class Protection:
             min_gap=self._min_gap,
             scan_age=moment.scan_age,
             scan_seq=self._scan_seq,
-            is_unsticking=self._unstick.is_leading,
+            is_unsticking=self._unstick is not None and self._unstick.is_leading,
         )

@@ -12,7 +12,6 @@ from swarmd.values import Array, Scan
 LASTS = 30.0
 """Seconds for which it is remembered where nothing shows that it has gone."""
 
-_BAND = 0.25  # m beyond range_min from where things can get into the blind zone between two scans
 _SHIFT = math.radians(12.0)  # by which what is in the blind zone may have moved between two scans
 _RUN = 3  # rays side by side without a return: fewer are lost ones
 
@@ -29,32 +28,33 @@ class NearMemory:
     cleared so would hold the robot for ever.
     """
 
-    def __init__(self, range_min: float) -> None:
-        """The radius in m within which the sensor is blind."""
-        self._rim = range_min + _BAND
+    def __init__(self, range_min: float, band: float) -> None:
+        """Blind within `range_min` m; between two scans things come up to `band` m nearer."""
+        self._rim, self._out = range_min + band, range_min + 2.0 * band
         self._near = np.empty(0)
         self.bearings = np.empty(0)
         self.ages = np.empty(0)
 
     def update(self, scan: Scan, turned: float, seconds: float) -> None:
         """Take in a scan; since the one before the base has turned by so many rad."""
-        is_near = (scan.ranges <= self._rim) & (scan.ranges > -np.inf)
+        is_near = scan.ranges <= self._rim  # too close to measure is near as well
+        is_out = (scan.ranges <= self._out) & (scan.ranges > -np.inf)
         if len(self._near) or len(self.bearings):
             bearings = np.concatenate((self.bearings, self._near)) - turned
             ages = np.concatenate((self.ages, np.zeros(len(self._near)))) + seconds
-            self.bearings, self.ages = self._shadows(scan, is_near, bearings, ages)
+            self.bearings, self.ages = self._shadows(scan, is_out, bearings, ages)
         self._near = scan.bearings[is_near]
 
     def _shadows(
-        self, scan: Scan, is_near: Mask, bearings: Array, ages: Array
+        self, scan: Scan, is_out: Mask, bearings: Array, ages: Array
     ) -> tuple[Array, Array]:
         """Where those at `bearings` hide now: at the nearest ray of a run without a return."""
         off = np.abs((scan.bearings - bearings[:, None] + np.pi) % (2.0 * np.pi) - np.pi)
         off[off > _SHIFT] = np.inf
-        is_out = np.isfinite(off[:, is_near]).any(axis=1)
+        is_seen = np.isfinite(off[:, is_out]).any(axis=1)
         off[:, ~_in_runs(scan.ranges == np.inf)] = np.inf
         place = off.argmin(axis=1)
-        is_hidden = np.isfinite(off[np.arange(len(off)), place]) & ~is_out & (ages < LASTS)
+        is_hidden = np.isfinite(off[np.arange(len(off)), place]) & ~is_seen & (ages < LASTS)
         rays, first = np.unique(place[is_hidden], return_index=True)
         return scan.bearings[rays], ages[is_hidden][first]
 

@@ -12,10 +12,12 @@ class Off:
     """Protects nothing. The front still holds the limits and gives zero under every hold."""
 
     mode = "off"
-    can_block = False
 
     def __init__(self, platform: Platform) -> None:
         """Nothing is read from the platform."""
+
+    def berth(self, speed: float) -> None:
+        """It never keeps a robot standing."""
 
     def observe(self, scan: Scan, sight: Sight, moment: Moment) -> None:
         """Look at nothing."""

@@ -19,7 +19,6 @@ class PotentialField:
     """Evades while more than `rays` rays are nearer than `threshold` m (from the lidar)."""
 
     mode = "potential_field"
-    can_block = False
 
     def __init__(self, platform: Platform) -> None:
         settings = platform.protection
@@ -28,6 +27,9 @@ class PotentialField:
         self._rays = int(settings["rays"])
         self._forward_bias = float(settings["forward_bias"])
         self._evasion: Twist | None = None
+
+    def berth(self, speed: float) -> None:
+        """It never keeps a robot standing."""
 
     def observe(self, scan: Scan, sight: Sight, moment: Moment) -> None:
         """Compute the evading command, or that there is nothing to evade."""

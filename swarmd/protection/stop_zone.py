@@ -8,10 +8,12 @@ slowed or stopped alike. It cannot leave a stop zone by itself; the wish is not 
 from __future__ import annotations
 
 import msgspec
+import numpy as np
 
 from swarmd.protection.footprint import Footprint, Sight
 from swarmd.protection.moment import Moment
 from swarmd.protection.settings import StopZoneSettings
+from swarmd.protection.unstick import Berth
 from swarmd.protection.verdict import Decision, Row
 from swarmd.values import ZERO, Platform, Scan, TouchZone, Twist
 
@@ -20,13 +22,18 @@ class StopZone:
     """Stops within `stop` m of the outline, gives a share of the wish within `slow` m."""
 
     mode = "stop_zone"
-    can_block = True
 
     def __init__(self, platform: Platform) -> None:
         self._settings = msgspec.convert(platform.protection["stop_zone"], StopZoneSettings)
         self._outline = Footprint(platform.footprint)
         self._limit = platform.limits.linear
         self._nearest: tuple[float, float] | None = None
+
+    def berth(self, speed: float) -> Berth:
+        """Out of both zones."""
+        front, half = self._outline.corners[:, 0].max(), np.abs(self._outline.corners[:, 1]).max()
+        slow = self._settings.slow
+        return Berth(float(front) + slow, float(half) + slow)
 
     def observe(self, scan: Scan, sight: Sight, moment: Moment) -> None:
         """Find the nearest return."""

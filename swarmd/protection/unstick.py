@@ -11,12 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from random import Random
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from swarmd.protection.moment import Moment
-from swarmd.values import ZERO, Array, Twist
+from swarmd.values import ZERO, Array, Limits, Twist
 
 _BLOCKED = 0.3  # who gets less than this share of the speed he asks for is blocked
 _PATIENCE = 0.3  # s for which it is so before something is done
@@ -28,8 +28,6 @@ _ENDS = 8.0  # s after which it lets go, whatever has come of it
 _KEEPS_SIDE = 10.0  # s for which it goes on to the side that it has once chosen
 _FLIP = 0.15  # chance to take the other side, so that two do not dance for ever
 _ALIGNED = math.radians(15.0)
-_CLEAR = 0.6  # m that a way must be free
-_BESIDE = 0.06  # m that must be free to each side of the robot
 _OTHER_SIDE = math.radians(40.0)  # what a way on the other side must be nearer, to be taken
 _AXIS = np.array((0.0, np.pi))
 _WAYS = np.radians(np.arange(-180.0, 180.0, 10.0))
@@ -38,13 +36,24 @@ _WAYS = np.radians(np.arange(-180.0, 180.0, 10.0))
 Points: TypeAlias = Callable[[], Array]
 
 
-class Unstick:
-    """States: follow the wish, turn to a free way, go along it, back off. Times in s, handed in."""
+class Berth(NamedTuple):
+    """The room that a way needs in m from the axle: straight `ahead`, and to each side."""
 
-    def __init__(self, corners: Array, angular: float, seed: str) -> None:
-        """The outline (k, 2) in m and the base's limit in rad/s; `seed` decides random choices."""
-        self._half = float(np.abs(corners[:, 1]).max()) + _BESIDE
-        self._turn = min(angular, 1.5)
+    ahead: float
+    beside: float
+
+
+class Unstick:
+    """States: follow the wish, turn to a free way, go along it, back off. Times in s, handed in.
+
+    `sight` is how far it has to see, in m from the axle.
+    """
+
+    def __init__(self, berth: Berth, limits: Limits, seed: str) -> None:
+        """`berth` is that of a speed at ease; `seed` decides random choices."""
+        self.sight = berth.ahead + _FOLLOWS * limits.linear
+        self._half = berth.beside
+        self._turn = min(limits.angular, 1.5)
         self._rng = Random(seed)
         self._side, self._side_until = -1.0, -math.inf
         self._way = self._yaw = 0.0
@@ -125,7 +134,7 @@ class Unstick:
         is_other = off * self._side < -1e-9
         costs = np.abs(off) + _OTHER_SIDE * is_other
         free = self._free(points, _WAYS)
-        costs += 20.0 * np.maximum(_CLEAR - free, 0.0)
+        costs += 20.0 * np.maximum(self.sight - free, 0.0)
         best = int(costs.argmin())
         self._way = float(_WAYS[best])
         self._yaw = 0.0 if moment.odometry is None else moment.odometry.pose.yaw
@@ -137,7 +146,7 @@ class Unstick:
         x, y = points[:, 0], points[:, 1]
         ahead, aside = cos * x + sin * y, cos * y - sin * x
         is_in = (ahead > 0.0) & (np.abs(aside) < self._half)
-        free: Array = np.where(is_in, ahead, 2.0).min(axis=1, initial=2.0)
+        free: Array = np.where(is_in, ahead, self.sight).min(axis=1, initial=self.sight)
         return free
 
     def _turned(self, moment: Moment) -> float:

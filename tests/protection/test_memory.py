@@ -41,7 +41,7 @@ def look(
 
 def hiding() -> NearMemory:
     """One that has seen something near ahead, and then nothing there."""
-    memory = NearMemory(JACKAL.scan.range_min)
+    memory = NearMemory(JACKAL.scan.range_min, 0.16)
     look(memory, WIDE)
     assert look(memory, empty=WIDE) == list(WIDE)
     return memory
@@ -51,15 +51,22 @@ def test_what_was_near_and_vanishes_is_hidden() -> None:
     hiding()
 
 
+def test_what_was_too_close_to_measure_is_hidden_once_the_sensor_tells_of_it_no_more() -> None:
+    memory = hiding()
+    look(memory, WIDE, distance=-math.inf)
+    look(memory, WIDE, distance=-math.inf)
+    assert look(memory, empty=WIDE) == list(WIDE)
+
+
 @pytest.mark.parametrize("distance", [1.1, 2.0])
 def test_what_was_not_near_has_gone(distance: float) -> None:
-    memory = NearMemory(JACKAL.scan.range_min)
+    memory = NearMemory(JACKAL.scan.range_min, 0.16)
     look(memory, WIDE, distance=distance)
     assert look(memory, empty=WIDE) == []
 
 
 def test_nothing_is_hidden_where_nothing_was() -> None:
-    memory = NearMemory(JACKAL.scan.range_min)
+    memory = NearMemory(JACKAL.scan.range_min, 0.16)
     look(memory, WIDE)
     assert look(memory, WIDE, empty=range(100, 140)) == []
 
@@ -97,7 +104,7 @@ def test_it_stays_where_it_is_when_the_robot_turns() -> None:
 
 
 def test_one_ray_that_is_lost_hides_nothing() -> None:
-    memory = NearMemory(JACKAL.scan.range_min)
+    memory = NearMemory(JACKAL.scan.range_min, 0.16)
     look(memory, WIDE)
     assert look(memory, range(-4, 4), empty=range(4, 5)) == []
 
