@@ -21,18 +21,19 @@ def pushed(
     platform: str = "burger",
     touch: dict[str, Any] | None = None,
     *,
+    start: float = -0.6,
     width: float = 0.1,
     events: tuple[dict[str, Any], ...] = (),
     duration: float = 12.0,
     **parameters: float,
 ) -> Trace:
-    """A robot told to push drives at a light crate, narrower than itself, 0.7 m ahead."""
+    """A robot told to push drives at a light crate around 0.4 m from the middle of the room."""
     scenario = scenario_of(
         {
             "duration": duration,
             "plugin_dir": str(EXAMPLES),
             "arena": {
-                "size": [3.4, 3.0],
+                "size": [1.0 - 4.0 * start, 3.0],
                 "boxes": [{"name": "crate", "at": [0.4, 0.0], "size": [0.3, width], "mass": 0.5}],
             },
             "platforms": {platform: {"protection": {"mode": "barrier"}}},
@@ -43,7 +44,7 @@ def pushed(
                     "pattern": "push",
                     "parameters": parameters,
                     "touch": touch or {},
-                    "start": {"layout": "list", "poses": [[-0.6, 0.0, 0.0]]},
+                    "start": {"layout": "list", "poses": [[start, 0.0, 0.0]]},
                 }
             },
             "events": list(events),
@@ -59,9 +60,12 @@ def moved(trace: Trace, since: float = 0.0) -> float:
     return float(later[-1] - later[0])
 
 
-@pytest.mark.parametrize("platform", ["burger", "waffle_pi"])
-def test_what_is_asked_for_and_granted_is_pushed(platform: str) -> None:
-    trace = pushed(platform, {"push": AHEAD})
+@pytest.mark.parametrize(
+    ("platform", "start"),
+    [("burger", -0.6), ("waffle_pi", -0.6), ("jackal", -1.2)],  # Jackal's sees nothing in 0.8 m
+)
+def test_what_is_asked_for_and_granted_is_pushed(platform: str, start: float) -> None:
+    trace = pushed(platform, {"push": AHEAD}, start=start, duration=18)
     assert moved(trace) > 0.1
     assert trace.contact_speed[:, 0].max() <= AHEAD["speed"] + SLIPS
 
