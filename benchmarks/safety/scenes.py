@@ -32,6 +32,7 @@ DEV_SEEDS, ACCEPTANCE_SEEDS = range(100), range(1000, 10_000)
 """Seeds to look at while one changes things, and those that nothing was chosen with."""
 
 _MIXED_SPEED = 0.4  # m/s: a mixed swarm agrees on what each assumes of the others
+_MIXED_KEEP_OUT = 0.85  # m: so that nobody gets to where a Jackal sees nothing
 
 
 class Room(Struct, frozen=True):
@@ -143,9 +144,9 @@ def kinds_of(platform: str) -> tuple[str, ...]:
 
 
 def _platforms(scene: Scene) -> dict[str, dict[str, Any]]:
-    barrier: dict[str, Any] = {}
+    barrier: dict[str, Any] = {"unseen_extent": 0.0} if scene.visibility == "body" else {}
     if scene.platform == "mixed":
-        barrier |= {"others_speed": _MIXED_SPEED, "surface_speed": _MIXED_SPEED}
+        barrier |= {"others_speed": _MIXED_SPEED, "keep_out": _MIXED_KEEP_OUT}
     if scene.mode == "reciprocal":
         barrier |= {"responsibility": "reciprocal", "margin": 0.08}
     mode = {"reciprocal": "barrier", "ghost": "off"}.get(scene.mode, scene.mode)

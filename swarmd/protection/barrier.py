@@ -92,9 +92,7 @@ class Barrier:
         self._memory = NearMemory(platform.scan.range_min, self._band()) if is_blind else None
         self._seen, self._taken_at, self._taken = _NOTHING, Pose(), -math.inf
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
-        self._reach = self._farthest(platform.footprint)
-        within = settings.envelope_within
-        self._within = self._reach if within is None else within
+        self._within, self._reach = self._distances(platform.footprint)
 
     def berth(self, speed: float) -> Berth:
         """Where a row would not yet keep it below that speed ahead, nor stop it beside."""
@@ -283,15 +281,17 @@ class Barrier:
             self._limits.lateral / lateral if lateral else math.inf,
         )
 
-    def _farthest(self, corners: Array) -> float:
-        """The gap in m beyond which no row binds, whatever the robot does within the envelope."""
+    def _distances(self, corners: Array) -> tuple[float, float]:
+        """Gaps in m: those at which the envelope is in force, and those at which a row may bind."""
         settings, speed = self._settings, self._speed
         spin = min(self._limits.angular, speed / float(np.hypot(*corners.T).max()))
         linear = min(speed, max(self._limits.linear, self._limits.lateral))
         braking = max(linear / settings.braking_linear, spin / settings.braking_angular)
         unseen = self._spec.stale_after + self._spec.latency + REACTION
         gap = speed * (TICK + 0.5 * braking) + settings.others_speed * (unseen + TICK + braking)
-        return gap + settings.margin + settings.unseen_extent
+        gap += settings.margin + settings.unseen_extent
+        within = gap if settings.envelope_within is None else settings.envelope_within
+        return within, gap + speed * unseen  # which it may come nearer until it is stopped
 
 
 def _split(wish: Twist) -> tuple[Point, float]:
