@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmd.angles import wrap
 from swarmd.messages import Reason
 from swarmd.values import Array, Odometry, Scan, ScanSpec
 
@@ -35,16 +36,19 @@ class _Memory:
     known_at: Array
     near_at: Array
 
-    def at(self, bearings: Array) -> _Memory:
-        """The memory seen along other bearings: that of the nearest remembered ray."""
-        if bearings is self.bearings or np.array_equal(bearings, self.bearings):
+    def at(self, bearings: Array, turned: float) -> _Memory:
+        """The memory seen along other bearings by a sensor that has `turned` by that many rad.
+
+        Each is that of the nearest remembered ray.
+        """
+        if not turned and (bearings is self.bearings or np.array_equal(bearings, self.bearings)):
             return self
         if not len(self.bearings):
             return _blank(bearings)
         turn = 2.0 * math.pi
         order = np.argsort(self.bearings % turn)
         sorted_bearings = (self.bearings % turn)[order]
-        wanted = bearings % turn
+        wanted = (bearings + turned) % turn
         right = np.searchsorted(sorted_bearings, wanted) % len(order)
         left = right - 1
         off_right = np.abs((sorted_bearings[right] - wanted + math.pi) % turn - math.pi)
@@ -65,6 +69,8 @@ def _blank(bearings: Array) -> _Memory:
 class ScanConditioner:
     """Conditions the scans of one sensor, remembering each ray for a moment.
 
+    What it remembers stays where it was as the sensor turns, as far as odometry tells.
+
     `take` returns the conditioned scan, or the reason why this one is none: INVALID_SCAN (lengths
     differ, no rays, fewer than half known, a sector wider than `max_gap` unknown) or FROZEN_SCAN
     (stamp or sequence stands still; bit-identical scans of a noisy sensor while odometry moves).
@@ -78,6 +84,7 @@ class ScanConditioner:
         self._spec = spec
         self._memory = _blank(np.empty(0))
         self._last: Scan | None = None
+        self._yaw = math.nan
         self._identical = 0
 
     def take(self, scan: Scan, odometry: Odometry | None, now: float) -> Scan | Reason:
@@ -91,7 +98,7 @@ class ScanConditioner:
             return Reason.INVALID_SCAN
         if self._is_frozen(scan, odometry):
             return Reason.FROZEN_SCAN
-        memory = self._memory.at(scan.bearings)
+        memory = self._memory.at(scan.bearings, self._turned(odometry))
         ranges = self._meanings(scan.ranges, memory, now)
         unknown = np.isnan(ranges)
         count = int(np.count_nonzero(unknown))
@@ -110,6 +117,18 @@ class ScanConditioner:
         spec = self._spec
         ranges.flags.writeable = False  # it is remembered, and an inline pattern shares it
         return Scan(scan.seq, scan.stamp, ranges, scan.bearings, spec.range_min, spec.range_max)
+
+    def _turned(self, odometry: Odometry | None) -> float:
+        """How far the sensor has turned since the memory was; in whole rays, the rest is kept."""
+        yaw = math.nan if odometry is None else odometry.pose.yaw
+        turned = wrap(yaw - self._yaw)
+        if not math.isfinite(turned):
+            self._yaw = yaw
+            return 0.0
+        step = 2.0 * math.pi / len(self._spec.bearings)
+        turned = step * round(turned / step)
+        self._yaw += turned
+        return turned
 
     def _is_frozen(self, scan: Scan, odometry: Odometry | None) -> bool:
         last, self._last = self._last, scan
