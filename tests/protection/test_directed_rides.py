@@ -1,0 +1,90 @@
+"""Rides with random twists, reverse included, among things that stand and things that come.
+
+Every seed is a world of its own: poles and boxes anywhere, sensor noise, a lidar in any phase.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from numpy.random import Generator
+
+from swarmd.settings import load_platform
+from swarmd.testing.yard import (
+    HERE,
+    Ride,
+    Shape,
+    Yard,
+    box,
+    placed,
+    pole,
+    separation,
+    under_barrier,
+)
+from swarmd.values import Platform, Pose, Twist
+
+KINDS = {name: under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")}
+NO_FAULT = 0.02
+
+
+def twists(platform: Platform, rng: Generator) -> Callable[[float], Twist]:
+    """Another twist every second, every third at full speed."""
+    shares = rng.uniform(-1.0, 1.0, (20, 2))
+    shares[::3, 0] = np.sign(shares[::3, 0])
+    limits = platform.limits
+
+    def wish(time: float) -> Twist:
+        v, w = shares[int(time) % len(shares)]
+        return Twist(float(v) * limits.linear, float(w) * limits.angular)
+
+    return wish
+
+
+def things(platform: Platform, rng: Generator, speed: float) -> list[Shape]:
+    """Poles and boxes at some distance, each on its way past the robot at up to `speed`."""
+    found: list[Shape] = []
+    nearest = max(platform.scan.range_min, float(np.hypot(*platform.footprint.T).max())) + 0.3
+    while len(found) < 5:
+        bearing, distance = rng.uniform(-math.pi, math.pi), rng.uniform(nearest + 0.3, nearest + 2)
+        x, y = distance * math.cos(bearing), distance * math.sin(bearing)
+        aim, share = rng.uniform(-0.3, 0.3, 2), rng.choice([0.3, 1.0, 1.0])
+        way = (aim - (x, y)) / np.hypot(*(aim - (x, y)))
+        velocity = (float(way[0] * share * speed), float(way[1] * share * speed))
+        pose = Pose(x, y, float(rng.uniform(-math.pi, math.pi)))
+        begin, a, b = rng.uniform(0.05, (3.0, 0.5, 0.5)).tolist()
+        corners = box(a, b).corners if rng.random() < 0.5 else pole(0.4 * a).corners
+        one = Shape(corners, pose, velocity=velocity, begin=begin)
+        if separation(placed(platform.footprint, HERE), placed(one.corners, pose))[0] > nearest:
+            found.append(one)
+    return found
+
+
+def ride(kind: str, seed: int, share: float, seconds: float) -> Ride:
+    platform, rng = KINDS[kind], np.random.default_rng(seed)
+    speed = share * platform.protection["barrier"]["others_speed"]
+    yard = Yard(
+        platform,
+        things(platform, rng, speed),
+        phase=rng.uniform(0.0, 1.0 / platform.scan.rate),
+        noise=0.01,
+        seed=seed,
+    )
+    return yard.run(twists(platform, rng), seconds)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("kind", KINDS)
+def test_what_stands_is_never_touched(kind: str, seed: int) -> None:
+    done = ride(kind, seed, 0.0, 10.0)
+    assert done.touch is None
+
+
+@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("kind", ["burger", "waffle_pi"])
+def test_what_comes_at_the_assumed_speed_is_not_closed_on(kind: str, seed: int) -> None:
+    """A Jackal does not see what has come within 0.8 m: that is not promised of it."""
+    done = ride(kind, seed, 1.0, 6.0)
+    assert done.touch is None or done.touch.speed <= NO_FAULT
