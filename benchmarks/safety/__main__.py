@@ -84,7 +84,15 @@ def run_one(options: Options) -> str:
 
 
 def _told(one: Collision) -> str:
-    verdict = "at fault" if one.is_fault else "pushed" if one.is_pushed else "at no fault"
+    verdict = (
+        "ran into it"
+        if one.is_hit
+        else "at fault"
+        if one.is_fault
+        else "pushed"
+        if one.is_pushed
+        else "at no fault"
+    )
     speed = one.pushed_speed if one.is_pushed else one.own_speed
     return f"{one.time:7.2f} s {one.a} {one.b}: {one.who} {verdict}, {100.0 * speed:.1f} cm/s"
 

@@ -47,6 +47,7 @@ COLUMNS: Mapping[str, Callable[[Judgement], str]] = {
     "robot-h": lambda f: f"{f.seconds / HOUR:.1f}",
     "collisions (a robot-h)": lambda f: rate(f.collisions, f.seconds),
     "at fault": lambda f: _faults(f.faults, f.seconds, f.worst),
+    "of these, ran into it": lambda f: _faults(f.hits, f.seconds, f.worst_hit),
     "walls, at fault": lambda f: _faults(f.touch_faults, f.seconds, f.worst_touch),
     "pushed": lambda f: str(f.pushed),
     "min gap [m]": lambda f: f"{f.min_gap:.3f}",

@@ -39,7 +39,9 @@ class Collision(Struct, frozen=True):
 
     `a` is a robot's id, `b` another's, the name of a movable box or WALLS. `own_speed` m/s: the
     fastest that a protected one's own surface moved towards the other by itself; `pushed_speed`
-    the same of one that was told to stand. `who` that was.
+    the same of one that was told to stand. `who` that was. `first_speed` m/s: the same as
+    `own_speed` at the first step of a touch, before anything can have been pushed; 0 in a count
+    that a touch goes on in.
     """
 
     time: float
@@ -47,12 +49,18 @@ class Collision(Struct, frozen=True):
     b: str
     own_speed: float
     pushed_speed: float
+    first_speed: float
     who: str
 
     @property
     def is_fault(self) -> bool:
         """Whether a protected robot drove into the other."""
         return self.own_speed > FAULT
+
+    @property
+    def is_hit(self) -> bool:
+        """Whether the touch began with a protected robot driving into the other."""
+        return self.first_speed > FAULT
 
     @property
     def is_pushed(self) -> bool:
@@ -65,7 +73,8 @@ class Judgement(Struct, frozen=True, kw_only=True):
 
     `seconds`: of all of them together. Collisions with robots, and touches of walls, boxes and
     poles, each with those at fault and the fastest own surface among them in m/s (0: none);
-    `pushed`: those of both into which one was pushed.
+    `hits`: those with robots that began so, and the fastest. `pushed`: collisions and touches
+    into which one was pushed.
     `goals` reached within `goal_seconds` of all of them together, `windows` of WINDOW s, and how
     many of them `stuck`: all 0 where there was no goal to reach. `altered`: mean change of the
     wish, times `seconds`.
@@ -76,6 +85,8 @@ class Judgement(Struct, frozen=True, kw_only=True):
     collisions: int
     faults: int
     worst: float
+    hits: int
+    worst_hit: float
     touches: int
     touch_faults: int
     worst_touch: float
@@ -105,6 +116,8 @@ def judge(trace: Trace, unprotected: Collection[str] = ()) -> Judgement:
         collisions=len(robots),
         faults=sum(one.is_fault for one in robots),
         worst=max((one.own_speed for one in robots), default=0.0),
+        hits=sum(one.is_hit for one in robots),
+        worst_hit=max((one.first_speed for one in robots), default=0.0),
         touches=len(arena),
         touch_faults=sum(one.is_fault for one in arena),
         worst_touch=max((one.own_speed for one in arena), default=0.0),
@@ -136,7 +149,8 @@ def collisions(trace: Trace, unprotected: Collection[str] = ()) -> list[Collisio
         )
         of = of[np.argsort(trace.contact_t[of], kind="stable")]
         for part in _counts(trace.contact_t[of], float(trace.t[0])):
-            found.append(_collision(trace, of[part], own))
+            is_new = part.start == 0 or np.diff(trace.contact_t[of])[part.start - 1] > _APART
+            found.append(_collision(trace, of[part], own, is_new=bool(is_new)))
     return sorted(found, key=lambda one: one.time)
 
 
@@ -181,7 +195,7 @@ def _is_told_to_move(trace: Trace) -> np.ndarray:
     return is_told
 
 
-def _collision(trace: Trace, rows: np.ndarray, own: Array) -> Collision:
+def _collision(trace: Trace, rows: np.ndarray, own: Array, *, is_new: bool) -> Collision:
     """The rows of one count; `own` (c, 2, 2) are the speeds that somebody answers for."""
     by_itself, pushed = own[rows, :, 0], own[rows, :, 1]
     told = by_itself if by_itself.max() > FAULT or not pushed.max() > FAULT else pushed
@@ -194,6 +208,7 @@ def _collision(trace: Trace, rows: np.ndarray, own: Array) -> Collision:
         b=_name(trace, b),
         own_speed=max(float(by_itself.max()), 0.0),
         pushed_speed=max(float(pushed.max()), 0.0),
+        first_speed=max(float(by_itself[0].max()), 0.0) if is_new else 0.0,
         who=trace.ids[pair[side]],
     )
 

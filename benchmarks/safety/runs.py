@@ -120,6 +120,8 @@ def _sum(a: Judgement, b: Judgement) -> Judgement:
         collisions=a.collisions + b.collisions,
         faults=a.faults + b.faults,
         worst=max(a.worst, b.worst),
+        hits=a.hits + b.hits,
+        worst_hit=max(a.worst_hit, b.worst_hit),
         touches=a.touches + b.touches,
         touch_faults=a.touch_faults + b.touch_faults,
         worst_touch=max(a.worst_touch, b.worst_touch),

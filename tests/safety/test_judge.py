@@ -138,6 +138,23 @@ def test_who_drives_on_after_a_push_is_at_fault_within_the_same_count() -> None:
     assert (found.own_speed, found.pushed_speed) == pytest.approx((0.1, 0.3))
 
 
+@pytest.mark.parametrize(
+    ("touches", "hits"),
+    [
+        ([(5.0, 0, 2, 0.1, 0.0)], [True]),
+        ([(5.0, 0, 2, 0.0, 0.1), (5.01, 0, 2, 0.1, 0.0)], [False]),  # it was hit, then pressed
+        ([(5.0, 0, 2, 0.0, 0.1), (5.4, 0, 2, 0.0, 0.0), (6.0, 0, 2, 0.1, 0.0)], [False, True]),
+        ([(5.0 + 0.1 * i, 0, 2, 0.1, 0.0) for i in range(11)], [True, False]),
+    ],
+)
+def test_who_runs_into_another_does_so_at_the_first_step_of_a_touch(
+    touches: list[Row], hits: list[bool]
+) -> None:
+    trace = run(touches)
+    assert [one.is_hit for one in collisions(trace, {"ram"})] == hits
+    assert judge(trace, {"ram"}).hits == sum(hits)
+
+
 def test_a_rammers_speed_is_nobodys_fault() -> None:
     found = judged((5.0, 0, 2, -0.2, 0.6))
     assert (found.faults, found.worst) == (0, 0.0)
