@@ -1,0 +1,318 @@
+"""Which tests fail if one mechanism of protection is taken out: `python -m benchmarks.mutants`.
+
+Each mutant is one textual change in a copy of the tree, in which the tests of protection are run.
+Prints the table of docs/safety.md; ends with 1 if a mutant survives, with 2 if one does not apply.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from swarmd.errors import SwarmError
+
+ROOT = Path(__file__).resolve().parent.parent
+COPIED = ("swarmd", "patterns", "drivers", "sim", "config", "tests/protection", "pyproject.toml")
+_FAILED = re.compile(r"^FAILED (?:tests/protection/)?(\S+?)::(\w+)", re.MULTILINE)
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """One mechanism, and the change in a file that takes it out: `old`, there once, gets `new`."""
+
+    mechanism: str
+    change: str
+    path: str
+    old: str
+    new: str
+
+    def apply(self, tree: Path) -> None:
+        """Change the file in a tree; SwarmError if the text is not there exactly once."""
+        path = tree / self.path
+        text = path.read_text()
+        found = text.count(self.old)
+        if found != 1:
+            raise SwarmError(
+                f"mutant '{self.mechanism}': {self.path} holds its text {found} times; wanted is"
+                " once: bring benchmarks/mutants.py in step with the sources"
+            )
+        path.write_text(text.replace(self.old, self.new))
+
+
+_BARRIER = "swarmd/protection/barrier.py"
+_FRONT = "swarmd/protection/front.py"
+_MEMORY = "swarmd/protection/memory.py"
+_SENSES = "swarmd/senses.py"
+
+MUTANTS = (
+    Mutant(
+        "braking distance",
+        "braking is a hundred times as good as it is",
+        _BARRIER,
+        "return passive_caps(room, braking,",
+        "return passive_caps(room, 100.0 * braking,",
+    ),
+    Mutant(
+        "speed of others",
+        "others are taken to stand still",
+        _BARRIER,
+        "passive_caps(room, braking, settings.others_speed,",
+        "passive_caps(room, braking, 0.0,",
+    ),
+    Mutant(
+        "unseen extent",
+        "others reach no further than what is seen of them",
+        _BARRIER,
+        "(settings.margin + settings.unseen_extent +",
+        "(settings.margin +",
+    ),
+    Mutant(
+        "latency",
+        "a sweep was taken when it arrives",
+        _BARRIER,
+        "latency, age = self._spec.latency,",
+        "latency, age = 0.0,",
+    ),
+    Mutant(
+        "dead reckoning",
+        "the robot is where it was when the sweep was taken",
+        _BARRIER,
+        "frame = relative(self._taken_at, self._motion.ahead(moment, command))",
+        "frame = Pose()",
+    ),
+    Mutant(
+        "true footprint",
+        "the outline is the circle of half its width around the axle",
+        _BARRIER,
+        "self._outline = Footprint(platform.footprint)",
+        "_w = float(platform.footprint[:, 1].max())\n"
+        "        _a = np.arange(16) * (np.pi / 8.0)\n"
+        "        self._outline = Footprint(_w * np.stack((np.cos(_a), np.sin(_a)), axis=1))",
+    ),
+    Mutant(
+        "axle where it is",
+        "the outline is centred on the axle",
+        _BARRIER,
+        "self._outline = Footprint(platform.footprint)",
+        "self._outline = Footprint(platform.footprint - platform.footprint.mean(axis=0))",
+    ),
+    Mutant(
+        "envelope",
+        "corners may be as fast as the base can",
+        _BARRIER,
+        "        if not self._seen.is_near:\n",
+        "        if True:\n",
+    ),
+    Mutant(
+        "too close is contact",
+        "a ray that is too close to measure sees nothing",
+        _BARRIER,
+        "bearings = scan.bearings[scan.ranges == -np.inf]",
+        "bearings = scan.bearings[:0]",
+    ),
+    Mutant(
+        "never along a ray that is too close",
+        "such a return has the row of the nearest place of the outline alone",
+        _BARRIER,
+        "x * ny - y * nx, zeros, x, y, zeros),",
+        "x * ny - y * nx, zeros + 100.0, x, y, zeros),",
+    ),
+    Mutant(
+        "keep-out",
+        "no circle is kept free around a sensor that is blind nearby",
+        _BARRIER,
+        "rows = self._with_keep_out(rows, settings.keep_out, along, age)",
+        "pass",
+    ),
+    Mutant(
+        "memory of the blind zone",
+        "what a blind sensor no longer sees is not there",
+        _BARRIER,
+        'is_blind = platform.scan.near == "lost"',
+        "is_blind = False",
+    ),
+    Mutant(
+        "clearing by what is seen beyond",
+        "what is remembered stays although its place is seen through",
+        _MEMORY,
+        "        off[:, ~_in_runs(scan.ranges == np.inf)] = np.inf\n",
+        "",
+    ),
+    Mutant(
+        "clearing by what is seen outside",
+        "what has come out is remembered inside",
+        _MEMORY,
+        " & ~is_seen & ",
+        " & ",
+    ),
+    Mutant(
+        "stale stop",
+        "a scan is never too old",
+        _SENSES,
+        "if age > self._stale_after:",
+        "if age > 1e9:",
+    ),
+    Mutant(
+        "lost odometry",
+        "odometry is never too old",
+        _SENSES,
+        "return Reason.STALE_ODOMETRY",
+        "return None",
+    ),
+    Mutant(
+        "room for late odometry",
+        "the robot is where dead reckoning says, however old what it rests on",
+        _BARRIER,
+        "return late * self._speed",
+        "return 0.0",
+    ),
+    Mutant(
+        "holds",
+        "a robot that must not move asks the arbiter",
+        _FRONT,
+        "if not is_running or hold is not None:",
+        "if not is_running:",
+    ),
+    Mutant(
+        "what is not finite",
+        "is handed on as it is",
+        _FRONT,
+        "if decision.twist is not wanted and not decision.twist.is_finite:",
+        "if False:",
+    ),
+    Mutant(
+        "ways around are judged",
+        "what leads around things passes without protection",
+        _FRONT,
+        "decision = self._arbiter.decide(asked, moment, command=self._safe, touch=permit.touch)",
+        "decision = self._arbiter.decide(wanted, moment, command=self._safe, touch=permit.touch)\n"
+        "        if asked is not wanted:\n"
+        "            decision = Decision(asked, is_active=True)",
+    ),
+    Mutant(
+        "ways around need a permit",
+        "every pattern is led around things",
+        _FRONT,
+        "if self._unstick is not None and permit.may_unstick:",
+        "if self._unstick is not None:",
+    ),
+    Mutant(
+        "sector of a touch zone",
+        "a zone is all around",
+        _BARRIER,
+        "<= touch.half_width",
+        "<= 2.0 * np.pi",
+    ),
+    Mutant(
+        "speed of a touch zone",
+        "things in a zone may be touched at any speed",
+        _BARRIER,
+        "np.full(len(x), touch.speed), np.full(len(x), np.inf)",
+        "np.full(len(x), 10.0), np.full(len(x), np.inf)",
+    ),
+    Mutant(
+        "clip and project",
+        "only the row that is violated most counts",
+        "swarmd/protection/feasible.py",
+        "for _ in range(len(caps)):",
+        "for _ in range(min(len(caps), 1)):",
+    ),
+)
+
+
+def copy_tree(tree: Path) -> None:
+    """What the tests of protection need, links as links."""
+    for name in COPIED:
+        source, target = ROOT / name, tree / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        if source.is_dir():
+            ignored = shutil.ignore_patterns("__pycache__")
+            shutil.copytree(source, target, symlinks=True, ignore=ignored)
+        else:
+            shutil.copy2(source, target)
+
+
+def failing(tree: Path) -> tuple[int, list[str]]:
+    """The exit code of the tests in a tree, and the names of those that failed."""
+    command = [sys.executable, "-m", "pytest", "tests/protection", "-q", "--tb=no"]
+    command += ["--hypothesis-profile=mutants", "-p", "no:cacheprovider"]
+    environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
+    done = subprocess.run(
+        command, cwd=tree, env=environment, capture_output=True, text=True, check=False
+    )
+    names = dict.fromkeys(name for _, name in _FAILED.findall(done.stdout))
+    if done.returncode not in (0, 1):
+        raise SwarmError(f"pytest ended with {done.returncode}:\n{done.stdout}{done.stderr}")
+    return done.returncode, list(names)
+
+
+def try_out(mutant: Mutant | None) -> list[str]:
+    """The tests that fail with a mutant, or with none, in a copy of its own."""
+    with tempfile.TemporaryDirectory() as folder:
+        tree = Path(folder)
+        copy_tree(tree)
+        if mutant is not None:
+            mutant.apply(tree)
+        return failing(tree)[1]
+
+
+def row(mutant: Mutant, failed: Sequence[str]) -> str:
+    """A line of the table."""
+    first = f"`{failed[0]}`" if failed else "**none**"
+    return f"| {mutant.mechanism} | {mutant.change} | {len(failed)} | {first} |"
+
+
+def check() -> None:
+    """SwarmError unless each mutant's text is found in the sources once."""
+    with tempfile.TemporaryDirectory() as folder:
+        for number, mutant in enumerate(MUTANTS):
+            tree = Path(folder) / str(number)
+            (tree / mutant.path).parent.mkdir(parents=True)
+            shutil.copy2(ROOT / mutant.path, tree / mutant.path)
+            mutant.apply(tree)
+
+
+def chosen(words: Sequence[str]) -> list[Mutant]:
+    """The mutants whose mechanism holds one of the words; all without any."""
+    return [m for m in MUTANTS if not words or any(word in m.mechanism for word in words)]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.mutants", description=__doc__)
+    parser.add_argument("words", nargs="*", metavar="WORD", help="of mechanisms; default: all")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
+    options = parser.parse_args(arguments)
+    check()
+    some: list[Mutant | None] = [None, *chosen(options.words)]
+    survivors = 0
+    with ThreadPoolExecutor(options.jobs) as pool:
+        found = pool.map(try_out, some)
+        whole = next(found)
+        if whole:
+            pool.shutdown(cancel_futures=True)
+            raise SwarmError(f"{len(whole)} tests fail without any mutant, as {whole[0]}")
+        print("| mechanism | taken out by this change | tests that fail | the first of them |")
+        print("|---|---|---|---|")
+        for mutant, failed in zip(some[1:], found, strict=True):
+            assert mutant is not None
+            print(row(mutant, failed), flush=True)
+            survivors += not failed
+    if survivors:
+        raise SystemExit(1)
+
+
+if __name__ == "__main__":
+    try:
+        main()
+    except SwarmError as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(2) from error
