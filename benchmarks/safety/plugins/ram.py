@@ -1,5 +1,6 @@
-"""Chases the nearest robot that it sees and drives into it: what others have to live with.
+"""Chases the nearest robot that it sees, drives into it, backs off, and chases again.
 
+What others have to live with. It backs off since who is leant against for minutes proves little.
 No point of its own outline ever moves faster than it is told: what protection assumes of others.
 """
 
@@ -14,8 +15,10 @@ from swarmd.api import Context, Inputs, MovementPattern, Params, Twist, about, c
 
 _WIDEST = 0.8  # m: what is wider is a wall
 _GAIN = 3.0  # 1/s, of the heading
-_NEAR = 0.4  # m beyond the sensor's blind zone: who is as near is run down, seen or not
-_BLIND = 2.0  # s for which it then goes on
+_NEAR = 0.1  # m beyond the sensor's blind zone: who is as near is run down, seen or not
+_AHEAD = 0.3  # rad
+_LEANS = 1.0  # s for which it goes on once it is there
+_BACKS = 1.5  # s for which it then backs off
 # m/s2: every base turns faster at less than this, so that no turn overlaps with the speed before.
 _EASY = 0.3
 _BELOW = 0.97  # of the speed told, since a base brakes its turn a little later than it speeds up
@@ -39,7 +42,7 @@ class Ram(MovementPattern[RamParams]):
         super().__init__(params, context)
         self._radius = float(np.hypot(*context.platform.footprint.T).max())
         self._near = context.platform.scan.range_min + _NEAR
-        self._blind_until = -math.inf
+        self._blind_until = self._back_until = -math.inf
         self._bearing = 0.0
         self._twist = Twist()
 
@@ -53,22 +56,25 @@ class Ram(MovementPattern[RamParams]):
         # The turn comes first: what it leaves of the speed is for driving.
         ahead = max(math.cos(self._bearing), 0.0) * min(most, limits.linear)
         wanted = min(ahead, max(most - abs(turn) * self._radius, 0.0))
+        if self._blind_until <= inputs.now < self._back_until:
+            wanted = -0.5 * ahead
         change, now = _EASY * inputs.dt, self._twist.linear
         linear = min(max(wanted, now - change), now + change)
-        room = (most - linear) / self._radius
+        room = (most - abs(linear)) / self._radius
         self._twist = Twist(linear=linear, angular=min(max(turn, -room), room))
         return self._twist
 
     def _look(self, inputs: Inputs) -> None:
+        if inputs.now < self._back_until:
+            return
         seen = clusters(inputs.scan, within=self.context.platform.scan.range_max)
         is_body = seen.is_free & (seen.widths < _WIDEST)
         ranges = np.where(is_body, seen.ranges, np.inf)
         nearest = float(ranges.min(initial=np.inf))
-        if nearest < self._near:
-            self._blind_until = inputs.now + _BLIND
-        elif inputs.now < self._blind_until:
-            return
-        if nearest < np.inf:
-            self._bearing = float(seen.bearings[ranges.argmin()])
-        else:
+        if nearest == np.inf:
             self._bearing = float(self.context.rng.normal(0.0, 0.5))
+            return
+        self._bearing = float(seen.bearings[ranges.argmin()])
+        if nearest < self._near and abs(self._bearing) < _AHEAD:
+            self._blind_until = inputs.now + nearest / self.params.surface_speed + _LEANS
+            self._back_until = self._blind_until + _BACKS
