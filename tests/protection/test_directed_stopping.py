@@ -96,6 +96,13 @@ def test_who_is_rammed_at_the_assumed_speed_is_not_closing(
     assert ride.touch.speed <= NO_FAULT
 
 
+def test_who_gives_way_by_half_uses_no_more_than_its_half() -> None:
+    """What does not give way takes all the rest: a wall is come to half as near at every tick."""
+    told = under_barrier(BURGER, responsibility="reciprocal", margin=0.08)
+    ride = Yard(told, [box(0.1, 4.0, Pose(1.0))]).run(Twist(0.22), 8.0)
+    assert 0.08 + 0.06 - ROUNDING <= ride.min_gap <= 0.20
+
+
 def test_what_stands_may_start() -> None:
     """It begins to come when there is just enough room left for a robot that stands."""
     starts = box(0.2, 0.3, Pose(0.6), velocity=(-0.30, 0.0), begin=2.0)

@@ -19,11 +19,12 @@ from swarmd.protection.moment import Moment
 from swarmd.settings import load_platform
 from swarmd.testing.scans import mirrored, reordered, scan_from
 from swarmd.testing.yard import decided, outline_point, under_barrier
-from swarmd.values import ZERO, Array, Odometry, Platform, Pose, Scan, TouchZone, Twist
+from swarmd.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
 
 TICK = 0.05
 PLATFORMS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")]
 BURGER, WAFFLE, JACKAL = PLATFORMS
+SIDEWAYS = replace(BURGER, limits=Limits(0.22, 2.84, 0.2))
 PLATFORM = st.sampled_from(PLATFORMS)
 AGE = st.floats(0.0, 0.3)
 SHARE = st.floats(-1, 1)
@@ -110,30 +111,39 @@ def test_whatever_comes_in_what_comes_out_is_finite_and_within_limits(
         assert platform.limits.clip(safe) == safe
 
 
-@given(PLATFORM, RETURNS, SHARE, SHARE, AGE)
+@given(st.sampled_from([*PLATFORMS, SIDEWAYS]), RETURNS, SHARE, SHARE, SHARE, AGE)
 def test_from_what_it_closes_on_it_can_always_still_stop(
-    platform: Platform, returns: Returns, v: float, w: float, age: float
+    platform: Platform, returns: Returns, v: float, w: float, aside: float, age: float
 ) -> None:
     """Each return against the safe command by the equation, with places found by brute force."""
     settings = platform.protection["barrier"]
-    scan = seeing(platform, returns)
-    safe = decided(platform, scan, wishing(platform, v, w), age=age).safe
-    unseen = platform.scan.latency + age
+    scan, straight = seeing(platform, returns), wishing(platform, v, w)
+    wish = Twist(straight.linear, straight.angular, aside * platform.limits.lateral)
+    safe = decided(platform, scan, wish, age=age).safe
+    speed = np.array([safe.linear, safe.lateral])
+    along = speed / max(float(np.hypot(*speed)), 1e-12)
     free = settings["margin"] + settings["unseen_extent"]
-    for bearing, distance in zip(scan.bearings, scan.ranges, strict=True):
-        if not math.isfinite(distance):
-            continue
-        point = platform.scan.offset + distance * np.array([math.cos(bearing), math.sin(bearing)])
+    for point in points(platform, scan):
         gap, at, towards = outline_point(platform.footprint, point)
         if gap == 0.0:
             continue
         lever = at[0] * towards[1] - at[1] * towards[0]
-        closing = safe.linear * towards[0] + safe.angular * lever
-        braking = abs(towards[0]) * settings["braking_linear"]
+        closing = float(speed @ towards) + safe.angular * lever
+        braking = abs(float(along @ towards)) * settings["braking_linear"]
         braking = max(braking + abs(lever) * settings["braking_angular"], 0.02)
         own = closing * TICK + closing**2 / (2.0 * braking)
+        unseen = platform.scan.latency + age
         theirs = settings["others_speed"] * (unseen + TICK + closing / braking)
         assert closing <= 1e-9 or own + theirs <= gap - free + 1e-9
+
+
+def points(platform: Platform, scan: Scan) -> list[Array]:
+    """Where the rays with returns end, in the base frame."""
+    return [
+        platform.scan.offset + distance * np.array([math.cos(bearing), math.sin(bearing)])
+        for bearing, distance in zip(scan.bearings, scan.ranges, strict=True)
+        if math.isfinite(distance)
+    ]
 
 
 @given(PLATFORM, st.integers(0, RAYS - 1), SHARE, SHARE)
