@@ -247,9 +247,10 @@ def rows(platform: str, options: argparse.Namespace) -> Iterator[Row]:
 
 def _speeds(what: str, outcome: Outcome, is_by_rammer: bool, note: str) -> Row:
     touches = [one for one in outcome.touches() if is_ram(one) is is_by_rammer]
-    count = sum(is_ram(one) is is_by_rammer for one in outcome.faults())
-    thrown = sum(one.is_fault for one in touches) - count
-    note = f"{count} at fault, {thrown} more only thrown; {note}"
+    driven = [one for one in outcome.faults() if is_ram(one) is is_by_rammer]
+    hits = sum(one.is_hit for one in driven)
+    thrown = sum(one.is_fault for one in touches) - len(driven)
+    note = f"{len(driven)} at fault, {hits} from the first; {thrown} only thrown; {note}"
     return Row(what, [one.own_speed for one in touches], f"{FAULT:g} m/s", note, unit="m/s")
 
 
