@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from benchmarks.table import Row, print_table
+from swarmd.platforms import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep
 from swarmd.sim.scenarios.scenariofile import load_scenario
 
@@ -47,10 +48,11 @@ def at_one_a_square_metre(n: int, pattern: str) -> Mapping[str, Any]:
 
 
 def experiment_rows() -> Iterator[Row]:
+    mode = load_platform("waffle_pi").protection["mode"]
     for realism in ("ideal", "realistic"):
         taken = seconds_of("paper_exp1_waffle_pi", {"realism": realism}, SECONDS[7])
         factors = [1.0 / one for one in taken]
-        note = "experiment 1: attraction, 360 rays at 5 Hz, potential_field"
+        note = f"experiment 1: attraction, 360 rays at 5 Hz, {mode}"
         yield Row(f"times real time, 7 robots, {realism}", factors, ">= 40", note, unit="x")
 
 
