@@ -18,7 +18,7 @@ _GAIN = 3.0  # 1/s, of the heading
 _NEAR = 0.1  # m beyond the sensor's blind zone: who is as near is run down, seen or not
 _AHEAD = 0.3  # rad
 _LEANS = 1.0  # s for which it goes on once it is there
-_BACKS = 1.5  # s for which it then backs off
+_BACKS = 5.0  # s for which it then slows down and backs off
 # m/s2: every base turns faster at less than this, so that no turn overlaps with the speed before.
 _EASY = 0.3
 _BELOW = 0.97  # of the speed told, since a base brakes its turn a little later than it speeds up
