@@ -1,7 +1,8 @@
 """Experiment 1 of Kaiser et al., ICRA 2022: `python -m benchmarks.paper [OUT]`, or `make paper`.
 
-Runs every scenario with the original equations and with ours, with both visibilities, and writes
-the tables and figures of docs/paper.md to OUT. What OUT has already is not run again; with
+Runs every scenario with the original equations and with ours, with both visibilities, under the
+barrier, and once more as it was published: the original equations under the original protection.
+Writes the tables and figures of docs/paper.md to OUT. What OUT has already is not run again; with
 `--draw` nothing is run at all.
 """
 
@@ -31,6 +32,9 @@ SCENARIOS = ("burger", "waffle_pi", "jackal", "hardware")
 TURTLEBOTS = SCENARIOS[:2]
 VISIBILITIES = ("body", "real")
 LAWS = ("settling", "paper")
+ORIGINAL = "original"
+"""Law `paper` under protection mode `potential_field`."""
+
 SEEDS = range(20)
 FRESH = range(500, 520)
 """Seeds that no parameter was chosen with."""
@@ -42,6 +46,7 @@ PLAN = (
     ("settling", FRESH, TURTLEBOTS),
     ("paper", SEEDS, SCENARIOS[2:]),
     ("settling", FRESH, SCENARIOS[2:]),
+    (ORIGINAL, SEEDS, SCENARIOS),
 )
 MDC_SOON = 0.86
 MDC_LATE = {"burger": 0.65, "waffle_pi": 0.75}
@@ -60,11 +65,20 @@ def experiment(out: Path, name: str, law: str, seeds: Sequence[int]) -> Results:
     return simulate(
         f"paper_exp1_{name}",
         seeds,
-        set={"groups.all.parameters.law": law},
+        set=changes(name, law),
         sweep={"lidar_visibility": list(VISIBILITIES)},
         out=folder_of(out, name, law, seeds),
         jobs=os.cpu_count() or 1,
     )
+
+
+def changes(name: str, law: str) -> Mapping[str, str]:
+    """What makes the scenario one of that law."""
+    if law != ORIGINAL:
+        return {"groups.all.parameters.law": law}
+    platform = "waffle_pi" if name == "hardware" else name
+    mode = {f"platforms.{platform}.protection.mode": "potential_field"}
+    return {"groups.all.parameters.law": "paper", **mode}
 
 
 def variant_of(visibility: str) -> str:

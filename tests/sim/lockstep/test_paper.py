@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from benchmarks.paper import ORIGINAL, changes
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.values import Array
 
@@ -19,12 +20,8 @@ LATE_BOUND = {"burger": 0.65, "waffle_pi": 0.75}
 @cache
 def runs(name: str, visibility: str, law: str = "settling") -> dict[str, Array]:
     """The values (3,) of each metric."""
-    changes = {
-        "lidar_visibility": visibility,
-        "groups.all.parameters.law": law,
-        "duration": 60,
-    }
-    results = simulate(f"paper_exp1_{name}", SEEDS, set=changes, traces=False)
+    some = {"lidar_visibility": visibility, "duration": 60, **changes(name, law)}
+    results = simulate(f"paper_exp1_{name}", SEEDS, set=some, traces=False)
     return {metric: results.metric(metric) for metric in results.metrics}
 
 
@@ -45,7 +42,8 @@ def test_turtlebots_do_not_touch_and_come_to_rest(name: str, visibility: str) ->
     found = runs(name, visibility)
     assert (found["robot_contacts"] + found["arena_contacts"] == 0.0).all()
     assert (found["mean_speed_late_share"] <= 0.2).all()
-    assert (found["protection_duty_late"] <= 0.2).all()
+    # The barrier holds back some wishes a little where those of the field passed; never all.
+    assert (found["protection_duty_late"] <= 0.4).all()
 
 
 @pytest.mark.parametrize("visibility", VISIBILITIES)
@@ -57,7 +55,7 @@ def test_jackals_are_one_cluster_and_looser(visibility: str) -> None:
     assert jackals[nearest].min() > burgers[nearest].max()
 
 
-def test_the_original_law_never_rests() -> None:
-    ours, original = runs("burger", "body"), runs("burger", "body", "paper")
+def test_the_original_law_under_the_original_protection_never_rests() -> None:
+    ours, original = runs("burger", "body"), runs("burger", "body", ORIGINAL)
     for metric in ("mean_speed_late_share", "protection_duty_late"):
         assert original[metric].min() > 2.0 * ours[metric].max()
