@@ -9,10 +9,13 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the daemon
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import cycle
+
+import numpy as np
 
 from benchmarks.steps import in_an_arena, loop_field, measure
 from benchmarks.table import Row, print_table
@@ -21,13 +24,17 @@ from swarmd.framing import decode_command, encode_command
 from swarmd.messages import Epoch, Request
 from swarmd.protection.front import Protection
 from swarmd.protection.moment import Moment
+from swarmd.protection.settings import Mode
 from swarmd.robot import Robot
 from swarmd.scans import ScanConditioner
 from swarmd.sensing import decode_scan, encode_scan
 from swarmd.settings import load_platform
 from swarmd.status import RobotSettings
+from swarmd.testing.scans import Disc, scan_of
+from swarmd.testing.variants import with_mode
 from swarmd.values import Inputs, Odometry, Outputs, Platform, Pose, Scan, Twist
 
+MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone")
 WISH = Twist(0.2, 0.1)
 PERIOD = 0.2
 
@@ -98,27 +105,59 @@ def measure_each(prepare: Callable[[], Callable[[], object]]) -> Sequence[float]
     return times[300:]
 
 
+class Decider:
+    """Protection in simulated time: each call is a scan period later."""
+
+    def __init__(self, platform: Platform, scans: Sequence[Scan]) -> None:
+        self._protection, self._scans, self._now = Protection(platform), cycle(scans), 0.0
+
+    def scan(self) -> None:
+        """A new scan and a decision."""
+        self._now += PERIOD
+        self._protection.observe(next(self._scans), self._moment())
+        self.wish()
+
+    def wish(self) -> None:
+        """A decision on a new wish, or a tick."""
+        self._protection.decide(WISH, self._moment(), is_running=True, hold=None)
+
+    def _moment(self) -> Moment:
+        return Moment(self._now, 0.0, Odometry(self._now, Pose(), WISH), 0.0)
+
+
+def among(platform: Platform, neighbors: int, count: int = 100) -> list[Scan]:
+    """Scans of that many Waffle Pis in a ring, so near that all of them bind."""
+    rng = np.random.default_rng(neighbors)
+    scans = []
+    for seq in range(count):
+        away = rng.uniform(0.42, 0.6, neighbors)
+        around = 2.0 * math.pi * (np.arange(neighbors) + rng.uniform()) / max(neighbors, 1)
+        discs = [
+            Disc(r * math.cos(a), r * math.sin(a), 0.15)
+            for r, a in zip(away.tolist(), around.tolist(), strict=True)
+        ]
+        scans.append(scan_of(platform, discs, seq=seq, noise=0.01, rng=rng))
+    return scans
+
+
+def mode_rows(platform: Platform) -> Iterator[Row]:
+    """Each mode beside 0 to 8 neighbours."""
+    for mode in MODES:
+        one = with_mode(platform, mode)
+        for neighbors in (0, 1, 2, 4, 8):
+            decider = Decider(one, among(one, neighbors))
+            what = f"{mode}, {neighbors} neighbours"
+            yield Row(f"scan and decision, {what}", measure(decider.scan), "p99 2 ms")
+        yield Row(f"decision alone, {what}", measure(decider.wish))
+
+
 def rows() -> Iterator[Row]:
     platform = load_platform("waffle_pi")
     scans = in_an_arena(platform, 100)
     loop = measure(map(partial(loop_field, range_max=0.5), cycle(scans)).__next__)
     yield Row("the field ray by ray in plain Python", loop, note="yardstick")
-    protection = Protection(platform)
-
-    def decide(scan: Scan) -> None:
-        protection.observe(scan, Moment(0.0))
-        protection.decide(WISH, Moment(0.0, 0.0), is_running=True, hold=None)
-
-    def again(scan: Scan) -> None:
-        protection.decide(WISH, Moment(0.0, 0.0), is_running=True, hold=None)
-
+    yield from mode_rows(platform)
     conditioner = ScanConditioner(platform.scan)
-    yield Row(
-        "protection: new scan and decision, potential_field",
-        measure(map(decide, cycle(scans)).__next__),
-        "p99 1 ms",
-    )
-    yield Row("protection: decision on a new wish", measure(map(again, cycle(scans)).__next__))
     yield Row(
         "scan conditioned",
         measure(map(lambda scan: conditioner.take(scan, None, 0.0), cycle(scans)).__next__),
