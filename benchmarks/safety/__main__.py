@@ -12,7 +12,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.safety import hours, progress
-from benchmarks.safety.judge import Collision, collisions, judge
+from benchmarks.safety.judge import Collision, collisions
+from benchmarks.safety.judgement import judge
 from benchmarks.safety.runs import Task, carry_out, rammers
 from benchmarks.safety.scenes import (
     ACCEPTANCE_SEEDS,

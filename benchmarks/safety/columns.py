@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 
-from benchmarks.safety.judge import Judgement
+from benchmarks.safety.judgement import Judgement
 from benchmarks.safety.runs import Record, total
 
 HOUR = 3600.0

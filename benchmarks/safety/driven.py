@@ -33,8 +33,13 @@ def faults(trace: Trace, unprotected: Collection[str] = ()) -> Iterator[Collisio
 
     The trace's commands must be dense: 20 or more instants a second.
     """
+    able: dict[str, Array] = {}
     for one in collisions(trace, unprotected):
-        if one.is_fault and (speed := _own_drive(trace, one)) > FAULT:
+        if not one.is_fault:
+            continue
+        if one.who not in able:
+            able[one.who] = drive_speeds(trace, trace.ids.index(one.who))
+        if (speed := _own_drive(trace, one, able[one.who])) > FAULT:
             yield structs.replace(one, own_speed=speed)
 
 
@@ -64,20 +69,21 @@ def _moved(trace: Trace, robot: int) -> Array:
 
 def _is_thrown(trace: Trace, robot: int) -> NDArray[np.bool_]:
     """(T,) whether something touches it, or has so recently that it may still move by it."""
-    touched = trace.contact_t[(trace.contact_pair == robot).any(axis=1)]
-    since = trace.t[:, None] - touched
-    return np.asarray(((since > -_ROUNDING) & (since < _THROWN)).any(axis=1))
+    touched = np.sort(trace.contact_t[(trace.contact_pair == robot).any(axis=1)])
+    touched = np.concatenate(([-np.inf], touched))
+    last = touched[np.searchsorted(touched, trace.t + _ROUNDING) - 1]
+    return np.asarray(trace.t - last < _THROWN)
 
 
-def _own_drive(trace: Trace, one: Collision) -> float:
-    """The fastest that who is at fault in a count closed by its own drives, in m/s."""
+def _own_drive(trace: Trace, one: Collision, able: Array) -> float:
+    """The fastest that who is at fault in a count closed by its own drives, `able` (T,), in m/s."""
     robot = trace.ids.index(one.who)
     other = _index(trace, one.b if one.who == one.a else one.a)
     is_own = trace.contact_pair == robot
     of = is_own.any(axis=1) & (trace.contact_pair == other).any(axis=1)
     since = trace.contact_t - one.time
     of &= (since >= -_ROUNDING) & (since < ONCE - _ROUNDING)
-    able, after = drive_speeds(trace, robot), np.searchsorted(trace.t, trace.contact_t[of])
+    after = np.searchsorted(trace.t, trace.contact_t[of])
     last = len(able) - 1
     most = np.maximum(able[np.minimum(after, last)], able[np.clip(after - 1, 0, last)])
     closing = trace.contact_speed[is_own & of[:, None]]

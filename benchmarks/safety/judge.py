@@ -1,4 +1,4 @@
-"""What a trace says of a swarm's safety and progress: MuJoCo's contacts, never the arbiter's word.
+"""Who ran into whom, of a trace: MuJoCo's contacts, never the arbiter's word.
 
 A collision is a touch of two robots, at least one of them protected; it counts once for each second
 that it lasts. It is at fault if the own surface of a protected one moved towards the other
@@ -13,8 +13,6 @@ from collections.abc import Collection, Iterator
 import numpy as np
 from msgspec import Struct
 
-from swarmd.sim.metrics.gap import minimum_gap
-from swarmd.sim.metrics.protection import alterations
 from swarmd.sim.metrics.touches import WALLS
 from swarmd.sim.trace import ARENA, Trace
 from swarmd.values import Array
@@ -66,69 +64,6 @@ class Collision(Struct, frozen=True):
     def is_pushed(self) -> bool:
         """Whether one came only because it was pushed."""
         return self.own_speed <= FAULT < self.pushed_speed
-
-
-class Judgement(Struct, frozen=True, kw_only=True):
-    """The numbers of a run, of its protected robots alone; they add up over runs.
-
-    `seconds`: of all of them together. Collisions with robots, and touches of walls, boxes and
-    poles, each with those at fault and the fastest own surface among them in m/s (0: none);
-    `hits`: those with robots that began so, and the fastest. `pushed`: collisions and touches
-    into which one was pushed.
-    `goals` reached within `goal_seconds` of all of them together, `windows` of WINDOW s, and how
-    many of them `stuck`: all 0 where there was no goal to reach. `altered`: mean change of the
-    wish, times `seconds`.
-    `min_gap` m between two robots' outlines at the trace's instants.
-    """
-
-    seconds: float
-    collisions: int
-    faults: int
-    worst: float
-    hits: int
-    worst_hit: float
-    touches: int
-    touch_faults: int
-    worst_touch: float
-    pushed: int
-    goals: int
-    goal_seconds: float
-    windows: int
-    stuck: int
-    altered: float
-    min_gap: float
-
-
-def judge(trace: Trace, unprotected: Collection[str] = ()) -> Judgement:
-    """A trace's numbers; the ids of robots that nothing protects from others are `unprotected`."""
-    rows = np.array([row for row, robot in enumerate(trace.ids) if robot not in unprotected])
-    found = collisions(trace, unprotected)
-    robots = [one for one in found if one.b in trace.ids]
-    arena = [one for one in found if one.b not in trace.ids]
-    goals = trace.report.get("goals")
-    seconds = trace.duration * len(rows)
-    reached = np.zeros(1) if goals is None else np.nanmax(goals[:, rows], axis=0, initial=0.0)
-    windows, stuck = (0, 0) if goals is None else stuck_windows(trace, rows)
-    changes = alterations(trace)
-    altered = 0.0 if changes is None else float(np.nan_to_num(np.nanmean(changes[:, rows])))
-    return Judgement(
-        seconds=seconds,
-        collisions=len(robots),
-        faults=sum(one.is_fault for one in robots),
-        worst=max((one.own_speed for one in robots), default=0.0),
-        hits=sum(one.is_hit for one in robots),
-        worst_hit=max((one.first_speed for one in robots), default=0.0),
-        touches=len(arena),
-        touch_faults=sum(one.is_fault for one in arena),
-        worst_touch=max((one.own_speed for one in arena), default=0.0),
-        pushed=sum(one.is_pushed for one in found),
-        goals=int(reached.sum()),
-        goal_seconds=0.0 if goals is None else seconds,
-        windows=windows,
-        stuck=stuck,
-        altered=altered * seconds,
-        min_gap=minimum_gap(trace),
-    )
 
 
 def collisions(trace: Trace, unprotected: Collection[str] = ()) -> list[Collision]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from benchmarks.safety.columns import goals_a_minute, rows
-from benchmarks.safety.judge import Judgement
+from benchmarks.safety.judgement import Judgement
 from benchmarks.safety.runs import Record, Task, total
 from benchmarks.safety.scenes import Scene
 from benchmarks.table import markdown

@@ -17,7 +17,7 @@ from msgspec import Struct
 
 import swarmd
 import swarmd.config
-from benchmarks.safety.judge import Judgement, judge
+from benchmarks.safety.judgement import Judgement, judge
 from benchmarks.safety.scenes import RAMMERS, Scene, scenario
 from swarmd.errors import ConfigError
 from swarmd.sim.experiments.provenance import digest_of_code

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from benchmarks.safety.judge import Judgement, collisions, judge, stuck_windows
+from benchmarks.safety.judge import collisions, stuck_windows
+from benchmarks.safety.judgement import Judgement, judge
 from swarmd.platforms import load_platform
 from swarmd.sim.metrics.touches import WALLS
 from swarmd.sim.trace import ARENA, Trace

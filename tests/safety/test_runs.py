@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.safety import hours, progress
 from benchmarks.safety.columns import goals_a_minute, rate, upper_bound
-from benchmarks.safety.judge import Judgement
+from benchmarks.safety.judgement import Judgement
 from benchmarks.safety.runs import Record, Task, carry_out, fingerprint, read, total
 from benchmarks.safety.scenes import OWN, Scene
 from swarmd.errors import ConfigError
