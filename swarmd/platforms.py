@@ -63,7 +63,7 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The arbiter: its mode, and what each mode is told; `preset` is the potential field's."""
 
-    mode: Mode = "potential_field"
+    mode: Mode = "barrier"
     preset: str
     presets: dict[str, PotentialFieldSettings]
     barrier: BarrierSettings | None = None

@@ -45,11 +45,14 @@ _SAME_TIME = 1e-6  # s, for the rounding of ages
 class _Seen(NamedTuple):
     """What one scan shows of what is near, in the base frame of the moment it was taken.
 
-    `points` (k, 2) m. The last c of them lie on the outline, along rays that are too close to
-    measure; `ways` (c, 2) are the directions of these rays. `is_near`: the envelope is in force.
+    Points `x`, `y` (k,) m, those with the smallest `gaps` (k,) m first. The first c of them lie on
+    the outline, along rays that are too close to measure; `ways` (c, 2) are the directions of
+    these rays. `is_near`: the envelope is in force.
     """
 
-    points: Array
+    x: Array
+    y: Array
+    gaps: Array
     ways: Array
     is_near: bool
 
@@ -66,7 +69,7 @@ class _Rows(NamedTuple):
 
 
 _NO_WAYS = np.empty((0, 2))
-_NOTHING = _Seen(np.empty((0, 2)), _NO_WAYS, is_near=False)
+_NOTHING = _Seen(np.empty(0), np.empty(0), np.empty(0), _NO_WAYS, is_near=False)
 
 
 class Barrier:
@@ -92,7 +95,12 @@ class Barrier:
         self._memory = NearMemory(platform.scan.range_min, self._band()) if is_blind else None
         self._seen, self._taken_at, self._taken = _NOTHING, Pose(), -math.inf
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
-        self._within, self._reach = self._distances(platform.footprint)
+        self._idle_reach = self._reach_at_rest(platform.footprint)
+        stale = platform.scan.stale_after + platform.scan.latency + REACTION
+        self._reach = self._reach_after(stale)
+        within = self._idle_reach + settings.others_speed * stale
+        given_within = settings.envelope_within
+        self._within = within if given_within is None else given_within
 
     def berth(self, speed: float) -> Berth:
         """Where a row would not yet keep it below that speed ahead, nor stop it beside."""
@@ -138,7 +146,7 @@ class Barrier:
         """The command nearest to the wish within all rows; the wish itself if it violates none."""
         self._motion.update(moment)
         seen = self._seen
-        is_free = touch is None and not (seen.is_near or len(seen.points))
+        is_free = touch is None and not (seen.is_near or len(seen.x))
         if wish.is_zero or is_free:
             return Decision(wish, is_active=False)
         along, speed = _split(wish)
@@ -175,8 +183,9 @@ class Barrier:
         touch: TouchZone | None,
     ) -> _Rows:
         frame = relative(self._taken_at, self._motion.ahead(moment, command))
-        x, y = _placed(seen.points, frame)
         age = moment.now - self._taken + REACTION
+        some = int(seen.gaps.searchsorted(self._reach_after(age)))
+        x, y = _placed(seen.x[:some], seen.y[:some], frame)
         facing = self._outline.facing(x, y)
         linear = facing.nx * along[0] + facing.ny * along[1]
         settings = self._settings
@@ -203,13 +212,13 @@ class Barrier:
 
         Without the latter a corner that grazes a slanted surface has only a row across its way.
         """
-        first = len(rows.x) - len(seen.ways)
+        count = len(seen.ways)
         caps = rows.caps.copy()
-        caps[first:] = 0.0
+        caps[:count] = 0.0
         cos, sin = math.cos(frame.yaw), math.sin(frame.yaw)
         nx = cos * seen.ways[:, 0] - sin * seen.ways[:, 1]
         ny = sin * seen.ways[:, 0] + cos * seen.ways[:, 1]
-        x, y = rows.x[first:], rows.y[first:]
+        x, y = rows.x[:count], rows.y[:count]
         zeros = np.zeros(len(x))
         return _joined(
             rows._replace(caps=caps),
@@ -251,17 +260,19 @@ class Barrier:
         shown = np.flatnonzero((scan.ranges <= within) & (scan.ranges > -np.inf))
         points = sight.ends(scan, shown)
         gaps = self._outline.gaps(points)
-        points = points.take(np.flatnonzero(gaps <= self._reach), axis=0)
         bearings = scan.bearings[scan.ranges == -np.inf]
         if self._memory is not None:
             bearings = np.concatenate((bearings, self._memory.bearings))
         is_near = bool(len(bearings)) or float(gaps.min(initial=np.inf)) <= self._within
+        order = np.argsort(gaps)[: np.count_nonzero(gaps <= self._reach)]
+        gaps, (x, y) = gaps.take(order), points.take(order, axis=0).T
         if not len(bearings):
-            return _Seen(points, _NO_WAYS, is_near)
+            return _Seen(x, y, gaps, _NO_WAYS, is_near)
         ways = np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
         depths = self._outline.along_rays(self._offset, ways)
-        touched = self._offset + depths[:, None] * ways
-        return _Seen(np.concatenate((points, touched)), ways, is_near)
+        touched = (self._offset + depths[:, None] * ways).T
+        x, y = np.concatenate((touched[0], x)), np.concatenate((touched[1], y))
+        return _Seen(x, y, np.concatenate((np.zeros(len(ways)), gaps)), ways, is_near)
 
     def _band(self) -> float:
         """m by which something may have come nearer since the scan before, with one scan lost."""
@@ -281,17 +292,23 @@ class Barrier:
             self._limits.lateral / lateral if lateral else math.inf,
         )
 
-    def _distances(self, corners: Array) -> tuple[float, float]:
-        """Gaps in m: those at which the envelope is in force, and those at which a row may bind."""
+    def _reach_at_rest(self, corners: Array) -> float:
+        """The gap in m at which a row may bind with a scan of this instant."""
         settings, speed = self._settings, self._speed
         spin = min(self._limits.angular, speed / float(np.hypot(*corners.T).max()))
         linear = min(speed, max(self._limits.linear, self._limits.lateral))
         braking = max(linear / settings.braking_linear, spin / settings.braking_angular)
-        unseen = self._spec.stale_after + self._spec.latency + REACTION
-        gap = speed * (TICK + 0.5 * braking) + settings.others_speed * (unseen + TICK + braking)
-        gap += settings.margin + settings.unseen_extent
-        within = gap if settings.envelope_within is None else settings.envelope_within
-        return within, gap + speed * unseen  # which it may come nearer until it is stopped
+        gap = speed * (TICK + 0.5 * braking) + settings.others_speed * (TICK + braking)
+        return gap + settings.margin + settings.unseen_extent
+
+    def _reach_after(self, age: float) -> float:
+        """The same with one of that age in s: both have moved since, the robot perhaps towards."""
+        settings, speed = self._settings, self._speed
+        gap = self._idle_reach + (settings.others_speed + speed) * age
+        if settings.keep_out is None:
+            return gap
+        half = speed * (2.0 * TICK + age + 0.5 * speed / settings.braking_linear)
+        return max(gap, settings.keep_out + 2.0 * half + speed * age)
 
 
 def _split(wish: Twist) -> tuple[Point, float]:
@@ -302,10 +319,9 @@ def _split(wish: Twist) -> tuple[Point, float]:
     return (wish.linear / speed, wish.lateral / speed), speed
 
 
-def _placed(points: Array, frame: Pose) -> tuple[Array, Array]:
+def _placed(x: Array, y: Array, frame: Pose) -> tuple[Array, Array]:
     """The x and y of points of a frame."""
     cos, sin = math.cos(frame.yaw), math.sin(frame.yaw)
-    x, y = points[:, 0], points[:, 1]
     return frame.x + cos * x - sin * y, frame.y + sin * x + cos * y
 
 

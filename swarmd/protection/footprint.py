@@ -63,7 +63,7 @@ class Footprint:
         self._axes = np.concatenate((along, outward))
         self._origins = np.einsum("ka,ka->k", self._axes, np.tile(self.corners, (2, 1)))[:, None]
         self._outward = outward
-        self._along, self._starts = along.T.copy(), self.corners.T.copy()
+        self._edges = np.concatenate((along.T, self.corners.T))
         self._known: dict[tuple[float, float], tuple[float, float]] = {}
 
     def gaps(self, points: Array) -> Array:
@@ -80,29 +80,31 @@ class Footprint:
 
     def facing(self, x: Array, y: Array) -> Facing:
         """How the outline faces points at `x`, `y` (n,)."""
-        k = len(self._lengths)
-        placed = self._axes.dot(np.stack((x, y))) - self._origins
+        k, n = len(self._lengths), len(x)
+        placed = self._axes.dot(np.array((x, y)))
+        placed -= self._origins
         along, above = placed[:k], placed[k:]
         on = np.minimum(np.maximum(along, 0.0), self._lengths[:, None])
         beyond = along - on
         squares = beyond * beyond
         squares += above * above
         edge = squares.argmin(axis=0)
-        cell = edge * len(x) + np.arange(len(x))
-        is_inside = above.max(axis=0) <= 0.0
-        gap = np.sqrt(squares.ravel().take(cell))
-        gap[is_inside] = 0.0
-        far, high = beyond.ravel().take(cell), above.ravel().take(cell)
+        cell = edge * n + np.arange(n)
+        gap = np.sqrt(squares.take(cell))
+        gap[above.max(axis=0) <= 0.0] = 0.0
+        far, high = beyond.take(cell), above.take(cell)
         # On the outline and inside it there is no way from it to the point: the edge's own counts.
         at = gap < 1e-9
+        if at.any():
+            far[at], high[at] = 0.0, 1.0
         inverse = 1.0 / np.where(at, 1.0, gap)
-        far, high = np.where(at, 0.0, far * inverse), np.where(at, 1.0, high * inverse)
-        along_x, along_y = self._along.take(edge, axis=1)
+        far *= inverse
+        high *= inverse
+        along_x, along_y, start_x, start_y = self._edges.take(edge, axis=1)
         nx, ny = far * along_x + high * along_y, far * along_y - high * along_x
-        share = on.ravel().take(cell)
-        foot_x = self._starts[0].take(edge) + share * along_x
-        foot_y = self._starts[1].take(edge) + share * along_y
-        return Facing(gap, nx, ny, foot_x * ny - foot_y * nx)
+        share = on.take(cell)
+        lever = (start_x + share * along_x) * ny - (start_y + share * along_y) * nx
+        return Facing(gap, nx, ny, lever)
 
     def along_rays(self, place: tuple[float, float], directions: Array) -> Array:
         """(n,) m from a place inside to the outline along `directions` (n, 2); 0 from outside."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from swarmd.values import Array, Scan
@@ -37,34 +38,46 @@ class NearMemory:
 
     def update(self, scan: Scan, turned: float, seconds: float) -> None:
         """Take in a scan; since the one before the base has turned by so many rad."""
-        is_near = scan.ranges <= self._rim  # too close to measure is near as well
-        is_out = (scan.ranges <= self._out) & (scan.ranges > -np.inf)
         if len(self._near) or len(self.bearings):
             bearings = np.concatenate((self.bearings, self._near)) - turned
             ages = np.concatenate((self.ages, np.zeros(len(self._near)))) + seconds
-            self.bearings, self.ages = self._shadows(scan, is_out, bearings, ages)
-        self._near = scan.bearings[is_near]
+            self.bearings, self.ages = self._shadows(scan, bearings, ages)
+        # What is too close to measure is near as well.
+        self._near = scan.bearings[scan.ranges <= self._rim]
 
-    def _shadows(
-        self, scan: Scan, is_out: Mask, bearings: Array, ages: Array
-    ) -> tuple[Array, Array]:
+    def _shadows(self, scan: Scan, bearings: Array, ages: Array) -> tuple[Array, Array]:
         """Where those at `bearings` hide now: at the nearest ray of a run without a return."""
-        off = np.abs((scan.bearings - bearings[:, None] + np.pi) % (2.0 * np.pi) - np.pi)
-        off[off > _SHIFT] = np.inf
-        is_seen = np.isfinite(off[:, is_out]).any(axis=1)
-        off[:, ~_in_runs(scan.ranges == np.inf)] = np.inf
-        place = off.argmin(axis=1)
-        is_hidden = np.isfinite(off[np.arange(len(off)), place]) & ~is_seen & (ages < LASTS)
+        shadows = scan.bearings[_in_runs(scan.ranges == np.inf)]
+        if not len(shadows):
+            return shadows, shadows
+        place, off = _nearest(shadows, bearings)
+        is_hidden = (off <= _SHIFT) & (ages < LASTS)
+        seen = scan.bearings[(scan.ranges <= self._out) & (scan.ranges > -np.inf)]
+        if len(seen):
+            is_hidden &= _nearest(seen, bearings)[1] > _SHIFT
         rays, first = np.unique(place[is_hidden], return_index=True)
-        return scan.bearings[rays], ages[is_hidden][first]
+        return shadows[rays], ages[is_hidden][first]
+
+
+def _nearest(bearings: Array, wanted: Array) -> tuple[NDArray[np.intp], Array]:
+    """For each of `wanted` (k,) the nearest of `bearings` (n,), and how far off it is, in rad."""
+    turn = 2.0 * np.pi
+    order = np.argsort(bearings % turn)
+    rising = bearings[order] % turn
+    after = np.searchsorted(rising, wanted % turn) % len(rising)
+    pair = np.stack((after, after - 1))
+    off = np.abs((rising[pair] - wanted + np.pi) % turn - np.pi)
+    nearer = off.argmin(axis=0)
+    column = np.arange(len(wanted))
+    return order[pair[nearer, column]], off[nearer, column]
 
 
 def _in_runs(is_empty: Mask) -> Mask:
     """True for rays without a return among at least `_RUN` such side by side."""
-    found = np.zeros(len(is_empty), np.bool_)
-    for first in range(_RUN):
-        run = np.ones(len(is_empty), np.bool_)
-        for shift in range(_RUN):
-            run &= np.roll(is_empty, first - shift)
-        found |= run
+    n = len(is_empty)
+    if n < _RUN or not is_empty.any():
+        return np.zeros(n, np.bool_)
+    around = np.concatenate((is_empty[1 - _RUN :], is_empty, is_empty[: _RUN - 1]))
+    windows = np.asarray(sliding_window_view(around, _RUN).all(axis=1))
+    found: Mask = np.asarray(sliding_window_view(windows, _RUN).any(axis=1))
     return found
