@@ -165,6 +165,24 @@ def test_nobody_sees_a_corner_of_it_come_faster_than_promised(platform: Platform
     assert fastest == pytest.approx(0.15, abs=0.005)
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("distance", [1.0, 1.1, 1.2, 1.3, 1.4])
+def test_spinning_beside_one_that_comes_it_stops_before_its_corner_could_hit(
+    side: float, distance: float
+) -> None:
+    """A corner 0.135 m from the axle moves at 0.38 m/s in a Burger's fastest turn.
+
+    Its promise is to be no faster than straight on. With one of 0.30 m/s it stops too late in one
+    of ten: a row knows how fast the outline closes now, not how the corner comes around.
+    """
+    told = under_barrier(BURGER, surface_speed=0.22)
+    comes = box(0.3, 0.2, Pose(-0.03, side * distance), velocity=(0.0, side * -0.30))
+    ride = Yard(told, [comes]).run(Twist(0.0, 2.84), 6.0)
+    assert ride.touch is not None
+    assert ride.touch.speed <= NO_FAULT
+    assert max(abs(twist.angular) for twist in ride.twists) > 1.5
+
+
 def test_it_does_not_reverse_into_another() -> None:
     other = replace(pole(0.055, Pose(-0.7)), corners=BURGER.footprint - BURGER.scan.offset)
     ride = Yard(BURGER, [other]).run(Twist(-0.22, 0.1), 6.0)
