@@ -11,7 +11,7 @@ settings.register_profile(
     "mutants",
     deadline=None,
     derandomize=True,
-    max_examples=40,
+    max_examples=25,
     phases=(Phase.explicit, Phase.generate),
 )
 settings.load_profile("calm")
