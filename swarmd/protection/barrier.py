@@ -15,7 +15,7 @@ from the robot's own lidar and odometry. What is promised, and what is not, is i
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
@@ -68,6 +68,7 @@ class _Rows(NamedTuple):
     gaps: Array
 
 
+_Occasion: TypeAlias = tuple[Moment, Point, TouchZone | None]
 _NO_WAYS = np.empty((0, 2))
 _NOTHING = _Seen(np.empty(0), np.empty(0), np.empty(0), _NO_WAYS, is_near=False)
 
@@ -90,6 +91,7 @@ class Barrier:
         self._offset = platform.scan.offset
         self._speed = settings.surface_speed or settings.others_speed
         self._envelopes: dict[Point, tuple[Array, Array]] = {}
+        self._known: tuple[_Occasion, _Rows, Array, Array] | None = None
         self._motion = Motion(settings.braking_linear, settings.braking_angular)
         is_blind = platform.scan.near == "lost"
         self._memory = NearMemory(platform.scan.range_min, self._band()) if is_blind else None
@@ -138,7 +140,7 @@ class Barrier:
             turned = math.remainder(pose.yaw - self._taken_at.yaw, 2.0 * math.pi)
             self._memory.update(scan, turned, max(taken - self._taken, 0.0))
         self._taken_at, self._taken = pose, taken
-        self._seen = self._look(scan, sight)
+        self._seen, self._known = self._look(scan, sight), None
 
     def decide(
         self, wish: Twist, moment: Moment, *, command: Twist, touch: TouchZone | None
@@ -151,8 +153,11 @@ class Barrier:
             return Decision(wish, is_active=False)
         along, speed = _split(wish)
         limits = self._most(along), self._limits.angular
-        rows = self._rows(seen, moment, command, along, touch)
-        normals, caps = self._half_planes(rows, along, limits)
+        occasion = moment, along, touch
+        if self._known is None or self._known[0] != occasion:  # else another wish at the same time
+            rows = self._rows(seen, moment, command, along, touch)
+            self._known = occasion, rows, *self._half_planes(rows, along, limits)
+        _, rows, normals, caps = self._known
         wanted = speed / limits[0], wish.angular / limits[1]
         point, tight = nearest_feasible(wanted, BOX, normals, caps)
         if point == wanted:

@@ -61,15 +61,18 @@ def clipped(polygon: Sequence[Point], a: float, b: float, cap: float) -> list[Po
 
 
 def nearest(polygon: Sequence[Point], wish: Point) -> Point:
-    """The point of a convex polygon that is nearest to `wish`: that itself if it is inside."""
+    """The point of a convex polygon that is nearest to `wish`: that itself if it is inside.
+
+    A polygon may be as thin as a line or a point, which have no inside.
+    """
     x, y = wish
     best, best_square = (0.0, 0.0), math.inf
-    is_inside = len(polygon) > 2
+    is_inside = True
     x0, y0 = polygon[-1]
     for x1, y1 in polygon:
         dx, dy = x1 - x0, y1 - y0
         px, py = x - x0, y - y0
-        if dx * py - dy * px < 0.0:
+        if dx * py - dy * px <= 0.0:
             is_inside = False
         square = dx * dx + dy * dy
         share = (px * dx + py * dy) / square if square > 0.0 else 0.0
@@ -79,4 +82,4 @@ def nearest(polygon: Sequence[Point], wish: Point) -> Point:
         if away < best_square:
             best, best_square = on, away
         x0, y0 = x1, y1
-    return wish if is_inside else best
+    return wish if is_inside or best_square <= EXACT * EXACT else best
