@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 ARGS ?=
 
-.PHONY: help demo test check format bench paper mutants lock clean
+.PHONY: help demo test check format bench paper safety mutants lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -42,6 +42,12 @@ paper: $(VENV)/tools
 # The table of docs/safety.md: which tests fail without which mechanism; ten minutes on two cores.
 mutants: $(VENV)/tools
 	@$(BIN)/python -m benchmarks.mutants $(ARGS)
+
+# Robot-hours and progress under protection, kept in build/safety; hours on two cores. With
+# ARGS="--robot-hours 30" a tenth of it.
+safety: $(VENV)/tools
+	@$(BIN)/python -m benchmarks.safety hours $(ARGS)
+	@$(BIN)/python -m benchmarks.safety progress
 
 $(VENV)/made:
 	@command -v $(PYTHON) >/dev/null || { echo \

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec import Struct
 
 from benchmarks.safety.driven import faults
-from benchmarks.safety.judge import collisions, stuck_windows
+from benchmarks.safety.judge import FAULT, collisions, stuck_windows
 from swarmd.sim.metrics.gap import minimum_gap
 from swarmd.sim.metrics.protection import alterations
 from swarmd.sim.trace import Trace
@@ -55,6 +55,8 @@ def judge(trace: Trace, unprotected: Collection[str] = ()) -> Judgement:
     by_own_drives = list(faults(trace, unprotected))
     drove_into = [one.own_speed for one in by_own_drives if one.b in trace.ids]
     drove_at = [one.own_speed for one in by_own_drives if one.b not in trace.ids]
+    at_once = [min(one.own_speed, one.first_speed) for one in by_own_drives if one.b in trace.ids]
+    ran_into = [speed for speed in at_once if speed > FAULT]
     goals = trace.report.get("goals")
     seconds = trace.duration * len(rows)
     reached = np.zeros(1) if goals is None else np.nanmax(goals[:, rows], axis=0, initial=0.0)
@@ -66,8 +68,8 @@ def judge(trace: Trace, unprotected: Collection[str] = ()) -> Judgement:
         collisions=len(robots),
         faults=len(drove_into),
         worst=max(drove_into, default=0.0),
-        hits=sum(one.is_hit for one in robots),
-        worst_hit=max((one.first_speed for one in robots), default=0.0),
+        hits=len(ran_into),
+        worst_hit=max(ran_into, default=0.0),
         touches=len(found) - len(robots),
         touch_faults=len(drove_at),
         worst_touch=max(drove_at, default=0.0),
