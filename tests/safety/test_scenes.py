@@ -70,13 +70,26 @@ def test_a_third_rams_and_is_not_protected() -> None:
     assert scene.protected == 6
 
 
-def test_a_mixed_swarm_agrees_on_one_speed() -> None:
+def test_a_mixed_swarm_agrees_on_one_speed_and_keeps_out_of_every_blind_zone() -> None:
     platforms = scenario(Scene("goals", "mixed")).robots.values()
-    speeds = {
-        (barrier["others_speed"], barrier["surface_speed"])
+    agreed = {
+        (barrier["others_speed"], barrier["surface_speed"] or barrier["others_speed"],
+         barrier["keep_out"])
         for barrier in (platform.protection["barrier"] for platform in platforms)
-    }
-    assert speeds == {(0.4, 0.4)}
+    }  # fmt: skip
+    assert agreed == {(0.4, 0.4, 0.85)}
+
+
+@pytest.mark.parametrize("platform", ["burger", "waffle_pi", "jackal"])
+def test_nothing_is_unseen_where_lidars_see_whole_bodies(platform: str) -> None:
+    own = load_platform(platform).protection["barrier"]["unseen_extent"]
+    unseen = [
+        next(iter(scenario(Scene("goals", platform, visibility)).robots.values())).protection[
+            "barrier"
+        ]["unseen_extent"]
+        for visibility in VISIBILITIES
+    ]
+    assert unseen == [0.0, own]
 
 
 def test_a_scene_that_is_none_is_refused_with_the_nearest() -> None:
