@@ -217,10 +217,10 @@ MUTANTS = (
     ),
     Mutant(
         "speed of a touch zone",
-        "things in a zone may be touched at any speed",
-        _BARRIER,
-        "np.full(len(x), touch.speed), np.full(len(x), np.inf)",
-        "np.full(len(x), 10.0), np.full(len(x), np.inf)",
+        "what is granted is granted at any speed",
+        _FRONT,
+        "touch=permit.touch)",
+        "touch=permit.touch and replace(permit.touch, speed=10.0))",
     ),
     Mutant(
         "clip and project",
