@@ -79,6 +79,20 @@ MUTANTS = (
         "(settings.margin +",
     ),
     Mutant(
+        "margin",
+        "nothing is kept free beside what may be there",
+        _BARRIER,
+        "(settings.margin + settings.unseen_extent +",
+        "(settings.unseen_extent +",
+    ),
+    Mutant(
+        "reach",
+        "what the robot covers itself while a sweep ages does not count",
+        _BARRIER,
+        "(settings.others_speed + speed) * age",
+        "settings.others_speed * age",
+    ),
+    Mutant(
         "latency",
         "a sweep was taken when it arrives",
         _BARRIER,
