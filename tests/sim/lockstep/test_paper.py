@@ -18,9 +18,10 @@ LATE_BOUND = {"burger": 0.65, "waffle_pi": 0.75}
 
 
 @cache
-def runs(name: str, visibility: str, law: str = "settling") -> dict[str, Array]:
-    """The values (3,) of each metric."""
+def runs(name: str, visibility: str, law: str = "settling", mode: str = "") -> dict[str, Array]:
+    """The values (3,) of each metric; `mode` is that of protection, empty: the platform's."""
     some = {"lidar_visibility": visibility, "duration": 60, **changes(name, law)}
+    some |= {f"platforms.{name}.protection.mode": mode} if mode else {}
     results = simulate(f"paper_exp1_{name}", SEEDS, set=some, traces=False)
     return {metric: results.metric(metric) for metric in results.metrics}
 
@@ -42,8 +43,15 @@ def test_turtlebots_do_not_touch_and_come_to_rest(name: str, visibility: str) ->
     found = runs(name, visibility)
     assert (found["robot_contacts"] + found["arena_contacts"] == 0.0).all()
     assert (found["mean_speed_late_share"] <= 0.2).all()
-    # The barrier holds back some wishes a little where those of the field passed; never all.
-    assert (found["protection_duty_late"] <= 0.4).all()
+    # Of a filter any change counts, however small.
+    assert (found["command_alteration"] <= 0.15).all()
+
+
+@pytest.mark.parametrize("visibility", VISIBILITIES)
+@pytest.mark.parametrize("name", NAMES)
+def test_the_papers_layer_has_little_to_do(name: str, visibility: str) -> None:
+    found = runs(name, visibility, mode="potential_field")
+    assert (found["protection_duty_late"] <= 0.2).all()
 
 
 @pytest.mark.parametrize("visibility", VISIBILITIES)
