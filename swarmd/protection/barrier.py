@@ -24,7 +24,7 @@ from swarmd.errors import ConfigError
 from swarmd.protection.caps import passive_caps, reciprocal_caps
 from swarmd.protection.envelope import BOX, envelope, half_planes
 from swarmd.protection.feasible import Point, nearest_feasible
-from swarmd.protection.footprint import Footprint, Sight
+from swarmd.protection.footprint import Facing, Footprint, Sight
 from swarmd.protection.memory import NearMemory
 from swarmd.protection.moment import Moment
 from swarmd.protection.motion import REACTION, TRUSTED, Motion, relative
@@ -32,10 +32,13 @@ from swarmd.protection.pressing import pressing
 from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.unstick import Berth
 from swarmd.protection.verdict import Decision, Row
-from swarmd.values import Array, Platform, Pose, Scan, TouchZone, Twist
+from swarmd.values import Array, Platform, Pose, Scan, ScanSpec, TouchZone, Twist
 
 TICK = 0.05
 """Seconds until the next decision, at the latest."""
+
+CREEP = 0.015
+"""m/s: the fastest that any corner moves in touch, where not all is seen of what it touches."""
 
 _LEAST_BRAKING = 0.02  # m/s2, for rows that hardly any motion closes
 _ROWS = 4
@@ -90,11 +93,10 @@ class Barrier:
         self._outline = Footprint(platform.footprint)
         self._offset = platform.scan.offset
         self._speed = settings.surface_speed or settings.others_speed
-        self._envelopes: dict[Point, tuple[Array, Array]] = {}
+        self._envelopes: dict[tuple[Point, float], tuple[Array, Array]] = {}
         self._known: tuple[_Occasion, _Rows, Array, Array] | None = None
         self._motion = Motion(settings.braking_linear, settings.braking_angular)
-        is_blind = platform.scan.near == "lost"
-        self._memory = NearMemory(platform.scan.range_min, self._band()) if is_blind else None
+        self._memory = self._near_memory(platform.scan)
         self._seen, self._taken_at, self._taken = _NOTHING, Pose(), -math.inf
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
         self._idle_reach = self._reach_at_rest(platform.footprint)
@@ -137,8 +139,8 @@ class Barrier:
             return
         pose = self._motion.pose(moment, latency)
         if self._memory is not None:
-            turned = math.remainder(pose.yaw - self._taken_at.yaw, 2.0 * math.pi)
-            self._memory.update(scan, turned, max(taken - self._taken, 0.0))
+            moved = relative(pose, self._taken_at)
+            self._memory.update(scan, sight, moved, max(taken - self._taken, 0.0))
         self._taken_at, self._taken = pose, taken
         self._seen, self._known = self._look(scan, sight), None
 
@@ -171,12 +173,16 @@ class Barrier:
         normals = np.array((rows.linear * limits[0], rows.lever * limits[1])).T
         if not self._seen.is_near:
             return normals, rows.caps
-        if along not in self._envelopes:
+        free = self._settings.margin + self._settings.unseen_extent
+        is_touching = bool(((rows.gaps <= free) & (rows.caps <= 0.0)).any())
+        key = along, CREEP if is_touching else self._speed
+        if key not in self._envelopes:
             if len(self._envelopes) > 8:  # of a base that moves in any direction
                 self._envelopes.clear()
-            polygon = envelope(self._outline.corners, along, limits, self._speed)
-            self._envelopes[along] = half_planes(polygon)
-        more, caps = self._envelopes[along]
+            self._envelopes[key] = half_planes(
+                envelope(self._outline.corners, along, limits, key[1])
+            )
+        more, caps = self._envelopes[key]
         return np.concatenate((normals, more)), np.concatenate((rows.caps, caps))
 
     def _rows(
@@ -192,19 +198,46 @@ class Barrier:
         some = int(seen.gaps.searchsorted(self._reach_after(age)))
         x, y = _placed(seen.x[:some], seen.y[:some], frame)
         facing = self._outline.facing(x, y)
-        linear = facing.nx * along[0] + facing.ny * along[1]
-        settings = self._settings
-        braking = np.abs(linear) * settings.braking_linear
-        braking += np.abs(facing.lever) * settings.braking_angular
-        np.maximum(braking, _LEAST_BRAKING, out=braking)
-        room = facing.gap - (settings.margin + settings.unseen_extent + self._blurred(moment))
-        caps = self._caps(room, braking, age)
-        rows = _Rows(linear, facing.lever, caps, x, y, facing.gap)
+        free = self._settings.margin + self._settings.unseen_extent + self._blurred(moment)
+        room = facing.gap - free
+        rows = self._limit(facing, room, x, y, along, age)
+        if self._settings.unseen_extent > 0.0:
+            rows = _joined(rows, self._corners(facing.gap, x, y, along, age, free))
         if len(seen.ways):
             rows = self._with_contacts(rows, seen, frame, along)
-        if settings.keep_out is not None:
-            rows = self._with_keep_out(rows, settings.keep_out, along, age)
+        if self._settings.keep_out is not None:
+            rows = self._with_keep_out(rows, self._settings.keep_out, along, age)
         return rows if touch is None else self._allowed(rows, touch, along)
+
+    def _limit(
+        self, facing: Facing, room: Array, x: Array, y: Array, along: Point, age: float
+    ) -> _Rows:
+        """The rows of points at `x`, `y` (k,) that the outline faces so, with so much room (k,)."""
+        linear = facing.nx * along[0] + facing.ny * along[1]
+        braking = np.abs(linear) * self._settings.braking_linear
+        braking += np.abs(facing.lever) * self._settings.braking_angular
+        np.maximum(braking, _LEAST_BRAKING, out=braking)
+        caps = self._caps(room, braking, age)
+        return _Rows(linear, facing.lever, caps, x, y, facing.gap)
+
+    def _corners(
+        self, gaps: Array, x: Array, y: Array, along: Point, age: float, free: float
+    ) -> _Rows:
+        """Rows of the robot's own corners for what reaches further than is seen of it.
+
+        Then the nearest place of the outline is not the only one that can meet it: a corner that
+        sweeps past may as well.
+        """
+        near = np.flatnonzero(gaps <= 2.0 * free + self._settings.others_speed * (age + TICK))
+        corners = self._outline.corners
+        count = len(near)
+        x, y = np.tile(x[near], len(corners)), np.tile(y[near], len(corners))
+        own_x, own_y = np.repeat(corners[:, 0], count), np.repeat(corners[:, 1], count)
+        dx, dy = x - own_x, y - own_y
+        distance = np.maximum(np.hypot(dx, dy), 1e-9)
+        nx, ny = dx / distance, dy / distance
+        facing = Facing(distance, nx, ny, own_x * ny - own_y * nx)
+        return self._limit(facing, distance - free, x, y, along, age)
 
     def _caps(self, room: Array, braking: Array, unseen: float) -> Array:
         settings = self._settings
@@ -279,10 +312,12 @@ class Barrier:
         x, y = np.concatenate((touched[0], x)), np.concatenate((touched[1], y))
         return _Seen(x, y, np.concatenate((np.zeros(len(ways)), gaps)), ways, is_near)
 
-    def _band(self) -> float:
-        """m by which something may have come nearer since the scan before, with one scan lost."""
+    def _near_memory(self, spec: ScanSpec) -> NearMemory | None:
+        """What a sensor needs that tells nothing of what is too close."""
+        if spec.near == "reported" or spec.range_min <= 0.0:
+            return None
         own = max(self._limits.linear, self._limits.lateral)
-        return 2.0 * (self._settings.others_speed + own) / self._spec.rate
+        return NearMemory(spec.range_min, self._settings.others_speed + own, 1.0 / spec.rate)
 
     def _blurred(self, moment: Moment) -> float:
         """m by which the robot may be elsewhere than odometry of that age says."""

@@ -8,58 +8,102 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from swarmd.values import Array, Scan
+from swarmd.protection.footprint import Sight
+from swarmd.values import Array, Pose, Scan
 
 LASTS = 30.0
 """Seconds for which it is remembered where nothing shows that it has gone."""
 
-_SHIFT = math.radians(12.0)  # by which what is in the blind zone may have moved between two scans
+_NOISE = 0.03  # m
+_DEEP = 0.6  # of range_min: nearer to the sensor than that nothing is expected to move about
 _RUN = 3  # rays side by side without a return: fewer are lost ones
+_WIDEST = math.radians(120.0)  # a shadow wider than that is open space
 
 Mask = NDArray[np.bool_]
+Indices = NDArray[np.intp]
 
 
 class NearMemory:
     """The bearings (n,) rad, in the base frame of the last scan, along which something is hidden.
 
     A sensor that is blind nearby gives no return for what is there. So a ray that has a return
-    proves its part of the blind zone empty, and one that has none may be hidden or see nothing:
-    hidden it is if something was near there before. That moves with its shadow, and is forgotten
-    once a return shows its place to be empty, or itself to be out again. A memory that is not
-    cleared so would hold the robot for ever.
+    proves its part of the blind zone empty, and one that has none may be hidden or see nothing.
+    Something is hidden once what was near the rim may have come inside, nothing is seen near its
+    place any more, and rays there have no return. It moves with that shadow, fills it if that is
+    not too wide, and is forgotten once returns show its place to be empty, or it to be out again.
+    A memory that is not cleared so would hold the robot for ever.
     """
 
-    def __init__(self, range_min: float, band: float) -> None:
-        """Blind within `range_min` m; between two scans things come up to `band` m nearer."""
-        self._rim, self._out = range_min + band, range_min + 2.0 * band
-        self._near = np.empty(0)
+    def __init__(self, range_min: float, speed: float, period: float) -> None:
+        """Blind within `range_min` m; things come nearer at up to `speed` m/s; `period` in s."""
+        self._blind, self._speed, self._period = range_min, speed, period
+        self._near = np.empty((0, 2))
         self.bearings = np.empty(0)
         self.ages = np.empty(0)
 
-    def update(self, scan: Scan, turned: float, seconds: float) -> None:
-        """Take in a scan; since the one before the base has turned by so many rad."""
+    def update(self, scan: Scan, sight: Sight, moved: Pose, seconds: float) -> None:
+        """Take in a scan, taken `seconds` after the one before; `moved` is the base since then."""
+        step = self._speed * min(seconds, 5.0 * self._period) + _NOISE
+        is_near = (scan.ranges <= self._blind + 2.0 * step) & (scan.ranges > -np.inf)
+        points = sight.ends(scan, np.flatnonzero(is_near))
         if len(self._near) or len(self.bearings):
-            bearings = np.concatenate((self.bearings, self._near)) - turned
-            ages = np.concatenate((self.ages, np.zeros(len(self._near)))) + seconds
-            self.bearings, self.ages = self._shadows(scan, bearings, ages)
-        # What is too close to measure is near as well.
-        self._near = scan.bearings[scan.ranges <= self._rim]
+            self.bearings, self.ages = self._hidden(scan, sight, points, moved, seconds, step)
+        self._near = points
 
-    def _shadows(self, scan: Scan, bearings: Array, ages: Array) -> tuple[Array, Array]:
-        """Where those at `bearings` hide now: at the nearest ray of a run without a return."""
-        shadows = scan.bearings[_in_runs(scan.ranges == np.inf)]
-        if not len(shadows):
-            return shadows, shadows
-        place, off = _nearest(shadows, bearings)
-        is_hidden = (off <= _SHIFT) & (ages < LASTS)
-        seen = scan.bearings[(scan.ranges <= self._out) & (scan.ranges > -np.inf)]
-        if len(seen):
-            is_hidden &= _nearest(seen, bearings)[1] > _SHIFT
-        rays, first = np.unique(place[is_hidden], return_index=True)
-        return shadows[rays], ages[is_hidden][first]
+    def _hidden(
+        self, scan: Scan, sight: Sight, points: Array, moved: Pose, seconds: float, step: float
+    ) -> tuple[Array, Array]:
+        """Where something hides now, and for how long."""
+        # That a ray is too close to measure can be but a guess, which does not last.
+        is_empty = _in_runs(np.isinf(scan.ranges))
+        if not is_empty.any():
+            return np.empty(0), np.empty(0)
+        lost = self._lost(points, moved, sight, step)
+        bearings = np.concatenate((self.bearings - moved.yaw, lost))
+        ages = np.concatenate((self.ages + seconds, np.zeros(len(lost))))
+        shift = min(step / (_DEEP * self._blind), 0.25 * math.pi)
+        empty = np.flatnonzero(is_empty)
+        place, off = _nearest(scan.bearings[empty], bearings)
+        is_hidden = (off <= shift) & (ages < LASTS)
+        is_out = (scan.ranges <= self._blind + step) & (scan.ranges > -np.inf)
+        if is_out.any():
+            is_old = np.arange(len(bearings)) < len(self.bearings)
+            is_hidden &= ~is_old | (_nearest(scan.bearings[is_out], bearings)[1] > shift)
+        since = np.full(len(scan.bearings), np.inf)
+        np.minimum.at(since, empty[place[is_hidden]], ages[is_hidden])
+        _fill(since, is_empty)
+        rays = np.flatnonzero(since < np.inf)
+        return scan.bearings[rays], since[rays]
+
+    def _lost(self, points: Array, moved: Pose, sight: Sight, step: float) -> Array:
+        """(k,) bearings of what was near, may have come inside, and is not seen near by."""
+        cos, sin = math.cos(moved.yaw), math.sin(moved.yaw)
+        x, y = self._near[:, 0] - moved.x, self._near[:, 1] - moved.y
+        x, y = cos * x + sin * y, cos * y - sin * x
+        ahead, left = sight.offset
+        is_lost = np.hypot(x - ahead, y - left) < self._blind + step
+        x, y = x[is_lost], y[is_lost]
+        away = np.hypot(points[:, 0] - x[:, None], points[:, 1] - y[:, None])
+        is_gone = away.min(axis=1, initial=np.inf) > step
+        bearings: Array = np.arctan2(y[is_gone] - left, x[is_gone] - ahead)
+        return bearings
 
 
-def _nearest(bearings: Array, wanted: Array) -> tuple[NDArray[np.intp], Array]:
+def _fill(since: Array, is_empty: Mask) -> None:
+    """Let what hides in a shadow fill it; `since` (n,) s is inf where nothing does."""
+    n = len(is_empty)
+    start = int(is_empty.argmin())  # a ray with a return, if there is one
+    order = (np.arange(n) + start) % n
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], is_empty[order].view(np.int8), [0]))))
+    for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        run = order[first:end]
+        youngest = since[run].min()
+        width = (end - first) * 2.0 * math.pi / n
+        if youngest < np.inf and width <= _WIDEST:
+            since[run] = youngest
+
+
+def _nearest(bearings: Array, wanted: Array) -> tuple[Indices, Array]:
     """For each of `wanted` (k,) the nearest of `bearings` (n,), and how far off it is, in rad."""
     turn = 2.0 * np.pi
     order = np.argsort(bearings % turn)
