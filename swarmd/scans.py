@@ -22,6 +22,7 @@ MOVES_ANGULAR = 0.05
 NEAR_MARGIN = 0.10  # an LDS ray that was this close to range_min may vanish into a zero
 NEAR_SECTOR = math.radians(3.0)
 NEAR_MEMORY = 1.0
+PACKET = 6  # rays that an LDS loses together
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
@@ -187,6 +188,8 @@ class ScanConditioner:
         was_near = _is_beside(memory.bearings[rays], memory.bearings[near])
         is_recent = memory.known_at[rays] >= now - self._spec.stale_after
         had_return = is_recent & np.isfinite(memory.ranges[rays])
+        # What is near hides more rays than a packet has; what was near in a lost one still is.
+        was_near &= ~(had_return & (_run_lengths(rays, len(memory.bearings)) <= PACKET))
         return np.where(was_near, -np.inf, np.where(had_return, np.nan, np.inf))
 
     def _remember(
@@ -215,6 +218,15 @@ def _moves(odometry: Odometry) -> bool:
         or abs(twist.lateral) > MOVES_LINEAR
         or abs(twist.angular) > MOVES_ANGULAR
     )
+
+
+def _run_lengths(rays: Indices, n: int) -> Indices:
+    """(k,) how many of the rising `rays` (k,) of n around are side by side with each."""
+    starts = np.flatnonzero(np.diff(rays, prepend=-2) > 1)
+    lengths = np.diff(starts, append=len(rays))
+    if len(starts) > 1 and rays[0] == 0 and rays[-1] == n - 1:
+        lengths[[0, -1]] = lengths[0] + lengths[-1]
+    return np.repeat(lengths, np.diff(starts, append=len(rays)))
 
 
 def _is_beside(bearings: Array, near: Array) -> Mask:

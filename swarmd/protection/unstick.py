@@ -20,7 +20,7 @@ from swarmd.values import ZERO, Array, Limits, Twist
 
 _BLOCKED = 0.3  # who gets less than this share of the speed he asks for is blocked
 _PATIENCE = 0.3  # s for which it is so before something is done
-_LEAST = 0.02  # m/s: slower wishes are not going anywhere
+_LEAST = 0.1  # of the limits: slower wishes are not going anywhere
 _STANDS = 1.0  # s after which turning that does not turn gives way to moving along the axis
 _FOLLOWS = 1.5  # s for which a free way is followed
 _BACKS = 0.8  # s
@@ -53,6 +53,7 @@ class Unstick:
         """`berth` is that of a speed at ease; `seed` decides random choices."""
         self.sight = berth.ahead + _FOLLOWS * limits.linear
         self._half = berth.beside
+        self._limits = limits
         self._turn = min(limits.angular, 1.5)
         self._rng = Random(seed)
         self._side, self._side_until = -1.0, -math.inf
@@ -77,38 +78,43 @@ class Unstick:
         `given` is what protection last made of what was asked for, `points` gives (k, 2) what the
         lidar saw, in the base frame in m.
         """
-        now, speed = moment.now, math.hypot(wish.linear, wish.lateral)
-        if speed < _LEAST or (self.is_leading and now - self._began > _ENDS):
+        now = moment.now
+        is_idle = not (self._goes(wish) or self._turns(wish))
+        if is_idle or (self.is_leading and now - self._began > _ENDS):
             self.reset()
             return wish
         is_blocked = self._is_blocked(given, now)
         if not self.is_leading and is_blocked:
             self._began = now
-            self._plan(math.atan2(wish.lateral, wish.linear), moment, points())
+            if self._goes(wish):
+                self._plan(math.atan2(wish.lateral, wish.linear), moment, points())
+            else:
+                self._back_off(points(), now)
+        speed = max(math.hypot(wish.linear, wish.lateral), 0.5 * self._limits.linear)
         self._asked = self._lead(speed, moment, points, is_blocked) if self.is_leading else wish
         return self._asked
 
     def _is_blocked(self, given: Twist, now: float) -> bool:
         """True once it has for a while got next to nothing of what it asked for."""
         asked = self._asked
-        square = asked.linear**2 + asked.lateral**2
-        if square > 0.0:
-            got = (given.linear * asked.linear + given.lateral * asked.lateral) / square
-        else:
-            got = abs(given.angular / asked.angular) if asked.angular else 1.0
+        goes = self._goes(asked)
+        got = 1.0
+        if goes:
+            got = given.linear * asked.linear + given.lateral * asked.lateral
+            got /= asked.linear**2 + asked.lateral**2
+        elif self._turns(asked):
+            got = given.angular / asked.angular
         if got >= _BLOCKED:
             self._blocked_since = None
             return False
         if self._blocked_since is None:
             self._blocked_since = now
-        return now - self._blocked_since >= (_PATIENCE if square > 0.0 else _STANDS)
+        return now - self._blocked_since >= (_PATIENCE if goes else _STANDS)
 
     def _lead(self, speed: float, moment: Moment, points: Points, is_blocked: bool) -> Twist:
         now = moment.now
         if self._state == "turn" and is_blocked:
-            ahead, behind = self._free(points(), _AXIS)
-            self._backwards = bool(behind > ahead)
-            self._enter("back", now)
+            self._back_off(points(), now)
         elif self._state == "back" and (is_blocked or now - self._since >= _BACKS):
             self._plan(0.0, moment, points())
         elif self._state == "go" and is_blocked:
@@ -123,6 +129,20 @@ class Unstick:
         if now - self._since >= _FOLLOWS:
             self.reset()
         return Twist(speed, max(min(2.0 * left, self._turn), -self._turn))
+
+    def _goes(self, twist: Twist) -> bool:
+        """True if it is to get somewhere."""
+        return math.hypot(twist.linear, twist.lateral) >= _LEAST * self._limits.linear
+
+    def _turns(self, twist: Twist) -> bool:
+        """True if it is to turn."""
+        return abs(twist.angular) >= _LEAST * self._limits.angular
+
+    def _back_off(self, points: Array, now: float) -> None:
+        """Move along the axis, to where there is more room."""
+        ahead, behind = self._free(points, _AXIS)
+        self._backwards = bool(behind > ahead)
+        self._enter("back", now)
 
     def _plan(self, wished: float, moment: Moment, points: Array) -> None:
         """Choose a free way near the one wished, both as bearings in rad from here."""
