@@ -202,7 +202,9 @@ class Barrier:
         room = facing.gap - free
         rows = self._limit(facing, room, x, y, along, age)
         if self._settings.unseen_extent > 0.0:
-            rows = _joined(rows, self._corners(facing.gap, x, y, along, age, free))
+            touched = len(seen.ways)  # where these are on the outline is a guess
+            beyond = facing.gap[touched:], x[touched:], y[touched:]
+            rows = _joined(rows, self._corners(*beyond, along, age, free))
         if len(seen.ways):
             rows = self._with_contacts(rows, seen, frame, along)
         if self._settings.keep_out is not None:
