@@ -7,12 +7,16 @@ import math
 import numpy as np
 import pytest
 
+from swarmd.protection.footprint import Sight
 from swarmd.protection.memory import LASTS, NearMemory
 from swarmd.settings import load_platform
 from swarmd.testing.scans import scan_from
+from swarmd.values import Pose
 
 JACKAL = load_platform("jackal")
+SIGHT = Sight(JACKAL.scan)
 PERIOD = 0.1
+SPEED = 1.1
 WIDE = range(-4, 5)
 
 
@@ -35,13 +39,13 @@ def look(
     ranges[list(empty)] = math.inf
     ranges[list(near)] = distance
     scan = scan_from(JACKAL, ranges, JACKAL.scan.bearings)
-    memory.update(scan, math.radians(turned), seconds)
+    memory.update(scan, SIGHT, Pose(0.0, 0.0, math.radians(turned)), seconds)
     return sorted(round(degrees) for degrees in np.degrees(memory.bearings).tolist())
 
 
 def hiding() -> NearMemory:
     """One that has seen something near ahead, and then nothing there."""
-    memory = NearMemory(JACKAL.scan.range_min, 0.16)
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE)
     assert look(memory, empty=WIDE) == list(WIDE)
     return memory
@@ -60,13 +64,13 @@ def test_what_was_too_close_to_measure_is_hidden_once_the_sensor_tells_of_it_no_
 
 @pytest.mark.parametrize("distance", [1.1, 2.0])
 def test_what_was_not_near_has_gone(distance: float) -> None:
-    memory = NearMemory(JACKAL.scan.range_min, 0.16)
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, distance=distance)
     assert look(memory, empty=WIDE) == []
 
 
 def test_nothing_is_hidden_where_nothing_was() -> None:
-    memory = NearMemory(JACKAL.scan.range_min, 0.16)
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE)
     assert look(memory, WIDE, empty=range(100, 140)) == []
 
@@ -104,7 +108,7 @@ def test_it_stays_where_it_is_when_the_robot_turns() -> None:
 
 
 def test_one_ray_that_is_lost_hides_nothing() -> None:
-    memory = NearMemory(JACKAL.scan.range_min, 0.16)
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE)
     assert look(memory, range(-4, 4), empty=range(4, 5)) == []
 
