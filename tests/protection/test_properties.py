@@ -31,6 +31,7 @@ SHARE = st.floats(-1, 1)
 RAYS = 360
 RETURN = st.tuples(st.integers(0, RAYS - 1), st.one_of(st.floats(0, 1), st.just(-1.0)))
 RETURNS = st.lists(RETURN, max_size=12)
+NEAR_RETURNS = st.lists(st.tuples(st.integers(0, RAYS - 1), st.floats(0, 0.3)), max_size=6)
 
 Returns = Sequence[tuple[int, float]]
 
@@ -135,6 +136,30 @@ def test_from_what_it_closes_on_it_can_always_still_stop(
         unseen = platform.scan.latency + age
         theirs = settings["others_speed"] * (unseen + TICK + closing / braking)
         assert closing <= 1e-9 or own + theirs <= gap - free + 1e-9
+
+
+@given(PLATFORM, NEAR_RETURNS, SHARE, SHARE)
+def test_what_reaches_further_than_is_seen_is_not_met_by_a_corner_either(
+    platform: Platform, returns: Returns, v: float, w: float
+) -> None:
+    """What reaches past what is seen of it is met not by the nearest place alone."""
+    settings = platform.protection["barrier"]
+    scan = seeing(platform, returns)
+    safe = decided(platform, scan, wishing(platform, v, w)).safe
+    free = settings["margin"] + settings["unseen_extent"]
+    for point in points(platform, scan):
+        if not 0.0 < outline_point(platform.footprint, point)[0] <= 2.0 * free:
+            continue
+        for corner in platform.footprint:
+            distance = float(np.hypot(*(point - corner)))
+            towards = (point - corner) / distance
+            lever = float(corner[0] * towards[1] - corner[1] * towards[0])
+            closing = safe.linear * float(towards[0]) + safe.angular * lever
+            braking = abs(float(towards[0])) * settings["braking_linear"]
+            braking = max(braking + abs(lever) * settings["braking_angular"], 0.02)
+            own = closing * TICK + closing**2 / (2.0 * braking)
+            theirs = settings["others_speed"] * (platform.scan.latency + TICK + closing / braking)
+            assert closing <= 1e-9 or own + theirs <= distance - free + 1e-9
 
 
 def points(platform: Platform, scan: Scan) -> list[Array]:
