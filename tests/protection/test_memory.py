@@ -93,6 +93,12 @@ def test_a_return_nearby_shows_that_it_is_out_again() -> None:
     assert look(memory, empty=range(0)) == []
 
 
+def test_what_has_come_out_beside_is_not_inside_as_well() -> None:
+    """In the open nothing is seen where it was, before it came or after it has gone."""
+    memory = hiding()
+    assert look(memory, range(5, 14), empty=WIDE) == []
+
+
 def test_it_moves_with_its_shadow() -> None:
     memory = hiding()
     assert set(look(memory, empty=range(2, 11))) <= set(range(2, 11))
