@@ -80,9 +80,10 @@ class ScanConditioner:
     arrival, unless a sector wider than `max_gap` is remembered in it from earlier.
     """
 
-    def __init__(self, spec: ScanSpec) -> None:
+    def __init__(self, spec: ScanSpec, *, guesses_near: bool = True) -> None:
+        """`guesses_near`: zeros of an LDS beside what was near are taken for too close."""
         self.known_at = -math.inf
-        self._spec = spec
+        self._spec, self._guesses_near = spec, guesses_near
         self._memory = _blank(np.empty(0))
         self._last: Scan | None = None
         self._yaw = math.nan
@@ -184,7 +185,8 @@ class ScanConditioner:
         if self._spec.zero != "lds":
             meaning = {"too_close": -np.inf, "unknown": np.nan, "no_return": np.inf}
             return np.full(len(rays), meaning[self._spec.zero])
-        near = np.flatnonzero(memory.near_at >= now - NEAR_MEMORY)
+        since = now - NEAR_MEMORY if self._guesses_near else np.inf
+        near = np.flatnonzero(memory.near_at >= since)
         was_near = _is_beside(memory.bearings[rays], memory.bearings[near])
         is_recent = memory.known_at[rays] >= now - self._spec.stale_after
         had_return = is_recent & np.isfinite(memory.ranges[rays])

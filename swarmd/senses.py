@@ -35,7 +35,9 @@ class Senses:
     def __init__(self, platform: Platform) -> None:
         self._stale_after = platform.scan.stale_after
         self._needs_odometry = "odometry" in platform.provides
-        self._conditioner = ScanConditioner(platform.scan)
+        # The barrier remembers what comes too near by itself, and better.
+        guesses_near = platform.protection.get("mode") != "barrier"
+        self._conditioner = ScanConditioner(platform.scan, guesses_near=guesses_near)
         self._scan_at: float | None = None
         self._problem: Reason | None = None
         self._odometry_at: float | None = None

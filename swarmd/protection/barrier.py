@@ -97,6 +97,7 @@ class Barrier:
         self._known: tuple[_Occasion, _Rows, Array, Array] | None = None
         self._motion = Motion(settings.braking_linear, settings.braking_angular)
         self._memory = self._near_memory(platform.scan)
+        self._touched = settings.margin + settings.unseen_extent + self._hidden_gap(platform.scan)
         self._seen, self._taken_at, self._taken = _NOTHING, Pose(), -math.inf
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
         self._idle_reach = self._reach_at_rest(platform.footprint)
@@ -173,8 +174,7 @@ class Barrier:
         normals = np.array((rows.linear * limits[0], rows.lever * limits[1])).T
         if not self._seen.is_near:
             return normals, rows.caps
-        free = self._settings.margin + self._settings.unseen_extent
-        is_touching = bool(((rows.gaps <= free) & (rows.caps <= 0.0)).any())
+        is_touching = bool(((rows.gaps <= self._touched) & (rows.caps <= 0.0)).any())
         key = along, CREEP if is_touching else self._speed
         if key not in self._envelopes:
             if len(self._envelopes) > 8:  # of a base that moves in any direction
@@ -320,6 +320,15 @@ class Barrier:
             return None
         own = max(self._limits.linear, self._limits.lateral)
         return NearMemory(spec.range_min, self._settings.others_speed + own, 1.0 / spec.rate)
+
+    def _hidden_gap(self, spec: ScanSpec) -> float:
+        """m from the outline up to which something may be while it touches it where none sees."""
+        if spec.near == "reported" or self._settings.keep_out is not None:
+            return 0.0
+        angles = np.linspace(-np.pi, np.pi, 73)
+        ways = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+        nearest = float(self._outline.along_rays(self._offset, ways).min())
+        return max(spec.range_min - nearest, 0.0)
 
     def _blurred(self, moment: Moment) -> float:
         """m by which the robot may be elsewhere than odometry of that age says."""

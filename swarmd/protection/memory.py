@@ -14,9 +14,11 @@ from swarmd.values import Array, Pose, Scan
 LASTS = 30.0
 """Seconds for which it is remembered where nothing shows that it has gone."""
 
+_BRIEFLY = 2.0  # s for which it is remembered on little evidence
 _NOISE = 0.03  # m
 _DEEP = 0.6  # of range_min: nearer to the sensor than that nothing is expected to move about
-_RUN = 3  # rays side by side without a return: fewer are lost ones
+_SHAPE = 0.05  # m that what is seen of something may change beside its motion
+_RUN = 4  # rays side by side without a return, and rays lost at once: fewer mean little
 _WIDEST = math.radians(120.0)  # a shadow wider than that is open space
 
 Mask = NDArray[np.bool_]
@@ -60,7 +62,9 @@ class NearMemory:
             return np.empty(0), np.empty(0)
         lost = self._lost(points, moved, sight, step)
         bearings = np.concatenate((self.bearings - moved.yaw, lost))
-        ages = np.concatenate((self.ages + seconds, np.zeros(len(lost))))
+        # A few rays may be an edge that has turned away, or all that was seen of a flat face.
+        began = 0.0 if len(lost) >= _RUN else LASTS - _BRIEFLY
+        ages = np.concatenate((self.ages + seconds, np.full(len(lost), began)))
         shift = min(step / (_DEEP * self._blind), 0.25 * math.pi)
         empty = np.flatnonzero(is_empty)
         place, off = _nearest(scan.bearings[empty], bearings)
@@ -84,7 +88,7 @@ class NearMemory:
         is_lost = np.hypot(x - ahead, y - left) < self._blind + step
         x, y = x[is_lost], y[is_lost]
         away = np.hypot(points[:, 0] - x[:, None], points[:, 1] - y[:, None])
-        is_gone = away.min(axis=1, initial=np.inf) > step
+        is_gone = away.min(axis=1, initial=np.inf) > step + _SHAPE
         bearings: Array = np.arctan2(y[is_gone] - left, x[is_gone] - ahead)
         return bearings
 
