@@ -14,6 +14,7 @@ from swarmd.values import Array, Pose, Scan
 LASTS = 30.0
 """Seconds for which it is remembered where nothing shows that it has gone."""
 
+_PLAIN = 0.25  # of a second is a second in a shadow between things that are seen
 _BRIEFLY = 2.0  # s for which it is remembered on little evidence
 _NOISE = 0.03  # m
 _DEEP = 0.6  # of range_min: nearer to the sensor than that nothing is expected to move about
@@ -75,7 +76,7 @@ class NearMemory:
             is_hidden &= ~is_old | (_nearest(scan.bearings[is_out], bearings)[1] > shift)
         since = np.full(len(scan.bearings), np.inf)
         np.minimum.at(since, empty[place[is_hidden]], ages[is_hidden])
-        _fill(since, is_empty)
+        _fill(since, is_empty, (1.0 - _PLAIN) * seconds)
         rays = np.flatnonzero(since < np.inf)
         return scan.bearings[rays], since[rays]
 
@@ -93,8 +94,11 @@ class NearMemory:
         return bearings
 
 
-def _fill(since: Array, is_empty: Mask) -> None:
-    """Let what hides in a shadow fill it; `since` (n,) s is inf where nothing does."""
+def _fill(since: Array, is_empty: Mask, younger: float) -> None:
+    """Let what hides in a shadow fill it; `since` (n,) s is inf where nothing does.
+
+    Between things that are seen a shadow is plain: there it ages by so many s less.
+    """
     n = len(is_empty)
     start = int(is_empty.argmin())  # a ray with a return, if there is one
     order = (np.arange(n) + start) % n
@@ -104,7 +108,7 @@ def _fill(since: Array, is_empty: Mask) -> None:
         youngest = since[run].min()
         width = (end - first) * 2.0 * math.pi / n
         if youngest < np.inf and width <= _WIDEST:
-            since[run] = youngest
+            since[run] = max(youngest - younger, 0.0)
 
 
 def _nearest(bearings: Array, wanted: Array) -> tuple[Indices, Array]:
