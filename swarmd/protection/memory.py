@@ -15,11 +15,12 @@ LASTS = 30.0
 """Seconds for which it is remembered where nothing shows that it has gone."""
 
 _PLAIN = 0.25  # of a second is a second in a shadow between things that are seen
-_BRIEFLY = 2.0  # s for which it is remembered on little evidence
+_BRIEFLY = 2.0  # s for which it is remembered in a narrow one
 _NOISE = 0.03  # m
 _DEEP = 0.6  # of range_min: nearer to the sensor than that nothing is expected to move about
 _SHAPE = 0.05  # m that what is seen of something may change beside its motion
-_RUN = 4  # rays side by side without a return, and rays lost at once: fewer mean little
+_RUN = 4  # rays side by side without a return: fewer are lost ones
+_LEAST = 0.1  # m across: no robot that a lidar sees is smaller
 _WIDEST = math.radians(120.0)  # a shadow wider than that is open space
 
 Mask = NDArray[np.bool_]
@@ -40,6 +41,7 @@ class NearMemory:
     def __init__(self, range_min: float, speed: float, period: float) -> None:
         """Blind within `range_min` m; things come nearer at up to `speed` m/s; `period` in s."""
         self._blind, self._speed, self._period = range_min, speed, period
+        self._narrow = 2.0 * math.asin(min(0.5 * _LEAST / range_min, 1.0))
         self._near = np.empty((0, 2))
         self.bearings = np.empty(0)
         self.ages = np.empty(0)
@@ -63,9 +65,7 @@ class NearMemory:
             return np.empty(0), np.empty(0)
         lost = self._lost(points, moved, sight, step)
         bearings = np.concatenate((self.bearings - moved.yaw, lost))
-        # A few rays may be an edge that has turned away, or all that was seen of a flat face.
-        began = 0.0 if len(lost) >= _RUN else LASTS - _BRIEFLY
-        ages = np.concatenate((self.ages + seconds, np.full(len(lost), began)))
+        ages = np.concatenate((self.ages + seconds, np.zeros(len(lost))))
         shift = min(step / (_DEEP * self._blind), 0.25 * math.pi)
         empty = np.flatnonzero(is_empty)
         place, off = _nearest(scan.bearings[empty], bearings)
@@ -76,7 +76,7 @@ class NearMemory:
             is_hidden &= ~is_old | (_nearest(scan.bearings[is_out], bearings)[1] > shift)
         since = np.full(len(scan.bearings), np.inf)
         np.minimum.at(since, empty[place[is_hidden]], ages[is_hidden])
-        _fill(since, is_empty, (1.0 - _PLAIN) * seconds)
+        _fill(since, is_empty, self._narrow, seconds)
         rays = np.flatnonzero(since < np.inf)
         return scan.bearings[rays], since[rays]
 
@@ -94,10 +94,11 @@ class NearMemory:
         return bearings
 
 
-def _fill(since: Array, is_empty: Mask, younger: float) -> None:
+def _fill(since: Array, is_empty: Mask, narrow: float, seconds: float) -> None:
     """Let what hides in a shadow fill it; `since` (n,) s is inf where nothing does.
 
-    Between things that are seen a shadow is plain: there it ages by so many s less.
+    A shadow too narrow to be a robot's fades soon, as that of an edge that has turned away; a
+    plain one, between things that are seen, more slowly than open space.
     """
     n = len(is_empty)
     start = int(is_empty.argmin())  # a ray with a return, if there is one
@@ -108,7 +109,8 @@ def _fill(since: Array, is_empty: Mask, younger: float) -> None:
         youngest = since[run].min()
         width = (end - first) * 2.0 * math.pi / n
         if youngest < np.inf and width <= _WIDEST:
-            since[run] = max(youngest - younger, 0.0)
+            rate = _PLAIN if width >= narrow else LASTS / _BRIEFLY
+            since[run] = max(youngest + (rate - 1.0) * seconds, 0.0)
 
 
 def _nearest(bearings: Array, wanted: Array) -> tuple[Indices, Array]:
