@@ -30,9 +30,10 @@ from swarmd.protection.moment import Moment
 from swarmd.protection.motion import REACTION, TRUSTED, Motion, relative
 from swarmd.protection.pressing import pressing
 from swarmd.protection.settings import BarrierSettings
+from swarmd.protection.sweep import Braking
 from swarmd.protection.unstick import Berth
 from swarmd.protection.verdict import Decision, Row
-from swarmd.values import Array, Platform, Pose, Scan, ScanSpec, TouchZone, Twist
+from swarmd.values import ZERO, Array, Platform, Pose, Scan, ScanSpec, TouchZone, Twist
 
 TICK = 0.05
 """Seconds until the next decision, at the latest."""
@@ -97,8 +98,13 @@ class Barrier:
         self._known: tuple[_Occasion, _Rows, Array, Array] | None = None
         self._motion = Motion(settings.braking_linear, settings.braking_angular)
         self._memory = self._near_memory(platform.scan)
+        self._radius, self._count = float(np.hypot(*platform.footprint.T).max()), 0
+        self._braking = Braking(
+            self._outline, settings.braking_linear, settings.braking_angular, TICK
+        )
         self._touched = settings.margin + settings.unseen_extent + self._hidden_gap(platform.scan)
         self._seen, self._taken_at, self._taken = _NOTHING, Pose(), -math.inf
+        self._lag, self._restarts = 0.0, 0
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
         self._idle_reach = self._reach_at_rest(platform.footprint)
         stale = platform.scan.stale_after + platform.scan.latency + REACTION
@@ -143,6 +149,7 @@ class Barrier:
             moved = relative(pose, self._taken_at)
             self._memory.update(scan, sight, moved, max(taken - self._taken, 0.0))
         self._taken_at, self._taken = pose, taken
+        self._lag, self._restarts = age, self._motion.restarts
         self._seen, self._known = self._look(scan, sight), None
 
     def decide(
@@ -154,6 +161,8 @@ class Barrier:
         is_free = touch is None and not (seen.is_near or len(seen.x))
         if wish.is_zero or is_free:
             return Decision(wish, is_active=False)
+        if self._restarts != self._motion.restarts:
+            return Decision(ZERO, is_active=True)  # until a scan is placed anew
         along, speed = _split(wish)
         limits = self._most(along), self._limits.angular
         occasion = moment, along, touch
@@ -163,11 +172,36 @@ class Barrier:
         _, rows, normals, caps = self._known
         wanted = speed / limits[0], wish.angular / limits[1]
         point, tight = nearest_feasible(wanted, BOX, normals, caps)
-        if point == wanted:
-            return Decision(wish, is_active=False)
         s, angular = point[0] * limits[0], point[1] * limits[1]
+        if touch is None:
+            s, angular = self._swept(s, angular, along, rows, moment)
+        if point == wanted and (s, angular) == (point[0] * limits[0], point[1] * limits[1]):
+            return Decision(wish, is_active=False)
         twist = Twist(s * along[0], angular, s * along[1])
         return Decision(twist, is_active=True, rows=_bounding(rows, tight))
+
+    def _swept(
+        self, s: float, angular: float, along: Point, rows: _Rows, moment: Moment
+    ) -> tuple[float, float]:
+        """The speeds, or less if the outline would not stay clear while the robot brakes."""
+        settings, first = self._settings, len(self._seen.ways)
+        radius, age = self._radius, moment.now - self._taken + REACTION
+        seconds = TICK + max(
+            abs(s) / settings.braking_linear, abs(angular) / settings.braking_angular
+        )
+        free = settings.margin + settings.unseen_extent + self._blurred(moment)
+        others = settings.others_speed if settings.responsibility == "passive" else 0.0
+        reached = free + others * (age + seconds) + (abs(s) + abs(angular) * radius) * seconds
+        count = self._count
+        near = np.flatnonzero(rows.gaps[first:count] <= reached) + first
+        if not len(near):
+            return s, angular
+        points = np.stack((rows.x[near], rows.y[near]), axis=1)
+        need = np.array((free + others * age, others))
+        speeds = self._braking.clear(
+            np.array((s, angular)), np.array(along), points, rows.gaps[near], need
+        )
+        return float(speeds[0]), float(speeds[1])
 
     def _half_planes(self, rows: _Rows, along: Point, limits: Point) -> tuple[Array, Array]:
         """Those of the rows and then those of the envelope, in speeds over their limits."""
@@ -197,6 +231,7 @@ class Barrier:
         age = moment.now - self._taken + REACTION
         some = int(seen.gaps.searchsorted(self._reach_after(age)))
         x, y = _placed(seen.x[:some], seen.y[:some], frame)
+        self._count = len(x)
         facing = self._outline.facing(x, y)
         free = self._settings.margin + self._settings.unseen_extent + self._blurred(moment)
         room = facing.gap - free
@@ -331,9 +366,12 @@ class Barrier:
         return max(spec.range_min - nearest, 0.0)
 
     def _blurred(self, moment: Moment) -> float:
-        """m by which the robot may be elsewhere than odometry of that age says."""
+        """m by which the robot may be elsewhere than is reckoned.
+
+        Odometry may be old, and what a lacking sector holds is not dead-reckoned to the scan.
+        """
         late = max((moment.odometry_age or 0.0) - TRUSTED, 0.0)
-        return late * self._speed
+        return (late + self._lag) * self._speed
 
     def _most(self, along: Point) -> float:
         """The limit of the linear speed in a direction."""

@@ -43,6 +43,7 @@ class NearMemory:
         self._blind, self._speed, self._period = range_min, speed, period
         self._narrow = 2.0 * math.asin(min(0.5 * _LEAST / range_min, 1.0))
         self._near = np.empty((0, 2))
+        self._shadows = np.empty(0)
         self.bearings = np.empty(0)
         self.ages = np.empty(0)
 
@@ -53,7 +54,7 @@ class NearMemory:
         points = sight.ends(scan, np.flatnonzero(is_near))
         if len(self._near) or len(self.bearings):
             self.bearings, self.ages = self._hidden(scan, sight, points, moved, seconds, step)
-        self._near = points
+        self._near, self._shadows = points, scan.bearings[np.isinf(scan.ranges)]
 
     def _hidden(
         self, scan: Scan, sight: Sight, points: Array, moved: Pose, seconds: float, step: float
@@ -70,15 +71,26 @@ class NearMemory:
         empty = np.flatnonzero(is_empty)
         place, off = _nearest(scan.bearings[empty], bearings)
         is_hidden = (off <= shift) & (ages < LASTS)
-        is_out = (scan.ranges <= self._blind + step) & (scan.ranges > -np.inf)
-        if is_out.any():
+        out = self._come_out(scan, moved.yaw, step)
+        if len(out):
             is_old = np.arange(len(bearings)) < len(self.bearings)
-            is_hidden &= ~is_old | (_nearest(scan.bearings[is_out], bearings)[1] > shift)
-        since = np.full(len(scan.bearings), np.inf)
-        np.minimum.at(since, empty[place[is_hidden]], ages[is_hidden])
+            is_hidden &= ~is_old | (_nearest(out, bearings)[1] > shift)
+        since, exact = np.full(len(scan.bearings), np.inf), scan.bearings.copy()
+        rays = empty[place[is_hidden]]
+        np.minimum.at(since, rays, ages[is_hidden])
+        stays = off[is_hidden] <= math.pi / len(scan.bearings)  # else slow turns would be lost
+        exact[rays[stays]] = bearings[is_hidden][stays]
         _fill(since, is_empty, self._narrow, seconds)
-        rays = np.flatnonzero(since < np.inf)
-        return scan.bearings[rays], since[rays]
+        found = np.flatnonzero(since < np.inf)
+        return exact[found], since[found]
+
+    def _come_out(self, scan: Scan, turned: float, step: float) -> Array:
+        """(k,) bearings of returns near the rim where there was none in the scan before."""
+        is_out = (scan.ranges <= self._blind + step) & (scan.ranges > -np.inf)
+        bearings = scan.bearings[is_out]
+        if not len(bearings) or not len(self._shadows):
+            return np.empty(0)
+        return bearings[_nearest(self._shadows - turned, bearings)[1] <= math.pi / len(is_out)]
 
     def _lost(self, points: Array, moved: Pose, sight: Sight, step: float) -> Array:
         """(k,) bearings of what was near, may have come inside, and is not seen near by."""

@@ -20,13 +20,15 @@ _HISTORY = 40
 class Motion:
     """Dead reckoning with measured odometry; times in s on the odometry's own clock.
 
-    Call `update` whenever a moment is at hand: it remembers the readings.
+    Call `update` whenever a moment is at hand: it remembers the readings. `restarts` counts how
+    often its clock was set back: poses from before are worth nothing then.
     """
 
     def __init__(self, braking_linear: float, braking_angular: float) -> None:
         """The base changes its speeds at least so fast, in m/s2 and rad/s2."""
         self._braking = braking_linear, braking_angular
         self._readings: deque[Odometry] = deque(maxlen=_HISTORY)
+        self.restarts = 0
 
     def update(self, moment: Moment) -> None:
         """Remember the odometry of this moment, if it is new. A clock set back starts anew."""
@@ -35,6 +37,7 @@ class Motion:
             return
         if readings and odometry.stamp <= readings[-1].stamp:
             readings.clear()
+            self.restarts += 1
         readings.append(odometry)
 
     def pose(self, moment: Moment, ago: float) -> Pose:
@@ -47,7 +50,7 @@ class Motion:
         for reading in reversed(readings):
             if reading.stamp <= at:
                 if reading is later:
-                    return _moved(reading.pose, reading.twist, at - reading.stamp)
+                    return _moved(reading.pose, reading.twist, min(at - reading.stamp, TRUSTED))
                 return _between(reading, later, at)
             later = reading
         return _moved(later.pose, later.twist, at - later.stamp)
