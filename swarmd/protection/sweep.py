@@ -14,7 +14,8 @@ from swarmd.protection.footprint import Footprint
 from swarmd.values import Array
 
 _STEPS = 4
-_SHARES = np.array([(a, b) for a in (1.0, 0.5, 0.0) for b in (1.0, 0.5, 0.0)])
+_GRID = (1.0, 0.75, 0.5, 0.25, 0.0)
+_SHARES = np.array([(a, b) for a in _GRID for b in _GRID])
 SLOW = 0.015
 """m/s: who closes no faster is at no fault if he is touched."""
 
