@@ -29,10 +29,11 @@ from swarmd.protection.memory import NearMemory
 from swarmd.protection.moment import Moment
 from swarmd.protection.motion import REACTION, TRUSTED, Motion, relative
 from swarmd.protection.pressing import pressing
+from swarmd.protection.rows import Rows, bounding, joined, placed, split
 from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.sweep import Braking
 from swarmd.protection.unstick import Berth
-from swarmd.protection.verdict import Decision, Row
+from swarmd.protection.verdict import Decision
 from swarmd.values import ZERO, Array, Platform, Pose, Scan, ScanSpec, TouchZone, Twist
 
 TICK = 0.05
@@ -42,7 +43,6 @@ CREEP = 0.015
 """m/s: the fastest that any corner moves in touch, where not all is seen of what it touches."""
 
 _LEAST_BRAKING = 0.02  # m/s2, for rows that hardly any motion closes
-_ROWS = 4
 _SAME_TIME = 1e-6  # s, for the rounding of ages
 
 
@@ -59,17 +59,6 @@ class _Seen(NamedTuple):
     gaps: Array
     ways: Array
     is_near: bool
-
-
-class _Rows(NamedTuple):
-    """Half-planes: closing speed = linear * v + lever * w <= cap, for points at x, y."""
-
-    linear: Array
-    lever: Array
-    caps: Array
-    x: Array
-    y: Array
-    gaps: Array
 
 
 _Occasion: TypeAlias = tuple[Moment, Point, TouchZone | None]
@@ -95,7 +84,7 @@ class Barrier:
         self._offset = platform.scan.offset
         self._speed = settings.surface_speed or settings.others_speed
         self._envelopes: dict[tuple[Point, float], tuple[Array, Array]] = {}
-        self._known: tuple[_Occasion, _Rows, Array, Array] | None = None
+        self._known: tuple[_Occasion, Rows, Array, Array] | None = None
         self._motion = Motion(settings.braking_linear, settings.braking_angular)
         self._memory = self._near_memory(platform.scan)
         self._radius, self._count = float(np.hypot(*platform.footprint.T).max()), 0
@@ -163,7 +152,7 @@ class Barrier:
             return Decision(wish, is_active=False)
         if self._restarts != self._motion.restarts:
             return Decision(ZERO, is_active=True)  # until a scan is placed anew
-        along, speed = _split(wish)
+        along, speed = split(wish)
         limits = self._most(along), self._limits.angular
         occasion = moment, along, touch
         if self._known is None or self._known[0] != occasion:  # else another wish at the same time
@@ -177,11 +166,13 @@ class Barrier:
             s, angular = self._swept(s, angular, along, rows, moment)
         if point == wanted and (s, angular) == (point[0] * limits[0], point[1] * limits[1]):
             return Decision(wish, is_active=False)
+        if not tight and self._count:  # what is met only while braking: the nearest, most likely
+            tight = [int(rows.gaps[: self._count].argmin())]
         twist = Twist(s * along[0], angular, s * along[1])
-        return Decision(twist, is_active=True, rows=_bounding(rows, tight))
+        return Decision(twist, is_active=True, rows=bounding(rows, tight))
 
     def _swept(
-        self, s: float, angular: float, along: Point, rows: _Rows, moment: Moment
+        self, s: float, angular: float, along: Point, rows: Rows, moment: Moment
     ) -> tuple[float, float]:
         """The speeds, or less if the outline would not stay clear while the robot brakes."""
         settings, first = self._settings, len(self._seen.ways)
@@ -203,7 +194,7 @@ class Barrier:
         )
         return float(speeds[0]), float(speeds[1])
 
-    def _half_planes(self, rows: _Rows, along: Point, limits: Point) -> tuple[Array, Array]:
+    def _half_planes(self, rows: Rows, along: Point, limits: Point) -> tuple[Array, Array]:
         """Those of the rows and then those of the envelope, in speeds over their limits."""
         normals = np.array((rows.linear * limits[0], rows.lever * limits[1])).T
         if not self._seen.is_near:
@@ -226,11 +217,11 @@ class Barrier:
         command: Twist,
         along: Point,
         touch: TouchZone | None,
-    ) -> _Rows:
+    ) -> Rows:
         frame = relative(self._taken_at, self._motion.ahead(moment, command))
         age = moment.now - self._taken + REACTION
         some = int(seen.gaps.searchsorted(self._reach_after(age)))
-        x, y = _placed(seen.x[:some], seen.y[:some], frame)
+        x, y = placed(seen.x[:some], seen.y[:some], frame)
         self._count = len(x)
         facing = self._outline.facing(x, y)
         free = self._settings.margin + self._settings.unseen_extent + self._blurred(moment)
@@ -239,7 +230,7 @@ class Barrier:
         if self._settings.unseen_extent > 0.0:
             touched = len(seen.ways)  # where these are on the outline is a guess
             beyond = facing.gap[touched:], x[touched:], y[touched:]
-            rows = _joined(rows, self._corners(*beyond, along, age, free))
+            rows = joined(rows, self._corners(*beyond, along, age, free))
         if len(seen.ways):
             rows = self._with_contacts(rows, seen, frame, along)
         if self._settings.keep_out is not None:
@@ -248,18 +239,18 @@ class Barrier:
 
     def _limit(
         self, facing: Facing, room: Array, x: Array, y: Array, along: Point, age: float
-    ) -> _Rows:
+    ) -> Rows:
         """The rows of points at `x`, `y` (k,) that the outline faces so, with so much room (k,)."""
         linear = facing.nx * along[0] + facing.ny * along[1]
         braking = np.abs(linear) * self._settings.braking_linear
         braking += np.abs(facing.lever) * self._settings.braking_angular
         np.maximum(braking, _LEAST_BRAKING, out=braking)
         caps = self._caps(room, braking, age)
-        return _Rows(linear, facing.lever, caps, x, y, facing.gap)
+        return Rows(linear, facing.lever, caps, x, y, facing.gap)
 
     def _corners(
         self, gaps: Array, x: Array, y: Array, along: Point, age: float, free: float
-    ) -> _Rows:
+    ) -> Rows:
         """Rows of the robot's own corners for what reaches further than is seen of it.
 
         Then the nearest place of the outline is not the only one that can meet it: a corner that
@@ -282,7 +273,7 @@ class Barrier:
             return reciprocal_caps(room, braking, unseen, TICK)
         return passive_caps(room, braking, settings.others_speed, unseen, TICK)
 
-    def _with_contacts(self, rows: _Rows, seen: _Seen, frame: Pose, along: Point) -> _Rows:
+    def _with_contacts(self, rows: Rows, seen: _Seen, frame: Pose, along: Point) -> Rows:
         """What is too close to measure counts as touching, and may not be closed on along its ray.
 
         Without the latter a corner that grazes a slanted surface has only a row across its way.
@@ -295,12 +286,12 @@ class Barrier:
         ny = sin * seen.ways[:, 0] + cos * seen.ways[:, 1]
         x, y = rows.x[:count], rows.y[:count]
         zeros = np.zeros(len(x))
-        return _joined(
+        return joined(
             rows._replace(caps=caps),
-            _Rows(nx * along[0] + ny * along[1], x * ny - y * nx, zeros, x, y, zeros),
+            Rows(nx * along[0] + ny * along[1], x * ny - y * nx, zeros, x, y, zeros),
         )
 
-    def _with_keep_out(self, rows: _Rows, radius: float, along: Point, age: float) -> _Rows:
+    def _with_keep_out(self, rows: Rows, radius: float, along: Point, age: float) -> Rows:
         """Nothing is let into the circle around a sensor that is blind nearby, by half each."""
         dx, dy = rows.x - self._offset[0], rows.y - self._offset[1]
         distance = np.maximum(np.hypot(dx, dy), 1e-9)
@@ -312,9 +303,9 @@ class Barrier:
         braking += np.abs(lever) * settings.braking_angular
         np.maximum(braking, _LEAST_BRAKING, out=braking)
         caps = reciprocal_caps(distance - radius, braking, age, TICK)
-        return _joined(rows, _Rows(linear, lever, caps, rows.x, rows.y, rows.gaps))
+        return joined(rows, Rows(linear, lever, caps, rows.x, rows.y, rows.gaps))
 
-    def _allowed(self, rows: _Rows, touch: TouchZone, along: Point) -> _Rows:
+    def _allowed(self, rows: Rows, touch: TouchZone, along: Point) -> Rows:
         """The rows, with what the outline faces in the sector closed on as fast as is granted.
 
         By the way the outline faces it: from the axle a box that is being pushed is wider than any
@@ -327,7 +318,7 @@ class Barrier:
         nx, ny, x, y = pressing(self._outline.corners, touch)
         speeds, gaps = np.full(len(x), touch.speed), np.full(len(x), np.inf)  # of nothing seen
         linear, lever = nx * along[0] + ny * along[1], x * ny - y * nx
-        return _joined(rows._replace(caps=caps), _Rows(linear, lever, speeds, x, y, gaps))
+        return joined(rows._replace(caps=caps), Rows(linear, lever, speeds, x, y, gaps))
 
     def _look(self, scan: Scan, sight: Sight) -> _Seen:
         """What matters of a scan: returns within reach, and rays that are too close to measure."""
@@ -398,36 +389,3 @@ class Barrier:
             return gap
         half = speed * (2.0 * TICK + age + 0.5 * speed / settings.braking_linear)
         return max(gap, settings.keep_out + 2.0 * half + speed * age)
-
-
-def _split(wish: Twist) -> tuple[Point, float]:
-    """The direction of the linear motion and the speed along it; ahead if there is none."""
-    if wish.lateral == 0.0:
-        return (1.0, 0.0), wish.linear
-    speed = math.hypot(wish.linear, wish.lateral)
-    return (wish.linear / speed, wish.lateral / speed), speed
-
-
-def _placed(x: Array, y: Array, frame: Pose) -> tuple[Array, Array]:
-    """The x and y of points of a frame."""
-    cos, sin = math.cos(frame.yaw), math.sin(frame.yaw)
-    return frame.x + cos * x - sin * y, frame.y + sin * x + cos * y
-
-
-def _joined(one: _Rows, other: _Rows) -> _Rows:
-    return _Rows(*(np.concatenate(pair) for pair in zip(one, other, strict=True)))
-
-
-def _bounding(rows: _Rows, tight: list[int]) -> tuple[Row, ...]:
-    """The rows that bound the command, those with the lowest caps first."""
-    among = [i for i in tight if i < len(rows.caps)]  # the others are the envelope's
-    seen = [i for i in among if rows.gaps[i] < math.inf]  # the others are of a touch zone
-    order = sorted(seen, key=lambda i: (float(rows.caps[i]), float(rows.gaps[i])))
-    return tuple(
-        Row(
-            math.atan2(float(rows.y[i]), float(rows.x[i])),
-            float(rows.gaps[i]),
-            float(rows.caps[i]),
-        )
-        for i in order[:_ROWS]
-    )

@@ -18,8 +18,8 @@ import numpy as np
 from swarmd.protection.moment import Moment
 from swarmd.values import ZERO, Array, Limits, Twist
 
-_BLOCKED = 0.3  # who gets less than this share of the speed he asks for is blocked
-_PATIENCE = 0.3  # s for which it is so before something is done
+_BLOCKED = 0.6  # who gets less than this share of the speed he asks for is blocked
+_PATIENCE = 0.1  # s for which it is so before something is done
 _LEAST = 0.1  # of the limits: slower wishes are not going anywhere
 _STANDS = 1.0  # s after which turning that does not turn gives way to moving along the axis
 _FOLLOWS = 1.5  # s for which a free way is followed
