@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from swarmd.messages import Reason
-from swarmd.scans import FROZEN_AFTER, ScanConditioner
+from swarmd.scans import FROZEN_AFTER, PACKET, ScanConditioner
 from swarmd.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
 
 BEARINGS = np.radians(np.arange(0.0, 360.0, 1.0))
@@ -58,11 +58,39 @@ def test_an_lds_zero_is_too_close_where_something_was_near_just_before() -> None
     before[100] = 0.2
     conditioned(conditioner, before, 1)
     after = np.full(360, 2.0)
-    after[98:103] = 0.0
+    after[97:104] = 0.0
     after[110] = 0.0
     got = conditioned(conditioner, after, 2)
-    assert (got[98:103] == -np.inf).all()
+    assert (got[97:104] == -np.inf).all()
     assert got[110] == 2.0  # a drop-out: the ray had a return, so it keeps its last range
+
+
+@pytest.mark.parametrize(("width", "is_lost"), [(1, True), (PACKET, True), (PACKET + 1, False)])
+@pytest.mark.parametrize("first", [97, 357], ids=["anywhere", "across the first ray"])
+def test_a_packet_that_an_lds_loses_beside_what_is_near_is_not_something_nearer(
+    first: int, width: int, is_lost: bool
+) -> None:
+    conditioner = ScanConditioner(replace(SPEC, zero="lds"))
+    rays = np.arange(first, first + width) % 360
+    before = np.full(360, 2.0)
+    before[(first + 3) % 360] = 0.2
+    conditioned(conditioner, before, 1)
+    after = before.copy()
+    after[rays] = 0.0
+    got = conditioned(conditioner, after, 2)
+    assert got[rays].tolist() == (before[rays] if is_lost else np.full(width, -np.inf)).tolist()
+
+
+def test_who_remembers_what_is_near_himself_has_no_zeros_guessed() -> None:
+    conditioner = ScanConditioner(replace(SPEC, zero="lds"), guesses_near=False)
+    before = np.full(360, 2.0)
+    before[100] = 0.2
+    conditioned(conditioner, before, 1)
+    after = np.full(360, 2.0)
+    after[97:104] = 0.0
+    got = [conditioned(conditioner, after, seq)[97:104] for seq in range(2, 7)]
+    assert not np.isneginf(got).any()
+    assert np.isposinf(got[-1]).all()
 
 
 def test_an_lds_zero_is_something_near_for_a_second_after_it_was_measured_near() -> None:

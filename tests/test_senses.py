@@ -18,6 +18,7 @@ from swarmd.senses import (
     Senses,
 )
 from swarmd.testing.story import empty_scan
+from swarmd.testing.variants import with_mode
 from swarmd.values import Neighbor, Odometry, Pose, Twist
 
 
@@ -86,3 +87,16 @@ def test_a_lost_sector_holds_once_it_has_not_been_seen_for_stale_after(senses: S
         assert senses.hold(10.0 + stale_after + 1e-6) is Reason.INVALID_SCAN
     senses.on_scan(empty_scan(platform, 9, 11.2, 2.0), 11.2)
     assert (senses.scan_age(11.2), senses.hold(11.2)) == (0.0, None)
+
+
+@pytest.mark.parametrize("mode", ["barrier", "potential_field", "stop_zone"])
+def test_zeros_beside_what_is_near_are_guessed_unless_protection_remembers_it(mode: str) -> None:
+    platform = with_mode(load_platform("burger"), mode)
+    senses, ranges = Senses(platform), np.full(360, 2.0)
+    ranges[100] = 0.15
+    senses.on_scan(replace(empty_scan(platform, 0, 0.0), ranges=ranges), 0.0)
+    ranges = ranges.copy()
+    ranges[97:104] = 0.0
+    senses.on_scan(replace(empty_scan(platform, 1, 0.2), ranges=ranges), 0.2)
+    assert senses.scan is not None
+    assert np.isneginf(senses.scan.ranges[97:104]).all() == (mode != "barrier")

@@ -31,9 +31,12 @@ class Motion:
         self.restarts = 0
 
     def update(self, moment: Moment) -> None:
-        """Remember the odometry of this moment, if it is new. A clock set back starts anew."""
+        """Remember the odometry of this moment, if it is new. A clock set back starts anew.
+
+        One that stands still while what it stamps changes is no better.
+        """
         odometry, readings = moment.odometry, self._readings
-        if odometry is None or (readings and odometry is readings[-1]):
+        if odometry is None or (readings and odometry == readings[-1]):
             return
         if readings and odometry.stamp <= readings[-1].stamp:
             readings.clear()

@@ -30,7 +30,9 @@ def wall(platform: Platform, seq: int, x: float) -> Scan:
     return scan
 
 
-def drive(platform: Platform, ages: list[float | None]) -> list[Verdict]:
+def drive(
+    platform: Platform, ages: list[float | None], *, distance: float = 0.5
+) -> list[Verdict]:
     """Decisions while it drives at a wall; by scan how old what it holds is, None: none came."""
     protection, verdicts = Protection(platform), []
     known = 0.0
@@ -43,7 +45,7 @@ def drive(platform: Platform, ages: list[float | None]) -> list[Verdict]:
             known = now - age
         moment = Moment(now, now - known, odometry, 0.0)
         if age is not None:
-            x = 0.5 - SPEED * (known - 10.0 - platform.scan.latency)
+            x = distance - SPEED * (known - 10.0 - platform.scan.latency)
             protection.observe(wall(platform, seq, x), moment)
         verdicts.append(protection.decide(AHEAD, moment, is_running=True, hold=None))
     return verdicts
@@ -63,6 +65,18 @@ def test_a_sector_that_returns_counts_at_once(platform: Platform) -> None:
 
 
 def test_of_two_scans_that_lack_a_sector_the_newer_counts_with_its_age(platform: Platform) -> None:
-    by_turns = drive(platform, [0.0, 0.2, 0.2, 0.2])
-    assert by_turns[-1].safe.linear > drive(platform, [0.0, None, None, None])[-1].safe.linear
-    assert by_turns[-1].safe.linear < drive(platform, [0.0, 0.0, 0.0, 0.0])[-1].safe.linear
+    def last(*ages: float | None) -> float:
+        return drive(platform, [0.0, *ages], distance=0.52)[-1].safe.linear
+
+    assert 0.0 < last(0.2, 0.2, 0.2) < last(0.0, 0.0, 0.0)
+    assert last(0.2, 0.2, 0.2) > last(None, None, None)
+
+
+def test_what_a_newer_scan_holds_of_a_lost_sector_is_nearer_by_what_it_lags(
+    platform: Platform,
+) -> None:
+    """It is placed where the robot was as the scan was taken, though it was seen earlier."""
+    whole = drive(platform, [0.0, 0.0, 0.0, 0.0], distance=0.52)[-1]
+    lags = drive(platform, [0.0, 0.2, 0.2, 0.2], distance=0.52)[-1]
+    aged = drive(platform, [0.0, 0.0, 0.0, None], distance=0.52)[-1]
+    assert whole.safe.linear > aged.safe.linear > lags.safe.linear

@@ -95,8 +95,56 @@ def test_a_return_nearby_shows_that_it_is_out_again() -> None:
 
 def test_what_has_come_out_beside_is_not_inside_as_well() -> None:
     """In the open nothing is seen where it was, before it came or after it has gone."""
-    memory = hiding()
-    assert look(memory, range(5, 14), empty=WIDE) == []
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    look(memory, WIDE, beyond=math.inf)
+    assert look(memory, beyond=math.inf) == list(WIDE)
+    assert look(memory, range(5, 14), beyond=math.inf) == []
+
+
+def test_what_stands_near_by_is_not_what_has_come_out() -> None:
+    """A second leg or a wall beside the shadow was there before: it is not the one that hides."""
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    near, beside = range(-14, -4), range(5, 15)
+    look(memory, near, distance=0.85)
+    look(memory, beside, distance=0.85, empty=near)
+    for _ in range(20):
+        assert set(near) <= set(look(memory, beside, distance=0.85, empty=near))
+    assert set(near) <= set(look(memory, beside, distance=0.85, empty=near))
+
+
+def test_what_vanishes_before_a_wall_a_little_beyond_is_hidden() -> None:
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    look(memory, WIDE, distance=0.85, beyond=1.05)
+    for _ in range(20):
+        assert look(memory, empty=WIDE, beyond=1.05) == list(WIDE)
+
+
+def test_slow_turns_are_not_lost() -> None:
+    """Half a degree a scan is less than from ray to ray."""
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    look(memory, WIDE, beyond=math.inf)
+    look(memory, beyond=math.inf)
+    for _ in range(120):
+        found = look(memory, turned=0.3, beyond=math.inf)
+    assert np.mean(found) == pytest.approx(-36.0, abs=2.0)
+
+
+@pytest.mark.parametrize(
+    ("width", "beyond", "lasts"),
+    [(5, 3.0, LASTS / 15.0), (9, 3.0, 4.0 * LASTS), (9, math.inf, LASTS)],
+    ids=["narrower than a robot", "between what is seen", "in the open"],
+)
+def test_how_long_it_is_remembered_goes_by_its_shadow(
+    width: int, beyond: float, lasts: float
+) -> None:
+    memory, shadow, step = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD), range(width), 0.5
+    look(memory, shadow, beyond=beyond)
+    assert look(memory, empty=shadow, beyond=beyond) == list(shadow)
+    scans = 0
+    while look(memory, empty=shadow, seconds=step, beyond=beyond):
+        scans += 1
+        assert scans < 1000
+    assert scans * step == pytest.approx(lasts, abs=4.0 * step)
 
 
 def test_it_moves_with_its_shadow() -> None:

@@ -88,6 +88,23 @@ def test_a_clock_that_jumps_back_begins_anew() -> None:
     again = Odometry(0.3, Pose(7.0), ZERO)
     motion.update(Moment(9.0, 0.0, again, 0.0))
     assert motion.pose(Moment(9.0, 0.0, again, 0.0), 0.2) == Pose(7.0)
+    assert motion.restarts == 1
+
+
+def test_one_clock_that_goes_on_is_no_restart() -> None:
+    motion, last = driven(Twist(0.2))
+    for reading in (last, Odometry(last.stamp, last.pose, last.twist)):  # as it may come again
+        motion.update(Moment(1.1, 0.0, reading, 0.1))
+    assert motion.restarts == 0
+    assert near(motion.pose(Moment(1.1, 0.0, last, 0.1), 0.5), Pose(0.2 * 0.6), 1e-9)
+
+
+def test_a_stamp_that_stands_still_while_the_robot_moves_begins_anew() -> None:
+    motion, last = driven(Twist(0.2))
+    again = Odometry(last.stamp, Pose(7.0), last.twist)
+    motion.update(Moment(1.1, 0.0, again, 0.0))
+    assert motion.restarts == 1
+    assert motion.pose(Moment(1.1, 0.0, again, 0.0), 0.0) == Pose(7.0)
 
 
 def test_without_any_reading_it_stands_at_the_origin() -> None:
