@@ -54,7 +54,9 @@ class Mutant:
 _BARRIER = "swarmd/protection/barrier.py"
 _FRONT = "swarmd/protection/front.py"
 _MEMORY = "swarmd/protection/memory.py"
+_MOTION = "swarmd/protection/motion.py"
 _SENSES = "swarmd/senses.py"
+_SWEEP = "swarmd/protection/sweep.py"
 
 MUTANTS = (
     Mutant(
@@ -130,11 +132,32 @@ MUTANTS = (
         "        if True:\n",
     ),
     Mutant(
+        "the stop is followed",
+        "a command is right if its rows are",
+        _SWEEP,
+        "if self._is_clear(speeds[None], along, points, gaps, free)[0]:",
+        "if True:",
+    ),
+    Mutant(
+        "brakes that are better than told",
+        "both speeds are shed as slowly as they may be",
+        _SWEEP,
+        "((linear, angular), (np.inf, angular), (linear, np.inf))",
+        "((linear, angular), (linear, angular), (linear, angular))",
+    ),
+    Mutant(
         "creep",
         "in touch with something it is as fast as near it",
         _BARRIER,
         "CREEP if is_touching else self._speed",
         "self._speed",
+    ),
+    Mutant(
+        "creep where none sees",
+        "what comes nearer than the sensor sees touches only once it is too close",
+        _BARRIER,
+        "settings.margin + settings.unseen_extent + self._hidden_gap(platform.scan)",
+        "settings.margin + settings.unseen_extent",
     ),
     Mutant(
         "own corners",
@@ -182,8 +205,29 @@ MUTANTS = (
         "clearing by what is seen outside",
         "what has come out is remembered inside",
         _MEMORY,
-        "is_hidden &= ~is_old | (_nearest(scan.bearings[is_out], bearings)[1] > shift)",
+        "is_hidden &= ~is_old | (_nearest(out, bearings)[1] > shift)",
         "pass",
+    ),
+    Mutant(
+        "what stands nearby is not what has come out",
+        "any return near the rim clears what is remembered beside it",
+        _MEMORY,
+        "return bearings[_nearest(self._shadows - turned, bearings)[1] <= math.pi / len(is_out)]",
+        "return bearings",
+    ),
+    Mutant(
+        "slow turns in memory",
+        "what is remembered snaps to the rays",
+        _MEMORY,
+        "exact[rays[stays]] = bearings[is_hidden][stays]",
+        "pass",
+    ),
+    Mutant(
+        "narrow shadows fade",
+        "what cannot be a robot is remembered as long as one",
+        _MEMORY,
+        "_PLAIN if width >= narrow else LASTS / _BRIEFLY",
+        "_PLAIN",
     ),
     Mutant(
         "stale stop",
@@ -203,8 +247,22 @@ MUTANTS = (
         "room for late odometry",
         "the robot is where dead reckoning says, however old what it rests on",
         _BARRIER,
+        "return (late + self._lag) * self._speed",
+        "return self._lag * self._speed",
+    ),
+    Mutant(
+        "room for a sector that lags",
+        "what is remembered of a lost sector is where it was last seen",
+        _BARRIER,
+        "return (late + self._lag) * self._speed",
         "return late * self._speed",
-        "return 0.0",
+    ),
+    Mutant(
+        "odometry that restarts",
+        "a scan stays where it was placed by a clock that has been set back",
+        _MOTION,
+        "self.restarts += 1",
+        "pass",
     ),
     Mutant(
         "holds",
