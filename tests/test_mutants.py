@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.mutants import MUTANTS, ROOT, Mutant, chosen, row
+from benchmarks.mutants import ROOT, chosen, row
+from benchmarks.mutations import MUTANTS, Mutant
 from swarmd.errors import SwarmError
 
 

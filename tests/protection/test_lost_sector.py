@@ -30,9 +30,7 @@ def wall(platform: Platform, seq: int, x: float) -> Scan:
     return scan
 
 
-def drive(
-    platform: Platform, ages: list[float | None], *, distance: float = 0.5
-) -> list[Verdict]:
+def drive(platform: Platform, ages: list[float | None], *, distance: float = 0.5) -> list[Verdict]:
     """Decisions while it drives at a wall; by scan how old what it holds is, None: none came."""
     protection, verdicts = Protection(platform), []
     known = 0.0

@@ -1,4 +1,4 @@
-"""The way to rest from a command, followed: held against a finer one that shares nothing with it."""
+"""The way to rest from a command: held against a finer one that shares nothing with it."""
 
 from __future__ import annotations
 
@@ -174,9 +174,8 @@ def nearness(
             v -= math.copysign(min(abs(v), better[0] * LINEAR * STEP), v)
             w -= math.copysign(min(abs(w), better[1] * ANGULAR * STEP), w)
         yaw = pose.yaw + 0.5 * w * STEP
-        pose = Pose(
-            pose.x + v * STEP * math.cos(yaw), pose.y + v * STEP * math.sin(yaw), yaw + 0.5 * w * STEP
-        )
+        x, y = pose.x + v * STEP * math.cos(yaw), pose.y + v * STEP * math.sin(yaw)
+        pose = Pose(x, y, yaw + 0.5 * w * STEP)
         time += STEP
         gaps.append(outline_point(placed(platform.footprint, pose), at)[0])
     return gaps or [math.inf]
