@@ -211,12 +211,16 @@ class Yard:
         said = as_driver(ranges, spec)
         return Scan(self._seq, self.time, said, spec.bearings, spec.range_min, spec.range_max)
 
+    def odometry(self) -> Odometry:
+        """What the base measures now."""
+        return Odometry(self.time, self.pose, self.twist)
+
     def _sense(self) -> None:
         period = round(1.0 / (self.platform.scan.rate * DT))
         if (self._step - round(self._phase / DT)) % period == 0 and self.has_lidar:
             self._coming.append((self.time + self._latency - 1e-9, self.sweep()))
         if self._step % round(TICK / DT) == 0 and self.has_odometry:
-            self.senses.on_odometry(Odometry(self.time, self.pose, self.twist), self.time)
+            self.senses.on_odometry(self.odometry(), self.time)
 
     def _arrive(self) -> bool:
         """Hand over what has arrived; true if a valid sweep has."""
