@@ -10,25 +10,31 @@ from swarmd.errors import SwarmError
 
 @dataclass(frozen=True, slots=True)
 class Mutant:
-    """One mechanism, and the change in a file that takes it out: `old`, there once, gets `new`."""
+    """One mechanism, and the change in a file that takes it out: `old`, there once, gets `new`.
+
+    `also`: another old and new in the same file, of what is done in two places.
+    """
 
     mechanism: str
     change: str
     path: str
     old: str
     new: str
+    also: tuple[str, str] | None = None
 
     def apply(self, tree: Path) -> None:
         """Change the file in a tree; SwarmError if the text is not there exactly once."""
         path = tree / self.path
         text = path.read_text()
-        found = text.count(self.old)
-        if found != 1:
-            raise SwarmError(
-                f"mutant '{self.mechanism}': {self.path} holds its text {found} times; wanted is"
-                " once: bring benchmarks/mutations.py in step with the sources"
-            )
-        path.write_text(text.replace(self.old, self.new))
+        for old, new in ((self.old, self.new), *([self.also] if self.also else [])):
+            found = text.count(old)
+            if found != 1:
+                raise SwarmError(
+                    f"mutant '{self.mechanism}': {self.path} holds its text {found} times; wanted"
+                    " is once: bring benchmarks/mutations.py in step with the sources"
+                )
+            text = text.replace(old, new)
+        path.write_text(text)
 
 
 _BARRIER = "swarmd/protection/barrier.py"
@@ -45,6 +51,10 @@ MUTANTS = (
         _BARRIER,
         "return passive_caps(room, braking,",
         "return passive_caps(room, 100.0 * braking,",
+        also=(
+            "self._outline, settings.braking_linear, settings.braking_angular, TICK",
+            "self._outline, 100 * settings.braking_linear, 100 * settings.braking_angular, TICK",
+        ),
     ),
     Mutant(
         "speed of others",
@@ -52,20 +62,21 @@ MUTANTS = (
         _BARRIER,
         "passive_caps(room, braking, settings.others_speed,",
         "passive_caps(room, braking, 0.0,",
+        also=("others = settings.others_speed if", "others = 0.0 if"),
     ),
     Mutant(
         "unseen extent",
         "others reach no further than what is seen of them",
         _BARRIER,
-        "self._settings.margin + self._settings.unseen_extent + self._blurred(moment)",
-        "self._settings.margin + self._blurred(moment)",
+        "return self._settings.margin + self._settings.unseen_extent + blurred",
+        "return self._settings.margin + blurred",
     ),
     Mutant(
         "margin",
         "nothing is kept free beside what may be there",
         _BARRIER,
-        "self._settings.margin + self._settings.unseen_extent + self._blurred(moment)",
-        "self._settings.unseen_extent + self._blurred(moment)",
+        "return self._settings.margin + self._settings.unseen_extent + blurred",
+        "return self._settings.unseen_extent + blurred",
     ),
     Mutant(
         "reach",
@@ -227,15 +238,15 @@ MUTANTS = (
         "room for late odometry",
         "the robot is where dead reckoning says, however old what it rests on",
         _BARRIER,
-        "return (late + self._lag) * self._speed",
-        "return self._lag * self._speed",
+        "blurred = (late + self._lag) * self._speed",
+        "blurred = self._lag * self._speed",
     ),
     Mutant(
         "room for a sector that lags",
         "what is remembered of a lost sector is where it was last seen",
         _BARRIER,
-        "return (late + self._lag) * self._speed",
-        "return late * self._speed",
+        "blurred = (late + self._lag) * self._speed",
+        "blurred = late * self._speed",
     ),
     Mutant(
         "odometry that restarts",

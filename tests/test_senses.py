@@ -9,6 +9,7 @@ import pytest
 
 from swarmd.messages import Reason
 from swarmd.platforms import load_platform
+from swarmd.protection.settings import Mode
 from swarmd.senses import (
     AGES_EVERY,
     INBOX_BYTES,
@@ -90,7 +91,7 @@ def test_a_lost_sector_holds_once_it_has_not_been_seen_for_stale_after(senses: S
 
 
 @pytest.mark.parametrize("mode", ["barrier", "potential_field", "stop_zone"])
-def test_zeros_beside_what_is_near_are_guessed_unless_protection_remembers_it(mode: str) -> None:
+def test_zeros_beside_what_is_near_are_guessed_unless_protection_remembers_it(mode: Mode) -> None:
     platform = with_mode(load_platform("burger"), mode)
     senses, ranges = Senses(platform), np.full(360, 2.0)
     ranges[100] = 0.15

@@ -180,7 +180,7 @@ class Barrier:
         seconds = TICK + max(
             abs(s) / settings.braking_linear, abs(angular) / settings.braking_angular
         )
-        free = settings.margin + settings.unseen_extent + self._blurred(moment)
+        free = self._free(moment)
         others = settings.others_speed if settings.responsibility == "passive" else 0.0
         reached = free + others * (age + seconds) + (abs(s) + abs(angular) * radius) * seconds
         count = self._count
@@ -224,7 +224,7 @@ class Barrier:
         x, y = placed(seen.x[:some], seen.y[:some], frame)
         self._count = len(x)
         facing = self._outline.facing(x, y)
-        free = self._settings.margin + self._settings.unseen_extent + self._blurred(moment)
+        free = self._free(moment)
         room = facing.gap - free
         rows = self._limit(facing, room, x, y, along, age)
         if self._settings.unseen_extent > 0.0:
@@ -356,13 +356,14 @@ class Barrier:
         nearest = float(self._outline.along_rays(self._offset, ways).min())
         return max(spec.range_min - nearest, 0.0)
 
-    def _blurred(self, moment: Moment) -> float:
-        """m by which the robot may be elsewhere than is reckoned.
+    def _free(self, moment: Moment) -> float:
+        """m that must stay free beside what is seen, for what is not and where it may be instead.
 
         Odometry may be old, and what a lacking sector holds is not dead-reckoned to the scan.
         """
         late = max((moment.odometry_age or 0.0) - TRUSTED, 0.0)
-        return (late + self._lag) * self._speed
+        blurred = (late + self._lag) * self._speed
+        return self._settings.margin + self._settings.unseen_extent + blurred
 
     def _most(self, along: Point) -> float:
         """The limit of the linear speed in a direction."""
