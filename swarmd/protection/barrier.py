@@ -3,8 +3,9 @@
 For every return of the lidar that is near, the speed at which the outline closes on it is linear
 in the twist, A (v, w), and must not exceed a cap (`caps.py`) from which the robot can still stop
 before the two touch, while the other comes on at its assumed speed. The command is the one within
-these half-planes that is nearest to the wish. To stand still always is one of them, moving away is
-always free, and where nothing is near a wish passes as it is, to the last bit.
+these half-planes that is nearest to the wish, less what would not stay clear until the robot stands
+(`sweep.py`). To stand still always is one of them, moving away is free but for a creep in touch,
+and where nothing is near a wish passes as it is, to the last bit.
 
 Sources: control barrier functions as filters of a wish (Ames, Xu, Grizzle and Tabuada, IEEE TAC
 2017); for swarms Wang, Ames and Egerstedt, IEEE T-RO 2017; no fault of one's own at contact,

@@ -30,7 +30,7 @@ class Braking:
         self._tick = tick
 
     def clear(self, speeds: Array, along: Array, points: Array, gaps: Array, free: Array) -> Array:
-        """(2,) the nearest to `speeds` of (1, 1/2, 0) times each, whose stops keep clear.
+        """(2,) the nearest to `speeds` of quarters of each, whose stops keep clear.
 
         `speeds` (2,) along `along` (2,) in m/s, and rad/s. `points` (k, 2) are in the base frame,
         `gaps` (k,) m from the outline; `free` (2,) m and m/s is the gap within which the outline
