@@ -96,10 +96,13 @@ class Barrier:
         self._seen, self._taken_at, self._taken = _NOTHING, Pose(), -math.inf
         self._lag, self._restarts = 0.0, 0
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
-        self._idle_reach = self._reach_at_rest(platform.footprint)
+        # The promise to others binds no robot that has nothing near.
+        self._fastest = max(self._speed, platform.limits.linear, platform.limits.lateral)
+        self._idle_reach = self._reach_at_rest(platform.footprint, self._fastest)
         stale = platform.scan.stale_after + platform.scan.latency + REACTION
         self._reach = self._reach_after(stale)
-        within = self._idle_reach + settings.others_speed * stale
+        within = self._reach_at_rest(platform.footprint, self._speed)
+        within += settings.others_speed * stale
         given_within = settings.envelope_within
         self._within = within if given_within is None else given_within
 
@@ -374,9 +377,9 @@ class Barrier:
             self._limits.lateral / lateral if lateral else math.inf,
         )
 
-    def _reach_at_rest(self, corners: Array) -> float:
-        """The gap in m at which a row may bind with a scan of this instant."""
-        settings, speed = self._settings, self._speed
+    def _reach_at_rest(self, corners: Array, speed: float) -> float:
+        """The gap in m at which a row may bind at a speed with a scan of this instant."""
+        settings = self._settings
         spin = min(self._limits.angular, speed / float(np.hypot(*corners.T).max()))
         linear = min(speed, max(self._limits.linear, self._limits.lateral))
         braking = max(linear / settings.braking_linear, spin / settings.braking_angular)
@@ -385,7 +388,7 @@ class Barrier:
 
     def _reach_after(self, age: float) -> float:
         """The same with one of that age in s: both have moved since, the robot perhaps towards."""
-        settings, speed = self._settings, self._speed
+        settings, speed = self._settings, self._fastest
         gap = self._idle_reach + (settings.others_speed + speed) * age
         if settings.keep_out is None:
             return gap

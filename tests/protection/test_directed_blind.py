@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from swarmd.settings import load_platform
-from swarmd.testing.yard import Shape, Yard, box, placed, pole, under_barrier
+from swarmd.testing.scans import scan_from
+from swarmd.testing.yard import Shape, Yard, box, decided, placed, pole, under_barrier
 from swarmd.values import Platform, Pose, Twist
 
 BURGER, JACKAL = under_barrier(load_platform("burger")), under_barrier(load_platform("jackal"))
@@ -47,6 +48,22 @@ def test_what_is_too_close_does_not_keep_it_from_creeping_away() -> None:
     platform = calm(JACKAL, near="reported")
     ride = Yard(platform, [pole(0.1, Pose(0.6))]).run(Twist(-0.5), 4.0)
     assert ride.poses[-1].x == pytest.approx(-0.015 * 3.9, abs=0.01)
+
+
+@pytest.mark.parametrize(("gap", "is_hidden"), [(0.06, True), (0.10, False)])
+def test_beside_what_may_touch_it_unseen_it_creeps(gap: float, is_hidden: bool) -> None:
+    """A Burger's front is 5 cm nearer to its lidar than that can see.
+
+    What comes is nearer than is seen by what it has moved since, and all of it may not be seen.
+    """
+    platform = under_barrier(BURGER, unseen_extent=0.0, others_speed=0.5, surface_speed=0.3)
+    ranges = np.full(360, math.inf)
+    ranges[0] = gap + 0.07
+    scan = scan_from(platform, ranges, platform.scan.bearings)
+    back = Twist(-0.2)
+    safe = decided(platform, scan, back).safe
+    assert decided(platform, scan, Twist(0.2)).safe.linear == 0.0
+    assert safe == back if not is_hidden else -0.015 - 1e-9 <= safe.linear < -0.01
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

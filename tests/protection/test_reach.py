@@ -1,0 +1,82 @@
+"""What is left out of a decision because it is too far away to matter does not matter."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarmd.platforms import load_platform
+from swarmd.protection.barrier import Barrier
+from swarmd.protection.footprint import Sight
+from swarmd.protection.moment import Moment
+from swarmd.testing.scans import scan_from
+from swarmd.testing.yard import under_barrier
+from swarmd.values import Odometry, Platform, Pose, Twist
+
+KINDS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")]
+KINDS += [under_barrier(KINDS[0], unseen_extent=0.0), under_barrier(KINDS[2], others_speed=0.4)]
+ALONE = {"others_speed": 0.001, "surface_speed": 0.25, "unseen_extent": 0.0}
+KINDS += [under_barrier(KINDS[0], **ALONE), under_barrier(KINDS[1], **ALONE)]
+KINDS += [under_barrier(KINDS[2], surface_speed=0.3, envelope_within=0.2)]  # slower near others
+SHARE = st.sampled_from([-1.0, -0.5, 0.0, 0.3, 1.0])
+RETURNS = st.lists(st.tuples(st.integers(0, 359), st.integers(1, 30), st.floats(0, 2)), max_size=3)
+BEGIN = 10.0
+
+
+class SeesAll(Barrier):
+    """One that considers every return, however far."""
+
+    def _reach_after(self, age: float) -> float:
+        return 100.0
+
+
+def driving(twist: Twist, seconds: float) -> Odometry:
+    """At that speed ever since, from the origin."""
+    v, turn = twist.linear, twist.angular * seconds
+    radius = v / twist.angular if twist.angular else 0.0
+    there = Pose(radius * math.sin(turn), radius * (1.0 - math.cos(turn)), turn)
+    return Odometry(BEGIN + seconds, there if turn else Pose(v * seconds), twist)
+
+
+def decided(
+    barrier: Barrier, platform: Platform, returns: Sequence[tuple[int, int, float]], twist: Twist,
+    age: float,
+) -> Twist:  # fmt: skip
+    """What it makes of the wish to go on as it does, so long after a sweep."""
+    ranges = np.full(360, math.inf)
+    for first, count, beyond in returns:
+        ranges[np.arange(first, first + count) % 360] = platform.scan.range_min + beyond
+    scan = scan_from(platform, ranges, platform.scan.bearings)
+    before = Moment(BEGIN - 0.1, None, driving(twist, -0.1), 0.0)
+    barrier.decide(twist, before, command=twist, touch=None)
+    now = Moment(BEGIN, 0.0, driving(twist, 0.0), 0.0)
+    barrier.observe(scan, Sight(platform.scan), now)
+    later = now if age == 0.0 else Moment(BEGIN + age, age, driving(twist, age), 0.0)
+    return barrier.decide(twist, later, command=twist, touch=None).twist
+
+
+@given(st.sampled_from(KINDS), RETURNS, SHARE, SHARE, st.sampled_from([0.0, 0.1, 0.4, 1.0]))
+def test_what_is_beyond_reach_bounds_nothing(
+    platform: Platform, returns: list[tuple[int, int, float]], v: float, w: float, share: float
+) -> None:
+    age = share * platform.scan.stale_after
+    twist = Twist(v * platform.limits.linear, w * platform.limits.angular)
+    some = decided(Barrier(platform), platform, returns, twist, age)
+    every = decided(SeesAll(platform), platform, returns, twist, age)
+    assert (some.linear, some.angular) == pytest.approx((every.linear, every.angular), abs=1e-9)
+
+
+@pytest.mark.parametrize("platform", KINDS)
+def test_what_may_matter_is_considered_at_every_distance_and_age(platform: Platform) -> None:
+    """A wall of some rays, from near to far, as a robot at full speed comes up to it."""
+    for age in np.array((0.0, 0.1, 0.4, 1.0)) * platform.scan.stale_after:
+        for beyond in np.arange(0.0, 1.5, 0.04):
+            ahead = [(350, 20, float(beyond))]
+            twist = Twist(platform.limits.linear)
+            some = decided(Barrier(platform), platform, ahead, twist, float(age))
+            assert some == decided(SeesAll(platform), platform, ahead, twist, float(age))
