@@ -36,9 +36,7 @@ def traces(folder: Path) -> dict[str, bytes]:
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    """All files by path, but what Python keeps of a plugin that it has read."""
-    files = (p for p in sorted(folder.rglob("*")) if p.is_file() and p.parent.name != "__pycache__")
-    return {str(p): p.read_bytes() for p in files}
+    return {str(p): p.read_bytes() for p in sorted(folder.rglob("*[!c]")) if p.is_file()}  # no .pyc
 
 
 def started(*words: object, cwd: Path) -> subprocess.Popen[str]:
