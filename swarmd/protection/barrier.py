@@ -30,6 +30,7 @@ from swarmd.protection.memory import NearMemory
 from swarmd.protection.moment import Moment
 from swarmd.protection.motion import REACTION, TRUSTED, Motion, relative
 from swarmd.protection.pressing import pressing
+from swarmd.protection.reach import Reach
 from swarmd.protection.rows import Rows, bounding, joined, placed, split
 from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.sweep import Braking
@@ -63,6 +64,21 @@ class _Seen(NamedTuple):
 
 
 _Occasion: TypeAlias = tuple[Moment, Point, TouchZone | None]
+
+
+class _Bounds(NamedTuple):
+    """What bounds a command on an occasion: `rows`, the first `points` of them one for each point.
+
+    `normals` (r, 2) and `caps` (r,) hold the rows and the envelope, in speeds over their limits.
+    """
+
+    occasion: _Occasion
+    rows: Rows
+    points: int
+    normals: Array
+    caps: Array
+
+
 _NO_WAYS = np.empty((0, 2))
 _NOTHING = _Seen(np.empty(0), np.empty(0), np.empty(0), _NO_WAYS, is_near=False)
 
@@ -85,10 +101,10 @@ class Barrier:
         self._offset = platform.scan.offset
         self._speed = settings.surface_speed or settings.others_speed
         self._envelopes: dict[tuple[Point, float], tuple[Array, Array]] = {}
-        self._known: tuple[_Occasion, Rows, Array, Array] | None = None
+        self._known: _Bounds | None = None
         self._motion = Motion(settings.braking_linear, settings.braking_angular)
         self._memory = self._near_memory(platform.scan)
-        self._radius, self._count = float(np.hypot(*platform.footprint.T).max()), 0
+        self._radius = float(np.hypot(*platform.footprint.T).max())
         self._braking = Braking(
             self._outline, settings.braking_linear, settings.braking_angular, TICK
         )
@@ -96,13 +112,10 @@ class Barrier:
         self._seen, self._taken_at, self._taken = _NOTHING, Pose(), -math.inf
         self._lag, self._restarts = 0.0, 0
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
-        # The promise to others binds no robot that has nothing near.
-        self._fastest = max(self._speed, platform.limits.linear, platform.limits.lateral)
-        self._idle_reach = self._reach_at_rest(platform.footprint, self._fastest)
+        self._reach = Reach(platform, settings, TICK)
         stale = platform.scan.stale_after + platform.scan.latency + REACTION
-        self._reach = self._reach_after(stale)
-        within = self._reach_at_rest(platform.footprint, self._speed)
-        within += settings.others_speed * stale
+        self._furthest = self._reach.after(stale)
+        within = self._reach.at_rest(self._speed) + settings.others_speed * stale
         given_within = settings.envelope_within
         self._within = within if given_within is None else given_within
 
@@ -158,25 +171,30 @@ class Barrier:
             return Decision(ZERO, is_active=True)  # until a scan is placed anew
         along, speed = split(wish)
         limits = self._most(along), self._limits.angular
-        occasion = moment, along, touch
-        if self._known is None or self._known[0] != occasion:  # else another wish at the same time
-            rows = self._rows(seen, moment, command, along, touch)
-            self._known = occasion, rows, *self._half_planes(rows, along, limits)
-        _, rows, normals, caps = self._known
+        bounds = self._bounds((moment, along, touch), command, limits)
         wanted = speed / limits[0], wish.angular / limits[1]
-        point, tight = nearest_feasible(wanted, BOX, normals, caps)
+        point, tight = nearest_feasible(wanted, BOX, bounds.normals, bounds.caps)
         s, angular = point[0] * limits[0], point[1] * limits[1]
         if touch is None:
-            s, angular = self._swept(s, angular, along, rows, moment)
+            s, angular = self._swept(s, angular, along, bounds, moment)
         if point == wanted and (s, angular) == (point[0] * limits[0], point[1] * limits[1]):
             return Decision(wish, is_active=False)
-        if not tight and self._count:  # what is met only while braking: the nearest, most likely
-            tight = [int(rows.gaps[: self._count].argmin())]
+        if not tight and bounds.points:  # what is met only while braking: the nearest, most likely
+            tight = [int(bounds.rows.gaps[: bounds.points].argmin())]
         twist = Twist(s * along[0], angular, s * along[1])
-        return Decision(twist, is_active=True, rows=bounding(rows, tight))
+        return Decision(twist, is_active=True, rows=bounding(bounds.rows, tight))
+
+    def _bounds(self, occasion: _Occasion, command: Twist, limits: Point) -> _Bounds:
+        """What bounds any command now; worked out once for all wishes of the same time."""
+        if self._known is None or self._known.occasion != occasion:
+            moment, along, touch = occasion
+            rows, count = self._rows(self._seen, moment, command, along, touch)
+            half_planes = self._half_planes(rows, along, limits)
+            self._known = _Bounds(occasion, rows, count, *half_planes)
+        return self._known
 
     def _swept(
-        self, s: float, angular: float, along: Point, rows: Rows, moment: Moment
+        self, s: float, angular: float, along: Point, bounds: _Bounds, moment: Moment
     ) -> tuple[float, float]:
         """The speeds, or less if the outline would not stay clear while the robot brakes."""
         settings, first = self._settings, len(self._seen.ways)
@@ -187,8 +205,8 @@ class Barrier:
         free = self._free(moment)
         others = settings.others_speed if settings.responsibility == "passive" else 0.0
         reached = free + others * (age + seconds) + (abs(s) + abs(angular) * radius) * seconds
-        count = self._count
-        near = np.flatnonzero(rows.gaps[first:count] <= reached) + first
+        rows = bounds.rows
+        near = np.flatnonzero(rows.gaps[first : bounds.points] <= reached) + first
         if not len(near):
             return s, angular
         points = np.stack((rows.x[near], rows.y[near]), axis=1)
@@ -221,12 +239,12 @@ class Barrier:
         command: Twist,
         along: Point,
         touch: TouchZone | None,
-    ) -> Rows:
+    ) -> tuple[Rows, int]:
+        """All rows, those of the near points first, and how many these are."""
         frame = relative(self._taken_at, self._motion.ahead(moment, command))
         age = moment.now - self._taken + REACTION
-        some = int(seen.gaps.searchsorted(self._reach_after(age)))
+        some = int(seen.gaps.searchsorted(self._reach.after(age)))
         x, y = placed(seen.x[:some], seen.y[:some], frame)
-        self._count = len(x)
         facing = self._outline.facing(x, y)
         free = self._free(moment)
         room = facing.gap - free
@@ -239,7 +257,9 @@ class Barrier:
             rows = self._with_contacts(rows, seen, frame, along)
         if self._settings.keep_out is not None:
             rows = self._with_keep_out(rows, self._settings.keep_out, along, age)
-        return rows if touch is None else self._allowed(rows, touch, along)
+        if touch is not None:
+            rows = self._allowed(rows, touch, along)
+        return rows, len(x)
 
     def _limit(
         self, facing: Facing, room: Array, x: Array, y: Array, along: Point, age: float
@@ -326,7 +346,7 @@ class Barrier:
 
     def _look(self, scan: Scan, sight: Sight) -> _Seen:
         """What matters of a scan: returns within reach, and rays that are too close to measure."""
-        within = max(self._within, self._reach) + self._outer
+        within = max(self._within, self._furthest) + self._outer
         shown = np.flatnonzero((scan.ranges <= within) & (scan.ranges > -np.inf))
         points = sight.ends(scan, shown)
         gaps = self._outline.gaps(points)
@@ -334,7 +354,7 @@ class Barrier:
         if self._memory is not None:
             bearings = np.concatenate((bearings, self._memory.bearings))
         is_near = bool(len(bearings)) or float(gaps.min(initial=np.inf)) <= self._within
-        order = np.argsort(gaps)[: np.count_nonzero(gaps <= self._reach)]
+        order = np.argsort(gaps)[: np.count_nonzero(gaps <= self._furthest)]
         gaps, (x, y) = gaps.take(order), points.take(order, axis=0).T
         if not len(bearings):
             return _Seen(x, y, gaps, _NO_WAYS, is_near)
@@ -376,21 +396,3 @@ class Barrier:
             self._limits.linear / linear if linear else math.inf,
             self._limits.lateral / lateral if lateral else math.inf,
         )
-
-    def _reach_at_rest(self, corners: Array, speed: float) -> float:
-        """The gap in m at which a row may bind at a speed with a scan of this instant."""
-        settings = self._settings
-        spin = min(self._limits.angular, speed / float(np.hypot(*corners.T).max()))
-        linear = min(speed, max(self._limits.linear, self._limits.lateral))
-        braking = max(linear / settings.braking_linear, spin / settings.braking_angular)
-        gap = speed * (TICK + 0.5 * braking) + settings.others_speed * (TICK + braking)
-        return gap + settings.margin + settings.unseen_extent
-
-    def _reach_after(self, age: float) -> float:
-        """The same with one of that age in s: both have moved since, the robot perhaps towards."""
-        settings, speed = self._settings, self._fastest
-        gap = self._idle_reach + (settings.others_speed + speed) * age
-        if settings.keep_out is None:
-            return gap
-        half = speed * (2.0 * TICK + age + 0.5 * speed / settings.braking_linear)
-        return max(gap, settings.keep_out + 2.0 * half + speed * age)

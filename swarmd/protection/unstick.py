@@ -57,7 +57,7 @@ class Unstick:
         self._turn = min(limits.angular, 1.5)
         self._rng = Random(seed)
         self._side, self._side_until = -1.0, -math.inf
-        self._way = self._yaw = 0.0
+        self._way = self._yaw = self._pace = 0.0
         self._backwards = False
         self.reset()
 
@@ -84,15 +84,23 @@ class Unstick:
             self.reset()
             return wish
         is_blocked = self._is_blocked(given, now)
-        if not self.is_leading and is_blocked:
-            self._began = now
-            if self._goes(wish):
-                self._plan(math.atan2(wish.lateral, wish.linear), moment, points())
-            else:
-                self._back_off(points(), now)
-        speed = max(math.hypot(wish.linear, wish.lateral), 0.5 * self._limits.linear)
-        self._asked = self._lead(speed, moment, points, is_blocked) if self.is_leading else wish
+        if not self.is_leading:
+            if not is_blocked:
+                self._asked = wish
+                return wish
+            self._begin(wish, moment, points())
+            is_blocked = False
+        self._pace = max(self._pace, math.hypot(wish.linear, wish.lateral))
+        self._asked = self._lead(moment, points, is_blocked)
         return self._asked
+
+    def _begin(self, wish: Twist, moment: Moment, points: Array) -> None:
+        """Make room first, or where it is turning that is blocked, go to where there is some."""
+        self._began, self._pace = moment.now, 0.5 * self._limits.linear
+        if self._goes(wish):
+            self._back_off(points, moment.now)
+        else:
+            self._plan(0.0, moment, points)
 
     def _is_blocked(self, given: Twist, now: float) -> bool:
         """True once it has for a while got next to nothing of what it asked for."""
@@ -111,7 +119,7 @@ class Unstick:
             self._blocked_since = now
         return now - self._blocked_since >= (_PATIENCE if goes else _STANDS)
 
-    def _lead(self, speed: float, moment: Moment, points: Points, is_blocked: bool) -> Twist:
+    def _lead(self, moment: Moment, points: Points, is_blocked: bool) -> Twist:
         now = moment.now
         if self._state == "turn" and is_blocked:
             self._back_off(points(), now)
@@ -120,7 +128,7 @@ class Unstick:
         elif self._state == "go" and is_blocked:
             self._plan(self._way - self._turned(moment), moment, points())
         if self._state == "back":
-            return Twist(-0.5 * speed if self._backwards else 0.5 * speed)
+            return Twist(-0.5 * self._pace if self._backwards else 0.5 * self._pace)
         left = math.remainder(self._way - self._turned(moment), 2.0 * math.pi)
         if self._state == "turn":
             if abs(left) > _ALIGNED:
@@ -128,7 +136,7 @@ class Unstick:
             self._enter("go", now)
         if now - self._since >= _FOLLOWS:
             self.reset()
-        return Twist(speed, max(min(2.0 * left, self._turn), -self._turn))
+        return Twist(self._pace, max(min(2.0 * left, self._turn), -self._turn))
 
     def _goes(self, twist: Twist) -> bool:
         """True if it is to get somewhere."""

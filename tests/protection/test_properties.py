@@ -122,7 +122,8 @@ def test_from_what_it_closes_on_it_can_always_still_stop(
     wish = Twist(straight.linear, straight.angular, aside * platform.limits.lateral)
     safe = decided(platform, scan, wish, age=age).safe
     speed = np.array([safe.linear, safe.lateral])
-    along = speed / max(float(np.hypot(*speed)), 1e-12)
+    wished = np.array([wish.linear, wish.lateral])
+    along = wished / np.hypot(*wished) if wished.any() else np.array([1.0, 0.0])
     free = settings["margin"] + settings["unseen_extent"]
     for point in points(platform, scan):
         gap, at, towards = outline_point(platform.footprint, point)

@@ -11,9 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmd.platforms import load_platform
-from swarmd.protection.barrier import Barrier
+from swarmd.protection.barrier import TICK, Barrier
 from swarmd.protection.footprint import Sight
 from swarmd.protection.moment import Moment
+from swarmd.protection.reach import Reach
 from swarmd.testing.scans import scan_from
 from swarmd.testing.yard import under_barrier
 from swarmd.values import Odometry, Platform, Pose, Twist
@@ -28,11 +29,24 @@ RETURNS = st.lists(st.tuples(st.integers(0, 359), st.integers(1, 30), st.floats(
 BEGIN = 10.0
 
 
+FAR = 100.0
+
+
+class Everywhere(Reach):
+    """Says of anything that it may bind."""
+
+    def after(self, age: float) -> float:
+        return FAR
+
+
 class SeesAll(Barrier):
     """One that considers every return, however far."""
 
-    def _reach_after(self, age: float) -> float:
-        return 100.0
+    def __init__(self, platform: Platform) -> None:
+        super().__init__(platform)
+        assert self._furthest < FAR
+        self._reach = Everywhere(platform, self._settings, TICK)
+        self._furthest = FAR
 
 
 def driving(twist: Twist, seconds: float) -> Odometry:
