@@ -41,6 +41,7 @@ _BARRIER = "swarmd/protection/barrier.py"
 _FRONT = "swarmd/protection/front.py"
 _MEMORY = "swarmd/protection/memory.py"
 _MOTION = "swarmd/protection/motion.py"
+_REACH = "swarmd/protection/reach.py"
 _SENSES = "swarmd/senses.py"
 _SWEEP = "swarmd/protection/sweep.py"
 
@@ -81,7 +82,7 @@ MUTANTS = (
     Mutant(
         "reach",
         "what the robot covers itself while a sweep ages does not count",
-        _BARRIER,
+        _REACH,
         "(settings.others_speed + speed) * age",
         "settings.others_speed * age",
     ),
