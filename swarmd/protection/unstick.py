@@ -18,7 +18,7 @@ import numpy as np
 from swarmd.protection.moment import Moment
 from swarmd.values import ZERO, Array, Limits, Twist
 
-_BLOCKED = 0.6  # who gets less than this share of the speed he asks for is blocked
+_BLOCKED = 0.5  # who gets less than this share of the speed he asks for is blocked
 _PATIENCE = 0.1  # s for which it is so before something is done
 _LEAST = 0.1  # of the limits: slower wishes are not going anywhere
 _STANDS = 1.0  # s after which turning that does not turn gives way to moving along the axis
@@ -26,7 +26,7 @@ _FOLLOWS = 1.5  # s for which a free way is followed
 _BACKS = 0.8  # s
 _ENDS = 8.0  # s after which it lets go, whatever has come of it
 _KEEPS_SIDE = 10.0  # s for which it goes on to the side that it has once chosen
-_FLIP = 0.15  # chance to take the other side, so that two do not dance for ever
+_FLIP = 0.05  # chance to take the other side, so that two do not dance for ever
 _ALIGNED = math.radians(15.0)
 _OTHER_SIDE = math.radians(40.0)  # what a way on the other side must be nearer, to be taken
 _AXIS = np.array((0.0, np.pi))
