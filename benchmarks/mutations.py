@@ -41,6 +41,7 @@ _BARRIER = "swarmd/protection/barrier.py"
 _FRONT = "swarmd/protection/front.py"
 _MEMORY = "swarmd/protection/memory.py"
 _MOTION = "swarmd/protection/motion.py"
+_PRESSING = "swarmd/protection/pressing.py"
 _REACH = "swarmd/protection/reach.py"
 _SENSES = "swarmd/senses.py"
 _SWEEP = "swarmd/protection/sweep.py"
@@ -136,6 +137,13 @@ MUTANTS = (
         _SWEEP,
         "((linear, angular), (np.inf, angular), (linear, np.inf))",
         "((linear, angular), (linear, angular), (linear, angular))",
+    ),
+    Mutant(
+        "sliding",
+        "what it slides along is met where it was seen alone",
+        _BARRIER,
+        "rows = joined(rows, sliding(rows, facing, along, rest, CREEP))",
+        "pass",
     ),
     Mutant(
         "creep",
@@ -289,9 +297,9 @@ MUTANTS = (
     Mutant(
         "sector of a touch zone",
         "a zone is all around",
-        _BARRIER,
-        "<= touch.half_width",
-        "<= 2.0 * np.pi",
+        _PRESSING,
+        "np.abs((off + np.pi) % (2.0 * np.pi) - np.pi) <= zone.half_width",
+        "np.abs(off) <= 100.0",
     ),
     Mutant(
         "speed of a touch zone",

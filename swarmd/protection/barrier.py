@@ -29,10 +29,11 @@ from swarmd.protection.footprint import Facing, Footprint, Sight
 from swarmd.protection.memory import NearMemory
 from swarmd.protection.moment import Moment
 from swarmd.protection.motion import REACTION, TRUSTED, Motion, relative
-from swarmd.protection.pressing import pressing
+from swarmd.protection.pressing import covered, pressing
 from swarmd.protection.reach import Reach
-from swarmd.protection.rows import Rows, bounding, joined, placed, split
+from swarmd.protection.rows import Rows, bounding, joined, most, placed, split
 from swarmd.protection.settings import BarrierSettings
+from swarmd.protection.sliding import sliding
 from swarmd.protection.sweep import Braking
 from swarmd.protection.unstick import Berth
 from swarmd.protection.verdict import Decision
@@ -170,13 +171,12 @@ class Barrier:
         if self._restarts != self._motion.restarts:
             return Decision(ZERO, is_active=True)  # until a scan is placed anew
         along, speed = split(wish)
-        limits = self._most(along), self._limits.angular
+        limits = most(self._limits, along), self._limits.angular
         bounds = self._bounds((moment, along, touch), command, limits)
         wanted = speed / limits[0], wish.angular / limits[1]
         point, tight = nearest_feasible(wanted, BOX, bounds.normals, bounds.caps)
         s, angular = point[0] * limits[0], point[1] * limits[1]
-        if touch is None:
-            s, angular = self._swept(s, angular, along, bounds, moment)
+        s, angular = self._swept(s, angular, bounds)
         if point == wanted and (s, angular) == (point[0] * limits[0], point[1] * limits[1]):
             return Decision(wish, is_active=False)
         if not tight and bounds.points:  # what is met only while braking: the nearest, most likely
@@ -193,10 +193,9 @@ class Barrier:
             self._known = _Bounds(occasion, rows, count, *half_planes)
         return self._known
 
-    def _swept(
-        self, s: float, angular: float, along: Point, bounds: _Bounds, moment: Moment
-    ) -> tuple[float, float]:
+    def _swept(self, s: float, angular: float, bounds: _Bounds) -> tuple[float, float]:
         """The speeds, or less if the outline would not stay clear while the robot brakes."""
+        moment, along, touch = bounds.occasion
         settings, first = self._settings, len(self._seen.ways)
         radius, age = self._radius, moment.now - self._taken + REACTION
         seconds = TICK + max(
@@ -209,6 +208,8 @@ class Barrier:
         near = np.flatnonzero(rows.gaps[first : bounds.points] <= reached) + first
         if not len(near):
             return s, angular
+        if touch is not None:
+            near = near[~covered(self._outline.facing(rows.x[near], rows.y[near]), touch)]
         points = np.stack((rows.x[near], rows.y[near]), axis=1)
         need = np.array((free + others * age, others))
         speeds = self._braking.clear(
@@ -249,6 +250,8 @@ class Barrier:
         free = self._free(moment)
         room = facing.gap - free
         rows = self._limit(facing, room, x, y, along, age)
+        rest = 0.5 * (facing.gap - self._touched) / (age + TICK)
+        rows = joined(rows, sliding(rows, facing, along, rest, CREEP))
         if self._settings.unseen_extent > 0.0:
             touched = len(seen.ways)  # where these are on the outline is a guess
             beyond = facing.gap[touched:], x[touched:], y[touched:]
@@ -336,9 +339,7 @@ class Barrier:
         sector. Nothing may be faster that way, for what is pushed is not always seen.
         """
         facing = self._outline.facing(rows.x, rows.y)
-        off = np.arctan2(facing.ny, facing.nx) - touch.bearing
-        is_covered = np.abs((off + np.pi) % (2.0 * np.pi) - np.pi) <= touch.half_width
-        caps = np.where(is_covered, np.maximum(rows.caps, touch.speed), rows.caps)
+        caps = np.where(covered(facing, touch), np.maximum(rows.caps, touch.speed), rows.caps)
         nx, ny, x, y = pressing(self._outline.corners, touch)
         speeds, gaps = np.full(len(x), touch.speed), np.full(len(x), np.inf)  # of nothing seen
         linear, lever = nx * along[0] + ny * along[1], x * ny - y * nx
@@ -388,11 +389,3 @@ class Barrier:
         late = max((moment.odometry_age or 0.0) - TRUSTED, 0.0)
         blurred = (late + self._lag) * self._speed
         return self._settings.margin + self._settings.unseen_extent + blurred
-
-    def _most(self, along: Point) -> float:
-        """The limit of the linear speed in a direction."""
-        linear, lateral = abs(along[0]), abs(along[1])
-        return min(
-            self._limits.linear / linear if linear else math.inf,
-            self._limits.lateral / lateral if lateral else math.inf,
-        )

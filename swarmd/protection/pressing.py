@@ -1,4 +1,4 @@
-"""How fast an outline presses into the directions of a touch zone, whatever is there.
+"""What a touch zone covers, and how fast an outline presses into its directions.
 
 A lidar does not show what touches the robot, and what is pushed moves along with it. So the speed
 of a zone is not that of closing on what is seen, but of moving its way at all.
@@ -10,7 +10,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from swarmd.protection.footprint import Facing
 from swarmd.values import Array, TouchZone
 
 _STEP = math.radians(15.0)  # between directions: what lies between is at most 1 % faster
@@ -24,6 +26,13 @@ class Pressing(NamedTuple):
     ny: Array
     x: Array
     y: Array
+
+
+def covered(facing: Facing, zone: TouchZone) -> NDArray[np.bool_]:
+    """(k,) true for what an outline faces in the sector of the zone."""
+    off = np.arctan2(facing.ny, facing.nx) - zone.bearing
+    found: NDArray[np.bool_] = np.abs((off + np.pi) % (2.0 * np.pi) - np.pi) <= zone.half_width
+    return found
 
 
 def pressing(corners: Array, zone: TouchZone) -> Pressing:

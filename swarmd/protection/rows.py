@@ -9,7 +9,7 @@ import numpy as np
 
 from swarmd.protection.feasible import Point
 from swarmd.protection.verdict import Row
-from swarmd.values import Array, Pose, Twist
+from swarmd.values import Array, Limits, Pose, Twist
 
 MOST = 4
 """Rows that a verdict names."""
@@ -52,6 +52,15 @@ def split(wish: Twist) -> tuple[Point, float]:
         return (1.0, 0.0), wish.linear
     speed = math.hypot(wish.linear, wish.lateral)
     return (wish.linear / speed, wish.lateral / speed), speed
+
+
+def most(limits: Limits, along: Point) -> float:
+    """The limit of the linear speed in a direction, in m/s."""
+    linear, lateral = abs(along[0]), abs(along[1])
+    return min(
+        limits.linear / linear if linear else math.inf,
+        limits.lateral / lateral if lateral else math.inf,
+    )
 
 
 def placed(x: Array, y: Array, frame: Pose) -> tuple[Array, Array]:

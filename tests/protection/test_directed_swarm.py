@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.sim.metrics.gap import minimum_gap
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace
 
@@ -39,14 +40,16 @@ def meeting(
     visibility: str = "body",
     arena: dict[str, Any] | None = None,
 ) -> Trace:
-    """What comes of it; platforms as they are, and `ram-<platform>`, which nothing protects."""
+    """What comes of it; platforms as they are, and those that nothing protects or that see all."""
     barrier = {kind: {"extends": kind, "protection": {"mode": "barrier"}} for kind in KINDS}
     free = {f"ram-{kind}": {"extends": kind, "protection": {"mode": "off"}} for kind in KINDS}
+    whole = {"mode": "barrier", "barrier": {"unseen_extent": 0.0}}
+    seeing = {f"seeing-{kind}": {"extends": kind, "protection": whole} for kind in KINDS}
     data = {
         "duration": duration,
         "lidar_visibility": visibility,
         "arena": {"size": [12.0, 12.0], **(arena or {})},
-        "platforms": {**barrier, **free},
+        "platforms": {**barrier, **free, **seeing},
         "groups": {f"group-{one['robots'][0]}": one for one in groups},
     }
     return simulate_run(scenario_of(data), seed)
@@ -125,3 +128,17 @@ def test_who_turns_beside_another_does_not_swing_into_it() -> None:
         group("burger", "b", (-0.4, 1.5, -math.pi / 2), 0.22),
     )
     assert len(trace.contact_t) == 0
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+def test_two_that_slide_along_each_other_to_the_same_place_keep_apart(seed: int) -> None:
+    """Each closes on nothing that it faces, if that stands: it is their corners that would meet."""
+    trace = meeting(
+        group("seeing-waffle_pi", "a", (0.0, 0.296, -0.24), 0.2),
+        group("seeing-waffle_pi", "b", (0.1, -0.296, 0.37), 0.2),
+        seed=seed,
+        duration=6.0,
+    )
+    assert len(trace.contact_t) == 0
+    assert minimum_gap(trace) > 0.07
+    assert min(driven(trace, "a"), driven(trace, "b")) > 0.3

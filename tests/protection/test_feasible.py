@@ -36,13 +36,16 @@ def half_planes(rows: Rows) -> tuple[Array, Array]:
 
 
 def solver(wish: Wish, polygon: Polygon, normals: Array, caps: Array) -> Array:
-    """The same by quadprog: an active-set method that shares nothing with ours."""
+    """The same by quadprog: an active-set method that shares nothing with ours.
+
+    Where rows leave but a point it takes rounding for a contradiction, so it gets a little more.
+    """
     corners = np.array(polygon)
     edges = np.roll(corners, -1, axis=0) - corners
     outward = np.stack((edges[:, 1], -edges[:, 0]), axis=1)
     rows = np.concatenate((outward, normals))
     bounds = np.concatenate(((outward * corners).sum(axis=1), caps))
-    point: Array = quadprog.solve_qp(np.eye(2), np.array(wish), -rows.T, -bounds)[0]
+    point: Array = quadprog.solve_qp(np.eye(2), np.array(wish), -rows.T, -bounds - 1e-12)[0]
     return point
 
 
