@@ -142,8 +142,8 @@ MUTANTS = (
         "sliding",
         "what it slides along is met where it was seen alone",
         _BARRIER,
-        "rows = joined(rows, sliding(rows, facing, along, rest, CREEP))",
-        "pass",
+        "rows = joined(rows, sliding(rows, facing, self._outline.corners, along, rest, CREEP))",
+        "rest *= 1.0",
     ),
     Mutant(
         "creep",

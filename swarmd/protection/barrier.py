@@ -251,7 +251,7 @@ class Barrier:
         room = facing.gap - free
         rows = self._limit(facing, room, x, y, along, age)
         rest = 0.5 * (facing.gap - self._touched) / (age + TICK)
-        rows = joined(rows, sliding(rows, facing, along, rest, CREEP))
+        rows = joined(rows, sliding(rows, facing, self._outline.corners, along, rest, CREEP))
         if self._settings.unseen_extent > 0.0:
             touched = len(seen.ways)  # where these are on the outline is a guess
             beyond = facing.gap[touched:], x[touched:], y[touched:]

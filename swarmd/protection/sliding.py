@@ -21,11 +21,14 @@ _ASIDE = math.radians(60.0)
 """By how much it may be in another direction than it was seen: moving away stays free."""
 
 
-def sliding(rows: Rows, facing: Facing, along: Point, rest: Array, creep: float) -> Rows:
+def sliding(
+    rows: Rows, facing: Facing, corners: Array, along: Point, rest: Array, creep: float
+) -> Rows:
     """Two more for each of `rows` whose cap is 0; `facing` is how the outline faces them.
 
-    `rest` (k,) m/s is how fast it may come nearer without a touch before it has looked again,
-    where the other does the same; `creep` m/s is always allowed.
+    They bound its corners (c, 2) that are foremost in these directions. `rest` (k,) m/s is how fast
+    it may come nearer without a touch before it has looked again, where the other does the same;
+    `creep` m/s is always allowed.
     """
     near = np.flatnonzero(rows.caps <= 0.0)
     x, y, gaps, nx, ny = (
@@ -34,7 +37,8 @@ def sliding(rows: Rows, facing: Facing, along: Point, rest: Array, creep: float)
     )
     sin = np.repeat((math.sin(_ASIDE), -math.sin(_ASIDE)), len(near))
     ax, ay = math.cos(_ASIDE) * nx - sin * ny, sin * nx + math.cos(_ASIDE) * ny
-    lever = (x - gaps * nx) * ay - (y - gaps * ny) * ax
-    linear = ax * along[0] + ay * along[1]
+    foremost = corners[(corners[:, :1] * ax + corners[:, 1:] * ay).argmax(axis=0)]
+    lever = foremost[:, 0] * ay - foremost[:, 1] * ax
     caps = np.maximum(rest[near], creep)
-    return Rows(linear, lever, np.concatenate((caps, caps)), x, y, gaps)
+    caps = np.concatenate((caps, caps))
+    return Rows(ax * along[0] + ay * along[1], lever, caps, x, y, gaps)
