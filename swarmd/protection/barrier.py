@@ -121,7 +121,7 @@ class Barrier:
         self._within = within if given_within is None else given_within
 
     def berth(self, speed: float) -> Berth:
-        """Where a row would not yet keep it below that speed ahead, nor stop it beside."""
+        """Where a row would not yet keep it below that speed ahead, nor hold it up beside."""
         settings, braking = self._settings, np.array([self._settings.braking_linear])
         age = 0.5 / self._spec.rate + self._spec.latency + REACTION
 
@@ -137,7 +137,7 @@ class Barrier:
 
         ahead = next((d for d in np.arange(0.0, 5.0, 0.05) if fastest(d) >= speed), 5.0)
         beside = float(np.abs(self._outline.corners[:, 1]).max())
-        beside += settings.margin + settings.unseen_extent + 0.03
+        beside += settings.margin + settings.unseen_extent + 0.06
         return Berth(float(ahead), max(beside, settings.keep_out or 0.0))
 
     def observe(self, scan: Scan, sight: Sight, moment: Moment) -> None:

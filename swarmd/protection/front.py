@@ -13,7 +13,7 @@ from swarmd.protection.unstick import Unstick
 from swarmd.protection.verdict import Decision, Verdict
 from swarmd.values import ZERO, Array, Platform, Scan, Twist
 
-_EASE = 0.6  # of the top speed is what a way must allow to be led along it
+_EASE = 0.95  # of the top speed is what a way must allow to be led along it
 _STAND = Decision(ZERO, is_active=False)
 
 
