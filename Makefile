@@ -35,7 +35,7 @@ format: $(VENV)/tools
 bench: $(VENV)/tools
 	@$(BIN)/python -m benchmarks $(ARGS)
 
-# The tables and figures of docs/paper.md, in build/paper: 480 runs, half an hour on one core.
+# The tables and figures of docs/paper.md, in build/paper: 640 runs, half an hour on two cores.
 paper: $(VENV)/tools
 	@$(BIN)/python -m benchmarks.paper $(ARGS)
 

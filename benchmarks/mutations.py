@@ -43,6 +43,7 @@ _MEMORY = "swarmd/protection/memory.py"
 _MOTION = "swarmd/protection/motion.py"
 _PRESSING = "swarmd/protection/pressing.py"
 _REACH = "swarmd/protection/reach.py"
+_SCANS = "swarmd/scans.py"
 _SENSES = "swarmd/senses.py"
 _SWEEP = "swarmd/protection/sweep.py"
 
@@ -190,9 +191,30 @@ MUTANTS = (
     Mutant(
         "memory of the blind zone",
         "what a blind sensor no longer sees is not there",
-        _BARRIER,
+        _MEMORY,
         'if spec.near == "reported" or spec.range_min <= 0.0:',
         "if True:",
+    ),
+    Mutant(
+        "faces too wide to vanish",
+        "what goes on inside is hidden only where nothing is seen beside it",
+        _MEMORY,
+        "if crossings == 2 and width < _FACE:",
+        "if False:",
+    ),
+    Mutant(
+        "ends of faces",
+        "what goes on inside at one end of a shadow is not there",
+        _MEMORY,
+        "is_within |= inside[_nearest(rays, bearings)[0]]",
+        "pass",
+    ),
+    Mutant(
+        "what hides comes nearer",
+        "what has vanished stays where it was seen last",
+        _MEMORY,
+        "nearest - self._speed * seconds",
+        "nearest",
     ),
     Mutant(
         "clearing by what is seen beyond",
@@ -223,11 +245,18 @@ MUTANTS = (
         "pass",
     ),
     Mutant(
+        "what is left behind",
+        "what hid in the open is remembered wherever the robot goes",
+        _MEMORY,
+        "is_hidden &= bool(np.hypot(*self._from) < _LEFT * self._blind)",
+        "pass",
+    ),
+    Mutant(
         "narrow shadows fade",
         "what cannot be a robot is remembered as long as one",
         _MEMORY,
-        "_PLAIN if width >= narrow else LASTS / _BRIEFLY",
-        "_PLAIN",
+        "0.0 if crossings or width >= narrow else youngest + seconds",
+        "0.0",
     ),
     Mutant(
         "stale stop",
@@ -235,6 +264,20 @@ MUTANTS = (
         _SENSES,
         "if age > self._stale_after:",
         "if age > 1e9:",
+    ),
+    Mutant(
+        "sweeps that are repeated",
+        "the same sweep again is a new one",
+        _SCANS,
+        "if self._repeats(scan, odometry):",
+        "if False:",
+    ),
+    Mutant(
+        "sweeps that lack rays",
+        "where no ray goes nothing is",
+        _SCANS,
+        "and _widest_between(bearings) <= self._most",
+        "",
     ),
     Mutant(
         "lost odometry",

@@ -31,9 +31,9 @@ from swarmd.values import Array
 SCENARIOS = ("burger", "waffle_pi", "jackal", "hardware")
 TURTLEBOTS = SCENARIOS[:2]
 VISIBILITIES = ("body", "real")
-LAWS = ("settling", "paper")
 ORIGINAL = "original"
 """Law `paper` under protection mode `potential_field`."""
+DRAWN = ("settling", ORIGINAL)
 
 SEEDS = range(20)
 FRESH = range(500, 520)
@@ -220,7 +220,7 @@ def draw(found: Mapping[tuple[str, str, bool], Results], out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     for name in TURTLEBOTS:
         groups: dict[str, list[Series]] = {}
-        for law in LAWS:
+        for law in DRAWN:
             results = found.get((name, law, False))
             for run in results.runs if results else ():
                 trace = results.traces[run.id] if results else None
@@ -231,7 +231,7 @@ def draw(found: Mapping[tuple[str, str, bool], Results], out: Path) -> None:
         if groups:
             draw_series(groups, out / f"paper_{name}_mdc.png", label="mean distance to centroid",
                         unit="m", title=f"paper_exp1_{name}", target=MDC_LATE[name])  # fmt: skip
-    for law in LAWS:
+    for law in DRAWN:
         results = found.get(("waffle_pi", law, False))
         if results is not None:
             variant = variant_of("real")

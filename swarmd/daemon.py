@@ -39,8 +39,8 @@ from swarmd.reading import HALTS, RequestReader
 from swarmd.robot import Robot
 from swarmd.runner import ProcessRunner
 from swarmd.settings import DaemonSettings
-from swarmd.status import RobotSettings
-from swarmd.values import ZERO, Neighbor, Odometry, Scan
+from swarmd.status import RobotSettings, with_health
+from swarmd.values import ZERO, Neighbor, Odometry, Scan, Twist
 
 log = logging.getLogger(__name__)
 
@@ -116,6 +116,9 @@ class Daemon:
         try:
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
             if living.done():
+                error = living.exception()
+                if not isinstance(error, SwarmError):
+                    self._crash = self._crash or error
                 living.result()
             if self._crash is not None:
                 raise self._crash
@@ -128,6 +131,8 @@ class Daemon:
             finally:
                 for end in ends:
                     await _end(end)
+        if self._crash is not None:  # on the way out
+            raise self._crash
 
     # Coming and going
 
@@ -152,9 +157,18 @@ class Daemon:
     def _on_crash(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """A callback of ours raised: a guardian that cannot think must not let the body move."""
         loop.default_exception_handler(context)
-        self._driver.send(ZERO, -1, -1)
         self._crash = self._crash or context.get("exception") or RuntimeError(context["message"])
         self._crashed.set()
+        self._send(ZERO, -1, -1)
+
+    def _send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+        """Hand a command to the driver; one that raises ends the daemon, when all else is done."""
+        try:
+            self._driver.send(twist, scan_seq, wish_seq)
+        except Exception as error:  # a driver may raise anything
+            log.exception("driver %s: a command could not be sent", self._settings.driver)
+            self._crash = self._crash or error
+            self._crashed.set()
 
     async def _join(self) -> None:
         settings = self._settings
@@ -199,7 +213,7 @@ class Daemon:
         After a crash nobody is told that it left: its peers list it as failed.
         """
         self._heartbeat.stop()
-        self._driver.send(ZERO, -1, -1)
+        self._send(ZERO, -1, -1)
         try:
             if self._crash is None:
                 self._carry_out(self._robot.on_leave(boottime()))
@@ -214,11 +228,10 @@ class Daemon:
                 self._session.close()
 
     def _say_left(self) -> None:
-        if self._bus is None or self._claim is None:
-            return
-        status = self._with_health(self._robot.status(boottime()))
-        left = msgspec.structs.replace(status, has_left=True)
-        self._bus.publish("state", "status", encode(left), express=True)
+        if self._bus is not None and self._claim is not None:
+            status = self._with_health(self._robot.status(boottime()))
+            left = msgspec.structs.replace(status, has_left=True)
+            self._bus.publish("state", "status", encode(left), express=True)
 
     # What the driver hears
 
@@ -340,7 +353,7 @@ class Daemon:
             self._carry_out(self._robot.on_host(event, boottime()))
 
     def _carry_out(self, actions: Actions) -> None:
-        self._driver.send(actions.twist, actions.verdict.scan_seq, actions.wish_seq)
+        self._send(actions.twist, actions.verdict.scan_seq, actions.wish_seq)
         is_kept = actions.latches is None or self._latches.write(actions.latches)
         if actions.host is not None:
             if isinstance(actions.host, Load):
@@ -372,16 +385,9 @@ class Daemon:
 
     def _with_health(self, status: Status) -> Status:
         network = {} if self._bus is None else self._bus.dropped
-        dropped = {**status.health.dropped, **network, **self._drops}
-        if self._runner.dropped:
-            dropped["host/frames"] = self._runner.dropped
-        health = msgspec.structs.replace(
-            status.health,
-            loop_p99=self._heartbeat.p99,
-            loop_stalls=self._heartbeat.stalls,
-            dropped=dropped,
-        )
-        return msgspec.structs.replace(status, health=health)
+        frames = {"host/frames": self._runner.dropped} if self._runner.dropped else {}
+        dropped = {**status.health.dropped, **network, **self._drops, **frames}
+        return with_health(status, self._heartbeat.p99, self._heartbeat.stalls, dropped)
 
 
 async def _end(task: asyncio.Task[Any]) -> None:

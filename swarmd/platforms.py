@@ -14,6 +14,7 @@ import swarmd.config
 from swarmd.angles import wrap
 from swarmd.errors import ConfigError, unknown
 from swarmd.layered import Layered
+from swarmd.protection.footprint import Footprint
 from swarmd.protection.settings import (
     BarrierSettings,
     Mode,
@@ -139,6 +140,8 @@ def _check(layers: Layered, file: PlatformFile) -> None:
             ("footprint",),
             f"footprint {fault}; wanted a convex polygon in m, counter-clockwise seen from above",
         )
+    if file.protection.mode == "stop_zone":
+        _check_stop_zone(layers, file)
 
 
 def _check_scan(layers: Layered, scan: ScanSection) -> None:
@@ -183,6 +186,20 @@ def _check_protection(layers: Layered, file: PlatformFile) -> None:
         )
     if protection.mode == "barrier":
         _check_barrier(layers, file)
+
+
+def _check_stop_zone(layers: Layered, file: PlatformFile) -> None:
+    """What stands in the zone that stops the robot must be seen there."""
+    stop = file.protection.stop_zone.stop
+    reach, _ = Footprint(np.array(file.footprint)).circles(file.scan.offset)
+    if reach + stop < file.scan.range_min:
+        wanted = math.ceil(100.0 * (file.scan.range_min - reach)) / 100.0
+        raise layers.error(
+            ("protection", "mode"),
+            f"protection.mode is stop_zone, whose stop is {stop:g} m from the outline, where the"
+            f" sensor sees nothing yet; wanted is protection.stop_zone.stop of at least {wanted:g}"
+            " (and slow beyond it), or another mode",
+        )
 
 
 def _check_barrier(layers: Layered, file: PlatformFile) -> None:

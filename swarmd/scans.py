@@ -7,6 +7,7 @@ close to measure); no ray is unknown any more.
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,11 @@ from swarmd.angles import wrap
 from swarmd.messages import Reason
 from swarmd.values import Array, Odometry, Scan, ScanSpec
 
-FROZEN_AFTER = 10  # identical scans of a noisy sensor while the robot moves
+FROZEN_AFTER = 3  # times that a noisy sensor repeats itself
+RING = 4  # sweeps that it may repeat: drivers give what is in their buffers
+TELLING = 8  # returns that a noisy sensor does not give twice, even of a scene that stands
+RESTARTED_AFTER = 3  # sweeps in order: then one that counts from below has been started anew
+DARK = 0.1  # of the rays: so many returns well within its range do not vanish from one sweep on
 MOVES_LINEAR = 0.02
 MOVES_ANGULAR = 0.05
 NEAR_MARGIN = 0.10  # an LDS ray that was this close to range_min may vanish into a zero
@@ -73,21 +78,28 @@ class ScanConditioner:
     What it remembers stays where it was as the sensor turns, as far as odometry tells.
 
     `take` returns the conditioned scan, or the reason why this one is none: INVALID_SCAN (lengths
-    differ, no rays, fewer than half known, a sector wider than `max_gap` unknown) or FROZEN_SCAN
-    (stamp or sequence stands still; bit-identical scans of a noisy sensor while odometry moves).
+    differ, no rays, fewer than half known, a sector wider than `max_gap` unknown or, unless the
+    sensor never has any there, without rays; nothing seen any more where much was in the sweep
+    before) or FROZEN_SCAN (stamp or sequence does not rise; bit-identical scans of a noisy sensor).
 
     `known_at` is the time in s as of which the last scan it gave can be relied on: that of its
-    arrival, unless a sector wider than `max_gap` is remembered in it from earlier.
+    arrival, unless a sector wider than `max_gap` is remembered in it from earlier, or it only
+    repeats one that came before.
     """
 
     def __init__(self, spec: ScanSpec, *, guesses_near: bool = True) -> None:
         """`guesses_near`: zeros of an LDS beside what was near are taken for too close."""
         self.known_at = -math.inf
         self._spec, self._guesses_near = spec, guesses_near
+        self._most = max(spec.max_gap, _widest_between(spec.bearings)) + 1e-9
         self._memory = _blank(np.empty(0))
         self._last: Scan | None = None
-        self._yaw = math.nan
+        self._newest = (-math.inf, -math.inf)  # sequence and stamp
+        self._in_order = 0
+        self._recent: deque[bytes] = deque(maxlen=RING)
         self._identical = 0
+        self._far = 0  # returns well within its range, when it last saw anything
+        self._yaw = math.nan
 
     def take(self, scan: Scan, odometry: Odometry | None, now: float) -> Scan | Reason:
         """Condition one scan that arrived at `now` (s on this machine's clock)."""
@@ -96,10 +108,16 @@ class ScanConditioner:
         if scan.ranges.shape != scan.bearings.shape:
             return Reason.INVALID_SCAN
         is_known = scan.bearings is self._memory.bearings
-        if not is_known and not np.isfinite(scan.bearings).all():
+        if not is_known and not self._looks_around(scan.bearings):
             return Reason.INVALID_SCAN
-        if self._is_frozen(scan, odometry):
+        if not self._follows(scan):
             return Reason.FROZEN_SCAN
+        if self._repeats(scan, odometry):
+            now = self.known_at  # it tells nothing new
+            if self._identical >= FROZEN_AFTER:
+                return Reason.FROZEN_SCAN
+        if self._goes_dark(scan.ranges):
+            return Reason.INVALID_SCAN
         memory = self._memory.at(scan.bearings, self._turned(odometry))
         ranges = self._meanings(scan.ranges, memory, now)
         unknown = np.isnan(ranges)
@@ -132,22 +150,51 @@ class ScanConditioner:
         self._yaw += turned
         return turned
 
-    def _is_frozen(self, scan: Scan, odometry: Odometry | None) -> bool:
+    def _looks_around(self, bearings: Array) -> bool:
+        """Whether rays go wherever this sensor has any: where none goes nothing would be seen."""
+        return bool(np.isfinite(bearings).all()) and _widest_between(bearings) <= self._most
+
+    def _follows(self, scan: Scan) -> bool:
+        """Whether it was taken after all others; of a sensor that starts anew, after a few."""
         last, self._last = self._last, scan
-        if last is None:
+        if not (scan.seq > self._newest[0] and scan.stamp > self._newest[1]):
+            is_next = last is not None and scan.seq > last.seq and scan.stamp > last.stamp
+            self._in_order = self._in_order + 1 if is_next else 0
+            if self._in_order < RESTARTED_AFTER:
+                return False
+        self._in_order, self._newest = 0, (scan.seq, scan.stamp)
+        return True
+
+    def _repeats(self, scan: Scan, odometry: Odometry | None) -> bool:
+        """Whether the same comes again of a noisy sensor, which cannot be.
+
+        Where it sees next to nothing it can, unless it moves.
+        """
+        if not self._spec.is_noisy:
             return False
-        if scan.seq == last.seq or scan.stamp == last.stamp:
-            return True
-        is_same = (
-            self._spec.is_noisy
-            and scan.ranges.tobytes() == last.ranges.tobytes()
-            and bool((np.isfinite(scan.ranges) & (scan.ranges != 0.0)).any())
-        )
-        if not is_same:
+        raw = scan.ranges.tobytes()
+        if raw not in self._recent:
+            self._recent.append(raw)
             self._identical = 0
-        elif odometry is not None and _moves(odometry):
-            self._identical += 1
-        return self._identical >= FROZEN_AFTER
+            return False
+        returns = int(np.count_nonzero(np.isfinite(scan.ranges) & (scan.ranges != 0.0)))
+        is_moving = odometry is not None and _moves(odometry)
+        repeats = returns >= (1 if is_moving else TELLING)
+        self._identical += repeats
+        return repeats
+
+    def _goes_dark(self, raw: Array) -> bool:
+        """Whether it sees nothing since a sweep in which it saw much that was not near.
+
+        That is a sensor that is blind, not an open field. What comes nearer than it can see may
+        hide all the rest, but then that was near before.
+        """
+        spec = self._spec
+        if ((raw > 0.0) & (raw <= spec.range_max) | (raw == -np.inf)).any():
+            is_far = (raw > spec.range_min + NEAR_MARGIN) & (raw < 0.8 * spec.range_max)
+            self._far = int(np.count_nonzero(is_far))
+            return False
+        return self._far >= DARK * len(raw)
 
     def _known_at(self, scan: Scan, unknown: Mask, memory: _Memory, now: float) -> float:
         """The latest time since when no sector wider than `max_gap` has gone unseen.
@@ -237,6 +284,13 @@ def _is_beside(bearings: Array, near: Array) -> Mask:
         return np.zeros(len(bearings), dtype=np.bool_)
     off = np.abs((bearings[:, None] - near + math.pi) % (2.0 * math.pi) - math.pi)
     return np.asarray(off.min(axis=1) <= NEAR_SECTOR + 1e-9)
+
+
+def _widest_between(bearings: Array) -> float:
+    """The widest sector in rad between two rays side by side; a full turn with a single one."""
+    turn = 2.0 * math.pi
+    rising = np.sort(bearings % turn)
+    return float(np.diff(rising, append=rising[0] + turn).max())
 
 
 def _widest(unknown: Mask, bearings: Array) -> float:

@@ -59,7 +59,9 @@ class Senses:
 
     def on_scan(self, scan: Scan, now: float) -> bool:
         """Take in a driver's scan; True if it is a new, valid one."""
-        conditioned = self._conditioner.take(scan, self.odometry, now)
+        at = self._odometry_at
+        is_told = at is not None and now - at <= ODOMETRY_STALE_AFTER
+        conditioned = self._conditioner.take(scan, self.odometry if is_told else None, now)
         if isinstance(conditioned, Reason):
             self._problem = conditioned
             return False
@@ -71,7 +73,12 @@ class Senses:
         return True
 
     def on_odometry(self, odometry: Odometry, now: float) -> None:
-        """Take in a measured pose and twist; one whose stamp stands still does not count."""
+        """Take in a measured pose and twist; one whose stamp stands still does not count.
+
+        One that is not finite never came.
+        """
+        if not (odometry.pose.is_finite and odometry.twist.is_finite):
+            return
         if self.odometry is None or odometry.stamp != self.odometry.stamp:
             self._odometry_at = now
         self.odometry = odometry

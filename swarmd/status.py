@@ -146,3 +146,13 @@ def _clean(report: Mapping[str, Scalar]) -> dict[str, Scalar]:
         except msgspec.ValidationError:
             continue
     return cleaned
+
+
+def with_health(
+    status: Status, loop_p99: float, loop_stalls: int, dropped: Mapping[str, int]
+) -> Status:
+    """The status with what its daemon knows: of its loop in s, and inputs dropped by cause."""
+    health = msgspec.structs.replace(
+        status.health, loop_p99=loop_p99, loop_stalls=loop_stalls, dropped=dropped
+    )
+    return msgspec.structs.replace(status, health=health)

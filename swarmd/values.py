@@ -66,6 +66,11 @@ class Pose(Struct, frozen=True):
     y: float = 0.0
     yaw: float = 0.0
 
+    @property
+    def is_finite(self) -> bool:
+        """True if neither position nor yaw is NaN or infinite."""
+        return math.isfinite(self.x) and math.isfinite(self.y) and math.isfinite(self.yaw)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:

@@ -10,6 +10,7 @@ import pytest
 from swarmd.codec import Decoder, encode
 from swarmd.daemon import Daemon
 from swarmd.driver import Finding, Sink
+from swarmd.latchfile import LatchFile
 from swarmd.messages import Code, Reply, Request
 from swarmd.settings import DaemonSettings, load_daemon_settings
 from swarmd.testing.processes import unique_swarm
@@ -112,6 +113,80 @@ def test_a_guardian_that_raises_sends_zero_and_ends(
     with pytest.raises(ZeroDivisionError, match="on purpose"):
         asyncio.run(live())
     assert driver.sent[-1].is_zero
+
+
+class Unplugged(Notes):
+    """One whose commands cannot be sent any more, from some time on."""
+
+    is_gone = False
+
+    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+        if self.is_gone:
+            raise OSError("unplugged")
+        super().send(twist, scan_seq, wish_seq)
+
+
+def test_an_estop_is_kept_and_answered_though_its_zero_cannot_be_sent(tmp_path: Path) -> None:
+    driver = Unplugged()
+    asked = Asked(Request(id="e1", operator="alice", verb="estop"))
+    settings = settings_in(tmp_path)
+
+    async def live() -> None:
+        daemon = Daemon(settings, driver)
+
+        def ask() -> None:
+            driver.is_gone = True
+            daemon._on_request("estop")(asked)
+
+        asyncio.get_running_loop().call_later(0.5, ask)
+        async with asyncio.timeout(30.0):
+            await daemon.run(asyncio.Event())
+
+    with pytest.raises(OSError, match="unplugged"):
+        asyncio.run(live())
+    assert [reply.code for reply in asked.replies] == [Code.APPLIED]
+    assert LatchFile(settings.state_dir / settings.swarm / settings.id).read()
+
+
+@pytest.mark.parametrize("when", ["while it runs", "when it ends"])
+def test_a_driver_that_takes_no_commands_ends_the_daemon(tmp_path: Path, when: str) -> None:
+    driver = Unplugged()
+
+    async def live() -> None:
+        stop = asyncio.Event()
+        daemon = Daemon(settings_in(tmp_path), driver)
+
+        def unplug() -> None:
+            driver.is_gone = True
+            if when == "when it ends":
+                stop.set()
+
+        asyncio.get_running_loop().call_later(0.5, unplug)
+        async with asyncio.timeout(30.0):
+            await daemon.run(stop)
+
+    with pytest.raises(OSError, match="unplugged"):
+        asyncio.run(live())
+
+
+def test_peers_are_not_told_that_it_left_when_its_driver_raised(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Broken(Notes):
+        async def run(self, sink: Sink) -> None:
+            raise ZeroDivisionError("on purpose")
+
+    told: list[str] = []
+
+    async def live() -> None:
+        daemon = Daemon(settings_in(tmp_path), Broken())
+        monkeypatch.setattr(daemon, "_say_left", lambda: told.append("left"))
+        async with asyncio.timeout(30.0):
+            await daemon.run(asyncio.Event())
+
+    with pytest.raises(ZeroDivisionError, match="on purpose"):
+        asyncio.run(live())
+    assert told == []
 
 
 def test_a_daemon_that_is_told_to_end_while_it_joins_never_serves(tmp_path: Path) -> None:

@@ -247,3 +247,23 @@ def test_refuses_a_file_that_lacks_a_section(folder: Path, key: str) -> None:
 def test_refuses_unknown_names(name: str) -> None:
     with pytest.raises(ConfigError, match=rf"^no platform '{name}'; "):
         load_platform(name)
+
+
+def test_a_zone_that_its_sensor_cannot_see_stops_nothing(folder: Path) -> None:
+    zone = {"stop": 0.3, "slow": 0.9}
+    blind = {"extends": "jackal", "protection": {"mode": "stop_zone", "stop_zone": zone}}
+    with pytest.raises(ConfigError) as caught:
+        load_platform(write(folder, blind))
+    assert str(caught.value).startswith(
+        "x.yaml: protection.mode is stop_zone, whose stop is 0.3 m from the outline, where the"
+        " sensor sees nothing yet; wanted is protection.stop_zone.stop of at least 0.59"
+    )
+    zone["stop"] = 0.59
+    assert load_platform(write(folder, blind)).protection["mode"] == "stop_zone"
+
+
+def test_a_footprint_that_is_none_is_told_in_every_mode(folder: Path) -> None:
+    corners = [[0, 0], [1, 0], [1, 0], [0, 1]]
+    bad = {"extends": "burger", "footprint": corners, "protection": {"mode": "stop_zone"}}
+    with pytest.raises(ConfigError, match="footprint has the same corner twice"):
+        load_platform(write(folder, bad))

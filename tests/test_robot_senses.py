@@ -10,7 +10,8 @@ import pytest
 from swarmd.api import Scan, Twist
 from swarmd.messages import Reason, State
 from swarmd.testing.players import PATTERNS, standing_state, started
-from swarmd.testing.story import Story, empty_scan
+from swarmd.testing.scans import empty_scan
+from swarmd.testing.story import Story
 
 
 def test_no_scan_yet_holds_and_then_stops() -> None:
@@ -112,7 +113,7 @@ def test_a_changing_number_of_rays_does_not_stop_it() -> None:
         n = 350 + 5 * (seq % 4)
         bearings = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
         scan = empty_scan(story.platform, seq, now)
-        return replace(scan, ranges=np.full(n, 2.0), bearings=bearings)
+        return replace(scan, ranges=np.full(n, 2.0 + 1e-6 * seq), bearings=bearings)
 
     story.scans = changing
     story.commands.clear()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from swarmd.senses import (
     OVERHEAD,
     Senses,
 )
-from swarmd.testing.story import empty_scan
+from swarmd.testing.scans import empty_scan
 from swarmd.testing.variants import with_mode
 from swarmd.values import Neighbor, Odometry, Pose, Twist
 
@@ -101,3 +102,19 @@ def test_zeros_beside_what_is_near_are_guessed_unless_protection_remembers_it(mo
     senses.on_scan(replace(empty_scan(platform, 1, 0.2), ranges=ranges), 0.2)
     assert senses.scan is not None
     assert np.isneginf(senses.scan.ranges[97:104]).all() == (mode != "barrier")
+
+
+@pytest.mark.parametrize(
+    "odometry",
+    [
+        Odometry(1.0, Pose(), Twist(angular=math.inf)),
+        Odometry(1.0, Pose(math.nan), Twist()),
+        Odometry(1.0, Pose(yaw=-math.inf), Twist()),
+    ],
+)
+def test_odometry_that_is_not_finite_never_came(senses: Senses, odometry: Odometry) -> None:
+    first = Odometry(0.0, Pose(), Twist())
+    senses.on_odometry(first, 10.0)
+    senses.on_odometry(odometry, 10.2)
+    assert senses.odometry is first
+    assert senses.moment(10.2).odometry_age == pytest.approx(0.2)

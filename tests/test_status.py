@@ -12,7 +12,8 @@ import pytest
 from swarmd.messages import Reason, VerdictSummary
 from swarmd.status import ROWS
 from swarmd.testing.players import PATTERNS
-from swarmd.testing.story import Story, empty_scan
+from swarmd.testing.scans import empty_scan
+from swarmd.testing.story import Story
 from swarmd.values import Scan
 
 BARRIER = "extends: waffle_pi\nprotection: {mode: barrier}\n"
@@ -54,7 +55,7 @@ def test_says_what_bounds_the_command_the_tightest_first(story: Story) -> None:
     tightest = said.rows[0]
     assert math.radians(-40.0) < tightest.bearing < math.radians(-5.0)
     assert said.min_gap is not None
-    assert tightest.gap == pytest.approx(said.min_gap, abs=0.1)
+    assert tightest.gap == pytest.approx(said.min_gap, abs=0.05)
     assert said.scan_age is not None
 
 

@@ -28,11 +28,12 @@ VISIBILITIES = ("body", "real")
 MODES = ("barrier", "reciprocal", "potential_field", "stop_zone", "off", "ghost")
 RAMMERS = "rammers"
 """The group and, before their kind, the platform of those that ram: nothing protects from them."""
-DEV_SEEDS, ACCEPTANCE_SEEDS = range(100), range(1000, 10_000)
-"""Seeds to look at while one changes things, and those that nothing was chosen with."""
+DEV_SEEDS, ACCEPTANCE_SEEDS = range(100), range(2000, 10_000)
+"""Seeds to look at while one changes things, and those that nothing was chosen with: those from
+1000 on have been looked at by now."""
 
 _MIXED_SPEED = 0.4  # m/s: a mixed swarm agrees on what each assumes of the others
-_MIXED_KEEP_OUT = 0.85  # m: so that nobody gets to where a Jackal sees nothing
+_MIXED_KEEP_OUT = 0.92  # m: so that nobody gets to where a Jackal sees nothing
 
 
 class Room(Struct, frozen=True):

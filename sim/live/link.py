@@ -22,6 +22,7 @@ from swarmd.codec import MAX_CONTROL, encode
 from swarmd.errors import CodecError, ConfigError, NetworkError, SwarmError
 from swarmd.network.session import open_with
 from swarmd.network.sockets import tune_sockets
+from swarmd.sensing import CommandWire, decode_command
 from swarmd.sim.live.state import (
     Action,
     Triple,
@@ -79,7 +80,7 @@ class WorldLink:
         self.dropped = 0
         self._clock = clock
         self._lock = threading.Lock()
-        self._commands: dict[str, tuple[bytes, float]] = {}
+        self._commands: dict[str, tuple[CommandWire, float]] = {}
         self._questions: list[Question] = []
         self._swarm = swarm
         self._ids = frozenset(ids)
@@ -104,7 +105,7 @@ class WorldLink:
         """Send the state to viewers."""
         self._state.put(encode(state))
 
-    def take_commands(self) -> dict[str, tuple[bytes, float]]:
+    def take_commands(self) -> dict[str, tuple[CommandWire, float]]:
         """The newest command of each robot since the last call, with its time of arrival."""
         with self._lock:
             commands, self._commands = self._commands, {}
@@ -134,8 +135,13 @@ class WorldLink:
             self.dropped += 1
             return
         arrival = self._clock()
+        try:
+            command = decode_command(sample.payload.to_bytes())
+        except CodecError:  # it must not take the place of one that can be read
+            self.dropped += 1
+            return
         with self._lock:
-            self._commands[key.robot] = (sample.payload.to_bytes(), arrival)
+            self._commands[key.robot] = (command, arrival)
 
     def _on_query(self, query: zenoh.Query) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""

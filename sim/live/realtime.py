@@ -13,7 +13,6 @@ import numpy as np
 
 from swarmd.errors import CodecError, SwarmError
 from swarmd.sensing import (
-    decode_command,
     encode_neighbors,
     encode_odometry,
     encode_readings,
@@ -98,12 +97,7 @@ class RealTimeWorld:
         return np.less_equal(now - self._arrivals, COMMAND_TIMEOUT)
 
     def _take_commands(self) -> None:
-        for robot, (payload, arrival) in self._link.take_commands().items():
-            try:
-                command = decode_command(payload)
-            except CodecError:
-                self._unreadable += 1
-                continue
+        for robot, (command, arrival) in self._link.take_commands().items():
             row = self._rows[robot]
             # What a frozen guardian had handed to its network comes out at its thaw.
             is_late = self._swept[row] - command.scan_seq > self._too_old[row]

@@ -18,6 +18,7 @@ from pathlib import Path
 from types import FrameType
 
 from msgspec import to_builtins
+from msgspec.structs import replace
 
 from swarmd.errors import ConfigError, SwarmError
 from swarmd.keys import check_id
@@ -30,7 +31,7 @@ from swarmd.sim.live.recording import Record, RecordSettings
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.layouts import parse_layout
 from swarmd.sim.world.radio import Radio, RadioSettings
-from swarmd.sim.world.realism import REALISMS
+from swarmd.sim.world.realism import REALISMS, Realism
 from swarmd.sim.world.world import World
 from swarmd.values import Platform
 
@@ -109,6 +110,16 @@ def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
         link.close()
 
 
+def _trembling(realism: Realism) -> Realism:
+    """The realism, with ranges that differ by a micrometre from sweep to sweep if they would not.
+
+    The daemons take a lidar that says the same twice for a frozen one.
+    """
+    if realism.lidar.differs_each_time:
+        return realism
+    return replace(realism, lidar=replace(realism.lidar, near_sd=1e-6, far_sd=1e-6))
+
+
 def _make_world(options: argparse.Namespace, robots: Mapping[str, Platform]) -> World:
     arena = parse_arena(options.arena)
     footprints = [platform.footprint for platform in robots.values()]
@@ -118,7 +129,7 @@ def _make_world(options: argparse.Namespace, robots: Mapping[str, Platform]) -> 
         arena,
         starts,
         visibility=options.lidar_visibility,
-        realism=REALISMS[options.realism],
+        realism=_trembling(REALISMS[options.realism]),
         seed=options.seed,
     )
 

@@ -26,7 +26,7 @@ from swarmd.protection.caps import passive_caps, reciprocal_caps
 from swarmd.protection.envelope import BOX, envelope, half_planes
 from swarmd.protection.feasible import Point, nearest_feasible
 from swarmd.protection.footprint import Facing, Footprint, Sight
-from swarmd.protection.memory import NearMemory
+from swarmd.protection.memory import NearMemory, near_memory
 from swarmd.protection.moment import Moment
 from swarmd.protection.motion import REACTION, TRUSTED, Motion, relative
 from swarmd.protection.pressing import covered, pressing
@@ -104,7 +104,8 @@ class Barrier:
         self._envelopes: dict[tuple[Point, float], tuple[Array, Array]] = {}
         self._known: _Bounds | None = None
         self._motion = Motion(settings.braking_linear, settings.braking_angular)
-        self._memory = self._near_memory(platform.scan)
+        own = max(self._limits.linear, self._limits.lateral)
+        self._memory = near_memory(platform.scan, settings.others_speed + own)
         self._radius = float(np.hypot(*platform.footprint.T).max())
         self._braking = Braking(
             self._outline, settings.braking_linear, settings.braking_angular, TICK
@@ -182,7 +183,7 @@ class Barrier:
         if not tight and bounds.points:  # what is met only while braking: the nearest, most likely
             tight = [int(bounds.rows.gaps[: bounds.points].argmin())]
         twist = Twist(s * along[0], angular, s * along[1])
-        return Decision(twist, is_active=True, rows=bounding(bounds.rows, tight))
+        return Decision(twist, is_active=True, rows=bounding(bounds.rows, tight, self._outline))
 
     def _bounds(self, occasion: _Occasion, command: Twist, limits: Point) -> _Bounds:
         """What bounds any command now; worked out once for all wishes of the same time."""
@@ -352,8 +353,11 @@ class Barrier:
         points = sight.ends(scan, shown)
         gaps = self._outline.gaps(points)
         bearings = scan.bearings[scan.ranges == -np.inf]
-        if self._memory is not None:
-            bearings = np.concatenate((bearings, self._memory.bearings))
+        if self._memory is not None and len(self._memory.bearings):
+            touching, hidden = self._remembered(self._memory)
+            bearings = np.concatenate((bearings, touching))
+            points = np.concatenate((points, hidden))
+            gaps = np.concatenate((gaps, self._outline.gaps(hidden)))
         is_near = bool(len(bearings)) or float(gaps.min(initial=np.inf)) <= self._within
         order = np.argsort(gaps)[: np.count_nonzero(gaps <= self._furthest)]
         gaps, (x, y) = gaps.take(order), points.take(order, axis=0).T
@@ -365,12 +369,13 @@ class Barrier:
         x, y = np.concatenate((touched[0], x)), np.concatenate((touched[1], y))
         return _Seen(x, y, np.concatenate((np.zeros(len(ways)), gaps)), ways, is_near)
 
-    def _near_memory(self, spec: ScanSpec) -> NearMemory | None:
-        """What a sensor needs that tells nothing of what is too close."""
-        if spec.near == "reported" or spec.range_min <= 0.0:
-            return None
-        own = max(self._limits.linear, self._limits.lateral)
-        return NearMemory(spec.range_min, self._settings.others_speed + own, 1.0 / spec.rate)
+    def _remembered(self, memory: NearMemory) -> tuple[Array, Array]:
+        """Bearings (k,) of what may touch the robot in its blind zone, and where (m, 2) else."""
+        ways = np.stack((np.cos(memory.bearings), np.sin(memory.bearings)), axis=1)
+        outline = self._outline.along_rays(self._offset, ways)
+        is_beyond = memory.nearest > outline
+        points = self._offset + memory.nearest[is_beyond, None] * ways[is_beyond]
+        return memory.bearings[~is_beyond], points
 
     def _hidden_gap(self, spec: ScanSpec) -> float:
         """m from the outline up to which something may be while it touches it where none sees."""

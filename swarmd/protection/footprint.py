@@ -118,13 +118,16 @@ class Footprint:
     def nearest(self, scan: Scan, sight: Sight) -> tuple[float, float] | None:
         """Gap in m and bearing in rad, from the axle, of the return nearest to the outline.
 
-        None if the scan shows nothing. The outline lies between two circles around the lidar. So
-        only a ray whose range is within their difference of the smallest can show that point.
+        None if the scan shows nothing. What is too close to measure has no gap, and the bearing of
+        its ray. The outline lies between two circles around the lidar. So only a ray whose range is
+        within their difference of the smallest can show that point.
         """
         nearest = float(scan.ranges.min(initial=np.inf))
         if nearest == np.inf:
             return None
-        inner, outer = self._circles(sight.offset)
+        if nearest == -np.inf:
+            return 0.0, float(scan.bearings[scan.ranges.argmin()])
+        inner, outer = self.circles(sight.offset)
         within = max(max(nearest, scan.range_min) - inner, 0.0) + outer
         points = sight.points(scan, within)
         gaps = self.gaps(points)
@@ -137,7 +140,7 @@ class Footprint:
         nearest = self.nearest(scan, sight)
         return None if nearest is None else nearest[0]
 
-    def _circles(self, place: tuple[float, float]) -> tuple[float, float]:
+    def circles(self, place: tuple[float, float]) -> tuple[float, float]:
         """The radii around a place within which all is outline, and beyond which nothing is.
 
         The first is less than 0 for a place outside.

@@ -15,6 +15,7 @@ from swarmd.values import ZERO, Array, Platform, Scan, Twist
 
 _EASE = 0.95  # of the top speed is what a way must allow to be led along it
 _STAND = Decision(ZERO, is_active=False)
+_NOTHING = 1e-9  # m/s or rad/s: what rounding leaves of a command to stand
 
 
 class Protection:
@@ -77,7 +78,7 @@ class Protection:
         elif asked is not wanted:
             decision = replace(decision, is_active=True)
         reason = None
-        if decision.twist.is_zero:
+        if _stands(decision.twist):
             reason = Reason.PROTECTION if decision.is_active else Reason.NO_WISH
         return self._verdict(wanted, decision, reason, moment)
 
@@ -103,3 +104,7 @@ class Protection:
             scan_seq=self._scan_seq,
             is_unsticking=self._unstick is not None and self._unstick.is_leading,
         )
+
+
+def _stands(twist: Twist) -> bool:
+    return max(abs(twist.linear), abs(twist.angular), abs(twist.lateral)) <= _NOTHING

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from swarmd.protection.feasible import Point
+from swarmd.protection.footprint import Footprint
 from swarmd.protection.verdict import Row
 from swarmd.values import Array, Limits, Pose, Twist
 
@@ -31,18 +32,19 @@ def joined(one: Rows, other: Rows) -> Rows:
     return Rows(*(np.concatenate(pair) for pair in zip(one, other, strict=True)))
 
 
-def bounding(rows: Rows, tight: list[int]) -> tuple[Row, ...]:
-    """The rows that bound the command, those with the lowest caps first."""
+def bounding(rows: Rows, tight: list[int], outline: Footprint) -> tuple[Row, ...]:
+    """The rows that bound the command, those with the lowest caps first.
+
+    A row may be that of a corner, which is further off than `outline` is: what it tells is the gap.
+    """
     among = [i for i in tight if i < len(rows.caps)]  # the others are the envelope's
     seen = [i for i in among if rows.gaps[i] < math.inf]  # the others are of a touch zone
     order = sorted(seen, key=lambda i: (float(rows.caps[i]), float(rows.gaps[i])))
+    shown = order[:MOST]
+    gaps = outline.gaps(np.stack((rows.x[shown], rows.y[shown]), axis=1)) if shown else ()
     return tuple(
-        Row(
-            math.atan2(float(rows.y[i]), float(rows.x[i])),
-            float(rows.gaps[i]),
-            float(rows.caps[i]),
-        )
-        for i in order[:MOST]
+        Row(math.atan2(float(rows.y[i]), float(rows.x[i])), float(gap), float(rows.caps[i]))
+        for i, gap in zip(shown, gaps, strict=True)
     )
 
 

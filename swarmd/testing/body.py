@@ -14,13 +14,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from types import TracebackType
 
-import numpy as np
 import zenoh
 
 from swarmd import keys
 from swarmd.clock import boottime
 from swarmd.errors import CodecError
 from swarmd.sensing import decode_command, encode_odometry, encode_scan
+from swarmd.testing.scans import empty_scan
 from swarmd.values import Odometry, Platform, Pose, Scan, Twist
 
 CAP = 60.0
@@ -98,9 +98,7 @@ class Body:
 
     def clear(self, seq: int, stamp: float, distance: float = 3.0) -> Scan:
         """A sweep in which every ray returns `distance` m."""
-        spec = self.platform.scan
-        ranges = np.full(len(spec.bearings), distance)
-        return Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max)
+        return empty_scan(self.platform, seq, stamp, distance)
 
     def put(self, key: str, payload: bytes) -> None:
         """Say anything on any key to whoever is linked to this body, and lose nothing of it."""
@@ -134,6 +132,18 @@ class Body:
         """True if any command after `since` moves."""
         with self._changed:
             return any(one.at > since and not one.twist.is_zero for one in self.commands)
+
+    def moved_anew(self, thawed: float) -> bool:
+        """True if a command after the thaw of a daemon moves, and was not on its way before.
+
+        The one that was on its way when it froze the network sends on at the thaw, before all
+        others. It rests on the sweep of the last one that came by then, or on the one after.
+        """
+        with self._changed:
+            before = max((one.scan_seq for one in self.commands if one.at <= thawed), default=-1)
+            since = [one for one in self.commands if one.at > thawed]
+            is_late = bool(since) and since[0].scan_seq <= before + 1
+            return any(not one.twist.is_zero for one in since[is_late:])
 
     def ran_since(self, moving: Commanded) -> bool:
         """True if from then on every command was of a running pattern, held up or not.

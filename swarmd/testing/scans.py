@@ -22,6 +22,18 @@ class Disc(NamedTuple):
     radius: float = 0.1
 
 
+def trembling(ranges: Array, seq: int) -> Array:
+    """The ranges (n,) and some micrometres: a lidar that says the same twice is frozen."""
+    return ranges + 1e-6 * (seq % 100)
+
+
+def empty_scan(platform: Platform, seq: int, stamp: float, distance: float = np.inf) -> Scan:
+    """A sweep in which every ray returns `distance` m (+inf: nothing seen), but for some um."""
+    spec = platform.scan
+    ranges = trembling(np.full(len(spec.bearings), distance), seq)
+    return Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max)
+
+
 def scan_of(
     platform: Platform,
     discs: Sequence[Disc] = (),

@@ -28,16 +28,10 @@ from swarmd.runner import InlineRunner
 from swarmd.settings import load_platform
 from swarmd.stage import Stage
 from swarmd.status import RobotSettings
-from swarmd.values import ZERO, Odometry, Platform, Pose, Scan, TouchZone, Twist
+from swarmd.testing.scans import empty_scan
+from swarmd.values import ZERO, Odometry, Pose, Scan, TouchZone, Twist
 
 ScanSource = Callable[[int, float], Scan | None]
-
-
-def empty_scan(platform: Platform, seq: int, stamp: float, distance: float = np.inf) -> Scan:
-    """A sweep in which every ray returns `distance` m (+inf: nothing seen)."""
-    spec = platform.scan
-    ranges = np.full(len(spec.bearings), distance, dtype=np.float64)
-    return Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max)
 
 
 class Story:

@@ -17,6 +17,7 @@ from swarmd.protection.front import Protection
 from swarmd.protection.moment import NO_PERMIT, Moment, Permit
 from swarmd.protection.verdict import Verdict
 from swarmd.senses import Senses
+from swarmd.testing.scans import trembling
 from swarmd.values import (
     ZERO,
     Array,
@@ -205,9 +206,11 @@ class Yard:
             for shape in self.shapes
         ]
         ranges = cast(sensor, spec.bearings + self.pose.yaw, outlines)
+        self._seq += 1
         if self._noise > 0.0:
             ranges = ranges + self._rng.normal(0.0, self._noise, len(ranges))
-        self._seq += 1
+        else:
+            ranges = trembling(ranges, self._seq)
         said = as_driver(ranges, spec)
         return Scan(self._seq, self.time, said, spec.bearings, spec.range_min, spec.range_max)
 

@@ -14,7 +14,7 @@ from swarmd.drivers.simulated import SILENCE, SimulatedDriver
 from swarmd.errors import ConfigError
 from swarmd.platforms import load_platform
 from swarmd.sensing import (
-    decode_command,
+    CommandWire,
     encode_neighbors,
     encode_odometry,
     encode_readings,
@@ -54,7 +54,7 @@ class Body:
         taken = self.link.take_commands().get("r")
         if taken is None:
             return []
-        command = decode_command(taken[0])
+        command = taken[0]
         return [Twist(command.linear, command.angular, command.lateral)]
 
     def close(self) -> None:
@@ -123,14 +123,14 @@ def test_says_where_it_looks_for_its_body_and_why_it_is_lost() -> None:
 def test_a_command_carries_the_scans_it_rests_on() -> None:
     async def story(stage: Stage, body: Body) -> None:
         stage.driver.send(Twist(0.2), 5, 4)
-        taken: list[bytes] = []
+        taken: list[CommandWire] = []
 
         def has_come() -> bool:
-            taken.extend(payload for payload, _ in body.link.take_commands().values())
+            taken.extend(command for command, _ in body.link.take_commands().values())
             return bool(taken)
 
         await stage.until(has_come)
-        command = decode_command(taken[0])
+        command = taken[0]
         assert (command.scan_seq, command.wish_seq) == (5, 4)
 
     play(story)
@@ -226,6 +226,7 @@ def test_a_run_cancelled_while_it_opens_leaves_no_session_behind() -> None:
         link.close()
 
     asyncio.run(run())
+    assert [session.is_closed() for session in sessions] == [True]
 
 
 @pytest.mark.parametrize(

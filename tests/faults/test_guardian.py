@@ -76,6 +76,7 @@ def test_a_killed_daemon_takes_even_a_host_along_that_hangs(bench: Bench) -> Non
     moving = bench.drive("looper")
     host = bench.daemon.host_pid()
     bench.await_reason(Reason.COMMAND_EXPIRED, moving.at)
+    assert is_running(host)
     bench.daemon.kill()
     wait_until(lambda: not is_running(host), "its pattern host is gone")
 

@@ -156,6 +156,7 @@ def test_a_pattern_that_floods_the_guardian_neither_blinds_nor_binds_it(robot: B
     boot = robot.status().epoch.boot
     robot.body.wait(lambda command: command.scan_seq > moving.scan_seq + 5, moving.at)
     status = robot.status()
+    assert (status.state, status.pattern) == (State.RUNNING, "flooder")
     print(f"ticks were {1e3 * status.health.loop_p99:.1f} ms late (p99)")
     flooded = boottime()
     robot.halt("stop")

@@ -15,6 +15,7 @@ from swarmd.codec import encode
 from swarmd.messages import Reason, State
 from swarmd.sensing import ScanWire
 from swarmd.testing.body import Body
+from swarmd.testing.scans import trembling
 from swarmd.values import Array, Platform, Scan, ScanSpec, Twist
 
 if TYPE_CHECKING:
@@ -28,7 +29,7 @@ OF_SCANS = frozenset({Reason.NO_SCAN, Reason.STALE_SCAN, Reason.INVALID_SCAN, Re
 
 
 def sweep(spec: ScanSpec, seq: int, stamp: float, ranges: Array) -> Scan:
-    return Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max)
+    return Scan(seq, stamp, trembling(ranges, seq), spec.bearings, spec.range_min, spec.range_max)
 
 
 def none(spec: ScanSpec, seq: int, stamp: float) -> None:
@@ -104,28 +105,33 @@ def test_bad_scans_stop_a_driving_robot_and_good_ones_do_not_start_it(
     assert (status.state, status.reason) == (State.STOPPED, reason)
 
 
-def test_a_noisy_sensor_that_repeats_itself_while_the_robot_moves_counts_as_frozen(
-    robot: Bench,
-) -> None:
+@pytest.mark.parametrize("twist", [Twist(0.2), Twist()], ids=["moves", "is held up"])
+def test_a_noisy_sensor_that_repeats_itself_counts_as_frozen(robot: Bench, twist: Twist) -> None:
     robot.drive()
-    robot.body.odometry = Twist(0.2)
+    robot.body.odometry = twist
+    first = robot.body.clear(1, 0.0)
     begun = boottime()
+    robot.body.scans = lambda seq, stamp: replace(first, seq=seq, stamp=stamp)
     held = robot.await_reason(Reason.FROZEN_SCAN, begun)
     zero = robot.body.wait_zero(begun)
     print(f"zero {zero.at - begun:.3f} s after the first identical sweep")
-    robot.await_state(State.STOPPED, Reason.FROZEN_SCAN, held.at)
-    robot.body.scans = lambda seq, stamp: robot.body.clear(seq, stamp, 3.0 - 0.01 * (seq % 2))
+    stopped = robot.await_state(State.STOPPED, Reason.FROZEN_SCAN, held.at)
+    assert held.status.state is State.RUNNING
+    assert begun < held.at < stopped.at
+    robot.body.scans = robot.body.clear
     robot.moves_not(zero.at)
 
 
 def test_garbage_instead_of_scans_is_counted(robot: Bench) -> None:
-    before = robot.status().health.dropped.get("driver/hw/scan", 0)
+    status = robot.status()
+    boot, before = status.epoch.boot, status.health.dropped.get("driver/hw/scan", 0)
     robot.body.scans = script(robot.body.platform, garbage)
     robot.witness.wait(
         "garbage counted",
         lambda status: status.health.dropped.get("driver/hw/scan", 0) >= before + 3,
         boottime(),
     )
+    assert robot.status().epoch.boot == boot
 
 
 @pytest.mark.parametrize("source", [changing_rays, a_tenth_unknown])

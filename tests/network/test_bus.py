@@ -347,12 +347,12 @@ def test_a_daemon_that_leaves_left_and_one_that_vanishes_failed(
             await until(lambda: len(watcher.bus.members) == 2)
             polite.leave()
             rude.vanish()
-            await until(
-                lambda: (
-                    [m.condition for m in watcher.bus.members.values()]
-                    == [Condition.LEFT, Condition.FAILED]
-                )
-            )
+
+            def conditions() -> dict[str, Condition]:
+                return {m.robot: m.condition for m in watcher.bus.members.values()}
+
+            await until(lambda: Condition.ALIVE not in conditions().values())
+            assert conditions() == {"polite": Condition.LEFT, "rude": Condition.FAILED}
 
     asyncio.run(story())
 

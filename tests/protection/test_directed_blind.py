@@ -97,6 +97,18 @@ def test_nothing_that_stands_is_let_into_the_blind_zone() -> None:
     assert 1.95 - ride.poses[-1].x >= BLIND
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_turn_that_swings_the_circle_that_is_kept_out_is_bounded(side: float) -> None:
+    """A Waffle Pi's lidar is 6 cm behind its axle: to turn right swings it to the left."""
+    waffle = calm(load_platform("waffle_pi"), near="reported", keep_out=0.6, margin=0.0)
+    ranges = np.full(360, math.inf)
+    ranges[90 if side > 0.0 else 270] = 0.6
+    scan = scan_from(waffle, ranges, waffle.scan.bearings)
+    away, towards = Twist(0.0, side), Twist(0.0, -side)
+    assert decided(waffle, scan, away).safe == away
+    assert abs(decided(waffle, scan, towards).safe.angular) < 0.01
+
+
 def test_what_it_drove_up_to_is_remembered_when_it_vanishes() -> None:
     """A driver that keeps on wishing stands before what he no longer sees, and may creep away."""
     yard = Yard(calm(JACKAL), [box(0.1, 0.6, Pose(2.0))])
@@ -105,6 +117,20 @@ def test_what_it_drove_up_to_is_remembered_when_it_vanishes() -> None:
     assert ride.min_gap < BLIND - 0.254
     assert ride.twists[-1].linear == pytest.approx(0.0, abs=1e-6)
     assert yard.run(Twist(-0.5), 4.0).poses[-1].x < ride.poses[-1].x - 0.04
+
+
+@pytest.mark.parametrize("bearing", [0.0, 0.5, 1.2, 2.0])
+@pytest.mark.parametrize("speed", [0.1, 0.6])
+def test_a_wide_face_that_has_come_near_is_not_turned_into(bearing: float, speed: float) -> None:
+    """It stops 6 cm from a Jackal, which then turns: it is seen to either side, not between."""
+    way = np.array([math.cos(bearing), math.sin(bearing)])
+    rest = float((JACKAL.footprint @ way).max()) + 0.16
+    far, velocity = 1.6, (-speed * float(way[0]), -speed * float(way[1]))
+    pose = Pose(far * float(way[0]), far * float(way[1]), bearing)
+    comes = box(0.2, 3.0, pose, velocity=velocity, end=(far - rest) / speed)
+    yard = Yard(JACKAL, [comes], noise=0.01)
+    assert yard.run(Twist(), (far - rest) / speed + 1.0).touch is None
+    assert yard.run(Twist(0.3, 1.0), 4.0).touch is None
 
 
 def test_what_has_gone_is_forgotten_once_it_can_be_seen_through() -> None:

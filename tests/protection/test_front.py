@@ -17,7 +17,7 @@ from swarmd.protection.settings import Mode
 from swarmd.protection.verdict import Verdict
 from swarmd.settings import load_platform
 from swarmd.testing.variants import with_mode
-from swarmd.values import ZERO, Array, Platform, Scan, Twist
+from swarmd.values import ZERO, Array, Odometry, Platform, Pose, Scan, Twist
 
 WAFFLE = load_platform("waffle_pi")
 MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone", "off")
@@ -114,3 +114,21 @@ def test_any_scan_and_wish_give_a_finite_command_within_limits(
     assert abs(safe.linear) <= 0.26
     assert abs(safe.angular) <= 1.82
     assert safe.lateral == 0.0
+
+
+def test_what_rounding_leaves_of_a_command_is_to_stand() -> None:
+    """The nearest command to a wish that is blocked may be 1e-17 m/s."""
+    wall = ahead(0.30, 40)
+    reasons = set()
+    for share in np.linspace(0.01, 1.0, 60):
+        protection = Protection(with_mode(WAFFLE, "barrier"))
+        protection.observe(wall, Moment(0.0, 0.05, Odometry(0.0, Pose(), ZERO), 0.05))
+        verdict = protection.decide(
+            Twist(share * 0.26, share * 0.01),
+            Moment(0.0, 0.05, Odometry(0.0, Pose(), ZERO), 0.05),
+            is_running=True,
+            hold=None,
+        )
+        if abs(verdict.safe.linear) + abs(verdict.safe.angular) < 1e-9:
+            reasons.add(verdict.reason)
+    assert reasons == {Reason.PROTECTION}

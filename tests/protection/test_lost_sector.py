@@ -9,7 +9,7 @@ from swarmd.platforms import load_platform
 from swarmd.protection.front import Protection
 from swarmd.protection.moment import Moment
 from swarmd.protection.verdict import Verdict
-from swarmd.testing.story import empty_scan
+from swarmd.testing.scans import empty_scan
 from swarmd.testing.variants import with_mode
 from swarmd.values import Odometry, Platform, Pose, Scan, Twist
 

@@ -59,3 +59,18 @@ def test_it_stops_before_a_wall_and_cannot_leave_it() -> None:
     stood = yard.pose
     yard.run(Twist(-0.22), 2.0)
     assert yard.pose.x == pytest.approx(stood.x)
+
+
+def test_what_is_too_close_to_measure_stops_it() -> None:
+    ranges = np.full(360, math.inf)
+    ranges[90] = -math.inf
+    verdict = decided(BURGER, scan_from(BURGER, ranges, BURGER.scan.bearings), WISH)
+    assert verdict.safe == ZERO
+    assert (verdict.rows[0].gap, verdict.min_gap) == (0.0, 0.0)
+
+
+def test_a_jackal_stops_before_what_it_is_blind_for() -> None:
+    yard = Yard(with_mode(load_platform("jackal"), "stop_zone"), [box(0.1, 4.0, Pose(2.0))])
+    ride = yard.run(Twist(0.5), 8.0)
+    assert ride.touch is None
+    assert ride.min_gap > 0.8 - 0.254

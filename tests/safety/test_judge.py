@@ -26,11 +26,14 @@ def run(
     seconds: float = 20.0,
     told: float = 0.1,
 ) -> Trace:
-    """Two robots and a rammer 2 m apart, ten instants a second, `told` m/s, with these touches."""
+    """Two robots, face to face, and a rammer beyond; 2 m apart, ten instants a second.
+
+    They are told `told` m/s, and touch so.
+    """
     t = np.linspace(0.0, seconds, round(10.0 * seconds) + 1)
     if pose is None:
         pose = np.zeros((len(t), 3, 3))
-        pose[:, :, 0] = (0.0, 2.0, 4.0)
+        pose[:, :, 0], pose[:, 1, 2] = (0.0, 2.0, 4.0), np.pi
     safe = np.zeros_like(pose)
     safe[..., 0] = told
     rows = np.array(touches, dtype=np.float64).reshape(-1, 5)
@@ -212,5 +215,5 @@ def test_without_goals_nobody_is_stuck() -> None:
 
 
 def test_the_smallest_gap_is_that_of_outlines() -> None:
-    # Facing along x: 2 m apart less what reaches ahead of an axle and what reaches behind.
-    assert judged().min_gap == pytest.approx(2.0 - 0.038 - 0.102)
+    # The second and the rammer, back to back: 2 m less what reaches behind an axle, twice.
+    assert judged().min_gap == pytest.approx(2.0 - 2.0 * 0.102)

@@ -77,7 +77,7 @@ def test_a_mixed_swarm_agrees_on_one_speed_and_keeps_out_of_every_blind_zone() -
          barrier["keep_out"])
         for barrier in (platform.protection["barrier"] for platform in platforms)
     }  # fmt: skip
-    assert agreed == {(0.4, 0.4, 0.85)}
+    assert agreed == {(0.4, 0.4, 0.92)}
 
 
 @pytest.mark.parametrize("platform", ["burger", "waffle_pi", "jackal"])

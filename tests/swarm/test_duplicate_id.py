@@ -82,7 +82,7 @@ def test_a_daemon_thawed_beside_its_replacement_leaves_both_faulted_at_zero(swar
     for body in bodies:
         body.wait_zero(stands)
         assert not body.moved_since(stands)
-    assert not bodies[0].moved_since(thawed)
+    assert not bodies[0].moved_anew(thawed)
 
     note = "# two daemons hold one id: r1; stop one of each"
     wait_until(lambda: note in swarm.ctl("members").out, "both are met")

@@ -126,7 +126,7 @@ def test_an_estop_with_one_daemon_frozen_names_it_and_holds_it_after_the_thaw(
     daemons["r3"].send(signal.SIGCONT)
     status = swarm.await_state("r3", State.ESTOPPED)
     assert [latch.reason for latch in status.latches.values()] == ["smoke"]
-    assert not bodies["r3"].moved_since(thawed)
+    assert not bodies["r3"].moved_anew(thawed)
 
 
 def test_an_estop_that_nobody_acks_is_no_success(swarm: Swarm) -> None:

@@ -62,7 +62,7 @@ def test_a_frozen_daemon_fails_after_its_lease_and_is_alive_once_thawed(swarm: S
     status = swarm.status("r1")
     assert (status.state, status.reason) == (State.STOPPED, Reason.LOOP_STALLED)
     body.wait_zero(thawed)
-    assert not body.moved_since(thawed)
+    assert not body.moved_anew(thawed)
 
 
 def test_a_daemon_told_to_end_commands_zero_and_is_listed_as_left(swarm: Swarm) -> None:

@@ -212,14 +212,14 @@ def test_a_killed_sweep_goes_on_where_it_was(tmp_path: Path, duo: Path, swarmctl
 
 @pytest.mark.integration
 def test_no_worker_outlives_a_killed_parent(tmp_path: Path, duo: Path) -> None:
-    folder = tmp_path / "x"
-    words = ("--sweep", "duration=1,1e6", "--seeds", 1, "--out", folder)
+    words = ("--sweep", "duration=1,1e6", "--seeds", 1, "--out", "x")
     process = started("exp", "run", duo, *words, cwd=tmp_path)
-    wait_until(lambda: finished(folder) == 1, "the short run is done")
-    (worker,) = children(process.pid)
+    wait_until(lambda: finished(tmp_path / "x") == 1, "the short run is done")
+    (worker,) = [Path(f"/proc/{pid}/exe") for pid in children(process.pid)]
+    assert worker.exists()
     process.kill()
     process.communicate()
-    wait_until(lambda: not Path(f"/proc/{worker}/exe").exists(), "it is gone", cap=20)
+    wait_until(lambda: not worker.exists(), "it is gone", cap=20)
 
 
 @pytest.mark.integration

@@ -127,6 +127,7 @@ def test_a_frozen_daemon_is_killed_on_the_way_out(tmp_path: Path) -> None:
     with up(make_spec(tmp_path)) as fleet:
         pids = family(fleet)
         os.kill(fleet.pids["tb3-01"], signal.SIGSTOP)
+        assert not any(is_gone(pid) for pid in pids)
     wait_until(lambda: all_gone(pids), "all processes of the fleet are gone")
 
 

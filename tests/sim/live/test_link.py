@@ -12,7 +12,7 @@ import zenoh
 from swarmd import keys
 from swarmd.codec import encode
 from swarmd.errors import ConfigError, NetworkError
-from swarmd.sensing import decode_command, encode_command
+from swarmd.sensing import CommandWire, decode_command, encode_command
 from swarmd.sim.live.link import WorldLink, WorldView, dialling
 from swarmd.sim.live.state import WorldReply, WorldState
 from swarmd.values import Twist
@@ -79,7 +79,7 @@ def test_only_the_newest_command_of_each_robot_is_kept(
 ) -> None:
     # Once the link is up, everything below arrives in order.
     last = encode_command(Twist(9.0), -1, -1)
-    taken: dict[str, tuple[bytes, float]] = {}
+    taken: dict[str, tuple[CommandWire, float]] = {}
 
     def all_there() -> bool:
         for speed in (0.1, 0.2):
@@ -87,11 +87,25 @@ def test_only_the_newest_command_of_each_robot_is_kept(
                 peer.put(f"swarm/s/{robot}/hw/cmd_vel", encode_command(Twist(speed), 1, 1))
         peer.put("swarm/s/a/hw/cmd_vel", last)
         taken.update(link.take_commands())
-        return "b" in taken and taken.get("a", (b"", 0.0))[0] == last
+        return "b" in taken and "a" in taken and taken["a"][0] == decode_command(last)
 
     assert until(all_there)
-    assert decode_command(taken["b"][0]).linear == 0.2
+    assert taken["b"][0].linear == 0.2
     assert set(taken) == {"a", "b"}
+
+
+def test_what_is_no_command_takes_the_place_of_none(link: WorldLink, peer: zenoh.Session) -> None:
+    taken: dict[str, tuple[CommandWire, float]] = {}
+
+    def counted() -> bool:
+        peer.put("swarm/s/a/hw/cmd_vel", encode_command(Twist(0.2), 1, 1))
+        peer.put("swarm/s/a/hw/cmd_vel", b"garbage")
+        if link.dropped:
+            taken.update(link.take_commands())
+        return bool(taken)
+
+    assert until(counted)
+    assert taken["a"][0].linear == 0.2
 
 
 @pytest.mark.parametrize("key", ["swarm/s/*/hw/cmd_vel", "swarm/**", "swarm/s/stranger/hw/cmd_vel"])
