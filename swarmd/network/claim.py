@@ -112,7 +112,11 @@ class Claim:
         return dict(self._attempt.rivals.alive)
 
     def release(self) -> None:
-        """Give the id up; publish `left` before. Harmless on a closed session."""
+        """Give the id up; publish `left` before. Harmless on a closed session.
+
+        Close the session soon: Zenoh 1.10 may leave a token that is taken back just while another
+        session asks for tokens in that session's tables, for as long as this session is open.
+        """
         self._attempt.close()
         undeclare(self._alive)
 
