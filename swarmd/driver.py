@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from swarmd.errors import ConfigError
 from swarmd.values import Neighbor, Odometry, Platform, Scan, Twist, Value
@@ -57,6 +57,44 @@ class Driver(Protocol):
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """What can be seen of the robot within `seconds`; moves nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class SenderSpec:
+    """How the stopper's process makes its ZeroSender: `maker`, `module:callable`, by keywords.
+
+    The options must be what JSON can carry.
+    """
+
+    maker: str
+    options: Mapping[str, Value]
+
+
+class ZeroSender(Protocol):
+    """A second connection to a base, which can say nothing but zero.
+
+    It lives in the stopper's process (`stopper.py`), with no loop and no other thread of ours.
+    """
+
+    def open(self) -> None:
+        """Connect, and keep connected from then on; SwarmError if that can never be."""
+
+    def send_zero(self) -> None:
+        """Command zero once, now; never blocks for longer than a tick."""
+
+    def close(self) -> None:
+        """Disconnect; commands nothing."""
+
+
+@runtime_checkable
+class Stopping(Protocol):
+    """What a driver also offers if it may drive a base that never stops by itself."""
+
+    def zero_sender(self) -> SenderSpec | None:
+        """How a stopper says zero to this base.
+
+        None: the driver arranges it, with a process of its own that outlives the guardian.
+        """
 
 
 class DriverFactory(Protocol):
