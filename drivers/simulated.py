@@ -11,7 +11,7 @@ from functools import partial
 import zenoh
 
 from swarmd import keys
-from swarmd.driver import Finding, Sink
+from swarmd.driver import Finding, SenderSpec, Sink
 from swarmd.drivers.inbox import Inbox
 from swarmd.errors import CodecError, ConfigError, unknown
 from swarmd.network.session import open_with
@@ -54,19 +54,14 @@ class SimulatedDriver:
         """Feed the sink until cancelled; the session reconnects by itself."""
         loop = asyncio.get_running_loop()
         sink.state(False, f"no body yet at {self._endpoint}")
-        session = await _opened(self._open)
+        session = await _opened(partial(_session, self._endpoint, self._robot))
         inbox = Inbox(
             loop,
             lambda name, payload: self._take(sink, name, payload),
             lambda what: sink.dropped(f"hw/{what}"),
         )
         try:
-            self._commands = session.declare_publisher(
-                self._key("cmd_vel"),
-                congestion_control=zenoh.CongestionControl.DROP,
-                priority=zenoh.Priority.REAL_TIME,
-                express=True,
-            )
+            self._commands = _publisher(session, self._key("cmd_vel"))
             for name in _SENSES:
                 session.declare_subscriber(self._key(name), inbox.receiver(name, self._key(name)))
             while True:
@@ -105,6 +100,11 @@ class SimulatedDriver:
             await asyncio.gather(task, return_exceptions=True)
         return self._findings(seen, has_taker)
 
+    def zero_sender(self) -> SenderSpec:
+        """How a stopper says zero to this body."""
+        where = {"swarm": self._swarm, "robot": self._robot, "endpoint": self._endpoint}
+        return SenderSpec(f"{__name__}:SimulatedZeros", where)
+
     def _findings(self, seen: _Seen, has_taker: bool) -> tuple[Finding, ...]:
         where = f"from {self._robot} of swarm {self._swarm} at {self._endpoint}"
         hint = "start the world first (swarmctl sim up), or correct driver_options.endpoint"
@@ -129,28 +129,6 @@ class SimulatedDriver:
                 "the body listens" if has_taker else f"no body takes commands; {hint}",
             ),
         )
-
-    def _open(self) -> zenoh.Session:
-        options: dict[str, object] = {
-            "mode": "peer",
-            "scouting/multicast/enabled": False,
-            "scouting/gossip/enabled": False,
-            "listen/endpoints": [],
-            "connect/endpoints": [self._endpoint],
-            # Retries for ever, as long as connect/timeout_ms is left alone: 0 there means once.
-            "connect/retry": {
-                "period_init_ms": 500,
-                "period_max_ms": 500,
-                "period_increase_factor": 1.0,
-            },
-            # A body that dies closes its socket; one that is frozen keeps its link.
-            "transport/link/tx/lease": 60_000,
-            # Sending never waits; without room for a burst the newest would be dropped: a zero.
-            "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
-            "transport/link/tx/queue/size/real_time": 16,
-            "transport/shared_memory/enabled": False,
-        }
-        return open_with(options, what=f"the body of {self._robot} at {self._endpoint}")
 
     def _key(self, name: str) -> str:
         return keys.build(self._swarm, self._robot, "hw", name)
@@ -186,6 +164,27 @@ class SimulatedDriver:
             sink.state(False, f"nothing from {self._endpoint} for {SILENCE:g} s")
 
 
+class SimulatedZeros:
+    """Says zero to a body, from a stopper's process; reconnects by itself."""
+
+    def __init__(self, swarm: str, robot: str, endpoint: str) -> None:
+        self._robot, self._endpoint = robot, endpoint
+        self._key = keys.build(swarm, robot, "hw", "cmd_vel")
+
+    def open(self) -> None:
+        """Open a session; the body may come later."""
+        self._session = _session(self._endpoint, self._robot)
+        self._commands = _publisher(self._session, self._key)
+
+    def send_zero(self) -> None:
+        """Command zero once."""
+        self._commands.put(encode_command(ZERO, -1, -1))
+
+    def close(self) -> None:
+        """Close the session."""
+        self._session.close()
+
+
 @dataclass(slots=True)
 class _Seen:
     """A sink that only looks."""
@@ -217,6 +216,38 @@ class _Seen:
     def _look(self) -> None:
         if self.last_scan is not None and self.last_odometry is not None:
             self.everything.set()
+
+
+def _session(endpoint: str, robot: str) -> zenoh.Session:
+    options: dict[str, object] = {
+        "mode": "peer",
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "listen/endpoints": [],
+        "connect/endpoints": [endpoint],
+        # Retries for ever, as long as connect/timeout_ms is left alone: 0 there means once.
+        "connect/retry": {
+            "period_init_ms": 500,
+            "period_max_ms": 500,
+            "period_increase_factor": 1.0,
+        },
+        # A body that dies closes its socket; one that is frozen keeps its link.
+        "transport/link/tx/lease": 60_000,
+        # Sending never waits; without room for a burst the newest would be dropped: a zero.
+        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+        "transport/link/tx/queue/size/real_time": 16,
+        "transport/shared_memory/enabled": False,
+    }
+    return open_with(options, what=f"the body of {robot} at {endpoint}")
+
+
+def _publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
+    return session.declare_publisher(
+        key,
+        congestion_control=zenoh.CongestionControl.DROP,
+        priority=zenoh.Priority.REAL_TIME,
+        express=True,
+    )
 
 
 async def _opened(open_it: Callable[[], zenoh.Session]) -> zenoh.Session:

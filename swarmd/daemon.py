@@ -19,6 +19,7 @@ from typing import Any
 import msgspec
 
 from swarmd.actions import Actions
+from swarmd.base import IdleOutput, base_options, make_driver
 from swarmd.clock import boottime
 from swarmd.codec import Decoder, decode_value, encode, encode_value
 from swarmd.driver import Driver, check_protected
@@ -34,7 +35,6 @@ from swarmd.network.contract import Query
 from swarmd.network.opening import opened_session
 from swarmd.network.session import SessionSettings
 from swarmd.notify import Notifier
-from swarmd.plugins import load_driver
 from swarmd.reading import HALTS, RequestReader
 from swarmd.robot import Robot
 from swarmd.runner import ProcessRunner
@@ -56,14 +56,7 @@ async def serve(settings: DaemonSettings) -> int:
     stop = asyncio.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, stop.set)
-    factory = load_driver(settings.driver)
-    driver = factory(
-        swarm=settings.swarm,
-        robot=settings.id,
-        platform=settings.platform,
-        options=settings.driver_options,
-    )
-    daemon = Daemon(settings, driver)
+    daemon = Daemon(settings, make_driver(settings))
     await daemon.run(stop)
     return 0
 
@@ -75,6 +68,8 @@ class Daemon:
         check_protected(settings.platform, driver, settings.driver)
         self._settings = settings
         self._driver = driver
+        base = base_options(settings.driver_options, f"driver {settings.driver}")
+        self._idle = IdleOutput(base.idle_output)
         self._loop = asyncio.get_running_loop()
         self._loop.set_exception_handler(self._on_crash)
         self._crash: BaseException | None = None
@@ -353,7 +348,8 @@ class Daemon:
             self._carry_out(self._robot.on_host(event, boottime()))
 
     def _carry_out(self, actions: Actions) -> None:
-        self._send(actions.twist, actions.verdict.scan_seq, actions.wish_seq)
+        if self._idle.lets(actions.twist, actions.is_idle, boottime()):
+            self._send(actions.twist, actions.verdict.scan_seq, actions.wish_seq)
         is_kept = actions.latches is None or self._latches.write(actions.latches)
         if actions.host is not None:
             if isinstance(actions.host, Load):

@@ -15,6 +15,7 @@ from types import TracebackType
 
 import yaml
 
+from swarmd.stopper import name_of
 from swarmd.values import Value
 
 CAP = 60.0
@@ -91,6 +92,8 @@ class DaemonProcess:
         trace: TracebackType | None,
     ) -> None:
         self.kill()
+        for pid in stoppers(self.swarm, self.robot):
+            os.kill(pid, signal.SIGKILL)
 
     def wait_ready(self) -> DaemonProcess:
         """Return once it says that it is ready; AssertionError with its log if it ends before."""
@@ -148,6 +151,18 @@ def children(pid: int) -> list[int]:
     for task in Path(f"/proc/{pid}/task").glob("*/children"):
         found += [int(child) for child in task.read_text().split()]
     return sorted(found)
+
+
+def stoppers(swarm: str, robot: str) -> list[int]:
+    """The process ids of the stoppers that watch over a robot, or did."""
+    name, found = name_of(swarm, robot).encode(), []
+    for cmdline in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            if name in cmdline.read_bytes().split(b"\0"):
+                found.append(int(cmdline.parent.name))
+        except OSError:  # it has ended meanwhile
+            continue
+    return sorted(pid for pid in found if is_running(pid))
 
 
 def is_running(pid: int) -> bool:

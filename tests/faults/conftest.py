@@ -23,7 +23,7 @@ from swarmd.network.session import SessionSettings, open_session
 from swarmd.settings import load_platform
 from swarmd.testing.body import Body, Commanded
 from swarmd.testing.processes import CAP, DaemonProcess, unique_swarm, wait_until
-from swarmd.values import Twist
+from swarmd.values import Twist, Value
 
 ROBOT = "tb3-01"
 ATTEMPTS = 4
@@ -111,6 +111,7 @@ class Bench:
         self.body = self._left.enter_context(Body(platform, swarm=self.swarm, robot=ROBOT))
         self.witness = self._left.enter_context(Witness(self.swarm))
         self.daemon: DaemonProcess
+        self.driver_options: Mapping[str, Value] = {}
         self._born = 0.0
 
     def close(self) -> None:
@@ -143,6 +144,7 @@ class Bench:
                 robot=ROBOT,
                 endpoint=self.body.endpoint,
                 plugin_dir=self._plugins,
+                options={"driver_options": {"endpoint": self.body.endpoint, **self.driver_options}},
                 environ=environ,
             )
         )

@@ -1,0 +1,161 @@
+"""A guardian killed and frozen, its base without a timeout, and the stopper between them."""
+
+from __future__ import annotations
+
+import os
+import signal
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import pytest
+
+from swarmd.clock import boottime
+from swarmd.messages import Code, Reason, State
+from swarmd.testing.body import Commanded
+from swarmd.testing.processes import is_running, stoppers, wait_until
+
+if TYPE_CHECKING:
+    from tests.faults.conftest import Bench
+
+pytestmark = pytest.mark.integration
+
+WITHIN = 0.6
+"""Seconds within which a base without a timeout is told to stand; on a starved machine later."""
+SLACK = 1.0
+
+
+@pytest.fixture
+def guarded(bench: Bench) -> Bench:
+    """A robot whose base keeps its last command for ever; its daemon is ready."""
+    bench.driver_options = {"deadman": "none"}
+    bench.start()
+    return bench
+
+
+def stopper_of(bench: Bench) -> int:
+    (pid,) = stoppers(bench.swarm, bench.body.robot)
+    return pid
+
+
+def zeros_since(bench: Bench, since: float) -> list[Commanded]:
+    return [one for one in bench.body.commands if one.at > since and one.twist.is_zero]
+
+
+def await_steady_zeros(bench: Bench, since: float, seconds: float) -> float:
+    """Wait for `seconds` of zeros; seconds from `since` to the first, which must be followed."""
+    first = bench.body.wait_zero(since)
+    wait_until(lambda: bench.body.commands[-1].at - first.at > seconds, "zeros for long enough")
+    zeros = zeros_since(bench, since)
+    widest = max(b.at - a.at for a, b in pairwise(zeros))
+    print(f"zero after {first.at - since:.3f} s, then one each {widest:.3f} s at the most")
+    assert not bench.body.moved_since(first.at)
+    assert widest < SLACK
+    return first.at - since
+
+
+def test_a_killed_guardian_leaves_a_stopper_that_stops_the_base(guarded: Bench) -> None:
+    guarded.drive()
+    stopper = stopper_of(guarded)
+    killed = boottime()
+    guarded.daemon.kill()
+    assert await_steady_zeros(guarded, killed, 3.0) < WITHIN + SLACK
+    assert is_running(stopper), "it sends until the guardian is back"
+
+
+def test_a_guardian_that_is_back_relieves_the_stopper_of_the_one_before(guarded: Bench) -> None:
+    guarded.drive()
+    before = stopper_of(guarded)
+    guarded.daemon.kill()
+    guarded.start()
+    wait_until(lambda: not is_running(before), "the first stopper has ended")
+    assert stopper_of(guarded) != before
+    moving = guarded.drive()
+    guarded.body.wait(lambda one: one.at > moving.at + 1.0)
+    assert not zeros_since(guarded, moving.at), "nobody else says zero"
+
+
+def test_a_frozen_guardian_is_stopped_for_and_thawed_it_does_not_move(guarded: Bench) -> None:
+    guarded.drive()
+    stopper = stopper_of(guarded)
+    frozen = boottime()
+    guarded.daemon.freeze()
+    try:
+        after = await_steady_zeros(guarded, frozen, 3.0)
+    finally:
+        thawed = boottime()
+        guarded.daemon.thaw()
+    assert 0.3 < after < WITHIN + SLACK
+    stalled = guarded.await_state(State.STOPPED, Reason.LOOP_STALLED, thawed)
+    assert not guarded.body.moved_since(stalled.at)
+    assert stopper_of(guarded) == stopper, "it is the same, and serves on"
+    moving = guarded.drive()
+    guarded.body.wait(lambda one: one.at > moving.at + 0.5)
+    wait_until(lambda: guarded.body.commands[-1].twist.linear > 0.0, "it drives on undisturbed")
+
+
+def test_told_to_end_it_says_zero_for_two_seconds_and_is_gone(guarded: Bench) -> None:
+    guarded.drive()
+    stopper = stopper_of(guarded)
+    assert guarded.daemon.terminate() == 0
+    ended = boottime()
+    wait_until(lambda: not is_running(stopper), "its stopper is gone")
+    gone = boottime()
+    print(f"gone {gone - ended:.2f} s after the guardian")
+    assert zeros_since(guarded, ended)[-1].at - ended > 1.0
+    assert not guarded.body.moved_since(ended)
+    assert gone - ended < 10.0
+
+
+def test_a_stopper_whose_guardian_was_killed_ends_upon_sigterm(guarded: Bench) -> None:
+    guarded.drive()
+    stopper = stopper_of(guarded)
+    guarded.daemon.kill()
+    killed = boottime()
+    os.kill(stopper, signal.SIGTERM)
+    wait_until(lambda: not is_running(stopper), "its stopper is gone")
+    assert zeros_since(guarded, killed)[-1].at - killed > 1.5
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_without_its_stopper_the_robot_stands_until_there_is_one_again(
+    guarded: Bench, number: signal.Signals
+) -> None:
+    guarded.drive()
+    stopper = stopper_of(guarded)
+    harmed = boottime()
+    os.kill(stopper, number)
+    try:
+        zero = guarded.body.wait_zero(harmed)
+        lost = guarded.await_event("driver: the stopper ", harmed)
+        wait_until(
+            lambda: len(set(stoppers(guarded.swarm, guarded.body.robot)) - {stopper}) == 1,
+            "another stopper",
+        )
+    finally:
+        os.kill(stopper, signal.SIGKILL)
+    print(f"zero {zero.at - harmed:.3f} s after the stopper was harmed, {lost.status.reason}")
+    guarded.witness.wait("up again", lambda status: status.health.driver_up, lost.at)
+    wait_until(lambda: guarded.run("drive").code is Code.APPLIED, "it can be run again")
+    guarded.body.wait_moving(lost.at)
+
+
+def test_the_driver_refuses_to_start_without_its_stopper(bench: Bench) -> None:
+    bench.driver_options = {"deadman": "none"}
+    broken = {"PYTHONPATH": f"{bench.folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    (bench.folder / "sitecustomize.py").write_text(BROKEN)
+    bench.spawn(broken).wait_ready()
+    wait_until(lambda: "no stopper" in bench.daemon.text(), "it says why")
+    assert not bench.status().health.driver_up
+    assert "no connection to be had" in bench.status().health.driver
+    assert not bench.body.moved_since(0.0)
+
+
+BROKEN = """
+import sys
+if "swarmd.stopper" in " ".join(sys.orig_argv):
+    from swarmd.drivers.simulated import SimulatedZeros
+    from swarmd.errors import DriverError
+    def refuse(self):
+        raise DriverError("no connection to be had")
+    SimulatedZeros.open = refuse
+"""
