@@ -1,0 +1,299 @@
+"""A robot that speaks ROS 1, through an adapter under the system's Python with rospy.
+
+The adapter (`ros1_adapter.py`) passes serialised messages on; they are read and written here. It is
+a process of its own, so it is also this base's stopper: it sends zeros when the daemon is silent or
+gone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import re
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarmd.driver import Finding, SenderSpec, Sink
+from swarmd.drivers import ros1_adapter
+from swarmd.drivers import ros1_wire as wire
+from swarmd.drivers.ros1_child import AdapterProcess, Event, Link, State
+from swarmd.drivers.ros1_options import read_options
+from swarmd.drivers.ros1_view import Sense, View
+from swarmd.errors import CodecError, DriverError
+from swarmd.values import ZERO, Array, Odometry, Platform, Pose, Scan, ScanSpec, Twist, Value
+
+FIRST_PAUSE, LONGEST_PAUSE = 0.1, 5.0
+"""Seconds before an adapter that has died is started again: growing from the one to the other."""
+WELL_AFTER = 10.0
+"""Seconds that an adapter must have lived for the pause to begin at the first again."""
+
+_WATCH_PERIOD = 0.1
+_ENOUGH = 3  # messages of each sense, for a check
+_LOOKS_FOR = 1.0
+
+
+class Ros1Driver:
+    """Talks to one robot through a node of its own, `/swarmd_<robot>_<number>`."""
+
+    is_simulated = False
+
+    def __init__(
+        self, *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
+    ) -> None:
+        """Not connected yet. Options: `ros1_options.Ros1Options`."""
+        self._options = read_options(options)
+        self._platform = platform
+        self._name = "swarmd_" + re.sub(r"[^A-Za-z0-9_]", "_", robot)
+        self._reader = _Reader(platform, math.radians(self._options.scan_yaw_deg))
+        self._script = str(Path(ros1_adapter.__file__).resolve())
+        self._sink: Sink | None = None
+        self._view = View(self._options, platform)
+        self._child: AdapterProcess | None = None
+        self._said: tuple[bool, str] = (False, "")
+        self._is_up = False
+        self._owes_zero = True
+        self._has_sent = False
+        self._count = 0
+        self._end = ""
+        self._is_planned = False
+
+    @property
+    def adapter_pid(self) -> int | None:
+        """The adapter's process id; None while there is none."""
+        return None if self._child is None else self._child.pid
+
+    def zero_sender(self) -> SenderSpec | None:
+        """None: the adapter outlives the guardian and sends the zeros."""
+        return None
+
+    async def run(self, sink: Sink) -> None:
+        """Feed the sink until cancelled; the adapter is started again as often as it ends."""
+        loop = asyncio.get_running_loop()
+        self._sink, pause = sink, FIRST_PAUSE
+        self._say(False, self._view.note)
+        try:
+            while True:
+                begun = loop.time()
+                end = await self._live(drives=True)
+                self._say(False, f"{end}; it is started again")
+                if loop.time() - begun > WELL_AFTER or self._is_planned:
+                    pause = FIRST_PAUSE
+                await asyncio.sleep(pause)
+                pause = min(2.0 * pause, LONGEST_PAUSE)
+        finally:
+            self._sink, self._said = None, (False, "")
+            self._has_sent = False
+
+    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+        """Send a safe command; dropped while the base is lost, zero the first time it is back."""
+        if not self._is_up or self._child is None:
+            return
+        if self._owes_zero:
+            self._owes_zero = False
+            twist = ZERO
+        self._has_sent = True
+        self._count += 1
+        if self._options.command is wire.TWIST:
+            command = wire.encode_twist(twist)
+        else:
+            frame = self._options.frame_id
+            command = wire.encode_twist_stamped(twist, self._count, time.time_ns(), frame)
+        self._child.send(command)
+
+    async def check(self, seconds: float) -> tuple[Finding, ...]:
+        """What the master knows and what comes, and who takes commands; publishes nothing."""
+        loop = asyncio.get_running_loop()
+        begun = loop.time()
+        task = asyncio.create_task(self._live(drives=False))
+        try:
+            async with asyncio.timeout(seconds):
+                while not (task.done() or self._has_seen_all(loop.time() - begun)):
+                    await asyncio.sleep(_WATCH_PERIOD)
+        except TimeoutError:
+            pass  # what is missing stands in the findings
+        view, now = self._view, loop.time()
+        task.cancel()
+        ended = (await asyncio.gather(task, return_exceptions=True))[0]
+        if isinstance(ended, str):
+            return (Finding("adapter", False, ended),)
+        if view.state is None:
+            view.note = f"not ready within {seconds:g} s; give it longer"
+        return tuple(view.findings(now))
+
+    def _has_seen_all(self, seconds: float) -> bool:
+        state = self._view.state
+        if seconds < _LOOKS_FOR or state is None or not state.listeners:
+            return False
+        return all(sense.count >= _ENOUGH for sense in self._view.senses.values())
+
+    async def _live(self, *, drives: bool) -> str:
+        """One life of the adapter; how it ended."""
+        self._view = View(self._options, self._platform)
+        self._end, self._is_planned = "", False
+        options = self._options
+        try:
+            child = AdapterProcess(
+                self._script, options.python, self._config(drives), options.environ, self
+            )
+        except DriverError as error:
+            return str(error)
+        self._child = child
+        try:
+            while not await child.until_end(_WATCH_PERIOD):
+                self._judge()
+        except BaseException:
+            self._forget_base()
+            await child.close(politely=True)
+            raise
+        self._forget_base()
+        end = await child.close(politely=False)
+        return self._end or f"the adapter {end}"
+
+    def _forget_base(self) -> None:
+        self._child, self._is_up, self._owes_zero = None, False, True
+
+    def _config(self, drives: bool) -> dict[str, Any]:
+        options, view = self._options, self._view
+        kind = options.command
+        return {
+            "master": options.master_uri,
+            "name": self._name,
+            "topics": list(view.senses),
+            "kinds": [sense.kind.name for sense in view.senses.values()],
+            "command_topic": view.command_topic,
+            "command": {
+                "topic": view.command_topic,
+                "type": kind.name,
+                "md5sum": kind.md5sum,
+                "full_text": kind.full_text,
+                "frame_id": options.frame_id,
+            }
+            if drives
+            else None,
+            "holds": drives and self._has_sent,
+        }
+
+    # What the adapter tells
+
+    def on_event(self, event: Event) -> None:
+        """A state, a publisher's type, or why the adapter ends."""
+        view = self._view
+        if isinstance(event, State):
+            view.state = event
+        elif isinstance(event, Link):
+            view.on_link(event)
+        elif event.kind == "fatal":
+            self._end = (
+                f"no rospy for {self._options.python} ({event.text}); install python3-rospy, or"
+                " correct driver_options.python"
+            )
+        else:
+            self._end, self._is_planned = event.text, True
+        self._judge()
+
+    def on_message(self, link: int, data: bytes) -> None:
+        """A serialised message."""
+        sense = self._view.links.get(link)
+        if sense is None:
+            self.on_dropped("type" if link in self._view.links else "garbage")
+            return
+        now = asyncio.get_running_loop().time()
+        try:
+            stamp, detail, deliver = self._reader.read(sense, data)
+        except CodecError as error:
+            sense.fault = str(error)
+            self.on_dropped(sense.name)
+            return
+        sense.hear(stamp, detail, now)
+        if not self._is_up:
+            self._judge()
+        if self._is_up and self._sink is not None:
+            deliver(self._sink)
+
+    def on_dropped(self, what: str) -> None:
+        """Count one input that could not be read or used."""
+        if self._sink is not None:
+            self._sink.dropped(f"ros1/{what}")
+
+    def _judge(self) -> None:
+        """Whether the base is there; said when that has changed, or the reason has."""
+        if self._sink is None or self._child is None:
+            return
+        missing = self._view.missing(asyncio.get_running_loop().time())
+        if missing:
+            self._say(False, missing)
+        elif not self._is_up:
+            self._owes_zero = True
+            topic, node = self._view.command_topic, self._view.state
+            others = f", as is {', '.join(node.others)}" if node and node.others else ""
+            self._say(True, f"drives on {topic} at {self._options.master_uri}{others}")
+
+    def _say(self, is_up: bool, text: str) -> None:
+        self._is_up = is_up
+        if self._sink is not None and self._said != (is_up, text):
+            self._said = is_up, text
+            self._sink.state(is_up, text)
+
+
+class _Reader:
+    """Messages to values of the core."""
+
+    def __init__(self, platform: Platform, yaw: float) -> None:
+        self._spec: ScanSpec = platform.scan
+        self._yaw = yaw
+        self._grid: tuple[int, float, float] = (0, 0.0, 0.0)
+        self._bearings: Array = np.empty(0)
+        self._scans = 0
+        self._readings: dict[str, float] = {}
+
+    def read(self, sense: Sense, data: bytes) -> tuple[float, str, Callable[[Sink], None]]:
+        """A message's stamp in s, a remark for `--check`, and its delivery; CodecError."""
+        if sense.name == "scan":
+            message = wire.decode_laser_scan(data)
+            scan = self._scan(message)
+            rays = f", {len(scan.ranges)} rays"
+            return scan.stamp, rays, lambda sink: sink.scan(scan)
+        if sense.name == "odometry":
+            odometry = _odometry(wire.decode_odometry(data))
+            return odometry.stamp, "", lambda sink: sink.odometry(odometry)
+        if sense.name == "imu":
+            imu = wire.decode_imu(data)
+            yaw = math.nan if imu.orientation is None else wire.yaw_of(imu.orientation)
+            return imu.header.stamp, "", self._reading("imu_yaw", yaw)
+        battery = wire.decode_battery(data)
+        return battery.header.stamp, "", self._reading("battery", battery.percentage)
+
+    def _reading(self, name: str, value: float) -> Callable[[Sink], None]:
+        """Delivers the readings with this one anew, or without it if it is not measured."""
+        self._readings = {k: v for k, v in self._readings.items() if k != name}
+        if math.isfinite(value):
+            self._readings[name] = value
+        return lambda sink: sink.readings(self._readings)
+
+    def _scan(self, message: wire.LaserScan) -> Scan:
+        ranges = message.ranges.astype(np.float64)
+        grid = len(ranges), message.angle_min, message.angle_increment
+        if grid != self._grid:
+            if not math.isfinite(grid[1]) or not math.isfinite(grid[2]):
+                raise CodecError(f"{wire.LASER_SCAN.name}: its angles are not numbers")
+            turned = grid[1] + self._yaw + grid[2] * np.arange(grid[0])
+            self._bearings = np.asarray((turned + math.pi) % (2.0 * math.pi) - math.pi, np.float64)
+            self._grid = grid
+        self._scans += 1
+        spec, stamp = self._spec, message.header.stamp
+        return Scan(
+            self._scans, stamp, ranges, self._bearings, spec.range_min, spec.range_max
+        )  # fmt: skip
+
+
+def _odometry(message: wire.OdometryMessage) -> Odometry:
+    x, y, _ = message.position
+    pose = Pose(x, y, wire.yaw_of(message.orientation))
+    twist = Twist(message.linear[0], message.angular[2], message.linear[1])
+    if not (pose.is_finite and twist.is_finite):
+        raise CodecError(f"{wire.ODOMETRY.name}: its numbers are not finite")
+    return Odometry(message.header.stamp, pose, twist)

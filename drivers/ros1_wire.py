@@ -1,0 +1,245 @@
+"""ROS 1 messages: serialised bytes to plain values and back, without ROS.
+
+Little-endian, fields one after the other, strings and arrays after their length as uint32
+(http://wiki.ros.org/msg, genmsg's rules). A type is known by the md5 sum of its definition, which
+is that of ROS Noetic here. All decoders raise CodecError for bytes that are too short or too long.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from swarmd.errors import CodecError
+from swarmd.values import Twist
+
+Floats = NDArray[np.float32]
+
+_HEADER = struct.Struct("<4I")
+_LENGTH = struct.Struct("<I")
+_SCAN = struct.Struct("<7f")
+_POSE = struct.Struct("<7d")
+_TWIST = struct.Struct("<6d")
+_COVARIANCE = 36 * 8
+_IMU = struct.Struct("<37d")
+_BATTERY = struct.Struct("<7f4B")
+_RANGE = struct.Struct("<B4f")
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """A message type; `full_text` is its definition, which publishers announce."""
+
+    name: str
+    md5sum: str
+    full_text: str = ""
+
+
+LASER_SCAN = Kind("sensor_msgs/LaserScan", "90c7ef2dc6895d81024acba2ac42f369")
+ODOMETRY = Kind("nav_msgs/Odometry", "cd5e73d190d741a2f92e81eda573aca7")
+IMU = Kind("sensor_msgs/Imu", "6a62c6daae103f4ff57a132d6f95cec2")
+BATTERY = Kind("sensor_msgs/BatteryState", "4ddae7f048e32fda22cac764685e3974")
+RANGE = Kind("sensor_msgs/Range", "c005c34273dc426c67a020a87bc24148")
+
+_RULE = "=" * 80
+_VECTOR = f"{_RULE}\nMSG: geometry_msgs/Vector3\nfloat64 x\nfloat64 y\nfloat64 z\n"
+_TWIST_TEXT = "Vector3  linear\nVector3  angular\n"
+TWIST = Kind("geometry_msgs/Twist", "9f195f881246fdfa2798d1d3eebca84a", f"{_TWIST_TEXT}\n{_VECTOR}")
+TWIST_STAMPED = Kind(
+    "geometry_msgs/TwistStamped",
+    "98d34b0043a2093cf9d9345ab6eef12e",
+    "Header header\nTwist twist\n\n"
+    f"{_RULE}\nMSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n\n"
+    f"{_RULE}\nMSG: geometry_msgs/Twist\n{_TWIST_TEXT}\n{_VECTOR}",
+)
+
+
+class Header(Struct, frozen=True):
+    """`stamp` in s, to 0.1 us in this century; `frame` is the name of the frame."""
+
+    seq: int
+    stamp: float
+    frame: str
+
+
+class LaserScan(Struct, frozen=True, eq=False):
+    """Angles in rad, times in s, ranges in m as the sensor gave them; `ranges` (n,) float32."""
+
+    header: Header
+    angle_min: float
+    angle_max: float
+    angle_increment: float
+    time_increment: float
+    scan_time: float
+    range_min: float
+    range_max: float
+    ranges: Floats
+
+
+class OdometryMessage(Struct, frozen=True):
+    """Position in m and orientation (x, y, z, w) in `header.frame`, twist in `child_frame`."""
+
+    header: Header
+    child_frame: str
+    position: tuple[float, float, float]
+    orientation: tuple[float, float, float, float]
+    linear: tuple[float, float, float]
+    angular: tuple[float, float, float]
+
+
+class Imu(Struct, frozen=True):
+    """Orientation (x, y, z, w), None if this device does not give it; rad/s, m/s2."""
+
+    header: Header
+    orientation: tuple[float, float, float, float] | None
+    angular_velocity: tuple[float, float, float]
+    acceleration: tuple[float, float, float]
+
+
+class Battery(Struct, frozen=True):
+    """Voltage in V; `percentage` of full from 0 to 1, NaN if it is not measured."""
+
+    header: Header
+    voltage: float
+    percentage: float
+
+
+class RangeMessage(Struct, frozen=True):
+    """One distance in m within a cone of `field_of_view` rad; its limits in m."""
+
+    header: Header
+    field_of_view: float
+    range_min: float
+    range_max: float
+    distance: float
+
+
+def decode_laser_scan(data: bytes) -> LaserScan:
+    """A LaserScan; its intensities are measured but not kept."""
+    try:
+        header, at = _header(data)
+        numbers = _SCAN.unpack_from(data, at)
+        at += _SCAN.size
+        (count,) = _LENGTH.unpack_from(data, at)
+        ranges = np.frombuffer(data, "<f4", count, at + 4)
+        at += 4 + 4 * count
+        (more,) = _LENGTH.unpack_from(data, at)
+    except (struct.error, ValueError) as error:
+        raise _fault(LASER_SCAN, error) from None
+    _end(LASER_SCAN, data, at + 4 + 4 * more)
+    first, last, step, between, whole, least, most = numbers
+    return LaserScan(header, first, last, step, between, whole, least, most, ranges)
+
+
+def decode_odometry(data: bytes) -> OdometryMessage:
+    """An Odometry, without its covariances."""
+    try:
+        header, at = _header(data)
+        child, at = _text(data, at)
+        x, y, z, *orientation = _POSE.unpack_from(data, at)
+        at += _POSE.size + _COVARIANCE
+        twist = _TWIST.unpack_from(data, at)
+    except (struct.error, ValueError) as error:
+        raise _fault(ODOMETRY, error) from None
+    _end(ODOMETRY, data, at + _TWIST.size + _COVARIANCE)
+    turned = _four(orientation)
+    return OdometryMessage(header, child, (x, y, z), turned, twist[:3], twist[3:])
+
+
+def decode_imu(data: bytes) -> Imu:
+    """An Imu, without its covariances; the first of them is -1 for what is not measured."""
+    try:
+        header, at = _header(data)
+        numbers = _IMU.unpack_from(data, at)
+    except (struct.error, ValueError) as error:
+        raise _fault(IMU, error) from None
+    _end(IMU, data, at + _IMU.size)
+    x, y, z = numbers[13:16]
+    ax, ay, az = numbers[25:28]
+    orientation = None if numbers[4] == -1.0 else _four(list(numbers[:4]))
+    return Imu(header, orientation, (x, y, z), (ax, ay, az))
+
+
+def decode_battery(data: bytes) -> Battery:
+    """A BatteryState: voltage and percentage."""
+    try:
+        header, at = _header(data)
+        voltage, _, _, _, _, _, percentage, *_ = _BATTERY.unpack_from(data, at)
+        at += _BATTERY.size
+        for _ in range(2):  # cell voltages and temperatures
+            (count,) = _LENGTH.unpack_from(data, at)
+            at += 4 + 4 * count
+        for _ in range(2):  # location and serial number
+            _, at = _text(data, at)
+    except (struct.error, ValueError) as error:
+        raise _fault(BATTERY, error) from None
+    _end(BATTERY, data, at)
+    return Battery(header, voltage, percentage)
+
+
+def decode_range(data: bytes) -> RangeMessage:
+    """A Range; its kind of radiation is not kept."""
+    try:
+        header, at = _header(data)
+        _, *numbers = _RANGE.unpack_from(data, at)
+    except (struct.error, ValueError) as error:
+        raise _fault(RANGE, error) from None
+    _end(RANGE, data, at + _RANGE.size)
+    return RangeMessage(header, *numbers)
+
+
+def encode_twist(twist: Twist) -> bytes:
+    """A geometry_msgs/Twist."""
+    return _TWIST.pack(twist.linear, twist.lateral, 0.0, 0.0, 0.0, twist.angular)
+
+
+def encode_twist_stamped(twist: Twist, seq: int, stamp_ns: int, frame: str) -> bytes:
+    """A geometry_msgs/TwistStamped; `stamp_ns` since 1970."""
+    seconds, rest = divmod(stamp_ns, 1_000_000_000)
+    name = frame.encode()
+    return _HEADER.pack(seq & 0xFFFFFFFF, seconds, rest, len(name)) + name + encode_twist(twist)
+
+
+def yaw_of(orientation: tuple[float, float, float, float]) -> float:
+    """The heading in rad of a quaternion (x, y, z, w), of any length but 0; NaN of none."""
+    x, y, z, w = orientation
+    length = x * x + y * y + z * z + w * w
+    if not 0.0 < length < math.inf:
+        return math.nan
+    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
+def _header(data: bytes) -> tuple[Header, int]:
+    seq, seconds, nanoseconds, length = _HEADER.unpack_from(data)
+    end = _HEADER.size + length
+    return Header(seq, seconds + 1e-9 * nanoseconds, _string(data, _HEADER.size, end)), end
+
+
+def _text(data: bytes, at: int) -> tuple[str, int]:
+    (length,) = _LENGTH.unpack_from(data, at)
+    return _string(data, at + 4, at + 4 + length), at + 4 + length
+
+
+def _string(data: bytes, begin: int, end: int) -> str:
+    if end > len(data):
+        raise ValueError(f"a text of {end - begin} bytes where {len(data) - begin} are left")
+    return data[begin:end].decode(errors="replace")
+
+
+def _four(numbers: list[float]) -> tuple[float, float, float, float]:
+    x, y, z, w = numbers
+    return x, y, z, w
+
+
+def _end(kind: Kind, data: bytes, at: int) -> None:
+    if at != len(data):
+        raise CodecError(f"{kind.name}: {len(data)} bytes, its lengths say {at}")
+
+
+def _fault(kind: Kind, error: Exception) -> CodecError:
+    return CodecError(f"{kind.name}: cannot be read: {error}")
