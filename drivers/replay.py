@@ -1,0 +1,189 @@
+"""A recording that drives a daemon as if it were a robot.
+
+What was heard comes again in its order and at its pace; commands are taken and lead nowhere.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import Counter, deque
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from swarmd.driver import Finding, Sink
+from swarmd.errors import CodecError, ConfigError
+from swarmd.layered import Layered
+from swarmd.recording import Entry, Recording, read_recording
+from swarmd.sensing import decode_neighbors, decode_odometry, decode_readings, decode_scan
+from swarmd.values import ZERO, Odometry, Platform, Scan, Twist, Value
+
+log = logging.getLogger(__name__)
+
+LEAD = 0.5
+"""Seconds before the first entry, in which there is no robot yet."""
+PAUSE = 1.0
+"""Seconds between two rounds of a loop, in which there is no robot: its pose jumps."""
+KEPT = 100
+
+
+class ReplayOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`file`: a recording. `speed`: how fast it passes, 1 as it was. `loop`: again and again."""
+
+    file: str
+    speed: Annotated[float, Meta(ge=0.05, le=100.0)] = 1.0
+    loop: bool = False
+
+
+class ReplayDriver:
+    """Plays a recording to the sink. `taken` are the last commands that were taken."""
+
+    is_simulated = True  # no base moves
+
+    def __init__(
+        self, *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
+    ) -> None:
+        """Not playing yet; ConfigError if an option or the recording is wrong."""
+        self._options = Layered(("driver replay", options)).build(ReplayOptions)
+        self._path = Path(self._options.file).expanduser()
+        self._spec = platform.scan
+        self._recording = read_recording(self._path)
+        self._after, self._span = _extent(self._path, self._recording, platform)
+        self._is_up = False
+        self._owes_zero = True
+        self._has_sent = False
+        self._commands: Counter[str] = Counter()
+        self.taken: deque[Twist] = deque(maxlen=KEPT)
+
+    async def run(self, sink: Sink) -> None:
+        """Play it, once or again and again, until cancelled."""
+        if self._recording.cut:
+            log.warning("%s is %s; what came before that is played", self._path, self._cut)
+        try:
+            sink.state(False, f"{self._path.name} is about to begin")
+            await asyncio.sleep(LEAD)
+            rounds = 0
+            while True:
+                await self._play(sink, rounds)
+                rounds += 1
+                if not self._options.loop:
+                    break
+                self._lose(sink, f"{self._path.name} has ended and begins again")
+                await asyncio.sleep(PAUSE)
+            self._lose(sink, f"{self._path.name} has ended; option loop=true plays it again")
+            await asyncio.Event().wait()
+        finally:
+            if self._has_sent:
+                self._take(ZERO)
+            self._is_up, self._owes_zero, self._has_sent = False, True, False
+            moving = self._commands["moving"]
+            log.info("took %d commands, %d to move", self._commands.total(), moving)
+
+    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+        """Take a command, as a base would: dropped while lost, zero the first time it is back."""
+        if not self._is_up:
+            return
+        if self._owes_zero:
+            self._owes_zero, twist = False, ZERO
+        self._has_sent = True
+        self._take(twist)
+
+    async def check(self, seconds: float) -> tuple[Finding, ...]:
+        """What the recording holds."""
+        recording, head = self._recording, self._recording.head
+        kinds = Counter[str](entry.kind for entry in recording.entries)
+        length = max(recording.duration, 1e-9)
+        text = f"{recording.duration:.1f} s of {head.robot} ({head.platform}, {head.driver})"
+        findings = [Finding("recording", True, f"{text}, {recording.cut or 'whole'}")]
+        for kind, is_needed in (("scan", True), ("odometry", True), ("neighbors", False)):
+            count = kinds[kind]
+            rate = f"{count} at {count / length:.1f} Hz"
+            missing = f"none in {self._path}; record a robot that has it"
+            if count or is_needed:
+                findings.append(Finding(kind, bool(count), rate if count else missing))
+        return tuple(findings)
+
+    @property
+    def _cut(self) -> str:
+        return self._recording.cut
+
+    async def _play(self, sink: Sink, rounds: int) -> None:
+        """One round; of later ones stamps and sequences go on where the one before ended."""
+        loop, speed = asyncio.get_running_loop(), self._options.speed
+        begin, shift = loop.time(), rounds * (self._span + PAUSE)
+        if not any(entry.kind == "state" for entry in self._recording.entries):
+            self._find(sink)
+        for entry in self._recording.entries:
+            delay = begin + entry.at / speed - loop.time()
+            if delay > 0.0:
+                await asyncio.sleep(delay)
+            self._deliver(sink, entry, shift, rounds * self._after)
+
+    def _deliver(self, sink: Sink, entry: Entry, shift: float, ahead: int) -> None:
+        if entry.kind == "scan":
+            scan = decode_scan(entry.payload, self._spec)
+            spec = self._spec
+            sink.scan(
+                Scan(
+                    scan.seq + ahead,
+                    scan.stamp + shift,
+                    scan.ranges,
+                    scan.bearings,
+                    spec.range_min,
+                    spec.range_max,
+                )
+            )
+        elif entry.kind == "odometry":
+            odometry = decode_odometry(entry.payload)
+            sink.odometry(Odometry(odometry.stamp + shift, odometry.pose, odometry.twist))
+        elif entry.kind == "neighbors":
+            sink.neighbors(decode_neighbors(entry.payload))
+        elif entry.kind == "readings":
+            sink.readings(decode_readings(entry.payload))
+        elif entry.kind == "state":
+            text = entry.payload[1:].decode(errors="replace")
+            if entry.payload[:1] == b"1":
+                self._find(sink)
+            else:
+                self._lose(sink, f"as recorded: {text}")
+
+    def _find(self, sink: Sink) -> None:
+        if not self._is_up:
+            self._is_up = self._owes_zero = True
+            sink.state(True, f"plays {self._path}")
+
+    def _lose(self, sink: Sink, text: str) -> None:
+        self._is_up = False
+        sink.state(False, text)
+
+    def _take(self, twist: Twist) -> None:
+        self._commands["zero" if twist.is_zero else "moving"] += 1
+        self.taken.append(twist)
+
+
+def _extent(path: Path, recording: Recording, platform: Platform) -> tuple[int, float]:
+    """The sequence after its last scan's, and the span of its stamps in s.
+
+    ConfigError if an entry cannot be read: better now than in the middle.
+    """
+    sequences, stamps = [0], []
+    for entry in recording.entries:
+        try:
+            if entry.kind == "scan":
+                scan = decode_scan(entry.payload, platform.scan)
+                sequences.append(scan.seq + 1)
+                stamps.append(scan.stamp)
+            elif entry.kind == "odometry":
+                stamps.append(decode_odometry(entry.payload).stamp)
+            elif entry.kind == "neighbors":
+                decode_neighbors(entry.payload)
+            elif entry.kind == "readings":
+                decode_readings(entry.payload)
+        except CodecError as error:
+            raise ConfigError(
+                f"{path}: damaged {entry.at:.1f} s after it began: {error}; record it again"
+            ) from error
+    return max(sequences), max(stamps, default=0.0) - min(stamps, default=0.0)

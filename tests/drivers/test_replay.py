@@ -1,0 +1,328 @@
+"""What a driver heard is recorded, and comes again: in order, at its pace, and as it was."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarmd.base import make_driver
+from swarmd.driver import Driver
+from swarmd.drivers.replay import ReplayDriver
+from swarmd.drivers.simulated import SimulatedDriver
+from swarmd.errors import ConfigError
+from swarmd.platforms import load_platform
+from swarmd.recording import MAGIC, RecordedDriver, Recorder, read_recording
+from swarmd.sensing import decode_command, encode_odometry, encode_scan
+from swarmd.settings import load_daemon_settings
+from swarmd.sim.live.link import WorldLink
+from swarmd.testing.driver_contract import CAP, DriverContract, Heard, on_stage
+from swarmd.values import Odometry, Pose, Scan, Twist, Value
+
+PLATFORM = load_platform("burger")
+SPEC = PLATFORM.scan
+HEAD = {"robot": "r", "platform": "burger", "driver": "test"}
+
+
+def scan(seq: int) -> Scan:
+    ranges = np.linspace(0.5, 3.0, 360 + seq % 3).astype(np.float32).astype(np.float64)
+    ranges[:3] = (np.inf, -np.inf, np.nan)
+    bearings = 0.01 * np.arange(len(ranges), dtype=np.float64)
+    return Scan(seq, 0.2 * seq, ranges, bearings, SPEC.range_min, SPEC.range_max)
+
+
+def odometry(seq: int) -> Odometry:
+    return Odometry(0.2 * seq, Pose(0.1 * seq, 0.0, 0.5), Twist(0.1))
+
+
+def record(path: Path, times: Sequence[float]) -> Path:
+    """A recording with a scan and an odometry at each of these times, in s, without waiting."""
+    recorder = Recorder(path, HEAD)
+    for seq, time in enumerate(times):
+        recorder.add("scan", encode_scan(scan(seq)), time)
+        recorder.add("odometry", encode_odometry(odometry(seq)), time)
+    recorder.close()
+    return path
+
+
+def make(path: Path, **options: Value) -> ReplayDriver:
+    options = {"file": str(path), **options}
+    return ReplayDriver(swarm="s", robot="r", platform=PLATFORM, options=options)
+
+
+class Deck:
+    """A recording that loops, for the contract: its base is silent between two rounds."""
+
+    platform = PLATFORM
+
+    def __init__(self, path: Path) -> None:
+        self._path = record(path, [0.05 * i for i in range(16)])
+        self._drivers: list[ReplayDriver] = []
+
+    def make(self, options: Mapping[str, Value]) -> Driver:
+        self._drivers.append(make(self._path, loop=True, **options))
+        return self._drivers[-1]
+
+    def speak(self) -> None:
+        """It speaks by itself."""
+
+    def commands(self) -> Sequence[Twist]:
+        taken = [twist for driver in self._drivers for twist in driver.taken]
+        for driver in self._drivers:
+            driver.taken.clear()
+        return taken
+
+    def close(self) -> None:
+        """There is nothing to end."""
+
+
+class TestContract(DriverContract):
+    @pytest.fixture(autouse=True)
+    def _folder(self, tmp_path: Path) -> None:
+        self._tmp = tmp_path
+        self._count = itertools.count()
+
+    def rig(self) -> Deck:
+        return Deck(self._tmp / f"{next(self._count)}.rec")
+
+    def test_check_of_a_silent_base_says_what_to_do(self) -> None:
+        empty = record(self._tmp / "empty.rec", [])
+        findings = asyncio.run(make(empty).check(0.5))
+        unwell = [finding for finding in findings if not finding.is_well]
+        assert [finding.subject for finding in unwell] == ["scan", "odometry"]
+        assert all("record a robot that has it" in finding.text for finding in unwell)
+
+
+class Timed(Heard):
+    """A sink that also remembers when each scan came, in s since the base was found."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.times: list[float] = []
+        self._up = 0.0
+
+    def state(self, is_up: bool, text: str) -> None:
+        super().state(is_up, text)
+        if is_up:
+            self._up = asyncio.get_running_loop().time()
+
+    def scan(self, scan: Scan) -> None:
+        super().scan(scan)
+        self.times.append(asyncio.get_running_loop().time() - self._up)
+
+
+def played(path: Path, scans: int, **options: Value) -> Timed:
+    """What a sink heard until that many scans had come and a round had ended."""
+    heard = Timed()
+
+    async def run() -> None:
+        driver = make(path, **options)
+        task = asyncio.create_task(driver.run(heard))
+        async with asyncio.timeout(CAP):
+            while len(heard.scans) < scans or "ended" not in heard.states[-1][1]:
+                await asyncio.sleep(0.01)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+    asyncio.run(run())
+    return heard
+
+
+def keeps_pace(times: Sequence[float], wanted: Sequence[float]) -> bool:
+    """Never early; late by what a starved machine may take."""
+    return all(-0.01 < time - want < 0.4 for time, want in zip(times, wanted, strict=True))
+
+
+def same(one: Scan, other: Scan) -> bool:
+    return (one.seq, one.stamp, one.range_min, one.range_max) == (
+        other.seq, other.stamp, other.range_min, other.range_max,
+    ) and np.array_equal(one.ranges, other.ranges, equal_nan=True) and np.allclose(
+        one.bearings, other.bearings, rtol=0.0, atol=1e-12
+    )  # fmt: skip
+
+
+def test_the_same_scans_in_order_and_at_their_pace(tmp_path: Path) -> None:
+    at = [0.0, 0.1, 0.4, 0.5, 1.0]
+    heard = played(record(tmp_path / "a.rec", at), 5)
+    assert all(same(scan(i), one) for i, one in enumerate(heard.scans))
+    assert heard.odometries == [odometry(i) for i in range(5)]
+    assert heard.order[:3] == ["lost", "up", "scan"]
+    assert keeps_pace(heard.times, at), heard.times
+
+
+def test_speed_makes_it_pass_faster(tmp_path: Path) -> None:
+    path = record(tmp_path / "a.rec", [0.0, 1.0, 2.0, 4.0])
+    heard = played(path, 4, speed=4.0)
+    assert keeps_pace(heard.times, [0.0, 0.25, 0.5, 1.0]), heard.times
+
+
+def test_in_a_loop_stamps_and_sequences_go_on(tmp_path: Path) -> None:
+    heard = played(record(tmp_path / "a.rec", [0.0, 0.1]), 4, loop=True)
+    assert [one.seq for one in heard.scans][:4] == [0, 1, 2, 3]
+    stamps = [one.stamp for one in heard.scans]
+    assert stamps == sorted(set(stamps))
+    assert [state for state, _ in heard.states][:4] == [False, True, False, True]
+
+
+def test_what_is_recorded_from_a_body_is_what_its_driver_told(tmp_path: Path) -> None:
+    link = WorldLink("s", ("r",), "tcp/127.0.0.1:0")
+    path = tmp_path / "body.rec"
+
+    class Body:
+        platform = PLATFORM
+        spoken = 0
+
+        def make(self, options: Mapping[str, Value]) -> Driver:
+            inner = SimulatedDriver(
+                swarm="s", robot="r", platform=PLATFORM, options={"endpoint": link.endpoint}
+            )
+            return RecordedDriver(inner, path, HEAD)
+
+        def speak(self) -> None:
+            self.spoken += 1
+            link.publish("r", "scan", encode_scan(scan(self.spoken)))
+            link.publish("r", "odometry", encode_odometry(odometry(self.spoken)))
+
+        def commands(self) -> Sequence[Twist]:
+            return [
+                Twist(command.linear, command.angular, command.lateral)
+                for command, _ in link.take_commands().values()
+            ]
+
+        def close(self) -> None:
+            link.close()
+
+    told = Heard()
+
+    async def run() -> None:
+        async with on_stage(Body()) as stage:
+            await stage.until(lambda: len(stage.heard.scans) >= 8, speaking=True)
+            stage.driver.send(Twist(0.1), 3, 2)
+            stage.driver.send(Twist(0.2), 4, 3)
+            await stage.end()
+            told.scans, told.states = stage.heard.scans, stage.heard.states
+
+    asyncio.run(run())
+    recording = read_recording(path)
+    assert (recording.head.robot, recording.cut) == ("r", "")
+    commands = [decode_command(e.payload) for e in recording.entries if e.kind == "command"]
+    assert [(c.linear, c.scan_seq, c.wish_seq) for c in commands] == [(0.1, 3, 2), (0.2, 4, 3)]
+    heard = played(path, len(told.scans), speed=5.0)
+    assert len(heard.scans) == len(told.scans)
+    assert all(same(one, other) for one, other in zip(told.scans, heard.scans, strict=True))
+    assert [is_up for is_up, _ in heard.states] == [False, False, True, False]
+
+
+def test_commands_are_taken_and_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
+
+    async def run() -> None:
+        async with on_stage(Deck(tmp_path / "a.rec")) as stage:
+            await stage.connect()
+            for _ in range(3):
+                stage.driver.send(Twist(0.1), 0, 0)
+
+    asyncio.run(run())
+    assert "took 4 commands, 2 to move" in caplog.text  # the first and the last are zero
+
+
+def test_a_recording_that_is_cut_off_is_played_up_to_there(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    whole = record(tmp_path / "a.rec", [0.0, 0.1, 0.2])
+    data = whole.read_bytes()
+    whole.write_bytes(data[:-40])
+    heard = played(whole, 3)
+    assert (len(heard.scans), len(heard.odometries)) == (3, 2)
+    (line,) = (r.getMessage() for r in caplog.records if r.levelname == "WARNING")
+    assert f"cut off at byte {read_at(data)} of {len(data) - 40}, 0.2 s after it began" in line
+    findings = asyncio.run(make(whole).check(1.0))
+    assert "cut off at byte" in findings[0].text
+
+
+def read_at(data: bytes) -> int:
+    """Where the last frame of a whole recording begins."""
+    at = last = len(MAGIC)
+    while at < len(data):
+        last, at = at, at + 4 + int.from_bytes(data[at : at + 4], "little")
+    return last
+
+
+@pytest.mark.parametrize(
+    ("data", "fault"),
+    [
+        (b"", "not a recording; wanted a file that option record wrote"),
+        (b"PK\x03\x04 a trace of a world", "not a recording; wanted"),
+        (MAGIC, "cut off before its first frame; record it again"),
+        (MAGIC + b"\x05\x00\x00\x00\x01", "cut off before its first frame"),
+        (MAGIC + b"\xff\xff\xff\x7f" + b"x" * 9, "damaged at byte 19: a frame of 2147483647 byt"),
+        (MAGIC + b"\x03\x00\x00\x00\x01zz", "damaged at byte 19: "),
+    ],
+)
+def test_what_is_no_recording_is_one_clear_line(tmp_path: Path, data: bytes, fault: str) -> None:
+    path = tmp_path / "a.rec"
+    path.write_bytes(data)
+    with pytest.raises(ConfigError) as caught:
+        make(path)
+    assert str(caught.value).startswith(f"{path}: {fault}")
+    assert "\n" not in str(caught.value)
+
+
+def test_every_cut_is_one_clear_line_or_plays(tmp_path: Path) -> None:
+    data = record(tmp_path / "a.rec", [0.0, 0.1]).read_bytes()
+    path = tmp_path / "b.rec"
+    for size in range(0, len(data), 97):
+        path.write_bytes(data[:size])
+        try:
+            line = str(make(path))
+        except ConfigError as error:
+            line = str(error)
+        assert "\n" not in line
+
+
+def test_damage_in_the_middle_is_found_before_it_begins(tmp_path: Path) -> None:
+    path = tmp_path / "a.rec"
+    recorder = Recorder(path, HEAD)
+    recorder.add("scan", b"\x01 no scan")
+    recorder.close()
+    with pytest.raises(ConfigError, match=r"a\.rec: damaged 0\.0 s after it began: .*; record it"):
+        make(path)
+
+
+@pytest.mark.parametrize(
+    ("options", "fault"),
+    [
+        ({"speed": 0}, "driver replay: speed is 0; wanted a number of at least 0.05"),
+        ({"sped": 2.0}, "driver replay: no key 'sped'; did you mean 'speed'?"),
+        ({"file": "nowhere.rec"}, "nowhere.rec: cannot be read: No such file or directory; wanted"),
+    ],
+)
+def test_refuses_options(tmp_path: Path, options: Mapping[str, Value], fault: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        make(record(tmp_path / "a.rec", [0.0]), **options)
+    assert str(caught.value).startswith(fault)
+
+
+def test_without_a_file_it_asks_for_one() -> None:
+    with pytest.raises(ConfigError, match=r"driver replay: file is missing; wanted text"):
+        ReplayDriver(swarm="s", robot="r", platform=PLATFORM, options={})
+
+
+def test_an_earlier_recording_is_kept(tmp_path: Path) -> None:
+    first = record(tmp_path / "a.rec", [0.0]).read_bytes()
+    record(tmp_path / "a.rec", [0.0, 0.1, 0.2])
+    assert (tmp_path / "a.rec").read_bytes() == first
+    assert len(read_recording(tmp_path / "a-2.rec").entries) == 6
+
+
+def test_option_record_is_for_every_driver(tmp_path: Path) -> None:
+    values: dict[str, object] = {
+        "id": "r",
+        "state_dir": str(tmp_path),
+        "driver_options": {"record": str(tmp_path / "x.rec")},
+    }
+    assert isinstance(make_driver(load_daemon_settings(None, values)), RecordedDriver)
