@@ -54,7 +54,7 @@ class SimulatedDriver:
         """Feed the sink until cancelled; the session reconnects by itself."""
         loop = asyncio.get_running_loop()
         sink.state(False, f"no body yet at {self._endpoint}")
-        session = await _opened(partial(_session, self._endpoint, self._robot))
+        session = await _opened(self._open)
         inbox = Inbox(
             loop,
             lambda name, payload: self._take(sink, name, payload),
@@ -129,6 +129,9 @@ class SimulatedDriver:
                 "the body listens" if has_taker else f"no body takes commands; {hint}",
             ),
         )
+
+    def _open(self) -> zenoh.Session:
+        return _session(self._endpoint, self._robot)
 
     def _key(self, name: str) -> str:
         return keys.build(self._swarm, self._robot, "hw", name)

@@ -13,137 +13,61 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
-from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
-from typing import Protocol
+from collections.abc import Awaitable, Callable
 
 import numpy as np
 import pytest
 
-from swarmd.driver import Driver
 from swarmd.errors import ConfigError
-from swarmd.values import Neighbor, Odometry, Platform, Scan, Twist, Value
+from swarmd.testing.driver_stage import (
+    CAP,
+    PACE,
+    Heard,
+    Mortal,
+    Rig,
+    Speaker,
+    Stage,
+    on_stage,
+)
+from swarmd.values import Array, Scan, Twist
 
-CAP = 30.0
-"""Seconds that anything may take before the test fails; nothing waits that long if all is well."""
+__all__ = [
+    "CAP",
+    "DriverContract",
+    "Heard",
+    "Mortal",
+    "Rig",
+    "Speaker",
+    "Stage",
+    "on_stage",
+]
 
-_PACE = 0.01
-
-
-class Rig(Protocol):
-    """The robot's base in a test's hand. It is silent at first."""
-
-    platform: Platform
-
-    def make(self, options: Mapping[str, Value]) -> Driver:
-        """A driver for this base, with `options` added to those it needs to find the base."""
-
-    def speak(self) -> None:
-        """Make the base send a scan and an odometry, each with the next stamp."""
-
-    def commands(self) -> Sequence[Twist]:
-        """What has reached the base since the last call, oldest first; the newest is enough."""
-
-    def close(self) -> None:
-        """End the base."""
-
-
-@dataclass(slots=True)
-class Heard:
-    """A sink that remembers everything."""
-
-    scans: list[Scan] = field(default_factory=list)
-    odometries: list[Odometry] = field(default_factory=list)
-    neighborhoods: list[tuple[Neighbor, ...]] = field(default_factory=list)
-    values: list[Mapping[str, float]] = field(default_factory=list)
-    states: list[tuple[bool, str]] = field(default_factory=list)
-    lost: list[str] = field(default_factory=list)
-    order: list[str] = field(default_factory=list)
-
-    @property
-    def is_up(self) -> bool:
-        """What the driver said last of its base."""
-        return bool(self.states) and self.states[-1][0]
-
-    def scan(self, scan: Scan) -> None:
-        """Remember a sweep."""
-        self.scans.append(scan)
-        self.order.append("scan")
-
-    def odometry(self, odometry: Odometry) -> None:
-        """Remember a pose and twist."""
-        self.odometries.append(odometry)
-        self.order.append("odometry")
-
-    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        """Remember the robots within hearing."""
-        self.neighborhoods.append(neighbors)
-
-    def readings(self, values: Mapping[str, float]) -> None:
-        """Remember scalar sensors."""
-        self.values.append(values)
-
-    def state(self, is_up: bool, text: str) -> None:
-        """Remember how the base is."""
-        self.states.append((is_up, text))
-        self.order.append("up" if is_up else "lost")
-
-    def dropped(self, what: str) -> None:
-        """Remember what could not be read."""
-        self.lost.append(what)
+_SETTLE = 0.3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Stage:
-    """A base, a driver running against it, and what the driver told."""
-
-    rig: Rig
-    driver: Driver
-    heard: Heard
-    task: asyncio.Task[None]
-
-    async def until(self, condition: Callable[[], bool], *, speaking: bool = False) -> None:
-        """Wait for a condition, with the base speaking meanwhile or silent."""
-        async with asyncio.timeout(CAP):
-            while not condition():
-                if speaking:
-                    self.rig.speak()
-                await asyncio.sleep(_PACE)
-
-    async def connect(self) -> None:
-        """Let the base speak until the driver says that it is there."""
-        await self.until(lambda: self.heard.is_up, speaking=True)
-        self.rig.commands()
-
-    async def command(self) -> Twist:
-        """The next command that reaches the base, the base being silent."""
-        taken: list[Twist] = []
-
-        def has_come() -> bool:
-            taken.extend(self.rig.commands())
-            return bool(taken)
-
-        await self.until(has_come)
-        return taken[-1]
-
-    async def end(self) -> None:
-        """Cancel the driver and wait until it has ended."""
-        self.task.cancel()
-        async with asyncio.timeout(CAP):
-            await asyncio.gather(self.task, return_exceptions=True)
+def _bearings(stage: Stage) -> Array:
+    """(n,) the nominal bearings of the rig's sensor."""
+    return stage.rig.platform.scan.bearings
 
 
-@asynccontextmanager
-async def on_stage(rig: Rig) -> AsyncIterator[Stage]:
-    """A driver running against the rig's base, both gone afterwards."""
-    driver, heard = rig.make({}), Heard()
-    stage = Stage(rig, driver, heard, asyncio.create_task(driver.run(heard)))
-    try:
-        yield stage
-    finally:
-        await stage.end()
-        rig.close()
+def _regular(stage: Stage, count: int) -> Array:
+    """(count,) bearings in rad, evenly around from the sensor's first."""
+    first = float(_bearings(stage)[0])
+    return np.asarray(first + 2.0 * np.pi / count * np.arange(count), dtype=np.float64)
+
+
+def _speaker(stage: Stage) -> Speaker:
+    """The rig, if its base can be made to say anything; else the test is skipped."""
+    if not isinstance(stage.rig, Speaker):
+        pytest.skip("this rig is no Speaker")
+    return stage.rig
+
+
+def _mortal(stage: Stage) -> Mortal:
+    """The rig, if its base can be taken away; else the test is skipped."""
+    if not isinstance(stage.rig, Mortal):
+        pytest.skip("this rig is not Mortal")
+    return stage.rig
 
 
 class DriverContract:
@@ -215,7 +139,7 @@ class DriverContract:
         async def story(stage: Stage) -> None:
             for _ in range(10):
                 stage.driver.send(Twist(0.1, 0.1), 0, 0)
-                await asyncio.sleep(_PACE)
+                await asyncio.sleep(PACE)
             await stage.until(lambda: stage.heard.is_up, speaking=True)
             assert all(twist.is_zero for twist in stage.rig.commands())
 
@@ -273,6 +197,124 @@ class DriverContract:
 
         self.play(story)
 
+    def test_a_command_just_before_the_end_does_not_outlive_it(self) -> None:
+        """The zero of the way out comes after all that was sent, however shortly before."""
+
+        async def story(stage: Stage) -> None:
+            for seq in range(5):
+                stage.driver.send(Twist(0.1), seq, seq)
+            await stage.end()
+            taken: list[Twist] = []
+
+            def has_come() -> bool:
+                taken.extend(stage.rig.commands())
+                return bool(taken) and taken[-1].is_zero
+
+            await stage.until(has_come)
+            await asyncio.sleep(_SETTLE)
+            taken.extend(stage.rig.commands())
+            assert taken[-1].is_zero
+
+        self.play(story)
+
+    def test_a_base_that_vanishes_and_returns_gets_zero_first(self) -> None:
+        """As it falls silent, but with its links cut: the driver finds it again by itself."""
+
+        async def story(stage: Stage) -> None:
+            rig = _mortal(stage)
+            for seq in range(3):
+                stage.driver.send(Twist(0.1), seq, seq)
+            rig.die()
+            await stage.until(lambda: not stage.heard.is_up)
+            stage.driver.send(Twist(0.1), 4, 4)
+            rig.rise()
+            await stage.connect()
+            stage.driver.send(Twist(0.1), 5, 5)
+            assert (await stage.command()).is_zero
+
+        self.play(story)
+
+    def test_garbage_is_dropped_counted_and_survived(self) -> None:
+        """No bytes from outside end a driver, and what follows them is heard."""
+
+        async def story(stage: Stage) -> None:
+            rig, heard = _speaker(stage), stage.heard
+            for _ in range(5):
+                rig.garble()
+                await asyncio.sleep(PACE)
+            await stage.until(lambda: bool(heard.lost), speaking=True)
+            known = len(heard.scans), len(heard.odometries)
+            await stage.until(lambda: len(heard.scans) > known[0] + 2, speaking=True)
+            await stage.until(lambda: len(heard.odometries) > known[1] + 2, speaking=True)
+            assert not stage.task.done()
+
+        self.play(story)
+
+    def test_what_is_unknown_or_not_there_arrives_as_it_was_measured(self) -> None:
+        """NaN and infinity are told apart from ranges, in a whole sweep of them too."""
+
+        async def story(stage: Stage) -> None:
+            rig = _speaker(stage)
+            n = len(_bearings(stage))
+            some = np.full(n, 1.5)
+            some[:2] = (np.nan, np.inf)
+            for seq, ranges in enumerate((np.full(n, np.nan), some, np.full(n, np.inf)), 1000):
+                heard = await self._heard(stage, rig, seq, ranges)
+                assert np.allclose(heard.ranges, ranges, rtol=1e-6, equal_nan=True)
+
+        self.play(story)
+
+    def test_the_number_of_rays_may_change_from_sweep_to_sweep(self) -> None:
+        """A real LDS-02 does so all the time; ranges and bearings agree in each."""
+
+        async def story(stage: Stage) -> None:
+            rig = _speaker(stage)
+            n = len(_bearings(stage))
+            for seq, count in enumerate((n, n + 3, n - 2, n + 1), 1000):
+                ranges = np.linspace(0.5, 2.0, count)
+                heard = await self._heard(stage, rig, seq, ranges)
+                assert np.allclose(heard.ranges, ranges, rtol=1e-6)
+                wanted = _regular(stage, count)
+                off = np.abs((heard.bearings - wanted + np.pi) % (2.0 * np.pi) - np.pi)
+                assert off.max() < 1e-3
+
+        self.play(story)
+
+    async def _heard(self, stage: Stage, rig: Speaker, seq: int, ranges: Array) -> Scan:
+        """What the driver makes of these ranges, spread evenly, once they have come."""
+        spec, bearings = stage.rig.platform.scan, _regular(stage, len(ranges))
+        scan = Scan(seq, 0.1 * seq, ranges, bearings, spec.range_min, spec.range_max)
+        known = len(stage.heard.scans)
+        rig.say(scan)
+        rig.move()
+        await stage.until(lambda: len(stage.heard.scans) > known)
+        return stage.heard.scans[-1]
+
+    @pytest.mark.parametrize(("rate", "seconds"), [(1.0, 3.2), (50.0, 1.0)])
+    def test_slow_and_fast_sensors_are_heard_all_the_same(
+        self, rate: float, seconds: float
+    ) -> None:
+        """One sweep a second is no silence, and fifty are no flood."""
+
+        async def story(stage: Stage) -> None:
+            rig, heard, loop = _speaker(stage), stage.heard, asyncio.get_running_loop()
+            spec, n = stage.rig.platform.scan, len(_bearings(stage))
+            known, begin, sent = len(heard.scans), loop.time(), 0
+            while (passed := loop.time() - begin) < seconds:
+                rig.move()
+                if passed * rate >= sent:
+                    bearings, seq = _regular(stage, n), 1000 + sent
+                    ranges = np.linspace(0.5, 2.0 + 0.01 * (sent % 7), n)
+                    rig.say(Scan(seq, seq / rate, ranges, bearings, spec.range_min, spec.range_max))
+                    sent += 1
+                await asyncio.sleep(min(0.05, 1.0 / rate))
+            await stage.until(lambda: len(heard.scans) > known, speaking=True)
+            assert heard.is_up
+            assert "lost" not in heard.order[heard.order.index("up") :]
+            assert len(heard.scans) - known >= sent // 2  # the newest counts, not each
+
+        self.play(story)
+
     def test_runs_again_after_it_has_ended(self) -> None:
         """`run` leaves nothing behind that would keep a second one from working."""
 
@@ -297,7 +339,7 @@ class DriverContract:
             checking = asyncio.create_task(rig.make({}).check(CAP))
             while not checking.done():
                 rig.speak()
-                await asyncio.sleep(_PACE)
+                await asyncio.sleep(PACE)
             commands = rig.commands()
             rig.close()
             assert checking.result()

@@ -50,6 +50,25 @@ class Body:
     def send(self, name: str, payload: bytes) -> None:
         self.link.publish("r", name, payload)
 
+    def say(self, scan: Scan) -> None:
+        self.send("scan", encode_scan(scan))
+
+    def move(self) -> None:
+        self._spoken += 1
+        self.send("odometry", encode_odometry(Odometry(0.1 * self._spoken, Pose(), Twist())))
+
+    def garble(self) -> None:
+        whole = encode_scan(scan(1))
+        for name in ("scan", "odometry", "neighbors", "readings"):
+            for payload in (b"", b"\xff\x00garbage", whole[: len(whole) // 2], whole[:-1]):
+                self.send(name, payload)
+
+    def die(self) -> None:
+        self.link.close()
+
+    def rise(self) -> None:
+        self.link = WorldLink("s", ("r",), self.endpoint)
+
     def commands(self) -> Sequence[Twist]:
         taken = self.link.take_commands().get("r")
         if taken is None:
