@@ -13,18 +13,26 @@ import re
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, cast
 
 from swarmd.driver import Finding, SenderSpec, Sink
 from swarmd.drivers import ros1_adapter
 from swarmd.drivers import ros1_wire as wire
+from swarmd.drivers.ros.conversion import (
+    battery_readings,
+    imu_readings,
+    odometry_of,
+    scan_of,
+    stamp_of,
+)
 from swarmd.drivers.ros1_child import AdapterProcess, Event, Link, State
 from swarmd.drivers.ros1_options import read_options
 from swarmd.drivers.ros1_view import Sense, View
 from swarmd.errors import CodecError, DriverError
-from swarmd.values import ZERO, Array, Odometry, Platform, Pose, Scan, ScanSpec, Twist, Value
+from swarmd.values import ZERO, Platform, ScanSpec, Twist, Value
+
+if TYPE_CHECKING:
+    from swarmd.drivers.ros import messages as ros
 
 FIRST_PAUSE, LONGEST_PAUSE = 0.1, 5.0
 """Seconds before an adapter that has died is started again: growing from the one to the other."""
@@ -240,60 +248,32 @@ class Ros1Driver:
 
 
 class _Reader:
-    """Messages to values of the core."""
+    """Messages to values of the core. What is decoded here has the shape of ROS 2's messages."""
 
     def __init__(self, platform: Platform, yaw: float) -> None:
         self._spec: ScanSpec = platform.scan
         self._yaw = yaw
-        self._grid: tuple[int, float, float] = (0, 0.0, 0.0)
-        self._bearings: Array = np.empty(0)
         self._scans = 0
-        self._readings: dict[str, float] = {}
+        self._readings: dict[str, dict[str, float]] = {}
 
     def read(self, sense: Sense, data: bytes) -> tuple[float, str, Callable[[Sink], None]]:
         """A message's stamp in s, a remark for `--check`, and its delivery; CodecError."""
         if sense.name == "scan":
-            message = wire.decode_laser_scan(data)
-            scan = self._scan(message)
-            rays = f", {len(scan.ranges)} rays"
-            return scan.stamp, rays, lambda sink: sink.scan(scan)
+            self._scans += 1
+            sweep = cast("ros.LaserScan", wire.decode_laser_scan(data))
+            scan = scan_of(sweep, self._scans, self._spec, self._yaw)
+            return scan.stamp, f", {len(scan.ranges)} rays", lambda sink: sink.scan(scan)
         if sense.name == "odometry":
-            odometry = _odometry(wire.decode_odometry(data))
+            odometry = odometry_of(cast("ros.Odometry", wire.decode_odometry(data)))
             return odometry.stamp, "", lambda sink: sink.odometry(odometry)
+        message: wire.Imu | wire.BatteryState
         if sense.name == "imu":
-            imu = wire.decode_imu(data)
-            yaw = math.nan if imu.orientation is None else wire.yaw_of(imu.orientation)
-            return imu.header.stamp, "", self._reading("imu_yaw", yaw)
-        battery = wire.decode_battery(data)
-        return battery.header.stamp, "", self._reading("battery", battery.percentage)
-
-    def _reading(self, name: str, value: float) -> Callable[[Sink], None]:
-        """Delivers the readings with this one anew, or without it if it is not measured."""
-        self._readings = {k: v for k, v in self._readings.items() if k != name}
-        if math.isfinite(value):
-            self._readings[name] = value
-        return lambda sink: sink.readings(self._readings)
-
-    def _scan(self, message: wire.LaserScan) -> Scan:
-        ranges = message.ranges.astype(np.float64)
-        grid = len(ranges), message.angle_min, message.angle_increment
-        if grid != self._grid:
-            if not math.isfinite(grid[1]) or not math.isfinite(grid[2]):
-                raise CodecError(f"{wire.LASER_SCAN.name}: its angles are not numbers")
-            turned = grid[1] + self._yaw + grid[2] * np.arange(grid[0])
-            self._bearings = np.asarray((turned + math.pi) % (2.0 * math.pi) - math.pi, np.float64)
-            self._grid = grid
-        self._scans += 1
-        spec, stamp = self._spec, message.header.stamp
-        return Scan(
-            self._scans, stamp, ranges, self._bearings, spec.range_min, spec.range_max
-        )  # fmt: skip
-
-
-def _odometry(message: wire.OdometryMessage) -> Odometry:
-    x, y, _ = message.position
-    pose = Pose(x, y, wire.yaw_of(message.orientation))
-    twist = Twist(message.linear[0], message.angular[2], message.linear[1])
-    if not (pose.is_finite and twist.is_finite):
-        raise CodecError(f"{wire.ODOMETRY.name}: its numbers are not finite")
-    return Odometry(message.header.stamp, pose, twist)
+            message = wire.decode_imu(data)
+            values = imu_readings(cast("ros.Imu", message))
+        else:
+            message = wire.decode_battery(data)
+            values = battery_readings(cast("ros.BatteryState", message))
+        self._readings[sense.name] = values
+        together = {name: value for some in self._readings.values() for name, value in some.items()}
+        stamp = stamp_of(cast("ros.Time", message.header.stamp))
+        return stamp, "", lambda sink: sink.readings(together)

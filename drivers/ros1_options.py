@@ -24,7 +24,7 @@ class Ros1Options(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     """What may stand under `drivers.ros1` or in `driver_options`.
 
     Names without a leading slash are within `namespace`. `imu` and `battery` are not subscribed to
-    unless named; they become the readings `imu_yaw` (rad) and `battery` (0 to 1).
+    unless named; they become the readings `yaw` in rad, `battery` (0 to 1) and `battery_voltage`.
     `scan_yaw_deg`: how far the sensor's frame is turned in the base's. `frame_id` is that of
     stamped commands. `master` and `ip` stand for ROS_MASTER_URI and ROS_IP, which they override.
     `shared_cmd_vel`: others may publish commands too, as behind a multiplexer of the base.

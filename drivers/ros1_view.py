@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from difflib import SequenceMatcher
 
 from swarmd.driver import Finding
 from swarmd.drivers import ros1_wire as wire
@@ -186,8 +187,12 @@ class View:
         )
 
     def _elsewhere(self, sense: Sense, state: State) -> str:
-        found = [topic for topic in state.candidates.get(sense.kind.name, []) if topic]
-        found = [topic for topic in found if topic != sense.topic]
+        found = [
+            topic for topic in state.candidates.get(sense.kind.name, []) if topic != sense.topic
+        ]
+        found.sort(
+            key=lambda topic: SequenceMatcher(None, topic, sense.topic).ratio(), reverse=True
+        )
         return f" ({sense.kind.name} is on {_all(found)})" if found else ""
 
     def _refused(self, state: State) -> str:

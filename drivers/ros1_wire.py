@@ -3,11 +3,11 @@
 Little-endian, fields one after the other, strings and arrays after their length as uint32
 (http://wiki.ros.org/msg, genmsg's rules). A type is known by the md5 sum of its definition, which
 is that of ROS Noetic here. All decoders raise CodecError for bytes that are too short or too long.
+What they give has ROS 2's names of fields, less what nobody uses, so that it is converted alike.
 """
 
 from __future__ import annotations
 
-import math
 import struct
 from dataclasses import dataclass
 
@@ -59,12 +59,18 @@ TWIST_STAMPED = Kind(
 )
 
 
-class Header(Struct, frozen=True):
-    """`stamp` in s, to 0.1 us in this century; `frame` is the name of the frame."""
+class Time(Struct, frozen=True):
+    """A moment on the sender's clock."""
 
-    seq: int
-    stamp: float
-    frame: str
+    sec: int
+    nanosec: int
+
+
+class Header(Struct, frozen=True):
+    """A message's stamp and frame."""
+
+    stamp: Time
+    frame_id: str
 
 
 class LaserScan(Struct, frozen=True, eq=False):
@@ -81,42 +87,84 @@ class LaserScan(Struct, frozen=True, eq=False):
     ranges: Floats
 
 
-class OdometryMessage(Struct, frozen=True):
-    """Position in m and orientation (x, y, z, w) in `header.frame`, twist in `child_frame`."""
+class Vector(Struct, frozen=True):
+    """Three numbers."""
+
+    x: float
+    y: float
+    z: float
+
+
+class Quaternion(Struct, frozen=True):
+    """An orientation."""
+
+    x: float
+    y: float
+    z: float
+    w: float
+
+
+class Pose(Struct, frozen=True):
+    """Position in m and orientation."""
+
+    position: Vector
+    orientation: Quaternion
+
+
+class Velocity(Struct, frozen=True):
+    """m/s and rad/s."""
+
+    linear: Vector
+    angular: Vector
+
+
+class PoseWithout(Struct, frozen=True):
+    """A pose whose covariance was left out."""
+
+    pose: Pose
+
+
+class VelocityWithout(Struct, frozen=True):
+    """A twist whose covariance was left out."""
+
+    twist: Velocity
+
+
+class Odometry(Struct, frozen=True):
+    """The pose is in `header.frame_id`, the twist in `child_frame_id`."""
 
     header: Header
-    child_frame: str
-    position: tuple[float, float, float]
-    orientation: tuple[float, float, float, float]
-    linear: tuple[float, float, float]
-    angular: tuple[float, float, float]
+    child_frame_id: str
+    pose: PoseWithout
+    twist: VelocityWithout
 
 
 class Imu(Struct, frozen=True):
-    """Orientation (x, y, z, w), None if this device does not give it; rad/s, m/s2."""
+    """Orientation, rad/s and m/s2; the first covariance of each is -1 for what is not measured."""
 
     header: Header
-    orientation: tuple[float, float, float, float] | None
-    angular_velocity: tuple[float, float, float]
-    acceleration: tuple[float, float, float]
+    orientation: Quaternion
+    orientation_covariance: tuple[float, ...]
+    angular_velocity: Vector
+    linear_acceleration: Vector
 
 
-class Battery(Struct, frozen=True):
-    """Voltage in V; `percentage` of full from 0 to 1, NaN if it is not measured."""
+class BatteryState(Struct, frozen=True):
+    """V; `percentage` is NaN if it is not measured."""
 
     header: Header
     voltage: float
     percentage: float
 
 
-class RangeMessage(Struct, frozen=True):
-    """One distance in m within a cone of `field_of_view` rad; its limits in m."""
+class Range(Struct, frozen=True):
+    """One distance `range` in m within a cone of `field_of_view` rad; its limits in m."""
 
     header: Header
     field_of_view: float
-    range_min: float
-    range_max: float
-    distance: float
+    min_range: float
+    max_range: float
+    range: float
 
 
 def decode_laser_scan(data: bytes) -> LaserScan:
@@ -136,36 +184,35 @@ def decode_laser_scan(data: bytes) -> LaserScan:
     return LaserScan(header, first, last, step, between, whole, least, most, ranges)
 
 
-def decode_odometry(data: bytes) -> OdometryMessage:
+def decode_odometry(data: bytes) -> Odometry:
     """An Odometry, without its covariances."""
     try:
         header, at = _header(data)
         child, at = _text(data, at)
-        x, y, z, *orientation = _POSE.unpack_from(data, at)
+        pose = _POSE.unpack_from(data, at)
         at += _POSE.size + _COVARIANCE
         twist = _TWIST.unpack_from(data, at)
     except (struct.error, ValueError) as error:
         raise _fault(ODOMETRY, error) from None
     _end(ODOMETRY, data, at + _TWIST.size + _COVARIANCE)
-    turned = _four(orientation)
-    return OdometryMessage(header, child, (x, y, z), turned, twist[:3], twist[3:])
+    place = Pose(Vector(*pose[:3]), Quaternion(*pose[3:]))
+    velocity = Velocity(Vector(*twist[:3]), Vector(*twist[3:]))
+    return Odometry(header, child, PoseWithout(place), VelocityWithout(velocity))
 
 
 def decode_imu(data: bytes) -> Imu:
-    """An Imu, without its covariances; the first of them is -1 for what is not measured."""
+    """An Imu, with the covariance of its orientation alone."""
     try:
         header, at = _header(data)
         numbers = _IMU.unpack_from(data, at)
     except (struct.error, ValueError) as error:
         raise _fault(IMU, error) from None
     _end(IMU, data, at + _IMU.size)
-    x, y, z = numbers[13:16]
-    ax, ay, az = numbers[25:28]
-    orientation = None if numbers[4] == -1.0 else _four(list(numbers[:4]))
-    return Imu(header, orientation, (x, y, z), (ax, ay, az))
+    turned, turning, pushed = numbers[:4], numbers[13:16], numbers[25:28]
+    return Imu(header, Quaternion(*turned), numbers[4:13], Vector(*turning), Vector(*pushed))
 
 
-def decode_battery(data: bytes) -> Battery:
+def decode_battery(data: bytes) -> BatteryState:
     """A BatteryState: voltage and percentage."""
     try:
         header, at = _header(data)
@@ -179,10 +226,10 @@ def decode_battery(data: bytes) -> Battery:
     except (struct.error, ValueError) as error:
         raise _fault(BATTERY, error) from None
     _end(BATTERY, data, at)
-    return Battery(header, voltage, percentage)
+    return BatteryState(header, voltage, percentage)
 
 
-def decode_range(data: bytes) -> RangeMessage:
+def decode_range(data: bytes) -> Range:
     """A Range; its kind of radiation is not kept."""
     try:
         header, at = _header(data)
@@ -190,7 +237,8 @@ def decode_range(data: bytes) -> RangeMessage:
     except (struct.error, ValueError) as error:
         raise _fault(RANGE, error) from None
     _end(RANGE, data, at + _RANGE.size)
-    return RangeMessage(header, *numbers)
+    view, least, most, distance = numbers
+    return Range(header, view, least, most, distance)
 
 
 def encode_twist(twist: Twist) -> bytes:
@@ -205,19 +253,10 @@ def encode_twist_stamped(twist: Twist, seq: int, stamp_ns: int, frame: str) -> b
     return _HEADER.pack(seq & 0xFFFFFFFF, seconds, rest, len(name)) + name + encode_twist(twist)
 
 
-def yaw_of(orientation: tuple[float, float, float, float]) -> float:
-    """The heading in rad of a quaternion (x, y, z, w), of any length but 0; NaN of none."""
-    x, y, z, w = orientation
-    length = x * x + y * y + z * z + w * w
-    if not 0.0 < length < math.inf:
-        return math.nan
-    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
-
-
 def _header(data: bytes) -> tuple[Header, int]:
-    seq, seconds, nanoseconds, length = _HEADER.unpack_from(data)
+    _, seconds, nanoseconds, length = _HEADER.unpack_from(data)
     end = _HEADER.size + length
-    return Header(seq, seconds + 1e-9 * nanoseconds, _string(data, _HEADER.size, end)), end
+    return Header(Time(seconds, nanoseconds), _string(data, _HEADER.size, end)), end
 
 
 def _text(data: bytes, at: int) -> tuple[str, int]:
@@ -229,11 +268,6 @@ def _string(data: bytes, begin: int, end: int) -> str:
     if end > len(data):
         raise ValueError(f"a text of {end - begin} bytes where {len(data) - begin} are left")
     return data[begin:end].decode(errors="replace")
-
-
-def _four(numbers: list[float]) -> tuple[float, float, float, float]:
-    x, y, z, w = numbers
-    return x, y, z, w
 
 
 def _end(kind: Kind, data: bytes, at: int) -> None:

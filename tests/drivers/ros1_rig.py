@@ -1,0 +1,115 @@
+"""A robot in rospy as a test's rig, and drivers for it."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import os
+import subprocess
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from swarmd.drivers.ros1 import Ros1Driver
+from swarmd.platforms import load_platform
+from swarmd.testing.processes import CAP, wait_until
+from swarmd.testing.roscore import PYTHON, RosCore
+from swarmd.values import Twist, Value
+
+SCRIPT = Path(__file__).with_name("ros1_robot.py")
+PLATFORM = load_platform("burger")
+
+_numbers = itertools.count(1)
+
+
+class RosRobot:
+    """One robot's nodes in a namespace of their own, as a child process."""
+
+    platform = PLATFORM
+
+    def __init__(self, core: RosCore, *words: str, namespace: str = "") -> None:
+        self.core = core
+        self.namespace = namespace or f"/r{os.getpid()}_{next(_numbers)}"
+        self._process = subprocess.Popen(
+            [PYTHON, str(SCRIPT), *words],
+            env={**core.environ, "ROS_NAMESPACE": self.namespace},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
+        self._lines: list[str] = []
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+        try:
+            wait_until(lambda: bool(self._lines), "the robot's nodes are registered")
+        except AssertionError:
+            self.close()
+            raise
+        self._lines.clear()
+
+    @property
+    def options(self) -> dict[str, Value]:
+        """What a driver needs to find this robot."""
+        return {"master": self.core.uri, "ip": "127.0.0.1", "namespace": self.namespace}
+
+    def make(self, options: Mapping[str, Value]) -> Ros1Driver:
+        """A driver for this robot."""
+        return Ros1Driver(
+            swarm="s", robot="r-1", platform=PLATFORM, options={**self.options, **options}
+        )
+
+    def do(self, what: str, **more: object) -> None:
+        """Have it do something."""
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps({"do": what, **more}).encode() + b"\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            return
+
+    def speak(self) -> None:
+        """Send a scan and an odometry."""
+        self.do("speak")
+
+    def commands(self) -> Sequence[Twist]:
+        """What has come since the last call."""
+        with self._lock:
+            lines, self._lines = self._lines, []
+        return [_twist(line) for line in lines]
+
+    def close(self) -> None:
+        """Kill it."""
+        self._process.kill()
+        self._process.wait(CAP)
+        self._thread.join(CAP)
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                try:
+                    pipe.close()
+                except BrokenPipeError:
+                    continue
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            with self._lock:
+                self._lines.append(line.decode())
+
+
+@contextmanager
+def robot(core: RosCore, *words: str, namespace: str = "") -> Iterator[RosRobot]:
+    """A robot that is gone afterwards."""
+    made = RosRobot(core, *words, namespace=namespace)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def _twist(line: str) -> Twist:
+    linear, angular, lateral = map(float, line.split())
+    assert math.isfinite(linear + angular + lateral)
+    return Twist(linear, angular, lateral)

@@ -1,0 +1,118 @@
+"""A robot's nodes in rospy, under the system's Python; told what to do on standard input.
+
+Its namespace is ROS_NAMESPACE. Each line is an object as JSON: `{"do": "speak"}` publishes a scan
+and an odometry with the next stamp, `{"do": "scan", "ranges": [...]}` such a scan, `{"do": "rate",
+"hz": 5}` speaks by itself. Each command that comes is printed as `linear angular lateral`, first of
+all `ready`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+import threading
+from typing import Any
+
+import rospy
+from geometry_msgs.msg import Twist, TwistStamped
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import BatteryState, Imu, LaserScan, Range
+
+RAYS = 360
+
+
+class Robot:
+    """The nodes of one robot, in one."""
+
+    def __init__(self, args: argparse.Namespace) -> None:
+        self._args = args
+        self._count = 0
+        self._rate = 0.0
+        self._lock = threading.Lock()
+        kind = Range if args.scan_type == "Range" else LaserScan
+        self._scans = rospy.Publisher("scan", kind, queue_size=5, tcp_nodelay=True)
+        self._odometry = rospy.Publisher("odom", Odometry, queue_size=5)
+        self._imu = rospy.Publisher("imu", Imu, queue_size=5)
+        self._battery = rospy.Publisher("battery", BatteryState, queue_size=5)
+        if not args.no_base:
+            stamped = args.command_type == "TwistStamped"
+            rospy.Subscriber(
+                "cmd_vel", TwistStamped if stamped else Twist, self._on_command, queue_size=50
+            )
+        threading.Thread(target=self._speak_by_itself, daemon=True).start()
+
+    def obey(self, order: dict[str, Any]) -> None:
+        """Do what a line says."""
+        if order["do"] == "rate":
+            self._rate = order["hz"]
+        elif order["do"] == "scan":
+            self.speak(order["ranges"])
+        elif order["do"] == "speak":
+            self.speak([1.0] * RAYS)
+        elif order["do"] == "extras":
+            self._extras()
+
+    def speak(self, ranges: list[float]) -> None:
+        """Publish a scan and an odometry."""
+        with self._lock:
+            self._count += 1
+            stamp = rospy.Time.from_sec(1000.0 + 0.1 * self._count)
+            self._scans.publish(self._scan(stamp, ranges))
+            odometry = Odometry()
+            odometry.header.stamp, odometry.header.frame_id = stamp, "odom"
+            odometry.child_frame_id = "base_footprint"
+            odometry.pose.pose.position.x = 0.5
+            odometry.pose.pose.orientation.z = math.sin(0.3)
+            odometry.pose.pose.orientation.w = math.cos(0.3)
+            odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = 0.1, -0.2
+            self._odometry.publish(odometry)
+
+    def _scan(self, stamp: Any, ranges: list[float]) -> Any:
+        if self._args.scan_type == "Range":
+            return Range()
+        scan = LaserScan()
+        scan.header.stamp, scan.header.frame_id = stamp, "base_scan"
+        scan.angle_increment = 2.0 * math.pi / max(len(ranges), 1)
+        scan.angle_max = scan.angle_increment * (len(ranges) - 1)
+        scan.range_min, scan.range_max = 0.0, 100.0
+        scan.ranges = ranges
+        scan.intensities = [47.0] * len(ranges)
+        return scan
+
+    def _extras(self) -> None:
+        imu = Imu()
+        imu.orientation.z, imu.orientation.w = math.sin(0.25), math.cos(0.25)
+        self._imu.publish(imu)
+        self._battery.publish(BatteryState(voltage=12.0, percentage=0.75))
+
+    def _on_command(self, message: Any) -> None:
+        twist = getattr(message, "twist", message)
+        print(twist.linear.x, twist.angular.z, twist.linear.y, flush=True)
+
+    def _speak_by_itself(self) -> None:
+        pause = threading.Event()
+        while True:
+            if self._rate:
+                self.speak([1.0] * RAYS)
+            pause.wait(1.0 / (self._rate or 20.0))
+
+
+def main() -> None:
+    """Serve until standard input ends."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--name", default="robot")
+    parser.add_argument("--scan-type", default="LaserScan")
+    parser.add_argument("--command-type", default="Twist")
+    parser.add_argument("--no-base", action="store_true")
+    args = parser.parse_args()
+    rospy.init_node(args.name, argv=[], disable_signals=True, disable_rosout=True)
+    robot = Robot(args)
+    print("ready", flush=True)
+    for line in sys.stdin:
+        robot.obey(json.loads(line))
+
+
+if __name__ == "__main__":
+    main()
