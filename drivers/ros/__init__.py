@@ -1,0 +1,1 @@
+"""What the ROS 2 drivers share: messages, codec, conversion, options, the session and the watch."""

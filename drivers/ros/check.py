@@ -1,0 +1,153 @@
+"""`swarmd --check` of a ROS 2 driver: what was seen of the robot, each with the next step. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+
+from swarmd.driver import Finding
+from swarmd.drivers.ros.advice import shown, why_silent
+from swarmd.drivers.ros.cdr import name_of
+from swarmd.drivers.ros.dialect import Dialect, Endpoint
+from swarmd.drivers.ros.hearing import Hearing
+from swarmd.drivers.ros.sense import Sense
+from swarmd.messages import Reason
+from swarmd.scans import ScanConditioner
+from swarmd.values import ScanSpec
+
+ENOUGH = 5
+AT_LEAST = 1.0
+_TOO_SLOW = 0.5  # of the platform's rate: its scans would be held as too old now and then
+_RECENT = 2.0
+
+
+def has_enough(hearing: Hearing, elapsed: float) -> bool:
+    """Whether all that is needed was heard often enough to tell its rate."""
+    needed = (sense for sense in hearing.senses.values() if sense.is_needed)
+    return elapsed >= AT_LEAST and all(sense.count >= ENOUGH for sense in needed)
+
+
+def unheard(dialect: Dialect, endpoint: str) -> str:
+    """Nothing listens at the endpoint."""
+    return f"nothing answers at {endpoint}; {dialect.start}, or correct driver_options.endpoint"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Report:
+    """What a driver knows of its robot after having looked for a while.
+
+    `graph`: what others announce. `has_taker`: whether anyone listens for commands on the key.
+    `others`: how many commands of others came.
+    """
+
+    dialect: Dialect
+    endpoint: str
+    is_connected: bool
+    hearing: Hearing
+    spec: ScanSpec
+    graph: Collection[Endpoint]
+    cmd_vel: str
+    command: type
+    has_taker: bool
+    others: int
+
+    def findings(self) -> tuple[Finding, ...]:
+        """One line each: the hub, every topic, where commands go, who else commands."""
+        if not self.is_connected:
+            return (Finding("connection", False, unheard(self.dialect, self.endpoint)),)
+        return tuple(self._findings())
+
+    def _findings(self) -> Iterator[Finding]:
+        yield Finding("connection", True, f"{self.dialect.hub} at {self.endpoint}")
+        for sense in self.hearing.senses.values():
+            if sense.is_needed or sense.count or sense.name in ("imu", "battery"):
+                yield self._of(sense)
+        yield self._taker()
+        yield self._rivals()
+
+    def _of(self, sense: Sense) -> Finding:
+        fault = self._fault(sense)
+        if fault:
+            return Finding(sense.name, False, fault)
+        by_stamp, by_clock = sense.passed()
+        kind = name_of(sense.kind)
+        rate = f"{sense.rate():.1f} Hz, " if sense.count > 1 else ""
+        clock = f"stamps went on {by_stamp:.1f} s in {by_clock:.1f} s" if sense.count > 2 else ""
+        said = ", ".join(part for part in (sense.text, clock) if part)
+        return Finding(sense.name, True, f"{sense.topic} ({kind}): {rate}{said}".rstrip(": "))
+
+    def _fault(self, sense: Sense) -> str:
+        """What is wrong on one topic; empty if nothing is."""
+        if sense.faults and not sense.count:
+            return (
+                f"{sense.topic}: {sense.fault} ({sense.faults} times);"
+                f" correct driver_options.{sense.option}"
+            )
+        if not sense.count:
+            return why_silent(sense, self.graph, self.dialect)
+        if not sense.advances():
+            return (
+                f"{sense.topic}: {sense.count} messages, all with the stamp {sense.stamps[-1]:g};"
+                " a frozen sensor, or a publisher that fills in none"
+            )
+        if sense.name != "odometry" and sense.is_needed:
+            return self._scan_fault(sense)
+        return ""
+
+    def _scan_fault(self, sense: Sense) -> str:
+        rate, wanted = sense.rate(), self.spec.rate
+        if 0.0 < rate < _TOO_SLOW * wanted:
+            return (
+                f"{sense.topic} comes at {rate:.1f} Hz; the platform's scan.rate is {wanted:g},"
+                " so the robot would stop for old scans: correct one of them"
+            )
+        scan = self.hearing.scan
+        if scan is None:
+            return ""
+        if ScanConditioner(self.spec).take(scan, None, 0.0) is Reason.INVALID_SCAN:
+            return (
+                f"{sense.topic}: {len(scan.ranges)} rays that leave too wide a sector unseen;"
+                " look at the sensor, or correct the platform's scan"
+            )
+        return ""
+
+    def _taker(self) -> Finding:
+        wanted = name_of(self.command)
+        ends = [
+            end
+            for end in self.graph
+            if not end.is_publisher
+            and end.topic == self.cmd_vel
+            and end.domain == self.dialect.domain
+        ]
+        types = sorted({end.type for end in ends})
+        if types and wanted not in types:
+            other = "twist" if types[0] == "geometry_msgs/msg/Twist" else "twist_stamped"
+            text = f"{self.cmd_vel} wants {shown(types)}, not {wanted}"
+            return Finding("cmd_vel", False, f"{text}; set driver_options.cmd_vel_type: {other}")
+        if types or self.has_taker:
+            return Finding("cmd_vel", True, f"{self.cmd_vel} ({wanted}) has a subscriber")
+        return Finding(
+            "cmd_vel",
+            False,
+            f"nobody subscribes to {self.cmd_vel}; start the base, or correct"
+            " driver_options.cmd_vel",
+        )
+
+    def _rivals(self) -> Finding:
+        if self.others:
+            return Finding(
+                "others",
+                False,
+                f"{self.others} commands of someone else on {self.cmd_vel}; stop what publishes"
+                " them, unless it is this robot's own daemon",
+            )
+        said = [
+            end.node or end.zid
+            for end in self.graph
+            if end.is_publisher and end.topic == self.cmd_vel and end.domain == self.dialect.domain
+        ]
+        if said:
+            text = f"{shown(sorted(said))} may publish {self.cmd_vel} too, but does not now"
+            return Finding("others", True, text)
+        return Finding("others", True, f"nobody else publishes {self.cmd_vel}")

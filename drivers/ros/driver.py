@@ -1,0 +1,352 @@
+"""A ROS 2 robot over a Zenoh session of its own: what both dialects share but keys and framing."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import zenoh
+
+from swarmd.driver import Finding, SenderSpec, Sink
+from swarmd.drivers.inbox import Inbox
+from swarmd.drivers.ros import cdr, conversion
+from swarmd.drivers.ros.advice import why_silent
+from swarmd.drivers.ros.check import Report, has_enough, unheard
+from swarmd.drivers.ros.dialect import Dialect, Endpoint
+from swarmd.drivers.ros.hearing import Hearing
+from swarmd.drivers.ros.messages import Twist as TwistMessage
+from swarmd.drivers.ros.messages import TwistStamped
+from swarmd.drivers.ros.options import RosOptions, topic
+from swarmd.drivers.ros.session import commanding, has_subscriber, is_connected, open_session
+from swarmd.errors import CodecError
+from swarmd.handover import hand_over
+from swarmd.values import ZERO, Neighbor, Odometry, Platform, Scan, Twist
+
+log = logging.getLogger(__name__)
+
+SILENCE = 1.0
+"""Seconds without scan or odometry after which the base counts as lost; longer for slow scans."""
+OTHERS_LAST = 2.0
+"""Seconds for which somebody else's command keeps this driver from commanding."""
+
+_PERIOD = 0.1
+_PATIENCE = 2.0
+_COMMAND = "cmd_vel"
+_MISTAKEN = "!"
+
+
+class RosDriver:
+    """Talks to one robot through the hub at `options.endpoint`."""
+
+    is_simulated = False
+    _is_up: bool
+    _has_sent: bool
+    _owes_zero: bool
+
+    def __init__(
+        self,
+        name: str,
+        dialect: Dialect,
+        platform: Platform,
+        options: RosOptions,
+        stopping: SenderSpec,
+    ) -> None:
+        """Not connected yet."""
+        self._name, self._dialect, self._platform = name, dialect, platform
+        self._options, self._stopping = options, stopping
+        self._cmd_vel = topic(options, options.cmd_vel)
+        self._is_stamped = options.cmd_vel_type == "twist_stamped"
+        self._command: type = TwistStamped if self._is_stamped else TwistMessage
+        self._silence = max(SILENCE, 3.5 / platform.scan.rate)
+        self._hearing = Hearing(options, platform)
+        cdr.warm(self._command, *(sense.kind for sense in self._hearing.senses.values()))
+        self._reset()
+
+    async def run(self, sink: Sink) -> None:
+        """Feed the sink until cancelled; the session reconnects by itself."""
+        await self._run(sink, looks_only=False)
+
+    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+        """Send a safe command; dropped while the base is lost, zero the first time it is back."""
+        if not self._is_up:
+            return
+        if self._owes_zero:
+            self._owes_zero = False
+            twist = ZERO
+        self._has_sent = True
+        self._put(twist)
+
+    def zero_sender(self) -> SenderSpec:
+        """How a stopper says zero to this base."""
+        return self._stopping
+
+    async def check(self, seconds: float) -> tuple[Finding, ...]:
+        """Topics, rates, types, clocks and what is missing, each with the next step."""
+        loop = asyncio.get_running_loop()
+        began = loop.time()
+        task = asyncio.create_task(self._run(_Nowhere(), looks_only=True))
+        try:
+            while loop.time() - began < seconds and not task.done():
+                await asyncio.sleep(min(_PERIOD, seconds))
+                if has_enough(self._hearing, loop.time() - began):
+                    break
+            return self._report().findings()
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+
+    def _report(self) -> Report:
+        session = self._session
+        return Report(
+            dialect=self._dialect,
+            endpoint=self._options.endpoint,
+            is_connected=session is not None and is_connected(session),
+            hearing=self._hearing,
+            spec=self._platform.scan,
+            graph=self._others(),
+            cmd_vel=self._cmd_vel,
+            command=self._command,
+            has_taker=any(has_subscriber(publisher) for publisher in self._publishers.values()),
+            others=self._other_commands,
+        )
+
+    def _reset(self) -> None:
+        self._session: zenoh.Session | None = None
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._tokens: list[zenoh.LivelinessToken] = []
+        self._graph: dict[str, Endpoint] = {}
+        self._is_up = self._has_sent = False
+        self._owes_zero = True
+        self._other_at = -math.inf
+        self._other_commands = 0
+        self._told: tuple[bool, str] | None = None
+        self._told_at = -math.inf
+
+    async def _run(self, sink: Sink, *, looks_only: bool) -> None:
+        loop = asyncio.get_running_loop()
+        self._hearing = Hearing(self._options, self._platform)
+        self._tell(sink, False, f"nothing heard yet from {self._options.endpoint}")
+        session = await self._opened(sink)
+        inbox = Inbox(loop, partial(self._take, sink, looks_only), sink.dropped)
+        try:
+            self._session = session
+            for key in self._dialect.command_keys(self._cmd_vel, self._command):
+                self._publishers[key] = commanding(session, key)
+            self._listen(session, inbox, loop)
+            opened = loop.time()
+            while True:
+                await asyncio.sleep(_PERIOD)
+                self._watch(sink, session, loop.time(), opened)
+        finally:
+            inbox.close()
+            if self._has_sent:  # who only looked must not interrupt the daemon that drives
+                self._put(ZERO)
+            self._reset()
+            session.close()
+
+    async def _opened(self, sink: Sink) -> zenoh.Session:
+        """A session; tries until something listens at the endpoint. Leaves none if cancelled."""
+        while True:
+            opening = asyncio.ensure_future(asyncio.to_thread(open_session, self._options.endpoint))
+            try:
+                session = await asyncio.shield(opening)
+            except asyncio.CancelledError:
+                opening.add_done_callback(_close_if_open)
+                raise
+            if session is not None:
+                return session
+            self._tell(sink, False, unheard(self._dialect, self._options.endpoint))
+
+    def _listen(
+        self, session: zenoh.Session, inbox: Inbox, loop: asyncio.AbstractEventLoop
+    ) -> None:
+        heard = [(s.name, s.topic, s.kind) for s in self._hearing.senses.values()]
+        for name, full, kind in (*heard, (_COMMAND, self._cmd_vel, self._command)):
+            session.declare_subscriber(
+                self._dialect.listening(full),
+                _receiver(self._dialect, inbox, name, full, kind),
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+
+        def on_token(sample: zenoh.Sample) -> None:
+            is_there = sample.kind == zenoh.SampleKind.PUT
+            hand_over(loop, self._on_token, str(sample.key_expr), is_there)
+
+        session.liveliness().declare_subscriber(self._dialect.graph, on_token, history=True)
+
+    def _on_token(self, token: str, is_there: bool) -> None:
+        end = self._dialect.announced(token)
+        if end is None:
+            return
+        if is_there:
+            self._graph[token] = end
+        else:
+            self._graph.pop(token, None)
+
+    def _others(self) -> tuple[Endpoint, ...]:
+        """What is announced, but for our own tokens."""
+        own = str(self._session.info.zid()) if self._session is not None else ""
+        return tuple(end for end in self._graph.values() if end.zid != own)
+
+    def _take(self, sink: Sink, looks_only: bool, name: str, payload: bytes) -> None:
+        now = asyncio.get_running_loop().time()
+        if name.removeprefix(_MISTAKEN) == _COMMAND:
+            self._on_command(sink, name, payload, now)
+        elif name.startswith(_MISTAKEN):
+            name = name.removeprefix(_MISTAKEN)
+            self._hearing.senses[name].complain(now, payload.decode(errors="replace"))
+            sink.dropped(f"{name}:type")
+        else:
+            try:
+                deliver = self._hearing.take(name, payload, now)
+            except CodecError as error:
+                self._hearing.senses[name].complain(now, f"cannot be read: {error}")
+                sink.dropped(name)
+                return
+            self._rise(sink, looks_only, now)
+            if self._is_up:
+                deliver(sink)
+
+    def _on_command(self, sink: Sink, name: str, payload: bytes, now: float) -> None:
+        """Somebody else commands this base; nobody is in charge who commands zero."""
+        self._other_commands += 1
+        if name == _COMMAND:
+            try:
+                if _asked(cdr.decode(self._command, payload)).is_zero:
+                    return
+            except CodecError:
+                pass  # not what we would say: it may well move the robot
+        self._other_at = now
+        if self._is_up:
+            self._fall(sink, self._driven_by_others())
+
+    def _driven_by_others(self) -> str:
+        return (
+            f"someone else drives this robot: commands on {self._cmd_vel} that are not ours; stop"
+            " what publishes them, and this driver takes over 2 s later"
+        )
+
+    def _rise(self, sink: Sink, looks_only: bool, now: float) -> None:
+        if self._is_up or self._hearing.heard_at < now or now - self._other_at < OTHERS_LAST:
+            return
+        self._is_up = self._owes_zero = True
+        self._tell(sink, True, self._place())
+        if not looks_only and not self._tokens and self._session is not None:
+            topics = [(s.topic, s.kind) for s in self._hearing.senses.values()]
+            zid = str(self._session.info.zid())
+            for token in self._dialect.introduce(zid, [*topics, (self._cmd_vel, self._command)]):
+                self._tokens.append(self._session.liveliness().declare_token(token))
+
+    def _fall(self, sink: Sink, text: str) -> None:
+        self._is_up = False
+        if self._has_sent:
+            self._put(ZERO)
+        self._tell(sink, False, text)
+
+    def _watch(self, sink: Sink, session: zenoh.Session, now: float, opened: float) -> None:
+        is_linked = is_connected(session)
+        silent = now - self._hearing.heard_at
+        if self._is_up and not is_linked:
+            self._fall(sink, unheard(self._dialect, self._options.endpoint))
+        elif self._is_up and silent > self._silence:
+            self._fall(sink, f"no scan and no odometry from {self._place()} for {silent:.1f} s")
+        elif now - self._told_at >= _PATIENCE and now - opened >= _PATIENCE:
+            self._explain(sink, now, is_linked)
+
+    def _explain(self, sink: Sink, now: float, is_linked: bool) -> None:
+        """Say anew why it is lost, or what is missing although it is there."""
+        if not is_linked:
+            self._tell(sink, self._is_up, unheard(self._dialect, self._options.endpoint))
+        elif now - self._other_at < OTHERS_LAST:
+            self._tell(sink, self._is_up, self._driven_by_others())
+        else:
+            trouble = self._trouble(now)
+            place = f"{self._place()}; {trouble}" if trouble else self._place()
+            self._tell(sink, self._is_up, place if self._is_up else trouble or place)
+
+    def _trouble(self, now: float) -> str:
+        graph = self._others()
+        complaints = [
+            f"{sense.topic}: {sense.complaint(now)}; correct driver_options.{sense.option}"
+            for sense in self._hearing.senses.values()
+            if sense.complaint(now)
+        ]
+        missing = self._hearing.missing(now, max(_PATIENCE, self._silence))
+        silent = [why_silent(sense, graph, self._dialect) for sense in missing]
+        return "; ".join((complaints or silent)[:2])
+
+    def _place(self) -> str:
+        return f"{self._dialect.hub} at {self._options.endpoint}"
+
+    def _tell(self, sink: Sink, is_up: bool, text: str) -> None:
+        self._told_at = asyncio.get_running_loop().time()
+        if self._told == (is_up, text):
+            return
+        if self._told is not None:
+            log.log(logging.INFO if is_up else logging.WARNING, "driver %s: %s", self._name, text)
+        self._told = (is_up, text)
+        sink.state(is_up, text)
+
+    def _put(self, twist: Twist) -> None:
+        publisher = self._publishers.get(self._dialect.command_key(self._cmd_vel, self._command))
+        if publisher is None:
+            return
+        message = (
+            conversion.stamped_message(twist, self._options.cmd_vel_frame)
+            if self._is_stamped
+            else conversion.twist_message(twist)
+        )
+        publisher.put(cdr.encode(message), attachment=self._dialect.attachment())
+
+
+def _asked(message: object) -> Twist:
+    if isinstance(message, TwistStamped):
+        message = message.twist
+    assert isinstance(message, TwistMessage)
+    return conversion.twist_of(message)
+
+
+def _receiver(
+    dialect: Dialect, inbox: Inbox, name: str, full: str, kind: type
+) -> Callable[[zenoh.Sample], None]:
+    def on_sample(sample: zenoh.Sample) -> None:
+        fault = dialect.fault(str(sample.key_expr), full, kind)
+        if fault:
+            inbox.put(f"{_MISTAKEN}{name}", fault.encode())
+        else:
+            inbox.put(name, sample.payload.to_bytes())
+
+    return on_sample
+
+
+def _close_if_open(opening: asyncio.Future[zenoh.Session | None]) -> None:
+    if opening.cancelled() or opening.exception() is not None:
+        return
+    session = opening.result()
+    if session is not None:
+        session.close()
+
+
+class _Nowhere:
+    """A sink for who only looks."""
+
+    def scan(self, scan: Scan) -> None:
+        pass
+
+    def odometry(self, odometry: Odometry) -> None:
+        pass
+
+    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
+        pass
+
+    def readings(self, values: Mapping[str, float]) -> None:
+        pass
+
+    def state(self, is_up: bool, text: str) -> None:
+        pass
+
+    def dropped(self, what: str) -> None:
+        pass

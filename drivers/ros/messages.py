@@ -1,0 +1,35 @@
+"""The ROS 2 messages that drivers speak, as rosbags' dataclasses under their plain names.
+
+Jazzy's definitions; of all of these only `Range` differs between the distributions from Humble on.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+from rosbags.typesys.stores import ros2_humble, ros2_jazzy
+
+Time: TypeAlias = ros2_jazzy.builtin_interfaces__msg__Time
+Header: TypeAlias = ros2_jazzy.std_msgs__msg__Header
+Vector3: TypeAlias = ros2_jazzy.geometry_msgs__msg__Vector3
+Quaternion: TypeAlias = ros2_jazzy.geometry_msgs__msg__Quaternion
+Twist: TypeAlias = ros2_jazzy.geometry_msgs__msg__Twist
+TwistStamped: TypeAlias = ros2_jazzy.geometry_msgs__msg__TwistStamped
+LaserScan: TypeAlias = ros2_jazzy.sensor_msgs__msg__LaserScan
+Range: TypeAlias = ros2_jazzy.sensor_msgs__msg__Range
+OlderRange: TypeAlias = ros2_humble.sensor_msgs__msg__Range
+Imu: TypeAlias = ros2_jazzy.sensor_msgs__msg__Imu
+BatteryState: TypeAlias = ros2_jazzy.sensor_msgs__msg__BatteryState
+Odometry: TypeAlias = ros2_jazzy.nav_msgs__msg__Odometry
+
+
+def dds_name(name: str) -> str:
+    """`sensor_msgs::msg::dds_::LaserScan_` for `sensor_msgs/msg/LaserScan`."""
+    package, _, rest = name.partition("/")
+    folder, _, kind = rest.partition("/")
+    return f"{package}::{folder}::dds_::{kind}_"
+
+
+def ros_name(dds: str) -> str:
+    """`sensor_msgs/msg/LaserScan` for `sensor_msgs::msg::dds_::LaserScan_`."""
+    return dds.replace("::dds_::", "::").replace("::", "/").removesuffix("_")

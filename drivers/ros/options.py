@@ -1,0 +1,116 @@
+"""What may stand in `driver_options` of the ROS 2 drivers, read and checked."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Annotated, Literal, TypeVar
+
+import msgspec
+from msgspec import Meta, Struct
+
+from swarmd.errors import ConfigError, unknown
+from swarmd.values import Value
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+
+_ENDPOINT = re.compile(r"(tcp|tls|quic|udp)/(\[[0-9a-fA-F:.]+\]|[^/:#?\s]+):\d{1,5}([?#]\S*)?")
+_TOPIC = re.compile(r"/?[A-Za-z0-9_]+(/[A-Za-z0-9_]+)*")
+_ROBOT = "{robot}"
+
+Degrees = Annotated[float, Meta(ge=-360.0, le=360.0)]
+Metres = Annotated[float, Meta(ge=0.0, le=10.0)]
+
+
+class RosOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Where the robot is on the network, and how its topics are called.
+
+    `namespace` stands before every topic that does not begin with a slash; `{robot}` in it is the
+    robot's id, with `_` for `-`. `ranges` makes one scan of several `sensor_msgs/Range`: topic to
+    bearing in degrees, or to bearing and the sensor's distance in m from the scan's origin;
+    `scan` is not listened to then. `scan_yaw_deg`: how the lidar is turned on the base.
+    """
+
+    endpoint: str = DEFAULT_ENDPOINT
+    namespace: str = ""
+    scan: str = "scan"
+    odometry: str = "odom"
+    cmd_vel: str = "cmd_vel"
+    imu: str | None = None
+    battery: str | None = None
+    cmd_vel_type: Literal["twist", "twist_stamped"] = "twist"
+    cmd_vel_frame: str = "base_link"
+    scan_yaw_deg: Degrees = 0.0
+    ranges: dict[str, Degrees | tuple[Degrees, Metres]] = {}
+
+
+class RmwOptions(RosOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Those of rmw_zenoh: `domain` is ROS_DOMAIN_ID on the robot."""
+
+    domain: Annotated[int, Meta(ge=0, le=232)] = 0
+
+
+O = TypeVar("O", bound=RosOptions)  # noqa: E741
+
+
+def read_options(kind: type[O], options: Mapping[str, Value], driver: str, robot: str) -> O:
+    """The options, `{robot}` filled in; ConfigError names the one that is wrong."""
+    for name in options:
+        if name not in kind.__struct_fields__:
+            raise ConfigError(f"driver {driver}: {unknown('option', name, kind.__struct_fields__)}")
+    try:
+        read = msgspec.convert(dict(options), kind)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"driver {driver}: driver_options: {_said(str(error))}") from None
+    filled = msgspec.structs.replace(
+        read, namespace=read.namespace.replace(_ROBOT, robot.replace("-", "_"))
+    )
+    _check(filled, driver)
+    return filled
+
+
+def topic(options: RosOptions, name: str) -> str:
+    """The full name of a topic, such as `/tb3_01/scan`."""
+    namespace = options.namespace.strip("/")
+    if name.startswith("/") or not namespace:
+        return f"/{name.strip('/')}"
+    return f"/{namespace}/{name}"
+
+
+def ring_of(options: RosOptions) -> tuple[tuple[str, float, float], ...]:
+    """Topic, bearing in rad and distance in m of each sensor of `ranges`."""
+    placed = (
+        (name, place if isinstance(place, tuple) else (place, 0.0))
+        for name, place in options.ranges.items()
+    )
+    return tuple((name, math.radians(degrees), distance) for name, (degrees, distance) in placed)
+
+
+def _check(options: RosOptions, driver: str) -> None:
+    if _ENDPOINT.fullmatch(options.endpoint) is None:
+        raise ConfigError(
+            f"driver {driver}: endpoint is {options.endpoint!r}; wanted is such as"
+            f" {DEFAULT_ENDPOINT}"
+        )
+    named = {
+        "namespace": options.namespace.strip("/") or None,
+        "scan": options.scan,
+        "odometry": options.odometry,
+        "cmd_vel": options.cmd_vel,
+        "imu": options.imu,
+        "battery": options.battery,
+        **{f"ranges.{name}": name for name in options.ranges},
+    }
+    for key, name in named.items():
+        if name is not None and _TOPIC.fullmatch(name) is None:
+            raise ConfigError(
+                f"driver {driver}: {key} is {name!r}; wanted is a ROS name such as tb3_01 or"
+                " front/scan (letters, digits, _ and /)"
+            )
+
+
+def _said(text: str) -> str:
+    """msgspec's complaint with the option first: `Expected ... - at `$.domain``."""
+    what, _, where = text.partition(" - at `$.")
+    return f"{where.rstrip('`')}: {what}" if where else what

@@ -1,0 +1,67 @@
+"""A second connection to a ROS base that can say nothing but zero, for the stopper's process."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+
+import zenoh
+
+from swarmd.drivers.ros.cdr import encode
+from swarmd.drivers.ros.conversion import stamped_message, twist_message
+from swarmd.drivers.ros.dialect import Dialect
+from swarmd.drivers.ros.messages import Twist, TwistStamped
+from swarmd.drivers.ros.options import RosOptions, topic
+from swarmd.drivers.ros.session import commanding, open_session
+from swarmd.values import ZERO
+
+_AT_OPENING = 0.3
+_IN_A_TICK = 0.03
+_AGAIN_AFTER = 0.5
+
+
+class RosZeroSender:
+    """Commands zero on every key on which the robot may listen."""
+
+    def __init__(self, dialect: Dialect, endpoint: str, keys: tuple[str, ...], payload: bytes):
+        """Not connected yet; `payload` is the zero as the robot wants it."""
+        self._dialect, self._endpoint = dialect, endpoint
+        self._keys, self._payload = keys, payload
+        self._session: zenoh.Session | None = None
+        self._publishers: tuple[zenoh.Publisher, ...] = ()
+        self._tried = 0.0
+
+    def open(self) -> None:
+        """Connect; while nothing listens there, `send_zero` tries again every half second."""
+        self._connect(_AT_OPENING)
+
+    def send_zero(self) -> None:
+        """Command zero once, now."""
+        if self._session is None and time.monotonic() - self._tried >= _AGAIN_AFTER:
+            self._connect(_IN_A_TICK)
+        for publisher in self._publishers:
+            with contextlib.suppress(zenoh.ZError):
+                publisher.put(self._payload, attachment=self._dialect.attachment())
+
+    def close(self) -> None:
+        """Disconnect; commands nothing."""
+        session, self._session, self._publishers = self._session, None, ()
+        if session is not None:
+            session.close()
+
+    def _connect(self, within: float) -> None:
+        self._session = open_session(self._endpoint, within=within)
+        self._tried = time.monotonic()
+        if self._session is not None:
+            session = self._session
+            self._publishers = tuple(commanding(session, key) for key in self._keys)
+
+
+def zero_sender_of(dialect: Dialect, options: RosOptions) -> RosZeroSender:
+    """The sender for a robot with these options."""
+    is_stamped = options.cmd_vel_type == "twist_stamped"
+    message = stamped_message(ZERO, options.cmd_vel_frame) if is_stamped else twist_message(ZERO)
+    keys = dialect.command_keys(
+        topic(options, options.cmd_vel), TwistStamped if is_stamped else Twist
+    )
+    return RosZeroSender(dialect, options.endpoint, keys, encode(message))
