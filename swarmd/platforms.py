@@ -12,6 +12,7 @@ from msgspec import Meta, Struct, to_builtins
 
 import swarmd.config
 from swarmd.angles import wrap
+from swarmd.base import base_options
 from swarmd.errors import ConfigError, unknown
 from swarmd.layered import Layered
 from swarmd.protection.footprint import Footprint
@@ -22,11 +23,12 @@ from swarmd.protection.settings import (
     StopZoneSettings,
 )
 from swarmd.swarmfile import Options, Parameters
-from swarmd.values import Limits, Platform, ScanSpec, Value
+from swarmd.values import Array, Limits, Platform, ScanSpec, Value
 from swarmd.yamlfile import Data, read_extended, shown
 
 Coordinate = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Point = tuple[Coordinate, Coordinate]
+Bearing = Annotated[float, Meta(ge=-360.0, le=360.0)]
 Positive = Annotated[float, Meta(gt=0.0, le=1000.0)]
 _SENSED = ("scan", "odometry", "neighbors")
 _OF_NEIGHBORS = ("neighbors.distance", "neighbors.bearing", "neighbors.heading")
@@ -42,17 +44,19 @@ class LimitsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The range sensor: rays spread evenly over 360 degrees, rate in Hz, ranges in m.
+    """The range sensor: rate in Hz, ranges in m, and where its rays go.
 
+    `rays` many are spread evenly over 360 degrees, or each has its own among `bearings_deg`.
     `latency`: the mean age of its rays in s when a sweep arrives; None: half a sweep, as of one
     that turns. `near`: whether it tells of what is nearer than `range_min`.
     """
 
-    rays: Annotated[int, Meta(ge=1, le=10_000)]
+    rays: Annotated[int, Meta(ge=1, le=10_000)] | None = None
+    bearings_deg: Annotated[list[Bearing], Meta(min_length=1, max_length=10_000)] | None = None
     rate: Annotated[float, Meta(gt=0.0, le=200.0)]
     range_min: Annotated[float, Meta(ge=0.0, le=1000.0)]
     range_max: Positive
-    first_bearing_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+    first_bearing_deg: Bearing = 0.0
     offset: Point = (0.0, 0.0)
     zero: Literal["no_return", "too_close", "unknown", "lds"] = "no_return"
     noisy: bool = True
@@ -130,6 +134,11 @@ def _find(name: str, near: Path) -> Path:
 def _check(layers: Layered, file: PlatformFile) -> None:
     _check_scan(layers, file.scan)
     _check_protection(layers, file)
+    for name, options in file.drivers.items():
+        try:
+            base_options(cast(Mapping[str, Value], options), f"drivers.{name}")
+        except ConfigError as error:
+            raise layers.error(("drivers", name), str(error)) from error
     for index, word in enumerate(file.provides):
         if word not in (*_SENSED, *_OF_NEIGHBORS) and not _is_reading(word):
             words = (*_SENSED, *_OF_NEIGHBORS, f"{_READING}<name>")
@@ -145,6 +154,10 @@ def _check(layers: Layered, file: PlatformFile) -> None:
 
 
 def _check_scan(layers: Layered, scan: ScanSection) -> None:
+    if (scan.rays is None) == (scan.bearings_deg is None):
+        fault = "is missing" if scan.rays is None else f"is {scan.rays} beside bearings_deg"
+        text = f"scan.rays {fault}; wanted is one of the two: how many, or a list of bearings"
+        raise layers.error(("scan", "rays"), text)
     if scan.range_min >= scan.range_max:
         text = f"scan.range_min is {scan.range_min:g}"
         raise layers.error(
@@ -237,16 +250,26 @@ def _shape_fault(points: list[Point]) -> str:
     return ""
 
 
+def _bearings(scan: ScanSection) -> Array:
+    """(n,) rad, where the rays go."""
+    given = scan.bearings_deg
+    if given is None:
+        rays = scan.rays or 0  # one of the two is there
+        step = 2.0 * math.pi / rays
+        first = math.radians(scan.first_bearing_deg)
+        return np.array([wrap(first + i * step) for i in range(rays)])
+    turn = math.radians(scan.first_bearing_deg)
+    return np.array([wrap(turn + math.radians(bearing)) for bearing in given])
+
+
 def _platform(name: str, file: PlatformFile) -> Platform:
     scan, protection = file.scan, file.protection
-    first = math.radians(scan.first_bearing_deg)
-    step = 2.0 * math.pi / scan.rays
     return Platform(
         name=name,
         limits=Limits(**to_builtins(file.limits)),
         footprint=np.array(file.footprint, dtype=np.float64),
         scan=ScanSpec(
-            bearings=np.array([wrap(first + i * step) for i in range(scan.rays)]),
+            bearings=_bearings(scan),
             rate=scan.rate,
             range_min=scan.range_min,
             range_max=scan.range_max,

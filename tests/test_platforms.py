@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 import yaml
 
+from swarmd.base import BaseOptions, base_options
+from swarmd.driver import Stopping
 from swarmd.errors import ConfigError
 from swarmd.platforms import load_platform, platform_names
+from swarmd.plugins import driver_names, load_driver
 
 GOOD: dict[str, Any] = {
     "description": "a test robot",
@@ -63,7 +66,7 @@ def with_value(path: str, value: object) -> dict[str, Any]:
     return data
 
 
-@pytest.mark.parametrize("name", ["burger", "waffle_pi", "jackal"])
+@pytest.mark.parametrize("name", ["burger", "waffle_pi", "jackal", "waffle_pi_lds02"])
 def test_shipped_platforms_load(name: str) -> None:
     platform = load_platform(name)
     assert name in platform_names()
@@ -267,3 +270,52 @@ def test_a_footprint_that_is_none_is_told_in_every_mode(folder: Path) -> None:
     bad = {"extends": "burger", "footprint": corners, "protection": {"mode": "stop_zone"}}
     with pytest.raises(ConfigError, match="footprint has the same corner twice"):
         load_platform(write(folder, bad))
+
+
+@pytest.mark.parametrize("name", platform_names())
+def test_what_shipped_files_say_of_drivers_is_what_these_take(name: str) -> None:
+    platform = load_platform(name)
+    for driver, options in platform.drivers.items():
+        if driver not in driver_names():  # this installation lacks it
+            continue
+        base = base_options(options, driver)
+        rest = {k: v for k, v in options.items() if k not in BaseOptions.__struct_fields__}
+        make = load_driver(driver)
+        made = make(swarm="s", robot="r-1", platform=platform, options=rest)
+        assert made.is_simulated or base.deadman is not None, f"{driver}: how does it stop?"
+        assert base.deadman != "none" or isinstance(made, Stopping)
+
+
+@pytest.mark.parametrize("name", ["burger_lds02", "waffle_pi_lds02"])
+def test_an_lds_02_is_the_same_robot_with_other_eyes(name: str) -> None:
+    variant, base = load_platform(name), load_platform(name.removesuffix("_lds02"))
+    assert np.array_equal(variant.footprint, base.footprint)
+    assert (variant.scan.range_min, variant.scan.range_max) == (0.16, 8.0)
+    assert variant.scan.offset == base.scan.offset
+    assert variant.scan.zero == "lds"
+
+
+def test_rays_may_go_wherever_a_sensor_has_them(folder: Path) -> None:
+    data = with_value("scan.bearings_deg", [40, 0, -40, 190])
+    del data["scan"]["rays"]
+    bearings = load_platform(write(folder, data)).scan.bearings
+    assert np.degrees(bearings) == pytest.approx([40.0, 0.0, -40.0, -170.0])
+    data["scan"]["first_bearing_deg"] = 10.0
+    bearings = load_platform(write(folder, data)).scan.bearings
+    assert np.degrees(bearings) == pytest.approx([50.0, 10.0, -30.0, -160.0])
+
+
+def test_a_sensor_has_either_a_number_of_rays_or_their_bearings(folder: Path) -> None:
+    with pytest.raises(ConfigError, match=r"^x\.yaml: scan\.rays is 4 beside bearings_deg; want"):
+        load_platform(write(folder, with_value("scan.bearings_deg", [0.0, 90.0])))
+    data = with_value("scan.rays", None)
+    with pytest.raises(ConfigError, match=r"^x\.yaml: scan\.rays is missing; wanted is one of"):
+        load_platform(write(folder, data))
+
+
+def test_a_fault_in_how_a_base_stops_names_the_file(folder: Path) -> None:
+    with pytest.raises(ConfigError, match=r"^x\.yaml: drivers\.ros1: deadman is 'never'; wanted"):
+        load_platform(write(folder, with_value("drivers.ros1", {"deadman": "never"})))
+    silent = {"deadman": "none", "idle_output": "silent"}
+    with pytest.raises(ConfigError, match=r"^x\.yaml: drivers\.ros1: idle_output is silent, but"):
+        load_platform(write(folder, with_value("drivers.ros1", silent)))

@@ -13,10 +13,10 @@ Mode = Literal["barrier", "potential_field", "stop_zone", "off"]
 
 
 class PotentialFieldSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Mode `potential_field`: threshold in m from the sensor, rays that trigger it."""
+    """Mode `potential_field`: threshold in m from the sensor; more than `rays` trigger it."""
 
     threshold: Annotated[float, Meta(gt=0.0, le=1000.0)]
-    rays: Annotated[int, Meta(ge=1, le=10_000)]
+    rays: Annotated[int, Meta(ge=0, le=10_000)]
     forward_bias: Annotated[float, Meta(ge=0.0, le=100.0)]
 
 

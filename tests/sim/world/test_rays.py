@@ -50,5 +50,6 @@ def test_an_interval_without_rays_takes_no_place() -> None:
 
 
 @pytest.mark.parametrize("name", platform_names())
-def test_the_sensors_of_our_platforms_need_no_search(name: str) -> None:
-    assert Rays(load_platform(name).scan.bearings)._is_even
+def test_the_lidars_of_our_platforms_need_no_search(name: str) -> None:
+    bearings = load_platform(name).scan.bearings
+    assert Rays(bearings)._is_even == (len(bearings) > 7)  # of few rays a search is as fast
