@@ -200,7 +200,7 @@ class Ros1Driver:
                 " correct driver_options.python"
             )
         else:
-            self._end, self._is_planned = event.text, True
+            self._end, self._is_planned = event.text, event.kind == "restart"
         self._judge()
 
     def on_message(self, link: int, data: bytes) -> None:
@@ -231,7 +231,7 @@ class Ros1Driver:
         """Whether the base is there; said when that has changed, or the reason has."""
         if self._sink is None or self._child is None:
             return
-        missing = self._view.missing(asyncio.get_running_loop().time())
+        missing = self._end or self._view.missing(asyncio.get_running_loop().time())
         if missing:
             self._say(False, missing)
         elif not self._is_up:

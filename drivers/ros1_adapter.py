@@ -49,7 +49,6 @@ _CALL = 1.0  # s for a call of the master's or a node's API
 _KNOWN_FOR = 5.0
 _MAX_LINKS = 255
 _TWIST_SIZE = 48
-_RESTARTED = "the ROS master has been restarted"
 
 
 class Master:
@@ -137,8 +136,10 @@ class Adapter:
                 self._tell({"event": "state", "master": False, "text": str(error)})
             self._wake.wait(_LOOK if self._is_joined else _RETRY)
 
-    def end(self, seconds: float) -> None:
-        """Send zeros for that long if anything was sent at all, then leave."""
+    def end(self, seconds: float, why: str = "", kind: str = "end") -> None:
+        """Tell the driver why, send zeros for that long unless the base stands, then leave."""
+        if why and self._ends_at is None:
+            self._event({"event": "told", "kind": kind, "text": why})
         ends_at = time.monotonic() + seconds
         self._ends_at = ends_at if self._ends_at is None else min(ends_at, self._ends_at)
 
@@ -183,6 +184,7 @@ class Adapter:
         self._publish(payload)
 
     def _on_shutdown(self) -> None:
+        self.end(0.0, "ROS has shut the adapter's node down")
         if self._is_armed:
             self._zero()
             time.sleep(_FLUSH)  # a thread of rospy's writes it
@@ -211,8 +213,7 @@ class Adapter:
         is_listed = all(master.caller in subscribes.get(topic, ()) for topic in topics)
         self._misses = 0 if is_listed else self._misses + 1
         if self._misses >= 2:
-            self._event({"event": "told", "kind": "restart", "text": _RESTARTED})
-            self.end(0.0)
+            self.end(0.0, "the ROS master has been restarted", "restart")
         types = dict(master.call("getTopicTypes"))
         command = self._config["command_topic"]
         others = [n for n in publishes.get(command, ()) if n != master.caller]
@@ -300,11 +301,11 @@ class Adapter:
     def _leave(self) -> None:
         """Take our names off the master, if it answers, and end."""
         if self._is_joined:
-            leaving = threading.Thread(
-                target=self._rospy.signal_shutdown, args=("the driver has ended",), daemon=True
-            )
-            leaving.start()
-            leaving.join(_CALL)
+            shutdown = self._rospy.signal_shutdown
+            threading.Thread(target=shutdown, args=("the driver has ended",), daemon=True).start()
+            deadline = time.monotonic() + _CALL
+            while not self._rospy.is_shutdown() and time.monotonic() < deadline:
+                time.sleep(0.01)
         os._exit(0)
 
 
@@ -357,7 +358,7 @@ def main() -> None:
         return
     adapter = Adapter(config, sock, rospy)
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, lambda *_: adapter.end(STOPPING))
+        signal.signal(number, lambda *_: adapter.end(STOPPING, "somebody ended the adapter"))
     adapter.run()
 
 

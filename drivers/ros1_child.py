@@ -65,7 +65,7 @@ class Link(Struct, frozen=True, tag_field="event", tag="link"):
 
 
 class Told(Struct, frozen=True, tag_field="event", tag="told"):
-    """Why the adapter ends: `fatal` if it cannot work, `restart` if it is to be begun anew."""
+    """Why the adapter ends: `fatal` if it cannot work, `restart` with the master, else `end`."""
 
     kind: str
     text: str
