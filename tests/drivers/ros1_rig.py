@@ -6,6 +6,7 @@ import itertools
 import json
 import math
 import os
+import random
 import subprocess
 import threading
 from collections.abc import Iterator, Mapping, Sequence
@@ -16,7 +17,7 @@ from swarmd.drivers.ros1 import Ros1Driver
 from swarmd.platforms import load_platform
 from swarmd.testing.processes import CAP, wait_until
 from swarmd.testing.roscore import PYTHON, RosCore
-from swarmd.values import Twist, Value
+from swarmd.values import Scan, Twist, Value
 
 SCRIPT = Path(__file__).with_name("ros1_robot.py")
 PLATFORM = load_platform("burger")
@@ -30,18 +31,22 @@ class RosRobot:
     platform = PLATFORM
 
     def __init__(self, core: RosCore, *words: str, namespace: str = "") -> None:
-        self.core = core
+        self.core, self._words = core, words
         self.namespace = namespace or f"/r{os.getpid()}_{next(_numbers)}"
+        self._lines: list[str] = []
+        self._lock = threading.Lock()
+        self.rise()
+
+    def rise(self) -> None:
+        """Start its nodes, also anew, and wait until they are registered."""
         self._process = subprocess.Popen(
-            [PYTHON, str(SCRIPT), *words],
-            env={**core.environ, "ROS_NAMESPACE": self.namespace},
+            [PYTHON, str(SCRIPT), *self._words],
+            env={**self.core.environ, "ROS_NAMESPACE": self.namespace},
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
         )
-        self._lines: list[str] = []
-        self._lock = threading.Lock()
-        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread = threading.Thread(target=self._read, args=(self._process,), daemon=True)
         self._thread.start()
         try:
             wait_until(lambda: bool(self._lines), "the robot's nodes are registered")
@@ -80,6 +85,24 @@ class RosRobot:
             lines, self._lines = self._lines, []
         return [_twist(line) for line in lines]
 
+    def say(self, scan: Scan) -> None:
+        """Send this sweep."""
+        first, ranges = float(scan.bearings[0]), scan.ranges.tolist()
+        self.do("say", stamp=scan.stamp, first=first, ranges=ranges)
+
+    def move(self) -> None:
+        """Send an odometry."""
+        self.do("move")
+
+    def garble(self) -> None:
+        """Send bytes that no LaserScan has, each time others."""
+        size = random.randrange(200)
+        self.do("garble", bytes=(b"\xff" * 16 + random.randbytes(size)).hex())
+
+    def die(self) -> None:
+        """Kill its nodes; the master does not know."""
+        self.close()
+
     def close(self) -> None:
         """Kill it."""
         self._process.kill()
@@ -92,9 +115,9 @@ class RosRobot:
                 except BrokenPipeError:
                     continue
 
-    def _read(self) -> None:
-        assert self._process.stdout is not None
-        for line in self._process.stdout:
+    def _read(self, process: subprocess.Popen[bytes]) -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
             with self._lock:
                 self._lines.append(line.decode())
 

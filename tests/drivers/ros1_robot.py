@@ -2,13 +2,14 @@
 
 Its namespace is ROS_NAMESPACE. Each line is an object as JSON: `{"do": "speak"}` publishes a scan
 and an odometry with the next stamp, `{"do": "scan", "ranges": [...]}` such a scan, `{"do": "rate",
-"hz": 5}` speaks by itself. Each command that comes is printed as `linear angular lateral`, first of
-all `ready`.
+"hz": 5}` speaks by itself; `say`, `move`, `garble` and `extras` are seen below. Each command that
+comes is printed as `linear angular lateral`, first of all `ready`.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
 import json
 import math
 import sys
@@ -32,8 +33,8 @@ class Robot:
         self._rate = 0.0
         self._lock = threading.Lock()
         kind = Range if args.scan_type == "Range" else LaserScan
-        self._scans = rospy.Publisher("scan", kind, queue_size=5, tcp_nodelay=True)
-        self._odometry = rospy.Publisher("odom", Odometry, queue_size=5)
+        self._scans = raw_publisher("scan", kind)
+        self._odometry = raw_publisher("odom", Odometry)
         self._imu = rospy.Publisher("imu", Imu, queue_size=5)
         self._battery = rospy.Publisher("battery", BatteryState, queue_size=5)
         if not args.no_base:
@@ -51,35 +52,59 @@ class Robot:
             self.speak(order["ranges"])
         elif order["do"] == "speak":
             self.speak([1.0] * RAYS)
+        elif order["do"] == "say":
+            stamp = rospy.Time.from_sec(order["stamp"])
+            send(self._scans, bytes_of(self._scan(stamp, order["ranges"], order["first"])))
+        elif order["do"] == "move":
+            self.move()
+        elif order["do"] == "garble":
+            self._garble(bytes.fromhex(order["bytes"]))
         elif order["do"] == "extras":
             self._extras()
 
     def speak(self, ranges: list[float]) -> None:
         """Publish a scan and an odometry."""
+        send(self._scans, bytes_of(self._scan(self._stamp(), ranges)))
+        self.move()
+
+    def move(self) -> None:
+        """Publish an odometry."""
+        send(self._odometry, bytes_of(self._pose()))
+
+    def _pose(self) -> Any:
+        odometry = Odometry()
+        odometry.header.stamp, odometry.header.frame_id = self._stamp(), "odom"
+        odometry.child_frame_id = "base_footprint"
+        odometry.pose.pose.position.x = 0.5
+        odometry.pose.pose.orientation.z = math.sin(0.3)
+        odometry.pose.pose.orientation.w = math.cos(0.3)
+        odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = 0.1, -0.2
+        return odometry
+
+    def _stamp(self) -> Any:
         with self._lock:
             self._count += 1
-            stamp = rospy.Time.from_sec(1000.0 + 0.1 * self._count)
-            self._scans.publish(self._scan(stamp, ranges))
-            odometry = Odometry()
-            odometry.header.stamp, odometry.header.frame_id = stamp, "odom"
-            odometry.child_frame_id = "base_footprint"
-            odometry.pose.pose.position.x = 0.5
-            odometry.pose.pose.orientation.z = math.sin(0.3)
-            odometry.pose.pose.orientation.w = math.cos(0.3)
-            odometry.twist.twist.linear.x, odometry.twist.twist.angular.z = 0.1, -0.2
-            self._odometry.publish(odometry)
+            return rospy.Time.from_sec(1000.0 + 0.05 * self._count)
 
-    def _scan(self, stamp: Any, ranges: list[float]) -> Any:
+    def _scan(self, stamp: Any, ranges: list[float], first: float = 0.0) -> Any:
         if self._args.scan_type == "Range":
             return Range()
         scan = LaserScan()
         scan.header.stamp, scan.header.frame_id = stamp, "base_scan"
-        scan.angle_increment = 2.0 * math.pi / max(len(ranges), 1)
-        scan.angle_max = scan.angle_increment * (len(ranges) - 1)
+        scan.angle_min, scan.angle_increment = first, 2.0 * math.pi / max(len(ranges), 1)
+        scan.angle_max = first + scan.angle_increment * (len(ranges) - 1)
         scan.range_min, scan.range_max = 0.0, 100.0
         scan.ranges = ranges
         scan.intensities = [47.0] * len(ranges)
         return scan
+
+    def _garble(self, garbage: bytes) -> None:
+        for publisher, message in (
+            (self._scans, self._scan(self._stamp(), [1.0] * RAYS)),
+            (self._odometry, self._pose()),
+        ):
+            send(publisher, garbage)
+            send(publisher, bytes_of(message)[: -1 - len(garbage)])
 
     def _extras(self) -> None:
         imu = Imu()
@@ -97,6 +122,27 @@ class Robot:
             if self._rate:
                 self.speak([1.0] * RAYS)
             pause.wait(1.0 / (self._rate or 20.0))
+
+
+def raw_publisher(topic: str, kind: Any) -> Any:
+    """A publisher that says it sends `kind`, and sends any bytes."""
+    names = ("_type", "_md5sum", "_full_text")
+    raw = type("Raw", (rospy.AnyMsg,), {name: getattr(kind, name) for name in names})
+    return rospy.Publisher(topic, raw, queue_size=5, tcp_nodelay=True)
+
+
+def send(publisher: Any, data: bytes) -> None:
+    """Publish bytes."""
+    message = publisher.data_class()
+    message._buff = data
+    publisher.publish(message)
+
+
+def bytes_of(message: Any) -> bytes:
+    """A message, serialised."""
+    buffer = io.BytesIO()
+    message.serialize(buffer)
+    return buffer.getvalue()
 
 
 def main() -> None:
