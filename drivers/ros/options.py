@@ -18,9 +18,9 @@ DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 _ENDPOINT = re.compile(r"(tcp|tls|quic|udp)/(\[[0-9a-fA-F:.]+\]|[^/:#?\s]+):\d{1,5}([?#]\S*)?")
 _TOPIC = re.compile(r"/?[A-Za-z0-9_]+(/[A-Za-z0-9_]+)*")
 _ROBOT = "{robot}"
+_TURN, _REACH = 360.0, 10.0
 
 Degrees = Annotated[float, Meta(ge=-360.0, le=360.0)]
-Metres = Annotated[float, Meta(ge=0.0, le=10.0)]
 
 
 class RosOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -42,7 +42,8 @@ class RosOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     cmd_vel_type: Literal["twist", "twist_stamped"] = "twist"
     cmd_vel_frame: str = "base_link"
     scan_yaw_deg: Degrees = 0.0
-    ranges: dict[str, Degrees | tuple[Degrees, Metres]] = {}
+    # Unbounded here: msgspec 0.22 crashes on a union of a bounded number and a tuple of such.
+    ranges: dict[str, float | tuple[float, float]] = {}
 
 
 class RmwOptions(RosOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -93,6 +94,7 @@ def _check(options: RosOptions, driver: str) -> None:
             f"driver {driver}: endpoint is {options.endpoint!r}; wanted is such as"
             f" {DEFAULT_ENDPOINT}"
         )
+    _check_ring(options, driver)
     named = {
         "namespace": options.namespace.strip("/") or None,
         "scan": options.scan,
@@ -107,6 +109,16 @@ def _check(options: RosOptions, driver: str) -> None:
             raise ConfigError(
                 f"driver {driver}: {key} is {name!r}; wanted is a ROS name such as tb3_01 or"
                 " front/scan (letters, digits, _ and /)"
+            )
+
+
+def _check_ring(options: RosOptions, driver: str) -> None:
+    for name, place in options.ranges.items():
+        degrees, distance = place if isinstance(place, tuple) else (place, 0.0)
+        if not (abs(degrees) <= _TURN and 0.0 <= distance <= _REACH):
+            raise ConfigError(
+                f"driver {driver}: ranges.{name} is {place}; wanted is a bearing in degrees, or"
+                f" [bearing, distance] with 0 to {_REACH:g} m"
             )
 
 

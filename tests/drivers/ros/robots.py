@@ -4,56 +4,57 @@ from __future__ import annotations
 
 import json
 import math
+import socket
 import struct
 import threading
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 import zenoh
 
 from swarmd.drivers import rmw_zenoh, ros2dds
 from swarmd.drivers.ros.driver import RosDriver
 from swarmd.platforms import load_platform
-from swarmd.values import Twist, Value
+from swarmd.values import Scan, Twist, Value
 from tests.drivers.ros import second
 
 PLATFORM = load_platform("burger")
 RAYS = 360
 
 
-def open_hub(endpoint: str = "tcp/127.0.0.1:0") -> zenoh.Session:
-    """A router, as zenoh-bridge-ros2dds is and as rmw_zenohd is."""
+def free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def open_session(mode: str, path: str, endpoint: str) -> zenoh.Session:
+    """`router`, as zenoh-bridge-ros2dds and rmw_zenohd are, or `peer`, as a node of rmw_zenoh."""
     config = zenoh.Config()
-    for path, value in {
-        "mode": "router",
-        "listen/endpoints": [endpoint],
+    for key, value in {
+        "mode": mode,
+        "listen/endpoints": [] if mode == "router" else ["tcp/127.0.0.1:0"],
+        path: [endpoint],
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/shared_memory/enabled": False,
     }.items():
-        config.insert_json5(path, json.dumps(value))
+        config.insert_json5(key, json.dumps(value))
     return zenoh.open(config)
 
 
-def endpoint_of(hub: zenoh.Session) -> str:
-    return next(str(one) for one in hub.info.locators() if str(one).startswith("tcp/127."))
-
-
 class Robot:
-    """A hub with one robot behind it; silent at first. `name` is its namespace."""
+    """A hub with one robot at it; silent at first."""
 
     platform = PLATFORM
 
-    def __init__(self, endpoint: str = "tcp/127.0.0.1:0", *, is_stamped: bool = False) -> None:
-        self.hub = open_hub(endpoint)
-        self.endpoint = endpoint_of(self.hub)
+    def __init__(self, *, is_stamped: bool = False) -> None:
+        self.endpoint = free_endpoint()
         self.is_stamped = is_stamped
         self._lock = threading.Lock()
         self._commands: list[zenoh.Sample] = []
         self._spoken = 0
-        self._tokens: list[zenoh.LivelinessToken] = []
-        self.hub.declare_subscriber(self.command_key(), self._on_command)
+        self.rise()
 
     def make(self, options: Mapping[str, Value]) -> RosDriver:
         raise NotImplementedError
@@ -64,11 +65,32 @@ class Robot:
     def put(self, topic: str, message: Any) -> None:
         raise NotImplementedError
 
+    def rise(self) -> None:
+        self.hub = open_session("router", "listen/endpoints", self.endpoint)
+        self._tokens: list[zenoh.LivelinessToken] = []
+        self.hub.declare_subscriber(self.command_key(), self._on_command)
+
+    def die(self) -> None:
+        self.hub.close()
+
     def speak(self) -> None:
-        self._spoken += 1
-        stamp = 100.0 + 0.1 * self._spoken
-        self.put("scan", scan(stamp))
-        self.put("odom", odometry(stamp))
+        self.put("scan", scan(self._stamp()))
+        self.put("odom", odometry(self._stamp()))
+
+    def say(self, given: Scan) -> None:
+        n = len(given.ranges)
+        first, step = float(given.bearings[0]), 2.0 * math.pi / n
+        told = {"angle_min": first, "angle_increment": step, "angle_max": first + (n - 1) * step}
+        self.put("scan", scan(given.stamp + 1000.0, given.ranges.tolist(), **told))
+
+    def move(self) -> None:
+        self.put("odom", odometry(self._stamp()))
+
+    def garble(self) -> None:
+        whole = scan(self._stamp()).serialize()
+        for topic, valid in (("scan", whole), ("odom", odometry(1.0).serialize())):
+            for payload in (b"", b"\xff" * 80, valid[: len(valid) // 2], valid + bytes(99)):
+                self.put(topic, payload)
 
     def announce(self, token: str) -> None:
         self._tokens.append(self.hub.liveliness().declare_token(token))
@@ -84,6 +106,14 @@ class Robot:
     def close(self) -> None:
         self.hub.close()
 
+    def options(self, given: Mapping[str, Value]) -> Mapping[str, Value]:
+        stamped: dict[str, Value] = {"cmd_vel_type": "twist_stamped"} if self.is_stamped else {}
+        return {"endpoint": self.endpoint, **stamped, **given}
+
+    def _stamp(self) -> float:
+        self._spoken += 1
+        return 100.0 + 0.1 * self._spoken
+
     def _on_command(self, sample: zenoh.Sample) -> None:
         with self._lock:
             self._commands.append(sample)
@@ -94,14 +124,8 @@ class BridgedRobot(Robot):
 
     def make(self, options: Mapping[str, Value]) -> RosDriver:
         return ros2dds.make_driver(
-            swarm="s",
-            robot="r",
-            platform=self.platform,
-            options={"endpoint": self.endpoint, **self._stamped(), **options},
+            swarm="s", robot="r", platform=self.platform, options=self.options(options)
         )
-
-    def _stamped(self) -> dict[str, Value]:
-        return {"cmd_vel_type": "twist_stamped"} if self.is_stamped else {}
 
     def command_key(self) -> str:
         return "cmd_vel"
@@ -124,24 +148,18 @@ class ZenohRobot(Robot):
     """Through rmw_zenoh: a node is a peer of the router; type and hash stand in the key."""
 
     def __init__(
-        self,
-        endpoint: str = "tcp/127.0.0.1:0",
-        *,
-        domain: int = 0,
-        is_humble: bool = False,
-        is_stamped: bool = False,
+        self, *, domain: int = 0, is_humble: bool = False, is_stamped: bool = False
     ) -> None:
         self.domain, self.is_humble = domain, is_humble
         self._said = 0
-        super().__init__(endpoint, is_stamped=is_stamped)
+        super().__init__(is_stamped=is_stamped)
 
     def make(self, options: Mapping[str, Value]) -> RosDriver:
-        stamped: dict[str, Value] = {"cmd_vel_type": "twist_stamped"} if self.is_stamped else {}
         return rmw_zenoh.make_driver(
             swarm="s",
             robot="r",
             platform=self.platform,
-            options={"endpoint": self.endpoint, "domain": self.domain, **stamped, **options},
+            options={"domain": self.domain, **self.options(options)},
         )
 
     def key(self, topic: str, kind: str) -> str:
@@ -173,9 +191,7 @@ def scan(stamp: float, ranges: Sequence[float] | None = None, **angles: float) -
     )
 
 
-def odometry(
-    stamp: float, x: float = 0.5, yaw: float = 0.0, speed: float = 0.1
-) -> second.Odometry:
+def odometry(stamp: float, x: float = 0.5, yaw: float = 0.0, speed: float = 0.1) -> second.Odometry:
     pose = second.Pose(
         second.Vector3(x=x),
         second.Quaternion(z=math.sin(0.5 * yaw), w=math.cos(0.5 * yaw)),
@@ -200,7 +216,3 @@ def twist(payload: bytes, is_stamped: bool) -> Twist:
 
 def command(linear: float) -> second.Twist:
     return second.Twist(linear=second.Vector3(x=linear))
-
-
-def finite(values: Sequence[float]) -> bool:
-    return bool(np.isfinite(values).all())
