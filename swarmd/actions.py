@@ -17,8 +17,8 @@ class Actions(Struct, frozen=True, eq=False):
     """In this order: hand `twist` to the driver, write `latches` down, tell the `host`, publish.
 
     `messages` are by `<pattern>/<channel>`. `wish_seq` is the scan that the wish behind `twist`
-    used (-1: none). `is_idle` if the robot was never asked, or has finished. `replies` answer
-    earlier requests too: run is answered when its pattern is ready.
+    used (-1: none). `is_idle` if the robot was never asked or has finished, and its base is there.
+    `replies` answer earlier requests too: run is answered when its pattern is ready.
     """
 
     twist: Twist

@@ -227,7 +227,7 @@ class Robot:
             twist=self._verdict.safe,
             verdict=self._verdict,
             wish_seq=-1 if running is None else running.wish.scan_seq,
-            is_idle=conduct.supervisor.state is State.IDLE,
+            is_idle=self._senses.is_driver_up and conduct.supervisor.state is State.IDLE,
             latches=conduct.latches.record() if turn.is_latched else None,
             host=turn.host,
             messages=turn.messages,
