@@ -159,3 +159,18 @@ if "swarmd.stopper" in " ".join(sys.orig_argv):
         raise DriverError("no connection to be had")
     SimulatedZeros.open = refuse
 """
+
+
+def test_a_silent_daemon_leaves_an_idle_robot_alone_and_no_other(bench: Bench) -> None:
+    bench.driver_options = {"deadman": 0.5, "idle_output": "silent"}
+    bench.start()
+    commands = bench.body.commands
+    wait_until(lambda: bool(commands), "its first zeros")
+    wait_until(lambda: boottime() - commands[-1].at > 1.0, "then nothing more")
+    assert all(one.twist.is_zero for one in commands)
+    bench.drive()
+    bench.halt("stop")
+    stopped = bench.body.wait_zero(boottime())
+    wait_until(lambda: commands[-1].at - stopped.at > 2.0, "who is stopped is told zero")
+    assert not bench.body.moved_since(stopped.at)
+    assert not stoppers(bench.swarm, bench.body.robot), "a base with a timeout needs none"

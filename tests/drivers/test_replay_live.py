@@ -1,0 +1,89 @@
+"""A daemon is recorded while it drives a body, and another lives on the recording alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from swarmd.messages import Code, State, Status
+from swarmd.network.operator import Operator
+from swarmd.network.session import SessionSettings
+from swarmd.recording import read_recording
+from swarmd.sensing import decode_command
+from swarmd.settings import load_platform
+from swarmd.testing.body import Body
+from swarmd.testing.processes import DaemonProcess, unique_swarm, wait_until
+from swarmd.values import Value
+
+pytestmark = pytest.mark.integration
+
+ROBOT = "tb3-01"
+
+
+def status(operator: Operator) -> Status | None:
+    member = operator.members().members.get(ROBOT)
+    return None if member is None else member.status
+
+
+def is_running(operator: Operator) -> bool:
+    now = status(operator)
+    return now is not None and now.state is State.RUNNING and now.health.scan_rate > 1.0
+
+
+def drive(operator: Operator) -> None:
+    """Run `drive` once it senses and answers."""
+
+    def is_applied() -> bool:
+        now = status(operator)
+        if now is None or not now.health.driver_up or now.verdict.scan_age is None:
+            return False
+        args = {"pattern": "drive", "params": {"speed": 0.1}}
+        outcome = operator.request("run", {ROBOT: now.epoch}, args, timeout=10.0)
+        reply = outcome.replies.get(ROBOT)
+        return reply is not None and reply.code is Code.APPLIED
+
+    wait_until(is_applied, "it runs")
+
+
+def test_what_a_daemon_recorded_drives_another(tmp_path: Path) -> None:
+    swarm, file = unique_swarm(), tmp_path / "run.rec"
+    platform = load_platform("waffle_pi")
+    with Body(platform, swarm=swarm, robot=ROBOT) as body:
+        options: dict[str, Value] = {"endpoint": body.endpoint, "record": str(file)}
+        with (
+            DaemonProcess(
+                tmp_path / "first",
+                swarm=swarm,
+                robot=ROBOT,
+                endpoint=body.endpoint,
+                options={"driver_options": options},
+            ) as daemon,
+            Operator(SessionSettings(swarm=swarm), name="zoe@test") as operator,
+        ):
+            daemon.wait_ready()
+            drive(operator)
+            moving = body.wait_stepped()
+            body.wait(lambda one: one.at > moving.at + 2.0)
+            assert daemon.terminate() == 0
+    recording = read_recording(file)
+    assert (recording.cut, recording.head.robot) == ("", ROBOT)
+    commands = [decode_command(e.payload) for e in recording.entries if e.kind == "command"]
+    assert any(command.linear > 0.0 for command in commands)
+
+    replay: dict[str, Value] = {"file": str(file), "loop": True}
+    with (
+        DaemonProcess(
+            tmp_path / "second",
+            swarm=swarm,
+            robot=ROBOT,
+            endpoint="",
+            options={"driver": "replay", "driver_options": replay},
+        ) as daemon,
+        Operator(SessionSettings(swarm=swarm), name="zoe@test") as operator,
+    ):
+        daemon.wait_ready()
+        drive(operator)
+        wait_until(lambda: is_running(operator), "it runs on recorded scans")
+        assert daemon.terminate() == 0
+        assert "took " in daemon.text()
