@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.messages import Code, State, Status
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings
 from swarmd.recording import read_recording
@@ -15,35 +14,9 @@ from swarmd.settings import load_platform
 from swarmd.testing.body import Body
 from swarmd.testing.processes import DaemonProcess, unique_swarm, wait_until
 from swarmd.values import Value
+from tests.drivers.driving import ROBOT, drive, is_running
 
 pytestmark = pytest.mark.integration
-
-ROBOT = "tb3-01"
-
-
-def status(operator: Operator) -> Status | None:
-    member = operator.members().members.get(ROBOT)
-    return None if member is None else member.status
-
-
-def is_running(operator: Operator) -> bool:
-    now = status(operator)
-    return now is not None and now.state is State.RUNNING and now.health.scan_rate > 1.0
-
-
-def drive(operator: Operator) -> None:
-    """Run `drive` once it senses and answers."""
-
-    def is_applied() -> bool:
-        now = status(operator)
-        if now is None or not now.health.driver_up or now.verdict.scan_age is None:
-            return False
-        args = {"pattern": "drive", "params": {"speed": 0.1}}
-        outcome = operator.request("run", {ROBOT: now.epoch}, args, timeout=10.0)
-        reply = outcome.replies.get(ROBOT)
-        return reply is not None and reply.code is Code.APPLIED
-
-    wait_until(is_applied, "it runs")
 
 
 def test_what_a_daemon_recorded_drives_another(tmp_path: Path) -> None:
