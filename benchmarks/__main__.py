@@ -13,6 +13,7 @@ from benchmarks import (
     mesh,
     protection,
     resources,
+    ros1,
     startup,
     steps,
     switch,
@@ -31,6 +32,7 @@ ALL: Mapping[str, Callable[[], None]] = {
     "startup": startup.main,
     "cli": cli.main,
     "mesh": mesh.main,
+    "ros1": lambda: ros1.main([]),
     "switch": lambda: switch.main([]),
 }
 

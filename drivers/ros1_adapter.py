@@ -45,6 +45,7 @@ _ZEROED = 0.5  # s of zeros after which a guardian may be silent
 _FLUSH = 0.15
 _LOOK = 1.0
 _RETRY = 0.3
+_WRITE = struct.pack("@ll", 0, 100_000)  # s and us that writing a command may take
 _CALL = 1.0  # s for a call of the master's or a node's API
 _KNOWN_FOR = 5.0
 _MAX_LINKS = 255
@@ -158,6 +159,7 @@ class Adapter:
                 self._command["topic"], self._message, subscriber_listener=_Listener(self._wake),
                 tcp_nodelay=True, queue_size=1,
             )  # fmt: skip
+            self._publisher.impl.set_queue_size(None)  # written at once, by who publishes
         for topic in config["topics"]:
             rospy.Subscriber(
                 topic, rospy.AnyMsg, self._on_message, topic, queue_size=1, tcp_nodelay=True
@@ -316,12 +318,15 @@ class _Listener:
         self._changed = changed
 
     def peer_subscribe(self, topic: str, publish: Any, publish_to: Any) -> None:
-        """Without this, Nagle's algorithm holds a second command back for up to 40 ms."""
+        """Nagle's algorithm would hold a second command back for up to 40 ms.
+
+        A base that no longer reads is given up instead of waited for: it may connect again.
+        """
         for cell in publish_to.__closure__ or ():
-            connection = getattr(cell.cell_contents, "_connection", None)
-            sock = getattr(connection, "socket", None)
+            sock = getattr(cell.cell_contents, "socket", None)
             if isinstance(sock, socket.socket):
                 sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _WRITE)
         self._changed.set()
 
     def peer_unsubscribe(self, topic: str, peers: int) -> None:

@@ -1,0 +1,175 @@
+"""From a scan to the command it leads to over ROS 1: through the driver, and by a node in rospy.
+
+Both subscribe, compute a potential field over 360 rays and publish, on loopback with a real
+roscore. The third is the driver with the robot's core behind it, which does more: it conditions and
+protects. The robot asks one after the other, so that all are measured under the same load; what
+each process waits for a busy processor is measured too, unless it is run with `chrt -f 5`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.table import Row, print_table
+from swarmd.clock import boottime
+from swarmd.drivers import ros1_wire as wire
+from swarmd.drivers.ros1 import Ros1Driver
+from swarmd.fields import potential_field
+from swarmd.platforms import load_platform
+from swarmd.robot import Robot
+from swarmd.status import RobotSettings
+from swarmd.testing.driver_contract import Heard
+from swarmd.testing.roscore import PYTHON, RosCore, why_no_ros1
+from swarmd.values import Scan, Twist
+
+NODES = Path(__file__).with_name("ros1_nodes.py")
+SECONDS = 60.0
+WARM = 5.0
+DECODED = 20_000
+PLATFORM = load_platform("burger")
+
+Answer = Callable[[Scan], Twist]
+
+
+class Answering(Heard):
+    """Answers each scan at once."""
+
+    def __init__(self, driver: Ros1Driver, answer: Answer) -> None:
+        super().__init__()
+        self._driver, self._answer = driver, answer
+
+    def scan(self, scan: Scan) -> None:
+        self._driver.send(self._answer(scan), scan.seq, scan.seq)
+
+
+def field(scan: Scan) -> Twist:
+    """What the plain node does."""
+    found = potential_field(
+        scan.ranges,
+        scan.bearings,
+        range_max=scan.range_max,
+        range_min=scan.range_min,
+        bias=2.0,
+        ray_threshold=5,
+    )
+    x, y = found.vector
+    heading = math.atan2(y, x)
+    return Twist(0.1 * max(math.cos(heading), 0.0), heading)
+
+
+def core() -> Answer:
+    """A robot's core without a pattern: its safe command, which is zero."""
+    settings = RobotSettings(driver="ros1", layers=lambda pattern: ())
+    robot = Robot("r", PLATFORM, settings, seed=1, boot="bench", now=boottime())
+    robot.on_driver(True, "", boottime())
+    return lambda scan: robot.on_scan(scan, boottime()).twist
+
+
+async def answer_all(master: str, answers: Mapping[str, Answer]) -> None:
+    """A driver for each namespace, until killed."""
+    async with asyncio.TaskGroup() as group:
+        for namespace, answer in answers.items():
+            driver = Ros1Driver(
+                swarm="bench",
+                robot=namespace.strip("/"),
+                platform=PLATFORM,
+                options={"master": master, "ip": "127.0.0.1", "namespace": namespace},
+            )
+            group.create_task(driver.run(Answering(driver, answer)))
+
+
+def measured(seconds: float) -> dict[str, list[float]]:
+    """Seconds from scan to command, by namespace."""
+    found: dict[str, list[float]] = {"/plain": [], "/driver": [], "/core": []}
+    with tempfile.TemporaryDirectory() as folder, RosCore(Path(folder)) as master:
+        ours = [sys.executable, "-m", "benchmarks.ros1", "--answer", master.uri]
+        commands = (ours, [PYTHON, str(NODES), "plain"], [PYTHON, str(NODES), "robot", *found])
+        children = [
+            subprocess.Popen(command, env=master.environ, stdout=subprocess.PIPE, text=True)
+            for command in commands
+        ]
+        try:
+            lines = children[-1].stdout
+            assert lines is not None
+            # Until all answer, and a little longer.
+            missing = set(found)
+            while missing:
+                if any(child.poll() is not None for child in children):
+                    sys.exit("a process of the benchmark has ended")
+                namespace, value = next(lines).split()
+                if not math.isnan(float(value)):
+                    missing.discard(namespace)
+            begin = time.monotonic()
+            for line in lines:
+                passed = time.monotonic() - begin
+                namespace, value = line.split()
+                if passed > WARM:
+                    found[namespace].append(float(value))
+                if passed > WARM + seconds:
+                    break
+        finally:
+            for child in children:
+                child.kill()
+                child.communicate()
+            time.sleep(3.0)  # the adapters send their zeros and leave
+    return found
+
+
+def latencies(seconds: float) -> Iterator[Row]:
+    lacks = why_no_ros1()
+    if lacks:
+        yield Row("scan to velocity over ROS 1", [], note=lacks)
+        return
+    found = measured(seconds)
+    plain = float(np.nanmedian(found["/plain"]))
+    for namespace, what in (
+        ("/plain", "a node in rospy: subscribe, potential field, publish"),
+        ("/driver", "through the driver, the same potential field"),
+        ("/core", "through the driver, conditioned and protected"),
+    ):
+        samples = [value for value in found[namespace] if not math.isnan(value)]
+        lost = len(found[namespace]) - len(samples)
+        note = f"p50 {np.median(samples) / plain:.2f} x that of the node"
+        if lost:
+            note += f"; {lost} without a command"
+        budget = "p50 1.5 x, p99 10 ms" if namespace == "/driver" else ""
+        yield Row(what, samples, budget, note)
+
+
+def decoding() -> Iterator[Row]:
+    """A 360-ray LaserScan with intensities, 2.9 kB."""
+    head = np.array([1, 2, 3, 4], "<u4").tobytes() + b"base" + np.zeros(7, "<f4").tobytes()
+    many = np.array([360], "<u4").tobytes() + np.linspace(0.2, 3.0, 360, dtype="<f4").tobytes()
+    data = head + many + many
+    samples = []
+    for _ in range(DECODED):
+        begin = time.perf_counter()
+        wire.decode_laser_scan(data)
+        samples.append(time.perf_counter() - begin)
+    yield Row("decode of a 360-ray LaserScan", samples, "p50 10 us")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seconds", type=float, default=SECONDS)
+    parser.add_argument("--answer", metavar="MASTER", help=argparse.SUPPRESS)
+    options = parser.parse_args(arguments)
+    if options.answer:
+        asyncio.run(answer_all(options.answer, {"/driver": field, "/core": core()}))
+        return
+    print_table("ROS 1: scan to velocity", latencies(options.seconds))
+    print_table("ROS 1: decoding", decoding())
+
+
+if __name__ == "__main__":
+    main()
