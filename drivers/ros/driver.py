@@ -35,7 +35,7 @@ OTHERS_LAST = 2.0
 _PERIOD = 0.1
 _PATIENCE = 2.0
 _COMMAND = "cmd_vel"
-_MISTAKEN = "!"
+_MISTAKEN = ":type"
 
 
 class RosDriver:
@@ -193,12 +193,12 @@ class RosDriver:
 
     def _take(self, sink: Sink, looks_only: bool, name: str, payload: bytes) -> None:
         now = asyncio.get_running_loop().time()
-        if name.removeprefix(_MISTAKEN) == _COMMAND:
+        if name.removesuffix(_MISTAKEN) == _COMMAND:
             self._on_command(sink, name, payload, now)
-        elif name.startswith(_MISTAKEN):
-            name = name.removeprefix(_MISTAKEN)
-            self._hearing.senses[name].complain(now, payload.decode(errors="replace"))
-            sink.dropped(f"{name}:type")
+        elif name.endswith(_MISTAKEN):
+            sense = self._hearing.senses[name.removesuffix(_MISTAKEN)]
+            sense.complain(now, payload.decode(errors="replace"))
+            sink.dropped(name)
         else:
             try:
                 deliver = self._hearing.take(name, payload, now)
@@ -315,7 +315,7 @@ def _receiver(
     def on_sample(sample: zenoh.Sample) -> None:
         fault = dialect.fault(str(sample.key_expr), full, kind)
         if fault:
-            inbox.put(f"{_MISTAKEN}{name}", fault.encode())
+            inbox.put(f"{name}{_MISTAKEN}", fault.encode())
         else:
             inbox.put(name, sample.payload.to_bytes())
 
