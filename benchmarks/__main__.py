@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Callable, Mapping
 
 from benchmarks import (
+    cdr,
     cli,
     latency,
     lidar,
@@ -23,6 +24,7 @@ from benchmarks.table import machine
 
 ALL: Mapping[str, Callable[[], None]] = {
     "steps": steps.main,
+    "cdr": cdr.main,
     "protection": protection.main,
     "lidar": lidar.main,
     "world": world.main,
