@@ -19,6 +19,7 @@ from swarmd.driver import Finding, SenderSpec, Sink
 from swarmd.drivers import ros1_adapter
 from swarmd.drivers import ros1_wire as wire
 from swarmd.drivers.ros.conversion import (
+    RangeRing,
     battery_readings,
     imu_readings,
     odometry_of,
@@ -26,7 +27,7 @@ from swarmd.drivers.ros.conversion import (
     stamp_of,
 )
 from swarmd.drivers.ros1_child import AdapterProcess, Event, Link, State
-from swarmd.drivers.ros1_options import read_options
+from swarmd.drivers.ros1_options import Ros1Options, read_options
 from swarmd.drivers.ros1_view import Sense, View
 from swarmd.errors import CodecError, DriverError
 from swarmd.values import ZERO, Platform, ScanSpec, Twist, Value
@@ -53,10 +54,10 @@ class Ros1Driver:
         self, *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
     ) -> None:
         """Not connected yet. Options: `ros1_options.Ros1Options`."""
-        self._options = read_options(options)
+        self._options = read_options(options, robot)
         self._platform = platform
         self._name = "swarmd_" + re.sub(r"[^A-Za-z0-9_]", "_", robot)
-        self._reader = _Reader(platform, math.radians(self._options.scan_yaw_deg))
+        self._reader = _Reader(platform, self._options)
         self._script = str(Path(ros1_adapter.__file__).resolve())
         self._sink: Sink | None = None
         self._view = View(self._options, platform)
@@ -108,7 +109,7 @@ class Ros1Driver:
         if self._options.command is wire.TWIST:
             command = wire.encode_twist(twist)
         else:
-            frame = self._options.frame_id
+            frame = self._options.cmd_vel_frame
             command = wire.encode_twist_stamped(twist, self._count, time.time_ns(), frame)
         self._child.send(command)
 
@@ -178,7 +179,7 @@ class Ros1Driver:
                 "type": kind.name,
                 "md5sum": kind.md5sum,
                 "full_text": kind.full_text,
-                "frame_id": options.frame_id,
+                "frame_id": options.cmd_vel_frame,
             }
             if drives
             else None,
@@ -250,9 +251,12 @@ class Ros1Driver:
 class _Reader:
     """Messages to values of the core. What is decoded here has the shape of ROS 2's messages."""
 
-    def __init__(self, platform: Platform, yaw: float) -> None:
+    def __init__(self, platform: Platform, options: Ros1Options) -> None:
         self._spec: ScanSpec = platform.scan
-        self._yaw = yaw
+        self._yaw = math.radians(options.scan_yaw_deg)
+        places = options.placed.values()
+        bearings = [math.radians(degrees) for degrees, _ in places]
+        self._ring = RangeRing(bearings, [distance for _, distance in places], platform.scan)
         self._scans = 0
         self._readings: dict[str, dict[str, float]] = {}
 
@@ -266,6 +270,8 @@ class _Reader:
         if sense.name == "odometry":
             odometry = odometry_of(cast("ros.Odometry", wire.decode_odometry(data)))
             return odometry.stamp, "", lambda sink: sink.odometry(odometry)
+        if sense.name == "range":
+            return self._range(sense.index, cast("ros.Range", wire.decode_range(data)))
         message: wire.Imu | wire.BatteryState
         if sense.name == "imu":
             message = wire.decode_imu(data)
@@ -277,3 +283,8 @@ class _Reader:
         together = {name: value for some in self._readings.values() for name, value in some.items()}
         stamp = stamp_of(cast("ros.Time", message.header.stamp))
         return stamp, "", lambda sink: sink.readings(together)
+
+    def _range(self, index: int, message: ros.Range) -> tuple[float, str, Callable[[Sink], None]]:
+        scan = self._ring.take(index, message)
+        stamp = stamp_of(message.header.stamp)
+        return stamp, "", lambda sink: None if scan is None else sink.scan(scan)

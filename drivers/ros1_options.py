@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
+import msgspec
 from msgspec import Meta, Struct
 
 from swarmd.drivers import ros1_wire as wire
@@ -16,6 +17,7 @@ from swarmd.values import Value
 
 DEFAULT_MASTER = "http://127.0.0.1:11311"
 _NAME = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
+_TURN, _REACH = 360.0, 10.0
 
 Name = Annotated[str, Meta(min_length=1, max_length=200)]
 
@@ -23,23 +25,27 @@ Name = Annotated[str, Meta(min_length=1, max_length=200)]
 class Ros1Options(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """What may stand under `drivers.ros1` or in `driver_options`.
 
-    Names without a leading slash are within `namespace`. `imu` and `battery` are not subscribed to
-    unless named; they become the readings `yaw` in rad, `battery` (0 to 1) and `battery_voltage`.
-    `scan_yaw_deg`: how far the sensor's frame is turned in the base's. `frame_id` is that of
-    stamped commands. `master` and `ip` stand for ROS_MASTER_URI and ROS_IP, which they override.
-    `shared_cmd_vel`: others may publish commands too, as behind a multiplexer of the base.
+    Names without a leading slash are within `namespace`, in which `{robot}` is the robot's id with
+    `_` for `-`. `imu` and `battery` are not subscribed to unless named; they become the readings
+    `yaw` in rad, `battery` (0 to 1) and `battery_voltage`. `ranges` makes one scan of several
+    `sensor_msgs/Range` in place of `scan`: topic to bearing in degrees, or to bearing and the
+    sensor's distance in m from the scan's origin. `scan_yaw_deg`: how far the sensor's frame is
+    turned in the base's. `cmd_vel_frame` is that of stamped commands. `master` and `ip` stand for
+    ROS_MASTER_URI and ROS_IP, which they override. `shared_cmd_vel`: others may publish commands
+    too, as behind a multiplexer of the base.
     """
 
     master: str | None = None
     ip: str | None = None
     namespace: str = ""
     scan: Name = "scan"
-    odom: Name = "odom"
+    odometry: Name = "odom"
     cmd_vel: Name = "cmd_vel"
     imu: Name | None = None
     battery: Name | None = None
-    command_type: Literal["Twist", "TwistStamped"] = "Twist"
-    frame_id: Annotated[str, Meta(max_length=200)] = "base_link"
+    ranges: dict[str, float | tuple[float, float]] = {}
+    cmd_vel_type: Literal["twist", "twist_stamped"] = "twist"
+    cmd_vel_frame: Annotated[str, Meta(max_length=200)] = "base_link"
     scan_yaw_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
     shared_cmd_vel: bool = False
     python: Name = "/usr/bin/python3"
@@ -47,7 +53,7 @@ class Ros1Options(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     @property
     def command(self) -> wire.Kind:
         """The type of the commands."""
-        return wire.TWIST if self.command_type == "Twist" else wire.TWIST_STAMPED
+        return wire.TWIST if self.cmd_vel_type == "twist" else wire.TWIST_STAMPED
 
     @property
     def master_uri(self) -> str:
@@ -63,21 +69,33 @@ class Ros1Options(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
             found.pop("ROS_HOSTNAME", None)  # it would win
         return found
 
+    @property
+    def placed(self) -> dict[str, tuple[float, float]]:
+        """Bearing in degrees and distance in m of each sensor of `ranges`."""
+        return {
+            name: place if isinstance(place, tuple) else (place, 0.0)
+            for name, place in self.ranges.items()
+        }
+
     def topic(self, name: str) -> str:
         """A topic's full name."""
-        return name if name.startswith("/") else f"/{self.namespace.strip('/')}/{name}".replace(
-            "//", "/"
-        )  # fmt: skip
+        namespace = self.namespace.strip("/")
+        if name.startswith("/") or not namespace:
+            return f"/{name.strip('/')}"
+        return f"/{namespace}/{name}"
 
 
-def read_options(options: Mapping[str, Value]) -> Ros1Options:
+def read_options(options: Mapping[str, Value], robot: str) -> Ros1Options:
     """The options of driver `ros1`; ConfigError for those that it does not know or cannot use."""
     found = Layered(("driver ros1", options)).build(Ros1Options)
-    for key in ("scan", "odom", "cmd_vel", "imu", "battery"):
-        name = getattr(found, key)
+    namespace = found.namespace.replace("{robot}", re.sub(r"[^A-Za-z0-9_]", "_", robot))
+    found = msgspec.structs.replace(found, namespace=namespace)
+    names = {key: getattr(found, key) for key in ("scan", "odometry", "cmd_vel", "imu", "battery")}
+    names |= {f"ranges.{name}": name for name in found.ranges}
+    for key, name in names.items():
         if name is not None and not _NAME.fullmatch(name):
             raise ConfigError(
-                f"driver ros1: {key} is {name!r}; wanted a topic's name, such as /robot1/{key}"
+                f"driver ros1: {key} is {name!r}; wanted a topic's name, such as /robot1/scan"
             )
     if found.namespace and not _NAME.fullmatch(found.namespace.rstrip("/")):
         raise ConfigError(
@@ -88,4 +106,10 @@ def read_options(options: Mapping[str, Value]) -> Ros1Options:
             f"driver ros1: master is {found.master_uri!r}; wanted is such as {DEFAULT_MASTER}"
             " (without it, $ROS_MASTER_URI counts)"
         )
+    for name, (degrees, distance) in found.placed.items():
+        if not (abs(degrees) <= _TURN and 0.0 <= distance <= _REACH):
+            raise ConfigError(
+                f"driver ros1: ranges.{name} is {found.ranges[name]}; wanted is a bearing in"
+                f" degrees, or [bearing, distance] with 0 to {_REACH:g} m"
+            )
     return found

@@ -24,8 +24,9 @@ SILENCE = 2.5
 class Sense:
     """One topic that is subscribed to, and what has come of it.
 
-    `wrong`: the latest publisher of another type; `fault`: why the latest message was not read.
-    `stamps` and `steps`: messages with a stamp, and how many of these were later than the last.
+    `index` is that of one of the range sensors that make a scan. `wrong`: the latest publisher of
+    another type; `fault`: why the latest message was not read. `stamp` is the latest, `steps`
+    counts those that were later than the one before.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Sense:
     kind: wire.Kind
     is_needed: bool
     option: str
+    index: int = 0
     first: float = math.nan
     last: float = -math.inf
     count: int = 0
@@ -77,14 +79,17 @@ class View:
         options, provides = self.options, self.platform.provides
         for name, option, kind in (
             ("scan", "scan", wire.LASER_SCAN),
-            ("odometry", "odom", wire.ODOMETRY),
+            ("odometry", "odometry", wire.ODOMETRY),
             ("imu", "imu", wire.IMU),
             ("battery", "battery", wire.BATTERY),
         ):
             given = getattr(options, option)
-            if given is not None:
+            if given is not None and not (name == "scan" and options.ranges):
                 topic = options.topic(given)
                 self.senses[topic] = Sense(name, topic, kind, name in provides, option)
+        for index, given in enumerate(options.ranges):
+            topic, is_needed = options.topic(given), "scan" in provides
+            self.senses[topic] = Sense("range", topic, wire.RANGE, is_needed, "ranges", index)
 
     @property
     def command_topic(self) -> str:
@@ -203,7 +208,7 @@ class View:
         if not wrong or is_any_right:
             return ""
         node, kind = wrong[0]
-        return f"{node} wants {kind} on {self.command_topic}, not {mine}; correct command_type"
+        return f"{node} wants {kind} on {self.command_topic}, not {mine}; correct cmd_vel_type"
 
     def _no_taker(self, state: State) -> str:
         if not state.listeners:

@@ -37,6 +37,7 @@ class Robot:
         self._odometry = raw_publisher("odom", Odometry)
         self._imu = rospy.Publisher("imu", Imu, queue_size=5)
         self._battery = rospy.Publisher("battery", BatteryState, queue_size=5)
+        self._ranges = [rospy.Publisher(f"ir/{i}", Range, queue_size=5) for i in range(3)]
         if not args.no_base:
             stamped = args.command_type == "TwistStamped"
             rospy.Subscriber(
@@ -111,6 +112,10 @@ class Robot:
         imu.orientation.z, imu.orientation.w = math.sin(0.25), math.cos(0.25)
         self._imu.publish(imu)
         self._battery.publish(BatteryState(voltage=12.0, percentage=0.75))
+        for index, publisher in enumerate(self._ranges):
+            near = Range(range=0.5 + index)
+            near.header.stamp = self._stamp()
+            publisher.publish(near)
 
     def _on_command(self, message: Any) -> None:
         twist = getattr(message, "twist", message)

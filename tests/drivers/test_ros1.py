@@ -113,6 +113,22 @@ def test_the_number_of_rays_may_change_and_be_none(roscore: RosCore) -> None:
     play(RosRobot(roscore), story)
 
 
+def test_several_range_sensors_are_one_scan(roscore: RosCore) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        heard = stage.heard
+
+        def is_whole() -> bool:
+            body.do("extras")
+            return bool(heard.scans) and bool(np.isfinite(heard.scans[-1].ranges).all())
+
+        await stage.until(is_whole, speaking=True)
+        assert heard.scans[-1].ranges.tolist() == pytest.approx([0.6, 1.5, 2.5])
+        assert heard.scans[-1].bearings.tolist() == pytest.approx([math.pi / 2.0, 0.0, -0.5])
+
+    ring: dict[str, Value] = {"ir/0": [90.0, 0.1], "ir/1": 0.0, "ir/2": math.degrees(-0.5)}
+    play(Wanting(roscore, {"ranges": ring}), story, connected=False)
+
+
 @pytest.mark.parametrize("hz", [1, 50])
 def test_scans_of_any_rate_keep_the_base_up(roscore: RosCore, hz: int) -> None:
     async def story(stage: Stage, body: RosRobot) -> None:
@@ -134,14 +150,14 @@ def test_commands_are_stamped_where_the_base_wants_it(roscore: RosCore) -> None:
         assert await stage.command() == Twist(0.1, 0.2, 0.3)
         assert (await stage.command()).is_zero  # the adapter's own, after a silence
 
-    more: dict[str, Value] = {"command_type": "TwistStamped"}
+    more: dict[str, Value] = {"cmd_vel_type": "twist_stamped"}
     play(Wanting(roscore, more, "--command-type", "TwistStamped"), story)
 
 
 def test_a_base_that_wants_another_type_of_command_is_named(roscore: RosCore) -> None:
     async def story(stage: Stage, body: RosRobot) -> None:
         text = await says(stage, "wants geometry_msgs/TwistStamped")
-        assert "correct command_type" in text
+        assert "correct cmd_vel_type" in text
         assert not stage.heard.is_up
 
     play(RosRobot(roscore, "--command-type", "TwistStamped"), story, connected=False)

@@ -131,7 +131,10 @@ def test_an_interpreter_without_rospy_is_named(monkeypatch: pytest.MonkeyPatch) 
         ({"master": "127.0.0.1:11311"}, "wanted is such as http://"),
         ({"scan": "front scan"}, "scan is 'front scan'; wanted a topic's name"),
         ({"namespace": "robot-1"}, "namespace is 'robot-1'"),
-        ({"command_type": "Velocity"}, "command_type"),
+        ({"ranges": {"left": 400}}, "ranges.left is 400"),
+        ({"ranges": {"left": [20, 0.1], "a b": 3}}, "ranges.a b is 'a b'"),
+        ({"ranges": {"left": "far"}}, "ranges.left"),
+        ({"cmd_vel_type": "Velocity"}, "cmd_vel_type"),
     ],
 )
 def test_options_it_cannot_use_are_refused(options: dict[str, Value], complaint: str) -> None:
@@ -146,10 +149,11 @@ def test_options_it_cannot_use_are_refused(options: dict[str, Value], complaint:
         ("robot1", "scan", "/robot1/scan"),
         ("/robot1/", "front/scan", "/robot1/front/scan"),
         ("/robot1", "/scan", "/scan"),
+        ("{robot}", "scan", "/tb3_01/scan"),
     ],
 )
 def test_names_are_within_the_namespace_unless_they_begin_with_a_slash(
     namespace: str, name: str, topic: str
 ) -> None:
-    options = read_options({"namespace": namespace, "scan": name})
+    options = read_options({"namespace": namespace, "scan": name}, "tb3-01")
     assert options.topic(options.scan) == topic
