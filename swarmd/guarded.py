@@ -93,7 +93,7 @@ class StopperProcess:
         """Say farewell; it sends zeros a little longer and ends."""
         with contextlib.suppress(OSError):
             self._socket.send(FAREWELL)
-        self._hang_up()
+        self.hang_up()
         if self._process.poll() is None:  # it has not even begun
             self._process.kill()
             self._process.wait()
@@ -112,13 +112,14 @@ class StopperProcess:
                 self._first.set_result(frame or FAULT)
             if not frame:
                 self._lose("has ended")
-                self._hang_up()
+                self.hang_up()
 
     def _lose(self, why: str) -> None:
         if not self._lost.done():
             self._lost.set_result(why)
 
-    def _hang_up(self) -> None:
+    def hang_up(self) -> None:
+        """Close without a word, as a guardian that is killed does."""
         if self._socket.fileno() >= 0:
             self._loop.remove_reader(self._socket)
             self._socket.close()

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
 import os
 import signal
+import subprocess
+import time
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import pytest
 
 from swarmd.clock import boottime
+from swarmd.driver import SenderSpec
+from swarmd.drivers.simulated import SimulatedDriver
+from swarmd.guarded import StopperProcess
 from swarmd.messages import Code, Reason, State
+from swarmd.stopper import AT_LEAST
 from swarmd.testing.body import Commanded
 from swarmd.testing.processes import is_running, stoppers, wait_until
 
@@ -174,3 +181,25 @@ def test_a_silent_daemon_leaves_an_idle_robot_alone_and_no_other(bench: Bench) -
     wait_until(lambda: commands[-1].at - stopped.at > 2.0, "who is stopped is told zero")
     assert not bench.body.moved_since(stopped.at)
     assert not stoppers(bench.swarm, bench.body.robot), "a base with a timeout needs none"
+
+
+def test_what_it_is_tied_to_ends_it_although_its_guardian_never_returns() -> None:
+    where = {"swarm": "s", "robot": "r", "endpoint": "tcp/127.0.0.1:9"}
+    spec = SenderSpec(SimulatedDriver.__module__ + ":SimulatedZeros", where)
+    parent = subprocess.Popen(["sleep", "600"])
+
+    async def leave_without_a_word() -> int:
+        stopper = StopperProcess(spec, name=None, tie=parent.pid)
+        await stopper.start()
+        stopper.feed()
+        stopper.hang_up()
+        return stopper.pid
+
+    try:
+        pid = asyncio.run(leave_without_a_word())
+        time.sleep(AT_LEAST + 0.5)
+        assert is_running(pid)
+    finally:
+        parent.kill()
+        parent.wait()
+    wait_until(lambda: not is_running(pid), "it has ended with its parent")
