@@ -21,7 +21,7 @@ from swarmd.plugins import pattern_names
 from swarmd.settings import DaemonSettings
 from swarmd.touch import in_words
 
-_SECONDS = 4.5  # of five in which all is said; half a second goes into starting Python
+_SECONDS = 4.2  # of five in which all is said; the rest goes into starting Python, and ending
 _DRIVER_SECONDS = 3.0  # at least; else what the rest leaves
 _LEAVING = 0.2  # to close what it opened
 
