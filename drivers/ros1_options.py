@@ -16,7 +16,7 @@ from swarmd.layered import Layered
 from swarmd.values import Value
 
 DEFAULT_MASTER = "http://127.0.0.1:11311"
-_NAME = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
+_NAME = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z0-9_]+)*")
 _TURN, _REACH = 360.0, 10.0
 
 Name = Annotated[str, Meta(min_length=1, max_length=200)]

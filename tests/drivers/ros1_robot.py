@@ -12,6 +12,7 @@ import argparse
 import io
 import json
 import math
+import random
 import sys
 import threading
 from typing import Any
@@ -125,7 +126,7 @@ class Robot:
         pause = threading.Event()
         while True:
             if self._rate:
-                self.speak([1.0] * RAYS)
+                self.speak([2.0 + random.gauss(0.0, 0.01) for _ in range(RAYS)])
             pause.wait(1.0 / (self._rate or 20.0))
 
 
