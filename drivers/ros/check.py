@@ -18,13 +18,14 @@ from swarmd.values import ScanSpec
 ENOUGH = 5
 AT_LEAST = 1.0
 _TOO_SLOW = 0.5  # of the platform's rate: its scans would be held as too old now and then
-_RECENT = 2.0
 
 
 def has_enough(hearing: Hearing, elapsed: float) -> bool:
-    """Whether all that is needed was heard often enough to tell its rate."""
-    needed = (sense for sense in hearing.senses.values() if sense.is_needed)
-    return elapsed >= AT_LEAST and all(sense.count >= ENOUGH for sense in needed)
+    """Whether all that is needed was heard often enough to tell its rate, and the rest at all."""
+    senses = hearing.senses.values()
+    return elapsed >= AT_LEAST and all(
+        sense.count >= (ENOUGH if sense.is_needed else 1) for sense in senses
+    )
 
 
 def unheard(dialect: Dialect, endpoint: str) -> str:
@@ -68,7 +69,9 @@ class Report:
     def _of(self, sense: Sense) -> Finding:
         fault = self._fault(sense)
         if fault:
-            return Finding(sense.name, False, fault)
+            is_wanting = sense.is_needed or sense.count or sense.faults
+            text = fault if is_wanting else f"not heard, and not needed to drive: {fault}"
+            return Finding(sense.name, not is_wanting, text)
         by_stamp, by_clock = sense.passed()
         kind = name_of(sense.kind)
         rate = f"{sense.rate():.1f} Hz, " if sense.count > 1 else ""

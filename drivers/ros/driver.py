@@ -285,7 +285,7 @@ class RosDriver:
         self._told_at = asyncio.get_running_loop().time()
         if self._told == (is_up, text):
             return
-        if self._told is not None:
+        if self._told is not None and not isinstance(sink, _Nowhere):
             log.log(logging.INFO if is_up else logging.WARNING, "driver %s: %s", self._name, text)
         self._told = (is_up, text)
         sink.state(is_up, text)

@@ -337,3 +337,10 @@ def test_what_is_missing_is_told_while_it_runs_too() -> None:
         await stage.until(is_told)
 
     play(robot, story, connected=False)
+
+
+def test_check_of_a_battery_that_is_silent_says_that_it_is_not_needed() -> None:
+    robot = BridgedRobot()
+    found = check(robot, robot.speak, seconds=1.5, battery="battery_state")
+    assert found["battery"].is_well
+    assert "not heard, and not needed to drive: no /battery_state" in found["battery"].text
