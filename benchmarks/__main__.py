@@ -15,6 +15,7 @@ from benchmarks import (
     protection,
     resources,
     ros1,
+    ros2,
     startup,
     steps,
     switch,
@@ -35,6 +36,7 @@ ALL: Mapping[str, Callable[[], None]] = {
     "cli": cli.main,
     "mesh": mesh.main,
     "ros1": lambda: ros1.main([]),
+    "ros2": lambda: ros2.main([]),
     "switch": lambda: switch.main([]),
 }
 
