@@ -26,7 +26,7 @@ import threading
 import time
 import xmlrpc.client
 from glob import glob
-from typing import Any, Dict, List, Optional, Tuple  # noqa: UP035  (Python 3.8)
+from typing import Any, Callable, Dict, List, Optional, Tuple  # noqa: UP035  (Python 3.8)
 
 DATA, EVENT, ALIVE = b"D", b"J", b"H"
 COMMAND, BYE = b"C", b"B"
@@ -64,7 +64,9 @@ class Master:
         proxy = xmlrpc.client.ServerProxy(uri or self.uri, transport=_Timed())
         try:
             code, text, value = getattr(proxy, method)(self.caller, *arguments)
-        except (xmlrpc.client.Error, ValueError, TypeError) as error:
+        except OSError:
+            raise
+        except Exception as error:  # not XML, not HTTP, or a fault of the other end
             raise OSError(str(error)) from error
         finally:
             proxy("close")()
@@ -126,6 +128,13 @@ class Adapter:
         """Serve until the driver says bye or is gone, or ROS is to be begun anew."""
         for work in (self._read, self._beat):
             threading.Thread(target=work, daemon=True).start()
+        try:
+            self._look()
+        except Exception as error:  # rospy may raise anything; its threads would live on
+            self.end(0.0, f"the adapter failed: {error!r}")
+            raise
+
+    def _look(self) -> None:
         while True:
             self._wake.clear()
             try:
@@ -156,7 +165,7 @@ class Adapter:
             kind = {f"_{k}": self._command[k] for k in ("type", "md5sum", "full_text")}
             self._message = type("Command", (rospy.AnyMsg,), kind)
             self._publisher = rospy.Publisher(
-                self._command["topic"], self._message, subscriber_listener=_Listener(self._wake),
+                self._command["topic"], self._message, subscriber_listener=_Listener(self._on_base),
                 tcp_nodelay=True, queue_size=1,
             )  # fmt: skip
             self._publisher.impl.set_queue_size(None)  # written at once, by who publishes
@@ -177,13 +186,36 @@ class Adapter:
             print(f"a command could not be sent: {error}", file=sys.stderr)
 
     def _zero(self) -> None:
-        payload = bytes(_TWIST_SIZE)
-        if self._command is not None and self._command["type"].endswith("Stamped"):
-            frame = self._command["frame_id"].encode()
-            now = time.time_ns()
-            stamp = now // 1_000_000_000, now % 1_000_000_000
-            payload = struct.pack("<4I", 0, *stamp, len(frame)) + frame + payload
-        self._publish(payload)
+        self._publish(self._zero_bytes())
+
+    def _zero_bytes(self) -> bytes:
+        if self._command is None or not self._command["type"].endswith("Stamped"):
+            return bytes(_TWIST_SIZE)
+        frame: bytes = self._command["frame_id"].encode()
+        now = time.time_ns()
+        stamp = now // 1_000_000_000, now % 1_000_000_000
+        return struct.pack("<4I", 0, *stamp, len(frame)) + frame + bytes(_TWIST_SIZE)
+
+    def _on_base(self, publish_to: Any) -> None:
+        """A base has connected, or left (None); one that connects while we drive gets zero first.
+
+        Nagle's algorithm would hold a second command back for up to 40 ms. A base that no longer
+        reads is given up instead of waited for: it may connect again.
+        """
+        self._wake.set()
+        for cell in getattr(publish_to, "__closure__", None) or ():
+            sock = getattr(cell.cell_contents, "socket", None)
+            if isinstance(sock, socket.socket):
+                sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _WRITE)
+        if publish_to is not None and self._publisher is not None and self._commanded_at > 0.0:
+            message = self._message()
+            message._buff = self._zero_bytes()
+            self._publisher.impl.acquire()
+            try:
+                publish_to(message)
+            finally:
+                self._publisher.impl.release()
 
     def _on_shutdown(self) -> None:
         self.end(0.0, "ROS has shut the adapter's node down")
@@ -312,26 +344,18 @@ class Adapter:
 
 
 class _Listener:
-    """Has the state told anew when the base connects or leaves; connections write at once."""
+    """Whom rospy tells of bases that connect and leave."""
 
-    def __init__(self, changed: threading.Event) -> None:
+    def __init__(self, changed: Callable[[Any], None]) -> None:
         self._changed = changed
 
     def peer_subscribe(self, topic: str, publish: Any, publish_to: Any) -> None:
-        """Nagle's algorithm would hold a second command back for up to 40 ms.
-
-        A base that no longer reads is given up instead of waited for: it may connect again.
-        """
-        for cell in publish_to.__closure__ or ():
-            sock = getattr(cell.cell_contents, "socket", None)
-            if isinstance(sock, socket.socket):
-                sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _WRITE)
-        self._changed.set()
+        """One has connected."""
+        self._changed(publish_to)
 
     def peer_unsubscribe(self, topic: str, peers: int) -> None:
-        """A base that leaves is told at once."""
-        self._changed.set()
+        """One has left."""
+        self._changed(None)
 
 
 def load_rospy() -> Any:

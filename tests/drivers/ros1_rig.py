@@ -53,7 +53,8 @@ class RosRobot:
         except AssertionError:
             self.close()
             raise
-        self._lines.clear()
+        with self._lock:
+            del self._lines[:1]
 
     @property
     def options(self) -> dict[str, Value]:

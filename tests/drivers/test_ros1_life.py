@@ -176,6 +176,33 @@ def test_who_was_killed_publishes_no_more_though_the_master_lists_him(roscore: R
     play(RosRobot(roscore), story)
 
 
+def test_a_base_that_connects_while_driving_gets_zero_first(roscore: RosCore) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        await drive(stage, body)
+
+        def second() -> RosRobot:
+            return RosRobot(roscore, "--name", "second", namespace=body.namespace)
+
+        starting = asyncio.create_task(asyncio.to_thread(second))
+        while not starting.done():
+            stage.driver.send(Twist(0.1), 1, 1)
+            await asyncio.sleep(0.05)
+        base, taken = starting.result(), list[Twist]()
+
+        def drives() -> bool:
+            stage.driver.send(Twist(0.1), 1, 1)
+            taken.extend(base.commands())
+            return any(not twist.is_zero for twist in taken)
+
+        try:
+            await stage.until(drives)
+        finally:
+            base.close()
+        assert taken[0].is_zero
+
+    play(RosRobot(roscore), story)
+
+
 @contextmanager
 def guarded(body: RosRobot) -> Iterator[tuple[subprocess.Popen[str], int]]:
     """A guardian that drives the robot, and its adapter's process id; both gone afterwards."""
