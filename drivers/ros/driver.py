@@ -34,6 +34,7 @@ OTHERS_LAST = 2.0
 
 _PERIOD = 0.1
 _PATIENCE = 2.0
+_MOST_ANNOUNCED = 4096
 _COMMAND = "cmd_vel"
 _MISTAKEN = ":type"
 
@@ -181,9 +182,9 @@ class RosDriver:
         end = self._dialect.announced(token)
         if end is None:
             return
-        if is_there:
+        if is_there and len(self._graph) < _MOST_ANNOUNCED:
             self._graph[token] = end
-        else:
+        elif not is_there:
             self._graph.pop(token, None)
 
     def _others(self) -> tuple[Endpoint, ...]:
