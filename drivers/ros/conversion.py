@@ -77,7 +77,7 @@ def imu_readings(message: ros.Imu) -> dict[str, float]:
 def battery_readings(message: ros.BatteryState) -> dict[str, float]:
     """`battery` as a share of 1 and `battery_voltage` in V; what is not measured is left out."""
     share = message.percentage
-    if share > 1.0:
+    if 1.0 < share < math.inf:
         share = min(share / _PER_CENT, 1.0)
     values = {"battery": share, "battery_voltage": message.voltage}
     return {name: value for name, value in values.items() if math.isfinite(value)}

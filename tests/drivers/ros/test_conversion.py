@@ -144,8 +144,9 @@ def test_battery_is_a_share_of_one(percentage: float, wanted: float) -> None:
 
 
 def test_what_a_battery_does_not_measure_is_left_out() -> None:
-    message = second.BatteryState(voltage=math.nan, percentage=math.nan)
-    assert conversion.battery_readings(read(messages.BatteryState, message)) == {}
+    for unknown in (math.nan, math.inf):
+        message = second.BatteryState(voltage=unknown, percentage=unknown)
+        assert conversion.battery_readings(read(messages.BatteryState, message)) == {}
 
 
 def test_commands_are_those_of_the_second_library() -> None:
