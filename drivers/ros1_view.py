@@ -173,7 +173,8 @@ class View:
     def _not_heard(self, sense: Sense, state: State) -> str:
         topic, wanted = sense.topic, sense.kind.name
         nodes = state.publishers.get(topic, [])
-        correct = f"correct driver_options.{sense.option}{self._elsewhere(sense, state)}"
+        correct = f"correct namespace or {sense.option} of driver_options"
+        correct += self._elsewhere(sense, state)
         wrong = sense.wrong
         if wrong is not None:
             theirs = f"{wrong.type} (md5 {wrong.md5sum})"
@@ -214,7 +215,7 @@ class View:
         if not state.listeners:
             return (
                 f"nobody listens on {self.command_topic}; start the base's node, or correct"
-                " driver_options.cmd_vel"
+                " namespace or cmd_vel of driver_options"
             )
         nodes = _all(state.listeners)
         return self._refused(state) or (
