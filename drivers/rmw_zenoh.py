@@ -51,6 +51,11 @@ def gid_of(token: str) -> bytes:
     return xxhash.xxh3_128_intdigest(token.encode()).to_bytes(16, "little")
 
 
+def attachment_of(sequence: int, gid: bytes) -> bytes:
+    """What goes with a publisher's message of that number, now."""
+    return _ATTACHMENT.pack(sequence, time.time_ns(), 16, gid)
+
+
 def _dialect(options: RmwOptions) -> RmwZenoh:
     return RmwZenoh(options.domain, topic(options, options.cmd_vel))
 
@@ -112,7 +117,7 @@ class RmwZenoh:
     def attachment(self) -> bytes | None:
         """Sequence number, time in ns since 1970, and who says it."""
         self._sequence += 1
-        return _ATTACHMENT.pack(self._sequence, time.time_ns(), 16, self._gid)
+        return attachment_of(self._sequence, self._gid)
 
     def introduce(self, zid: str, heard: Iterable[tuple[str, type]]) -> tuple[str, ...]:
         """A node that hears the topics given and, last of them, says the first: the command."""

@@ -6,6 +6,7 @@ Every driver's options may hold these keys, in the platform's file under `driver
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
 
 FIRST_ZEROS = 1.0
 """Seconds of zeros to a robot that has just become idle, before it is left alone."""
+
+USUAL_DEADMAN = 0.5
+"""Seconds without a command after which most bases that stop by themselves do."""
 
 Timeout = Annotated[float, Meta(ge=0.1, le=2.0)]
 
@@ -71,6 +75,17 @@ def base_options(options: Mapping[str, Value], what: str) -> BaseOptions:
             " must be told; wanted is idle_output: zeros, or a base with a timeout"
         )
     return found
+
+
+def stops_after(options: Mapping[str, Value], what: str) -> float:
+    """Seconds after which a real base with these options stops by itself; inf if it never does.
+
+    `base` says that it does, not when: 0.5 s.
+    """
+    deadman = base_options(options, what).deadman
+    if deadman is None or deadman == "none":
+        return math.inf
+    return USUAL_DEADMAN if deadman == "base" else float(deadman)
 
 
 def deadman_of(base: BaseOptions, driver: Driver) -> float | Literal["base", "none"]:

@@ -1,8 +1,9 @@
 """Which patterns, drivers and verbs are installed: names only, nothing of a pattern is imported.
 
-Found by entry-point group (`swarmd.patterns`, `swarmd.drivers`, `swarmd.commands`) and, for
-patterns, as `<plugin_dir>/<name>.py` holding exactly one Pattern. Reading the metadata of all
-installed packages takes 40 ms and more, so the command line calls this only where it must.
+Found by entry-point group (`swarmd.patterns`, `swarmd.drivers`, `swarmd.dialects`,
+`swarmd.commands`) and, for patterns, as `<plugin_dir>/<name>.py` holding exactly one Pattern.
+Reading the metadata of all installed packages takes 40 ms and more, so the command line calls this
+only where it must.
 """
 
 from __future__ import annotations
@@ -20,11 +21,13 @@ from swarmd.keys import check_id, is_id
 if TYPE_CHECKING:
     import click
 
+    from swarmd.dialect import RobotSideFactory
     from swarmd.driver import DriverFactory
 
 PATTERNS = "swarmd.patterns"
 DRIVERS = "swarmd.drivers"
 COMMANDS = "swarmd.commands"
+DIALECTS = "swarmd.dialects"
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +93,11 @@ def driver_names() -> tuple[str, ...]:
 def load_driver(name: str) -> DriverFactory:
     """The driver of that name, imported: the one kind of plugin the daemon itself runs."""
     return cast("DriverFactory", _load("driver", DRIVERS, name))
+
+
+def load_dialect(name: str) -> RobotSideFactory:
+    """The robots' side of the driver of that name, imported."""
+    return cast("RobotSideFactory", _load("dialect", DIALECTS, name))
 
 
 def command_names() -> Mapping[str, str]:

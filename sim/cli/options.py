@@ -65,6 +65,12 @@ _OPTIONS = (
         help="Robots further apart do not hear each other [all do].",
     ),
     click.option(
+        "--dialect",
+        metavar="NAME",
+        help="Bodies speak as the robots of this driver do, such as ros2dds, and daemons drive"
+        " them with it.",
+    ),
+    click.option(
         "--plugin-dir",
         type=click.Path(exists=True, file_okay=False, path_type=Path),
         envvar="SWARM_PLUGIN_DIR",
@@ -92,6 +98,7 @@ class WorldOptions:
     realism: str
     lidar_visibility: str
     radio_range: float | None
+    dialect: str | None
     plugin_dir: Path | None
 
 
@@ -99,6 +106,7 @@ def fleet_for(options: WorldOptions, swarm: str, folder: Path) -> FleetSpec:
     """The fleet that is wanted; ConfigError if it cannot be."""
     from swarmd.sim.live.fleet import FleetSpec
 
+    check_dialect(options)
     kind, robots = robots_for(options.platform, options.count)
     arena, layout = stage_for(kind, options.count, options.arena, options.layout, options.seed)
     return FleetSpec(
@@ -111,8 +119,23 @@ def fleet_for(options: WorldOptions, swarm: str, folder: Path) -> FleetSpec:
         realism=options.realism,
         lidar_visibility=options.lidar_visibility,
         radio_range=options.radio_range,
+        dialect=options.dialect,
         plugin_dir=options.plugin_dir,
     )
+
+
+def check_dialect(options: WorldOptions) -> None:
+    """PluginError if the dialect is none or its needs are missing; ConfigError if it cannot be."""
+    if options.dialect is None:
+        return
+    from swarmd.plugins import load_dialect
+
+    load_dialect(options.dialect)
+    if options.radio_range is not None:
+        raise ConfigError(
+            f"--radio-range and --dialect {options.dialect}: no robot says there whom it hears;"
+            " leave one of the two out"
+        )
 
 
 def need(*modules: str) -> None:

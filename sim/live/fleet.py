@@ -9,7 +9,6 @@ the parent, which then ends them in order.
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import selectors
 import signal
@@ -20,8 +19,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType, TracebackType
-from typing import IO
+from typing import IO, Any
 
+import msgspec
 import yaml
 
 from swarmd.errors import NetworkError, SwarmError
@@ -36,7 +36,8 @@ WORLD_READY = 30.0  # s; MuJoCo's first import from a cold disk is slow
 class FleetSpec:
     """What to start. `robots`: platform by id; `folder` holds configuration, logs and state.
 
-    `trace`, if given, is where the world writes what happened, `seconds` of simulation of it.
+    `dialect`: the driver as whose robots the bodies speak; `simulated` if none. `trace`, if given,
+    is where the world writes what happened, `seconds` of simulation of it.
     """
 
     swarm: str
@@ -51,6 +52,15 @@ class FleetSpec:
     plugin_dir: Path | None = None
     trace: Path | None = None
     seconds: float | None = None
+    dialect: str | None = None
+
+
+class Ready(msgspec.Struct, frozen=True):
+    """A world's ready line: where viewers dial it, and which driver daemons reach its bodies by."""
+
+    endpoint: str
+    driver: str
+    driver_options: dict[str, Any]
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,10 +134,11 @@ class Fleet:
         spec = self.spec
         spec.folder.mkdir(parents=True, exist_ok=True)
         self._world = _spawn(WORLD, world_command(spec), spec.folder, stdout=subprocess.PIPE)
-        self.endpoint = _await_endpoint(self._world)
+        ready = _await_ready(self._world)
+        self.endpoint = ready.endpoint
         for robot in spec.robots:
             config = spec.folder / f"{robot}.yaml"
-            config.write_text(yaml.safe_dump(daemon_config(spec, robot, self.endpoint)))
+            config.write_text(yaml.safe_dump(daemon_config(spec, robot, ready)))
             command = ["swarmd.cli.daemon", "--config", str(config)]
             self._daemons.append(_spawn(robot, command, spec.folder, stdout=subprocess.DEVNULL))
 
@@ -145,20 +156,22 @@ def world_command(spec: FleetSpec) -> list[str]:
     command += ["--arena", spec.arena, "--layout", spec.layout, "--seed", str(spec.seed)]
     command += ["--endpoint", "tcp/127.0.0.1:0", "--realism", spec.realism]
     command += ["--lidar-visibility", spec.lidar_visibility]
+    if spec.dialect is not None:
+        command += ["--dialect", spec.dialect, "--dialect-endpoint", "tcp/127.0.0.1:0"]
     command += [] if spec.radio_range is None else ["--radio-range", str(spec.radio_range)]
     command += ["--trace", str(spec.trace)] if spec.trace else []
     return command + (["--seconds", str(spec.seconds)] if spec.seconds else [])
 
 
-def daemon_config(spec: FleetSpec, robot: str, endpoint: str) -> dict[str, object]:
+def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object]:
     """What the daemon's configuration file holds."""
     config: dict[str, object] = {
         "id": robot,
         "swarm": spec.swarm,
         "profile": "dev",
         "platform": _from_anywhere(spec.robots[robot]),
-        "driver": "simulated",
-        "driver_options": {"endpoint": endpoint},
+        "driver": ready.driver,
+        "driver_options": dict(ready.driver_options),
         "state_dir": str((spec.folder / "state").absolute()),
     }
     if spec.plugin_dir is not None:
@@ -204,13 +217,13 @@ def _spawn(name: str, arguments: Iterable[str], folder: Path, *, stdout: int) ->
     return Child(name, process, log)
 
 
-def _await_endpoint(world: Child) -> str:
-    """Where the world listens, from its ready line."""
+def _await_ready(world: Child) -> Ready:
+    """What the world's ready line says."""
     assert world.process.stdout is not None
     line = _read_line(world.process.stdout, WORLD_READY)
     if line:
-        with contextlib.suppress(ValueError, KeyError, TypeError):
-            return str(json.loads(line)["endpoint"])
+        with contextlib.suppress(msgspec.DecodeError):
+            return msgspec.json.decode(line, type=Ready)
     if world.process.poll() is None and not line:
         with contextlib.suppress(subprocess.TimeoutExpired):
             world.process.wait(timeout=0.5)

@@ -7,8 +7,6 @@ viewers dial the world, and meet nobody else there.
 from __future__ import annotations
 
 import contextlib
-import re
-import socket
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -19,7 +17,8 @@ import zenoh
 
 from swarmd import keys
 from swarmd.codec import MAX_CONTROL, encode
-from swarmd.errors import CodecError, ConfigError, NetworkError, SwarmError
+from swarmd.errors import CodecError, NetworkError, SwarmError
+from swarmd.network.listening import open_listening
 from swarmd.network.session import open_with
 from swarmd.network.sockets import tune_sockets
 from swarmd.sensing import CommandWire, decode_command
@@ -39,8 +38,6 @@ from swarmd.sim.live.state import (
 # meanwhile. A daemon that dies is noticed by its closed socket.
 LEASE = 60.0
 MAX_QUESTIONS = 64  # waiting for the next step; a flood costs its sender's questions
-_TRIES = 5
-_ENDPOINT = re.compile(r"tcp/([^:]+|\[[^]]+\]):(\d+)")
 _OPTIONS: dict[str, object] = {
     "mode": "peer",
     "scouting/multicast/enabled": False,
@@ -84,7 +81,7 @@ class WorldLink:
         self._questions: list[Question] = []
         self._swarm = swarm
         self._ids = frozenset(ids)
-        self._session, self.endpoint = _listen(endpoint)
+        self._session, self.endpoint = open_listening(endpoint, _OPTIONS, "the world")
         tune_sockets(self._session, LEASE)
         self._senses = {
             (robot, name): self._publisher(keys.build(swarm, robot, "hw", name))
@@ -241,32 +238,3 @@ def dialling(endpoint: str) -> dict[str, object]:
             "period_increase_factor": 1.0,
         },
     }
-
-
-def _listen(endpoint: str) -> tuple[zenoh.Session, str]:
-    match = _ENDPOINT.fullmatch(endpoint)
-    if match is None or int(match[2]) > 65535:
-        raise ConfigError(f"endpoint is {endpoint!r}; wanted is such as tcp/127.0.0.1:0")
-    if int(match[2]):
-        return _open(endpoint), endpoint
-    for _ in range(_TRIES):
-        chosen = f"tcp/{match[1]}:{_free_port(match[1].strip('[]'))}"
-        try:
-            return _open(chosen), chosen
-        except NetworkError:  # another took it in between
-            continue
-    raise NetworkError(f"no free port for the world at {endpoint}")
-
-
-def _open(endpoint: str) -> zenoh.Session:
-    return open_with({**_OPTIONS, "listen/endpoints": [endpoint]}, what="the world")
-
-
-def _free_port(host: str) -> int:
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    with socket.socket(family, socket.SOCK_STREAM) as probe:
-        try:
-            probe.bind((host, 0))
-        except OSError as error:
-            raise SwarmError(f"no port at {host} for the world: {error}") from error
-        return int(probe.getsockname()[1])

@@ -1,26 +1,22 @@
 """A world in real time: steps on deadlines, senses out, commands in.
 
 A command whose verdict rests on a sweep older than `stale_after` counts as zero: a guardian that is
-frozen leaves its last words in a socket, and they are sent when it thaws.
+frozen leaves its last words in a socket, and they are sent when it thaws. A dialect's commands do
+not tell their sweep, so there its body follows them, as a real base would.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from swarmd.errors import CodecError, SwarmError
-from swarmd.sensing import (
-    encode_neighbors,
-    encode_odometry,
-    encode_readings,
-    encode_scan,
-)
 from swarmd.sim.live.link import Question, WorldLink
 from swarmd.sim.live.pacing import Pacer, Staggered
 from swarmd.sim.live.recording import Record
+from swarmd.sim.live.speech import HwSpeech, Speech
 from swarmd.sim.live.state import Triple, WorldReply, WorldRequest, WorldState, decode_request
 from swarmd.sim.world.delays import Held
 from swarmd.sim.world.geometry import transform
@@ -30,7 +26,7 @@ from swarmd.sim.world.world import World
 from swarmd.values import Array, Scan
 
 COMMAND_TIMEOUT = 0.5
-"""Real seconds without a command after which a body stops by itself, as a base does."""
+"""Real seconds without a command after which a body that speaks no dialect stops by itself."""
 
 STATE_RATE = 10.0
 
@@ -45,18 +41,24 @@ class RealTimeWorld:
         record: Record,
         *,
         radio: Radio | None = None,
+        speech: Speech | None = None,
+        deadmen: Sequence[float] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`clock` must be the one by which `link` stamps arrivals.
+        """`clock` must be the one by which `link` and `speech` stamp arrivals.
 
-        `radio` says whom each robot hears; without one nobody is told, and all hear all.
+        `radio` says whom each robot hears; without one nobody is told, and all hear all. `speech`
+        is how bodies speak, over the link if not told. `deadmen`: for each robot the seconds
+        without a command after which its body stops by itself, inf for never; `COMMAND_TIMEOUT` if
+        not told.
         """
         self._world, self._link, self._record, self._clock = world, link, record, clock
-        self._radio = radio
+        self._radio, self._speech = radio, speech or HwSpeech(link)
         n, start = len(world.ids), world.time
         self._rows = {robot: row for row, robot in enumerate(world.ids)}
         self._commands = np.zeros((n, 3))
         self._arrivals = np.full(n, -np.inf)
+        self._deadmen = np.array([COMMAND_TIMEOUT] * n if deadmen is None else deadmen)
         self._swept = np.full(n, -1)
         self._too_old = np.array([p.scan.stale_after * p.scan.rate for p in world.platforms])
         self._unreadable = 0
@@ -94,43 +96,45 @@ class RealTimeWorld:
             self._answer(question)
 
     def _is_fresh(self, now: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        return np.less_equal(now - self._arrivals, COMMAND_TIMEOUT)
+        # Before its first command a body has none, even where none ever ends.
+        quiet = np.where(np.isfinite(self._arrivals), now - self._arrivals, np.nan)
+        return np.less_equal(quiet, self._deadmen)
 
     def _take_commands(self) -> None:
-        for robot, (command, arrival) in self._link.take_commands().items():
-            row = self._rows[robot]
+        for robot, command in self._speech.take_commands().items():
+            row, swept, twist = self._rows[robot], command.scan_seq, command.twist
             # What a frozen guardian had handed to its network comes out at its thaw.
-            is_late = self._swept[row] - command.scan_seq > self._too_old[row]
-            twist = (command.linear, command.angular, command.lateral)
-            self._commands[row] = (0.0, 0.0, 0.0) if is_late else twist
-            self._arrivals[row] = arrival
+            is_late = swept is not None and self._swept[row] - swept > self._too_old[row]
+            told = (twist.linear, twist.angular, twist.lateral)
+            self._commands[row] = (0.0, 0.0, 0.0) if is_late else told
+            self._arrivals[row] = command.arrival
 
     def _publish(self) -> None:
-        world, link = self._world, self._link
+        world, speech = self._world, self._speech
         due = self._scans_due.due(world.time)
         if len(due):
             for row, scan in zip(due.tolist(), world.scans(due), strict=True):
                 self._sweeps.put(world.time + float(world.scan_latency[row]), (row, scan))
         for row, scan in self._sweeps.due(world.time):
             self._swept[row] = scan.seq
-            link.publish(world.ids[row], "scan", encode_scan(scan))
+            speech.scan(world.ids[row], scan)
         due = self._odometry_due.due(world.time)
         if len(due):
             for row, odometry in zip(due, world.odometry(due), strict=True):
-                link.publish(world.ids[row], "odometry", encode_odometry(odometry))
+                speech.odometry(world.ids[row], odometry)
         for row in self._hearing_due.due(world.time):
             self._publish_hearing(int(row))
         if len(self._state_due.due(world.time)):
-            link.publish_state(self._state())
+            self._link.publish_state(self._state())
 
     def _publish_hearing(self, row: int) -> None:
         world, robot = self._world, self._world.ids[row]
         if self._radio is not None:
             boxes = transform(world.thing_shapes, world.thing_poses())
             heard = self._radio.neighbors(row, world.poses(), boxes)
-            self._link.publish(robot, "neighbors", encode_neighbors(heard))
+            self._speech.neighbors(robot, heard)
         if readings := world.readings(row):
-            self._link.publish(robot, "readings", encode_readings(readings))
+            self._speech.readings(robot, readings)
 
     def _answer(self, question: Question) -> None:
         try:
@@ -171,7 +175,7 @@ class RealTimeWorld:
             is_recording=record.is_running,
             recorded=record.seconds,
             overruns=self._pacer.overruns,
-            dropped=self._link.dropped + self._unreadable,
+            dropped=self._link.dropped + self._speech.dropped + self._unreadable,
         )
 
 

@@ -1,7 +1,8 @@
 """The world as a process: `python -m swarmd.sim.live.server`, for daemons on this machine.
 
-Prints one JSON line `{"endpoint": ...}` on standard output once drivers can connect. SIGTERM and
-SIGINT end it; the trace, if one is wanted, is then written.
+Prints one JSON line on standard output once drivers can connect: `endpoint` for viewers, `driver`
+and `driver_options` for daemons. SIGTERM and SIGINT end it; the trace, if one is wanted, is then
+written.
 """
 
 from __future__ import annotations
@@ -13,27 +14,30 @@ import logging
 import signal
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
 
 from msgspec import to_builtins
 from msgspec.structs import replace
 
+from swarmd.base import stops_after
 from swarmd.errors import ConfigError, SwarmError
 from swarmd.keys import check_id
 from swarmd.layered import Layered
 from swarmd.platforms import load_platform
+from swarmd.plugins import load_dialect
 from swarmd.processes import die_with_parent
 from swarmd.sim.live.link import WorldLink
 from swarmd.sim.live.realtime import RealTimeWorld
 from swarmd.sim.live.recording import Record, RecordSettings
+from swarmd.sim.live.speech import DRIVER, DialectSpeech, HwSpeech, Speech
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.layouts import parse_layout
 from swarmd.sim.world.radio import Radio, RadioSettings
 from swarmd.sim.world.realism import REALISMS, Realism
 from swarmd.sim.world.world import World
-from swarmd.values import Platform
+from swarmd.values import Platform, Value
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -99,15 +103,37 @@ def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
         meta=_meta(options, robots),
     )
     record = Record(world, settings)
-    link = WorldLink(swarm, robots, options.endpoint)
-    try:
-        print(json.dumps({"endpoint": link.endpoint, "swarm": swarm}), flush=True)
+    with ExitStack() as opened:
+        link = WorldLink(swarm, robots, options.endpoint)
+        opened.callback(link.close)
+        speech: Speech = HwSpeech(link)
+        driver, told, deadmen = DRIVER, dict[str, Value](endpoint=link.endpoint), None
+        if options.dialect is not None:
+            speech = spoken = _make_dialect(options, robots)
+            opened.callback(spoken.close)
+            driver, told = options.dialect, dict(spoken.side.driver_options)
+            deadmen = [_deadman(platform, driver) for platform in robots.values()]
+        ready = {"endpoint": link.endpoint, "swarm": swarm, "driver": driver}
+        print(json.dumps({**ready, "driver_options": told}), flush=True)
         # What is alive now stays: a collection would only walk through all of it again.
         gc.collect()
         gc.freeze()
-        RealTimeWorld(world, link, record, radio=_make_radio(options, world)).run(is_over)
-    finally:
-        link.close()
+        radio = _make_radio(options, world)
+        RealTimeWorld(world, link, record, radio=radio, speech=speech, deadmen=deadmen).run(is_over)
+
+
+def _make_dialect(options: argparse.Namespace, robots: Mapping[str, Platform]) -> DialectSpeech:
+    if options.radio_range is not None:
+        raise ConfigError(
+            f"--radio-range and --dialect {options.dialect}: no robot says there whom it hears;"
+            " leave one of the two out"
+        )
+    return DialectSpeech(load_dialect(options.dialect), robots, options.dialect_endpoint)
+
+
+def _deadman(platform: Platform, driver: str) -> float:
+    what = f"platform {platform.name}: drivers.{driver}"
+    return stops_after(platform.drivers.get(driver, {}), what)
 
 
 def _trembling(realism: Realism) -> Realism:
@@ -181,6 +207,13 @@ def _parser() -> argparse.ArgumentParser:
     add("--layout", default="grid:1.0", help="row, paper, grid, ring, random or list, with :size")
     add("--seed", type=int, default=0, help="of random layouts and of noise")
     add("--endpoint", default="tcp/127.0.0.1:7790", help="where drivers dial; port 0: any")
+    add("--dialect", metavar="NAME", help="bodies speak as the robots of this driver do")
+    add(
+        "--dialect-endpoint",
+        default="tcp/127.0.0.1:7447",
+        metavar="ENDPOINT",
+        help="where the drivers of a dialect dial; port 0: any",
+    )
     add("--lidar-visibility", choices=("body", "real"), default="body")
     add("--realism", choices=sorted(REALISMS), default="ideal")
     add("--radio-range", type=float, metavar="M", help="beyond which robots do not hear each other")

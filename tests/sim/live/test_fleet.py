@@ -16,10 +16,11 @@ from swarmd.errors import SwarmError
 from swarmd.messages import State
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings
-from swarmd.sim.live.fleet import Fleet, FleetSpec, daemon_config, robot_ids, world_command
+from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_command
 from swarmd.sim.live.show import await_up, statuses_of
 from swarmd.testing.processes import children, unique_swarm, wait_until
 
+READY = Ready("tcp/127.0.0.1:1", "simulated", {"endpoint": "tcp/127.0.0.1:1"})
 ROBOTS = {"tb3-01": "burger", "tb3-02": "waffle_pi"}
 
 
@@ -81,14 +82,14 @@ def test_the_world_is_told_where_to_write(tmp_path: Path) -> None:
 
 
 def test_latches_of_a_fleet_stay_in_its_folder(tmp_path: Path) -> None:
-    config = daemon_config(make_spec(tmp_path), "tb3-01", "tcp/127.0.0.1:1")
+    config = daemon_config(make_spec(tmp_path), "tb3-01", READY)
     assert Path(str(config["state_dir"])).is_relative_to(tmp_path)
 
 
 def test_a_daemon_finds_a_platform_of_the_folder_the_fleet_was_started_in(tmp_path: Path) -> None:
     spec = make_spec(tmp_path, robots={"a": "own.yaml", "b": "burger"})
-    assert daemon_config(spec, "a", "tcp/127.0.0.1:1")["platform"] == str(Path.cwd() / "own.yaml")
-    assert daemon_config(spec, "b", "tcp/127.0.0.1:1")["platform"] == "burger"
+    assert daemon_config(spec, "a", READY)["platform"] == str(Path.cwd() / "own.yaml")
+    assert daemon_config(spec, "b", READY)["platform"] == "burger"
 
 
 @pytest.mark.integration
