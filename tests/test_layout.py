@@ -123,7 +123,7 @@ def test_the_core_names_no_concrete_plugin() -> None:
     plugins = PROJECT["project"]["entry-points"]
     names = {
         value.partition(":")[0]
-        for group in ("swarmd.patterns", "swarmd.drivers", "swarmd.commands")
+        for group in plugins
         for value in plugins[group].values()
     }
     found = [

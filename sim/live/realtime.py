@@ -58,7 +58,7 @@ class RealTimeWorld:
         self._rows = {robot: row for row, robot in enumerate(world.ids)}
         self._commands = np.zeros((n, 3))
         self._arrivals = np.full(n, -np.inf)
-        self._deadmen = np.array([COMMAND_TIMEOUT] * n if deadmen is None else deadmen)
+        self._deadmen: Array = np.array([COMMAND_TIMEOUT] * n if deadmen is None else deadmen)
         self._swept = np.full(n, -1)
         self._too_old = np.array([p.scan.stale_after * p.scan.rate for p in world.platforms])
         self._unreadable = 0
