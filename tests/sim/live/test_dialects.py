@@ -1,0 +1,168 @@
+"""Swarms whose bodies speak ROS 2: daemons with a ROS driver do as those with the simulated one."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarmd.network.operator import Operator
+from swarmd.network.session import SessionSettings
+from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_command
+from swarmd.sim.live.link import WorldView
+from swarmd.sim.live.show import Watch, statuses_of
+from swarmd.sim.live.state import WorldState
+from swarmd.testing.processes import children, is_running, stoppers, unique_swarm, wait_until
+from swarmd.values import Array
+
+SEVEN = robot_ids("burger", 7)
+LINKED = 0.8
+"""Metres between the middles of two robots of one group; the nearest are 1.1 m apart at first."""
+TOLERANCE = 0.30
+"""Metres by which the median distance of all pairs may differ between the two runs."""
+STARTING, GATHERING, SETTLING = 170.0, 240.0, 10.0
+
+
+def make_spec(folder: Path, robots: tuple[str, ...], dialect: str | None) -> FleetSpec:
+    return FleetSpec(
+        swarm=unique_swarm(),
+        robots=dict.fromkeys(robots, "burger"),
+        folder=folder,
+        arena="7x7",
+        layout="grid:1.1",
+        dialect=dialect,
+    )
+
+
+class Show:
+    """A fleet that is up, its operator and its world."""
+
+    def __init__(self, spec: FleetSpec, fleet: Fleet, operator: Operator, view: WorldView) -> None:
+        self.spec, self.fleet, self.operator = spec, fleet, operator
+        self._watch = Watch(view)
+
+    def run(self, pattern: str, **params: float) -> None:
+        robots = tuple(self.spec.robots)
+        epochs = self.operator.members().epochs(robots)
+        outcome = self.operator.request("run", epochs, {"pattern": pattern, "params": params})
+        assert len(outcome.applied) == len(robots), outcome.line
+
+    def state(self) -> WorldState:
+        return self._watch.wait()
+
+    def after(self, seconds: float) -> WorldState:
+        """The state so many simulated seconds later."""
+        state = self.state()
+        until = state.time + seconds
+        while state.time < until:
+            state = self._watch.wait(since=state.time)
+        return state
+
+    def is_moving(self, row: int) -> bool:
+        linear, angular, _ = self.state().twists[row]
+        return abs(linear) > 0.02 or abs(angular) > 0.05
+
+    def is_up(self) -> bool:
+        self.fleet.check()
+        statuses = statuses_of(self.operator.members())
+        return len(statuses) == len(self.spec.robots) and all(
+            status.health.driver_up and status.health.scan_rate > 0.0
+            for status in statuses.values()
+        )
+
+
+@contextmanager
+def on(spec: FleetSpec) -> Iterator[Show]:
+    """A fleet that is up; afterwards no process of it is left."""
+    pids: set[int] = set()
+    with (
+        Operator(SessionSettings(swarm=spec.swarm)) as operator,
+        Fleet(spec) as fleet,
+        WorldView(spec.swarm, fleet.endpoint) as view,
+    ):
+        show = Show(spec, fleet, operator, view)
+        wait_until(show.is_up, "all are up", STARTING)
+        pids |= {pid for own in fleet.pids.values() for pid in (own, *children(own))}
+        pids |= {pid for robot in spec.robots for pid in stoppers(spec.swarm, robot)}
+        yield show
+    wait_until(lambda: not any(map(is_running, pids)), "no process is left")
+
+
+def apart(state: WorldState) -> Array:
+    """(n, n) m between the middles of all robots."""
+    places = np.array(state.poses)[:, :2]
+    distances: Array = np.linalg.norm(places[:, None] - places[None, :], axis=-1)
+    return distances
+
+
+def largest_group(state: WorldState) -> int:
+    """Of robots linked by `LINKED`, how many the largest group has."""
+    linked = apart(state) < LINKED
+    for _ in range(len(linked)):
+        linked = linked @ linked
+    return int(linked.sum(axis=1).max())
+
+
+def median_apart(state: WorldState) -> float:
+    distances = apart(state)
+    return float(np.median(distances[np.triu_indices(len(distances), k=1)]))
+
+
+def gather(spec: FleetSpec) -> tuple[float, float]:
+    """The median distance of all pairs before seven robots gather in one group, and afterwards."""
+    with on(spec) as show:
+        begin = show.state()
+        assert largest_group(begin) == 1
+        show.run("attraction")
+        wait_until(lambda: largest_group(show.state()) == 7, "all are in one group", GATHERING)
+        end = show.after(SETTLING)
+        assert largest_group(end) == 7
+        assert end.contacts == end.arena_contacts == 0
+        for robot in spec.robots:
+            assert len(stoppers(spec.swarm, robot)) == (0 if spec.dialect is None else 1)
+    return median_apart(begin), median_apart(end)
+
+
+@pytest.mark.integration
+@pytest.mark.timeout(1200)
+def test_seven_daemons_gather_over_ros2dds_as_they_do_simulated(tmp_path: Path) -> None:
+    ended = {}
+    for dialect in ("ros2dds", None):
+        folder = tmp_path / (dialect or "simulated")
+        before, ended[dialect] = gather(make_spec(folder, SEVEN, dialect))
+        print(f"{dialect or 'simulated'}: pairs {before:.2f} m apart, then {ended[dialect]:.2f} m")
+        assert ended[dialect] < 0.7 * before
+    assert abs(ended["ros2dds"] - ended[None]) <= TOLERANCE
+
+
+@pytest.mark.integration
+@pytest.mark.timeout(600)
+@pytest.mark.parametrize("dialect", ["rmw_zenoh", "ros2dds"])
+def test_a_body_without_a_deadman_drives_and_is_stopped_for(dialect: str, tmp_path: Path) -> None:
+    spec = make_spec(tmp_path, ("tb3-01",), dialect)
+    with on(spec) as show:
+        show.run("random_walk")
+        wait_until(lambda: show.is_moving(0), "it drives")
+        assert show.state().commanded == (True,)
+        os.kill(show.fleet.pids["tb3-01"], signal.SIGKILL)
+        wait_until(lambda: not show.is_moving(0), "it stands")
+        after = show.after(2.0)
+        assert after.commanded == (True,)  # its stopper says zero again and again
+        assert not show.is_moving(0)
+        for pid in stoppers(spec.swarm, "tb3-01"):
+            os.kill(pid, signal.SIGTERM)
+
+
+def test_world_and_daemons_are_told_of_the_dialect(tmp_path: Path) -> None:
+    spec = make_spec(tmp_path, ("tb3-01",), "rmw_zenoh")
+    command = world_command(spec)
+    assert command[command.index("--dialect") + 1] == "rmw_zenoh"
+    assert command[command.index("--dialect-endpoint") + 1].endswith(":0")
+    told = {"endpoint": "tcp/127.0.0.1:2", "namespace": "{robot}"}
+    config = daemon_config(spec, "tb3-01", Ready("tcp/127.0.0.1:1", "rmw_zenoh", told))
+    assert (config["driver"], config["driver_options"]) == ("rmw_zenoh", told)
