@@ -55,6 +55,23 @@ class Kill:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Try:
+    """Load a pattern in a new process beside the host, only to see whether that can be done.
+
+    `load.generation` numbers the trial. Nothing of it is stepped, and its process ends with it.
+    """
+
+    load: Load
+
+
+@dataclass(frozen=True, slots=True)
+class Cancel:
+    """End the trial that is under way; nothing more is told of it."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Ready:
     """The pattern is loaded and will be stepped. `params`: name -> (value, source).
 
@@ -111,5 +128,13 @@ class Died:
     text: str
 
 
-Command = Load | Step | SetParams | Kill
-Event = Ready | Refused | Stepped | ParamsSet | Failed | Died
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """How a trial went: `text` is empty if the pattern can be loaded, else it says why not."""
+
+    generation: int
+    text: str
+
+
+Command = Load | Step | SetParams | Kill | Try | Cancel
+Event = Ready | Refused | Stepped | ParamsSet | Failed | Died | Tried

@@ -85,6 +85,7 @@ class Hosting:
         self.stepped_generation = 0
         self.last_step = -1.0
         self.is_due = False
+        self.is_outdated = False  # its host may hold code that was replaced meanwhile
         self.restarts = 0
         self._faults: deque[float] = deque()
 

@@ -7,8 +7,9 @@ import importlib.util
 import inspect
 import sys
 from collections.abc import Mapping
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from types import ModuleType
+from types import CodeType, ModuleType
 from typing import Any
 
 from swarmd.behavior import Pattern
@@ -55,10 +56,23 @@ def _from_file(path: Path) -> type[Pattern[Any]]:
 
 
 def _module(path: Path) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(f"swarmd_plugin_{path.stem}", path)
-    if spec is None or spec.loader is None:
+    name = f"swarmd_plugin_{path.stem}"
+    loader = _AsWritten(name, str(path))
+    spec = importlib.util.spec_from_loader(name, loader)
+    if spec is None:
         raise PluginError(f"{path} cannot be read as Python")
     module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
+    sys.modules[name] = module
+    loader.exec_module(module)
     return module
+
+
+class _AsWritten(SourceFileLoader):
+    """Compiles the file each time, and leaves nothing beside it.
+
+    Bytecode that was kept counts as that of a file changed within the same second.
+    """
+
+    def get_code(self, fullname: str) -> CodeType:
+        """The code of the file as it is now."""
+        return self.source_to_code(self.get_data(self.path), self.path)

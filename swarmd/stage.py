@@ -99,9 +99,18 @@ def _guard(call: Callable[[], T]) -> T | str:
     except SwarmError as error:
         return str(error)
     except Exception as error:  # a plugin may raise anything
-        frame = traceback.extract_tb(error.__traceback__)[-1]
-        place = f"{frame.filename.rsplit('/', 1)[-1]}:{frame.lineno}"
-        return f"{type(error).__name__}: {str(error)[:200]} ({place})"
+        return in_one_line(error)
+
+
+def in_one_line(error: BaseException) -> str:
+    """What was raised, and where: `ZeroDivisionError: division by zero (shy.py:12)`."""
+    text = str(error)
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    file, line = frame.filename, frame.lineno
+    if isinstance(error, SyntaxError) and error.filename:  # raised before there was a frame
+        text, file, line = error.msg, error.filename, error.lineno
+    text = " ".join(text.split())
+    return f"{type(error).__name__}: {text[:200]} ({file.rsplit('/', 1)[-1]}:{line})"
 
 
 def _typed(inputs: Inputs, channels: Mapping[str, type]) -> tuple[Inputs, int]:

@@ -1,7 +1,7 @@
 """What operators can ask of one robot, and when it refuses. Pure.
 
-Nothing late may start motion: run, reset and param set quote the epoch that the operator saw, and
-any other is refused. stop and estop quote nothing and are always taken.
+Nothing late may start motion: run, reset, reload and param set quote the epoch that the operator
+saw, and any other is refused. stop and estop quote nothing and are always taken.
 """
 
 from __future__ import annotations
@@ -12,11 +12,12 @@ from swarmd.conduct import Conduct, Turn
 from swarmd.frames import Layers, SetParams
 from swarmd.keys import is_id
 from swarmd.messages import Code, Latch, Reason, Request, State
+from swarmd.reloading import Reloading, under_way
 from swarmd.supervisor import Event as Change
 from swarmd.values import Scalar
 
-QUOTING = frozenset({"run", "reset", "param"})
-VERBS = frozenset({"run", "stop", "estop", "reset", "param"})
+QUOTING = frozenset({"run", "reset", "reload", "param"})
+VERBS = frozenset({"run", "stop", "estop", "reset", "reload", "param"})
 MAX_SECONDS = 1e7
 
 
@@ -34,6 +35,7 @@ class Verbs:
         self._conduct = conduct
         self._layers = layers
         self._standing = standing
+        self.reloading = Reloading(conduct, self.layers)
         self._last_stop = ("", -1)  # its id, and the revision that it led to
 
     def answer(self, request: Request, turn: Turn) -> None:
@@ -58,6 +60,8 @@ class Verbs:
             self._run(request, turn)
         elif request.verb == "reset":
             self._reset(request, turn)
+        elif request.verb == "reload":
+            self.reloading.begin(request, turn)
         else:
             self._set_params(request, turn)
 
@@ -97,9 +101,7 @@ class Verbs:
             self._refuse(request, turn, "run wants a pattern by name and params by name")
         elif not _is_duration(seconds):
             self._refuse(request, turn, f"seconds is {seconds!r}; wanted above 0 and up to 1e7")
-        elif hosting.loading is not None and hosting.loading.request is not None:
-            by = hosting.loading.request.operator
-            text = f"still loading {hosting.loading.pattern}, by {by}"
+        elif text := under_way(conduct):
             self._refuse(request, turn, text)
         else:
             conduct.changed(f"{request.operator} (run {pattern})")
@@ -145,7 +147,7 @@ class Verbs:
             self._refuse(request, turn, "param set wants values by name")
         elif running is None or not conduct.is_running or conduct.hosting.is_restarting:
             self._refuse(request, turn, "no pattern is running")
-        elif conduct.params_request is not None or conduct.hosting.loading is not None:
+        elif conduct.params_request is not None or conduct.hosting.loading or conduct.trial:
             self._refuse(request, turn, "another change is on its way")
         else:
             conduct.changed(f"{request.operator} (param set)")

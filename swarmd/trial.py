@@ -1,0 +1,65 @@
+"""Tries whether a pattern can be loaded, in a host of its own beside the one in force."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+
+from swarmd.errors import CodecError
+from swarmd.frames import Event, Failed, Ready, Refused, Tried
+from swarmd.framing import decode_event
+from swarmd.hostprocess import HostProcess, why_it_ended
+
+
+def outcome(event: Event | None) -> str:
+    """What a load's answer says of the code: empty if it was loaded, else why not."""
+    if isinstance(event, Ready):
+        return ""
+    return event.text if isinstance(event, Refused | Failed) else "it gave no answer to a load"
+
+
+class Trial:
+    """One Load in a process of its own, from its start to its answer, its end, or `end`.
+
+    `tell` is called once, unless `end` comes first; `buried` when its process has been waited for.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        generation: int,
+        frame: bytes,
+        tell: Callable[[Tried], None],
+        buried: Callable[[HostProcess], None],
+    ) -> None:
+        self.buried = buried
+        self._generation = generation
+        self._tell = tell
+        self._host: HostProcess | None = HostProcess(loop, self)
+        with contextlib.suppress(OSError):  # it has just ended: the pidfd is watched
+            self._host.socket.send(frame)
+
+    def end(self) -> tuple[HostProcess, ...]:
+        """Kill its process; whoever is still to be waited for."""
+        host, self._host = self._host, None
+        if host is None:
+            return ()
+        host.kill()
+        return (host,)
+
+    def on_frame(self, host: HostProcess, frame: bytes) -> None:
+        """It answered."""
+        try:
+            text = outcome(decode_event(frame))
+        except CodecError as error:
+            text = str(error)
+        self._done(text)
+
+    def on_end(self, host: HostProcess, code: int) -> None:
+        """It ended by itself, which no load may do."""
+        self._host = None
+        self._done(f"while it was being loaded {why_it_ended(code)}")
+
+    def _done(self, text: str) -> None:
+        self._tell(Tried(self._generation, text))
