@@ -1,0 +1,179 @@
+"""Places in a formation, from what one robot senses of the others; no positions, no leader.
+
+Points are x, y in m in the base frame of a robot, which is itself at the origin. Each place is the
+robot's own of the formation that fits best to all that it sees and to itself, so that the robots
+agree as far as they see the same, and a formation is left as it is by every one of them.
+
+Line: to the closest point of the line that fits best by least squares (Yun, Alptekin and Albayrak,
+"Line and circle formation of distributed physical mobile robots", J. Robotic Systems 14(2), 1997;
+the task is Sugihara and Suzuki's, J. Robotic Systems 13(3), 1996). Spacing along it, and the
+places on a circle, are ours: those of the evenly spaced row or polygon that fits best. Of a robot
+that sees one neighbour on each side that is the middle between them, as in Defago and Souissi,
+"Non-uniform circle formation algorithm for oblivious mobile robots with convergence toward
+uniformity", Theor. Comput. Sci. 396, 2008.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from swarmd.rays import clusters
+from swarmd.steering import from_base
+from swarmd.values import Array, Neighbor, Pose, Scan
+
+# A lidar sees what is farther than this share of its reach in pieces, with what is beside it.
+_SURE = 0.95
+# Rays between two objects, at most, of which one hides a part of the other.
+_ADJOINING = math.radians(3.0)
+# A place is the mean of what was sensed of it last, of so many at most, until a robot is sensed
+# farther from it than so many m, and than so much of its distance: then it has moved.
+_MEMORY = 20
+_MOVED, _MOVED_SHARE = 0.06, 0.08
+
+
+def place_on_line(others: Array, spacing: float) -> Array:
+    """Where (2,) a robot at the origin belongs in a line with `others` (k, 2).
+
+    The line is the one of least squares of the distances from it (total least squares); along it
+    the robots keep their order and have `spacing` m between them.
+    """
+    points = _with_itself(others)
+    middle = points.mean(axis=0)
+    x, y = (points - middle).T
+    angle = 0.5 * math.atan2(2.0 * float(x @ y), float(x @ x) - float(y @ y))
+    ahead = np.array([math.cos(angle), math.sin(angle)])
+    rank = _rank(x * ahead[0] + y * ahead[1])
+    along = (rank - 0.5 * (len(points) - 1)) * spacing
+    place: Array = middle + along * ahead
+    return place
+
+
+def place_on_circle(others: Array, radius: float) -> Array:
+    """Where (2,) a robot at the origin belongs on a circle of `radius` m with `others` (k, 2).
+
+    The middle is the mean of all positions; around it the robots keep their order and stand at
+    equal angles.
+    """
+    points = _with_itself(others)
+    count = len(points)
+    middle: Array = points.mean(axis=0)
+    if count < 2:
+        return middle
+    x, y = (points - middle).T
+    angles = np.arctan2(y, x)
+    order = np.argsort(angles, kind="stable")
+    off = angles[order] - 2.0 * math.pi / count * np.arange(count)
+    first = math.atan2(float(np.sin(off).sum()), float(np.cos(off).sum()))
+    own = first + 2.0 * math.pi / count * _rank(angles)
+    place: Array = middle + radius * np.array([math.cos(own), math.sin(own)])
+    return place
+
+
+def radius_of(spacing: float, count: int) -> float:
+    """The radius in m of the circle on which `count` robots have `spacing` m between them."""
+    return spacing / (2.0 * math.sin(math.pi / count)) if count > 1 else 0.0
+
+
+def bodies(scan: Scan, *, reach: float, width: float, offset: tuple[float, float]) -> Array:
+    """The middles (k, 2) of what may be robots: objects up to `reach` m and no wider than `width`.
+
+    `offset` is the lidar's from the axle. Each is taken for as deep as it is seen wide; one that
+    something nearer hides in part, for as wide as the others, beginning at the side that is seen.
+    """
+    seen = clusters(scan, within=reach)
+    chosen = ((seen.widths <= width) & (seen.ranges <= _SURE * reach)).nonzero()[0]
+    if not len(chosen):
+        return np.empty((0, 2))
+    is_whole = seen.is_free[chosen]
+    halves = 0.5 * seen.widths[chosen]
+    usual = float(np.median(halves[is_whole])) if is_whole.any() else float(halves.max())
+    halves[~is_whole] = np.maximum(halves[~is_whole], usual)
+    ranges = seen.ranges[chosen] + halves
+    bearings = seen.bearings[chosen]
+    spreads = np.arcsin(np.minimum(0.5 * seen.widths / np.maximum(seen.ranges, 1e-3), 1.0))
+    for row, index in enumerate(chosen.tolist()):
+        if not is_whole[row]:
+            away = (seen.bearings - seen.bearings[index] + math.pi) % (2.0 * math.pi) - math.pi
+            room = np.abs(away) - spreads - spreads[index]
+            is_before = (seen.ranges < seen.ranges[index]) & (room < _ADJOINING)
+            if is_before.any():
+                nearest = int(np.where(is_before, room, math.inf).argmin())
+                side = math.copysign(1.0, float(away[nearest]))
+                hidden = math.asin(min(float(halves[row] / ranges[row]), 1.0)) - spreads[index]
+                bearings[row] += side * max(float(hidden), 0.0)
+    found = from_base(np.array((ranges, bearings)).T, offset)
+    return np.stack((found[:, 0] * np.cos(found[:, 1]), found[:, 0] * np.sin(found[:, 1])), axis=-1)
+
+
+def to_base(point: Array, pose: Pose) -> Array:
+    """A point (2,) of the odometry frame as seen from a base at `pose`."""
+    cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+    x, y = float(point[0]) - pose.x, float(point[1]) - pose.y
+    return np.array([cos * x + sin * y, cos * y - sin * x])
+
+
+def from_pose(point: Array, pose: Pose) -> Array:
+    """A point (2,) seen from a base at `pose`, in the odometry frame."""
+    cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+    x, y = float(point[0]), float(point[1])
+    return np.array([pose.x + cos * x - sin * y, pose.y + sin * x + cos * y])
+
+
+@dataclass(slots=True)
+class _Sighting:
+    """What was sensed of a neighbour last, and where it is by all that counts of it."""
+
+    sensed: tuple[float, float]
+    place: Array
+    count: int = 1
+
+
+class Sightings:
+    """Where neighbours are that are sensed seldom and with noise, while the robot moves.
+
+    Each new range and bearing is put into the odometry frame as it comes; what is sensed again and
+    again in one place is averaged.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[str, _Sighting] = {}
+
+    def update(self, neighbors: Sequence[Neighbor], pose: Pose, reach: float) -> Array:
+        """The neighbours' positions (k, 2), of those within `reach` m, as seen from `pose` now."""
+        known, found = self._known, []
+        self._known = {}
+        for neighbor in neighbors:
+            distance, bearing = neighbor.distance, neighbor.bearing
+            if distance is None or bearing is None or not 0.0 <= distance <= reach:
+                continue
+            if not math.isfinite(bearing):
+                continue
+            sighting = _again(known.get(neighbor.id), (distance, bearing), pose)
+            self._known[neighbor.id] = sighting
+            found.append(to_base(sighting.place, pose))
+        return np.array(found).reshape(-1, 2)
+
+
+def _again(old: _Sighting | None, sensed: tuple[float, float], pose: Pose) -> _Sighting:
+    if old is not None and old.sensed == sensed:
+        return old
+    distance, bearing = sensed
+    here = np.array([distance * math.cos(bearing), distance * math.sin(bearing)])
+    place = from_pose(here, pose)
+    if old is None or math.dist(old.place, place) > _MOVED + _MOVED_SHARE * distance:
+        return _Sighting(sensed, place)
+    count = min(old.count + 1, _MEMORY)
+    return _Sighting(sensed, old.place + (place - old.place) / count, count)
+
+
+def _with_itself(others: Array) -> Array:
+    return np.concatenate((np.zeros((1, 2)), others.reshape(-1, 2)))
+
+
+def _rank(values: Array) -> int:
+    """How many of the values come before the first one, in order."""
+    return int(np.argsort(values, kind="stable").argmin())
