@@ -17,6 +17,7 @@ from swarmd.behavior import MovementPattern, Pattern
 from swarmd.combined import CombinedPattern
 from swarmd.errors import SwarmError
 from swarmd.loading import Finder
+from swarmd.mission.mission import Mission
 from swarmd.params import schema
 from swarmd.plugins import pattern_names
 from swarmd.settings import load_platform
@@ -75,6 +76,8 @@ def _describe(name: str, source: str, finder: Finder, platform: Platform) -> dic
 
 
 def _kind(kind: type[Pattern[Any]]) -> str:
+    if issubclass(kind, Mission):
+        return "mission"
     if issubclass(kind, CombinedPattern):
         return "combined"
     if issubclass(kind, VotingPattern):

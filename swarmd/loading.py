@@ -14,6 +14,7 @@ from typing import Any
 
 from swarmd.behavior import Pattern
 from swarmd.errors import PluginError, unknown
+from swarmd.plugins import MISSION
 
 
 class Finder:
@@ -21,13 +22,35 @@ class Finder:
 
     def __init__(self, origins: Mapping[str, tuple[str, bool]]) -> None:
         self.origins = origins
+        self._missions: dict[tuple[Path, int, int], type[Pattern[Any]]] = {}
+        self._open: list[str] = []
 
     def __call__(self, name: str) -> type[Pattern[Any]]:
-        """The class; PluginError if there is none of that name, or not exactly one."""
+        """The class; PluginError if there is none of that name, or not exactly one.
+
+        ConfigError if it is a mission whose file has a fault.
+        """
         if name not in self.origins:
             raise PluginError(unknown("pattern", name, self.origins))
         value, is_file = self.origins[name]
+        if is_file and value.endswith(MISSION):
+            return self._mission(name, Path(value))
         return _from_file(Path(value)) if is_file else _from_entry_point(name, value)
+
+    def _mission(self, name: str, path: Path) -> type[Pattern[Any]]:
+        from swarmd.mission.mission import mission_class  # few hosts run one
+
+        if name in self._open:
+            raise PluginError(f"mission {name!r} is a part of itself; take it out")
+        stat = path.stat()
+        key = (path, stat.st_mtime_ns, stat.st_size)
+        if key not in self._missions:
+            self._open.append(name)
+            try:
+                self._missions[key] = mission_class(path, self)
+            finally:
+                self._open.pop()
+        return self._missions[key]
 
 
 def _from_entry_point(name: str, value: str) -> type[Pattern[Any]]:

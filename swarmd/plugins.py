@@ -1,8 +1,10 @@
 """Which patterns, drivers and verbs are installed: names only, nothing of a pattern is imported.
 
 Found by entry-point group (`swarmd.patterns`, `swarmd.drivers`, `swarmd.commands`) and, for
-patterns, as `<plugin_dir>/<name>.py` holding exactly one Pattern. Reading the metadata of all
-installed packages takes 40 ms and more, so the command line calls this only where it must.
+patterns, as `<plugin_dir>/<name>.py` holding exactly one Pattern. Missions are patterns too: a
+`<plugin_dir>/<name>.yaml` with a line `mission: ...`, or one that comes with swarmd. Reading the
+metadata of all installed packages takes 40 ms and more, so the command line calls this only where
+it must.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+import swarmd.config
 from swarmd.errors import ConfigError, PluginError, unknown
 from swarmd.keys import check_id, is_id
 
@@ -25,6 +28,8 @@ if TYPE_CHECKING:
 PATTERNS = "swarmd.patterns"
 DRIVERS = "swarmd.drivers"
 COMMANDS = "swarmd.commands"
+MISSION = ".yaml"
+_HEAD = re.compile(rb"^mission:", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +119,8 @@ def how_to_install(missing: str, name: str, group: str = COMMANDS) -> str:
 def _installed() -> Iterator[tuple[str, Origin]]:
     for point in entry_points(group=PATTERNS):
         yield point.name, Origin(point.value, _source(point))
+    for path in _mission_files(Path(swarmd.config.__path__[0]) / "missions"):
+        yield path.stem, Origin(str(path.resolve()), "swarmd", is_file=True)
 
 
 def _dropped_in(plugin_dir: Path | None) -> Iterator[tuple[str, Origin]]:
@@ -126,6 +133,19 @@ def _dropped_in(plugin_dir: Path | None) -> Iterator[tuple[str, Origin]]:
     for path in sorted(plugin_dir.glob("*.py")):
         if is_id(path.stem) and path.is_file():
             yield path.stem, Origin(str(path.resolve()), str(path), is_file=True)
+    for path in _mission_files(plugin_dir):
+        yield path.stem, Origin(str(path.resolve()), str(path), is_file=True)
+
+
+def _mission_files(folder: Path) -> Iterator[Path]:
+    """The missions of a folder; other YAML files are left alone."""
+    for path in sorted(folder.glob(f"*{MISSION}")):
+        try:
+            is_mission = is_id(path.stem) and _HEAD.search(path.read_bytes()) is not None
+        except OSError:
+            continue
+        if is_mission:
+            yield path
 
 
 def _bad_file_name(name: str, plugin_dir: Path | None) -> str:
