@@ -177,7 +177,7 @@ class FormationPattern(MovementPattern[F]):
         if not by_lidar and lacking:
             name = self.context.platform.name
             raise ConfigError(
-                f"parameter sensing is neighbors, which needs {lacking}; {name} does not provide that"
+                f"parameter sensing is neighbors, which needs {lacking}; {name} lacks that"
             )
         self._by_lidar, self._scan, self._goal = by_lidar, None, None
         super().update(params)

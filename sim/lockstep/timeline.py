@@ -49,8 +49,13 @@ class Timeline:
         if event.action == "place":
             assert event.pose is not None
             swarm.world.place(event.thing, event.pose)
-        elif event.action == "remove":
+        elif event.action == "remove" and event.thing:
             swarm.world.remove(event.thing)
+        elif event.action == "remove":
+            for row in self._rows_of(event):
+                if swarm.shells[row] is not None:
+                    swarm.end(row, in_order=False)
+                swarm.world.take_out(row)
         elif event.action == "join":
             for row in self._rows_of(event):
                 if swarm.shells[row] is None:

@@ -26,9 +26,11 @@ def read_event(layers: Layered, file: ScenarioFile, cast: Cast, index: int) -> E
     if section.at >= file.duration:
         text = f"events[{index}].at is {section.at:g}; wanted before the end"
         raise layers.error((*keys, "at"), f"{text} (duration is {file.duration:g})")
-    if action in ("place", "remove"):
-        return _of_thing(layers, file, section, (*keys, action))
-    key = action if action in OF_ROBOTS else "who"
+    things = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
+    is_robot = action == "remove" and bool(cast.named(section.remove or ""))
+    if action == "place" or (action == "remove" and (section.remove in things or not is_robot)):
+        return _of_thing(layers, file, section, (*keys, action), things)
+    key = action if action in OF_ROBOTS or is_robot else "who"
     values = section.param if action == "param" else section.parameters
     return Event(
         at=section.at,
@@ -42,7 +44,7 @@ def read_event(layers: Layered, file: ScenarioFile, cast: Cast, index: int) -> E
 
 def words_of(section: EventSection, action: Action) -> Sequence[str]:
     """Who an event is for, as it is written; all if nothing is."""
-    who = getattr(section, action) if action in OF_ROBOTS else section.who
+    who = getattr(section, action) if action in (*OF_ROBOTS, "remove") else section.who
     return (ALL,) if who is None else (who,) if isinstance(who, str) else who
 
 
@@ -68,9 +70,10 @@ def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
     return given[0]
 
 
-def _of_thing(layers: Layered, file: ScenarioFile, section: EventSection, keys: Keys) -> Event:
+def _of_thing(
+    layers: Layered, file: ScenarioFile, section: EventSection, keys: Keys, movable: Sequence[str]
+) -> Event:
     name = f"events[{keys[1]}]"
-    movable = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
     thing = section.place or section.remove or ""
     if thing not in movable:
         fault = unknown("box with a name and a mass", thing, movable)

@@ -26,7 +26,7 @@ class Event:
 
     To `robots` for run (with `pattern`, `parameters` and perhaps `seconds`), param (`parameters`),
     stop, estop, reset, join, leave and kill; to the box `thing` for place (at `pose` x, y in m,
-    yaw in rad) and remove.
+    yaw in rad); to the box `thing`, or to `robots` if it is empty, for remove.
     """
 
     at: float
