@@ -297,10 +297,11 @@ class Conduct:
 
     def load(self, pattern: str, layers: Layers, turn: Turn) -> None:
         """Ask the host for the pattern that `hosting.begin` announced."""
-        turn.host = self._load = self.load_of(self.hosting.generation, pattern, layers)
-        if self.hosting.is_outdated:
-            turn.host = self._load = replace(self._load, is_fresh=True)
-            self.hosting.is_outdated = False
+        hosting = self.hosting
+        load = self.load_of(hosting.generation, pattern, layers)
+        until = () if hosting.loading is None else hosting.loading.until
+        turn.host = self._load = replace(load, is_fresh=hosting.is_outdated, until=until)
+        hosting.is_outdated = False
 
     def load_of(self, generation: int, pattern: str, layers: Layers) -> Load:
         """What a host needs to load a pattern for this robot."""

@@ -19,7 +19,8 @@ Layers = tuple[tuple[str, Mapping[str, Value]], ...]
 class Load:
     """Load a pattern. `layers`: parameters by source, weakest first, above its defaults.
 
-    `is_fresh`: in a new host, since the present one hangs.
+    `is_fresh`: in a new host, since the present one hangs. `until`: conditions of which any ends
+    the run, as `swarmd.mission.conditions` reads them.
     """
 
     generation: int
@@ -29,6 +30,7 @@ class Load:
     platform: Platform
     seed: int
     is_fresh: bool = False
+    until: tuple[str, ...] = ()
 
 
 class Step(Struct, frozen=True, eq=False):

@@ -53,7 +53,7 @@ def encode_command(command: Load | Step | SetParams, origins: Origins) -> bytes:
     if isinstance(command, Load):
         body: list[Any] = ["load", command.generation, command.pattern, list(command.layers)]
         body += [command.robot, _from_platform(command.platform), command.seed]
-        body += [{name: list(origin) for name, origin in origins.items()}]
+        body += [{name: list(origin) for name, origin in origins.items()}, list(command.until)]
     elif isinstance(command, Step):
         body = ["step", command.generation, _from_inputs(command.inputs)]
     else:
@@ -71,9 +71,10 @@ def decode_command(frame: bytes) -> tuple[Load | Step | SetParams, Origins]:
     """The guardian's command, and with a Load where each pattern is found."""
     kind, generation, *rest = msgpack.unpackb(frame, strict_map_key=False)
     if kind == "load":
-        pattern, layers, robot, platform, seed, origins = rest
+        pattern, layers, robot, platform, seed, origins, until = rest
         named: Layers = tuple((source, values) for source, values in layers)
-        load = Load(generation, pattern, named, robot, _to_platform(platform), seed)
+        of = _to_platform(platform)
+        load = Load(generation, pattern, named, robot, of, seed, until=tuple(until))
         return load, {name: (value, is_file) for name, (value, is_file) in origins.items()}
     if kind == "step":
         return Step(generation, _to_inputs(rest[0])), {}

@@ -32,7 +32,10 @@ class Wish(Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loading:
-    """A pattern on its way in. `request` None: a restart after a fault."""
+    """A pattern on its way in. `request` None: a restart after a fault.
+
+    `until`: conditions of which any ends the run.
+    """
 
     generation: int
     pattern: str
@@ -40,6 +43,7 @@ class Loading:
     seconds: float | None
     since: float
     request: Request | None
+    until: tuple[str, ...] = ()
 
 
 @dataclass(slots=True, eq=False)
@@ -54,6 +58,7 @@ class Running:
     channels: frozenset[str]
     values: Mapping[str, tuple[Scalar | None, str]]
     wish: Wish
+    until: tuple[str, ...] = ()
     touch: TouchZone | None = None
 
     def channel(self, name: str) -> str | None:
@@ -96,10 +101,11 @@ class Hosting:
         seconds: float | None,
         request: Request | None,
         now: float,
+        until: tuple[str, ...] = (),
     ) -> Loading:
         """A new generation is to be loaded; until then the one in force stays, unstepped."""
         self.generation += 1
-        self.loading = Loading(self.generation, pattern, params, seconds, now, request)
+        self.loading = Loading(self.generation, pattern, params, seconds, now, request, until)
         self.restart_at = None
         return self.loading
 
@@ -121,6 +127,7 @@ class Hosting:
             event.channels,
             event.params,
             Wish(None, now, -1),
+            loading.until,
         )
         self.awaiting_since = None
         self.last_step = -1.0

@@ -119,7 +119,7 @@ def how_to_install(missing: str, name: str, group: str = COMMANDS) -> str:
 def _installed() -> Iterator[tuple[str, Origin]]:
     for point in entry_points(group=PATTERNS):
         yield point.name, Origin(point.value, _source(point))
-    for path in _mission_files(Path(swarmd.config.__path__[0]) / "missions"):
+    for path in mission_files(Path(swarmd.config.__path__[0]) / "missions"):
         yield path.stem, Origin(str(path.resolve()), "swarmd", is_file=True)
 
 
@@ -133,11 +133,11 @@ def _dropped_in(plugin_dir: Path | None) -> Iterator[tuple[str, Origin]]:
     for path in sorted(plugin_dir.glob("*.py")):
         if is_id(path.stem) and path.is_file():
             yield path.stem, Origin(str(path.resolve()), str(path), is_file=True)
-    for path in _mission_files(plugin_dir):
+    for path in mission_files(plugin_dir):
         yield path.stem, Origin(str(path.resolve()), str(path), is_file=True)
 
 
-def _mission_files(folder: Path) -> Iterator[Path]:
+def mission_files(folder: Path) -> Iterator[Path]:
     """The missions of a folder; other YAML files are left alone."""
     for path in sorted(folder.glob(f"*{MISSION}")):
         try:

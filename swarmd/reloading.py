@@ -93,6 +93,7 @@ class Reloading:
             self._replace(trial, turn)
         elif running is not None:
             hosting.is_outdated = True
+            turn.trial = Cancel("not wanted yet")
             text = f"a run of {trial.pattern} takes the new code; {running.pattern} goes on"
             conduct.reply(turn, trial.request, Code.APPLIED, text)
         else:
@@ -119,7 +120,7 @@ class Reloading:
         hosting.awaiting_since = None  # the host that owes a step is gone
         if request.args.get("run", False):
             hosting.is_outdated = True
-            hosting.begin(trial.pattern, running.params, left, request, turn.now)
+            hosting.begin(trial.pattern, running.params, left, request, turn.now, running.until)
             conduct.load(trial.pattern, self._layers(trial.pattern, running.params), turn)
         else:
             turn.host = Kill("reloaded")

@@ -256,7 +256,7 @@ class Robot:
         if running is None or hosting.restart_at is None or turn.now < hosting.restart_at:
             return
         if turn.host is None:
-            hosting.begin(running.pattern, running.params, None, None, turn.now)
+            hosting.begin(running.pattern, running.params, None, None, turn.now, running.until)
             layers = self._verbs.layers(running.pattern, running.params)
             self._conduct.load(running.pattern, layers, turn)
 

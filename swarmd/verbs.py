@@ -9,9 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from swarmd.conduct import Conduct, Turn
+from swarmd.errors import ConfigError
 from swarmd.frames import Layers, SetParams
 from swarmd.keys import is_id
 from swarmd.messages import Code, Latch, Reason, Request, State
+from swarmd.mission.conditions import parse_conditions
 from swarmd.reloading import Reloading, under_way
 from swarmd.supervisor import Event as Change
 from swarmd.values import Scalar
@@ -92,7 +94,7 @@ class Verbs:
         conduct = self._conduct
         hosting, state = conduct.hosting, conduct.supervisor.state
         pattern, params = request.args.get("pattern"), request.args.get("params") or {}
-        seconds = request.args.get("seconds")
+        seconds, until = request.args.get("seconds"), request.args.get("until") or ()
         if state in (State.ESTOPPED, State.FAULTED):
             reason = conduct.supervisor.reason
             text = f"{state} ({reason}) {conduct.supervisor.detail}; reset it first"
@@ -101,12 +103,15 @@ class Verbs:
             self._refuse(request, turn, "run wants a pattern by name and params by name")
         elif not _is_duration(seconds):
             self._refuse(request, turn, f"seconds is {seconds!r}; wanted above 0 and up to 1e7")
+        elif fault := _fault_of(until):
+            self._refuse(request, turn, fault)
         elif text := under_way(conduct):
             self._refuse(request, turn, text)
         else:
             conduct.changed(f"{request.operator} (run {pattern})")
             duration = float(seconds) if isinstance(seconds, int | float) else None
-            hosting.begin(pattern, params, duration, request, turn.now)
+            ends = tuple(until) if isinstance(until, list) else ()
+            hosting.begin(pattern, params, duration, request, turn.now, ends)
             conduct.load(pattern, self.layers(pattern, params), turn)
 
     def layers(self, pattern: str, params: Mapping[str, Scalar | None]) -> Layers:
@@ -153,6 +158,16 @@ class Verbs:
             conduct.changed(f"{request.operator} (param set)")
             conduct.params_request = (request, turn.now)
             turn.host = SetParams(running.generation, request.id, dict(values))
+
+
+def _fault_of(until: object) -> str:
+    """What is wrong with the conditions that are to end a run; empty if nothing."""
+    try:
+        if until:
+            parse_conditions(until)
+    except ConfigError as error:
+        return str(error)
+    return ""
 
 
 def _is_duration(seconds: object) -> bool:

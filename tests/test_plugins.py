@@ -59,11 +59,12 @@ def test_finds_an_outsiders_pattern_the_same_way() -> None:
 
 
 def test_finds_patterns_in_the_drop_in_folder_and_leaves_other_files_alone(folder: Path) -> None:
-    for name in ("spin.py", "_hidden.py", "Big.py", "notes.txt"):
+    for name in ("spin.py", "_hidden.py", "Big.py", "notes.txt", "swarm.yaml"):
         (folder / name).touch()
     (folder / "folder.py").mkdir()
-    found = plugins.pattern_names(folder).items()
-    assert [name for name, origin in found if origin.is_file] == ["spin"]
+    (folder / "patrol.yaml").write_text("# by night\nmission: Goes round\n")
+    found = plugins.pattern_names(folder).items() - plugins.installed_patterns().items()
+    assert sorted(name for name, origin in found if origin.is_file) == ["patrol", "spin"]
     spin = plugins.find_pattern("spin", folder)
     assert spin.value == str((folder / "spin.py").resolve())
     assert spin.source == str(folder / "spin.py")
