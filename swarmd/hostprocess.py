@@ -41,7 +41,7 @@ class HostProcess:
 
     def __init__(self, loop: asyncio.AbstractEventLoop, owner: Owner) -> None:
         self._loop = loop
-        self._owner = owner
+        self.owner = owner
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.socket = ours
         ours.setblocking(False)
@@ -92,7 +92,7 @@ class HostProcess:
                 self._loop.remove_reader(self.socket)
                 return
             self.has_answered = True
-            self._owner.on_frame(self, b"" if flags & socket.MSG_TRUNC else frame)
+            self.owner.on_frame(self, b"" if flags & socket.MSG_TRUNC else frame)
             if self.socket.fileno() < 0:  # what it said led to its end
                 return
 
@@ -101,10 +101,10 @@ class HostProcess:
         os.close(self._pidfd)
         self._pidfd = -1
         code = self.process.wait()
-        self._owner.buried(self)
+        self.owner.buried(self)
         self._signal()  # what the pattern may have forked
         if self.socket.fileno() >= 0:
             self._on_readable()
             self._loop.remove_reader(self.socket)
             self.socket.close()
-            self._owner.on_end(self, code)
+            self.owner.on_end(self, code)

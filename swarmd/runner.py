@@ -200,7 +200,8 @@ class ProcessRunner:
             self._loop.call_soon(self._wake)
 
     def _on_tried(self, tried: Tried) -> None:
-        self._end_trial()
+        if tried.text:
+            self._end_trial()
         self._events.append(tried)
         self._wake()
 
@@ -211,6 +212,8 @@ class ProcessRunner:
 
     def _replace(self) -> None:
         self._kill()
+        if self._trial is not None:  # the code that a fresh host is wanted for is loaded there
+            self._host = self._trial.hand_over(self)
         self._start_again()
 
     def _kill(self) -> None:

@@ -1,4 +1,7 @@
-"""Tries whether a pattern can be loaded, in a host of its own beside the one in force."""
+"""Tries whether a pattern can be loaded, in a host of its own beside the one in force.
+
+A host in which it was loaded is fresh and warm: it may take the place of the one in force.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from collections.abc import Callable
 from swarmd.errors import CodecError
 from swarmd.frames import Event, Failed, Ready, Refused, Tried
 from swarmd.framing import decode_event
-from swarmd.hostprocess import HostProcess, why_it_ended
+from swarmd.hostprocess import HostProcess, Owner, why_it_ended
 
 
 def outcome(event: Event | None) -> str:
@@ -20,7 +23,7 @@ def outcome(event: Event | None) -> str:
 
 
 class Trial:
-    """One Load in a process of its own, from its start to its answer, its end, or `end`.
+    """One Load in a process of its own, which stays until `end` or `hand_over`.
 
     `tell` is called once, unless `end` comes first; `buried` when its process has been waited for.
     """
@@ -36,6 +39,7 @@ class Trial:
         self.buried = buried
         self._generation = generation
         self._tell = tell
+        self._is_told = False
         self._host: HostProcess | None = HostProcess(loop, self)
         with contextlib.suppress(OSError):  # it has just ended: the pidfd is watched
             self._host.socket.send(frame)
@@ -47,6 +51,14 @@ class Trial:
             return ()
         host.kill()
         return (host,)
+
+    def hand_over(self, owner: Owner) -> HostProcess | None:
+        """The host, to be `owner`'s from now on; None if it has ended or has not answered."""
+        if self._host is None or not self._is_told:
+            return None
+        host, self._host = self._host, None
+        host.owner = owner
+        return host
 
     def on_frame(self, host: HostProcess, frame: bytes) -> None:
         """It answered."""
@@ -62,4 +74,6 @@ class Trial:
         self._done(f"while it was being loaded {why_it_ended(code)}")
 
     def _done(self, text: str) -> None:
-        self._tell(Tried(self._generation, text))
+        if not self._is_told:
+            self._is_told = True
+            self._tell(Tried(self._generation, text))

@@ -61,7 +61,7 @@ def _ask(
         try:
             rows, culprit = _read(child.stdout, patience)
             is_over = len(rows) == len(names)
-            hangs = not is_over and _is_running(child)
+            hangs = not is_over and is_running(child)
         finally:
             child.kill()
         if not is_over and culprit is None:
@@ -78,7 +78,7 @@ def _read(stream: IO[bytes], patience: float) -> tuple[list[Row], Row | None]:
     """The rows that came, and what was begun and not done when the child ended or fell silent."""
     rows: list[Row] = []
     begun: Row | None = None
-    for line in _lines(stream, patience):
+    for line in lines(stream, patience):
         message: Row = json.loads(line)
         if "end" in message:
             return rows, None
@@ -90,7 +90,7 @@ def _read(stream: IO[bytes], patience: float) -> tuple[list[Row], Row | None]:
     return rows, begun
 
 
-def _lines(stream: IO[bytes], patience: float) -> Iterator[bytes]:
+def lines(stream: IO[bytes], patience: float) -> Iterator[bytes]:
     """Whole lines, until the end or until none has come for `patience` s."""
     buffer = b""
     deadline = time.monotonic() + patience
@@ -100,13 +100,13 @@ def _lines(stream: IO[bytes], patience: float) -> Iterator[bytes]:
             piece = os.read(stream.fileno(), 65536)
             if not piece:
                 return
-            *lines, buffer = (buffer + piece).split(b"\n")
-            if lines:
+            *whole, buffer = (buffer + piece).split(b"\n")
+            if whole:
                 deadline = time.monotonic() + patience
-            yield from lines
+            yield from whole
 
 
-def _is_running(child: subprocess.Popen[bytes]) -> bool:
+def is_running(child: subprocess.Popen[bytes]) -> bool:
     """True unless it is ending; one that has closed its output is given a moment to do so."""
     try:
         child.wait(timeout=1.0)
@@ -118,6 +118,6 @@ def _is_running(child: subprocess.Popen[bytes]) -> bool:
 def _last_line(text: str, hangs: bool) -> str:
     if hangs:
         return "the process that describes patterns does not begin to"
-    lines = [line for line in text.splitlines() if line.strip()]
-    line = lines[-1] if lines else "the process that describes patterns ended without a word"
+    words = [line for line in text.splitlines() if line.strip()]
+    line = words[-1] if words else "the process that describes patterns ended without a word"
     return line.removeprefix("swarmd.errors.").removeprefix("ConfigError: ")
