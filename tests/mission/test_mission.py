@@ -1,0 +1,182 @@
+"""What missions do, step by step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from swarmd.errors import ConfigError
+from swarmd.params import schema
+from swarmd.values import Inputs, Message, Outputs, Twist
+from tests.mission.company import PLATFORM, made, mission_of, steps
+
+PARTS = """
+mission: Tried out
+parts:
+  vote: {pattern: vote_on, params: {initial: 1}}
+  go: {pattern: go}
+  other: {pattern: go, params: {speed: 0.9}}
+  brief: {pattern: brief}
+"""
+
+
+def parts(*names: str) -> str:
+    """The head of a mission with these parts."""
+    lines = PARTS.strip().splitlines()
+    kept = [line for line in lines[2:] if line.strip().split(":")[0] in names]
+    return "\n".join([*lines[:2], *kept]) + "\n"
+
+
+def speeds(found: list[Outputs]) -> list[float | None]:
+    return [None if one.twist is None else one.twist.linear for one in found]
+
+
+def test_steps_of_a_sequence_follow_each_other_and_parts_keep_their_memory(tmp_path: Path) -> None:
+    text = parts("go", "other") + (
+        "sequence: [{part: go, until: {timeout: 2}}, {part: other, until: {timeout: 1}}]\n"
+        "then: repeat\n"
+    )
+    found = steps(made(tmp_path, text), 10.0, 11.9, 12.0, 12.9, 13.0)
+    assert speeds(found) == [0.2, 0.2, 0.9, 0.9, 0.2]
+    assert [one.report["phase"] for one in found] == ["go", "go", "other", "other", "go"]
+    assert found[-1].report["go.steps"] == 3
+    assert "other.steps" not in found[-1].report
+
+
+def test_a_mission_ends_after_its_last_step_and_says_why(tmp_path: Path) -> None:
+    text = parts("go") + "sequence: [{part: go, until: {nearer: 0.5}}]\nthen: end\n"
+    mission = made(tmp_path, text)
+    assert [one.done for one in steps(mission, 0.0, 1.0)] == [None, None]
+    (last,) = steps(mission, 2.0, range_=0.4)
+    assert last.done == "something is nearer than 0.5 m"
+    assert last.twist is None
+
+
+def test_a_step_whose_part_is_done_ends(tmp_path: Path) -> None:
+    text = parts("brief", "go") + (
+        "sequence: [{part: brief, until: {timeout: 100}}, go]\nthen: stay\n"
+    )
+    found = steps(made(tmp_path, text), *range(6))
+    assert speeds(found) == [0.5, 0.5, 0.5, 0.2, 0.2, 0.2]
+    assert [one.done for one in found] == [None] * 6
+
+
+def test_a_last_step_that_is_done_ends_the_mission_in_that_step(tmp_path: Path) -> None:
+    text = parts("brief") + "sequence: [{part: brief, until: {done: brief}}]\nthen: end\n"
+    found = steps(made(tmp_path, text), *range(3))
+    assert [one.done for one in found] == [None, None, "brief: three steps"]
+
+
+def test_in_a_parallel_one_drives_and_all_speak(tmp_path: Path) -> None:
+    text = parts("vote", "brief", "go") + "parallel: [vote, brief, go]\ndrives: go\n"
+    found = steps(made(tmp_path, text), *range(5))
+    assert speeds(found) == [0.2] * 5
+    assert found[0].messages["brief/count"] == 1
+    assert "vote_on/opinion" in found[0].messages
+    # Who is done is not stepped any more, and the others go on.
+    assert [one.report.get("brief.count") for one in found] == [1, 2, 3, None, None]
+    assert found[4].report["go.steps"] == 5
+
+
+def test_nobody_may_drive(tmp_path: Path) -> None:
+    text = parts("vote", "go") + "parallel: [vote, go]\ndrives: nobody\n"
+    assert speeds(steps(made(tmp_path, text), 0.0, 1.0)) == [None, None]
+
+
+def test_a_parallel_is_over_when_all_in_it_are(tmp_path: Path) -> None:
+    text = parts("brief", "go") + (
+        "parallel: [{part: go, until: {timeout: 1}}, {part: brief, until: {done: brief}}]\n"
+        "drives: go\n"
+    )
+    found = steps(made(tmp_path, text), 0.0, 0.9, 1.0)
+    assert speeds(found) == [0.2, 0.2, None]
+    assert found[2].done == "1 s have passed; brief: three steps"
+
+
+def test_a_switch_takes_the_first_branch_whose_condition_holds(tmp_path: Path) -> None:
+    text = parts("go", "other") + (
+        "switch:\n  - {when: {nearer: 1.0}, part: other, name: close}\n  - {part: go}\n"
+    )
+    mission = made(tmp_path, text)
+    assert speeds(steps(mission, 0.0)) == [0.2]
+    close = steps(mission, 1.0, range_=0.9)
+    assert speeds(close) == [0.9]
+    assert close[0].report["phase"] == "close"
+    assert speeds(steps(mission, 2.0)) == [0.2]
+
+
+def test_a_switch_without_a_branch_stands(tmp_path: Path) -> None:
+    text = parts("go") + "switch: [{when: {reading: light, above: 2}, part: go}]\n"
+    kind = mission_of(tmp_path, text)
+    assert kind.needs == {"scan", "reading:light"}
+    platform = replace(PLATFORM, provides=PLATFORM.provides | {"reading:light"})
+    mission = made(tmp_path, text, platform)
+    assert speeds(steps(mission, 0.0)) == [None]
+    assert speeds(steps(mission, 1.0, readings={"light": 3.0})) == [0.2]
+
+
+MAPPED = parts("vote", "go") + (
+    "map: [{from: vote.opinion, to: go.speed, values: [0.3, 0.5, 0.7]}]\n"
+    "parallel: [vote, go]\ndrives: go\nreport: {opinion: vote.opinion, speed: go.speed}\n"
+)
+
+
+def test_a_map_sets_a_parameter_by_what_a_part_reports(tmp_path: Path) -> None:
+    mission = made(tmp_path, MAPPED)
+    (first,) = steps(mission, 0.0)
+    assert first.twist == Twist(0.5)
+    assert first.report == {"phase": "vote+go", "opinion": 1, "speed": 0.5}
+    mission.parts["vote"].opinion = 2  # type: ignore[attr-defined]
+    assert speeds(steps(mission, 1.0)) == [0.7]
+
+
+def test_a_map_may_be_a_base_and_a_step(tmp_path: Path) -> None:
+    mission = made(tmp_path, MAPPED.replace("values: [0.3, 0.5, 0.7]", "base: 0.1, step: 0.2"))
+    assert speeds(steps(mission, 0.0)) == [pytest.approx(0.3)]
+
+
+def test_channels_are_those_of_the_pattern_unless_private(tmp_path: Path) -> None:
+    text = parts("vote").replace("initial: 1}", "initial: 1}, private: true") + "part: vote\n"
+    mission = made(tmp_path, text)
+    assert set(mission.channels) == {f"vote-{name}" for name in ("opinion", "ballot")} & set(
+        mission.channels
+    )
+    said = Message("robot-2", "vote-opinion", 0, 0.0)
+    outputs = mission.step(Inputs(0.0, 0.0, messages=(said,)))
+    assert outputs.messages["vote-opinion"] == 1
+
+
+def test_own_parameters_are_those_of_parts_with_their_bounds(tmp_path: Path) -> None:
+    text = parts("go") + "part: go\nparameters: {fast: go.speed}\n"
+    kind = mission_of(tmp_path, text)
+    spec = {one.name: one for one in schema(kind.params_type)}
+    assert (spec["fast"].le, spec["fast"].unit) == (1.0, "m/s")
+    assert kind.defaults(PLATFORM) == {"fast": 0.2}
+    mission = made(tmp_path, text, fast=0.4)
+    assert speeds(steps(mission, 0.0)) == [0.4]
+    mission.update(msgspec.structs.replace(mission.params, fast=0.6))
+    assert speeds(steps(mission, 1.0)) == [0.6]
+    with pytest.raises(ConfigError, match="fast is 3"):
+        made(tmp_path, text, fast=3)
+
+
+def test_more_opinions_than_a_map_has_values_are_refused_while_it_runs(tmp_path: Path) -> None:
+    mission = made(tmp_path, MAPPED + "parameters: {opinions: vote.opinions}\n")
+    with pytest.raises(ConfigError, match="no value for opinion 3; vote has 4 opinions"):
+        mission.update(msgspec.structs.replace(mission.params, opinions=4))
+    assert mission.parts["vote"].params.opinions == 3
+
+
+@pytest.mark.parametrize(("more", "wanted"), [("", True), ("unstick: false\n", False)])
+def test_unstick_is_what_the_driving_parts_have_or_the_file_says(
+    tmp_path: Path, more: str, wanted: bool
+) -> None:
+    text = parts("vote", "go") + "parallel: [vote, go]\ndrives: go\n" + more
+    assert made(tmp_path, text).params.unstick is wanted
+
+
+def test_who_never_moves_is_not_led_around_anything(tmp_path: Path) -> None:
+    assert made(tmp_path, parts("vote") + "part: vote\n").params.unstick is False
