@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 import pytest
@@ -58,7 +59,7 @@ class Desk:
 
 KINDS: tuple[Windows, ...] = ("tumbling", "sliding", "rounds")
 WORDS: tuple[Value, ...] = (-1, 3, 2**70, True, 1.0, "1", None, b"1", {"opinion": 1})
-LISTS: tuple[list[Value], ...] = (
+LISTS: tuple[Any, ...] = (
     *([], [1], [0, 1], [0, 3, 0], [0, 1, 3]),
     *([-1, 1, 1], [ROUNDS, 1, 1], [0, 1.0, 1], [0, 1, "1"]),
 )
@@ -139,7 +140,7 @@ def test_a_vote_for_what_is_no_opinion_any_more_does_not_count() -> None:
     desk = Desk()
     desk.step()
     desk.step(("b", 2), ("c", 1))
-    desk.pattern.update(VotingParams(opinions=2, initial=0, staggered=False))
+    desk.pattern.update(VotingParams(opinions=2, initial=0, staggered=False, expiry=60.0))
     desk.wait(5.0)
     assert desk.pattern.asked == {"c": 1}
 
