@@ -1,10 +1,10 @@
 """Which patterns, drivers and verbs are installed: names only, nothing of a pattern is imported.
 
 Found by entry-point group (`swarmd.patterns`, `swarmd.drivers`, `swarmd.commands`) and, for
-patterns, as `<plugin_dir>/<name>.py` holding exactly one Pattern. Missions are patterns too: a
-`<plugin_dir>/<name>.yaml` with a line `mission: ...`, or one that comes with swarmd. Reading the
-metadata of all installed packages takes 40 ms and more, so the command line calls this only where
-it must.
+patterns, as `<plugin_dir>/<name>.py` holding exactly one Pattern; `test_*.py` are tests. Missions
+are patterns too: a `<plugin_dir>/<name>.yaml` with a line `mission: ...`, or one that comes with
+swarmd. Reading the metadata of all installed packages takes 40 ms and more, so the command line
+calls this only where it must.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def _dropped_in(plugin_dir: Path | None) -> Iterator[tuple[str, Origin]]:
             f"plugin_dir is {plugin_dir}, which is no folder; make it or leave it out"
         )
     for path in sorted(plugin_dir.glob("*.py")):
-        if is_id(path.stem) and path.is_file():
+        if is_id(path.stem) and path.is_file() and not path.stem.startswith("test_"):
             yield path.stem, Origin(str(path.resolve()), str(path), is_file=True)
     for path in mission_files(plugin_dir):
         yield path.stem, Origin(str(path.resolve()), str(path), is_file=True)

@@ -59,7 +59,7 @@ def test_finds_an_outsiders_pattern_the_same_way() -> None:
 
 
 def test_finds_patterns_in_the_drop_in_folder_and_leaves_other_files_alone(folder: Path) -> None:
-    for name in ("spin.py", "_hidden.py", "Big.py", "notes.txt", "swarm.yaml"):
+    for name in ("spin.py", "test_spin.py", "_hidden.py", "Big.py", "notes.txt", "swarm.yaml"):
         (folder / name).touch()
     (folder / "folder.py").mkdir()
     (folder / "patrol.yaml").write_text("# by night\nmission: Goes round\n")
