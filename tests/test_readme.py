@@ -38,7 +38,7 @@ def test_the_pattern_in_the_readme_is_the_example() -> None:
 
 
 def test_that_pattern_is_at_most_15_lines_of_code() -> None:
-    lines = set()
+    lines: set[int] = set()
     for node in ast.walk(ast.parse((ROOT / "examples" / "shy.py").read_text())):
         is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
         if isinstance(node, ast.stmt) and not is_text:

@@ -71,6 +71,10 @@ def check(console: Console, file: Path) -> None:
     """
     from swarmd.cli.plugincheck import check_file
 
+    if file.suffix != ".py":
+        raise click.UsageError(
+            f"{file} is no .py; a mission is checked by `swarmctl mission check`"
+        )
     points = check_file(file, console.timeout or CHECKING)
     bad = sum(not point.is_well for point in points)
     if console.is_json:

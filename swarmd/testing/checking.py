@@ -66,7 +66,7 @@ def _check(path: Path, done: frozenset[str], answer: IO[str]) -> None:
     say({"begin": LOADING})
     error = _attempt(load, path)
     say({"point": LOADING, "error": error})
-    for point, check in _points(loaded[0]) if error is None else ():
+    for point, check in _points(loaded[0], path.parent) if error is None else ():
         if point not in done:
             say({"begin": point})
             text = "" if loaded[0].is_symmetric or point != MIRRORED else NOT_CLAIMED
@@ -74,9 +74,9 @@ def _check(path: Path, done: frozenset[str], answer: IO[str]) -> None:
     say({"end": True})
 
 
-def _points(kind: type[Pattern[Any]]) -> Iterator[tuple[str, Callable[[], None]]]:
+def _points(kind: type[Pattern[Any]], folder: Path) -> Iterator[tuple[str, Callable[[], None]]]:
     """Each point of the contract by its name in words; it is checked for all platforms."""
-    contract = type("Contract", (PatternContract,), {"pattern": kind})
+    contract = type("Contract", (PatternContract,), {"pattern": kind, "plugin_dir": folder})
     for name in vars(PatternContract):
         if name.startswith("test_"):
             yield name.removeprefix("test_").replace("_", " "), _check_of(contract, name)

@@ -18,6 +18,8 @@ import signal
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 from types import FrameType
 from typing import Any, ClassVar
 
@@ -68,11 +70,12 @@ _REPORTED = (bool, int, float, str, np.generic)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Subject:
-    """One pattern on one platform."""
+    """One pattern on one platform; a combined one finds parts in `plugin_dir` too."""
 
     kind: type[Pattern[Any]]
     platform: Platform
     params: Mapping[str, Value]
+    plugin_dir: Path | None = None
 
     def make(self, seed: int = 0) -> Pattern[Any]:
         """A fresh object; its generator has this seed."""
@@ -113,8 +116,7 @@ class Subject:
     def _find(self, name: str) -> type[Pattern[Any]]:
         if name == _NAME:
             return self.kind
-        found = pattern_names(None)
-        return Finder({key: (o.value, o.is_file) for key, o in found.items()})(name)
+        return _finder(self.plugin_dir)(name)
 
 
 class PatternContract:
@@ -123,6 +125,7 @@ class PatternContract:
     pattern: ClassVar[type[Pattern[Any]]]
     params: ClassVar[Mapping[str, Value]] = {}
     platforms: ClassVar[Sequence[str]] = ()
+    plugin_dir: ClassVar[Path | None] = None
     seconds: ClassVar[float] = 20.0
 
     def setup_method(self) -> None:
@@ -150,7 +153,7 @@ class PatternContract:
         """The pattern on a platform that provides all that it needs."""
         known = load_platform(platform)
         provides = known.provides | cls.pattern.needs
-        return Subject(cls.pattern, replace(known, provides=provides), cls.params)
+        return Subject(cls.pattern, replace(known, provides=provides), cls.params, cls.plugin_dir)
 
     def test_defaults_are_valid(self, subject: Subject) -> None:
         """With what derives from the platform, every parameter is within its own bounds."""
@@ -261,6 +264,13 @@ class PatternContract:
             pattern.step(inputs)
             later = msgspec.structs.replace(inputs, now=inputs.now + 3600.0, dt=3600.0)
         _check_sane(pattern.step(later), subject.platform, "a step after an hour")
+
+
+@cache
+def _finder(plugin_dir: Path | None) -> Finder:
+    """Finds the parts of combined patterns, by the names that there are at the first look."""
+    found = pattern_names(plugin_dir)
+    return Finder({name: (origin.value, origin.is_file) for name, origin in found.items()})
 
 
 def _chatter(pattern: Pattern[Any], index: int) -> tuple[Message, ...]:
