@@ -142,7 +142,7 @@ def _since(time: Array, is_kept: Any) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Joining:
-    """What an eighth robot that joined at 50 s, with another opinion, made of a run.
+    """What an eighth robot that joined late, with another opinion, made of a run.
 
     `adopted`: after how many s it held what the seven did; `is_swayed`: whether one of these ever
     changed its mind. `stirred`: how far the farthest of them went after it had joined, m. `least`:
@@ -156,14 +156,17 @@ class Joining:
     touches: int
 
 
-def joined(trace: Trace) -> Joining:
-    """What became of the last robot of a trace of `paper_exp2_late`, and of the others."""
+def joined(trace: Trace, at: float = JOINED) -> Joining:
+    """What became of the last robot of a trace of `paper_exp2_late`, and of the others.
+
+    `at`: when it joined, s.
+    """
     time, opinion = trace.t - trace.t[0], trace.report["opinion"]
-    there = time >= JOINED + 0.5
+    there = time >= at + 0.5
     others = opinion[there][:, :-1]
     held = np.flatnonzero(opinion[there][:, -1] == others[0, 0])
     return Joining(
-        adopted=float(time[there][held[0]] - JOINED) if len(held) else float("inf"),
+        adopted=float(time[there][held[0]] - at) if len(held) else float("inf"),
         is_swayed=len(np.unique(others)) > 1,
         stirred=float(away(trace.pose[there][:, :-1, :2]).max()),
         least=float(ranges(trace)[time >= time[-1] - 20.0].min()),
