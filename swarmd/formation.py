@@ -21,7 +21,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from swarmd.rays import clusters
+from swarmd.rays import RayClusters, clusters
 from swarmd.steering import from_base
 from swarmd.values import Array, Neighbor, Pose, Scan
 
@@ -29,6 +29,8 @@ from swarmd.values import Array, Neighbor, Pose, Scan
 _SURE = 0.95
 # Rays between two objects, at most, of which one hides a part of the other.
 _ADJOINING = math.radians(3.0)
+# Middles nearer to each other than this share of the widest robot are those of one.
+_PIECES = 0.45
 # A place is the mean of what was sensed of it last, of so many at most, until a robot is sensed
 # farther from it than so many m, and than so much of its distance: then it has moved.
 _MEMORY = 20
@@ -82,31 +84,53 @@ def bodies(scan: Scan, *, reach: float, width: float, offset: tuple[float, float
     """The middles (k, 2) of what may be robots: objects up to `reach` m and no wider than `width`.
 
     `offset` is the lidar's from the axle. Each is taken for as deep as it is seen wide; one that
-    something nearer hides in part, for as wide as the others, beginning at the side that is seen.
+    something nearer hides on one side for as wide as the others, from the side that is seen. What
+    is hidden on both sides may be anything, as a wall behind two robots, and is left out.
     """
     seen = clusters(scan, within=reach)
-    chosen = ((seen.widths <= width) & (seen.ranges <= _SURE * reach)).nonzero()[0]
-    if not len(chosen):
-        return np.empty((0, 2))
-    is_whole = seen.is_free[chosen]
-    halves = 0.5 * seen.widths[chosen]
-    usual = float(np.median(halves[is_whole])) if is_whole.any() else float(halves.max())
-    halves[~is_whole] = np.maximum(halves[~is_whole], usual)
-    ranges = seen.ranges[chosen] + halves
-    bearings = seen.bearings[chosen]
-    spreads = np.arcsin(np.minimum(0.5 * seen.widths / np.maximum(seen.ranges, 1e-3), 1.0))
-    for row, index in enumerate(chosen.tolist()):
-        if not is_whole[row]:
-            away = (seen.bearings - seen.bearings[index] + math.pi) % (2.0 * math.pi) - math.pi
-            room = np.abs(away) - spreads - spreads[index]
-            is_before = (seen.ranges < seen.ranges[index]) & (room < _ADJOINING)
-            if is_before.any():
-                nearest = int(np.where(is_before, room, math.inf).argmin())
-                side = math.copysign(1.0, float(away[nearest]))
-                hidden = math.asin(min(float(halves[row] / ranges[row]), 1.0)) - spreads[index]
-                bearings[row] += side * max(float(hidden), 0.0)
-    found = from_base(np.array((ranges, bearings)).T, offset)
-    return np.stack((found[:, 0] * np.cos(found[:, 1]), found[:, 0] * np.sin(found[:, 1])), axis=-1)
+    halves, bearings = 0.5 * seen.widths, seen.bearings.copy()
+    is_chosen = (seen.widths <= width) & (seen.ranges <= _SURE * reach)
+    is_whole = is_chosen & seen.is_free
+    usual = float(np.median(halves[is_whole])) if is_whole.any() else 0.0
+    for index in (is_chosen & ~seen.is_free).nonzero()[0].tolist():
+        sides = _hidden_sides(seen, index)
+        if len(sides) > 1:
+            is_chosen[index] = False
+        elif sides:
+            half = max(float(halves[index]), usual)
+            shown = float(halves[index] / max(seen.ranges[index], 1e-3))
+            whole = math.asin(half / (float(seen.ranges[index]) + half))
+            bearings[index] += sides[0] * max(whole - shown, 0.0)
+            halves[index] = half
+    found = np.array((seen.ranges[is_chosen] + halves[is_chosen], bearings[is_chosen])).T
+    found = from_base(found, offset)
+    middles = found[:, :1] * np.stack((np.cos(found[:, 1]), np.sin(found[:, 1])), axis=-1)
+    return _whole(middles, seen.counts[is_chosen].tolist(), _PIECES * width)
+
+
+def _whole(middles: Array, counts: Sequence[int], least: float) -> Array:
+    """The middles (k, 2) with those nearer than `least` m to each other as one.
+
+    A robot comes in pieces where rays are lost, or old while the lidar turns. `counts` are weights.
+    """
+    kept: list[tuple[Array, int]] = []
+    for middle, count in zip(middles, counts, strict=True):
+        near = [i for i, (other, _) in enumerate(kept) if math.dist(middle, other) < least]
+        if near:
+            other, more = kept[near[0]]
+            kept[near[0]] = (other + (middle - other) * count / (count + more), count + more)
+        else:
+            kept.append((middle, count))
+    return np.array([middle for middle, _ in kept]).reshape(-1, 2)
+
+
+def _hidden_sides(seen: RayClusters, index: int) -> list[float]:
+    """On which sides of an object nearer ones adjoin it: 1 left, -1 right."""
+    away = (seen.bearings - seen.bearings[index] + math.pi) % (2.0 * math.pi) - math.pi
+    spreads = 0.5 * seen.widths / np.maximum(seen.ranges, 1e-3)
+    room = np.abs(away) - spreads - spreads[index]
+    is_before = (seen.ranges < seen.ranges[index]) & (room < _ADJOINING)
+    return [side for side in (1.0, -1.0) if (is_before & (side * away > 0.0)).any()]
 
 
 def to_base(point: Array, pose: Pose) -> Array:

@@ -238,3 +238,19 @@ def test_sightings_average_noise_and_follow_who_moves() -> None:
     np.testing.assert_allclose(found, [(2.0, 0.0)], atol=0.03)
     moved = sightings.update(seen((3.0, 0.0)), Pose(), 10.0)
     np.testing.assert_allclose(moved, [(3.0, 0.0)], atol=1e-9)
+
+
+def test_a_robot_that_the_lidar_sees_in_pieces_is_one() -> None:
+    scan = scan_of(BURGER, [Disc(1.0, 0.0, 0.09), Disc(0.0, 1.5, 0.09)])
+    ranges = scan.ranges.copy()
+    ranges[np.abs(scan.bearings - math.radians(1.0)) < 0.005] += 0.2
+    pieces = replace(scan, ranges=ranges)
+    found = bodies(pieces, reach=3.5, width=0.45, offset=BURGER.scan.offset)
+    assert len(found) == 2
+    np.testing.assert_allclose(found[np.argmax(found[:, 0])], (1.0, 0.0), atol=0.06)
+
+
+def test_what_is_hidden_on_both_sides_is_no_robot() -> None:
+    between = [Disc(1.0, 0.25, 0.09), Disc(1.0, -0.25, 0.09), Disc(2.3, 0.0, 0.4)]
+    found = bodies(scan_of(BURGER, between), reach=3.5, width=0.8, offset=BURGER.scan.offset)
+    np.testing.assert_allclose(np.sort(found[:, 1]), (-0.25, 0.25), atol=0.03)
