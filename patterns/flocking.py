@@ -40,7 +40,6 @@ from swarmd.api import (
     about,
     closest_points,
     clusters,
-    from_base,
     wrap,
 )
 
@@ -110,7 +109,7 @@ class FlockingParams(Params, frozen=True):
     spacing: Annotated[
         float,
         about(
-            "distance from the axle to another's surface at which a spring is at rest",
+            "distance from the lidar to another's surface at which a spring is at rest",
             ge=0.1,
             le=20.0,
             unit="m",
@@ -124,9 +123,9 @@ class FlockingParams(Params, frozen=True):
             ge=0.01,
             le=20.0,
             unit="m",
-            source="ours: half the spacing",
+            source="ours: the protection threshold",
         ),
-    ] = 0.375
+    ] = 0.5
     surge: Annotated[
         float,
         about(
@@ -146,7 +145,7 @@ class FlockingParams(Params, frozen=True):
             unit="rad/s",
             source="Ferrante et al. 2012, K2; the value: ours",
         ),
-    ] = 0.6
+    ] = 0.5
     wall: Annotated[
         float,
         about(
@@ -254,7 +253,7 @@ class Flocking(MovementPattern[FlockingParams]):
             "speed": min(platform.limits.linear, 0.5),
             "turn": min(platform.limits.angular, 4.0),
             "spacing": 1.5 * threshold,
-            "give": 0.75 * threshold,
+            "give": threshold,
             "wall": min(3.0 * threshold, 0.9 * reach),
             "range": reach,
             "object_width": 2.0 * diagonal,
@@ -282,19 +281,22 @@ class Flocking(MovementPattern[FlockingParams]):
         return Twist(linear=share * params.speed, angular=turn)
 
     def _look(self, scan: Scan) -> tuple[Array, Array]:
-        """(k, 2) where robots are and (p, 2) where walls come closest: range, bearing, base."""
+        """(k, 2) where robots are and (p, 2) where walls come closest: range, bearing.
+
+        Both from the lidar: seen from the axle, others, whose lidars are behind theirs, would all
+        lie back a little, and the pull of that breaks what aligns the headings.
+        """
         params = self.params
-        offset = self.context.platform.scan.offset
         objects = clusters(scan, within=params.range)
         is_narrow = objects.widths <= params.object_width
         is_narrow &= objects.ranges <= _SURE * params.range
         seen = np.array((objects.ranges, objects.bearings)).T
-        robots = from_base(seen[is_narrow & objects.is_free], offset)
-        points = closest_points(scan, within=params.wall + math.hypot(*offset))
+        robots = seen[is_narrow & objects.is_free]
+        points = closest_points(scan, within=params.wall)
         # A robot that another half hides does not count as one, but is no wall either.
         gaps = np.abs(_places(points)[:, None] - _places(seen[is_narrow]))
         walls = points[gaps.min(axis=1, initial=math.inf) > _SAME]
-        return robots, from_base(walls, offset)
+        return robots, walls
 
     def _springs(self, robots: Array) -> Array:
         """(2,) the force of the springs to the nearest robots: forward, left; 1 is full."""
