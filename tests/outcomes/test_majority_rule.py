@@ -39,6 +39,11 @@ def test_two_halves_that_differ_agree() -> None:
     assert outcome.is_reached, outcome
 
 
+def test_between_equals_either_wins_as_often() -> None:
+    outcome = claims.tie(SEEDS)
+    assert outcome.is_reached, outcome
+
+
 def test_rounds_go_as_the_theory_of_synchronous_updates() -> None:
     outcome = claims.in_step(SEEDS)
     assert outcome.is_reached, outcome
