@@ -231,3 +231,39 @@ def test_what_ran_comes_back_after_a_load_that_replaced_its_host_is_refused() ->
     assert standing_state(story)[0] is State.RUNNING
     assert story.status.pattern == "own"
     assert story.twist == Twist(0.2)
+
+
+def test_the_outcome_of_an_earlier_trial_is_not_that_of_a_later_one() -> None:
+    story = driving()
+    story.is_hung = True
+    first = story.request("reload", pattern="own")
+    story.send(first)
+    story.ask("estop")
+    second = story.request("reload", pattern="own")
+    story.send(second)
+    story.host_says(Tried(1, "the first is broken"))
+    assert all(reply.id != second.id for reply in story.replies)
+    story.host_says(Tried(2, ""))
+    assert answer(story, second).text == "a run of own takes the new code; estopped, as before"
+
+
+def test_a_step_that_the_old_host_still_owes_is_not_awaited_of_the_new_one() -> None:
+    story = driving()
+    story.is_hung = True
+    story.advance(0.2)
+    story.ask("reload", pattern="own")
+    story.host_says(Tried(1, ""))
+    assert isinstance(story.sent[-1], Kill)
+    story.sent.clear()
+    story.is_hung = False
+    story.advance(1.5)
+    assert story.sent == []
+
+
+def test_who_asks_after_a_reload_is_told_of_it() -> None:
+    story = driving()
+    seen = story.epoch
+    story.ask("reload", pattern="forward", operator="ben")
+    reply = story.send(story.request("run", seen, pattern="forward"))
+    assert reply is not None
+    assert reply.text == "robot changed since you looked, by ben (reload forward)"
