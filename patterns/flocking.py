@@ -4,12 +4,13 @@ Source of law "paper": Moeslinger, Schmickl and Crailsheim, "A minimalist flocki
 swarm robots" (2011), as Kaiser et al., ICRA 2022, have it in ROS2swarm: four sectors, three
 distances and, by priority, straight on or a turn.
 
-Law "elastic" is ours. A spring ties each robot to the few that are nearest. What of the springs'
-force lies along its heading changes its speed, what lies across turns it; no more is needed for
-the headings to become one (Ferrante et al., "Self-organized flocking with a mobile robot swarm: a
-novel motion control method", Adaptive Behavior 20, 2012, and "Elasticity-based mechanism for the
-collective motion of self-propelled particles with springlike interactions", Phys. Rev. Lett. 111,
-2013). Walls, told from robots by their width, push likewise.
+Law "elastic" is ours. A spring ties each robot to the few that are nearest: what of its force lies
+along the heading changes the speed, what lies across turns the robot (Ferrante et al.,
+"Self-organized flocking with a mobile robot swarm: a novel motion control method", Adaptive
+Behavior 20, 2012). That alone aligns headings slowly and not for long, for others' lidars and
+bodies are behind their axles. So it also turns to where the others move, as scans a second apart
+and its own odometry tell (aligning: Vicsek et al., Phys. Rev. Lett. 75, 1995); without odometry
+the springs must do. Walls, told from robots by their width, push as springs do.
 
 Limits: a pillar is taken for a robot, a robot within some 0.2 m of a wall for a part of it. One
 that sees no other drives straight on.
@@ -18,6 +19,7 @@ that sees no other drives straight on.
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
@@ -45,13 +47,17 @@ from swarmd.api import (
 
 # A surface so near, in m, to that of what may be a robot is the same.
 _SAME = 0.25
-# Nearer than this share of `range` an object is seen with what is beside it.
+# Nearer than this share of the lidar's range an object is seen with what is beside it.
 _SURE = 0.95
 # A spring that is pressed is stiffer than one that is drawn by this factor, and has so many times
 # its force at most.
 _STIFFER = 2.0
+# s over which the motion of others is observed, and m that one moves meanwhile at most.
+_BASELINE, _STEP = 1.0, 0.35
 # rad: how wide a sector of law "paper" is.
 _SECTOR = math.pi / 2.0
+# rad: a robot that is near, or the far end of what may be one, and a wall (4 and 18 rays of 360).
+_FEW, _MANY = math.radians(4.0), math.radians(18.0)
 # The states of law "paper", and the sign of their turns.
 _TURNS = {"straight": 0.0, "left": 1.0, "right": -1.0}
 
@@ -146,6 +152,16 @@ class FlockingParams(Params, frozen=True):
             source="Ferrante et al. 2012, K2; the value: ours",
         ),
     ] = 0.5
+    align: Annotated[
+        float,
+        about(
+            "turn rate if the others are seen to move abreast at the highest speed; 0: no matter",
+            ge=0.0,
+            le=10.0,
+            unit="rad/s",
+            source="ours; aligning: Vicsek et al. 1995, Phys. Rev. Lett. 75",
+        ),
+    ] = 1.2
     wall: Annotated[
         float,
         about(
@@ -156,16 +172,6 @@ class FlockingParams(Params, frozen=True):
             source="ours: twice the spacing, 0.9 times the lidar's reach at most",
         ),
     ] = 1.5
-    range: Annotated[
-        float,
-        about(
-            "how far it looks for others",
-            ge=0.1,
-            le=100.0,
-            unit="m",
-            source="ours: all that the lidar reaches, so that no one is left behind",
-        ),
-    ] = 3.5
     object_width: Annotated[
         float,
         about(
@@ -210,26 +216,6 @@ class FlockingParams(Params, frozen=True):
             source="ROS2swarm: z4, 5/7 of the lidar's reach",
         ),
     ] = 2.5
-    far_angle: Annotated[
-        float,
-        about(
-            "law paper: as much of a sector, and a robot is near ahead, or a wall is far",
-            ge=0.0,
-            le=math.pi,
-            unit="rad",
-            source="ROS2swarm: 4 rays of 360",
-        ),
-    ] = math.radians(4.0)
-    near_angle: Annotated[
-        float,
-        about(
-            "law paper: as much of a sector, and what is near is a wall",
-            ge=0.0,
-            le=math.pi,
-            unit="rad",
-            source="ROS2swarm: 18 rays of 360",
-        ),
-    ] = math.radians(18.0)
     unstick: Unstick = False
 
 
@@ -242,6 +228,9 @@ class Flocking(MovementPattern[FlockingParams]):
         super().__init__(params, context)
         self._state = ""
         self._goes_on = False
+        self._scan: Scan | None = None
+        self._wish = ZERO
+        self._seen: deque[tuple[float, NDArray[np.complex128]]] = deque()
 
     @classmethod
     def defaults(cls, platform: Platform) -> Mapping[str, Value]:
@@ -255,7 +244,6 @@ class Flocking(MovementPattern[FlockingParams]):
             "spacing": 1.5 * threshold,
             "give": threshold,
             "wall": min(3.0 * threshold, 0.9 * reach),
-            "range": reach,
             "object_width": 2.0 * diagonal,
             "near": threshold,
             "far_aside": reach * 3.0 / 7.0,
@@ -272,13 +260,47 @@ class Flocking(MovementPattern[FlockingParams]):
             return ZERO
         if self.params.law == "paper":
             return self._follow_states(inputs.scan, inputs.is_new_scan)
-        robots, walls = self._look(inputs.scan)
+        if inputs.scan is not self._scan:
+            self._scan, self._wish = inputs.scan, self._follow(inputs.scan, inputs)
+        return self._wish
+
+    def update(self, params: FlockingParams) -> None:
+        """Take over changed parameters, and look at the scan anew with them."""
+        super().update(params)
+        self._scan = None
+
+    def _follow(self, scan: Scan, inputs: Inputs) -> Twist:
+        params = self.params
+        robots, walls = self._look(scan)
         force = self._springs(robots) + self._push(walls)
         self._state = "flock" if len(robots) else "alone"
-        params = self.params
         share = min(max(params.cruise + params.surge * float(force[0]), 0.0), 1.0)
-        turn = min(max(params.swing * float(force[1]), -params.turn), params.turn)
-        return Twist(linear=share * params.speed, angular=turn)
+        aside = self._motion(robots, inputs).imag / params.speed if params.speed else 0.0
+        turn = params.swing * float(force[1]) + params.align * min(max(aside, -1.0), 1.0)
+        return Twist(linear=share * params.speed, angular=min(max(turn, -params.turn), params.turn))
+
+    def _motion(self, robots: Array, inputs: Inputs) -> complex:
+        """The mean velocity in m/s of the robots that are seen, forward and left of this one.
+
+        From where they were a second ago, by odometry; 0 if that is not known.
+        """
+        if inputs.odometry is None:
+            return 0j
+        pose, now = inputs.odometry.pose, inputs.now
+        heading = complex(math.cos(pose.yaw), math.sin(pose.yaw))
+        places = complex(pose.x, pose.y) + heading * _places(robots)
+        self._seen.append((now, places))
+        while len(self._seen) > 1 and self._seen[1][0] <= now - _BASELINE:
+            self._seen.popleft()
+        then, before = self._seen[0]
+        if not 0.5 * _BASELINE <= now - then <= 2.0 * _BASELINE or not len(before):
+            return 0j
+        off = np.abs(places[:, None] - before)
+        is_same = off.min(axis=1, initial=math.inf) < _STEP
+        if not is_same.any():
+            return 0j
+        steps = places[is_same] - before[off[is_same].argmin(axis=1)]
+        return complex(steps.mean()) / (now - then) * heading.conjugate()
 
     def _look(self, scan: Scan) -> tuple[Array, Array]:
         """(k, 2) where robots are and (p, 2) where walls come closest: range, bearing.
@@ -287,9 +309,9 @@ class Flocking(MovementPattern[FlockingParams]):
         lie back a little, and the pull of that breaks what aligns the headings.
         """
         params = self.params
-        objects = clusters(scan, within=params.range)
+        objects = clusters(scan, within=scan.range_max)
         is_narrow = objects.widths <= params.object_width
-        is_narrow &= objects.ranges <= _SURE * params.range
+        is_narrow &= objects.ranges <= _SURE * scan.range_max
         seen = np.array((objects.ranges, objects.bearings)).T
         robots = seen[is_narrow & objects.is_free]
         points = closest_points(scan, within=params.wall)
@@ -327,10 +349,10 @@ class Flocking(MovementPattern[FlockingParams]):
         bearings = np.array([wrap(bearing) for bearing in scan.bearings.tolist()])
         sector = np.rint(bearings / _SECTOR).astype(np.int64) % 4
         ahead, left, behind, right = _filled(sector, ranges < params.near)
-        if ahead > params.far_angle:
+        if ahead > _FEW:
             nearest = bearings[np.argmin(np.where(sector == 0, ranges, math.inf))]
             return ("right" if nearest > 0.0 else "left"), False
-        least, most = 0.5 * params.far_angle, params.near_angle
+        least, most = 0.5 * _FEW, _MANY
         if least <= left < most:
             return "right", True
         if least <= ahead < most:
@@ -339,11 +361,11 @@ class Flocking(MovementPattern[FlockingParams]):
             return "left", True
         is_seen = ranges < scan.range_max
         _, left, _, right = _filled(sector, is_seen & (ranges > params.far_aside))
-        left, right = (side if side < params.far_angle else 0.0 for side in (left, right))
+        left, right = (side if side < _FEW else 0.0 for side in (left, right))
         if left != right:
             return ("left" if left > right else "right"), True
         _, _, behind, _ = _filled(sector, is_seen & (ranges > params.far_behind))
-        if 0.0 < behind < params.far_angle:
+        if 0.0 < behind < _FEW:
             return self._either(), False
         return "straight", True
 
@@ -354,9 +376,9 @@ class Flocking(MovementPattern[FlockingParams]):
         return self._state
 
 
-def _places(points: Array) -> Array:
+def _places(points: Array) -> NDArray[np.complex128]:
     """Points (k, 2) of range, bearing as complex numbers (k,)."""
-    places: Array = points[:, 0] * np.exp(1j * points[:, 1])
+    places: NDArray[np.complex128] = points[:, 0] * np.exp(1j * points[:, 1])
     return places
 
 

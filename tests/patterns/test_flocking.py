@@ -12,7 +12,7 @@ from swarmd.patterns.flocking import Flocking
 from swarmd.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, mirrored, scan_from, scan_of
-from swarmd.values import Array, Inputs, Scan, Twist, Value
+from swarmd.values import Array, Inputs, Odometry, Pose, Scan, Twist, Value
 
 BURGER = load_platform("burger")
 # The spacing is to a surface, these discs have a radius of 0.1 m.
@@ -46,7 +46,8 @@ def of(*robots: tuple[float, float], room: float | None = None) -> Scan:
 
 def test_cruises_straight_on_alone() -> None:
     twist = wish(of())
-    assert (twist.linear, twist.angular) == (pytest.approx(0.6 * 0.22), 0.0)
+    assert twist.linear == pytest.approx(0.6 * 0.22)
+    assert twist.angular == 0.0
 
 
 def test_a_spring_at_rest_neither_pulls_nor_pushes() -> None:
@@ -91,7 +92,8 @@ def test_turns_away_from_a_wall_and_slows_down(bearing: float) -> None:
 
 def test_a_wall_beyond_its_distance_is_nothing() -> None:
     far = wish(scan_from(BURGER, *_wall(1.7, 0.5)))
-    assert (far.linear, far.angular) == (pytest.approx(0.132), 0.0)
+    assert far.linear == pytest.approx(0.132)
+    assert far.angular == 0.0
 
 
 def _wall(distance: float, bearing: float) -> tuple[Array, Array]:
@@ -100,6 +102,37 @@ def _wall(distance: float, bearing: float) -> tuple[Array, Array]:
     across = np.cos(bearings - bearing)
     ranges = np.where(across > 0.0, distance / np.maximum(across, 1e-9), math.inf)
     return np.where(ranges > BURGER.scan.range_max, math.inf, ranges), bearings
+
+
+def aligned(speed: float, side: float, *, turned: float = 0.0, **params: Value) -> float:
+    """The turn rate after a second in which one that is ahead at first moves to a side.
+
+    The robot stands meanwhile, or turns on the spot by that many rad.
+    """
+    pattern = Subject(Flocking, BURGER, params).make()
+    twist = Twist()
+    for k in range(11):
+        now, yaw = 0.1 * k, 0.1 * k * turned
+        pose = Pose(0.0, 0.0, yaw)
+        scan = scan_of(BURGER, [Disc(AT_REST, side * speed * now)], pose=pose, seq=k)
+        odometry = Odometry(now, pose, Twist())
+        found = pattern.step(Inputs(now, 0.1, scan, True, odometry)).twist
+        assert found is not None
+        twist = found
+    return twist.angular
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_turns_to_where_others_move(side: float) -> None:
+    still = aligned(0.0, side)
+    assert still == pytest.approx(0.0, abs=0.05)
+    assert (aligned(0.22, side, swing=0.0) - still) * side > 0.8
+    assert aligned(0.22, side, swing=0.0, align=0.0) == 0.0
+
+
+@pytest.mark.parametrize("turned", [-0.3, 0.3])
+def test_its_own_turn_moves_no_one(turned: float) -> None:
+    assert aligned(0.0, 1.0, turned=turned, swing=0.0) == pytest.approx(0.0, abs=0.1)
 
 
 @pytest.mark.parametrize("seed", range(5))
