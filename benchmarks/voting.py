@@ -10,7 +10,7 @@ import os
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -21,34 +21,48 @@ from swarmd.sim.experiments.statistics import wilson
 from swarmd.sim.plots.canvas import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
 from swarmd.values import Value
 
+K = TypeVar("K")
+
 KINDS = ("tumbling", "sliding", "rounds")
-SIZES = (3, 5, 7, 11, 15, 25)
+SIZES = (3, 5, 7, 11, 15, 21)
 VOTERS = (3, 5, 7, 10, 15)
 RUNS = 30
 FIRST = 10_000
 """The first seed: none of those of the outcomes."""
 
 
-def debates(
+def motions(
     pattern: str, count: int, params: Mapping[str, Value], held: Sequence[int] | None = None
-) -> list[Result]:
+) -> list[Motion]:
     """`RUNS` of them; those told what is held first hold it in a random order."""
-    motions = []
+    made = []
     for seed in range(FIRST, FIRST + RUNS):
         order = None
         if held is not None:
             order = tuple(int(one) for one in np.random.default_rng(seed).permutation(held))
         settled = 2.0 * float(str(params.get("window", 5.0)))
-        motions.append(Motion(pattern, count, seed, 600.0, params, order, LOSSY, settled))
-    return hold_all(motions, os.cpu_count() or 1)
+        made.append(Motion(pattern, count, seed, 600.0, params, order, LOSSY, settled))
+    return made
+
+
+def hold(groups: Mapping[K, list[Motion]]) -> dict[K, list[Result]]:
+    """All debates of all groups, in as many processes as there are processors."""
+    results = iter(
+        hold_all([one for group in groups.values() for one in group], os.cpu_count() or 1)
+    )
+    return {key: [next(results) for _ in group] for key, group in groups.items()}
 
 
 def majority_rule(out: Path) -> None:
     """Time to agree against the number of robots, and over runs of seven."""
     figure = new_figure(8.0, 3.2)
     left, right = figure.subplots(1, 2)
+    groups = {
+        (kind, n): motions("majority_rule", n, {"windows": kind}) for kind in KINDS for n in SIZES
+    }
+    every = hold(groups)
     for kind, colour in zip(KINDS, VARIANT_COLOURS, strict=False):
-        found = {n: debates("majority_rule", n, {"windows": kind}) for n in SIZES}
+        found = {n: every[kind, n] for n in SIZES}
         low, middle, high = _spread(found)
         bars = (middle - low, high - middle)
         left.errorbar(SIZES, middle, bars, color=colour, marker="o", ms=4, capsize=2, label=kind)
@@ -69,9 +83,11 @@ def voters(out: Path) -> None:
     figure = new_figure(8.0, 3.2)
     left, right = figure.subplots(1, 2)
     firsts = range(1, 10)
-    for first in firsts:
-        held = [1] * first + [0] * (10 - first)
-        results = debates("voter_model", 10, voter_model.SHORT, held)
+    groups = {
+        first: motions("voter_model", 10, voter_model.SHORT, [1] * first + [0] * (10 - first))
+        for first in firsts
+    }
+    for first, results in hold(groups).items():
         wins = sum(result.winner == 1 for result in results)
         within = wilson(wins, len(results))
         share = wins / len(results)
@@ -91,12 +107,17 @@ def voters(out: Path) -> None:
 def _voting_times(axes: Any) -> None:
     """Means over runs that begin with two halves, as even as can be, and what theory gives."""
     length = float(str(voter_model.SHORT["window"]))
-    for kind, colour in zip(("tumbling", "rounds"), VARIANT_COLOURS, strict=False):
+    settings = {"tumbling": voter_model.SHORT, "rounds": {**IN_STEP, "opinions": 2}}
+    groups = {
+        (kind, n): motions("voter_model", n, params, [1] * (n // 2) + [0] * (n - n // 2))
+        for kind, params in settings.items()
+        for n in VOTERS
+    }
+    every = hold(groups)
+    for kind, colour in zip(settings, VARIANT_COLOURS, strict=False):
         means, errors = [], []
         for n in VOTERS:
-            held = [1] * (n // 2) + [0] * (n - n // 2)
-            params = voter_model.SHORT if kind == "tumbling" else {**IN_STEP, "opinions": 2}
-            results = debates("voter_model", n, params, held)
+            results = every[kind, n]
             taken = [r.agreed_at / length if kind == "tumbling" else r.rounds for r in results]
             means.append(float(np.mean(taken)))
             errors.append(1.96 * float(np.std(taken, ddof=1)) / len(taken) ** 0.5)
