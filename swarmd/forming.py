@@ -86,7 +86,7 @@ class FormationParams(Params, frozen=True, kw_only=True):
     tolerance: Annotated[
         float,
         about(
-            "a robot that rests moves once its place is farther off",
+            "a robot that rests moves once its place among the others is farther off",
             ge=0.001,
             le=10.0,
             unit="m",
@@ -201,8 +201,10 @@ class FormationPattern(MovementPattern[F]):
             return ZERO
         way = to_base(self._goal, pose)
         length = math.hypot(*way)
+        # Of the others alone: each place is a mean in which its own position counts too.
+        off = length * (self._seen + 1) / max(self._seen, 1)
         limit = self.params.tolerance
-        self._is_settled = length <= (limit if self._is_settled else _ARRIVED * limit)
+        self._is_settled = off <= (limit if self._is_settled else _ARRIVED * limit)
         return ZERO if self._is_settled else self._follow(way, length)
 
     def _look(self, inputs: Inputs, scan: Scan, pose: Pose) -> None:
