@@ -52,6 +52,8 @@ _SURE = 0.95
 # A spring that is pressed is stiffer than one that is drawn by this factor, and has so many times
 # its force at most.
 _STIFFER = 2.0
+# Share of the highest speed when backing, so that two that meet come free.
+_BACK = 0.4
 # s over which the motion of others is observed, and m that one moves meanwhile at most.
 _BASELINE, _STEP = 1.0, 0.35
 # rad: how wide a sector of law "paper" is.
@@ -274,7 +276,7 @@ class Flocking(MovementPattern[FlockingParams]):
         robots, walls = self._look(scan)
         force = self._springs(robots) + self._push(walls)
         self._state = "flock" if len(robots) else "alone"
-        share = min(max(params.cruise + params.surge * float(force[0]), 0.0), 1.0)
+        share = min(max(params.cruise + params.surge * float(force[0]), -_BACK), 1.0)
         aside = self._motion(robots, inputs).imag / params.speed if params.speed else 0.0
         turn = params.swing * float(force[1]) + params.align * min(max(aside, -1.0), 1.0)
         return Twist(linear=share * params.speed, angular=min(max(turn, -params.turn), params.turn))

@@ -59,8 +59,8 @@ def test_a_spring_at_rest_neither_pulls_nor_pushes() -> None:
 
 def test_is_drawn_to_who_is_far_and_leaves_room_to_who_is_near() -> None:
     assert wish(of((1.2, 0.0))).linear == pytest.approx(0.22)
-    assert wish(of((0.5, 0.0))).linear == 0.0
-    assert wish(of((1.2, 180.0))).linear == 0.0
+    assert wish(of((0.5, 0.0))).linear == pytest.approx(-0.4 * 0.22)
+    assert wish(of((1.2, 180.0))).linear < 0.0
     assert wish(of((0.5, 180.0))).linear == pytest.approx(0.22)
 
 
