@@ -227,6 +227,7 @@ def test_what_ran_comes_back_after_a_load_that_replaced_its_host_is_refused() ->
     story.is_hung = False
     story.host_says(Refused(story.status.generation, "broken meanwhile"))
     assert answer(story, request).text == "broken meanwhile"
+    assert isinstance(story.sent[-1], Kill)  # the host that was refused has no pattern to step
     story.advance(0.5)
     assert standing_state(story)[0] is State.RUNNING
     assert story.status.pattern == "own"
