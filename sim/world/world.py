@@ -78,8 +78,7 @@ class World:
         self._noise = NoisyLidar(realism.lidar, self.platforms, self.ids, seed)
         self.scan_latency = self._noise.latency
         self._steps = 0
-        self._is_out = np.zeros(n, dtype=np.bool_)
-        self._seq = [0] * n
+        self._seq, self._is_out = [0] * n, np.zeros(n, dtype=np.bool_)
         self._touches = Touches(self.model, n)
         self._touching: list[Touch] = []
         self._sensors = RangeSensors(self.platforms, arena, visibility)
