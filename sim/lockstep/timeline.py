@@ -93,6 +93,7 @@ class Timeline:
                 "pattern": event.pattern,
                 "params": dict(event.parameters),
                 **({} if event.seconds is None else {"seconds": event.seconds}),
+                **({"until": list(event.until)} if event.until else {}),
             },
             "param": lambda: {"set": dict(event.parameters)},
             "estop": lambda: {"scope": "swarm" if self._is_for_all(event) else "robots"},

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from swarmd.errors import unknown
+from swarmd.errors import ConfigError, unknown
 from swarmd.layered import Keys, Layered
+from swarmd.mission.conditions import parse_conditions
 from swarmd.sim.scenarios.cast import ALL, Cast
 from swarmd.sim.scenarios.scenario import Action, Event
 from swarmd.sim.scenarios.scenery import check_inside
@@ -16,7 +17,7 @@ OF_ROBOTS: tuple[Action, ...] = ("stop", "estop", "reset", "join", "leave", "kil
 """Actions whose value is who they happen to."""
 
 ACTIONS: tuple[Action, ...] = ("run", "param", *OF_ROBOTS, "place", "remove")
-_BESIDES = {"run": ("who", "parameters", "for"), "param": ("who",), "place": ("pose",)}
+_BESIDES = {"run": ("who", "parameters", "for", "until"), "param": ("who",), "place": ("pose",)}
 
 
 def read_event(layers: Layered, file: ScenarioFile, cast: Cast, index: int) -> Event:
@@ -39,7 +40,19 @@ def read_event(layers: Layered, file: ScenarioFile, cast: Cast, index: int) -> E
         pattern=section.run or "",
         parameters=values or {},
         seconds=section.seconds,
+        until=_until(layers, section, (*keys, "until")),
     )
+
+
+def _until(layers: Layered, section: EventSection, keys: Keys) -> tuple[str, ...]:
+    """The conditions of which any ends the run, each checked."""
+    if section.until is None:
+        return ()
+    try:
+        parse_conditions(section.until)
+    except ConfigError as error:
+        raise layers.error(keys, f"events[{keys[1]}].until: {error}") from error
+    return tuple(section.until)
 
 
 def words_of(section: EventSection, action: Action) -> Sequence[str]:
@@ -58,6 +71,7 @@ def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
         "who": section.who,
         "parameters": section.parameters,
         "for": section.seconds,
+        "until": section.until,
         "pose": section.pose,
     }
     for key, value in besides.items():

@@ -112,6 +112,7 @@ class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     who: Who | None = None
     parameters: Values | None = None
     seconds: Seconds | None = field(default=None, name="for")
+    until: list[str] | None = None
     pose: Placed | None = None
 
 

@@ -228,6 +228,15 @@ def test_a_run_for_some_seconds_finishes() -> None:
     assert (speeds(trace)[-1] < 1e-6).all()
 
 
+def test_a_run_ends_until_a_condition_holds() -> None:
+    running = {"count": 3, "prefix": "r"}
+    event = {"at": 0.5, "run": "drive", "until": ["timeout:1"]}
+    trace = simulate_run(scenario(groups={"all": running}, events=[event]), 0)
+    assert trace.reason is not None
+    assert set(trace.reason[-1]) == {"finished"}
+    assert (np.abs(speeds(trace)[at(trace, 1.2)]) > 0.01).all()
+
+
 def test_messages_pass_the_radio_alone() -> None:
     """Majority rule of five: whoever hears nobody keeps its opinion."""
     voters: dict[str, Any] = {
