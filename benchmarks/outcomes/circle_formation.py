@@ -8,16 +8,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from benchmarks.mutations import Mutant
-from benchmarks.outcomes.line_formation import SETTINGS, Setting, formed
+from benchmarks.outcomes.line_formation import BY_LIDAR, SETTINGS, Setting, formed
 from benchmarks.outcomes.outcome import Outcome
 from swarmd.sim.metrics.formation import circle_errors
 
 _FORMATION, _FORMING = "swarmd/formation.py", "swarmd/forming.py"
 _TESTS = "tests/outcomes/test_circle_formation.py"
+_ALL = (*SETTINGS, BY_LIDAR)
 
 
 def outcomes(
-    seeds: Sequence[int], jobs: int = 1, settings: Sequence[Setting] = SETTINGS
+    seeds: Sequence[int], jobs: int = 1, settings: Sequence[Setting] = _ALL
 ) -> list[Outcome]:
     """What 5 to 8 robots, by the seed, make of it in each setting."""
     return formed("circle_formation", circle_errors, seeds, jobs, settings)

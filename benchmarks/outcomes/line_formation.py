@@ -43,8 +43,8 @@ SHORT = Setting("Burgers, range and bearing")
 SETTINGS = (
     SHORT,
     Setting("Waffle Pis, range and bearing", {"groups.tb3.platform": "waffle_pi"}),
-    Setting("Burgers, lidar", {"radio.range_and_bearing": False}),
 )
+BY_LIDAR = Setting("Burgers, lidar", {"radio.range_and_bearing": False})
 Errors = Callable[[Trace, float], Array]
 
 
