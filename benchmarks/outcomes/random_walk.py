@@ -17,14 +17,16 @@ from swarmd.sim.trace import Trace
 NAME = "random_walk"
 FLOOR = 36.0
 """m2, of the scenario's room."""
+ALONE = {"groups.tb3.parameters.unstick": False}
+"""Protection leads no one around walls: robots that drive straight on would cover as much."""
 SPEED, SHARE, GAIN, BIAS, DUTY = 0.5, 0.7, 1.5, 0.75, 0.1
 _KOOPMAN = "random search: Koopman, Operations Research 4, 1956"
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
     """All of them: a run of walkers a seed, and one of robots that drive straight on."""
-    results = simulate(NAME, seeds, jobs=jobs)
-    straight = simulate(NAME, seeds, jobs=jobs, set={"groups.tb3.pattern": "drive"})
+    results = simulate(NAME, seeds, jobs=jobs, set=ALONE)
+    straight = simulate(NAME, seeds, jobs=jobs, set={**ALONE, "groups.tb3.pattern": "drive"})
     walks = list(results.traces)
     numbers = [measure(trace) for trace in walks]
     speeds = tuple(_number(n["mean_speed"]) / 0.22 for n in numbers)
