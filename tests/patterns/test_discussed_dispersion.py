@@ -95,7 +95,7 @@ def test_a_distance_that_protection_keeps_anyway_is_refused_when_it_is_made(
     params: dict[str, Value], words: str
 ) -> None:
     with pytest.raises(ConfigError, match=words.replace(".", r"\.")):
-        made(**params)
+        made("waffle_pi", **params)
 
 
 def test_and_while_it_runs_and_all_stays_as_it_was() -> None:
