@@ -176,7 +176,22 @@ def kinds_of(document: Document, find: Find) -> Kinds:
         except Exception as error:  # a plugin may raise anything
             text = f"{type(error).__name__}: {error}"
             document.faults.add((*part.keys, "pattern"), f"cannot be loaded: {text}")
+    _check_voices(document, kinds)
     return kinds
+
+
+def _check_voices(document: Document, kinds: Kinds) -> None:
+    """Note parts that would say two things on one channel."""
+    voices: dict[str, str] = {}
+    for name, kind in kinds.items():
+        part = document.parts[name]
+        if part.is_private or not dict(kind.channels):
+            continue
+        if part.pattern in voices:
+            other = voices[part.pattern]
+            text = f"talks on the channels of {part.pattern} as {other} does; make one private"
+            document.faults.add(part.keys, text)
+        voices.setdefault(part.pattern, name)
 
 
 def _params_type(document: Document, kinds: Kinds) -> type[Params]:

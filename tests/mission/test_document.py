@@ -87,6 +87,14 @@ def test_a_fault_is_told_with_file_line_and_key(
     assert "\n" not in told
 
 
+def test_two_parts_do_not_talk_on_one_channel(tmp_path: Path) -> None:
+    two = "  vote: {pattern: vote_on}\n  more: {pattern: vote_on}"
+    text = GOOD.replace("  vote: {pattern: vote_on}", two).replace("[vote, go]", "[vote, more, go]")
+    (told,) = faults_of(tmp_path, text)
+    assert "tried.yaml:4: parts.more: talks on the channels of vote_on as vote does" in told
+    assert faults_of(tmp_path, text.replace("more: {", "more: {private: true, ")) == []
+
+
 def test_the_first_of_several_says_how_many_more_there_are(tmp_path: Path) -> None:
     text = GOOD.replace("{timeout: 20}", "{timeot: 20}").replace("then: stay", "then: go")
     (told,) = faults_of(tmp_path, text)
