@@ -107,12 +107,6 @@ MUTANTS = (
         "self._rate = ",
     ),
     _mutant(
-        "turns away",
-        "left and right are swapped: towards what is ahead",
-        "sign = -float(np.sign(blocking.bearing)) or sign",
-        "sign = float(np.sign(blocking.bearing)) or sign",
-    ),
-    _mutant(
         "what is ahead",
         "it is overlooked",
         "ray.range < self.params.clearance else None",
