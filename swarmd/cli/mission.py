@@ -24,7 +24,7 @@ def mission() -> None:
 
 
 @mission.command()
-@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("file", type=click.Path(path_type=Path))
 @click.option("--platform", default="waffle_pi", help="For which robots [waffle_pi].")
 @click.option(
     "--plugin-dir",
@@ -38,6 +38,8 @@ def check(console: Console, file: Path, platform: str, plugin_dir: Path | None) 
 
     Every fault is a line with file, line and key. Exit code 2 if there is one.
     """
+    if not file.is_file():
+        raise click.UsageError(f"{file} is no file; wanted is a mission's YAML file")
     faults = _ask(file, platform, plugin_dir or file.parent)
     if console.is_json:
         print_json("Mission", {"file": str(file), "platform": platform, "faults": faults})
