@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
@@ -29,7 +30,7 @@ PATTERNS = "swarmd.patterns"
 DRIVERS = "swarmd.drivers"
 COMMANDS = "swarmd.commands"
 MISSION = ".yaml"
-_HEAD = re.compile(rb"^mission:", re.MULTILINE)
+_HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,12 +141,14 @@ def _dropped_in(plugin_dir: Path | None) -> Iterator[tuple[str, Origin]]:
 def mission_files(folder: Path) -> Iterator[Path]:
     """The missions of a folder; other YAML files are left alone."""
     for path in sorted(folder.glob(f"*{MISSION}")):
-        try:
-            is_mission = is_id(path.stem) and _HEAD.search(path.read_bytes()) is not None
-        except OSError:
-            continue
-        if is_mission:
-            yield path
+        with suppress(OSError):
+            if is_id(path.stem) and is_mission(path):
+                yield path
+
+
+def is_mission(path: Path) -> bool:
+    """Whether a YAML file is taken for a mission: by a line `mission: ...`; OSError if unread."""
+    return _HEAD.search(path.read_bytes()) is not None
 
 
 def _bad_file_name(name: str, plugin_dir: Path | None) -> str:

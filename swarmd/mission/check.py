@@ -25,7 +25,7 @@ from swarmd.mission.document import Document, read_document
 from swarmd.mission.elements import conditions_of
 from swarmd.mission.mission import kinds_of, mission_class
 from swarmd.mission.places import told
-from swarmd.plugins import MISSION, Origin, pattern_names
+from swarmd.plugins import MISSION, Origin, is_mission, pattern_names
 from swarmd.settings import load_platform
 from swarmd.values import Platform, Value
 
@@ -41,8 +41,11 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
     if not is_id(path.stem) or path.suffix != MISSION:
         text = "is in a file of a name that no pattern can have; wanted such as patrol.yaml"
         document.faults.add(("mission",), text)
+    elif document.description and not is_mission(path):
+        text = "is not at the start of a line of UTF-8 text, by which robots know a mission's file"
+        document.faults.add(("mission",), text)
     elif found is not None and not _is_same(path, found):
-        other = found.rival or found.source
+        other = found.source if _is_file(path, found.rival) else found.rival or found.source
         document.faults.add(("mission",), f"has the name of another pattern ({other}); rename one")
     values = {name: (origin.value, origin.is_file) for name, origin in origins.items()}
     find = Finder({**values, path.stem: (str(path.resolve()), True)})
@@ -55,7 +58,11 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
 def _is_same(path: Path, origin: Origin) -> bool:
     """Whether the pattern of that name is this file, and nothing else."""
     files = [origin.value, *([origin.rival] if origin.rival else [])]
-    return all(Path(file).resolve() == path.resolve() for file in files)
+    return all(_is_file(path, file) for file in files)
+
+
+def _is_file(path: Path, name: str) -> bool:
+    return Path(name).resolve() == path.resolve()
 
 
 def _check_parts(document: Document, platform: Platform, find: Find) -> None:

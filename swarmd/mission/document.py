@@ -6,6 +6,7 @@ What needs the patterns themselves, such as their parameters, is checked by
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -19,6 +20,7 @@ from swarmd.yamlfile import read
 
 _OWN = ("mission", "parts", "map", "report", "parameters", "unstick")
 _OF_PART = ("pattern", "params", "private")
+_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
 _OF_MAP = ("from", "to", "values", "base", "step", "count")
 Table: TypeAlias = Mapping[Scalar, Scalar]
 
@@ -49,21 +51,18 @@ class MapSpec:
     step: float
     keys: Keys
 
-    def value_of(self, reported: Scalar) -> Scalar | None:
-        """What the parameter is to be; None if the map does not say."""
-        if self.table is not None:
-            return self.table.get(reported)
-        is_number = isinstance(reported, int | float) and not isinstance(reported, bool)
-        return self.base + self.step * float(reported) if is_number else None
-
 
 @dataclass(slots=True)
 class Document:
-    """A mission as it is written. `root` None and parts left out where there are `faults`."""
+    """A mission as it is written. `root` None and parts left out where there are `faults`.
+
+    `names` are those of all parts, also of those left out.
+    """
 
     path: Path
     description: str = ""
     parts: dict[str, PartSpec] = field(default_factory=dict)
+    names: list[str] = field(default_factory=list)
     maps: list[MapSpec] = field(default_factory=list)
     report: dict[str, tuple[str, str]] = field(default_factory=dict)
     parameters: dict[str, tuple[str, str]] = field(default_factory=dict)
@@ -81,7 +80,7 @@ def read_document(path: Path) -> Document:
     document.description = text or ""
     _read_parts(data, document)
     element = {key: value for key, value in data.items() if key not in _OWN}
-    document.root = read_element(element, (), document.parts, faults)
+    document.root = read_element(element, (), document.names, faults)
     _read_maps(data, document)
     for name in ("report", "parameters"):
         _read_references(data, name, document)
@@ -100,6 +99,7 @@ def _read_parts(data: Mapping[str, Any], document: Document) -> None:
         said = "is missing" if parts is None else f"is {parts!r}"
         faults.add(("parts",), f"{said}; wanted parts by name, such as move: {{pattern: NAME}}")
         return
+    document.names = list(parts)
     for name, section in parts.items():
         keys: Keys = ("parts", name)
         if not is_id(name) or name in ("nobody", "phase"):
@@ -168,6 +168,8 @@ def _table(
         if "count" not in section:
             return None, base, step
         count = faults.number(section, "count", keys, low=0.0, high=1000.0)
+        if count is not None and count != int(count):
+            faults.add((*keys, "count"), f"is {count:g}; wanted a whole number")
         return None if count is None else ({k: base + step * k for k in range(int(count))}, 0, 0)
     if "step" in section or "count" in section:
         faults.add(keys, "step and count go with base, not with values")
@@ -186,17 +188,24 @@ def _read_references(data: Mapping[str, Any], name: str, document: Document) -> 
         return
     found: dict[str, tuple[str, str]] = getattr(document, name)
     for own in section:
-        if not own.isidentifier() or own in ("unstick", "phase"):
+        if not _NAME.fullmatch(own) or own in ("unstick", "phase"):
             faults.add((name, own), "is no name; wanted letters, digits and _, not unstick, phase")
             continue
         reference = _reference(section, own, (name,), document, "PART.KEY")
         if reference is not None:
             found[own] = reference
     if name == "parameters":
-        for spec in document.maps:
-            for own, reference in found.items():
-                if reference == spec.target:
-                    faults.add((name, own), f"{'.'.join(reference)} is what a map sets; keep one")
+        _check_targets(document)
+
+
+def _check_targets(document: Document) -> None:
+    """Note parameters of parts that are set from two sides."""
+    setters = {spec.target: "a map" for spec in document.maps}
+    for own, reference in document.parameters.items():
+        if reference in setters:
+            text = f"{'.'.join(reference)} is what {setters[reference]} sets; keep one"
+            document.faults.add(("parameters", own), text)
+        setters.setdefault(reference, own)
 
 
 def _reference(
@@ -208,8 +217,8 @@ def _reference(
     part, dot, inner = text.partition(".")
     if not dot or not inner:
         document.faults.add((*keys, key), f"is {text!r}; wanted {wanted}")
-    elif part not in document.parts:
-        document.faults.part((*keys, key), part, document.parts)
+    elif part not in document.names:
+        document.faults.part((*keys, key), part, document.names)
     else:
         return part, inner
     return None

@@ -168,6 +168,8 @@ def _parallel(
         known = [one for one in names if one]
         faults.add((*keys, "drives"), f"{unknown('item', drives, known)} (or {NOBODY})")
         return None
+    if names.count(drives) > 1:
+        faults.add((*keys, "drives"), f"{drives} is the name of two; give each a name of its own")
     return Parallel(name, until, keys, items, None if drives == NOBODY else names.index(drives))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeAlias
 
@@ -46,7 +45,7 @@ class Faults:
             return None
         value = data[key]
         is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not is_number or not math.isfinite(value) or not low < value <= high:
+        if not is_number or not low < value <= high:
             self.add((*keys, key), f"is {value!r}; {wanted}")
             return None
         return float(value)

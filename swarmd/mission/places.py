@@ -48,5 +48,8 @@ def _lines(path: Path) -> Mapping[Keys, int]:
                 found[(*keys, index)] = value.start_mark.line + 1
                 walk(value, (*keys, index))
 
-    walk(yaml.compose(path.read_text(encoding="utf-8"), Loader=yaml.SafeLoader), ())
+    try:
+        walk(yaml.compose(path.read_bytes(), Loader=yaml.SafeLoader), ())
+    except (OSError, yaml.YAMLError, ValueError, RecursionError):
+        return {}  # it has changed since it was read
     return found

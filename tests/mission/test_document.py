@@ -9,6 +9,7 @@ import pytest
 
 from swarmd.errors import ConfigError
 from swarmd.mission.check import check_mission
+from swarmd.plugins import pattern_names
 from tests.mission.company import PLATFORM, made, mission_of
 
 GOOD = """\
@@ -59,6 +60,12 @@ WRONG = (
     ("then: stay", "then: stay\nparameters: {a: go.sped}", 11, "parameters.a: is of parameter"),
     ("then: stay", "then: stay\nparameters: {a: go.speed}", 11, "is what a map sets"),
     ("then: stay", "then: stay\nreport: {a: go.stps}", 11, "no report 'stps'"),
+    ("pattern: go}", "pattern: 3}", 4, "parts.go.pattern: is 3; wanted a pattern's name"),
+    ("{timeout: 20}", f"{{timeout: 1{'0' * 400}}}", 8, "wanted a number above 0 and up to"),
+    ("values: [0.3, 0.5, 0.7]", "base: 0.3, step: 0.1, count: 3.5", 6, "wanted a whole number"),
+    ("[vote, go], drives", "[{part: vote, name: go}, go], drives", 9, "go is the name of two"),
+    ("then: stay", "then: stay\nparameters: {__init__: vote.window}", 11, "__init__: is no name"),
+    ("then: stay", "then: stay\nparameters: {a: vote.window, b: vote.window}", 11, "what a sets"),
     ("then: stay", "then: stay\nunstick: 1", 11, "unstick: is 1; wanted true or false"),
 )
 
@@ -104,6 +111,36 @@ def test_the_first_of_several_says_how_many_more_there_are(tmp_path: Path) -> No
 def test_what_is_no_yaml_is_told_as_such(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=re.escape("tried.yaml:2:")):
         mission_of(tmp_path, "mission: a\nmission: b\n")
+
+
+@pytest.mark.parametrize("head", ["\ufeffmission:", "'mission':", "mission :"])
+def test_what_is_checked_as_a_mission_is_found_as_one(tmp_path: Path, head: str) -> None:
+    path = tmp_path / "low.yaml"
+    path.write_text(LOW.replace("mission:", head).replace("0.4", "0.6"), encoding="utf-8")
+    assert check_mission(path, PLATFORM, tmp_path) == []
+    assert "low" in pattern_names(tmp_path)
+
+
+ALONE = "mission: a\nparts: {b: {pattern: drive}}\npart: b\n"
+IN_BRACES = '{"mission": a, parts: {b: {pattern: drive}}, part: b}'
+
+
+@pytest.mark.parametrize(("text", "encoding"), [(ALONE, "utf-16"), (IN_BRACES, "utf-8")])
+def test_what_is_not_found_as_a_mission_is_a_fault(
+    tmp_path: Path, text: str, encoding: str
+) -> None:
+    path = tmp_path / "low.yaml"
+    path.write_text(text, encoding=encoding)
+    (told,) = check_mission(path, PLATFORM, tmp_path)
+    assert "low.yaml:1: mission: is not at the start of a line of UTF-8 text" in told
+    assert "low" not in pattern_names(tmp_path)
+
+
+def test_the_other_of_two_of_one_name_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "drive.yaml"
+    path.write_text(LOW.replace("0.4", "0.6"))
+    (told,) = check_mission(path, PLATFORM, tmp_path)
+    assert re.search(r"mission: has the name of another pattern \(swarmd [0-9.]+\)", told)
 
 
 LOW = """\
