@@ -15,9 +15,11 @@ uniformity", Theor. Comput. Sci. 396, 2008.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 
@@ -44,7 +46,7 @@ def place_on_line(others: Array, spacing: float) -> Array:
     the robots keep their order and have `spacing` m between them.
     """
     points = _with_itself(others)
-    middle = points.mean(axis=0)
+    middle = points.sum(axis=0) / len(points)
     x, y = (points - middle).T
     angle = 0.5 * math.atan2(2.0 * float(x @ y), float(x @ x) - float(y @ y))
     ahead = np.array([math.cos(angle), math.sin(angle)])
@@ -62,7 +64,7 @@ def place_on_circle(others: Array, radius: float) -> Array:
     """
     points = _with_itself(others)
     count = len(points)
-    middle: Array = points.mean(axis=0)
+    middle: Array = points.sum(axis=0) / count
     if count < 2:
         return middle
     x, y = (points - middle).T
@@ -91,7 +93,7 @@ def bodies(scan: Scan, *, reach: float, width: float, offset: tuple[float, float
     halves, bearings = 0.5 * seen.widths, seen.bearings.copy()
     is_chosen = (seen.widths <= width) & (seen.ranges <= _SURE * reach)
     is_whole = is_chosen & seen.is_free
-    usual = float(np.median(halves[is_whole])) if is_whole.any() else 0.0
+    usual = median(halves[is_whole].tolist()) if is_whole.any() else 0.0
     for index in (is_chosen & ~seen.is_free).nonzero()[0].tolist():
         sides = _hidden_sides(seen, index)
         if len(sides) > 1:
@@ -149,10 +151,10 @@ def from_pose(point: Array, pose: Pose) -> Array:
 
 @dataclass(slots=True)
 class _Sighting:
-    """What was sensed of a neighbour last, and where it is by all that counts of it."""
+    """What was sensed of a neighbour last, and where it is by all that counts of it, x + iy."""
 
     sensed: tuple[float, float]
-    place: Array
+    place: complex
     count: int = 1
 
 
@@ -170,25 +172,24 @@ class Sightings:
         """The neighbours' positions (k, 2), of those within `reach` m, as seen from `pose` now."""
         known, found = self._known, []
         self._known = {}
+        here, heading = complex(pose.x, pose.y), cmath.rect(1.0, pose.yaw)
         for neighbor in neighbors:
             distance, bearing = neighbor.distance, neighbor.bearing
             if distance is None or bearing is None or not 0.0 <= distance <= reach:
                 continue
             if not math.isfinite(bearing):
                 continue
-            sighting = _again(known.get(neighbor.id), (distance, bearing), pose)
+            sighting = known.get(neighbor.id)
+            if sighting is None or sighting.sensed != (distance, bearing):
+                place = here + heading * cmath.rect(distance, bearing)
+                sighting = _again(sighting, (distance, bearing), place)
             self._known[neighbor.id] = sighting
-            found.append(to_base(sighting.place, pose))
-        return np.array(found).reshape(-1, 2)
+            found.append((sighting.place - here) * heading.conjugate())
+        return np.array(found, dtype=np.complex128).view(np.float64).reshape(-1, 2)
 
 
-def _again(old: _Sighting | None, sensed: tuple[float, float], pose: Pose) -> _Sighting:
-    if old is not None and old.sensed == sensed:
-        return old
-    distance, bearing = sensed
-    here = np.array([distance * math.cos(bearing), distance * math.sin(bearing)])
-    place = from_pose(here, pose)
-    if old is None or math.dist(old.place, place) > _MOVED + _MOVED_SHARE * distance:
+def _again(old: _Sighting | None, sensed: tuple[float, float], place: complex) -> _Sighting:
+    if old is None or abs(old.place - place) > _MOVED + _MOVED_SHARE * sensed[0]:
         return _Sighting(sensed, place)
     count = min(old.count + 1, _MEMORY)
     return _Sighting(sensed, old.place + (place - old.place) / count, count)

@@ -41,8 +41,8 @@ MUTANTS = (
         "middle",
         "the middle is the mean of the others",
         _FORMATION,
-        "middle: Array = points.mean(axis=0)\n    if count",
-        "middle: Array = points[1:].mean(axis=0)\n    if count",
+        "middle: Array = points.sum(axis=0) / count\n    if count",
+        "middle: Array = points[1:].sum(axis=0) / max(count - 1, 1)\n    if count",
     ),
     mutant(
         "equal angles",
@@ -76,8 +76,8 @@ MUTANTS = (
         "left and right",
         "what is sensed to the left is taken to be on the right",
         _FORMATION,
-        "here = np.array([distance * math.cos(bearing), distance * math.sin(bearing)])",
-        "here = np.array([distance * math.cos(bearing), -distance * math.sin(bearing)])",
+        "place = here + heading * cmath.rect(distance, bearing)",
+        "place = here + heading * cmath.rect(distance, -bearing)",
     ),
     mutant(
         "rest",

@@ -161,8 +161,8 @@ MUTANTS = (
         "left and right",
         "what is sensed to the left is taken to be on the right",
         _FORMATION,
-        "here = np.array([distance * math.cos(bearing), distance * math.sin(bearing)])",
-        "here = np.array([distance * math.cos(bearing), -distance * math.sin(bearing)])",
+        "place = here + heading * cmath.rect(distance, bearing)",
+        "place = here + heading * cmath.rect(distance, -bearing)",
     ),
     mutant(
         "rest",
@@ -175,9 +175,11 @@ MUTANTS = (
         "forgetting",
         "who is no longer sensed still counts",
         _FORMATION,
-        "        known, found = self._known, []\n        self._known = {}\n",
+        "        known, found = self._known, []\n        self._known = {}\n"
+        "        here, heading = complex(pose.x, pose.y), cmath.rect(1.0, pose.yaw)\n",
+        "        here, heading = complex(pose.x, pose.y), cmath.rect(1.0, pose.yaw)\n"
         "        known, found = self._known, [\n"
-        "            to_base(one.place, pose)\n"
+        "            (one.place - here) * heading.conjugate()\n"
         "            for name, one in self._known.items()\n"
         "            if name not in {n.id for n in neighbors}\n"
         "        ]\n"
