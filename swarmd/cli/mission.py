@@ -11,7 +11,7 @@ from pathlib import Path
 import click
 
 from swarmd.cli.console import Console, common
-from swarmd.cli.output import print_json
+from swarmd.cli.output import print_json, warn
 from swarmd.errors import PluginError
 from swarmd.processes import how_it_ended
 
@@ -47,7 +47,7 @@ def check(console: Console, file: Path, platform: str, plugin_dir: Path | None) 
         click.echo(f"{file}: ok on {platform}")
     else:
         for line in faults:
-            click.echo(line, err=True)
+            warn(line)
     if faults:
         click.get_current_context().exit(2)
 

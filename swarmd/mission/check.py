@@ -19,7 +19,7 @@ from swarmd.behavior import Pattern
 from swarmd.errors import PluginError, SwarmError
 from swarmd.keys import is_id
 from swarmd.loading import Finder
-from swarmd.mission.checking import make_company
+from swarmd.mission.checking import make_company, words_of
 from swarmd.mission.conditions import needs_of
 from swarmd.mission.document import Document, read_document
 from swarmd.mission.elements import conditions_of
@@ -126,6 +126,9 @@ def main() -> int:
             print(json.dumps({"error": str(error)}), file=answer)
         except SwarmError as error:
             print(json.dumps({"faults": [str(error)]}), file=answer)
+        except (Exception, SystemExit) as error:  # a plugin may raise anything
+            text = f"{args.file}: a pattern that it names raises {words_of(error)}"
+            print(json.dumps({"error": text}), file=answer)
     return 0
 
 

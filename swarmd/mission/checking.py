@@ -10,7 +10,8 @@ from typing import Any
 import msgspec
 
 from swarmd.behavior import Make, Pattern
-from swarmd.errors import ConfigError, PluginError, SwarmError, unknown
+from swarmd.combined import outer_name
+from swarmd.errors import SwarmError, unknown
 from swarmd.mission.conditions import Compared, Scalar, Settled, leaves
 from swarmd.mission.document import Document, MapSpec, PartSpec, Table
 from swarmd.mission.elements import conditions_of
@@ -38,6 +39,7 @@ def make_company(document: Document, make: Make, exposed: Exposed, faults: Fault
         made = _noting(faults, part.keys, partial(_made, part, make, exposed))
         if made is not None:
             company.parts[name] = made
+    _check_voices(document, company, faults)
     trial = _Trial(document, make, exposed)
     company.tables = tables_of(document, company.parts, trial, faults)
     _check_reports(document, company, trial, faults)
@@ -124,6 +126,18 @@ def with_values(part: Pattern[Any], values: Mapping[str, Any], source: str) -> A
     return build(type(part.params), ((source, whole),))[0]
 
 
+def _check_voices(document: Document, company: Company, faults: Faults) -> None:
+    """Note parts that would say two things on one channel."""
+    voices: dict[str, str] = {}
+    for name, part in company.parts.items():
+        for channel in sorted(outer_name(part, channel) for channel in part.channels):
+            other = voices.setdefault(channel, name)
+            if other != name:
+                text = f"talks on {channel} as {other} does; make one private or leave it out"
+                faults.add(document.parts[name].keys, text)
+                break
+
+
 def _made(part: PartSpec, make: Make, exposed: Exposed, **more: Any) -> Pattern[Any]:
     params = {**part.params, **exposed.get(part.name, {}), **more}
     return make(part.pattern, part=part.name, private=part.is_private, **params)
@@ -160,16 +174,24 @@ def _check_reports(
 def _reported(trial: Callable[..., Pattern[Any]], name: str) -> set[str]:
     try:
         return set(trial(name).step(Inputs(now=0.0, dt=0.0)).report)
-    except Exception:  # a plugin may raise anything; what it then reports is not known
+    except (Exception, SystemExit):  # a plugin may raise anything; its reports are not known
         return set()
 
 
-def _noting(faults: Faults, keys: Keys, call: Callable[[], Any], prefix: str = "") -> Any:
+def _noting(
+    faults: Faults, keys: Keys, call: Callable[[], Any], prefix: str = "cannot be made: "
+) -> Any:
     """What the call gives; None if it raises, which is noted."""
     try:
         return call()
-    except (ConfigError, PluginError) as error:
-        faults.add(keys, f"{prefix or 'cannot be made: '}{error}")
-    except SwarmError as error:
-        faults.add(keys, f"{prefix}{error}")
+    except RecursionError:
+        raise  # a part that is made of itself: each of its copies would note it
+    except (Exception, SystemExit) as error:  # a plugin may raise anything
+        faults.add(keys, f"{prefix}{words_of(error)}")
     return None
+
+
+def words_of(error: BaseException) -> str:
+    """What was raised, on one line; with its type unless it is ours, and speaks for itself."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, SwarmError) else f"{type(error).__name__}: {text}"

@@ -13,7 +13,14 @@ from msgspec import NODEFAULT
 from swarmd.behavior import Context, Pattern
 from swarmd.combined import CombinedPattern
 from swarmd.errors import SwarmError
-from swarmd.mission.checking import Company, make_company, tables_of, trial_of, with_values
+from swarmd.mission.checking import (
+    Company,
+    make_company,
+    tables_of,
+    trial_of,
+    with_values,
+    words_of,
+)
 from swarmd.mission.conditions import Scalar, needs_of
 from swarmd.mission.document import Document, read_document
 from swarmd.mission.elements import conditions_of, drivers_of
@@ -78,8 +85,9 @@ class Mission(CombinedPattern[Params]):
             if values
         }
         opinions = {n: values["opinions"] for n, values in changes.items() if "opinions" in values}
-        if opinions:
-            faults, document = Faults(), self.document
+        document = self.document
+        if opinions or any(spec.target[0] in fresh for spec in document.maps):
+            faults = Faults()
             trial = trial_of(document, self.context.make, self._exposed(params))
             tables = tables_of(document, self.parts, trial, faults, opinions)
             if faults.found:
@@ -171,27 +179,10 @@ def kinds_of(document: Document, find: Find) -> Kinds:
     for name, part in document.parts.items():
         try:
             kinds[name] = find(part.pattern)
-        except SwarmError as error:
-            document.faults.add((*part.keys, "pattern"), f"{error}")
-        except Exception as error:  # a plugin may raise anything
-            text = f"{type(error).__name__}: {error}"
-            document.faults.add((*part.keys, "pattern"), f"cannot be loaded: {text}")
-    _check_voices(document, kinds)
+        except (Exception, SystemExit) as error:  # a plugin may raise anything
+            start = "" if isinstance(error, SwarmError) else "cannot be loaded: "
+            document.faults.add((*part.keys, "pattern"), start + words_of(error))
     return kinds
-
-
-def _check_voices(document: Document, kinds: Kinds) -> None:
-    """Note parts that would say two things on one channel."""
-    voices: dict[str, str] = {}
-    for name, kind in kinds.items():
-        part = document.parts[name]
-        if part.is_private or not dict(kind.channels):
-            continue
-        if part.pattern in voices:
-            other = voices[part.pattern]
-            text = f"talks on the channels of {part.pattern} as {other} does; make one private"
-            document.faults.add(part.keys, text)
-        voices.setdefault(part.pattern, name)
 
 
 def _params_type(document: Document, kinds: Kinds) -> type[Params]:

@@ -98,8 +98,40 @@ def test_two_parts_do_not_talk_on_one_channel(tmp_path: Path) -> None:
     two = "  vote: {pattern: vote_on}\n  more: {pattern: vote_on}"
     text = GOOD.replace("  vote: {pattern: vote_on}", two).replace("[vote, go]", "[vote, more, go]")
     (told,) = faults_of(tmp_path, text)
-    assert "tried.yaml:4: parts.more: talks on the channels of vote_on as vote does" in told
+    assert "tried.yaml:4: parts.more: talks on vote_on/ballot as vote does" in told
     assert faults_of(tmp_path, text.replace("more: {", "more: {private: true, ")) == []
+
+
+def test_a_part_does_not_talk_as_one_within_another_does(tmp_path: Path) -> None:
+    path = tmp_path / "both.yaml"
+    path.write_text(
+        "mission: Votes, and disperses by another vote\n"
+        "parts:\n  vote: {pattern: majority_rule}\n  move: {pattern: discussed_dispersion}\n"
+        "parallel: [vote, move]\ndrives: move\n"
+    )
+    (told,) = check_mission(path, PLATFORM, tmp_path)
+    assert "both.yaml:4: parts.move: talks on majority_rule/ballot as vote does" in told
+
+
+RAISING = {
+    "when it is imported": "raise SystemExit('x')",
+    "when its class is looked at": "params_type = 3",
+    "when it is made": "def __init__(self, *a):\n        raise ZeroDivisionError('a\\nb')",
+}
+
+
+@pytest.mark.parametrize("when", RAISING)
+def test_a_part_that_raises_is_a_fault(tmp_path: Path, when: str) -> None:
+    start = "from swarmd.api import *\nclass Bad(Pattern[Params]):\n    "
+    head = "" if "imported" in when else start
+    (tmp_path / "bad.py").write_text(
+        f"{head}{RAISING[when]}\n" + "    def step(self, inputs): return Outputs()\n" * bool(head)
+    )
+    path = tmp_path / "uses.yaml"
+    path.write_text("mission: a\nparts: {b: {pattern: bad}}\npart: b\n")
+    (told,) = check_mission(path, PLATFORM, tmp_path)
+    assert re.search(r"uses.yaml:2: parts.b(.pattern)?: cannot be \w+: [A-Z]\w+: \S", told)
+    assert "\n" not in told
 
 
 def test_the_first_of_several_says_how_many_more_there_are(tmp_path: Path) -> None:

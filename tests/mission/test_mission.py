@@ -163,6 +163,30 @@ def test_own_parameters_are_those_of_parts_with_their_bounds(tmp_path: Path) -> 
         made(tmp_path, text, fast=3)
 
 
+def test_a_change_that_a_value_of_a_map_forbids_is_refused_while_it_runs(tmp_path: Path) -> None:
+    text = parts("vote", "brief") + (
+        "map: [{from: brief.count, to: vote.share_period, values: {a: 1.0, b: 2.4}}]\n"
+        "parallel: [vote, brief]\ndrives: brief\nparameters: {expiry: vote.expiry}\n"
+    )
+    mission = made(tmp_path, text)
+    mission.update(msgspec.structs.replace(mission.params, expiry=2.5))
+    with pytest.raises(ConfigError, match=r"tried.yaml:5: .* to 2.4 .* expiry is 2 s, less than"):
+        mission.update(msgspec.structs.replace(mission.params, expiry=2.0))
+    assert mission.parts["vote"].params.expiry == 2.5
+
+
+@pytest.mark.parametrize("now", ["", "- [", "a: *b", "\x00"])
+def test_what_it_refuses_while_it_runs_needs_its_file_no_more(tmp_path: Path, now: str) -> None:
+    mission = made(tmp_path, MAPPED + "parameters: {opinions: vote.opinions}\n")
+    path = tmp_path / "tried.yaml"
+    if now:
+        path.write_text(now)
+    else:
+        path.unlink()
+    with pytest.raises(ConfigError, match="no value for opinion 3; vote has 4 opinions"):
+        mission.update(msgspec.structs.replace(mission.params, opinions=4))
+
+
 def test_more_opinions_than_a_map_has_values_are_refused_while_it_runs(tmp_path: Path) -> None:
     mission = made(tmp_path, MAPPED + "parameters: {opinions: vote.opinions}\n")
     with pytest.raises(ConfigError, match="no value for opinion 3; vote has 4 opinions"):

@@ -59,3 +59,10 @@ def test_it_is_listed_as_a_mission() -> None:
     row = json.loads(done.stdout)["pattern"]
     assert (row["kind"], row["needs"]) == ("mission", ["scan"])
     assert row["summary"].startswith("Stands and votes on a distance")
+
+
+def test_words_of_a_file_reach_the_terminal_without_control_characters(tmp_path: Path) -> None:
+    path = tmp_path / "red.yaml"
+    path.write_text('mission: "\\e[31mred"\nparts: {b: {pattern: drive}}\npart: b\n')
+    done = ctl("patterns", "show", "red", "--plugin-dir", str(tmp_path))
+    assert done.stdout.startswith("red: ?[31mred\n")
