@@ -30,6 +30,7 @@ PATTERNS = "swarmd.patterns"
 DRIVERS = "swarmd.drivers"
 COMMANDS = "swarmd.commands"
 MISSION = ".yaml"
+LARGEST_MISSION = 1 << 20
 _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
 
 
@@ -147,8 +148,14 @@ def mission_files(folder: Path) -> Iterator[Path]:
 
 
 def is_mission(path: Path) -> bool:
-    """Whether a YAML file is taken for a mission: by a line `mission: ...`; OSError if unread."""
-    return _HEAD.search(path.read_bytes()) is not None
+    """Whether a YAML file is taken for a mission: by a line `mission: ...`; OSError if unread.
+
+    The guardian asks, so no more is read than a mission may have, and nothing that is no file.
+    """
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return _HEAD.search(file.read(LARGEST_MISSION)) is not None
 
 
 def _bad_file_name(name: str, plugin_dir: Path | None) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -68,6 +69,15 @@ def test_finds_patterns_in_the_drop_in_folder_and_leaves_other_files_alone(folde
     spin = plugins.find_pattern("spin", folder)
     assert spin.value == str((folder / "spin.py").resolve())
     assert spin.source == str(folder / "spin.py")
+
+
+def test_the_guardian_waits_for_nothing_that_is_no_file(folder: Path) -> None:
+    os.mkfifo(folder / "pipe.yaml")
+    (folder / "dir.yaml").mkdir()
+    (folder / "nowhere.yaml").symlink_to(folder / "nothing")
+    with (folder / "big.yaml").open("wb") as file:
+        file.truncate(1 << 36)  # 64 GB of zeros that no disk holds
+    assert [name for name, one in plugins.pattern_names(folder, {}).items() if one.is_file] == []
 
 
 def test_a_name_that_is_there_twice_is_listed_and_refused(folder: Path) -> None:
