@@ -77,7 +77,7 @@ class Cancel:
 class Ready:
     """The pattern is loaded and will be stepped. `params`: name -> (value, source).
 
-    `touches`: where it asks to touch what is near.
+    `touches`: where it asks to touch what is near. `took`: seconds that loading took.
     """
 
     generation: int
@@ -85,6 +85,7 @@ class Ready:
     channels: frozenset[str]
     params: Mapping[str, tuple[Scalar | None, str]]
     touches: TouchZone | None = None
+    took: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

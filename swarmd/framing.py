@@ -87,6 +87,7 @@ class _ReadyWire(Struct, frozen=True, array_like=True, tag="ready"):
     channels: list[str]
     params: dict[str, tuple[Scalar | None, str]]
     touches: tuple[Speed, Speed, Speed] | None
+    took: Annotated[float, Meta(ge=0.0, le=1e6)]
 
 
 class _RefusedWire(Struct, frozen=True, array_like=True, tag="refused"):
@@ -127,7 +128,8 @@ def encode_event(event: Event) -> bytes:
         params = {name: list(pair) for name, pair in event.params.items()}
         zone = event.touches
         touches = None if zone is None else [zone.bearing, zone.half_width, zone.speed]
-        body: list[Any] = ["ready", generation, event.rate, sorted(event.channels), params, touches]
+        body: list[Any] = ["ready", generation, event.rate, sorted(event.channels), params]
+        body += [touches, event.took]
     elif isinstance(event, Stepped):
         outputs = event.outputs
         twist = outputs.twist
@@ -157,7 +159,8 @@ def decode_event(frame: bytes) -> Event:
         raise CodecError(f"the pattern host said something unreadable: {error}") from error
     if isinstance(wire, _ReadyWire):
         touches = None if wire.touches is None else TouchZone(*wire.touches)
-        return Ready(wire.generation, wire.rate, frozenset(wire.channels), wire.params, touches)
+        channels = frozenset(wire.channels)
+        return Ready(wire.generation, wire.rate, channels, wire.params, touches, wire.took)
     if isinstance(wire, _SteppedWire):
         twist = None if wire.twist is None else Twist(*wire.twist)
         report = {k: v for k, v in wire.report.items() if isinstance(v, bool | int | float | str)}

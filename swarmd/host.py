@@ -14,9 +14,11 @@ import os
 import resource
 import socket
 import sys
+import time
+from dataclasses import replace
 
 from swarmd.errors import CodecError
-from swarmd.frames import Failed, Load
+from swarmd.frames import Failed, Load, Ready
 from swarmd.framing import decode_command, encode_event
 from swarmd.loading import Finder
 from swarmd.processes import die_with_parent
@@ -64,7 +66,10 @@ def _serve(guardian: socket.socket) -> None:
         if isinstance(command, Load):
             _limit_memory(_size() + LOAD_LIMIT)
             finder.origins = origins
+        began = time.monotonic()
         event = stage.handle(command)
+        if isinstance(event, Ready):
+            event = replace(event, took=time.monotonic() - began)
         if isinstance(command, Load):
             _limit_memory(_size() + MEMORY_LIMIT)
         if event is None:

@@ -12,13 +12,19 @@ from collections.abc import Callable
 from swarmd.errors import CodecError
 from swarmd.frames import Event, Failed, Ready, Refused, Tried
 from swarmd.framing import decode_event
+from swarmd.hosting import LOAD_TIMEOUT
 from swarmd.hostprocess import HostProcess, Owner, why_it_ended
 
 
 def outcome(event: Event | None) -> str:
-    """What a load's answer says of the code: empty if it was loaded, else why not."""
+    """What a load's answer says of the code: empty if it was loaded, else why not.
+
+    What takes longer than a run waits for could not be run again.
+    """
     if isinstance(event, Ready):
-        return ""
+        is_late = event.took >= LOAD_TIMEOUT
+        text = f"loading took {event.took:.1f} s; a run waits for {LOAD_TIMEOUT:.0f} s"
+        return text if is_late else ""
     return event.text if isinstance(event, Refused | Failed) else "it gave no answer to a load"
 
 
