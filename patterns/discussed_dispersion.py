@@ -23,6 +23,8 @@ from swarmd.api import (
     Platform,
     Scalar,
     Ties,
+    TopSpeed,
+    TopTurn,
     Unstick,
     Value,
     about,
@@ -97,26 +99,8 @@ class DiscussedDispersionParams(Params, frozen=True):
             source="ours: the original drives at full speed for ever",
         ),
     ] = "settling"
-    speed: Annotated[
-        float,
-        about(
-            "highest speed",
-            ge=0.0,
-            le=2.0,
-            unit="m/s",
-            source="ROS2swarm: the platform's limit, 0.5 m/s at most",
-        ),
-    ] = 0.2
-    turn: Annotated[
-        float,
-        about(
-            "highest turn rate",
-            ge=0.0,
-            le=4.0,
-            unit="rad/s",
-            source="ROS2swarm: the platform's limit",
-        ),
-    ] = 1.82
+    speed: TopSpeed = 0.2
+    turn: TopTurn = 1.82
     unstick: Unstick = False
 
     def __post_init__(self) -> None:

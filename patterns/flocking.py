@@ -36,6 +36,8 @@ from swarmd.api import (
     Platform,
     Scalar,
     Scan,
+    TopSpeed,
+    TopTurn,
     Twist,
     Unstick,
     Value,
@@ -74,33 +76,14 @@ class FlockingParams(Params, frozen=True):
             source="ours: the original takes a robot seen whole for a wall, and splits",
         ),
     ] = "elastic"
-    speed: Annotated[
-        float,
-        about(
-            "highest speed",
-            ge=0.0,
-            le=2.0,
-            unit="m/s",
-            source="ROS2swarm: the platform's limit, 0.5 m/s at most",
-        ),
-    ] = 0.2
-    turn: Annotated[
-        float,
-        about(
-            "highest turn rate",
-            ge=0.0,
-            le=4.0,
-            unit="rad/s",
-            source="ROS2swarm: the platform's limit",
-        ),
-    ] = 1.82
+    speed: TopSpeed = 0.2
+    turn: TopTurn = 1.82
     cruise: Annotated[
         float,
         about(
             "share of the highest speed at which it drives where nothing pulls or pushes",
             ge=0.0,
             le=1.0,
-            unit="1",
             source="ours: who lags behind has the rest to catch up",
         ),
     ] = 0.6
@@ -140,7 +123,6 @@ class FlockingParams(Params, frozen=True):
             "share of the highest speed by which a full force along the heading changes it",
             ge=0.0,
             le=10.0,
-            unit="1",
             source="Ferrante et al. 2012, K1; the value: ours",
         ),
     ] = 1.2

@@ -11,7 +11,7 @@ from swarmd.errors import ConfigError, PluginError
 from swarmd.fields import FieldKind, FieldResult, field_twist, potential_field
 from swarmd.formation import place_on_circle, place_on_line, radius_of
 from swarmd.forming import FormationParams, FormationPattern
-from swarmd.params import P, Params, Unstick, about
+from swarmd.params import P, Params, TopSpeed, TopTurn, Unstick, about
 from swarmd.rays import Gap, Ray, RayClusters, closest_points, clusters, gaps, nearest, sectors
 from swarmd.steering import from_base, keep_clear, steer
 from swarmd.values import (
@@ -63,6 +63,8 @@ __all__ = [
     "Scalar",
     "Scan",
     "Ties",
+    "TopSpeed",
+    "TopTurn",
     "TouchZone",
     "Twist",
     "Unstick",

@@ -17,7 +17,7 @@ import numpy as np
 from swarmd.behavior import Context, MovementPattern
 from swarmd.errors import ConfigError
 from swarmd.formation import Sightings, bodies, from_pose, to_base
-from swarmd.params import Params, Unstick, about
+from swarmd.params import Params, TopSpeed, TopTurn, Unstick, about
 from swarmd.rays import closest_points
 from swarmd.steering import from_base, keep_clear, steer
 from swarmd.values import ZERO, Array, Inputs, Platform, Pose, Scalar, Scan, Twist, Value
@@ -42,26 +42,8 @@ class FormationParams(Params, frozen=True, kw_only=True):
             source="ours",
         ),
     ] = "auto"
-    speed: Annotated[
-        float,
-        about(
-            "highest speed",
-            ge=0.0,
-            le=2.0,
-            unit="m/s",
-            source="as dispersion: the platform's limit, 0.5 m/s at most",
-        ),
-    ] = 0.2
-    turn: Annotated[
-        float,
-        about(
-            "highest turn rate",
-            ge=0.0,
-            le=4.0,
-            unit="rad/s",
-            source="as dispersion: the platform's limit",
-        ),
-    ] = 1.82
+    speed: TopSpeed = 0.2
+    turn: TopTurn = 1.82
     spacing: Annotated[
         float,
         about(
