@@ -87,6 +87,7 @@ def _about(row: Row) -> list[tuple[str, str]]:
         ("says", ", ".join(channels) or NOTHING),
         ("rate", f"{row['rate']:g} Hz"),
         ("touches", f"{row['touches']}, if granted" if row["touches"] else NOTHING),
+        *([("refused", f"{row['refused']} (on {row['platform']})")] if row["refused"] else []),
     ]
 
 
