@@ -6,6 +6,7 @@ and another child is asked for those that are left.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import selectors
@@ -79,12 +80,12 @@ def _read(stream: IO[bytes], patience: float) -> tuple[list[Row], Row | None]:
     rows: list[Row] = []
     begun: Row | None = None
     for line in lines(stream, patience):
-        message: Row = json.loads(line)
+        message = message_of(line)
         if "end" in message:
             return rows, None
         if "begin" in message:
             begun = message
-        else:
+        elif "name" in message:
             rows.append(message)
             begun = None
     return rows, begun
@@ -104,6 +105,15 @@ def lines(stream: IO[bytes], patience: float) -> Iterator[bytes]:
             if whole:
                 deadline = time.monotonic() + patience
             yield from whole
+
+
+def message_of(line: bytes) -> Row:
+    """What a line says; nothing if it is none of ours: plugin code may write where we do."""
+    with contextlib.suppress(ValueError):
+        message = json.loads(line)
+        if isinstance(message, dict):
+            return message
+    return {}
 
 
 def is_running(child: subprocess.Popen[bytes]) -> bool:

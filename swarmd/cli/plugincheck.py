@@ -6,7 +6,6 @@ another child goes on behind it.
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -14,9 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, Any
+from typing import IO
 
-from swarmd.cli.catalog import is_running, lines
+from swarmd.cli.catalog import is_running, lines, message_of
 from swarmd.errors import PluginError
 from swarmd.processes import how_it_ended
 
@@ -81,9 +80,9 @@ def _ask(path: Path, done: Sequence[str], patience: float, log: IO[bytes]) -> _H
             child.kill()
     if heard.is_over:
         return heard
-    if heard.begun is None:
-        raise PluginError(f"the process that checks {path} {how_it_ended(child.returncode)}")
     how = f"is not done after {patience:g} s" if hangs else how_it_ended(child.returncode)
+    if heard.begun is None:
+        raise PluginError(f"the process that checks {path} {how}")
     heard.points.append(Point(heard.begun, False, f"the process that checks it {how}"))
     return heard
 
@@ -91,17 +90,17 @@ def _ask(path: Path, done: Sequence[str], patience: float, log: IO[bytes]) -> _H
 def _read(stream: IO[bytes], patience: float) -> _Heard:
     heard = _Heard([], [])
     for line in lines(stream, patience):
-        message: dict[str, Any] = json.loads(line)
+        message = message_of(line)
         if "seen" in message:
             heard.seen.append(message["seen"])
         elif "begin" in message:
             heard.begun = message["begin"]
         elif "point" in message:
-            error = message["error"]
+            error = message.get("error")
             text = error if error is not None else message.get("text", "")
-            heard.points.append(Point(message["point"], error is None, text))
+            heard.points.append(Point(str(message["point"]), error is None, str(text)))
             heard.begun = None
-        else:
+        elif "end" in message:
             heard.is_over = True
             return heard
     return heard

@@ -11,8 +11,9 @@ from pathlib import Path
 import pytest
 
 from swarmd.cli import cli, run_cli
+from swarmd.cli.catalog import describe_patterns
 from swarmd.cli.plugincheck import LEAVES, PRINTS, Point, check_file
-from swarmd.errors import SwarmError
+from swarmd.errors import PluginError, SwarmError
 from swarmd.plugins import pattern_names
 from swarmd.testing.checking import LOADING, MIRRORED
 from swarmd.testing.pattern_contract import PatternContract
@@ -234,3 +235,25 @@ def test_reload_wants_a_pattern_and_targets(capsys: pytest.CaptureFixture[str]) 
     assert "plugin reload needs targets" in capsys.readouterr().err
     assert swarmctl("plugin", "reload", "../own", "--all") == 2
     assert "'../own' is no pattern's name" in capsys.readouterr().err
+
+
+WRITES_ALL_OVER = r"""
+import os
+for number in range(3, 9):
+    try:
+        os.write(number, b"junk\n[1]\n{}\n")
+    except OSError:
+        pass
+"""
+
+
+def test_a_file_that_writes_into_the_answer_is_checked_all_the_same(tmp_path: Path) -> None:
+    points = checked(tmp_path, top=WRITES_ALL_OVER)
+    assert set(points) >= set(POINTS)
+    (row,) = describe_patterns(("own",), tmp_path, "burger")
+    assert row["kind"] == "movement"
+
+
+def test_a_check_that_does_not_begin_is_told_as_such(tmp_path: Path) -> None:
+    with pytest.raises(PluginError, match=r"the process that checks .* is not done after 0\.001 s"):
+        checked(tmp_path, patience=0.001)
