@@ -23,17 +23,23 @@ class Node(ABC):
     def __init__(self, element: Element) -> None:
         self.name = element.name
         self.over = ""
+        self._is_new = True
         self._watch = None if element.until is None else Watch(element.until)
 
     def begin(self, now: float) -> None:
         """It starts, or starts anew."""
         self.over = ""
+        self._is_new = True
         if self._watch is not None:
             self._watch.begin(now)
 
     def check(self, facts: Facts) -> str:
-        """Why it has ended, also by its own condition; to be asked before each step."""
-        if not self.over and self._watch is not None and self._watch.is_met(facts):
+        """Why it has ended, also by its own condition; to be asked before each step.
+
+        Before its first step it has not: what its parts last reported is from another time.
+        """
+        is_new, self._is_new = self._is_new, False
+        if self._watch is not None and not self.over and self._watch.is_met(facts) and not is_new:
             self.over = str(self._watch.condition)
         return self.over
 
@@ -76,13 +82,10 @@ class _Sequence(Node):
         self._steps[0].begin(now)
 
     def step(self, stepper: Stepper, inputs: Inputs, facts: Facts) -> Twist | None:
-        for _ in self._steps:
-            if not self._steps[self._index].check(facts):
-                break
+        if self._steps[self._index].check(facts):
             if not self._advance(facts.now):
                 return None
-        else:
-            return None  # all of them end at once, over and over
+            self._steps[self._index].check(facts)  # its first, which ends nothing
         current = self._steps[self._index]
         twist = current.step(stepper, inputs, facts)
         if current.over and self._is_last and self._then != "repeat":

@@ -46,6 +46,17 @@ def test_steps_of_a_sequence_follow_each_other_and_parts_keep_their_memory(tmp_p
     assert "other.steps" not in found[-1].report
 
 
+def test_what_a_part_reported_last_time_does_not_end_its_next_turn(tmp_path: Path) -> None:
+    text = parts("go", "other") + (
+        "sequence:\n  - {part: go, until: {report: go.steps, above: 0}}\n"
+        "  - {part: other, until: {timeout: 1}}\nthen: repeat\n"
+    )
+    found = steps(made(tmp_path, text), 0.0, 0.1, 0.5, 1.1, 1.2, 1.3, 2.2)
+    phases = [one.report["phase"] for one in found]
+    assert phases == ["go", "other", "other", "go", "other", "other", "go"]
+    assert [one.report.get("go.steps") for one in found] == [1, None, None, 2, None, None, 3]
+
+
 def test_a_mission_ends_after_its_last_step_and_says_why(tmp_path: Path) -> None:
     text = parts("go") + "sequence: [{part: go, until: {nearer: 0.5}}]\nthen: end\n"
     mission = made(tmp_path, text)
