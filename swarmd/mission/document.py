@@ -21,6 +21,7 @@ from swarmd.yamlfile import read
 _OWN = ("mission", "parts", "map", "report", "parameters", "unstick")
 _OF_PART = ("pattern", "params", "private")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_UNSTICK = "is of unstick, which a mission has as a whole: set it beside parts, or with -p unstick="
 _OF_MAP = ("from", "to", "values", "base", "step", "count")
 Table: TypeAlias = Mapping[Scalar, Scalar]
 
@@ -145,6 +146,8 @@ def _map(section: object, keys: Keys, document: Document) -> MapSpec | None:
     table = _table(section, keys, faults)
     if source is None or target is None or table is None:
         return None
+    if target[1] == "unstick":
+        faults.add((*keys, "to"), _UNSTICK)
     if source[0] == target[0]:
         faults.add((*keys, "to"), f"is of {source[0]} itself; wanted another part")
         return None
@@ -202,6 +205,8 @@ def _check_targets(document: Document) -> None:
     """Note parameters of parts that are set from two sides."""
     setters = {spec.target: "a map" for spec in document.maps}
     for own, reference in document.parameters.items():
+        if reference[1] == "unstick":
+            document.faults.add(("parameters", own), _UNSTICK)
         if reference in setters:
             text = f"{'.'.join(reference)} is what {setters[reference]} sets; keep one"
             document.faults.add(("parameters", own), text)

@@ -217,13 +217,17 @@ def _unstick(document: Document, kinds: Kinds) -> bool:
     """As the file says; else as those parts would have it that drive."""
     if document.unstick is not None or document.root is None:
         return bool(document.unstick)
-    driving = [kinds[name] for name in set(drivers_of(document.root)) if name in kinds]
+    driving = {name: kinds[name] for name in drivers_of(document.root) if name in kinds}
     wishes = [
-        next(f.default for f in msgspec.structs.fields(kind.params_type) if f.name == "unstick")
-        for kind in driving
+        document.parts[name].params.get("unstick", _default(kind, "unstick"))
+        for name, kind in driving.items()
         if not issubclass(kind, VotingPattern)
     ]
-    return bool(wishes) and all(wishes)
+    return bool(wishes) and all(wish is True for wish in wishes)
+
+
+def _default(kind: type[Pattern[Any]], name: str) -> Any:
+    return next(f.default for f in msgspec.structs.fields(kind.params_type) if f.name == name)
 
 
 def _channels(document: Document, kinds: Kinds) -> dict[str, type]:

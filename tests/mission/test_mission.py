@@ -215,3 +215,9 @@ def test_unstick_is_what_the_driving_parts_have_or_the_file_says(
 
 def test_who_never_moves_is_not_led_around_anything(tmp_path: Path) -> None:
     assert made(tmp_path, parts("vote") + "part: vote\n").params.unstick is False
+
+
+def test_unstick_of_a_part_that_drives_counts(tmp_path: Path) -> None:
+    text = parts("go") + "part: go\n"
+    text = text.replace("pattern: go}", "pattern: go, params: {unstick: false}}")
+    assert made(tmp_path, text).params.unstick is False
