@@ -65,7 +65,7 @@ def _serve(guardian: socket.socket) -> None:
         command, origins = decode_command(frame)
         if isinstance(command, Load):
             _limit_memory(_size() + LOAD_LIMIT)
-            finder.origins = origins
+            finder.begin(origins)
         began = time.monotonic()
         event = stage.handle(command)
         if isinstance(event, Ready):

@@ -22,8 +22,14 @@ class Finder:
 
     def __init__(self, origins: Mapping[str, tuple[str, bool]]) -> None:
         self.origins = origins
+        self._files: dict[Path, type[Pattern[Any]]] | None = None
         self._missions: dict[tuple[Path, int, int], type[Pattern[Any]]] = {}
         self._open: list[str] = []
+
+    def begin(self, origins: Mapping[str, tuple[str, bool]]) -> None:
+        """A load begins: files are read as they are now, and each of them once until the next."""
+        self.origins, self._files = origins, {}
+        self._missions.clear()
 
     def __call__(self, name: str) -> type[Pattern[Any]]:
         """The class; PluginError if there is none of that name, or not exactly one.
@@ -35,7 +41,14 @@ class Finder:
         value, is_file = self.origins[name]
         if is_file and value.endswith(MISSION):
             return self._mission(name, Path(value))
-        return _from_file(Path(value)) if is_file else _from_entry_point(name, value)
+        return self._file(Path(value)) if is_file else _from_entry_point(name, value)
+
+    def _file(self, path: Path) -> type[Pattern[Any]]:
+        if self._files is None:
+            return _from_file(path)
+        if path not in self._files:
+            self._files[path] = _from_file(path)
+        return self._files[path]
 
     def _mission(self, name: str, path: Path) -> type[Pattern[Any]]:
         from swarmd.mission.mission import mission_class  # few hosts run one
