@@ -49,7 +49,7 @@ def copy_tree(tree: Path) -> None:
 def failing(tree: Path, tests: Sequence[str]) -> tuple[int, list[str]]:
     """The exit code of these tests in a tree, and the names of those that failed."""
     command = [sys.executable, "-m", "pytest", *tests, "-q", "--tb=no"]
-    command += ["-p", "no:cacheprovider"]
+    command += ["-p", "no:cacheprovider", "--timeout=900"]  # what is wrong may take long to end
     command += ["--hypothesis-profile=mutants"] * ("tests/protection" in tests)
     command += [f"--ignore=tests/protection/{name}" for name in LEFT_OUT]
     environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
