@@ -26,7 +26,8 @@ from swarmd.errors import SwarmError
 ROOT = Path(__file__).resolve().parent.parent
 COPIED = (
     *("swarmd", "patterns", "drivers", "sim", "config", "benchmarks", "pyproject.toml"),
-    *("tests/protection", "tests/outcomes", "tests/test_votes.py", "tests/test_voting.py"),
+    *("tests/protection", "tests/outcomes", "tests/patterns", "tests/test_votes.py"),
+    "tests/test_voting.py",
 )
 MUTANTS = (*OF_PROTECTION, *OF_PATTERNS)
 # Whole rides and swarms take longest, and show least of which mechanism it was.

@@ -42,10 +42,12 @@ def _outcome(what: str, wanted: str, values: tuple[float, ...], is_reached: bool
 
 
 _PATH, _TESTS = "patterns/attraction.py", "tests/outcomes/test_attraction.py"
+# What packs a group shows in a swarm only after minutes, and then by some centimetres.
+_UNITS = "tests/patterns/test_attraction.py"
 
 
-def _mutant(mechanism: str, change: str, old: str, new: str) -> Mutant:
-    return Mutant(f"attraction: {mechanism}", change, _PATH, old, new, tests=_TESTS)
+def _mutant(mechanism: str, change: str, old: str, new: str, tests: str = _TESTS) -> Mutant:
+    return Mutant(f"attraction: {mechanism}", change, _PATH, old, new, tests=tests)
 
 
 MUTANTS = (
@@ -72,11 +74,13 @@ MUTANTS = (
         "who has come to rest stays",
         'is_bored = is_going == "settled" and not is_woken',
         "is_bored = False and not is_woken",
+        _UNITS,
     ),
     _mutant(
         "rest",
         "it is never settled",
         'return "gather" if is_woken else "settled"',
         'return "roll"',
+        _UNITS,
     ),
 )
