@@ -48,6 +48,13 @@ WRONG = (
     ("{timeout: 20}", "{settled: vote.opinon, for: 2}", 8, "no report 'opinon'"),
     ("{timeout: 20}", "{settled: opinion, for: 2}", 8, "'opinion' is no PART.KEY"),
     (", until: {timeout: 20}", "", 8, "sequence[0]: never ends, and more steps follow"),
+    ("part: vote, until: {timeout: 20}", "sequence: [vote], then: stay", 8, "never ends, and more"),
+    (
+        "part: vote, until: {timeout: 20}",
+        "sequence: [{part: vote, until: {timeout: 20}}], then: repeat",
+        8,
+        "sequence[0]: never ends, and more steps follow",
+    ),
     ("part: vote,", "part: vot,", 8, "sequence[0]: no part 'vot'"),
     (", drives: go", "", 9, "sequence[1].drives: is missing; wanted the part that drives"),
     ("drives: go", "drives: og", 9, "no item 'og'; there are: go, vote (or nobody)"),

@@ -221,3 +221,40 @@ def test_unstick_of_a_part_that_drives_counts(tmp_path: Path) -> None:
     text = parts("go") + "part: go\n"
     text = text.replace("pattern: go}", "pattern: go, params: {unstick: false}}")
     assert made(tmp_path, text).params.unstick is False
+
+
+def test_a_sequence_that_repeats_goes_on_when_its_last_part_is_done(tmp_path: Path) -> None:
+    text = parts("brief") + "sequence: [{part: brief, until: {timeout: 9}}]\nthen: repeat\n"
+    found = steps(made(tmp_path, text), 0.0, 0.1, 0.2, 0.3, 0.4)
+    assert [one.done for one in found] == [None] * 5
+    assert [one.report["brief.count"] for one in found] == [1, 2, 3, 4, 5]
+
+
+def test_a_branch_begins_anew_whenever_it_is_chosen_and_stands_when_it_has_ended(
+    tmp_path: Path,
+) -> None:
+    text = parts("go", "other") + (
+        "switch: [{when: {nearer: 0.5}, part: go, until: {timeout: 1}}, other]\n"
+    )
+    mission = made(tmp_path, text)
+    for begin in (100.0, 200.0):
+        near = steps(mission, begin, begin + 0.9, begin + 1.0, begin + 5.0, range_=0.4)
+        assert speeds(near) == [0.2, 0.2, None, None]
+        assert speeds(steps(mission, begin + 6.0)) == [0.9]
+
+
+def test_times_of_a_switch_and_of_what_runs_in_parallel_begin_with_them(tmp_path: Path) -> None:
+    text = parts("vote", "go", "other") + (
+        "sequence:\n  - {part: vote, until: {timeout: 5}}\n"
+        "  - {parallel: [{part: go, until: {timeout: 2}}, vote], drives: go, until: {timeout: 3}}\n"
+        "  - {switch: [{when: {timeout: 2}, part: other}, {part: go}]}\nthen: stay\n"
+    )
+    found = steps(made(tmp_path, text), 100.0, 105.0, 106.9, 107.0, 108.0, 109.9, 110.0)
+    assert speeds(found) == [None, 0.2, 0.2, None, 0.2, 0.2, 0.9]
+
+
+def test_parameters_are_what_they_were_set_to(tmp_path: Path) -> None:
+    mission = made(tmp_path, parts("go") + "part: go\nparameters: {speed: go.speed}\n")
+    mission.update(msgspec.structs.replace(mission.params, speed=0.4))
+    assert getattr(mission.params, "speed") == 0.4  # noqa: B009
+    assert speeds(steps(mission, 0.0)) == [0.4]
