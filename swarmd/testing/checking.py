@@ -14,6 +14,7 @@ import resource
 import sys
 import traceback
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import FrameType
 from typing import IO, Any
@@ -54,6 +55,8 @@ def main() -> None:
 
 def _check(path: Path, done: frozenset[str], answer: IO[str]) -> None:
     def say(line: dict[str, Any]) -> None:
+        with suppress(OSError, ValueError):  # the file may have closed it
+            sys.stdout.flush()  # whoever asks ends this process after the last line
         print(json.dumps(line), file=answer, flush=True)
 
     _watch(str(path), lambda text: say({"seen": text}))
