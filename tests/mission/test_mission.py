@@ -8,10 +8,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
+from swarmd.behavior import Pattern
 from swarmd.errors import ConfigError
-from swarmd.params import schema
+from swarmd.params import Params, schema
 from swarmd.values import Inputs, Message, Outputs, Twist
-from tests.mission.company import PLATFORM, made, mission_of, steps
+from tests.mission.company import PLATFORM, Brief, Vote, made, mission_of, steps
 
 PARTS = """
 mission: Tried out
@@ -258,3 +259,26 @@ def test_parameters_are_what_they_were_set_to(tmp_path: Path) -> None:
     mission.update(msgspec.structs.replace(mission.params, speed=0.4))
     assert getattr(mission.params, "speed") == 0.4  # noqa: B009
     assert speeds(steps(mission, 0.0)) == [0.4]
+
+
+def test_it_is_stepped_as_often_as_the_quickest_of_its_parts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Brief, "rate", 25.0)
+    text = parts("go", "brief") + "parallel: [go, brief]\ndrives: go\n"
+    assert mission_of(tmp_path, text).rate == 25.0
+
+
+def test_a_value_that_only_a_change_refuses_is_a_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(self: Pattern[Params], params: Params) -> None:
+        raise ConfigError("not while it runs")
+
+    monkeypatch.setattr(Vote, "update", refuse)
+    text = parts("vote", "brief") + (
+        "map: [{from: brief.count, to: vote.window, values: {a: 1.0}}]\n"
+        "parallel: [vote, brief]\ndrives: brief\n"
+    )
+    with pytest.raises(ConfigError, match=r"tried.yaml:5: .* sets vote.window to 1.0 .* not while"):
+        made(tmp_path, text)
