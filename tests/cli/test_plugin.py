@@ -256,4 +256,4 @@ def test_a_file_that_writes_into_the_answer_is_checked_all_the_same(tmp_path: Pa
 
 def test_a_check_that_does_not_begin_is_told_as_such(tmp_path: Path) -> None:
     with pytest.raises(PluginError, match=r"the process that checks .* is not done after 0\.001 s"):
-        checked(tmp_path, patience=0.001)
+        checked(tmp_path, 0.001, top="import threading\nthreading.Event().wait(60)")
