@@ -264,8 +264,11 @@ def main(arguments: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
+    unknown = [one for one in sys.argv[1:] if one.startswith("-") and one != "--draw"]
     try:
-        if sys.argv[1:2] == ["exp2"]:
+        if unknown:  # such as --help
+            print(__doc__)
+        elif sys.argv[1:2] == ["exp2"]:
             paper_exp2.main(sys.argv[2:])
         else:
             main(sys.argv[1:])
