@@ -26,12 +26,11 @@ from swarmd.frames import (
     Try,
 )
 from swarmd.frames import Event as HostEvent
-from swarmd.hosting import LOAD_TIMEOUT, SILENT_AFTER, Hosting
+from swarmd.hosting import LOAD_TIMEOUT, SILENT_AFTER, Hosting, Trying
 from swarmd.latches import Latches, LatchRecord
 from swarmd.messages import Code, Epoch, Event, Latch, Reason, Reply, Request, State
 from swarmd.outbox import Outbox
 from swarmd.protection.moment import NO_PERMIT, Permit
-from swarmd.reloading import Trial, end_trial
 from swarmd.supervisor import Event as Change
 from swarmd.supervisor import Supervisor
 from swarmd.touch import in_force
@@ -84,7 +83,7 @@ class Conduct:
         self.report: Mapping[str, Scalar] = {}
         self.events: deque[Event] = deque(maxlen=EVENTS)
         self.params_request: tuple[Request, float] | None = None
-        self.trial: Trial | None = None
+        self.trial: Trying | None = None
         self.hold_since: float | None = None
         self.mistyped = 0
         self._last_fault = ""
@@ -275,7 +274,7 @@ class Conduct:
             self._cancel_load(reason, turn)
             self.hosting.end()
         if change in _ENDS_TRIAL:
-            end_trial(self, f"{reason} while the new code was being tried", turn)
+            self.end_trial(f"{reason} while the new code was being tried", turn)
         if self.params_request is not None:
             overtaken, self.params_request = self.params_request[0], None
             self.reply(turn, overtaken, Code.REFUSED, f"{reason} before the pattern answered")
@@ -284,6 +283,14 @@ class Conduct:
         self.supervisor.apply(change, reason, detail[:LINE], turn.now)
         if self.supervisor.state is not before:
             self.note(f"{self.supervisor.state} ({reason}) {detail}".rstrip(), turn.now)
+
+    def end_trial(self, text: str, turn: Turn) -> None:
+        """Nothing comes of the trial under way, if there is one; what runs is left alone."""
+        trial, self.trial = self.trial, None
+        if trial is not None:
+            turn.trial = Cancel(text)
+            self.note(f"{trial.pattern} not reloaded: {text}", turn.now)
+            self.reply(turn, trial.request, Code.REFUSED, text)
 
     def _cancel_load(self, reason: Reason, turn: Turn) -> None:
         loading = self.hosting.loading

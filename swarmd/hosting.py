@@ -46,6 +46,16 @@ class Loading:
     until: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Trying:
+    """New code that is being tried, since when, and who asked for it."""
+
+    generation: int
+    pattern: str
+    since: float
+    request: Request
+
+
 @dataclass(slots=True, eq=False)
 class Running:
     """The pattern in force. `touch`: where it may touch what is near."""

@@ -7,28 +7,15 @@ force. Until that is done nothing else changes; a stop, or a trial that fails, l
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from swarmd.conduct import Conduct, Turn
 from swarmd.frames import Cancel, Kill, Layers, Tried, Try
+from swarmd.hosting import Trying
 from swarmd.messages import Code, Reason, Request
 from swarmd.supervisor import Event as Change
 from swarmd.values import Scalar
 
-if TYPE_CHECKING:
-    from swarmd.conduct import Conduct, Turn
-
 TRIAL_TIMEOUT = 10.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Trial:
-    """Code that is being tried, since when, and who asked for it."""
-
-    generation: int
-    pattern: str
-    since: float
-    request: Request
 
 
 def under_way(conduct: Conduct) -> str:
@@ -37,16 +24,6 @@ def under_way(conduct: Conduct) -> str:
     if loading is not None and loading.request is not None:
         return f"still loading {loading.pattern}, by {loading.request.operator}"
     return f"still trying {trial.pattern}, by {trial.request.operator}" if trial else ""
-
-
-def end_trial(conduct: Conduct, text: str, turn: Turn) -> None:
-    """Nothing comes of the trial under way, if there is one; what runs is left alone."""
-    trial, conduct.trial = conduct.trial, None
-    if trial is None:
-        return
-    turn.trial = Cancel(text)
-    conduct.note(f"{trial.pattern} not reloaded: {text}", turn.now)
-    conduct.reply(turn, trial.request, Code.REFUSED, text)
 
 
 class Reloading:
@@ -75,7 +52,7 @@ class Reloading:
         is_running = running is not None and running.pattern == pattern
         params = running.params if running is not None and is_running else {}
         self._trials += 1
-        conduct.trial = Trial(self._trials, pattern, turn.now, request)
+        conduct.trial = Trying(self._trials, pattern, turn.now, request)
         turn.trial = Try(conduct.load_of(self._trials, pattern, self._layers(pattern, params)))
 
     def on_tried(self, event: Tried, turn: Turn) -> None:
@@ -84,7 +61,7 @@ class Reloading:
         if trial is None or event.generation != trial.generation:
             return
         if event.text:
-            end_trial(conduct, event.text, turn)
+            conduct.end_trial(event.text, turn)
             return
         conduct.trial = None
         hosting, state = conduct.hosting, conduct.supervisor.state
@@ -106,9 +83,9 @@ class Reloading:
         trial = self._conduct.trial
         if trial is not None and turn.now - trial.since >= TRIAL_TIMEOUT:
             text = f"{trial.pattern}: loading took more than {TRIAL_TIMEOUT:.0f} s"
-            end_trial(self._conduct, text, turn)
+            self._conduct.end_trial(text, turn)
 
-    def _replace(self, trial: Trial, turn: Turn) -> None:
+    def _replace(self, trial: Trying, turn: Turn) -> None:
         """Stop what runs and its host; run the new code in a fresh one if that was asked for."""
         conduct, request = self._conduct, trial.request
         hosting = conduct.hosting
