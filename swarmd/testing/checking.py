@@ -57,6 +57,7 @@ def _check(path: Path, done: frozenset[str], answer: IO[str]) -> None:
     def say(line: dict[str, Any]) -> None:
         with suppress(OSError, ValueError):  # the file may have closed it
             sys.stdout.flush()  # whoever asks ends this process after the last line
+            sys.stderr.flush()
         print(json.dumps(line), file=answer, flush=True)
 
     _watch(str(path), lambda text: say({"seen": text}))
