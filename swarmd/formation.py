@@ -37,6 +37,8 @@ _PIECES = 0.45
 # farther from it than so many m, and than so much of its distance: then it has moved.
 _MEMORY = 20
 _MOVED, _MOVED_SHARE = 0.06, 0.08
+# s for which one that is heard and no longer sensed is taken to stay where it was.
+_PATIENCE = 2.0
 
 
 def place_on_line(others: Array, spacing: float) -> Array:
@@ -151,10 +153,11 @@ def from_pose(point: Array, pose: Pose) -> Array:
 
 @dataclass(slots=True)
 class _Sighting:
-    """What was sensed of a neighbour last, and where it is by all that counts of it, x + iy."""
+    """What was sensed of a neighbour last, when, and where it is by all that counts of it, x + iy."""
 
     sensed: tuple[float, float]
     place: complex
+    at: float
     count: int = 1
 
 
@@ -162,37 +165,41 @@ class Sightings:
     """Where neighbours are that are sensed seldom and with noise, while the robot moves.
 
     Each new range and bearing is put into the odometry frame as it comes; what is sensed again and
-    again in one place is averaged.
+    again in one place is averaged. Who is heard but not sensed now and then stays where it was.
     """
 
     def __init__(self) -> None:
         self._known: dict[str, _Sighting] = {}
 
-    def update(self, neighbors: Sequence[Neighbor], pose: Pose, reach: float) -> Array:
+    def update(self, neighbors: Sequence[Neighbor], pose: Pose, reach: float, now: float) -> Array:
         """The neighbours' positions (k, 2), of those within `reach` m, as seen from `pose` now."""
         known, found = self._known, []
         self._known = {}
         here, heading = complex(pose.x, pose.y), cmath.rect(1.0, pose.yaw)
         for neighbor in neighbors:
             distance, bearing = neighbor.distance, neighbor.bearing
-            if distance is None or bearing is None or not 0.0 <= distance <= reach:
-                continue
-            if not math.isfinite(bearing):
-                continue
             sighting = known.get(neighbor.id)
-            if sighting is None or sighting.sensed != (distance, bearing):
-                place = here + heading * cmath.rect(distance, bearing)
-                sighting = _again(sighting, (distance, bearing), place)
+            if distance is not None and bearing is not None and math.isfinite(distance + bearing):
+                if not 0.0 <= distance <= reach:
+                    continue
+                if sighting is None or sighting.sensed != (distance, bearing):
+                    place = here + heading * cmath.rect(distance, bearing)
+                    sighting = _again(sighting, (distance, bearing), place, now)
+                sighting.at = now
+            elif sighting is None or now - sighting.at > _PATIENCE:
+                continue
             self._known[neighbor.id] = sighting
             found.append((sighting.place - here) * heading.conjugate())
         return np.array(found, dtype=np.complex128).view(np.float64).reshape(-1, 2)
 
 
-def _again(old: _Sighting | None, sensed: tuple[float, float], place: complex) -> _Sighting:
+def _again(
+    old: _Sighting | None, sensed: tuple[float, float], place: complex, now: float
+) -> _Sighting:
     if old is None or abs(old.place - place) > _MOVED + _MOVED_SHARE * sensed[0]:
-        return _Sighting(sensed, place)
+        return _Sighting(sensed, place, now)
     count = min(old.count + 1, _MEMORY)
-    return _Sighting(sensed, old.place + (place - old.place) / count, count)
+    return _Sighting(sensed, old.place + (place - old.place) / count, now, count)
 
 
 def _with_itself(others: Array) -> Array:

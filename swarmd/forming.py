@@ -69,10 +69,10 @@ class FormationParams(Params, frozen=True, kw_only=True):
         float,
         about(
             "a robot that rests moves once its place among the others is farther off",
-            ge=0.001,
+            ge=0.03,
             le=10.0,
             unit="m",
-            source="ours: 0.07 times the spacing",
+            source="ours: 0.07 times the spacing; what is less than noise lets nobody rest",
         ),
     ] = 0.077
     clearance: Annotated[
@@ -198,7 +198,7 @@ class FormationPattern(MovementPattern[F]):
             reach = params.clearance + params.brake + math.hypot(*offset)
             self._points = from_base(closest_points(scan, within=reach), offset)
         if not self._by_lidar:
-            others = self._sightings.update(inputs.neighbors, pose, params.range)
+            others = self._sightings.update(inputs.neighbors, pose, params.range, inputs.now)
         elif is_new:
             reach = min(params.range, scan.range_max)
             others = bodies(scan, reach=reach, width=params.object_width, offset=offset)
@@ -231,13 +231,16 @@ class FormationPattern(MovementPattern[F]):
 
 def check_spacing(params: FormationParams, platform: Platform) -> None:
     """ConfigError if protection, or the pattern's own clearance, forbids the spacing."""
-    threshold = float(platform.protection["threshold"])
-    least = max(threshold, params.clearance)
-    if params.spacing <= least:
-        whose = "its clearance" if least > threshold else f"the protection of {platform.name}"
+    threshold = float(platform.protection["threshold"]) + math.hypot(*platform.scan.offset)
+    half = 0.5 * float(np.ptp(platform.footprint, axis=0).max())
+    if params.spacing <= max(threshold, params.clearance) + half:
+        whose = "the clearance"
+        if threshold > params.clearance:
+            whose = f"what the protection of {platform.name} keeps"
+        least = max(threshold, params.clearance) + half
         raise ConfigError(
-            f"parameter spacing is {params.spacing:g} m; wanted is more than {least:g} m, the "
-            f"distance that {whose} keeps anyway"
+            f"parameter spacing is {params.spacing:g} m; wanted is more than {least:.3g} m:"
+            f" {whose} and half a body"
         )
 
 

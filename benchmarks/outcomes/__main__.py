@@ -25,6 +25,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in options.patterns:
         if name not in MODULES:
             raise SwarmError(unknown("pattern with outcomes", name, MODULES))
+    if options.seeds < 1:
+        raise SwarmError(f"--seeds is {options.seeds}; wanted is 1 or more")
     print("| pattern | what | wanted | least / median / most | runs | reached | from |")
     print("|---|---|---|---|---|---|---|")
     missed = 0

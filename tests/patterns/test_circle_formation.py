@@ -47,6 +47,13 @@ def wish(scan: Scan, **params: Value) -> Twist:
     return twist
 
 
+def test_its_circle_leaves_the_spacing_between_the_robots() -> None:
+    pattern = Subject(CircleFormation, BURGER, {"spacing": 1.5}).make()
+    assert isinstance(pattern, CircleFormation)
+    place = pattern.place(np.array([(1.0, 1.0), (1.0, -1.0)]))
+    np.testing.assert_allclose(place, np.array((2.0 / 3.0 - 1.5 / math.sqrt(3.0), 0.0)), atol=1e-9)
+
+
 @pytest.mark.parametrize("count", [2, 3, 6, 8])
 def test_a_robot_in_its_place_stays(count: int) -> None:
     points = polygon(count, radius_of(1.1, count))

@@ -192,6 +192,16 @@ def test_the_law_of_the_paper_goes_on_turning_to_the_same_side() -> None:
     assert len({twist.angular for twist in steps if twist is not None}) == 1
 
 
+def test_the_law_of_the_paper_looks_at_each_new_scan() -> None:
+    pattern = Subject(Flocking, BURGER, {"law": "paper"}).make()
+    turns = []
+    for k, side in enumerate((90.0, -90.0, 90.0)):
+        twist = pattern.step(Inputs(0.2 * k, 0.2, _arcs([(2.0, side, 3)], 360), True)).twist
+        assert twist is not None
+        turns.append(twist.angular)
+    assert turns == [0.2, -0.2, 0.2]
+
+
 def _arcs(arcs: Sequence[tuple[float, float, int]], rays: int) -> Scan:
     """A scan that sees nothing but arcs: range in m, middle and width in degrees."""
     degrees = (np.arange(rays) + 0.5) * 360.0 / rays

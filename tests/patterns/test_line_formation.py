@@ -186,9 +186,12 @@ def test_sensing_cannot_be_set_to_what_is_lacking_while_it_runs() -> None:
 @pytest.mark.parametrize(
     ("params", "what"),
     [
-        ({"spacing": 0.5}, r"spacing is 0\.5 m; wanted is more than 0\.57"),
-        ({"spacing": 0.5, "clearance": 0.3}, r"more than 0\.5 m, the distance that the protection"),
-        ({"spacing": 0.7, "clearance": 0.8}, r"more than 0\.8 m, the distance that its clearance"),
+        ({"spacing": 0.5}, r"spacing is 0\.5 m; wanted is more than 0\.66"),
+        (
+            {"spacing": 0.5, "clearance": 0.3},
+            r"more than 0\.621 m: what the protection of burger keeps",
+        ),
+        ({"spacing": 0.7, "clearance": 0.8}, r"more than 0\.889 m: the clearance and half a body"),
     ],
 )
 def test_a_spacing_that_cannot_be_is_refused(params: dict[str, Value], what: str) -> None:
@@ -222,21 +225,37 @@ def test_of_one_that_is_half_hidden_the_middle_is_found(side: float) -> None:
 
 def test_sightings_stay_where_they_are_while_the_robot_turns_and_drives() -> None:
     sightings = Sightings()
-    once = sightings.update(seen((1.0, 0.0)), Pose(), 10.0)
+    once = sightings.update(seen((1.0, 0.0)), Pose(), 10.0, 0.0)
     np.testing.assert_allclose(once, [(1.0, 0.0)])
-    turned = sightings.update(seen((1.0, 0.0)), Pose(0.0, 0.0, math.pi / 2.0), 10.0)
+    turned = sightings.update(seen((1.0, 0.0)), Pose(0.0, 0.0, math.pi / 2.0), 10.0, 0.1)
     np.testing.assert_allclose(turned, [(0.0, -1.0)], atol=1e-12)
-    driven = sightings.update(seen((1.0, 0.0)), Pose(0.5, 0.0, 0.0), 10.0)
+    driven = sightings.update(seen((1.0, 0.0)), Pose(0.5, 0.0, 0.0), 10.0, 0.2)
     np.testing.assert_allclose(driven, [(0.5, 0.0)], atol=1e-12)
+
+
+def test_who_is_heard_and_not_sensed_for_a_moment_stays_where_it_was() -> None:
+    sightings, (there,) = Sightings(), seen((1.0, 0.0))
+    unsensed = (Neighbor(there.id, 0.1),)
+    sightings.update((there,), Pose(), 10.0, 0.0)
+    for now, count in ((0.5, 1), (2.0, 1), (2.1, 0), (2.2, 0)):
+        assert len(sightings.update(unsensed, Pose(), 10.0, now)) == count
+    assert not len(sightings.update((), Pose(), 10.0, 0.1))
+
+
+def test_its_place_is_as_far_from_the_others_as_the_spacing() -> None:
+    others = np.array([(1.0, 0.0), (2.0, 0.0)])
+    pattern = make(spacing=1.5)
+    assert isinstance(pattern, LineFormation)
+    np.testing.assert_allclose(pattern.place(others), np.array((-0.5, 0.0)), atol=1e-9)
 
 
 def test_sightings_average_noise_and_follow_who_moves() -> None:
     sightings, rng = Sightings(), np.random.default_rng(1)
     for _ in range(40):
         off = rng.normal(0.0, 0.03, 2)
-        found = sightings.update(seen((2.0 + off[0], off[1])), Pose(), 10.0)
+        found = sightings.update(seen((2.0 + off[0], off[1])), Pose(), 10.0, 0.0)
     np.testing.assert_allclose(found, [(2.0, 0.0)], atol=0.03)
-    moved = sightings.update(seen((3.0, 0.0)), Pose(), 10.0)
+    moved = sightings.update(seen((3.0, 0.0)), Pose(), 10.0, 0.0)
     np.testing.assert_allclose(moved, [(3.0, 0.0)], atol=1e-9)
 
 
