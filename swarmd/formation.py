@@ -153,7 +153,7 @@ def from_pose(point: Array, pose: Pose) -> Array:
 
 @dataclass(slots=True)
 class _Sighting:
-    """What was sensed of a neighbour last, when, and where it is by all that counts of it, x + iy."""
+    """What was sensed of a neighbour last, when, and where it is by what counts of it, x + iy."""
 
     sensed: tuple[float, float]
     place: complex
