@@ -158,7 +158,7 @@ MUTANTS: tuple[Mutant, ...] = (
         _VOTER,
         _PICK,
         "return opinions[int(self.context.rng.integers(max(len(opinions) - 1, 1)))]",
-        tests=_TESTS,
+        tests="tests/patterns/test_voter_model.py",
     ),
     Mutant(
         "voter_model: own opinion",
