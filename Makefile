@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 ARGS ?=
 
-.PHONY: help demo test check format bench paper safety mutants lock clean
+.PHONY: help demo test check format bench paper safety outcomes mutants lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -39,7 +39,11 @@ bench: $(VENV)/tools
 paper: $(VENV)/tools
 	@$(BIN)/python -m benchmarks.paper $(ARGS)
 
-# The table of docs/safety.md: which tests fail without which mechanism; ten minutes on two cores.
+# What each pattern brings about, over twenty seeds; tests/outcomes ask the same of a few.
+outcomes: $(VENV)/tools
+	@$(BIN)/python -m benchmarks.outcomes $(ARGS)
+
+# The tables of docs/safety.md and docs/patterns: which tests fail without which mechanism; ten minutes on two cores.
 mutants: $(VENV)/tools
 	@$(BIN)/python -m benchmarks.mutants $(ARGS)
 

@@ -1,8 +1,8 @@
-"""Which tests fail if one mechanism of protection is taken out: `python -m benchmarks.mutants`.
+"""Which tests fail if one mechanism is taken out, or wrong: `python -m benchmarks.mutants`.
 
-Each mutant is one textual change in a copy of the tree, in which the tests of protection are run,
-but those that are `LEFT_OUT`.
-Prints the table of docs/safety.md; ends with 1 if a mutant survives, with 2 if one does not apply.
+Each mutant is one textual change in a copy of the tree, in which its tests are run: those of
+protection, but those that are `LEFT_OUT`, or the outcomes of a pattern. Prints the table of
+docs/safety.md and docs/patterns; ends with 1 if a mutant survives, with 2 if one does not apply.
 """
 
 from __future__ import annotations
@@ -18,14 +18,21 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from benchmarks.mutations import MUTANTS, Mutant
+from benchmarks.mutations import MUTANTS as OF_PROTECTION
+from benchmarks.mutations import Mutant
+from benchmarks.outcomes.catalog import MUTANTS as OF_PATTERNS
 from swarmd.errors import SwarmError
 
 ROOT = Path(__file__).resolve().parent.parent
-COPIED = ("swarmd", "patterns", "drivers", "sim", "config", "tests/protection", "pyproject.toml")
+COPIED = (
+    *("swarmd", "patterns", "drivers", "sim", "config", "benchmarks", "pyproject.toml"),
+    *("tests/protection", "tests/outcomes", "tests/patterns", "tests/test_votes.py"),
+    "tests/test_voting.py",
+)
+MUTANTS = (*OF_PROTECTION, *OF_PATTERNS)
 # Whole rides and swarms take longest, and show least of which mechanism it was.
 LEFT_OUT = ("test_directed_rides.py", "test_directed_swarm.py")
-_FAILED = re.compile(r"^FAILED (?:tests/protection/)?(\S+?)::(\w+)", re.MULTILINE)
+_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+?)::(\w+)", re.MULTILINE)
 
 
 def copy_tree(tree: Path) -> None:
@@ -40,10 +47,11 @@ def copy_tree(tree: Path) -> None:
             shutil.copy2(source, target)
 
 
-def failing(tree: Path) -> tuple[int, list[str]]:
-    """The exit code of the tests in a tree, and the names of those that failed."""
-    command = [sys.executable, "-m", "pytest", "tests/protection", "-q", "--tb=no"]
-    command += ["--hypothesis-profile=mutants", "-p", "no:cacheprovider"]
+def failing(tree: Path, tests: Sequence[str]) -> tuple[int, list[str]]:
+    """The exit code of these tests in a tree, and the names of those that failed."""
+    command = [sys.executable, "-m", "pytest", *tests, "-q", "--tb=no"]
+    command += ["-p", "no:cacheprovider", "--timeout=900"]  # what is wrong may take long to end
+    command += ["--hypothesis-profile=mutants"] * ("tests/protection" in tests)
     command += [f"--ignore=tests/protection/{name}" for name in LEFT_OUT]
     environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
     done = subprocess.run(
@@ -55,14 +63,14 @@ def failing(tree: Path) -> tuple[int, list[str]]:
     return done.returncode, list(names)
 
 
-def try_out(mutant: Mutant | None) -> list[str]:
+def try_out(mutant: Mutant | None, tests: Sequence[str]) -> list[str]:
     """The tests that fail with a mutant, or with none, in a copy of its own."""
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder)
         copy_tree(tree)
         if mutant is not None:
             mutant.apply(tree)
-        return failing(tree)[1]
+        return failing(tree, tests)[1]
 
 
 def row(mutant: Mutant, failed: Sequence[str]) -> str:
@@ -82,8 +90,10 @@ def check() -> None:
 
 
 def chosen(words: Sequence[str]) -> list[Mutant]:
-    """The mutants whose mechanism holds one of the words; all without any."""
-    return [m for m in MUTANTS if not words or any(word in m.mechanism for word in words)]
+    """The mutants whose mechanism or tests hold one of the words; all without any."""
+    return [
+        m for m in MUTANTS if not words or any(word in f"{m.mechanism} {m.tests}" for word in words)
+    ]
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -93,9 +103,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     options = parser.parse_args(arguments)
     check()
     some: list[Mutant | None] = [None, *chosen(options.words)]
+    tests = [[mutant.tests] for mutant in some if mutant is not None]
     survivors = 0
     with ThreadPoolExecutor(options.jobs) as pool:
-        found = pool.map(try_out, some)
+        found = pool.map(try_out, some, [sorted({name for (name,) in tests}), *tests])
         whole = next(found)
         if whole:
             pool.shutdown(cancel_futures=True)

@@ -1,4 +1,4 @@
-"""The mechanisms of protection, and a textual change for each that takes it out."""
+"""What a mutant is, the mechanisms of protection, and a textual change for each."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from swarmd.errors import SwarmError
 class Mutant:
     """One mechanism, and the change in a file that takes it out: `old`, there once, gets `new`.
 
-    `also`: another old and new in the same file, of what is done in two places.
+    `also`: another old and new in the same file, of what is done in two places. `tests`: what is
+    to notice it, a folder or a file.
     """
 
     mechanism: str
@@ -21,6 +22,7 @@ class Mutant:
     old: str
     new: str
     also: tuple[str, str] | None = None
+    tests: str = "tests/protection"
 
     def apply(self, tree: Path) -> None:
         """Change the file in a tree; SwarmError if the text is not there exactly once."""
@@ -31,7 +33,7 @@ class Mutant:
             if found != 1:
                 raise SwarmError(
                     f"mutant '{self.mechanism}': {self.path} holds its text {found} times; wanted"
-                    " is once: bring benchmarks/mutations.py in step with the sources"
+                    " is once: bring it in step with the sources"
                 )
             text = text.replace(old, new)
         path.write_text(text)

@@ -1,5 +1,7 @@
 """Experiment 1 of Kaiser et al., ICRA 2022: `python -m benchmarks.paper [OUT]`, or `make paper`.
 
+Experiment 2 is `python -m benchmarks.paper exp2 [OUT]`.
+
 Runs every scenario with the original equations and with ours, with both visibilities, under the
 barrier, and once more as it was published: the original equations under the original protection.
 Writes the tables and figures of docs/paper.md to OUT. What OUT has already is not run again; with
@@ -16,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks import paper_exp2
 from swarmd.errors import SwarmError
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
@@ -261,7 +264,13 @@ def main(arguments: Sequence[str]) -> None:
 
 
 if __name__ == "__main__":
+    unknown = [one for one in sys.argv[1:] if one.startswith("-") and one != "--draw"]
     try:
-        main(sys.argv[1:])
+        if unknown:  # such as --help
+            print(__doc__)
+        elif sys.argv[1:2] == ["exp2"]:
+            paper_exp2.main(sys.argv[2:])
+        else:
+            main(sys.argv[1:])
     except SwarmError as error:
         raise SystemExit(f"error: {error}") from error

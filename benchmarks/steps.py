@@ -9,8 +9,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the pattern host
 
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from itertools import cycle
+from itertools import cycle, islice
 from statistics import median
 
 import numpy as np
@@ -22,16 +23,34 @@ from swarmd.plugins import pattern_names
 from swarmd.settings import load_platform
 from swarmd.testing.pattern_contract import Subject
 from swarmd.testing.scans import Disc, scan_from, scan_of
-from swarmd.values import Inputs, Platform, Pose, Scan
+from swarmd.values import (
+    Inputs,
+    Message,
+    Neighbor,
+    Odometry,
+    Platform,
+    Pose,
+    Scan,
+    Twist,
+)
 
 BUDGET = "p50 100 us"
 CALLS = 5000
 WARM = 500
 PAPER: Mapping[str, str] = {"law": "paper"}
+SENSING: Sequence[Mapping[str, str]] = ({"sensing": "neighbors"}, {"sensing": "lidar"})
+WINDOWS: Sequence[Mapping[str, str]] = ({}, {"windows": "sliding"}, {"windows": "rounds"})
 LAWS: Mapping[str, Sequence[Mapping[str, str]]] = {
     "attraction": ({}, PAPER),
+    "circle_formation": SENSING,
     "dispersion": ({}, PAPER),
+    "flocking": ({}, PAPER),
+    "line_formation": SENSING,
+    "majority_rule": WINDOWS,
+    "random_walk": ({}, PAPER),
+    "voter_model": WINDOWS,
 }
+OTHERS = tuple(f"tb3-{number:02}" for number in range(2, 8))
 
 
 def loop_field(scan: Scan, *, range_max: float, bias: float = 2.0) -> tuple[float, float]:
@@ -70,20 +89,40 @@ def measure(call: Callable[[], object]) -> Sequence[float]:
     return seconds
 
 
-def steps(scans: Sequence[Scan]) -> Iterator[Inputs]:
-    """A new scan at every second step, 10 Hz."""
+def steps(scans: Sequence[Scan], channels: Mapping[str, type]) -> Iterator[Inputs]:
+    """A new scan each second step, 10 Hz; six others, sensed twice and heard once a second."""
     for tick, scan in enumerate(cycle([scan for scan in scans for _ in range(2)])):
-        yield Inputs(now=0.1 * tick, dt=0.1, scan=scan, is_new_scan=tick % 2 == 0)
+        now = 0.1 * tick
+        turn = 2.0 * math.pi / len(OTHERS)
+        yield Inputs(
+            now=now,
+            dt=0.1,
+            scan=scan,
+            is_new_scan=tick % 2 == 0,
+            odometry=Odometry(now, Pose(0.01 * tick, 0.0, 0.001 * tick), Twist(0.1)),
+            neighbors=tuple(
+                Neighbor(other, 0.1, 1.0 + 0.3 * k + 0.01 * (tick // 5 % 5), turn * k)
+                for k, other in enumerate(OTHERS)
+            ),
+            messages=tuple(
+                Message(other, channel, [tick // 10, k % 3, k % 3] if kind is list else k % 3, 0.0)
+                for k, other in enumerate(OTHERS)
+                if tick % 10 == k
+                for channel, kind in channels.items()
+            ),
+        )
 
 
 def pattern_rows(scans: Sequence[Scan]) -> Iterator[Row]:
     found = pattern_names(None)
     finder = Finder({name: (origin.value, origin.is_file) for name, origin in found.items()})
     platform = load_platform("waffle_pi")
+    provides = platform.provides | {"neighbors.distance", "neighbors.bearing"}
     for name in found:
         for params in LAWS.get(name, ({},)):
-            step = Subject(finder(name), platform, params).make().step
-            timing = measure(map(step, steps(scans)).__next__)
+            pattern = Subject(finder(name), replace(platform, provides=provides), params).make()
+            inputs = cycle(tuple(islice(steps(scans, pattern.channels), CALLS + WARM)))
+            timing = measure(map(pattern.step, inputs).__next__)
             yield Row(" ".join(("step of", name, *params.values())), timing, BUDGET)
 
 

@@ -37,6 +37,8 @@ from swarmd.api import (
     Platform,
     Scalar,
     Scan,
+    TopSpeed,
+    TopTurn,
     Twist,
     Unstick,
     Value,
@@ -86,26 +88,8 @@ class AttractionParams(Params, frozen=True):
             source="ours: the original drives at full speed for ever",
         ),
     ] = "settling"
-    speed: Annotated[
-        float,
-        about(
-            "highest speed",
-            ge=0.0,
-            le=2.0,
-            unit="m/s",
-            source="ROS2swarm: the platform's limit, 0.5 m/s at most",
-        ),
-    ] = 0.2
-    turn: Annotated[
-        float,
-        about(
-            "highest turn rate",
-            ge=0.0,
-            le=4.0,
-            unit="rad/s",
-            source="ROS2swarm: the platform's limit",
-        ),
-    ] = 1.82
+    speed: TopSpeed = 0.2
+    turn: TopTurn = 1.82
     range: Annotated[
         float,
         about(

@@ -1,19 +1,21 @@
 """Random walk: straight for a random time, then a turn of random speed and duration.
 
-Source: pattern "random walk" of Kaiser et al., ICRA 2022, with the times of ROS2swarm. Ours: it
-turns away from what is ahead before protection must (`clearance` 0 switches that off), and it
-starts at once instead of after 5 s.
+Source: pattern "random walk" of Kaiser et al., ICRA 2022, with the times of ROS2swarm.
+
+Law "avoiding" is ours: it turns away from what is ahead before protection must, and it starts at
+once. Law "paper" starts after 5 s and looks at nothing, so that protection alone turns it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 
 from swarmd.api import (
+    ZERO,
     Context,
     Inputs,
     MovementPattern,
@@ -29,11 +31,20 @@ from swarmd.api import (
 
 # rad to each side of ahead: what lies further aside is passed.
 _AHEAD = math.radians(60.0)
+# s that law "paper" stands before it starts (ROS2swarm).
+_WAIT = 5.0
 
 
 class RandomWalkParams(Params, frozen=True):
-    """Speeds, times and how far ahead it looks."""
+    """The law, speeds, times and how far ahead it looks."""
 
+    law: Annotated[
+        Literal["avoiding", "paper"],
+        about(
+            "avoiding: turns away from what is ahead; paper: the original states",
+            source="ours: the original leaves walls to protection",
+        ),
+    ] = "avoiding"
     speed: Annotated[
         float,
         about(
@@ -73,7 +84,7 @@ class RandomWalkParams(Params, frozen=True):
     clearance: Annotated[
         float,
         about(
-            "turns away when something ahead is nearer; 0: never",
+            "law avoiding: turns away when something ahead is nearer; 0: never",
             ge=0.0,
             le=20.0,
             unit="m",
@@ -99,6 +110,7 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
         self._rate = 0.0
         self._until: float | None = None  # before the first step
         self._is_turning = False
+        self._begin: float | None = None
 
     @classmethod
     def defaults(cls, platform: Platform) -> Mapping[str, Value]:
@@ -111,12 +123,18 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
         }
 
     def report(self) -> Mapping[str, Scalar]:
-        """Whether it goes straight or turns."""
+        """Whether it goes straight, turns or waits to start."""
+        if self._until is None:
+            return {"state": "wait"}
         return {"state": "turn" if self._is_turning else "straight"}
 
     def drive(self, inputs: Inputs) -> Twist:
         """Straight or a turn, changing when the time is up or something is ahead."""
-        blocking = self._blocking(inputs)
+        is_original = self.params.law == "paper"
+        self._begin = inputs.now if self._begin is None else self._begin
+        if is_original and self._until is None and inputs.now < self._begin + _WAIT:
+            return ZERO
+        blocking = None if is_original else self._blocking(inputs)
         is_over = self._until is None or inputs.now >= self._until
         goes_straight = self._is_turning or self._until is None
         if goes_straight and is_over and blocking is None:

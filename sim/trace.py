@@ -34,11 +34,11 @@ _PARTS = {
 class Trace:
     """A run of n robots over T instants; row i of every (T, n, ...) array is robot `ids[i]`.
 
-    `t` (T,) s. `pose` (T, n, 3) x, y in m, yaw in rad (not wrapped), world frame, truth. `safe`
-    (T, n, 3) linear, angular, lateral: the command in force at the body. `contact_t` (c,),
-    `contact_pair` (c, 2) robot indices, the second ARENA for a wall and
-    ARENA - 1 - m for movable box m, and `contact_speed` (c, 2)
-    m/s at which each surface moved towards the other: one row for every step of a touch.
+    `t` (T,) s. `pose` (T, n, 3) x, y in m, yaw in rad (not wrapped), world frame, truth; NaN once
+    a robot's body is no longer in the arena. `safe` (T, n, 3) linear, angular, lateral: the
+    command in force at the body. `contact_t` (c,), `contact_pair` (c, 2) robot indices, the second
+    ARENA for a wall and ARENA - 1 - m for movable box m, and `contact_speed` (c, 2) m/s at which
+    each surface moved towards the other: one row for every step of a touch.
     `platforms` by name, each with its footprint (k, 2); `meta` holds arena, seed and the
     like, and `modes`: that of protection, by platform.
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from swarmd.frames import Command
+from swarmd.frames import Cancel, Command, Try
 from swarmd.latches import LatchRecord
 from swarmd.messages import Reply, Status
 from swarmd.protection.verdict import Verdict
@@ -18,7 +18,8 @@ class Actions(Struct, frozen=True, eq=False):
 
     `messages` are by `<pattern>/<channel>`. `wish_seq` is the scan that the wish behind `twist`
     used (-1: none). `is_idle` if the robot was never asked or has finished, and its base is there.
-    `replies` answer earlier requests too: run is answered when its pattern is ready.
+    `replies` answer earlier requests too: run is answered when its pattern is ready. `trial` goes
+    to whoever carries `host`, before it, and disturbs nothing that runs.
     """
 
     twist: Twist
@@ -26,6 +27,7 @@ class Actions(Struct, frozen=True, eq=False):
     wish_seq: int = -1
     is_idle: bool = False
     latches: LatchRecord | None = None
+    trial: Try | Cancel | None = None
     host: Command | None = None
     messages: Mapping[str, Value] = {}
     status: Status | None = None

@@ -9,7 +9,9 @@ from swarmd.behavior import Context, Make, MovementPattern, Pattern
 from swarmd.combined import CombinedPattern
 from swarmd.errors import ConfigError, PluginError
 from swarmd.fields import FieldKind, FieldResult, field_twist, potential_field
-from swarmd.params import P, Params, Unstick, about
+from swarmd.formation import place_on_circle, place_on_line, radius_of
+from swarmd.forming import FormationParams, FormationPattern
+from swarmd.params import P, Params, TopSpeed, TopTurn, Unstick, about
 from swarmd.rays import Gap, Ray, RayClusters, closest_points, clusters, gaps, nearest, sectors
 from swarmd.steering import from_base, keep_clear, steer
 from swarmd.values import (
@@ -40,6 +42,8 @@ __all__ = [
     "Context",
     "FieldKind",
     "FieldResult",
+    "FormationParams",
+    "FormationPattern",
     "Gap",
     "Inputs",
     "Make",
@@ -59,6 +63,8 @@ __all__ = [
     "Scalar",
     "Scan",
     "Ties",
+    "TopSpeed",
+    "TopTurn",
     "TouchZone",
     "Twist",
     "Unstick",
@@ -76,7 +82,10 @@ __all__ = [
     "keep_clear",
     "majority",
     "nearest",
+    "place_on_circle",
+    "place_on_line",
     "potential_field",
+    "radius_of",
     "sectors",
     "steer",
     "tally",

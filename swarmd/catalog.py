@@ -13,10 +13,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from swarmd.assembly import assemble
 from swarmd.behavior import MovementPattern, Pattern
 from swarmd.combined import CombinedPattern
 from swarmd.errors import SwarmError
 from swarmd.loading import Finder
+from swarmd.mission.mission import Mission
 from swarmd.params import schema
 from swarmd.plugins import pattern_names
 from swarmd.settings import load_platform
@@ -47,6 +51,9 @@ def _describe(name: str, source: str, finder: Finder, platform: Platform) -> dic
         params = schema(kind.params_type)
         derived = kind.defaults(platform)
         check_zone(name, kind.touches)
+        is_tried = issubclass(kind, Mission) and kind.needs <= platform.provides
+        is_whole = not any(spec.is_required for spec in params)
+        refused = _refusal(name, finder, platform) if is_tried and is_whole else ""
     except (Exception, SystemExit) as error:  # a plugin may raise anything
         text = str(error) if isinstance(error, SwarmError) else f"{type(error).__name__}: {error}"
         return {"name": name, "error": text, "source": source}
@@ -62,6 +69,7 @@ def _describe(name: str, source: str, finder: Finder, platform: Platform) -> dic
         "rate": kind.rate,
         "touches": None if kind.touches is None else in_words(kind.touches),
         "platform": platform.name,
+        "refused": refused,
         "params": [
             {
                 **asdict(spec),
@@ -74,7 +82,20 @@ def _describe(name: str, source: str, finder: Finder, platform: Platform) -> dic
     }
 
 
+def _refusal(name: str, finder: Finder, platform: Platform) -> str:
+    """Why a robot of that platform would refuse a mission; empty if it would not."""
+    try:
+        assemble(
+            name, (), find=finder, robot="checked", platform=platform, rng=np.random.default_rng(0)
+        )
+    except SwarmError as error:
+        return str(error)
+    return ""
+
+
 def _kind(kind: type[Pattern[Any]]) -> str:
+    if issubclass(kind, Mission):
+        return "mission"
     if issubclass(kind, CombinedPattern):
         return "combined"
     if issubclass(kind, VotingPattern):

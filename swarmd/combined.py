@@ -28,7 +28,7 @@ class CombinedPattern(Pattern[P]):
         self.parts = self.make_parts()
         self.needs = frozenset[str]().union(self.needs, *(p.needs for p in self.parts.values()))
         self.channels = {
-            _outer(part, channel): kind
+            outer_name(part, channel): kind
             for part in self.parts.values()
             for channel, kind in part.channels.items()
         }
@@ -60,7 +60,7 @@ class CombinedPattern(Pattern[P]):
     def step_part(self, name: str, inputs: Inputs) -> Outputs:
         """Step one part with its own messages and its own dt; its messages get outer names."""
         part = self.parts[name]
-        inner = {_outer(part, channel): channel for channel in part.channels}
+        inner = {outer_name(part, channel): channel for channel in part.channels}
         heard = tuple(
             Message(m.sender, inner[m.channel], m.value, m.age)
             for m in inputs.messages
@@ -69,10 +69,10 @@ class CombinedPattern(Pattern[P]):
         dt = inputs.now - self._stepped_at.get(name, inputs.now)
         self._stepped_at[name] = inputs.now
         outputs = part.step(msgspec.structs.replace(inputs, messages=heard, dt=dt))
-        messages = {_outer(part, channel): value for channel, value in outputs.messages.items()}
+        messages = {outer_name(part, channel): value for channel, value in outputs.messages.items()}
         return msgspec.structs.replace(outputs, messages=messages)
 
 
-def _outer(part: Pattern[Any], channel: str) -> str:
+def outer_name(part: Pattern[Any], channel: str) -> str:
     """What the outer pattern calls a channel of its part; shared names stay as they are."""
     return channel if "/" in channel else part.context.channel_prefix + channel

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from msgspec import Struct
 
 from swarmd.frames import (
+    Cancel,
     Command,
     Died,
     Failed,
@@ -22,9 +23,10 @@ from swarmd.frames import (
     Ready,
     Refused,
     Stepped,
+    Try,
 )
 from swarmd.frames import Event as HostEvent
-from swarmd.hosting import LOAD_TIMEOUT, SILENT_AFTER, Hosting
+from swarmd.hosting import LOAD_TIMEOUT, SILENT_AFTER, Hosting, Trying
 from swarmd.latches import Latches, LatchRecord
 from swarmd.messages import Code, Epoch, Event, Latch, Reason, Reply, Request, State
 from swarmd.outbox import Outbox
@@ -37,6 +39,7 @@ from swarmd.values import Platform, Scalar, TouchZone, Value
 HOLD_LASTS = 2.0
 EVENTS = 10
 LINE = 300
+_ENDS_TRIAL = frozenset({Change.STOP, Change.ESTOP, Change.STALL})
 
 
 class Turn(Struct, eq=False):
@@ -45,6 +48,7 @@ class Turn(Struct, eq=False):
     now: float
     is_beat: bool = False
     host: Command | None = None
+    trial: Try | Cancel | None = None
     is_latched: bool = False
     is_new_scan: bool = False
     is_new_run: bool = False
@@ -79,6 +83,7 @@ class Conduct:
         self.report: Mapping[str, Scalar] = {}
         self.events: deque[Event] = deque(maxlen=EVENTS)
         self.params_request: tuple[Request, float] | None = None
+        self.trial: Trying | None = None
         self.hold_since: float | None = None
         self.mistyped = 0
         self._last_fault = ""
@@ -186,6 +191,8 @@ class Conduct:
             return
         self.note(f"{loading.pattern} refused: {text}", turn.now)
         self.reply(turn, loading.request, Code.REFUSED, text)
+        if self._load is not None and self._load.is_fresh:  # what ran has lost its host for it
+            self.fault("its host was replaced", turn)
 
     def _stepped(self, event: Stepped, turn: Turn) -> None:
         hosting = self.hosting
@@ -266,6 +273,8 @@ class Conduct:
         else:
             self._cancel_load(reason, turn)
             self.hosting.end()
+        if change in _ENDS_TRIAL:
+            self.end_trial(f"{reason} while the new code was being tried", turn)
         if self.params_request is not None:
             overtaken, self.params_request = self.params_request[0], None
             self.reply(turn, overtaken, Code.REFUSED, f"{reason} before the pattern answered")
@@ -274,6 +283,14 @@ class Conduct:
         self.supervisor.apply(change, reason, detail[:LINE], turn.now)
         if self.supervisor.state is not before:
             self.note(f"{self.supervisor.state} ({reason}) {detail}".rstrip(), turn.now)
+
+    def end_trial(self, text: str, turn: Turn) -> None:
+        """Nothing comes of the trial under way, if there is one; what runs is left alone."""
+        trial, self.trial = self.trial, None
+        if trial is not None:
+            turn.trial = Cancel(text)
+            self.note(f"{trial.pattern} not reloaded: {text}", turn.now)
+            self.reply(turn, trial.request, Code.REFUSED, text)
 
     def _cancel_load(self, reason: Reason, turn: Turn) -> None:
         loading = self.hosting.loading
@@ -287,16 +304,17 @@ class Conduct:
 
     def load(self, pattern: str, layers: Layers, turn: Turn) -> None:
         """Ask the host for the pattern that `hosting.begin` announced."""
-        generation = self.hosting.generation
-        identity = self._identity
-        turn.host = self._load = Load(
-            generation,
-            pattern,
-            layers,
-            identity.robot,
-            identity.platform,
-            (identity.seed * 1_000_003 + generation) % 2**63,
-        )
+        hosting = self.hosting
+        load = self.load_of(hosting.generation, pattern, layers)
+        until = () if hosting.loading is None else hosting.loading.until
+        turn.host = self._load = replace(load, is_fresh=hosting.is_outdated, until=until)
+        hosting.is_outdated = False
+
+    def load_of(self, generation: int, pattern: str, layers: Layers) -> Load:
+        """What a host needs to load a pattern for this robot."""
+        of = self._identity
+        seed = (of.seed * 1_000_003 + generation) % 2**63
+        return Load(generation, pattern, layers, of.robot, of.platform, seed)
 
     def latch(self, latch_id: str, latch: Latch, turn: Turn) -> None:
         """Emergency stop: latched, whatever the state."""

@@ -24,7 +24,6 @@ from swarmd.clock import boottime
 from swarmd.codec import Decoder, decode_value, encode, encode_value
 from swarmd.driver import Driver, check_protected
 from swarmd.errors import CodecError, SwarmError
-from swarmd.frames import Load
 from swarmd.heartbeat import Heartbeat
 from swarmd.keys import Key
 from swarmd.latchfile import LatchFile
@@ -198,7 +197,8 @@ class Daemon:
         bus.on_member(lambda member: self._tell_neighbors())
         for robot, payload in await bus.ask("state", "status", timeout=ASK_PEERS):
             self._on_answered_status(robot, payload)
-        bus.serve("control", "run", self._on_request("run"))
+        for verb in ("run", "reload"):
+            bus.serve("control", verb, self._on_request(verb))
         self._tell_neighbors()
         self._publish(self._robot.status(boottime()))
 
@@ -351,10 +351,9 @@ class Daemon:
         if self._idle.lets(actions.twist, actions.is_idle, boottime()):
             self._send(actions.twist, actions.verdict.scan_seq, actions.wish_seq)
         is_kept = actions.latches is None or self._latches.write(actions.latches)
-        if actions.host is not None:
-            if isinstance(actions.host, Load):
-                log.info("loading %s", actions.host.pattern)
-            self._runner.send(actions.host)
+        for command in (actions.trial, actions.host):
+            if command is not None:
+                self._runner.send(command)
         for name, value in actions.messages.items():
             self._say(name, value)
         if actions.status is not None:

@@ -19,7 +19,8 @@ Layers = tuple[tuple[str, Mapping[str, Value]], ...]
 class Load:
     """Load a pattern. `layers`: parameters by source, weakest first, above its defaults.
 
-    `is_fresh`: in a new host, since the present one hangs.
+    `is_fresh`: in a new host, since the present one hangs. `until`: conditions of which any ends
+    the run, as `swarmd.mission.conditions` reads them.
     """
 
     generation: int
@@ -29,6 +30,7 @@ class Load:
     platform: Platform
     seed: int
     is_fresh: bool = False
+    until: tuple[str, ...] = ()
 
 
 class Step(Struct, frozen=True, eq=False):
@@ -55,10 +57,27 @@ class Kill:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Try:
+    """Load a pattern in a new process beside the host, only to see whether that can be done.
+
+    `load.generation` numbers the trial. Nothing of it is stepped, and its process ends with it.
+    """
+
+    load: Load
+
+
+@dataclass(frozen=True, slots=True)
+class Cancel:
+    """End the trial that is under way; nothing more is told of it."""
+
+    reason: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Ready:
     """The pattern is loaded and will be stepped. `params`: name -> (value, source).
 
-    `touches`: where it asks to touch what is near.
+    `touches`: where it asks to touch what is near. `took`: seconds that loading took.
     """
 
     generation: int
@@ -66,6 +85,7 @@ class Ready:
     channels: frozenset[str]
     params: Mapping[str, tuple[Scalar | None, str]]
     touches: TouchZone | None = None
+    took: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,5 +131,13 @@ class Died:
     text: str
 
 
-Command = Load | Step | SetParams | Kill
-Event = Ready | Refused | Stepped | ParamsSet | Failed | Died
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """How a trial went: `text` is empty if the pattern can be loaded, else it says why not."""
+
+    generation: int
+    text: str
+
+
+Command = Load | Step | SetParams | Kill | Try | Cancel
+Event = Ready | Refused | Stepped | ParamsSet | Failed | Died | Tried

@@ -53,7 +53,7 @@ def encode_command(command: Load | Step | SetParams, origins: Origins) -> bytes:
     if isinstance(command, Load):
         body: list[Any] = ["load", command.generation, command.pattern, list(command.layers)]
         body += [command.robot, _from_platform(command.platform), command.seed]
-        body += [{name: list(origin) for name, origin in origins.items()}]
+        body += [{name: list(origin) for name, origin in origins.items()}, list(command.until)]
     elif isinstance(command, Step):
         body = ["step", command.generation, _from_inputs(command.inputs)]
     else:
@@ -71,9 +71,10 @@ def decode_command(frame: bytes) -> tuple[Load | Step | SetParams, Origins]:
     """The guardian's command, and with a Load where each pattern is found."""
     kind, generation, *rest = msgpack.unpackb(frame, strict_map_key=False)
     if kind == "load":
-        pattern, layers, robot, platform, seed, origins = rest
+        pattern, layers, robot, platform, seed, origins, until = rest
         named: Layers = tuple((source, values) for source, values in layers)
-        load = Load(generation, pattern, named, robot, _to_platform(platform), seed)
+        of = _to_platform(platform)
+        load = Load(generation, pattern, named, robot, of, seed, until=tuple(until))
         return load, {name: (value, is_file) for name, (value, is_file) in origins.items()}
     if kind == "step":
         return Step(generation, _to_inputs(rest[0])), {}
@@ -86,6 +87,7 @@ class _ReadyWire(Struct, frozen=True, array_like=True, tag="ready"):
     channels: list[str]
     params: dict[str, tuple[Scalar | None, str]]
     touches: tuple[Speed, Speed, Speed] | None
+    took: Annotated[float, Meta(ge=0.0, le=1e6)]
 
 
 class _RefusedWire(Struct, frozen=True, array_like=True, tag="refused"):
@@ -126,7 +128,8 @@ def encode_event(event: Event) -> bytes:
         params = {name: list(pair) for name, pair in event.params.items()}
         zone = event.touches
         touches = None if zone is None else [zone.bearing, zone.half_width, zone.speed]
-        body: list[Any] = ["ready", generation, event.rate, sorted(event.channels), params, touches]
+        body: list[Any] = ["ready", generation, event.rate, sorted(event.channels), params]
+        body += [touches, event.took]
     elif isinstance(event, Stepped):
         outputs = event.outputs
         twist = outputs.twist
@@ -156,7 +159,8 @@ def decode_event(frame: bytes) -> Event:
         raise CodecError(f"the pattern host said something unreadable: {error}") from error
     if isinstance(wire, _ReadyWire):
         touches = None if wire.touches is None else TouchZone(*wire.touches)
-        return Ready(wire.generation, wire.rate, frozenset(wire.channels), wire.params, touches)
+        channels = frozenset(wire.channels)
+        return Ready(wire.generation, wire.rate, channels, wire.params, touches, wire.took)
     if isinstance(wire, _SteppedWire):
         twist = None if wire.twist is None else Twist(*wire.twist)
         report = {k: v for k, v in wire.report.items() if isinstance(v, bool | int | float | str)}

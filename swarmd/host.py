@@ -1,8 +1,9 @@
 """The pattern host: the child process that loads plugin code and steps it.
 
 Started by exec with one end of a SOCK_SEQPACKET pair. It dies with its guardian, gives way to it
-(nice 10, first for the out-of-memory killer) and may grow by 256 MB once its pattern is loaded. It
-imports neither Zenoh nor asyncio. `--describe` prints what patterns are, for tools.
+(nice 10, first for the out-of-memory killer) and may grow by 1 GB while a pattern is loaded, by
+256 MB once it is. It imports neither Zenoh nor asyncio. `--describe` prints what patterns are, for
+tools.
 """
 
 from __future__ import annotations
@@ -13,15 +14,18 @@ import os
 import resource
 import socket
 import sys
+import time
+from dataclasses import replace
 
 from swarmd.errors import CodecError
-from swarmd.frames import Failed, Load
+from swarmd.frames import Failed, Load, Ready
 from swarmd.framing import decode_command, encode_event
 from swarmd.loading import Finder
 from swarmd.processes import die_with_parent
 from swarmd.stage import Stage
 
 MEMORY_LIMIT = 256 * 1024 * 1024
+LOAD_LIMIT = 1024 * 1024 * 1024
 OUT_OF_MEMORY = 77
 NICE = 10
 
@@ -60,9 +64,12 @@ def _serve(guardian: socket.socket) -> None:
     while frame := guardian.recv(1 << 18):
         command, origins = decode_command(frame)
         if isinstance(command, Load):
-            _limit_memory(resource.RLIM_INFINITY)
-            finder.origins = origins
+            _limit_memory(_size() + LOAD_LIMIT)
+            finder.begin(origins)
+        began = time.monotonic()
         event = stage.handle(command)
+        if isinstance(event, Ready):
+            event = replace(event, took=time.monotonic() - began)
         if isinstance(command, Load):
             _limit_memory(_size() + MEMORY_LIMIT)
         if event is None:
@@ -91,7 +98,7 @@ def _size() -> int:
 def _limit_memory(limit: int) -> None:
     _, hard = resource.getrlimit(resource.RLIMIT_AS)
     if hard != resource.RLIM_INFINITY:
-        limit = hard if limit == resource.RLIM_INFINITY else min(limit, hard)
+        limit = min(limit, hard)
     resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
 
 

@@ -32,7 +32,10 @@ class Wish(Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loading:
-    """A pattern on its way in. `request` None: a restart after a fault."""
+    """A pattern on its way in. `request` None: a restart after a fault.
+
+    `until`: conditions of which any ends the run.
+    """
 
     generation: int
     pattern: str
@@ -40,6 +43,17 @@ class Loading:
     seconds: float | None
     since: float
     request: Request | None
+    until: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trying:
+    """New code that is being tried, since when, and who asked for it."""
+
+    generation: int
+    pattern: str
+    since: float
+    request: Request
 
 
 @dataclass(slots=True, eq=False)
@@ -54,6 +68,7 @@ class Running:
     channels: frozenset[str]
     values: Mapping[str, tuple[Scalar | None, str]]
     wish: Wish
+    until: tuple[str, ...] = ()
     touch: TouchZone | None = None
 
     def channel(self, name: str) -> str | None:
@@ -85,6 +100,7 @@ class Hosting:
         self.stepped_generation = 0
         self.last_step = -1.0
         self.is_due = False
+        self.is_outdated = False  # its host may hold code that was replaced meanwhile
         self.restarts = 0
         self._faults: deque[float] = deque()
 
@@ -95,10 +111,11 @@ class Hosting:
         seconds: float | None,
         request: Request | None,
         now: float,
+        until: tuple[str, ...] = (),
     ) -> Loading:
         """A new generation is to be loaded; until then the one in force stays, unstepped."""
         self.generation += 1
-        self.loading = Loading(self.generation, pattern, params, seconds, now, request)
+        self.loading = Loading(self.generation, pattern, params, seconds, now, request, until)
         self.restart_at = None
         return self.loading
 
@@ -120,6 +137,7 @@ class Hosting:
             event.channels,
             event.params,
             Wish(None, now, -1),
+            loading.until,
         )
         self.awaiting_since = None
         self.last_step = -1.0

@@ -46,6 +46,7 @@ class Reason(StrEnum):
     RESET = "reset"
     # stopped, estopped, faulted
     OPERATOR = "operator"
+    RELOADED = "reloaded"
     ESTOP = "estop"
     LOOP_STALLED = "loop_stalled"
     LOAD_FAILED = "load_failed"
@@ -84,8 +85,8 @@ class Epoch(Struct, frozen=True):
 class Request(Struct, frozen=True, kw_only=True):
     """An operator's wish. `targets` None means everyone: stop and estop only.
 
-    `args` by verb: run {pattern, params, seconds?}, param {set}, reset {ids?, reason},
-    estop {scope: swarm | robots, reason}, forget {name}.
+    `args` by verb: run {pattern, params, seconds?}, reload {pattern, run}, param {set},
+    reset {ids?, reason}, estop {scope: swarm | robots, reason}, forget {name}.
     """
 
     id: Name

@@ -60,6 +60,28 @@ def about(
     return Meta(ge=ge, le=le, description=description, extra={"unit": unit, "source": source})
 
 
+TopSpeed = Annotated[
+    float,
+    about(
+        "highest speed",
+        ge=0.0,
+        le=2.0,
+        unit="m/s",
+        source="ROS2swarm: the platform's limit, 0.5 m/s at most",
+    ),
+]
+TopTurn = Annotated[
+    float,
+    about(
+        "highest turn rate",
+        ge=0.0,
+        le=4.0,
+        unit="rad/s",
+        source="ROS2swarm: the platform's limit",
+    ),
+]
+
+
 @dataclass(frozen=True, slots=True)
 class ParamSpec:
     """One parameter as tools show it. `default` None with `is_required`: there is none."""

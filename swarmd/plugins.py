@@ -1,20 +1,23 @@
 """Which patterns, drivers and verbs are installed: names only, nothing of a pattern is imported.
 
 Found by entry-point group (`swarmd.patterns`, `swarmd.drivers`, `swarmd.dialects`,
-`swarmd.commands`) and, for patterns, as `<plugin_dir>/<name>.py` holding exactly one Pattern.
-Reading the metadata of all installed packages takes 40 ms and more, so the command line calls this
-only where it must.
+`swarmd.commands`) and, for patterns, as `<plugin_dir>/<name>.py` holding exactly one Pattern;
+`test_*.py` are tests. Missions are patterns too: a `<plugin_dir>/<name>.yaml` with a line
+`mission: ...`, or one that comes with swarmd. Reading the metadata of all installed packages takes
+40 ms and more, so the command line calls this only where it must.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+import swarmd.config
 from swarmd.errors import ConfigError, PluginError, unknown
 from swarmd.keys import check_id, is_id
 
@@ -28,6 +31,9 @@ PATTERNS = "swarmd.patterns"
 DRIVERS = "swarmd.drivers"
 COMMANDS = "swarmd.commands"
 DIALECTS = "swarmd.dialects"
+MISSION = ".yaml"
+LARGEST_MISSION = 1 << 20
+_HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +128,8 @@ def how_to_install(missing: str, name: str, group: str = COMMANDS) -> str:
 def _installed() -> Iterator[tuple[str, Origin]]:
     for point in entry_points(group=PATTERNS):
         yield point.name, Origin(point.value, _source(point))
+    for path in mission_files(Path(swarmd.config.__path__[0]) / "missions"):
+        yield path.stem, Origin(str(path.resolve()), "swarmd", is_file=True)
 
 
 def _dropped_in(plugin_dir: Path | None) -> Iterator[tuple[str, Origin]]:
@@ -132,8 +140,29 @@ def _dropped_in(plugin_dir: Path | None) -> Iterator[tuple[str, Origin]]:
             f"plugin_dir is {plugin_dir}, which is no folder; make it or leave it out"
         )
     for path in sorted(plugin_dir.glob("*.py")):
-        if is_id(path.stem) and path.is_file():
+        if is_id(path.stem) and path.is_file() and not path.stem.startswith("test_"):
             yield path.stem, Origin(str(path.resolve()), str(path), is_file=True)
+    for path in mission_files(plugin_dir):
+        yield path.stem, Origin(str(path.resolve()), str(path), is_file=True)
+
+
+def mission_files(folder: Path) -> Iterator[Path]:
+    """The missions of a folder; other YAML files are left alone."""
+    for path in sorted(folder.glob(f"*{MISSION}")):
+        with suppress(OSError):
+            if is_id(path.stem) and is_mission(path):
+                yield path
+
+
+def is_mission(path: Path) -> bool:
+    """Whether a YAML file is taken for a mission: by a line `mission: ...`; OSError if unread.
+
+    The guardian asks, so no more is read than a mission may have, and nothing that is no file.
+    """
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return _HEAD.search(file.read(LARGEST_MISSION)) is not None
 
 
 def _bad_file_name(name: str, plugin_dir: Path | None) -> str:

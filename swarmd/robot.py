@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from swarmd.actions import Actions
 from swarmd.conduct import HOLD_LASTS, Conduct, Identity, Turn
 from swarmd.frames import Event as HostEvent
-from swarmd.frames import Step
+from swarmd.frames import Step, Tried
 from swarmd.latches import LatchRecord
 from swarmd.messages import Epoch, Latch, Reason, Request, State, Status
 from swarmd.protection.front import Protection
@@ -137,7 +137,10 @@ class Robot:
     def on_host(self, event: HostEvent, now: float) -> Actions:
         """The pattern host answered, failed or died; other generations' answers are dropped."""
         turn = self._enter(now)
-        self._conduct.on_host(event, turn)
+        if isinstance(event, Tried):
+            self._verbs.reloading.on_tried(event, turn)
+        else:
+            self._conduct.on_host(event, turn)
         if turn.is_new_run:
             self._senses.forget_messages()
             self._duty = Duty()
@@ -217,6 +220,7 @@ class Robot:
 
     def _settle(self, turn: Turn) -> Actions:
         now, conduct = turn.now, self._conduct
+        self._verbs.reloading.advance(turn)
         hold = conduct.advance(self._senses.hold(now), turn)
         self._verdict = self._decide(hold, now)
         self._restart(turn)
@@ -229,6 +233,7 @@ class Robot:
             wish_seq=-1 if running is None else running.wish.scan_seq,
             is_idle=self._senses.is_driver_up and conduct.supervisor.state is State.IDLE,
             latches=conduct.latches.record() if turn.is_latched else None,
+            trial=turn.trial,
             host=turn.host,
             messages=turn.messages,
             # Acks first: what all peers hear of may wait for the tick, an emergency stop may not.
@@ -252,7 +257,7 @@ class Robot:
         if running is None or hosting.restart_at is None or turn.now < hosting.restart_at:
             return
         if turn.host is None:
-            hosting.begin(running.pattern, running.params, None, None, turn.now)
+            hosting.begin(running.pattern, running.params, None, None, turn.now, running.until)
             layers = self._verbs.layers(running.pattern, running.params)
             self._conduct.load(running.pattern, layers, turn)
 

@@ -3,27 +3,35 @@
 from __future__ import annotations
 
 import asyncio
-import os
-import signal
-import socket
-import subprocess
-import sys
+import logging
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from swarmd.errors import CodecError, PluginError, unknown
-from swarmd.frames import Command, Died, Event, Failed, Kill, Load, Refused
+from swarmd.frames import (
+    Cancel,
+    Command,
+    Died,
+    Event,
+    Failed,
+    Kill,
+    Load,
+    Refused,
+    Tried,
+    Try,
+)
 from swarmd.framing import decode_event, encode_command
+from swarmd.hostprocess import HostProcess, why_it_ended
 from swarmd.plugins import check_single, installed_patterns, pattern_names
-from swarmd.processes import how_it_ended
+from swarmd.trial import Trial, outcome
 
 if TYPE_CHECKING:
     from swarmd.stage import Stage  # for patterns: 7 MB of numpy.random that a guardian can spare
 
-OUT_OF_MEMORY = 77
-AT_ONCE = 8  # frames read before the loop's other work: a flood must not bind the guardian
+log = logging.getLogger(__name__)
+
 FIRST_RESPAWN = 0.05
 LAST_RESPAWN = 5.0
 
@@ -48,6 +56,11 @@ class InlineRunner:
 
     def send(self, command: Command) -> None:
         """Carry the command out now; its answer waits in `events`."""
+        if isinstance(command, Try | Cancel):
+            if isinstance(command, Try):
+                answer = self._make().handle(command.load)
+                self._events.append(Tried(command.load.generation, outcome(answer)))
+            return
         if isinstance(command, Kill):
             self._stage = self._make()
             return
@@ -61,80 +74,6 @@ class InlineRunner:
         """The answers since the last call, in order."""
         while self._events:
             yield self._events.popleft()
-
-
-class _Host:
-    """One child process and the guardian's end of its socket."""
-
-    def __init__(self, loop: asyncio.AbstractEventLoop, owner: ProcessRunner) -> None:
-        self._loop = loop
-        self._owner = owner
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self.socket = ours
-        ours.setblocking(False)
-        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 18)
-        theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 18)
-        # -P: a random.py where this is called is not to shadow a module.
-        command = [sys.executable, "-P", "-m", "swarmd.host"]
-        command += ["--fd", str(theirs.fileno()), "--parent", str(os.getpid())]
-        with theirs:
-            self.process = subprocess.Popen(
-                command,
-                pass_fds=(theirs.fileno(),),
-                start_new_session=True,
-                stdin=subprocess.DEVNULL,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-            )
-        self._pidfd = os.pidfd_open(self.process.pid)
-        loop.add_reader(self.socket, self._on_readable)
-        loop.add_reader(self._pidfd, self._on_end)  # end of file never comes if a pattern forked
-        self.has_answered = False
-
-    def kill(self) -> None:
-        """End it and all that it started; nothing more is heard of it."""
-        self._loop.remove_reader(self.socket)
-        self.socket.close()
-        self._signal()
-
-    def reap(self) -> None:
-        """Wait for the end of a host that was killed."""
-        if self._pidfd >= 0:
-            self._on_end()
-
-    def _signal(self) -> None:
-        try:
-            os.killpg(self.process.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            return
-
-    def _on_readable(self) -> None:
-        for _ in range(AT_ONCE):
-            try:
-                frame, _, flags, _ = self.socket.recvmsg(1 << 18)
-            except BlockingIOError:
-                return
-            except OSError:
-                frame, flags = b"", 0
-            if not frame:  # closed: the pidfd tells how it ended
-                self._loop.remove_reader(self.socket)
-                return
-            self.has_answered = True
-            self._owner.on_frame(self, b"" if flags & socket.MSG_TRUNC else frame)
-            if self.socket.fileno() < 0:  # what it said led to its end
-                return
-
-    def _on_end(self) -> None:
-        self._loop.remove_reader(self._pidfd)
-        os.close(self._pidfd)
-        self._pidfd = -1
-        code = self.process.wait()
-        self._owner.buried(self)
-        self._signal()  # what the pattern may have forked
-        if self.socket.fileno() >= 0:
-            self._on_readable()
-            self._loop.remove_reader(self.socket)
-            self.socket.close()
-            self._owner.on_end(self, code)
 
 
 class ProcessRunner:
@@ -156,9 +95,10 @@ class ProcessRunner:
         self._pause = FIRST_RESPAWN
         self._respawn: asyncio.TimerHandle | None = None
         self._is_closed = False
-        self._dying: list[_Host] = []
+        self._dying: list[HostProcess] = []
+        self._trial: Trial | None = None
         self.dropped = 0
-        self._host: _Host | None = _Host(loop, self)
+        self._host: HostProcess | None = HostProcess(loop, self)
 
     @property
     def pid(self) -> int | None:
@@ -167,11 +107,18 @@ class ProcessRunner:
 
     def send(self, command: Command) -> None:
         """Hand a command over; never blocks. What a stopped host cannot take is dropped."""
+        if isinstance(command, Try | Cancel):
+            self._end_trial()
+            if isinstance(command, Try):
+                self._try(command.load)
+            return
         if isinstance(command, Kill):
             self._replace()
             return
-        if isinstance(command, Load) and command.is_fresh:
-            self._replace()
+        if isinstance(command, Load):
+            log.info("loading %s", command.pattern)
+            if command.is_fresh:
+                self._replace()
         self._generation = command.generation
         try:
             frame = encode_command(command, self._origins(command))
@@ -196,16 +143,17 @@ class ProcessRunner:
         self._is_closed = True
         if self._respawn is not None:
             self._respawn.cancel()
+        self._end_trial()
         self._kill()
         for host in list(self._dying):
             host.reap()
 
-    def buried(self, host: _Host) -> None:
+    def buried(self, host: HostProcess) -> None:
         """A host's process has been waited for."""
         if host in self._dying:
             self._dying.remove(host)
 
-    def on_frame(self, host: _Host, frame: bytes) -> None:
+    def on_frame(self, host: HostProcess, frame: bytes) -> None:
         """A host said something."""
         if host is not self._host:
             return
@@ -217,15 +165,12 @@ class ProcessRunner:
         self._events.append(event)
         self._wake()
 
-    def on_end(self, host: _Host, code: int) -> None:
+    def on_end(self, host: HostProcess, code: int) -> None:
         """A host ended by itself."""
         if host is not self._host:
             return
         self._host = None
-        text = f"its process {how_it_ended(code)}"
-        if code == OUT_OF_MEMORY:
-            text = "its process needed more memory than it may have"
-        self._events.append(Died(self._generation, text))
+        self._events.append(Died(self._generation, why_it_ended(code)))
         if not self._is_closed:
             self._respawn = self._loop.call_later(self._pause, self._start_again)
             self._pause = min(2.0 * self._pause, LAST_RESPAWN)
@@ -243,8 +188,32 @@ class ProcessRunner:
         check_single(command.pattern, found[command.pattern])
         return {name: (origin.value, origin.is_file) for name, origin in found.items()}
 
+    def _try(self, load: Load) -> None:
+        log.info("trying new code of %s", load.pattern)
+        self._installed = installed_patterns()  # a new version may have it elsewhere
+        number = load.generation
+        try:
+            frame = encode_command(load, self._origins(load))
+            self._trial = Trial(self._loop, number, frame, self._on_tried, self.buried)
+        except (PluginError, CodecError, OSError) as error:
+            self._events.append(Tried(number, str(error)))
+            self._loop.call_soon(self._wake)
+
+    def _on_tried(self, tried: Tried) -> None:
+        if tried.text:
+            self._end_trial()
+        self._events.append(tried)
+        self._wake()
+
+    def _end_trial(self) -> None:
+        if self._trial is not None:
+            self._dying.extend(self._trial.end())
+            self._trial = None
+
     def _replace(self) -> None:
         self._kill()
+        if self._trial is not None:  # the code that a fresh host is wanted for is loaded there
+            self._host = self._trial.hand_over(self)
         self._start_again()
 
     def _kill(self) -> None:
@@ -257,9 +226,9 @@ class ProcessRunner:
         if self._host is None and not self._is_closed:
             self._start()
 
-    def _start(self) -> _Host:
+    def _start(self) -> HostProcess:
         if self._respawn is not None:
             self._respawn.cancel()
             self._respawn = None
-        self._host = _Host(self._loop, self)
+        self._host = HostProcess(self._loop, self)
         return self._host

@@ -17,6 +17,7 @@ import numpy as np
 from swarmd.assembly import Assembled, Find, assemble, full_layers
 from swarmd.errors import SwarmError
 from swarmd.frames import Event, Failed, Load, ParamsSet, Ready, Refused, SetParams, Step, Stepped
+from swarmd.mission.ending import Ending, ending_of
 from swarmd.params import build
 from swarmd.values import Inputs, Message, Outputs, Scalar, Twist
 
@@ -30,6 +31,7 @@ class Stage:
         self._find = find
         self._load: Load | None = None
         self._assembled: Assembled | None = None
+        self._ending: Ending | None = None
 
     def handle(self, command: Load | Step | SetParams) -> Event | None:
         """Carry a command out; None if it is for another generation."""
@@ -54,7 +56,10 @@ class Stage:
         )
         if isinstance(assembled, str):
             return Refused(load.generation, assembled)
-        self._load, self._assembled = load, assembled
+        ending = _guard(lambda: ending_of(load.until, load.platform))
+        if isinstance(ending, str):
+            return Refused(load.generation, ending)
+        self._load, self._assembled, self._ending = load, assembled, ending
         pattern = assembled.pattern
         channels = frozenset(pattern.channels)
         rate = float(pattern.rate)
@@ -67,6 +72,8 @@ class Stage:
         outputs = _guard(lambda: _plain(pattern.step(inputs)))
         if isinstance(outputs, str):
             return Failed(step.generation, outputs)
+        if self._ending is not None:
+            outputs = self._ending.applied(inputs, outputs)
         scan_seq = -1 if inputs.scan is None else inputs.scan.seq
         return Stepped(step.generation, outputs, scan_seq, dropped)
 
@@ -99,9 +106,18 @@ def _guard(call: Callable[[], T]) -> T | str:
     except SwarmError as error:
         return str(error)
     except Exception as error:  # a plugin may raise anything
-        frame = traceback.extract_tb(error.__traceback__)[-1]
-        place = f"{frame.filename.rsplit('/', 1)[-1]}:{frame.lineno}"
-        return f"{type(error).__name__}: {str(error)[:200]} ({place})"
+        return in_one_line(error)
+
+
+def in_one_line(error: BaseException) -> str:
+    """What was raised, and where: `ZeroDivisionError: division by zero (shy.py:12)`."""
+    text = str(error)
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    file, line = frame.filename, frame.lineno
+    if isinstance(error, SyntaxError) and error.filename:  # raised before there was a frame
+        text, file, line = error.msg, error.filename, error.lineno
+    text = " ".join(text.split())
+    return f"{type(error).__name__}: {text[:200]} ({file.rsplit('/', 1)[-1]}:{line})"
 
 
 def _typed(inputs: Inputs, channels: Mapping[str, type]) -> tuple[Inputs, int]:

@@ -1,7 +1,7 @@
 """What operators can ask of one robot, and when it refuses. Pure.
 
-Nothing late may start motion: run, reset and param set quote the epoch that the operator saw, and
-any other is refused. stop and estop quote nothing and are always taken.
+Nothing late may start motion: run, reset, reload and param set quote the epoch that the operator
+saw, and any other is refused. stop and estop quote nothing and are always taken.
 """
 
 from __future__ import annotations
@@ -9,14 +9,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from swarmd.conduct import Conduct, Turn
+from swarmd.errors import ConfigError
 from swarmd.frames import Layers, SetParams
 from swarmd.keys import is_id
 from swarmd.messages import Code, Latch, Reason, Request, State
+from swarmd.mission.conditions import parse_conditions
+from swarmd.reloading import Reloading, under_way
 from swarmd.supervisor import Event as Change
 from swarmd.values import Scalar
 
-QUOTING = frozenset({"run", "reset", "param"})
-VERBS = frozenset({"run", "stop", "estop", "reset", "param"})
+QUOTING = frozenset({"run", "reset", "reload", "param"})
+VERBS = frozenset({"run", "stop", "estop", "reset", "reload", "param"})
 MAX_SECONDS = 1e7
 
 
@@ -34,6 +37,7 @@ class Verbs:
         self._conduct = conduct
         self._layers = layers
         self._standing = standing
+        self.reloading = Reloading(conduct, self.layers)
         self._last_stop = ("", -1)  # its id, and the revision that it led to
 
     def answer(self, request: Request, turn: Turn) -> None:
@@ -58,6 +62,8 @@ class Verbs:
             self._run(request, turn)
         elif request.verb == "reset":
             self._reset(request, turn)
+        elif request.verb == "reload":
+            self.reloading.begin(request, turn)
         else:
             self._set_params(request, turn)
 
@@ -88,7 +94,7 @@ class Verbs:
         conduct = self._conduct
         hosting, state = conduct.hosting, conduct.supervisor.state
         pattern, params = request.args.get("pattern"), request.args.get("params") or {}
-        seconds = request.args.get("seconds")
+        seconds, until = request.args.get("seconds"), request.args.get("until") or ()
         if state in (State.ESTOPPED, State.FAULTED):
             reason = conduct.supervisor.reason
             text = f"{state} ({reason}) {conduct.supervisor.detail}; reset it first"
@@ -97,14 +103,15 @@ class Verbs:
             self._refuse(request, turn, "run wants a pattern by name and params by name")
         elif not _is_duration(seconds):
             self._refuse(request, turn, f"seconds is {seconds!r}; wanted above 0 and up to 1e7")
-        elif hosting.loading is not None and hosting.loading.request is not None:
-            by = hosting.loading.request.operator
-            text = f"still loading {hosting.loading.pattern}, by {by}"
+        elif fault := _fault_of(until):
+            self._refuse(request, turn, fault)
+        elif text := under_way(conduct):
             self._refuse(request, turn, text)
         else:
             conduct.changed(f"{request.operator} (run {pattern})")
             duration = float(seconds) if isinstance(seconds, int | float) else None
-            hosting.begin(pattern, params, duration, request, turn.now)
+            ends = tuple(until) if isinstance(until, list) else ()
+            hosting.begin(pattern, params, duration, request, turn.now, ends)
             conduct.load(pattern, self.layers(pattern, params), turn)
 
     def layers(self, pattern: str, params: Mapping[str, Scalar | None]) -> Layers:
@@ -145,12 +152,22 @@ class Verbs:
             self._refuse(request, turn, "param set wants values by name")
         elif running is None or not conduct.is_running or conduct.hosting.is_restarting:
             self._refuse(request, turn, "no pattern is running")
-        elif conduct.params_request is not None or conduct.hosting.loading is not None:
+        elif conduct.params_request is not None or conduct.hosting.loading or conduct.trial:
             self._refuse(request, turn, "another change is on its way")
         else:
             conduct.changed(f"{request.operator} (param set)")
             conduct.params_request = (request, turn.now)
             turn.host = SetParams(running.generation, request.id, dict(values))
+
+
+def _fault_of(until: object) -> str:
+    """What is wrong with the conditions that are to end a run; empty if nothing."""
+    try:
+        if until:
+            parse_conditions(until)
+    except ConfigError as error:
+        return str(error)
+    return ""
 
 
 def _is_duration(seconds: object) -> bool:

@@ -73,7 +73,7 @@ def test_set_params_arrives() -> None:
     "event",
     [
         Ready(1, 10.0, frozenset({"a"}), {"speed": (0.1, "robot"), "law": ("paper", "pattern")}),
-        Ready(1, 10.0, frozenset(), {}, TouchZone(0.5, 0.3, 0.1)),
+        Ready(1, 10.0, frozenset(), {}, TouchZone(0.5, 0.3, 0.1), 1.5),
         Refused(2, "no such pattern"),
         Stepped(3, Outputs(Twist(0.1, -0.2), {"a": 1}, {"state": "go"}, "done"), 9, 2),
         Stepped(3, Outputs(), -1),

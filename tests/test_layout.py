@@ -121,11 +121,7 @@ def test_one_file_has_one_import_name() -> None:
 
 def test_the_core_names_no_concrete_plugin() -> None:
     plugins = PROJECT["project"]["entry-points"]
-    names = {
-        value.partition(":")[0]
-        for group in plugins
-        for value in plugins[group].values()
-    }
+    names = {value.partition(":")[0] for group in plugins for value in plugins[group].values()}
     found = [
         f"{name_of(path)} names {name}"
         for path in sources("swarmd")

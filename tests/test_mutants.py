@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.mutants import ROOT, chosen, row
-from benchmarks.mutations import MUTANTS, Mutant
+from benchmarks.mutants import MUTANTS, ROOT, chosen, row
+from benchmarks.mutations import Mutant
 from swarmd.errors import SwarmError
 
 
@@ -40,4 +40,5 @@ def test_some_are_chosen_by_a_word_of_their_mechanism() -> None:
     some = chosen(["touch"])
     assert some
     assert all("touch" in mutant.mechanism for mutant in some)
+    assert all(m.tests == "tests/outcomes/test_dispersion.py" for m in chosen(["test_dispersion"]))
     assert chosen([]) == list(MUTANTS)

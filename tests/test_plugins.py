@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -59,14 +60,24 @@ def test_finds_an_outsiders_pattern_the_same_way() -> None:
 
 
 def test_finds_patterns_in_the_drop_in_folder_and_leaves_other_files_alone(folder: Path) -> None:
-    for name in ("spin.py", "_hidden.py", "Big.py", "notes.txt"):
+    for name in ("spin.py", "test_spin.py", "_hidden.py", "Big.py", "notes.txt", "swarm.yaml"):
         (folder / name).touch()
     (folder / "folder.py").mkdir()
-    found = plugins.pattern_names(folder).items()
-    assert [name for name, origin in found if origin.is_file] == ["spin"]
+    (folder / "patrol.yaml").write_text("# by night\nmission: Goes round\n")
+    found = plugins.pattern_names(folder).items() - plugins.installed_patterns().items()
+    assert sorted(name for name, origin in found if origin.is_file) == ["patrol", "spin"]
     spin = plugins.find_pattern("spin", folder)
     assert spin.value == str((folder / "spin.py").resolve())
     assert spin.source == str(folder / "spin.py")
+
+
+def test_the_guardian_waits_for_nothing_that_is_no_file(folder: Path) -> None:
+    os.mkfifo(folder / "pipe.yaml")
+    (folder / "dir.yaml").mkdir()
+    (folder / "nowhere.yaml").symlink_to(folder / "nothing")
+    with (folder / "big.yaml").open("wb") as file:
+        file.truncate(1 << 36)  # 64 GB of zeros that no disk holds
+    assert [name for name, one in plugins.pattern_names(folder, {}).items() if one.is_file] == []
 
 
 def test_a_name_that_is_there_twice_is_listed_and_refused(folder: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
 from pathlib import Path
@@ -34,6 +35,17 @@ def commands(page: Path) -> list[list[str]]:
 
 def test_the_pattern_in_the_readme_is_the_example() -> None:
     assert (ROOT / "examples" / "shy.py").read_text() in blocks(ROOT / "README.md", "python")
+
+
+def test_that_pattern_is_at_most_15_lines_of_code() -> None:
+    lines: set[int] = set()
+    for node in ast.walk(ast.parse((ROOT / "examples" / "shy.py").read_text())):
+        is_text = isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+        if isinstance(node, ast.stmt) and not is_text:
+            is_block = isinstance(node, ast.ClassDef | ast.FunctionDef | ast.If)
+            end = node.lineno if is_block else node.end_lineno or node.lineno
+            lines.update(range(node.lineno, end + 1))
+    assert 10 <= len(lines) <= 15
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import os
+import re
 from pathlib import Path
 
 import pytest
 
-from swarmd.frames import Died, Event, Failed, Kill, Load, Ready, Refused, Step, Stepped
+from swarmd.frames import Died, Event, Failed, Kill, Load, Ready, Refused, Step, Stepped, Tried, Try
+from swarmd.hosting import LOAD_TIMEOUT
 from swarmd.runner import ProcessRunner
 from swarmd.settings import load_platform
 from swarmd.values import Inputs, Outputs, Twist
@@ -55,7 +57,7 @@ def step(generation: int = 1) -> Step:
     return Step(generation, Inputs(now=1.0, dt=0.0))
 
 
-def play(folder: Path, body: str, *commands: Load | Step | Kill) -> list[Event]:
+def play(folder: Path, body: str, *commands: Load | Step | Kill | Try) -> list[Event]:
     """What a host answers to each command in turn."""
     (folder / "plugin.py").write_text(PLUGIN.format(body=body))
 
@@ -109,6 +111,13 @@ def test_a_refused_load_keeps_the_pattern_before(tmp_path: Path) -> None:
     assert isinstance(refused, Refused)
     assert "nothing_of_that_name" in refused.text
     assert isinstance(stepped, Stepped)
+
+
+def test_code_that_a_run_would_not_wait_for_fails_its_trial(tmp_path: Path) -> None:
+    body = f"return Twist(0.1)\nimport time\ntime.sleep({LOAD_TIMEOUT + 0.1})"
+    (tried,) = play(tmp_path, body, Try(load("plugin")))
+    assert isinstance(tried, Tried)
+    assert re.fullmatch(r"loading took 3.\d s; a run waits for 3 s", tried.text)
 
 
 def test_a_step_that_raises_says_where(tmp_path: Path) -> None:

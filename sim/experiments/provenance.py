@@ -14,6 +14,7 @@ import msgspec
 
 import swarmd
 from swarmd.errors import SwarmError
+from swarmd.plugins import mission_files
 
 NOT_IN_RUNS = frozenset({"__pycache__", "cli", "live", "network", "plots", "testing"})
 """Folders of swarmd that no run reads from: a change there changes no result."""
@@ -52,22 +53,25 @@ def made_with() -> dict[str, str]:
 
 
 def digest_of_code(folder: Path) -> str:
-    """The SHA-256 of names and contents of the Python files that runs may use, links followed."""
+    """The SHA-256 of names and contents of the Python files that runs may use, links followed.
+
+    And of the missions that come with them.
+    """
     digest = hashlib.sha256()
-    for path in _python_files(folder):
+    for path in (*_python_files(folder), *mission_files(folder / "config" / "missions")):
         digest.update(f"{path.relative_to(folder).as_posix()}\0".encode())
         digest.update(hashlib.sha256(path.read_bytes()).digest())
     return digest.hexdigest()
 
 
 def digests_of_plugins(folder: Path | None) -> dict[str, str]:
-    """The SHA-256 of each Python file in a plugin folder, by name; {} if there is no folder."""
+    """The SHA-256 of each Python file and mission of a plugin folder, by name; {} without one."""
     if folder is None:
         return {}
     try:
         return {
             path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()
-            for path in _python_files(folder)
+            for path in (*_python_files(folder), *mission_files(folder))
         }
     except OSError as error:
         raise SwarmError(f"{error.filename}: cannot be read: {error.strerror}") from error

@@ -96,8 +96,9 @@ class Shell:
             outside.command(self.row, actions.twist)
         if actions.latches is not None:
             self.latches = actions.latches
-        if actions.host is not None:
-            self._drive(actions.host, now)
+        for command in (actions.trial, actions.host):
+            if command is not None:
+                self._drive(command, now)
         for name, value in actions.messages.items():
             outside.say(self.row, name, value, now)
         if actions.status is not None:

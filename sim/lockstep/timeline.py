@@ -49,8 +49,13 @@ class Timeline:
         if event.action == "place":
             assert event.pose is not None
             swarm.world.place(event.thing, event.pose)
-        elif event.action == "remove":
+        elif event.action == "remove" and event.thing:
             swarm.world.remove(event.thing)
+        elif event.action == "remove":
+            for row in self._rows_of(event):
+                if swarm.shells[row] is not None:
+                    swarm.end(row, in_order=False)
+                swarm.world.take_out(row)
         elif event.action == "join":
             for row in self._rows_of(event):
                 if swarm.shells[row] is None:
@@ -88,6 +93,7 @@ class Timeline:
                 "pattern": event.pattern,
                 "params": dict(event.parameters),
                 **({} if event.seconds is None else {"seconds": event.seconds}),
+                **({"until": list(event.until)} if event.until else {}),
             },
             "param": lambda: {"set": dict(event.parameters)},
             "estop": lambda: {"scope": "swarm" if self._is_for_all(event) else "robots"},

@@ -52,7 +52,8 @@ def _note_nearest(best: Array, trace: Trace, span: slice, platform: str, arena: 
     pose = trace.pose[span][:, [name == platform for name in trace.platforms]]
     corners = transform(shape, pose)
     walls = np.array([arena.length, arena.width]) / 2.0 - np.abs(corners)
-    np.minimum(best, np.maximum(walls, 0.0).min(axis=(1, 2, 3)), out=best)
+    nearest = np.maximum(walls, 0.0).min(axis=(2, 3))
+    np.minimum(best, np.fmin.reduce(nearest, axis=1, initial=np.inf), out=best)
     instants = np.indices(pose.shape[:2])[0]
     for centre, size, distance in _obstacles(trace, span, arena):
         away = np.hypot(*np.moveaxis(pose[..., :2] - centre, -1, 0)) - radius(shape) - size

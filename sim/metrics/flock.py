@@ -48,6 +48,31 @@ def millings(trace: Trace, standing: float = STANDING) -> Array:
     return momentum
 
 
+def centroid_ways(trace: Trace, every: float = 1.0) -> Array:
+    """(T,) how many m the robots' centroid has moved until each instant, in steps of `every` s.
+
+    Ours: a swarm that mills, or whose robots go apart, is fast and gets nowhere. Steps of a second
+    leave out how positions tremble. A step in which another robot is present, or none, is none.
+    """
+    is_here = presence(trace)
+    place = trace.pose[..., :2]
+    centre = np.stack([row_means(place[..., axis], is_here) for axis in (0, 1)], axis=-1)
+    ways = np.zeros(len(trace.t))
+    last = 0
+    for at in range(1, len(trace.t)):
+        ways[at] = ways[at - 1]
+        if trace.t[at] - trace.t[last] >= every - 1e-9:
+            is_same = bool((is_here[at] == is_here[last]).all() and is_here[at].any())
+            ways[at] += float(np.hypot(*(centre[at] - centre[last]))) if is_same else 0.0
+            last = at
+    return ways
+
+
+def centroid_way(trace: Trace) -> float | None:
+    """That way at the end; None if no robot ever is present."""
+    return float(centroid_ways(trace)[-1]) if presence(trace).any() else None
+
+
 def _directions(trace: Trace, standing: float) -> Array:
     """(T, n, 2) unit vectors of motion by central differences, 0 for who stands."""
     instants = len(trace.t)
@@ -78,5 +103,13 @@ METRICS = (
         "Couzin et al. 2002, J. Theor. Biol. 218",
         late_mean(millings),
         millings,
+    ),
+    Metric(
+        "centroid_way",
+        "m",
+        "how far the robots' centroid has moved, added up second by second",
+        "ours",
+        centroid_way,
+        centroid_ways,
     ),
 )

@@ -1,11 +1,12 @@
 """The smallest distance between robots: exact footprints, of only those pairs that can matter.
 
-Every body counts, whether its robot is present or not: what stands there can be hit.
+Every body in the arena counts, whether its robot is present or not: what stands there can be hit.
 """
 
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.metric import Metric
@@ -59,8 +60,9 @@ def _bounds(trace: Trace, span: slice) -> Array:
     Footprints are no farther apart than their frames' origins and the way to a corner of each.
     """
     place = trace.pose[span, :, :2]
-    nearest = pairs.nearest(place, np.ones(place.shape[:2], dtype=bool))
-    bounds: Array = nearest.min(axis=1, initial=np.inf) + 2.0 * _reach(trace).max(initial=0.0)
+    nearest = pairs.nearest(place, _is_in_arena(place))
+    least = np.fmin.reduce(nearest, axis=1, initial=np.inf)
+    bounds: Array = least + 2.0 * _reach(trace).max(initial=0.0)
     return bounds
 
 
@@ -68,10 +70,13 @@ def _candidates(trace: Trace, span: slice, bound: float) -> tuple[Pairs, Array]:
     """Pairs whose footprints may be as near as `bound`, and how near they are at least."""
     place = trace.pose[span, :, :2]
     reach = _reach(trace)
-    is_in = np.ones(place.shape[:2], dtype=bool)
-    found = pairs.near(place, is_in, bound + 2.0 * reach.max(initial=0.0))
+    found = pairs.near(place, _is_in_arena(place), bound + 2.0 * reach.max(initial=0.0))
     found = pairs.chosen(found, found.distance - reach[found.a] - reach[found.b] <= bound)
     return found, _along(trace, span, found)
+
+
+def _is_in_arena(place: Array) -> NDArray[np.bool_]:
+    return np.asarray(np.isfinite(place).all(axis=-1))
 
 
 def _along(trace: Trace, span: slice, found: Pairs) -> Array:

@@ -117,7 +117,8 @@ def _paint_changes(axes: Axes, trace: Trace, colours: list[str], *, size: float)
     for change, marker in ((1, "^"), (-1, "v")):
         instants, rows = np.nonzero(step == change)
         if len(rows):
-            x, y = trace.pose[instants + 1, rows, :2].T
+            # Who leaves may leave the arena too, and is then nowhere.
+            x, y = trace.pose[instants + (change > 0), rows, :2].T
             axes.scatter(x, y, s=size**2, marker=marker, facecolors=[colours[row] for row in rows],
                          edgecolors="white", linewidths=0.8, zorder=5.0)  # fmt: skip
 

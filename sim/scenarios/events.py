@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from swarmd.errors import unknown
+from swarmd.errors import ConfigError, unknown
 from swarmd.layered import Keys, Layered
+from swarmd.mission.conditions import parse_conditions
 from swarmd.sim.scenarios.cast import ALL, Cast
 from swarmd.sim.scenarios.scenario import Action, Event
 from swarmd.sim.scenarios.scenery import check_inside
@@ -16,7 +17,7 @@ OF_ROBOTS: tuple[Action, ...] = ("stop", "estop", "reset", "join", "leave", "kil
 """Actions whose value is who they happen to."""
 
 ACTIONS: tuple[Action, ...] = ("run", "param", *OF_ROBOTS, "place", "remove")
-_BESIDES = {"run": ("who", "parameters", "for"), "param": ("who",), "place": ("pose",)}
+_BESIDES = {"run": ("who", "parameters", "for", "until"), "param": ("who",), "place": ("pose",)}
 
 
 def read_event(layers: Layered, file: ScenarioFile, cast: Cast, index: int) -> Event:
@@ -26,9 +27,11 @@ def read_event(layers: Layered, file: ScenarioFile, cast: Cast, index: int) -> E
     if section.at >= file.duration:
         text = f"events[{index}].at is {section.at:g}; wanted before the end"
         raise layers.error((*keys, "at"), f"{text} (duration is {file.duration:g})")
-    if action in ("place", "remove"):
-        return _of_thing(layers, file, section, (*keys, action))
-    key = action if action in OF_ROBOTS else "who"
+    things = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
+    is_robot = action == "remove" and bool(cast.named(section.remove or ""))
+    if action == "place" or (action == "remove" and (section.remove in things or not is_robot)):
+        return _of_thing(layers, file, section, (*keys, action), things)
+    key = action if action in OF_ROBOTS or is_robot else "who"
     values = section.param if action == "param" else section.parameters
     return Event(
         at=section.at,
@@ -37,12 +40,24 @@ def read_event(layers: Layered, file: ScenarioFile, cast: Cast, index: int) -> E
         pattern=section.run or "",
         parameters=values or {},
         seconds=section.seconds,
+        until=_until(layers, section, (*keys, "until")),
     )
+
+
+def _until(layers: Layered, section: EventSection, keys: Keys) -> tuple[str, ...]:
+    """The conditions of which any ends the run, each checked."""
+    if section.until is None:
+        return ()
+    try:
+        parse_conditions(section.until)
+    except ConfigError as error:
+        raise layers.error(keys, f"events[{keys[1]}].until: {error}") from error
+    return tuple(section.until)
 
 
 def words_of(section: EventSection, action: Action) -> Sequence[str]:
     """Who an event is for, as it is written; all if nothing is."""
-    who = getattr(section, action) if action in OF_ROBOTS else section.who
+    who = getattr(section, action) if action in (*OF_ROBOTS, "remove") else section.who
     return (ALL,) if who is None else (who,) if isinstance(who, str) else who
 
 
@@ -56,6 +71,7 @@ def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
         "who": section.who,
         "parameters": section.parameters,
         "for": section.seconds,
+        "until": section.until,
         "pose": section.pose,
     }
     for key, value in besides.items():
@@ -68,9 +84,10 @@ def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
     return given[0]
 
 
-def _of_thing(layers: Layered, file: ScenarioFile, section: EventSection, keys: Keys) -> Event:
+def _of_thing(
+    layers: Layered, file: ScenarioFile, section: EventSection, keys: Keys, movable: Sequence[str]
+) -> Event:
     name = f"events[{keys[1]}]"
-    movable = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
     thing = section.place or section.remove or ""
     if thing not in movable:
         fault = unknown("box with a name and a mass", thing, movable)

@@ -24,9 +24,9 @@ Action = Literal[
 class Event:
     """What happens at `at` s of simulation.
 
-    To `robots` for run (with `pattern`, `parameters` and perhaps `seconds`), param (`parameters`),
-    stop, estop, reset, join, leave and kill; to the box `thing` for place (at `pose` x, y in m,
-    yaw in rad) and remove.
+    To `robots` for run (with `pattern`, `parameters` and perhaps `seconds` and `until`), param
+    (`parameters`), stop, estop, reset, join, leave and kill; to the box `thing` for place (at
+    `pose` x, y in m, yaw in rad); to the box `thing`, or to `robots` if it is empty, for remove.
     """
 
     at: float
@@ -35,6 +35,7 @@ class Event:
     pattern: str = ""
     parameters: Mapping[str, Scalar | None] = field(default_factory=dict)
     seconds: float | None = None
+    until: tuple[str, ...] = ()
     thing: str = ""
     pose: tuple[float, float, float] | None = None
 

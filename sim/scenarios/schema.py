@@ -94,7 +94,8 @@ class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """What happens `at` a time: exactly one of the actions of `events.ACTIONS`.
 
     stop, estop, reset, join, leave and kill name robots, a group or `all`; run names a pattern,
-    param holds values and both act on `who` (all, if left out); place and remove name a box.
+    param holds values and both act on `who` (all, if left out); place names a box, remove a box or
+    a robot or group, whose daemons are killed and whose bodies leave the arena for good.
     """
 
     at: Annotated[float, Meta(ge=0.0, le=1e6)]
@@ -111,6 +112,7 @@ class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     who: Who | None = None
     parameters: Values | None = None
     seconds: Seconds | None = field(default=None, name="for")
+    until: list[str] | None = None
     pose: Placed | None = None
 
 

@@ -78,6 +78,7 @@ class _Robot:
     """What is known of a robot at a time. `until`: when what it runs ends."""
 
     is_there: bool
+    is_out: bool = False
     is_estopped: bool = False
     pattern: str = ""
     parameters: Values = field(default_factory=dict)
@@ -97,8 +98,10 @@ class _Walk:
 
     def go(self, keys: Keys, event: Event) -> None:
         """The event happens; ConfigError if it cannot."""
-        if event.action in ("place", "remove"):
+        if event.thing:
             self._put_or_take(keys, event)
+        elif event.action == "remove":
+            self._take_out(keys, event)
         elif event.action in _MEMBERSHIP:
             self._come_or_go(keys, event)
         else:
@@ -134,10 +137,19 @@ class _Walk:
             raise self._error(keys, f"{event.thing} is not in the arena at {event.at:g} s")
         self._things[event.thing] = event.action == "place"
 
+    def _take_out(self, keys: Keys, event: Event) -> None:
+        for robot in event.robots:
+            state = self._robots[robot]
+            if state.is_out:
+                raise self._error(keys, f"{robot} is not in the arena at {event.at:g} s")
+            state.is_there, state.is_out, state.pattern = False, True, ""
+
     def _come_or_go(self, keys: Keys, event: Event) -> None:
         is_joining = event.action == "join"
         for robot in event.robots:
             state = self._robots[robot]
+            if state.is_out:
+                raise self._error(keys, f"{robot} is not in the arena at {event.at:g} s")
             if state.is_there == is_joining:
                 there = "there already" if is_joining else "not there"
                 raise self._error(keys, f"{robot} is {there} at {event.at:g} s")

@@ -78,7 +78,7 @@ class World:
         self._noise = NoisyLidar(realism.lidar, self.platforms, self.ids, seed)
         self.scan_latency = self._noise.latency
         self._steps = 0
-        self._seq = [0] * n
+        self._seq, self._is_out = [0] * n, np.zeros(n, dtype=np.bool_)
         self._touches = Touches(self.model, n)
         self._touching: list[Touch] = []
         self._sensors = RangeSensors(self.platforms, arena, visibility)
@@ -125,7 +125,15 @@ class World:
             self._touching.append(self._touches.after_step(data, qpos, qvel))
 
     def poses(self) -> Array:
-        """(n, 3) x, y in m and yaw in rad (not wrapped) in the world frame: truth."""
+        """(n, 3) x, y in m and yaw in rad (not wrapped) in the world frame: truth.
+
+        NaN for a robot that has been taken out of the arena.
+        """
+        poses = self._places()
+        poses[self._is_out] = np.nan
+        return poses
+
+    def _places(self) -> Array:
         return np.array(self._qpos[: 3 * len(self.ids)], dtype=np.float64).reshape(-1, 3)
 
     def twists(self) -> Array:
@@ -164,7 +172,7 @@ class World:
     def odometry(self, robots: Indices | None = None) -> list[Odometry]:
         """The next reading of each of `robots` (all if None), in the frame of its own start."""
         chosen = np.arange(len(self.ids)) if robots is None else robots
-        poses, twists = self._odometers.read(chosen, self.poses(), self.twists())
+        poses, twists = self._odometers.read(chosen, self._places(), self.twists())
         return [
             Odometry(self.time, Pose(*pose), Twist(*twist))
             for pose, twist in zip(poses.tolist(), twists.tolist(), strict=True)
@@ -191,6 +199,12 @@ class World:
             if math.dist(own[:2], at[:2]) <= self._widest
         ]
         self._things.place(thing, at, outlines)
+
+    def take_out(self, robot: int) -> None:
+        """Take a robot's body out of the arena for good: nothing touches or sees it any more."""
+        self._is_out[robot] = True
+        geom = self.model.geom(self.ids[robot]).id
+        self.model.geom_contype[geom] = self.model.geom_conaffinity[geom] = 0
 
     def remove(self, thing: str) -> None:
         """Take a movable box out of the arena; SwarmError if it is not in it."""

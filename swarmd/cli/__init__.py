@@ -22,11 +22,13 @@ VERBS = {
     "members": ("swarmd.cli.members:members", "Who is in the swarm, and how they are."),
     "describe": ("swarmd.cli.describe:describe", "All about one robot, and why it stands."),
     "patterns": ("swarmd.cli.patterns:patterns", "The patterns there are, and their parameters."),
+    "mission": ("swarmd.cli.mission:mission", "Check missions before robots run them."),
     "run": ("swarmd.cli.run:run", "Start a pattern on robots."),
     "stop": ("swarmd.cli.stop:stop", "Stop robots; without names all of them."),
     "estop": ("swarmd.cli.stop:estop", "Emergency stop, latched; without names all robots."),
     "reset": ("swarmd.cli.reset:reset", "Clear emergency stops and faults; moves nothing."),
     "param": ("swarmd.cli.param:param", "Get or set parameters of running patterns."),
+    "plugin": ("swarmd.cli.plugin:plugin", "Write, check and reload patterns of your own."),
 }
 _EXIT_CODES = """\b
 Exit codes:

@@ -6,6 +6,7 @@ and another child is asked for those that are left.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import selectors
@@ -61,7 +62,7 @@ def _ask(
         try:
             rows, culprit = _read(child.stdout, patience)
             is_over = len(rows) == len(names)
-            hangs = not is_over and _is_running(child)
+            hangs = not is_over and is_running(child)
         finally:
             child.kill()
         if not is_over and culprit is None:
@@ -78,19 +79,19 @@ def _read(stream: IO[bytes], patience: float) -> tuple[list[Row], Row | None]:
     """The rows that came, and what was begun and not done when the child ended or fell silent."""
     rows: list[Row] = []
     begun: Row | None = None
-    for line in _lines(stream, patience):
-        message: Row = json.loads(line)
+    for line in lines(stream, patience):
+        message = message_of(line)
         if "end" in message:
             return rows, None
         if "begin" in message:
             begun = message
-        else:
+        elif "name" in message:
             rows.append(message)
             begun = None
     return rows, begun
 
 
-def _lines(stream: IO[bytes], patience: float) -> Iterator[bytes]:
+def lines(stream: IO[bytes], patience: float) -> Iterator[bytes]:
     """Whole lines, until the end or until none has come for `patience` s."""
     buffer = b""
     deadline = time.monotonic() + patience
@@ -100,13 +101,22 @@ def _lines(stream: IO[bytes], patience: float) -> Iterator[bytes]:
             piece = os.read(stream.fileno(), 65536)
             if not piece:
                 return
-            *lines, buffer = (buffer + piece).split(b"\n")
-            if lines:
+            *whole, buffer = (buffer + piece).split(b"\n")
+            if whole:
                 deadline = time.monotonic() + patience
-            yield from lines
+            yield from whole
 
 
-def _is_running(child: subprocess.Popen[bytes]) -> bool:
+def message_of(line: bytes) -> Row:
+    """What a line says; nothing if it is none of ours: plugin code may write where we do."""
+    with contextlib.suppress(ValueError):
+        message = json.loads(line)
+        if isinstance(message, dict):
+            return message
+    return {}
+
+
+def is_running(child: subprocess.Popen[bytes]) -> bool:
     """True unless it is ending; one that has closed its output is given a moment to do so."""
     try:
         child.wait(timeout=1.0)
@@ -118,6 +128,6 @@ def _is_running(child: subprocess.Popen[bytes]) -> bool:
 def _last_line(text: str, hangs: bool) -> str:
     if hangs:
         return "the process that describes patterns does not begin to"
-    lines = [line for line in text.splitlines() if line.strip()]
-    line = lines[-1] if lines else "the process that describes patterns ended without a word"
+    words = [line for line in text.splitlines() if line.strip()]
+    line = words[-1] if words else "the process that describes patterns ended without a word"
     return line.removeprefix("swarmd.errors.").removeprefix("ConfigError: ")

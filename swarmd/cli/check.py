@@ -123,6 +123,7 @@ def _roster(settings: DaemonSettings) -> Iterator[Finding]:
 def _patterns(settings: DaemonSettings) -> Iterator[Finding]:
     try:
         origins = pattern_names(settings.plugin_dir)
+        own = pattern_names(settings.plugin_dir, {})
         rows = describe_patterns((), settings.plugin_dir, settings.platform_name)
     except SwarmError as error:
         yield Finding("patterns", False, str(error))
@@ -137,6 +138,9 @@ def _patterns(settings: DaemonSettings) -> Iterator[Finding]:
         elif row["missing"]:
             text = f"not for this platform, which lacks {', '.join(row['missing'])}"
             yield Finding(f"pattern {name}", True, text)
+        elif row["refused"]:
+            start = "" if name in own else "not for this platform: "
+            yield Finding(f"pattern {name}", name not in own, start + row["refused"])
         else:
             yield Finding(f"pattern {name}", True, row["source"])
     by_name = {row["name"]: row for row in rows}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import click
@@ -12,15 +12,20 @@ from swarmd.cli.answer import finish
 from swarmd.cli.arguments import check_name
 from swarmd.cli.asking import meet
 from swarmd.cli.console import Console, common
-from swarmd.cli.output import NOTHING, print_json, print_table, printable, seconds
+from swarmd.cli.output import NOTHING, number, print_json, print_table, printable, seconds
 from swarmd.cli.reasons import activity
 from swarmd.messages import Condition, Member
 from swarmd.network.requests import REFUSED
 
 if TYPE_CHECKING:
     from swarmd.network.views import MembersView
+    from swarmd.values import Scalar
 
-HEADER = ("NAME", "STATE", "REASON", "PATTERN", "GEN", "PROTECTION", "SCAN", "LOOP99", "SEEN")
+HEADER = (
+    *("NAME", "STATE", "REASON", "PATTERN", "GEN", "PROTECTION", "SCAN", "LOOP99", "SEEN"),
+    "REPORT",
+)
+_WIDEST = 60
 
 
 class Refused(click.ClickException):
@@ -73,9 +78,17 @@ def row(member: Member) -> tuple[str, ...]:
     if member.condition is not Condition.ALIVE:
         pattern = f"{status.pattern}?" if status is not None and status.pattern else NOTHING
         dashes = (NOTHING,) * 5
-        return (member.robot, member.condition, NOTHING, pattern, *dashes[1:], _seen(member))
+        return (
+            member.robot,
+            member.condition,
+            NOTHING,
+            pattern,
+            *dashes[1:],
+            _seen(member),
+            NOTHING,
+        )
     if status is None:
-        return (member.robot, "no answer", *(NOTHING,) * 6, _seen(member))
+        return (member.robot, "no answer", *(NOTHING,) * 6, _seen(member), NOTHING)
     return (
         member.robot,
         status.state,
@@ -86,6 +99,7 @@ def row(member: Member) -> tuple[str, ...]:
         f"{status.health.scan_rate:.1f} Hz",
         seconds(status.health.loop_p99),
         _seen(member),
+        _told(status.report),
     )
 
 
@@ -112,6 +126,12 @@ def health(view: MembersView) -> Iterator[str]:
         yield f"driver lost: {', '.join(names)} ({text})"
     if any(s.profile == "field" and not s.is_secured for s in statuses):
         yield "WARNING: no certificates: anyone on this network can drive these robots"
+
+
+def _told(report: Mapping[str, Scalar]) -> str:
+    """What its pattern reports, as far as a line of a table has room."""
+    text = ", ".join(f"{name} {number(value)}" for name, value in report.items()) or NOTHING
+    return text if len(text) <= _WIDEST else f"{text[: _WIDEST - 3]}..."
 
 
 def _seen(member: Member) -> str:

@@ -10,7 +10,7 @@ import click
 
 from swarmd.cli.catalog import Row, describe_patterns
 from swarmd.cli.console import Console, common
-from swarmd.cli.output import NOTHING, number, print_json, print_section, print_table
+from swarmd.cli.output import NOTHING, number, print_json, print_section, print_table, printable
 
 _plugin_dir = click.option(
     "--plugin-dir",
@@ -69,7 +69,8 @@ def show_pattern(console: Console, name: str, plugin_dir: Path | None, platform:
     if console.is_json:
         print_json("Pattern", {"pattern": row})
         return
-    click.echo(f"{name}: {inspect.cleandoc(row['text'])}\n")
+    text = inspect.cleandoc(f"{name}: {row['text']}")
+    click.echo("\n".join(map(printable, text.splitlines())) + "\n")
     print_section("Pattern", _about(row))
     click.echo(f"Parameters on {row['platform']}")
     header = ("NAME", "DEFAULT", "WANTED", "MEANING", "SOURCE")
@@ -86,6 +87,7 @@ def _about(row: Row) -> list[tuple[str, str]]:
         ("says", ", ".join(channels) or NOTHING),
         ("rate", f"{row['rate']:g} Hz"),
         ("touches", f"{row['touches']}, if granted" if row["touches"] else NOTHING),
+        *([("refused", f"{row['refused']} (on {row['platform']})")] if row["refused"] else []),
     ]
 
 

@@ -15,6 +15,7 @@ _SENTENCES = {
     Reason.FINISHED: "its pattern has finished{detail}; `swarmctl run` starts one again",
     Reason.RESET: "it was reset{detail}; `swarmctl run PATTERN {robot}` starts it",
     Reason.OPERATOR: "an operator stopped it{detail}; `swarmctl run PATTERN {robot}` starts it",
+    Reason.RELOADED: "its pattern's code was replaced{detail}; `swarmctl run` starts it",
     Reason.ESTOP: "it was emergency-stopped{latches}; `swarmctl reset {robot}` clears that",
     Reason.LOOP_STALLED: "its daemon was held up for over 1 s{detail}; look at its host, then run",
     Reason.LOAD_FAILED: "its pattern could not be loaded{detail}; correct it, then run",

@@ -21,6 +21,13 @@ from swarmd.keys import is_id
     "-p", "params", multiple=True, metavar="KEY=VALUE", help="A parameter; may be repeated."
 )
 @click.option("--for", "duration", type=Duration(), help="Finish after this long, such as 60s.")
+@click.option(
+    "--until",
+    multiple=True,
+    metavar="CONDITION",
+    help="Finish when it holds: done, nearer:METRES, settled:REPORT:SECONDS, report:KEY=VALUE or"
+    " timeout:SECONDS; given more than once, any of them.",
+)
 @common
 def run(
     console: Console,
@@ -30,6 +37,7 @@ def run(
     exclude: tuple[str, ...],
     params: tuple[str, ...],
     duration: float | None,
+    until: tuple[str, ...],
 ) -> None:
     """Start PATTERN on TARGETS: names, globs such as 'tb3-*', or --all.
 
@@ -42,6 +50,11 @@ def run(
     args: dict[str, Any] = {"pattern": pattern, "params": read_assignments(params)}
     if duration is not None:
         args["seconds"] = duration
+    if until:
+        from swarmd.mission.conditions import parse_conditions
+
+        parse_conditions(until)
+        args["until"] = list(until)
     with console.operator() as operator:
         view = meet(operator)
         outcome = ask(operator, view, "run", choose(view, targets), args, console.timeout)

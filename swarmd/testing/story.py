@@ -150,12 +150,11 @@ class Story:
         self.messages.extend(actions.messages.items())
         if actions.latches is not None:
             self.written.append(actions.latches)
-        if actions.host is None:
-            return
-        self.sent.append(actions.host)
-        if self.is_hung and not isinstance(actions.host, Kill):
-            return
-        self._runner.send(actions.host)
+        for command in (actions.trial, actions.host):
+            if command is not None:
+                self.sent.append(command)
+                if not self.is_hung or isinstance(command, Kill):
+                    self._runner.send(command)
         for event in list(self._runner.events()):
             self.carry_out(self.robot.on_host(event, self.now if now is None else now), now)
 

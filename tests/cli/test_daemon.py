@@ -145,6 +145,28 @@ def test_check_finds_parameters_that_no_pattern_takes(tmp_path: Path) -> None:
     assert "robot: drive: speed is 1000; wanted a float" in done.stdout
 
 
+def test_check_checks_missions_as_a_whole_for_this_platform(tmp_path: Path) -> None:
+    (tmp_path / "own.yaml").write_text(
+        "mission: Distances for TurtleBots\n"
+        "parts: {vote: {pattern: majority_rule}, move: {pattern: dispersion}}\n"
+        "map: [{from: vote.opinion, to: move.distance, values: [0.6, 1.3, 1.4]}]\n"
+        "parallel: [vote, move]\ndrives: move\n"
+    )
+    args = ["--id", "r1", "--plugin-dir", ".", "--check"]
+    found = {
+        platform: swarmd(*args, "--platform", platform, cwd=tmp_path).stdout.splitlines()
+        for platform in ("burger", "jackal")
+    }
+    (well,) = (line for line in found["burger"] if "pattern own" in line)
+    (bad,) = (line for line in found["jackal"] if "pattern own" in line)
+    assert well.startswith("ok  ")
+    assert bad.startswith("FAIL")
+    assert "own.yaml:3: map[0]: sets move.distance to 0.6 where vote.opinion is 0" in bad
+    (shipped,) = (line for line in found["jackal"] if "discuss_then_disperse" in line)
+    assert shipped.startswith("ok  ")
+    assert "not for this platform: " in shipped
+
+
 def test_a_parent_that_has_ended_already_starts_nothing(tmp_path: Path) -> None:
     done = swarmd("--id", "r1", "--die-with-parent", "1", "--check", cwd=tmp_path)
     assert done.stdout == ""

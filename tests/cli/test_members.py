@@ -26,7 +26,15 @@ def test_shows_a_running_robot(make_member: MakeMember) -> None:
         "SCAN": "5.0 Hz",
         "LOOP99": "4 ms",
         "SEEN": "now",
+        "REPORT": "opinion 2",
     }
+
+
+def test_shows_what_a_pattern_reports_as_far_as_there_is_room(make_member: MakeMember) -> None:
+    assert line(make_member(report={}))["REPORT"] == "-"
+    told = {"phase": "disperse", "opinion": 2, "distance": 1.4000000001}
+    assert line(make_member(report=told))["REPORT"] == "phase disperse, opinion 2, distance 1.4"
+    assert len(line(make_member(report={"text": "long " * 30}))["REPORT"]) == 60
 
 
 def test_shows_what_protection_is_doing(make_member: MakeMember) -> None:

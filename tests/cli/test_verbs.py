@@ -8,6 +8,7 @@ import pty
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -123,6 +124,23 @@ def test_run_ends_with_the_line_that_counts(swarm: Swarm) -> None:
     assert (done.returncode, done.stderr) == (0, "")
     assert last_line(done) == "3 targeted, 3 applied"
     assert swarm.status("r2")["params"]["speed"] == {"value": 0.1, "source": "runtime"}
+
+
+def test_a_run_ends_when_its_condition_holds(swarm: Swarm) -> None:
+    done = swarm.ctl("run", "majority_rule", "r1", "--until", "nearer:1", "--until", "timeout:0.5")
+    assert (done.returncode, done.stderr) == (0, "")
+    deadline = time.monotonic() + 20.0
+    while swarm.status("r1")["state"] == "running" and time.monotonic() < deadline:
+        time.sleep(0.1)
+    status = swarm.status("r1")
+    assert (status["state"], status["reason"]) == ("idle", "finished")
+    assert status["detail"] == "until something is nearer than 1 m or 0.5 s have passed"
+
+
+def test_a_wrong_condition_is_told_of_before_anything_is_sent(swarm: Swarm) -> None:
+    done = swarm.ctl("run", "drive", "r1", "--until", "near:1")
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: no condition 'near'; did you mean 'nearer'?")
 
 
 def test_run_in_json_keeps_stdout_parseable(swarm: Swarm) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -20,10 +21,17 @@ class TestMajorityRule(PatternContract):
     pattern = MajorityRule
 
 
+class TestMajorityRuleByRounds(PatternContract):
+    pattern = MajorityRule
+    params: ClassVar[Mapping[str, Value]] = {"windows": "rounds", "count_own": True}
+    platforms = ("burger",)
+
+
 def make(robot: str, seed: int = 0, **params: Value) -> MajorityRule:
+    """Its windows end in step unless told otherwise."""
     pattern = assemble(
         "majority_rule",
-        (("test", params),),
+        (("test", {"staggered": False, **params}),),
         find=lambda name: MajorityRule,
         robot=robot,
         platform=load_platform("burger"),

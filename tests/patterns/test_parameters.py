@@ -13,7 +13,7 @@ from swarmd.settings import load_platform, platform_names
 FOUND = {name: o for name, o in pattern_names(None).items() if o.value.startswith("swarmd.")}
 FIND = Finder({name: (origin.value, False) for name, origin in FOUND.items()})
 # Numbers that are counts, shares or weights.
-WITHOUT_UNIT = {"bias", "rays", "opinions", "initial"}
+WITHOUT_UNIT = {"bias", "cruise", "initial", "opinions", "rays", "surge"}
 
 
 @pytest.mark.parametrize("name", FOUND)

@@ -22,6 +22,11 @@ class TestRandomWalk(PatternContract):
     pattern = RandomWalk
 
 
+class TestRandomWalkOfThePaper(PatternContract):
+    pattern = RandomWalk
+    params = {"law": "paper"}  # noqa: RUF012 - read only
+
+
 def walk(
     see: Callable[[float], Scan], seconds: float, *, seed: int = 0, **params: Value
 ) -> list[Twist]:
@@ -105,3 +110,18 @@ def test_starts_with_a_turn_if_something_is_ahead() -> None:
     assert twists[0].linear == 0.0
     assert abs(twists[0].angular) > 0.0
     assert any(twist.linear > 0.0 for twist in twists[20:])
+
+
+def test_the_law_of_the_paper_waits_and_then_looks_at_nothing() -> None:
+    ahead = scan_of(PLATFORM, [Disc(0.5, 0.0)])
+    twists = walk(lambda now: ahead, 14.9, law="paper")
+    assert all(twist == Twist() for twist in twists[:50])
+    assert all(twist == Twist(linear=0.26) for twist in twists[50:])
+
+
+def test_the_law_of_the_paper_turns_as_ours_does() -> None:
+    twists = walk(lambda now: FREE, 600.0, law="paper", straight_min=0.1, straight_max=0.1)
+    rates = np.array([twist.angular for twist in twists[50:] if twist.linear == 0.0])
+    assert np.abs(rates).min() >= 0.2 * 1.82
+    assert np.abs(rates).max() <= 0.8 * 1.82
+    assert set(np.sign(rates)) == {-1.0, 1.0}

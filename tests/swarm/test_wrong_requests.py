@@ -48,7 +48,7 @@ CASES = (
     Case("run", COUNTED, changes={"verb": "fly"}),
     *(
         Case(verb, COUNTED, changes={"targets": None})
-        for verb in ("run", "reset", "param", "forget")
+        for verb in ("run", "reset", "reload", "param", "forget")
     ),
     Case("run", COUNTED, changes={"operator": ""}),
     Case("run", COUNTED, changes={"id": "x" * 64}),
@@ -58,9 +58,9 @@ CASES = (
     Case("stop", SILENT, changes={"targets": {"r" * 64: None}}),
     *(
         Case(verb, SILENT, changes={"targets": {"r9": None}})
-        for verb in ("run", "stop", "estop", "reset", "param", "forget")
+        for verb in ("run", "stop", "estop", "reset", "reload", "param", "forget")
     ),
-    *(Case(verb, CHANGED, quotes=False) for verb in ("run", "reset")),
+    *(Case(verb, CHANGED, quotes=False) for verb in ("run", "reset", "reload")),
     Case("param", CHANGED, args={"set": {"speed": 0.3}}, quotes=False),
     Case("run", CHANGED, changes={"targets": {"r1": None}}),
     Case("run", "run wants a pattern by name", args={"pattern": 5}),
@@ -73,6 +73,8 @@ CASES = (
     Case("param", "param set wants values by name", args={"set": {}}),
     Case("param", "param set wants values by name", args={"set": "speed"}),
     Case("reset", "reset wants a list of ids", args={"ids": "all"}),
+    Case("reload", "reload wants a pattern by name", args={"pattern": 5}),
+    Case("reload", "reload wants a pattern by name", args={"pattern": "drive", "run": "yes"}),
     Case("forget", "r2 is alive", args={"name": "r2"}),
 )
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import random
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from time import perf_counter
 from typing import Annotated, Any
 
 import numpy as np
@@ -51,6 +54,34 @@ class NotANumber(Good):
         return Twist(float(np.mean(inputs.scan.ranges)) if len(inputs.scan.ranges) else 0.0)
 
 
+class ExpectsARay(Good):
+    is_symmetric = False
+
+    def drive(self, inputs: Inputs) -> Twist:
+        assert inputs.scan is not None
+        return Twist(0.1 if inputs.scan.ranges[0] > 0.0 else 0.0)
+
+
+class ExpectsKnown(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        assert inputs.scan is not None
+        known = inputs.scan.ranges[~np.isnan(inputs.scan.ranges)]
+        lacks_all = len(inputs.scan.ranges) > 0 and len(known) == 0
+        return Twist(math.nan if lacks_all else 0.1)
+
+
+class ExpectsRoom(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        assert inputs.scan is not None
+        is_near = inputs.scan.ranges == -math.inf
+        return Twist(-math.inf if len(is_near) and is_near.all() else 0.1)
+
+
+class TurnsForEver(Good):
+    def step(self, inputs: Inputs) -> Outputs:
+        return Outputs(twist=Twist(angular=math.inf))
+
+
 class TooFast(Good):
     def drive(self, inputs: Inputs) -> Twist:
         return Twist(9.0)
@@ -89,6 +120,56 @@ class SeedsTheShared(Good):
 class ReadsTheClock(Good):
     def drive(self, inputs: Inputs) -> Twist:
         return Twist(0.0 * time.monotonic())
+
+
+class KnowsAClock(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        return Twist(0.0 * perf_counter())
+
+
+class Speaks(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        print("here")
+        return Twist()
+
+
+class WritesAloud(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        sys.stdout.write("here")
+        return Twist()
+
+
+class Sleeps(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        time.sleep(1e-4)
+        return Twist()
+
+
+class ReadsAPath(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        return Twist(0.0 * len(Path(__file__).read_text()))
+
+
+class Dawdles(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        begin = time.thread_time()
+        while time.thread_time() < begin + 0.015:
+            pass
+        return Twist()
+
+
+class NeverEnds(Good):
+    def drive(self, inputs: Inputs) -> Twist:
+        while True:
+            pass
+
+
+class SharesMemory(Good):
+    steps: list[int] = []  # noqa: RUF012 - the mistake
+
+    def drive(self, inputs: Inputs) -> Twist:
+        self.steps.append(1)
+        return Twist(1e-6 * len(self.steps))
 
 
 class OpensAFile(Good):
@@ -184,6 +265,10 @@ def test_a_good_pattern_passes(test: str) -> None:
         (OneSided, "test_mirrored_scans_give_mirrored_wishes", "mirrored scan"),
         (FirstRay, "test_the_order_of_rays_means_nothing", "reordered scan"),
         (NotANumber, "test_odd_scans_give_sane_wishes", "the wish is"),
+        (ExpectsARay, "test_odd_scans_give_sane_wishes", "out of bounds"),
+        (ExpectsKnown, "test_odd_scans_give_sane_wishes", "all unknown: the wish is"),
+        (ExpectsRoom, "test_odd_scans_give_sane_wishes", "all too near: the wish is"),
+        (TurnsForEver, "test_odd_scans_give_sane_wishes", "no rays: the wish is"),
         (TooFast, "test_odd_scans_give_sane_wishes", "the wish is"),
         (NeedsAScan, "test_runs_without_a_scan", "no scan"),
         (Writes, "test_inputs_are_left_alone", "read-only"),
@@ -191,6 +276,13 @@ def test_a_good_pattern_passes(test: str) -> None:
         (Unseeded, "test_the_same_seed_gives_the_same_run", "differ"),
         (SeedsTheShared, "test_the_same_seed_gives_the_same_run", "other than context.rng"),
         (ReadsTheClock, "test_touches_nothing_outside", "may not call time.monotonic"),
+        (KnowsAClock, "test_touches_nothing_outside", "may not call time.perf_counter"),
+        (Speaks, "test_touches_nothing_outside", "may not call builtins.print"),
+        (WritesAloud, "test_touches_nothing_outside", "may not write to the console"),
+        (Sleeps, "test_touches_nothing_outside", "may not call time.sleep"),
+        (ReadsAPath, "test_touches_nothing_outside", "may not call io.open"),
+        (Dawdles, "test_steps_take_little_time", "ms; at most 10.0"),
+        (SharesMemory, "test_the_same_seed_gives_the_same_run", "differ"),
         (OpensAFile, "test_touches_nothing_outside", "may not call builtins.open"),
         (SpeaksOutOfTurn, "test_outputs_are_plain", "not in channels"),
         (SaysTooMuch, "test_outputs_are_plain", "bytes; at most"),
@@ -205,9 +297,19 @@ def test_a_good_pattern_passes(test: str) -> None:
     ],
 )
 def test_a_broken_pattern_fails(kind: type[Pattern[Any]], test: str, reason: str) -> None:
-    errors = (AssertionError, NotImplementedError, ValueError, SwarmError)
+    errors = (AssertionError, IndexError, NotImplementedError, ValueError, SwarmError)
     with pytest.raises(errors, match=reason):
         run(kind, test)
+
+
+def test_a_pattern_that_never_ends_fails_when_its_time_is_over() -> None:
+    contract: Any = type("Contract", (PatternContract,), {"pattern": NeverEnds, "seconds": 0.2})()
+    contract.setup_method()
+    try:
+        with pytest.raises(AssertionError, match=r"not done after 0\.2 s of processor time"):
+            contract.test_odd_scans_give_sane_wishes(contract.subject("burger"))
+    finally:
+        contract.teardown_method()
 
 
 def test_pytest_runs_every_test_for_every_platform(pytester: pytest.Pytester) -> None:

@@ -14,6 +14,7 @@ import pytest
 
 from swarmd.errors import SwarmError
 from swarmd.sim.lockstep.lockstep import BODY_TIMEOUT, Lockstep, simulate_run
+from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace
@@ -160,6 +161,44 @@ def test_who_left_stands_at_once_and_who_was_killed_when_its_base_gives_up() -> 
     assert moving[-1, 2] > 0.1
 
 
+def test_who_is_removed_is_neither_there_nor_seen_nor_touched() -> None:
+    """Two drive at each other; the one that is taken away leaves the other's way free."""
+    trace = simulate_run(
+        scenario(
+            duration=12.0,
+            groups={
+                "a": {
+                    "robots": ["r-1", "r-2"],
+                    "pattern": "drive",
+                    "start": {"layout": "list", "poses": [[-1.0, 0.0, 0.0], [1.0, 0.0, 180.0]]},
+                }
+            },
+            radio={"range_and_bearing": True},
+            events=[{"at": 1.0, "remove": "r-2"}],
+        ),
+        0,
+    )
+    assert trace.present is not None
+    assert trace.present[at(trace, 0.9)].all()
+    assert not trace.present[at(trace, 1.1) :, 1].any()
+    assert np.isfinite(trace.pose[at(trace, 0.9)]).all()
+    assert np.isnan(trace.pose[at(trace, 1.1) :, 1]).all()
+    assert trace.pose[-1, 0, 0] > 1.0
+    assert len(trace.contact_t) == 0
+    assert trace.gap is not None
+    assert np.isnan(trace.gap[at(trace, 3.0) :, 0]).all()
+    numbers = measure(trace)
+    assert (numbers["minimum_gap"] or 0.0) > 1.0
+    assert (numbers["clearance"] or 0.0) > 1.0
+    alone = scenario(
+        duration=12.0,
+        groups={"a": {"robots": ["r-1"], "pattern": "drive"}},
+        start={"layout": "list", "poses": [[-1.0, 0.0, 0.0]]},
+    )
+    end = simulate_run(alone, 0).pose[-1, 0]
+    np.testing.assert_allclose(trace.pose[-1, 0, :2], end[:2], atol=0.05)
+
+
 def test_who_joins_later_has_stood_in_its_place() -> None:
     joining = scenario(
         events=[{"at": 1.0, "join": ["r-01"]}, {"at": 2.0, "run": "drive", "who": ["r-01"]}]
@@ -187,6 +226,15 @@ def test_a_run_for_some_seconds_finishes() -> None:
     assert trace.reason is not None
     assert set(trace.reason[-1]) == {"finished"}
     assert (speeds(trace)[-1] < 1e-6).all()
+
+
+def test_a_run_ends_until_a_condition_holds() -> None:
+    running = {"count": 3, "prefix": "r"}
+    event = {"at": 0.5, "run": "drive", "until": ["timeout:1"]}
+    trace = simulate_run(scenario(groups={"all": running}, events=[event]), 0)
+    assert trace.reason is not None
+    assert set(trace.reason[-1]) == {"finished"}
+    assert (np.abs(speeds(trace)[at(trace, 1.2)]) > 0.01).all()
 
 
 def test_messages_pass_the_radio_alone() -> None:

@@ -19,6 +19,7 @@ from swarmd.sim.metrics import (
     clearance,
     effort,
     flock,
+    formation,
     gap,
     graph,
     protection,
@@ -157,7 +158,7 @@ def test_a_number_of_a_whole_run_has_no_series(full_run: Run) -> None:
 
 def test_names_are_unique_and_told() -> None:
     rows = catalog.table()
-    singles = (aggregation, area, clearance, effort, flock, gap, graph)
+    singles = (aggregation, area, clearance, effort, flock, formation, gap, graph)
     subjects = (*singles, protection, touches, voting)
     listed = sorted(metric.name for subject in subjects for metric in subject.METRICS)
     assert sorted(row[0] for row in rows) == listed  # each once

@@ -91,3 +91,14 @@ def test_there_is_none_without_an_arena_or_a_robot(run: Run) -> None:
     assert clearance.clearances(run(at(0.0, 0.0), meta={"arena": "?"})) is None
     empty = run(np.zeros((0, 1, 3)), meta={"arena": "6x6"})
     assert clearance.clearance(empty) == math.inf
+
+
+def test_a_body_that_is_not_in_the_arena_is_near_nothing(run: Run) -> None:
+    pose = np.zeros((1, 2, 3))
+    pose[0, 1] = np.nan
+    there, alone = (
+        clearance.clearances(run(p, meta={"arena": "6x6"})) for p in (pose, pose[:, :1])
+    )
+    assert there is not None
+    assert alone is not None
+    np.testing.assert_array_equal(there, alone)

@@ -85,3 +85,19 @@ def test_an_instant_alone_shows_no_motion(run: Run) -> None:
     assert np.isnan(flock.polarisations(run(np.zeros((1, 3, 3))))).all()
     assert np.isnan(flock.millings(run(np.zeros((1, 3, 3))))).all()
     assert flock.millings(run(np.zeros((0, 3, 3)))).shape == (0,)
+
+
+def test_the_way_of_the_centroid(run: Run) -> None:
+    # Two seconds at 0.2 m/s; who goes the other way takes half of it back.
+    np.testing.assert_allclose(flock.centroid_ways(run(moving((0.2, 0.0))))[-1], 0.4)
+    trace = run(moving(*[(0.2, 0.0)] * 3, (-0.2, 0.0)))
+    assert flock.centroid_way(trace) == pytest.approx(0.2)
+    assert flock.centroid_way(run(circling(0.4, 0.0, np.pi))) == pytest.approx(0.0)
+    assert flock.centroid_way(run(np.zeros((0, 3, 3)))) is None
+
+
+def test_who_comes_or_goes_does_not_move_the_centroid(run: Run) -> None:
+    present: NDArray[np.bool_] = np.ones((21, 2), dtype=bool)
+    present[5:, 1] = False
+    trace = run(moving((0.0, 0.0), (0.0, 0.0)), present=present)
+    assert flock.centroid_way(trace) == 0.0

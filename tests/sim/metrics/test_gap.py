@@ -102,3 +102,15 @@ def test_minimum_gap_is_zero_in_touch_and_infinite_alone(run: Run, line: Line) -
 def test_the_body_of_an_absent_robot_counts(run: Run, line: Line) -> None:
     trace = run(line(0.0, 1.0), present=np.array([[True, False]]))
     assert gap.minimum_gap(trace) == pytest.approx(1.0 - 0.508)
+
+
+def test_a_body_that_is_not_in_the_arena_does_not_count(run: Run, line: Line) -> None:
+    pose = np.repeat(line(0.0, 1.0, 5.0), 2, axis=0)
+    pose[1, 1] = np.nan
+    gaps = gap.minimum_gaps(run(pose))
+    without = gap.minimum_gaps(run(pose[:, [0, 2]]))
+    assert gaps[0] < 1.0
+    assert gaps[1] == without[1]
+    pose[1, 2] = np.nan
+    assert gap.minimum_gaps(run(pose))[1] == np.inf
+    assert gap.minimum_gap(run(pose[1:])) == np.inf

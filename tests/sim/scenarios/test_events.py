@@ -36,6 +36,11 @@ def test_says_pattern_parameters_and_how_long(load: Load) -> None:
     assert made.parameters == {"speed": 0.1}
 
 
+def test_says_until_when(load: Load) -> None:
+    event = {"at": 20, "run": "drive", "who": "red", "until": ["nearer:0.5", "done"]}
+    assert load({"events.+": event}).events[-1].until == ("nearer:0.5", "done")
+
+
 def test_places_a_box_at_x_y_and_degrees(load: Load) -> None:
     made = load({"events.+": {"at": 20, "place": "spare", "pose": [1, -1, 90]}}).events[-1]
     assert (made.action, made.thing, made.robots) == ("place", "spare", ())
@@ -54,6 +59,7 @@ def test_places_a_box_at_x_y_and_degrees(load: Load) -> None:
         ({"stop": 5}, "events[1].stop is 5; wanted text"),
         ({"stop": "red", "who": "red"}, "events[1].who means nothing beside stop; leave it out"),
         ({"stop": "red", "for": 5}, "events[1].for means nothing beside stop"),
+        ({"run": "drive", "until": ["near:1"]}, "events[1].until: no condition 'near'; did you"),
         ({"param": {"speed": 1}, "pose": [0, 0, 0]}, "events[1].pose means nothing beside param"),
         ({"param": {}}, "events[1].param is empty; wanted values by name"),
         ({"place": "spare"}, "events[1].pose is missing; wanted [x, y, degrees]"),

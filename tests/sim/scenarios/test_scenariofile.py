@@ -21,9 +21,7 @@ from swarmd.values import Platform
 if TYPE_CHECKING:
     from tests.sim.scenarios.conftest import Load
 
-# Those that name a pattern which is not there yet.
-WAITING = {"paper_exp2": "groups.all.pattern: no pattern 'discussed_dispersion'"}
-SHIPPED = sorted(set(scenario_names()) - set(WAITING))
+SHIPPED = scenario_names()
 
 
 def plain(platform: Platform) -> dict[str, Any]:
@@ -54,12 +52,6 @@ def test_every_shipped_scenario_is_described_and_the_same_from_its_plain_values(
     assert same(scenario, again)
     assert scenario.name == name
     assert 10 < len(scenario.description) <= 100
-
-
-@pytest.mark.parametrize("name", WAITING)
-def test_a_scenario_whose_pattern_is_not_there_says_so(name: str) -> None:
-    with pytest.raises(ConfigError, match=WAITING[name]):
-        load_scenario(name)
 
 
 def test_the_scenario_of_the_tests_is_the_same_from_its_plain_values(load: Load) -> None:

@@ -85,6 +85,18 @@ def test_a_group_may_have_members_who_are_not_there(load: Load) -> None:
             "events[1].run: red-02 is estopped at 9 s; reset it before",
         ),
         ([{"at": 5, "remove": "spare"}], "events[0].remove: spare is not in the arena at 5 s"),
+        (
+            [{"at": 5, "remove": "red"}, {"at": 6, "remove": "red-01"}],
+            "events[1].remove: red-01 is not in the arena at 6 s",
+        ),
+        (
+            [{"at": 5, "remove": "red-01"}, {"at": 6, "join": "red-01"}],
+            "events[1].join: red-01 is not in the arena at 6 s",
+        ),
+        (
+            [{"at": 5, "remove": "red-01"}, {"at": 6, "run": "drive", "who": "red-01"}],
+            "events[1].run: red-01 is not there at 6 s",
+        ),
     ],
 )
 def test_says_what_could_not_be_carried_out(load: Load, events: Events, fault: str) -> None:

@@ -329,6 +329,21 @@ def test_realistic_odometry_drifts_away_from_the_truth() -> None:
     assert len({o.pose.x for o in told}) == 5
 
 
+def test_a_body_that_is_taken_out_is_neither_met_nor_seen() -> None:
+    world = pair("burger", 1.0)
+    world.take_out(1)
+    assert np.isnan(world.poses()[1]).all()
+    assert np.isfinite(world.poses()[0]).all()
+    first, gone = world.scans(np.array([0, 1]))
+    # An LDS gives 0 where nothing is.
+    assert not first.ranges.any()
+    assert not gone.ranges.any()
+    assert all(odometry.pose.is_finite for odometry in world.odometry())
+    drive(world, (0.2, 0.0, 0.0), 6.0)
+    assert world.poses()[0, 0] > 0.5
+    assert not world.contacts()
+
+
 def test_poses_that_are_handed_out_are_copies() -> None:
     world = alone("burger")
     world.poses()[:] = 7.0

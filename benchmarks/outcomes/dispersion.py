@@ -1,0 +1,118 @@
+"""Dispersion: the robots reach their distance, keep it and stand; none touches anything."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from benchmarks.mutations import Mutant
+from benchmarks.outcomes.outcome import Outcome, at_least, at_most
+from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.metrics.catalog import measure
+from swarmd.sim.metrics.window import late
+from swarmd.sim.trace import Trace
+from swarmd.sim.world.geometry import gaps, transform
+
+NAME = "dispersion"
+DISTANCE, TOLERANCE, TOO_FAR = 1.0, 0.03, 1.3
+"""m: what the robots keep free, three standard deviations of the lidar, and no more than that."""
+LIDAR = (-0.032, 0.0)
+"""m, of a Burger's lidar before its axle."""
+SETTING = {"groups.tb3.count": 5, "duration": 40}
+SPEED, WAY = 0.03, 0.73
+_PAPER = "Kaiser et al. 2022, experiment 2"
+
+
+def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
+    """All of them, of one run a seed."""
+    results = simulate(NAME, seeds, jobs=jobs, set=SETTING)
+    traces = list(results.traces)
+    numbers = [measure(trace) for trace in traces]
+    nearest = tuple(late_ranges(trace)[0] for trace in traces)
+    loosest = tuple(late_ranges(trace)[1] for trace in traces)
+    speeds = tuple(_number(n["mean_speed_late_share"]) for n in numbers)
+    touches = tuple(_number(n["robot_contacts"]) + _number(n["arena_contacts"]) for n in numbers)
+    ways = tuple(_number(n["path_length"]) for n in numbers)
+    least = DISTANCE - TOLERANCE
+    return [
+        _outcome("least late range [m]", f">= {least}", nearest, at_least(least, nearest), _PAPER),
+        _outcome(
+            "median late range to the nearest [m]",
+            f"<= {TOO_FAR}",
+            loosest,
+            at_most(TOO_FAR, loosest),
+            "it spreads no further than it is told: ours",
+        ),
+        _outcome("mean way [m]", f"<= {WAY}", ways, at_most(WAY, ways), "ours: no detours"),
+        _outcome("late speed / limit", f"<= {SPEED}", speeds, at_most(SPEED, speeds), _PAPER),
+        _outcome("touches", "0", touches, at_most(0.0, touches), "docs/safety.md"),
+    ]
+
+
+def late_ranges(trace: Trace, seconds: float = 10.0) -> tuple[float, float]:
+    """The least, and the median, of the ranges in m to the nearest other or wall, at the end.
+
+    Truth: from where each lidar is to the outlines of the others and to the walls.
+    """
+    part = late(trace, seconds)
+    n = len(part.ids)
+    outlines = np.stack([transform(part.footprint(i), part.pose[:, i]) for i in range(n)], axis=1)
+    lidars = np.stack([transform(np.array([LIDAR]), part.pose[:, i]) for i in range(n)], axis=1)
+    # A lidar is a very small square.
+    square = 1e-6 * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
+    ranges = np.full((len(part.t), n), np.inf)
+    for i in range(n):
+        for j in range(n):
+            if i != j:
+                seen = gaps(lidars[:, i] + square, outlines[:, j])
+                ranges[:, i] = np.minimum(ranges[:, i], seen)
+    half = 0.5 * float(str(trace.meta["arena"]).split(",")[0].split("x")[0])
+    walls = half - np.abs(lidars[:, :, 0]).max(axis=-1)
+    ranges = np.minimum(ranges, walls)
+    return float(ranges.min()), float(np.median(ranges))
+
+
+def _number(value: float | None) -> float:
+    return float("nan") if value is None else value
+
+
+def _outcome(
+    what: str, wanted: str, values: tuple[float, ...], is_reached: bool, source: str
+) -> Outcome:
+    return Outcome(NAME, what, wanted, values, is_reached, source)
+
+
+_PATH, _TESTS = "patterns/dispersion.py", "tests/outcomes/test_dispersion.py"
+
+
+def _mutant(mechanism: str, change: str, old: str, new: str) -> Mutant:
+    return Mutant(f"dispersion: {mechanism}", change, _PATH, old, new, tests=_TESTS)
+
+
+MUTANTS = (
+    _mutant(
+        "push",
+        "the sign is wrong: it is drawn",
+        "x = -float(weights @ np.cos(points[:, 1]))",
+        "x = float(weights @ np.cos(points[:, 1]))",
+    ),
+    _mutant(
+        "left and right",
+        "they are swapped",
+        "y = -float(weights @ np.sin(points[:, 1]))",
+        "y = float(weights @ np.sin(points[:, 1]))",
+    ),
+    _mutant(
+        "distance",
+        "it spreads twice as far",
+        "distance = params.distance + math.hypot(*offset) + _WAKE * params.ramp",
+        "distance = 2.0 * params.distance",
+    ),
+    _mutant(
+        "distance is kept",
+        "it stands a tenth too near",
+        "distance = params.distance + math.hypot(*offset) + _WAKE * params.ramp",
+        "distance = 0.9 * params.distance",
+    ),
+)

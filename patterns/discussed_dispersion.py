@@ -1,0 +1,191 @@
+"""Discussed dispersion: the robots agree on a distance and spread until they keep it.
+
+Source: Kaiser et al., ICRA 2022, pattern "discussed dispersion" and experiment 2: majority rule
+alone for 20 s while the robots stand, then majority rule and dispersion in parallel; opinions 0, 1
+and 2 stand for 0.6, 1.0 and 1.4 m.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from swarmd.api import (
+    CombinedPattern,
+    ConfigError,
+    Context,
+    Inputs,
+    Outputs,
+    Params,
+    Pattern,
+    Platform,
+    Scalar,
+    Ties,
+    TopSpeed,
+    TopTurn,
+    Unstick,
+    Value,
+    about,
+)
+
+_VOTE, _MOVE = "vote", "move"
+_OF_VOTE = ("opinions", "initial", "window", "ties")
+_OF_MOVE = ("law", "speed", "turn")
+
+
+class DiscussedDispersionParams(Params, frozen=True):
+    """How long to discuss and what the opinions mean; then those of the vote and of the motion."""
+
+    discuss: Annotated[
+        float,
+        about(
+            "how long the robots stand and only vote",
+            ge=0.0,
+            le=3600.0,
+            unit="s",
+            source="paper, experiment 2",
+        ),
+    ] = 20.0
+    base: Annotated[
+        float,
+        about(
+            "distance that opinion 0 stands for; more than the protection threshold",
+            ge=0.05,
+            le=100.0,
+            unit="m",
+            source="paper, experiment 2: 1.2 times the protection threshold",
+        ),
+    ] = 0.6
+    step: Annotated[
+        float,
+        about(
+            "how much more each further opinion stands for",
+            ge=-100.0,
+            le=100.0,
+            unit="m",
+            source="paper, experiment 2: 0.8 times the protection threshold",
+        ),
+    ] = 0.4
+    opinions: Annotated[
+        int,
+        about(
+            "number of opinions; they are 0, 1, 2 ...", ge=1, le=1000, source="paper, experiment 2"
+        ),
+    ] = 3
+    initial: (
+        Annotated[
+            int,
+            about("opinion to start with; none: a random one", ge=0, le=999, source="paper"),
+        ]
+        | None
+    ) = None
+    window: Annotated[
+        float,
+        about("length of the voting window", ge=0.1, le=600.0, unit="s", source="ROS2swarm"),
+    ] = 5.0
+    ties: Annotated[
+        Ties,
+        about(
+            "between equals: a random one of them, keep the own opinion, or the lowest",
+            source="ROS2swarm",
+        ),
+    ] = "random"
+    law: Annotated[
+        Literal["settling", "paper"],
+        about(
+            "how dispersion drives; settling: comes to rest; paper: the original equations",
+            source="ours: the original drives at full speed for ever",
+        ),
+    ] = "settling"
+    speed: TopSpeed = 0.2
+    turn: TopTurn = 1.82
+    unstick: Unstick = False
+
+    def __post_init__(self) -> None:
+        """Check what bounds of single fields cannot."""
+        if self.initial is not None and self.initial >= self.opinions:
+            raise ValueError(f"initial is {self.initial}, opinions end at {self.opinions - 1}")
+
+    def distance(self, opinion: int) -> float:
+        """f: the distance in m that an opinion stands for."""
+        return self.base + self.step * opinion
+
+
+class DiscussedDispersion(CombinedPattern[DiscussedDispersionParams]):
+    """Stands and votes on a distance, then disperses to it and goes on voting.
+
+    Whoever changes its mind later changes its distance.
+    """
+
+    params_type = DiscussedDispersionParams
+
+    def __init__(self, params: DiscussedDispersionParams, context: Context) -> None:
+        _check(params, context.platform)
+        super().__init__(params, context)
+        self._started_at: float | None = None
+        self._distance = float(self.parts[_MOVE].params.distance)
+
+    @classmethod
+    def defaults(cls, platform: Platform) -> Mapping[str, Value]:
+        """Distances from the protection, speeds from the limits."""
+        threshold = float(platform.protection["threshold"])
+        return {
+            "base": 1.2 * threshold,
+            "step": 0.8 * threshold,
+            "speed": min(platform.limits.linear, 0.5),
+            "turn": min(platform.limits.angular, 4.0),
+        }
+
+    def make_parts(self) -> Mapping[str, Pattern[Any]]:
+        """The vote, heard by all who vote by majority rule, and the motion."""
+        make = self.context.make
+        return {
+            _VOTE: make("majority_rule", part=_VOTE, **_chosen(self.params, _OF_VOTE)),
+            _MOVE: make("dispersion", part=_MOVE, **_chosen(self.params, _OF_MOVE)),
+        }
+
+    def update(self, params: DiscussedDispersionParams) -> None:
+        """Take over changed parameters; ConfigError if protection forbids a distance."""
+        _check(params, self.context.platform)
+        super().update(params)
+        for name, keys in ((_VOTE, _OF_VOTE), (_MOVE, _OF_MOVE)):
+            part = self.parts[name]
+            part.update(msgspec.structs.replace(part.params, **_chosen(params, keys)))
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """Vote; once there has been time to discuss, also move."""
+        if self._started_at is None:
+            self._started_at = inputs.now
+        vote = self.step_part(_VOTE, inputs)
+        opinion = int(vote.report["opinion"])
+        self._keep(self.params.distance(opinion))
+        report: dict[str, Scalar] = {"opinion": opinion, "distance": self._distance}
+        if inputs.now - self._started_at < self.params.discuss - 1e-9:
+            return Outputs(messages=vote.messages, report={**report, "phase": "discuss"})
+        move = self.step_part(_MOVE, inputs)
+        report |= {"phase": "disperse", **move.report}
+        return Outputs(move.twist, {**vote.messages, **move.messages}, report)
+
+    def _keep(self, distance: float) -> None:
+        if distance != self._distance:
+            part = self.parts[_MOVE]
+            part.update(msgspec.structs.replace(part.params, distance=distance))
+            self._distance = distance
+
+
+def _chosen(params: DiscussedDispersionParams, names: tuple[str, ...]) -> dict[str, Any]:
+    return {name: getattr(params, name) for name in names}
+
+
+def _check(params: DiscussedDispersionParams, platform: Platform) -> None:
+    threshold = float(platform.protection["threshold"])
+    for opinion in range(params.opinions):
+        distance = params.distance(opinion)
+        if not threshold < distance <= 100.0:
+            raise ConfigError(
+                f"parameters base and step: opinion {opinion} stands for {distance:g} m; wanted is"
+                f" more than {threshold:g} m, the distance that the protection of {platform.name}"
+                " keeps anyway, and at most 100 m"
+            )

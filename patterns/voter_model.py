@@ -1,0 +1,33 @@
+"""Voter model: adopt the opinion of one random neighbour of the last window.
+
+Source: pattern "voter model" of Kaiser et al., ICRA 2022, windows of 2 s as in ROS2swarm, where the
+own opinion does not count; the model itself: Clifford and Sudbury, Biometrika 60(3), 1973; Holley
+and Liggett, Annals of Probability 3(4), 1975.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated
+
+from swarmd.api import VotingParams, VotingPattern, about
+
+
+class VoterModelParams(VotingParams, frozen=True):
+    """What every voting pattern has, with shorter windows."""
+
+    window: Annotated[
+        float,
+        about("length of the voting window", ge=0.1, le=600.0, unit="s", source="ROS2swarm"),
+    ] = 2.0
+
+
+class VoterModel(VotingPattern[VoterModelParams]):
+    """Stands, shares an opinion and adopts a random neighbour's at the end of every window."""
+
+    params_type = VoterModelParams
+
+    def decide(self, heard: Mapping[str, int]) -> int:
+        """The opinion of one of the neighbours, each as likely."""
+        opinions = list(heard.values())
+        return opinions[int(self.context.rng.integers(len(opinions)))]

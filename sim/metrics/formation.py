@@ -1,0 +1,153 @@
+"""How well robots stand in a line, or on a circle.
+
+Distances from the line are orthogonal ones, and the line is that of total least squares (Pearson
+1901, Phil. Mag. 2), as formations are judged since Fredslund and Mataric 2002 (IEEE Trans. Robotics
+and Automation 18, 837), who also ask for spacing. The circle is that of algebraic least squares
+(Kasa 1976, IEEE Trans. Instrum. Meas. 25). Only present robots count.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from swarmd.sim.metrics.metric import Metric, late_mean
+from swarmd.sim.metrics.window import presence
+from swarmd.sim.trace import Trace
+from swarmd.values import Array
+
+
+def line_offsets(trace: Trace) -> Array:
+    """(T,) the root mean square of the robots' distances in m from the best line."""
+    return _each(trace, lambda place: float(np.sqrt(np.mean(_along(place)[1] ** 2))), least=2)
+
+
+def line_unevenness(trace: Trace, spacing: float | None = None) -> Array:
+    """(T,) the root mean square of what gaps along that line differ by from `spacing`, over it.
+
+    None: from their own mean.
+    """
+
+    def of(place: Array) -> float:
+        gaps = np.diff(np.sort(_along(place)[0]))
+        return _spread(gaps, float(gaps.mean()) if spacing is None else spacing)
+
+    return _each(trace, of, least=2)
+
+
+def line_errors(trace: Trace, spacing: float) -> Array:
+    """(T,) the larger of both as shares of `spacing` m; NaN for fewer than two robots."""
+    larger: Array = np.maximum(line_offsets(trace) / spacing, line_unevenness(trace, spacing))
+    return larger
+
+
+def circle_offsets(trace: Trace, radius: float | None = None) -> Array:
+    """(T,) the root mean square of the distances in m from the best circle.
+
+    With a `radius` in m: from the circle of that radius around the best one's centre.
+    """
+
+    def of(place: Array) -> float:
+        away = _around(place)[1]
+        wanted = math.sqrt(float(np.mean(away**2))) if radius is None else radius
+        return math.sqrt(float(np.mean((away - wanted) ** 2)))
+
+    return _each(trace, of, least=3)
+
+
+def circle_unevenness(trace: Trace) -> Array:
+    """(T,) the root mean square of what angular gaps differ by from equal ones, over these."""
+
+    def of(place: Array) -> float:
+        angles = np.sort(_around(place)[0])
+        gaps = np.diff(np.concatenate((angles, angles[:1] + 2.0 * math.pi)))
+        return _spread(gaps, 2.0 * math.pi / len(place))
+
+    return _each(trace, of, least=3)
+
+
+def circle_errors(trace: Trace, spacing: float) -> Array:
+    """(T,) the larger of both, the radius against that of neighbours `spacing` m apart.
+
+    As shares of `spacing`, and of the equal angular gap. NaN for fewer than three robots.
+    """
+    errors = circle_unevenness(trace)
+    counts = presence(trace).sum(axis=1)
+    for count in np.unique(counts[counts > 2]).tolist():
+        radius = spacing / (2.0 * math.sin(math.pi / count))
+        offsets = circle_offsets(trace, radius) / spacing
+        errors = np.where(counts == count, np.maximum(errors, offsets), errors)
+    return errors
+
+
+def _each(trace: Trace, of: Callable[[Array], float], *, least: int) -> Array:
+    """(T,) a number of the places (k, 2) of those present; NaN for fewer than `least`."""
+    is_here = presence(trace)
+    numbers = np.full(len(trace.t), np.nan)
+    for at, place in enumerate(trace.pose[..., :2]):
+        if np.count_nonzero(is_here[at]) >= least:
+            numbers[at] = of(place[is_here[at]])
+    return numbers
+
+
+def _along(place: Array) -> tuple[Array, Array]:
+    """Where (k,) each is along the best line, and how far from it, in m."""
+    x, y = (place - place.mean(axis=0)).T
+    angle = 0.5 * math.atan2(2.0 * float(x @ y), float(x @ x) - float(y @ y))
+    cos, sin = math.cos(angle), math.sin(angle)
+    return cos * x + sin * y, cos * y - sin * x
+
+
+def _around(place: Array) -> tuple[Array, Array]:
+    """In which direction in rad each is from the best circle's centre, and how far in m (k,)."""
+    middle = place.mean(axis=0)
+    points = place - middle
+    known = np.column_stack((2.0 * points, np.ones(len(points))))
+    centre = np.linalg.lstsq(known, (points**2).sum(axis=1), rcond=None)[0][:2]
+    x, y = (points - centre).T
+    return np.arctan2(y, x), np.hypot(x, y)
+
+
+def _spread(gaps: Array, wanted: float) -> float:
+    return math.sqrt(float(np.mean((gaps - wanted) ** 2))) / wanted if wanted > 0.0 else math.nan
+
+
+_LINE = "Pearson 1901, Phil. Mag. 2; Fredslund and Mataric 2002"
+_CIRCLE = "Kasa 1976, IEEE Trans. Instrum. Meas. 25"
+
+METRICS = (
+    Metric(
+        "line_offset",
+        "m",
+        "rms distance of the robots from the line that fits them best, mean of the last 60 s",
+        _LINE,
+        late_mean(line_offsets),
+        line_offsets,
+    ),
+    Metric(
+        "line_unevenness",
+        "share",
+        "rms difference of gaps along that line from their mean, over it; mean of the last 60 s",
+        _LINE,
+        late_mean(line_unevenness),
+        line_unevenness,
+    ),
+    Metric(
+        "circle_offset",
+        "m",
+        "rms distance of the robots from the circle that fits them best, mean of the last 60 s",
+        _CIRCLE,
+        late_mean(circle_offsets),
+        circle_offsets,
+    ),
+    Metric(
+        "circle_unevenness",
+        "share",
+        "rms difference of angular gaps on it from equal ones, over these; mean of the last 60 s",
+        _CIRCLE,
+        late_mean(circle_unevenness),
+        circle_unevenness,
+    ),
+)

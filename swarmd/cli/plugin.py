@@ -1,0 +1,122 @@
+"""`swarmctl plugin`: write a pattern of your own, check it, and replace it while robots run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from swarmd.cli.answer import finish
+from swarmd.cli.arguments import read_targets
+from swarmd.cli.asking import ask, choose, meet
+from swarmd.cli.console import Console, common
+from swarmd.cli.output import print_json, printable
+from swarmd.cli.targets import target_options
+from swarmd.keys import is_id
+
+# A trial on a robot may take 10 s, and loading anew 3 s more.
+RELOADING = 15.0
+CHECKING = 30.0  # s for one point
+
+
+@click.group()
+def plugin() -> None:
+    """Patterns of your own, a file each."""
+
+
+@plugin.command("new")
+@click.argument("name")
+@click.option(
+    "--dir",
+    "folder",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path(),
+    help="The folder to write to [the present one].",
+)
+@click.option(
+    "--kind",
+    type=click.Choice(["movement", "voting", "pattern"]),
+    default="movement",
+    help="What it begins as [movement].",
+)
+@common
+def new(console: Console, name: str, folder: Path, kind: str) -> None:
+    """Write a pattern, NAME.py, and its test, test_NAME.py: both pass as they are."""
+    from swarmd.cli.newplugin import write_plugin
+
+    written = write_plugin(name, folder, kind)
+    steps = [
+        (f"swarmctl plugin check {written[0]}", "what every pattern must hold to"),
+        (f"pytest {written[1]}", "the same, and what yours is for"),
+        (f"swarmctl demo --pattern {name} --plugin-dir {folder}", "robots that run it"),
+    ]
+    if console.is_json:
+        files = [str(path) for path in written]
+        print_json("Plugin", {"name": name, "files": files, "next": [line for line, _ in steps]})
+        return
+    click.echo(f"wrote {written[0]} and {written[1]}; next:\n")
+    width = max(len(line) for line, _ in steps)
+    for line, text in steps:
+        click.echo(f"  {line.ljust(width)}  # {text}")
+    click.echo(f"\nOn a robot, put {name}.py into the folder that its plugin_dir names.")
+
+
+@plugin.command("check")
+@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@common
+def check(console: Console, file: Path) -> None:
+    """Check the pattern in FILE against the contract, a line for each point.
+
+    The file is imported in a process of its own. `--timeout` is for each point [30s].
+    """
+    from swarmd.cli.plugincheck import check_file
+
+    if file.suffix != ".py":
+        raise click.UsageError(
+            f"{file} is no .py; a mission is checked by `swarmctl mission check`"
+        )
+    points = check_file(file, console.timeout or CHECKING)
+    bad = sum(not point.is_well for point in points)
+    if console.is_json:
+        told = [
+            {"point": point.name, "is_well": point.is_well, "text": point.text} for point in points
+        ]
+        print_json("Check", {"file": str(file), "is_well": bad == 0, "points": told})
+    else:
+        width = max(len(point.name) for point in points)
+        for point in points:
+            line = f"{'ok  ' if point.is_well else 'FAIL'}  {point.name.ljust(width)}  {point.text}"
+            click.echo(printable(line.rstrip()))
+        how = f"{bad} not well" if bad else "all well"
+        click.echo(f"{len(points)} checked, {how}")
+    click.get_current_context().exit(1 if bad else 0)
+
+
+@plugin.command("reload")
+@click.argument("name")
+@target_options
+@click.option("--run", "is_run", is_flag=True, help="Run again where it ran, as it was told to.")
+@common
+def reload(
+    console: Console,
+    name: str,
+    names: tuple[str, ...],
+    is_all: bool,
+    exclude: tuple[str, ...],
+    is_run: bool,
+) -> None:
+    """Replace the code of pattern NAME on TARGETS: names, globs such as 'tb3-*', or --all.
+
+    Each robot first tries the new code in a process of its own. If that fails, the robot refuses
+    and says why, and what runs goes on undisturbed. Else a robot that runs NAME stops, and its
+    pattern host is replaced. What else runs is not stopped.
+    """
+    targets = read_targets("plugin reload", names, is_all, exclude, needed=True)
+    if not is_id(name):
+        raise click.UsageError(f"{name!r} is no pattern's name; see `swarmctl patterns`")
+    args = {"pattern": name, "run": is_run}
+    with console.operator() as operator:
+        view = meet(operator)
+        expected = choose(view, targets)
+        outcome = ask(operator, view, "reload", expected, args, console.timeout or RELOADING)
+    finish(console, "plugin reload", outcome)

@@ -1,0 +1,1 @@
+"""Missions: patterns composed of others in a YAML file, and conditions that end a run."""

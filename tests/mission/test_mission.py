@@ -1,0 +1,284 @@
+"""What missions do, step by step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from swarmd.behavior import Pattern
+from swarmd.errors import ConfigError
+from swarmd.params import Params, schema
+from swarmd.values import Inputs, Message, Outputs, Twist
+from tests.mission.company import PLATFORM, Brief, Vote, made, mission_of, steps
+
+PARTS = """
+mission: Tried out
+parts:
+  vote: {pattern: vote_on, params: {initial: 1}}
+  go: {pattern: go}
+  other: {pattern: go, params: {speed: 0.9}}
+  brief: {pattern: brief}
+"""
+
+
+def parts(*names: str) -> str:
+    """The head of a mission with these parts."""
+    lines = PARTS.strip().splitlines()
+    kept = [line for line in lines[2:] if line.strip().split(":")[0] in names]
+    return "\n".join([*lines[:2], *kept]) + "\n"
+
+
+def speeds(found: list[Outputs]) -> list[float | None]:
+    return [None if one.twist is None else one.twist.linear for one in found]
+
+
+def test_steps_of_a_sequence_follow_each_other_and_parts_keep_their_memory(tmp_path: Path) -> None:
+    text = parts("go", "other") + (
+        "sequence: [{part: go, until: {timeout: 2}}, {part: other, until: {timeout: 1}}]\n"
+        "then: repeat\n"
+    )
+    found = steps(made(tmp_path, text), 10.0, 11.9, 12.0, 12.9, 13.0)
+    assert speeds(found) == [0.2, 0.2, 0.9, 0.9, 0.2]
+    assert [one.report["phase"] for one in found] == ["go", "go", "other", "other", "go"]
+    assert found[-1].report["go.steps"] == 3
+    assert "other.steps" not in found[-1].report
+
+
+def test_what_a_part_reported_last_time_does_not_end_its_next_turn(tmp_path: Path) -> None:
+    text = parts("go", "other") + (
+        "sequence:\n  - {part: go, until: {report: go.steps, above: 0}}\n"
+        "  - {part: other, until: {timeout: 1}}\nthen: repeat\n"
+    )
+    found = steps(made(tmp_path, text), 0.0, 0.1, 0.5, 1.1, 1.2, 1.3, 2.2)
+    phases = [one.report["phase"] for one in found]
+    assert phases == ["go", "other", "other", "go", "other", "other", "go"]
+    assert [one.report.get("go.steps") for one in found] == [1, None, None, 2, None, None, 3]
+
+
+def test_a_mission_ends_after_its_last_step_and_says_why(tmp_path: Path) -> None:
+    text = parts("go") + "sequence: [{part: go, until: {nearer: 0.5}}]\nthen: end\n"
+    mission = made(tmp_path, text)
+    assert [one.done for one in steps(mission, 0.0, 1.0)] == [None, None]
+    (last,) = steps(mission, 2.0, range_=0.4)
+    assert last.done == "something is nearer than 0.5 m"
+    assert last.twist is None
+
+
+def test_a_step_whose_part_is_done_ends(tmp_path: Path) -> None:
+    text = parts("brief", "go") + (
+        "sequence: [{part: brief, until: {timeout: 100}}, go]\nthen: stay\n"
+    )
+    found = steps(made(tmp_path, text), *range(6))
+    assert speeds(found) == [0.5, 0.5, 0.5, 0.2, 0.2, 0.2]
+    assert [one.done for one in found] == [None] * 6
+
+
+def test_a_last_step_that_is_done_ends_the_mission_in_that_step(tmp_path: Path) -> None:
+    text = parts("brief") + "sequence: [{part: brief, until: {done: brief}}]\nthen: end\n"
+    found = steps(made(tmp_path, text), *range(3))
+    assert [one.done for one in found] == [None, None, "brief: three steps"]
+
+
+def test_in_a_parallel_one_drives_and_all_speak(tmp_path: Path) -> None:
+    text = parts("vote", "brief", "go") + "parallel: [vote, brief, go]\ndrives: go\n"
+    found = steps(made(tmp_path, text), *range(5))
+    assert speeds(found) == [0.2] * 5
+    assert found[0].messages["brief/count"] == 1
+    assert "vote_on/opinion" in found[0].messages
+    # Who is done is not stepped any more, and the others go on.
+    assert [one.report.get("brief.count") for one in found] == [1, 2, 3, None, None]
+    assert found[4].report["go.steps"] == 5
+
+
+def test_nobody_may_drive(tmp_path: Path) -> None:
+    text = parts("vote", "go") + "parallel: [vote, go]\ndrives: nobody\n"
+    assert speeds(steps(made(tmp_path, text), 0.0, 1.0)) == [None, None]
+
+
+def test_a_parallel_is_over_when_all_in_it_are(tmp_path: Path) -> None:
+    text = parts("brief", "go") + (
+        "parallel: [{part: go, until: {timeout: 1}}, {part: brief, until: {done: brief}}]\n"
+        "drives: go\n"
+    )
+    found = steps(made(tmp_path, text), 0.0, 0.9, 1.0)
+    assert speeds(found) == [0.2, 0.2, None]
+    assert found[2].done == "1 s have passed; brief: three steps"
+
+
+def test_a_switch_takes_the_first_branch_whose_condition_holds(tmp_path: Path) -> None:
+    text = parts("go", "other") + (
+        "switch:\n  - {when: {nearer: 1.0}, part: other, name: close}\n  - {part: go}\n"
+    )
+    mission = made(tmp_path, text)
+    assert speeds(steps(mission, 0.0)) == [0.2]
+    close = steps(mission, 1.0, range_=0.9)
+    assert speeds(close) == [0.9]
+    assert close[0].report["phase"] == "close"
+    assert speeds(steps(mission, 2.0)) == [0.2]
+
+
+def test_a_switch_without_a_branch_stands(tmp_path: Path) -> None:
+    text = parts("go") + "switch: [{when: {reading: light, above: 2}, part: go}]\n"
+    kind = mission_of(tmp_path, text)
+    assert kind.needs == {"scan", "reading:light"}
+    platform = replace(PLATFORM, provides=PLATFORM.provides | {"reading:light"})
+    mission = made(tmp_path, text, platform)
+    assert speeds(steps(mission, 0.0)) == [None]
+    assert speeds(steps(mission, 1.0, readings={"light": 3.0})) == [0.2]
+
+
+MAPPED = parts("vote", "go") + (
+    "map: [{from: vote.opinion, to: go.speed, values: [0.3, 0.5, 0.7]}]\n"
+    "parallel: [vote, go]\ndrives: go\nreport: {opinion: vote.opinion, speed: go.speed}\n"
+)
+
+
+def test_a_map_sets_a_parameter_by_what_a_part_reports(tmp_path: Path) -> None:
+    mission = made(tmp_path, MAPPED)
+    (first,) = steps(mission, 0.0)
+    assert first.twist == Twist(0.5)
+    assert first.report == {"phase": "vote+go", "opinion": 1, "speed": 0.5}
+    mission.parts["vote"].opinion = 2  # type: ignore[attr-defined]
+    assert speeds(steps(mission, 1.0)) == [0.7]
+
+
+def test_a_map_may_be_a_base_and_a_step(tmp_path: Path) -> None:
+    mission = made(tmp_path, MAPPED.replace("values: [0.3, 0.5, 0.7]", "base: 0.1, step: 0.2"))
+    assert speeds(steps(mission, 0.0)) == [pytest.approx(0.3)]
+
+
+def test_channels_are_those_of_the_pattern_unless_private(tmp_path: Path) -> None:
+    text = parts("vote").replace("initial: 1}", "initial: 1}, private: true") + "part: vote\n"
+    mission = made(tmp_path, text)
+    assert set(mission.channels) == {f"vote-{name}" for name in ("opinion", "ballot")} & set(
+        mission.channels
+    )
+    said = Message("robot-2", "vote-opinion", 0, 0.0)
+    outputs = mission.step(Inputs(0.0, 0.0, messages=(said,)))
+    assert outputs.messages["vote-opinion"] == 1
+
+
+def test_own_parameters_are_those_of_parts_with_their_bounds(tmp_path: Path) -> None:
+    text = parts("go") + "part: go\nparameters: {fast: go.speed}\n"
+    kind = mission_of(tmp_path, text)
+    spec = {one.name: one for one in schema(kind.params_type)}
+    assert (spec["fast"].le, spec["fast"].unit) == (1.0, "m/s")
+    assert kind.defaults(PLATFORM) == {"fast": 0.2}
+    mission = made(tmp_path, text, fast=0.4)
+    assert speeds(steps(mission, 0.0)) == [0.4]
+    mission.update(msgspec.structs.replace(mission.params, fast=0.6))
+    assert speeds(steps(mission, 1.0)) == [0.6]
+    with pytest.raises(ConfigError, match="fast is 3"):
+        made(tmp_path, text, fast=3)
+
+
+def test_a_change_that_a_value_of_a_map_forbids_is_refused_while_it_runs(tmp_path: Path) -> None:
+    text = parts("vote", "brief") + (
+        "map: [{from: brief.count, to: vote.share_period, values: {a: 1.0, b: 2.4}}]\n"
+        "parallel: [vote, brief]\ndrives: brief\nparameters: {expiry: vote.expiry}\n"
+    )
+    mission = made(tmp_path, text)
+    mission.update(msgspec.structs.replace(mission.params, expiry=2.5))
+    with pytest.raises(ConfigError, match=r"tried.yaml:5: .* to 2.4 .* expiry is 2 s, less than"):
+        mission.update(msgspec.structs.replace(mission.params, expiry=2.0))
+    assert mission.parts["vote"].params.expiry == 2.5
+
+
+@pytest.mark.parametrize("now", ["", "- [", "a: *b", "\x00"])
+def test_what_it_refuses_while_it_runs_needs_its_file_no_more(tmp_path: Path, now: str) -> None:
+    mission = made(tmp_path, MAPPED + "parameters: {opinions: vote.opinions}\n")
+    path = tmp_path / "tried.yaml"
+    if now:
+        path.write_text(now)
+    else:
+        path.unlink()
+    with pytest.raises(ConfigError, match="no value for opinion 3; vote has 4 opinions"):
+        mission.update(msgspec.structs.replace(mission.params, opinions=4))
+
+
+def test_more_opinions_than_a_map_has_values_are_refused_while_it_runs(tmp_path: Path) -> None:
+    mission = made(tmp_path, MAPPED + "parameters: {opinions: vote.opinions}\n")
+    with pytest.raises(ConfigError, match="no value for opinion 3; vote has 4 opinions"):
+        mission.update(msgspec.structs.replace(mission.params, opinions=4))
+    assert mission.parts["vote"].params.opinions == 3
+
+
+@pytest.mark.parametrize(("more", "wanted"), [("", True), ("unstick: false\n", False)])
+def test_unstick_is_what_the_driving_parts_have_or_the_file_says(
+    tmp_path: Path, more: str, wanted: bool
+) -> None:
+    text = parts("vote", "go") + "parallel: [vote, go]\ndrives: go\n" + more
+    assert made(tmp_path, text).params.unstick is wanted
+
+
+def test_who_never_moves_is_not_led_around_anything(tmp_path: Path) -> None:
+    assert made(tmp_path, parts("vote") + "part: vote\n").params.unstick is False
+
+
+def test_unstick_of_a_part_that_drives_counts(tmp_path: Path) -> None:
+    text = parts("go") + "part: go\n"
+    text = text.replace("pattern: go}", "pattern: go, params: {unstick: false}}")
+    assert made(tmp_path, text).params.unstick is False
+
+
+def test_a_sequence_that_repeats_goes_on_when_its_last_part_is_done(tmp_path: Path) -> None:
+    text = parts("brief") + "sequence: [{part: brief, until: {timeout: 9}}]\nthen: repeat\n"
+    found = steps(made(tmp_path, text), 0.0, 0.1, 0.2, 0.3, 0.4)
+    assert [one.done for one in found] == [None] * 5
+    assert [one.report["brief.count"] for one in found] == [1, 2, 3, 4, 5]
+
+
+def test_a_branch_begins_anew_whenever_it_is_chosen_and_stands_when_it_has_ended(
+    tmp_path: Path,
+) -> None:
+    text = parts("go", "other") + (
+        "switch: [{when: {nearer: 0.5}, part: go, until: {timeout: 1}}, other]\n"
+    )
+    mission = made(tmp_path, text)
+    for begin in (100.0, 200.0):
+        near = steps(mission, begin, begin + 0.9, begin + 1.0, begin + 5.0, range_=0.4)
+        assert speeds(near) == [0.2, 0.2, None, None]
+        assert speeds(steps(mission, begin + 6.0)) == [0.9]
+
+
+def test_times_of_a_switch_and_of_what_runs_in_parallel_begin_with_them(tmp_path: Path) -> None:
+    text = parts("vote", "go", "other") + (
+        "sequence:\n  - {part: vote, until: {timeout: 5}}\n"
+        "  - {parallel: [{part: go, until: {timeout: 2}}, vote], drives: go, until: {timeout: 3}}\n"
+        "  - {switch: [{when: {timeout: 2}, part: other}, {part: go}]}\nthen: stay\n"
+    )
+    found = steps(made(tmp_path, text), 100.0, 105.0, 106.9, 107.0, 108.0, 109.9, 110.0)
+    assert speeds(found) == [None, 0.2, 0.2, None, 0.2, 0.2, 0.9]
+
+
+def test_parameters_are_what_they_were_set_to(tmp_path: Path) -> None:
+    mission = made(tmp_path, parts("go") + "part: go\nparameters: {speed: go.speed}\n")
+    mission.update(msgspec.structs.replace(mission.params, speed=0.4))
+    assert getattr(mission.params, "speed") == 0.4  # noqa: B009
+    assert speeds(steps(mission, 0.0)) == [0.4]
+
+
+def test_it_is_stepped_as_often_as_the_quickest_of_its_parts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Brief, "rate", 25.0)
+    text = parts("go", "brief") + "parallel: [go, brief]\ndrives: go\n"
+    assert mission_of(tmp_path, text).rate == 25.0
+
+
+def test_a_value_that_only_a_change_refuses_is_a_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(self: Pattern[Params], params: Params) -> None:
+        raise ConfigError("not while it runs")
+
+    monkeypatch.setattr(Vote, "update", refuse)
+    text = parts("vote", "brief") + (
+        "map: [{from: brief.count, to: vote.window, values: {a: 1.0}}]\n"
+        "parallel: [vote, brief]\ndrives: brief\n"
+    )
+    with pytest.raises(ConfigError, match=r"tried.yaml:5: .* sets vote.window to 1.0 .* not while"):
+        made(tmp_path, text)

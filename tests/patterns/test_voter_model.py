@@ -1,0 +1,69 @@
+"""The voter model, alone."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+
+from swarmd.assembly import assemble
+from swarmd.patterns.voter_model import VoterModel
+from swarmd.settings import load_platform
+from swarmd.testing.pattern_contract import PatternContract
+from swarmd.values import Inputs, Message, Value
+
+
+class TestVoterModel(PatternContract):
+    pattern = VoterModel
+
+
+def make(seed: int = 0, **params: Value) -> VoterModel:
+    """Its windows end in step."""
+    pattern = assemble(
+        "voter_model",
+        (("test", {"initial": 0, "staggered": False, **params}),),
+        find=lambda name: VoterModel,
+        robot="a",
+        platform=load_platform("burger"),
+        rng=np.random.default_rng(seed),
+    ).pattern
+    assert isinstance(pattern, VoterModel)
+    return pattern
+
+
+def opinion_after(pattern: VoterModel, *votes: tuple[str, int]) -> int:
+    """Its opinion after one window of 2 s in which the votes were heard."""
+    pattern.step(Inputs(now=0.0, dt=0.0))
+    heard = tuple(Message(sender, "opinion", vote, 0.0) for sender, vote in votes)
+    pattern.step(Inputs(now=1.9, dt=1.9, messages=heard))
+    pattern.step(Inputs(now=2.0, dt=0.1))
+    return pattern.opinion
+
+
+def test_decides_every_two_seconds_as_the_original() -> None:
+    pattern = make()
+    assert opinion_after(pattern, ("b", 1)) == 1
+    pattern.step(Inputs(now=2.5, dt=0.5, messages=(Message("b", "opinion", 2, 0.0),)))
+    assert pattern.step(Inputs(now=3.9, dt=1.4)).report["opinion"] == 1
+    assert pattern.step(Inputs(now=4.0, dt=0.1)).report == {"opinion": 2, "heard": 1}
+
+
+def test_each_neighbour_is_as_likely_however_often_it_speaks() -> None:
+    votes = (("b", 1), ("c", 2), ("d", 2), ("b", 1), ("b", 1))
+    pattern = make()
+    counts = Counter(pattern.decide({"b": 1, "c": 2, "d": 2}) for _ in range(900))
+    # Binomial: 300 +- 14, four standard deviations.
+    assert 243 <= counts[1] <= 357
+    spoken = Counter(opinion_after(make(seed), *votes) for seed in range(300))
+    assert 67 <= spoken[1] <= 133
+
+
+def test_keeps_its_opinion_when_it_hears_nobody() -> None:
+    assert opinion_after(make()) == 0
+
+
+def test_its_own_opinion_is_a_vote_only_if_it_is_told_so() -> None:
+    alone = Counter(opinion_after(make(seed), ("b", 1)) for seed in range(50))
+    counted = Counter(opinion_after(make(seed, count_own=True), ("b", 1)) for seed in range(200))
+    assert alone == {1: 50}
+    assert 72 <= counted[0] <= 128

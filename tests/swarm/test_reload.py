@@ -1,0 +1,265 @@
+"""Code that is replaced while robots run: tried first, stopped then, run again only if asked."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from swarmd.clock import boottime
+from swarmd.messages import Code, Reason, Status
+from swarmd.messages import State as S
+from swarmd.testing.processes import DaemonProcess, children, is_running, wait_until
+
+if TYPE_CHECKING:
+    from swarmd.testing.body import Body
+    from tests.swarm.conftest import Finished, Swarm
+
+pytestmark = pytest.mark.integration
+
+CODE = """
+from swarmd.api import Annotated, Inputs, MovementPattern, Params, Twist, about
+
+class OwnParams(Params, frozen=True):
+    speed: Annotated[float, about("how fast", ge=0.0, le=1.0)] = 0.1
+
+class Own(MovementPattern[OwnParams]):
+    '''A test's.'''
+    params_type = OwnParams
+    needs = frozenset()
+
+    def drive(self, inputs: Inputs) -> Twist:
+        return Twist(self.params.speed)
+
+    def report(self):
+        return {"version": VERSION}
+"""
+V1, V2 = (CODE.replace("VERSION", version) for version in "12")
+HANGS = "while True:\n    pass\n"
+HOG = "hoard = []\nwhile True:\n    hoard.append(bytearray(1 << 26))\n"
+
+
+class Own:
+    """A robot with a plugin folder that holds `own.py`."""
+
+    def __init__(self, swarm: Swarm, folder: Path) -> None:
+        self.swarm = swarm
+        self.folder = folder
+        folder.mkdir()
+        self.write(V1)
+        self.body: Body = swarm.body("r1")
+        self.daemon: DaemonProcess = swarm.start(
+            "r1", self.body, options={"plugin_dir": str(folder)}
+        )
+
+    def write(self, text: str) -> None:
+        """Change the file."""
+        (self.folder / "own.py").write_text(text)
+
+    def run(self, *words: str) -> Status:
+        """Run the pattern, and wait until it moves."""
+        done = self.swarm.ctl("run", "own", "r1", *words)
+        assert done.code == 0, done
+        self.body.wait_moving(boottime())
+        return self.at_version()
+
+    def at_version(self, version: int | None = None) -> Status:
+        """The first status that reports this version, or any."""
+
+        def holds(status: Status) -> bool:
+            told = status.report.get("version")
+            return status.state is S.RUNNING and told is not None and version in (None, told)
+
+        return self.swarm.await_status("r1", f"at version {version}", holds)
+
+    def reload(self, *words: str, name: str = "own") -> Finished:
+        """`swarmctl plugin reload NAME r1`."""
+        return self.swarm.ctl("plugin", "reload", name, "r1", *words)
+
+    def check_undisturbed(self, since: Callable[[], bool], before: Status) -> None:
+        """It has run on all the time, the same object in the same process."""
+        after = self.swarm.status("r1")
+        assert (after.state, after.generation, after.report) == (
+            S.RUNNING,
+            before.generation,
+            before.report,
+        )
+        assert after.params == before.params
+        assert after.health.host_restarts == before.health.host_restarts
+        assert since()
+        self.body.wait_moving(boottime())
+
+
+@pytest.fixture(scope="module")
+def steady(shared_swarm: Swarm, tmp_path_factory: pytest.TempPathFactory) -> tuple[Own, Status]:
+    """A robot that runs version 1 and has to go on doing so, and how it was at first."""
+    own = Own(shared_swarm, tmp_path_factory.mktemp("steady") / "own")
+    return own, own.run("-p", "speed=0.05")
+
+
+@pytest.fixture
+def own(swarm: Swarm, tmp_path: Path) -> Own:
+    """A robot that knows the pattern, and was never asked to run it."""
+    return Own(swarm, tmp_path / "own")
+
+
+def test_the_robot_stops_and_its_next_run_has_the_new_code(own: Own) -> None:
+    own.run()
+    assert own.at_version().report == {"version": 1}
+    own.write(V2)
+    done = own.reload()
+    assert (done.code, done.out.splitlines()[-1]) == (0, "1 targeted, 1 applied"), done
+    own.body.wait_zero(boottime())
+    stopped = own.swarm.status("r1")
+    assert (stopped.state, stopped.reason) == (S.STOPPED, Reason.RELOADED)
+    assert stopped.detail.startswith("own, by anna@")
+    own.run()
+    assert own.at_version().report == {"version": 2}
+
+
+def test_asked_to_it_runs_again_as_it_was_told_to(own: Own) -> None:
+    own.run("-p", "speed=0.05", "--for", "1h")
+    own.write(V2)
+    done = own.reload("--run")
+    assert done.code == 0, done
+    status = own.at_version(2)
+    assert (status.params["speed"].value, status.params["speed"].source) == (0.05, "runtime")
+    moving = own.body.wait_moving(boottime())
+    assert moving.twist.linear == pytest.approx(0.05)
+    texts = [event.text for event in status.events]
+    assert any(text.startswith("own reloaded, by anna@") for text in texts), texts
+    assert any(text.startswith("stopped (reloaded) own") for text in texts), texts
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("import os\nimport nothing_of_that_name\n", "No module named 'nothing_of_that_name' (own"),
+        ("x = 1\n\ndef broken(:\n", "SyntaxError: invalid syntax (own.py:3)"),
+        ("x = 1\n", "must hold exactly one Pattern; it holds none"),
+        (V2.replace("speed:", "pace:"), "no parameter 'speed'; there are: pace"),
+        (
+            V2.replace("needs =", "x = 1 / 0\n    needs ="),
+            "ZeroDivisionError: division by zero (own",
+        ),
+        ("import os\nos._exit(3)\n", "while it was being loaded its process ended with code 3"),
+        ("import ctypes\nctypes.string_at(0)\n", "its process was killed by SIGSEGV"),
+        (HOG, "its process needed more memory than it may have"),
+    ],
+)
+def test_code_that_does_not_load_is_refused_and_what_runs_goes_on(
+    steady: tuple[Own, Status], text: str, told: str
+) -> None:
+    own, before = steady
+    moving = own.body.wait_stepped()
+    own.write(text)
+    done = own.reload("--run", "-o", "json")
+    reply = done.json["replies"]["r1"]
+    assert (reply["code"], done.json["exit_code"]) == ("refused", done.code), done
+    assert done.code in (2, 7)  # 2: a parameter that the new code does not know
+    assert told in reply["text"]
+    own.check_undisturbed(lambda: own.body.ran_since(moving), before)
+    (host,) = children(own.daemon.process.pid)
+    assert is_running(host)
+
+
+def test_code_that_hangs_is_refused_in_bounded_time_and_its_process_is_gone(own: Own) -> None:
+    before = own.run()
+    moving = own.body.wait_stepped()
+    own.write(HANGS)
+    began = time.monotonic()
+    done = own.reload()
+    assert time.monotonic() - began < 20.0
+    assert done.code == 7, done
+    assert "own: loading took more than 10 s" in done.out
+    own.check_undisturbed(lambda: own.body.ran_since(moving), before)
+    wait_until(lambda: len(children(own.daemon.process.pid)) == 1, "the trial's process is gone")
+
+
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+def test_a_stop_during_the_trial_stops_at_once_and_ends_the_trial(own: Own, verb: str) -> None:
+    own.run()
+    own.write(HANGS)
+    begun = own.swarm.begin("plugin", "reload", "own", "r1", "--run", "-o", "json")
+    wait_until(lambda: len(children(own.daemon.process.pid)) == 2, "the trial is under way")
+    stopped = own.swarm.ctl(verb, "r1")
+    assert stopped.code == 0, stopped
+    own.body.wait_zero(boottime())
+    done = own.swarm.finish(begun)
+    assert done.code == 7, done
+    assert "while the new code was being tried" in done.json["replies"]["r1"]["text"]
+    wait_until(lambda: len(children(own.daemon.process.pid)) == 1, "the trial's process is gone")
+    now = boottime()
+    time.sleep(1.0)
+    assert not own.body.moved_since(now)
+
+
+def test_only_one_trial_at_a_time_and_no_run_meanwhile(own: Own) -> None:
+    own.run()
+    own.write(HANGS)
+    begun = own.swarm.begin("plugin", "reload", "own", "r1", user="ben")
+    wait_until(lambda: len(children(own.daemon.process.pid)) == 2, "the trial is under way")
+    for words in (("plugin", "reload", "own", "r1"), ("run", "drive", "r1")):
+        done = own.swarm.ctl(*words)
+        assert done.code == 7, done
+        assert "still trying own, by ben@" in done.out
+    done = own.swarm.ctl("param", "set", "r1", "speed=0.2")
+    assert "another change is on its way" in done.out
+    assert own.swarm.finish(begun).code == 7
+
+
+def test_a_daemon_that_ends_during_a_trial_leaves_no_process(own: Own) -> None:
+    own.run()
+    own.write(HANGS)
+    begun = own.swarm.begin("plugin", "reload", "own", "r1")
+    wait_until(lambda: len(children(own.daemon.process.pid)) == 2, "the trial is under way")
+    hosts = children(own.daemon.process.pid)
+    assert own.daemon.terminate() == 0
+    assert not any(map(is_running, hosts))
+    assert own.swarm.finish(begun).code in (5, 7)
+
+
+def test_what_does_not_run_is_tried_and_nothing_stops(own: Own) -> None:
+    done = own.reload("--run")
+    assert done.code == 0, done
+    assert "a run of own takes the new code; idle, as before" in done.out
+    assert own.swarm.status("r1").state is S.IDLE
+    own.swarm.run_drive("r1")
+    moving = own.body.wait_stepped()
+    before = own.swarm.status("r1")
+    done = own.reload("--run")
+    assert "a run of own takes the new code; drive goes on" in done.out
+    own.check_undisturbed(lambda: own.body.ran_since(moving), before)
+    own.write(V2)
+    own.run()
+    assert own.at_version().report == {"version": 2}
+
+
+def test_an_installed_pattern_can_be_reloaded_too_and_one_that_is_not_there_cannot(
+    own: Own,
+) -> None:
+    own.swarm.run_drive("r1")
+    done = own.reload("--run", name="drive")
+    assert done.code == 0, done
+    assert "runs drive" in done.out
+    done = own.reload(name="drvie")
+    assert (done.code, done.err.splitlines()[-1][:52]) == (
+        2,
+        "error: no pattern 'drvie'; did you mean 'drive'? (see",
+    ) or "no pattern 'drvie'" in done.err, done
+    assert own.swarm.status("r1").state is S.RUNNING
+
+
+def test_an_edit_alone_changes_nothing_and_a_run_of_it_is_refused(own: Own) -> None:
+    before = own.run()
+    moving = own.body.wait_stepped()
+    own.write("x = 1\n\ndef broken(:\n")
+    done = own.swarm.ctl("run", "own", "r1", "-o", "json")
+    assert done.json["replies"]["r1"]["code"] == Code.REFUSED.value
+    after = own.swarm.status("r1")
+    assert (after.state, after.pattern, after.report) == (S.RUNNING, "own", before.report)
+    assert own.body.ran_since(moving)
+    assert own.swarm.ctl("param", "set", "r1", "speed=0.07").code == 0
