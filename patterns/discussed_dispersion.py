@@ -16,17 +16,20 @@ from swarmd.api import (
     CombinedPattern,
     ConfigError,
     Context,
+    Initial,
     Inputs,
+    Opinions,
     Outputs,
     Params,
     Pattern,
     Platform,
     Scalar,
-    Ties,
+    TieRule,
     TopSpeed,
     TopTurn,
     Unstick,
     Value,
+    WindowLength,
     about,
 )
 
@@ -68,30 +71,10 @@ class DiscussedDispersionParams(Params, frozen=True):
             source="paper, experiment 2: 0.8 times the protection threshold",
         ),
     ] = 0.4
-    opinions: Annotated[
-        int,
-        about(
-            "number of opinions; they are 0, 1, 2 ...", ge=1, le=1000, source="paper, experiment 2"
-        ),
-    ] = 3
-    initial: (
-        Annotated[
-            int,
-            about("opinion to start with; none: a random one", ge=0, le=999, source="paper"),
-        ]
-        | None
-    ) = None
-    window: Annotated[
-        float,
-        about("length of the voting window", ge=0.1, le=600.0, unit="s", source="ROS2swarm"),
-    ] = 5.0
-    ties: Annotated[
-        Ties,
-        about(
-            "between equals: a random one of them, keep the own opinion, or the lowest",
-            source="ROS2swarm",
-        ),
-    ] = "random"
+    opinions: Opinions = 3
+    initial: Initial | None = None
+    window: WindowLength = 5.0
+    ties: TieRule = "random"
     law: Annotated[
         Literal["settling", "paper"],
         about(

@@ -7,21 +7,14 @@ choice among equals as in ROS2swarm, where the own opinion does not count either
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated
 
-from swarmd.api import Ties, VotingParams, VotingPattern, about, majority
+from swarmd.api import TieRule, VotingParams, VotingPattern, majority
 
 
 class MajorityRuleParams(VotingParams, frozen=True):
     """What every voting pattern has, and what to do when there is no single majority."""
 
-    ties: Annotated[
-        Ties,
-        about(
-            "between equals: a random one of them, keep the own opinion, or the lowest",
-            source="ROS2swarm",
-        ),
-    ] = "random"
+    ties: TieRule = "random"
 
 
 class MajorityRule(VotingPattern[MajorityRuleParams]):

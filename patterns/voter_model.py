@@ -8,18 +8,14 @@ and Liggett, Annals of Probability 3(4), 1975.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated
 
-from swarmd.api import VotingParams, VotingPattern, about
+from swarmd.api import VotingParams, VotingPattern, WindowLength
 
 
 class VoterModelParams(VotingParams, frozen=True):
     """What every voting pattern has, with shorter windows."""
 
-    window: Annotated[
-        float,
-        about("length of the voting window", ge=0.1, le=600.0, unit="s", source="ROS2swarm"),
-    ] = 2.0
+    window: WindowLength = 2.0
 
 
 class VoterModel(VotingPattern[VoterModelParams]):

@@ -31,7 +31,7 @@ from swarmd.values import (
     Value,
 )
 from swarmd.votes import Ties, VoteWindow, majority, tally
-from swarmd.voting import VotingParams, VotingPattern
+from swarmd.voting import Initial, Opinions, TieRule, VotingParams, VotingPattern, WindowLength
 
 __all__ = [
     "ZERO",
@@ -45,12 +45,14 @@ __all__ = [
     "FormationParams",
     "FormationPattern",
     "Gap",
+    "Initial",
     "Inputs",
     "Make",
     "Message",
     "MovementPattern",
     "Neighbor",
     "Odometry",
+    "Opinions",
     "Outputs",
     "P",
     "Params",
@@ -62,6 +64,7 @@ __all__ = [
     "RayClusters",
     "Scalar",
     "Scan",
+    "TieRule",
     "Ties",
     "TopSpeed",
     "TopTurn",
@@ -72,6 +75,7 @@ __all__ = [
     "VoteWindow",
     "VotingParams",
     "VotingPattern",
+    "WindowLength",
     "about",
     "closest_points",
     "clusters",

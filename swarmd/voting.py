@@ -9,29 +9,45 @@ from typing import Annotated, ClassVar, TypeVar
 from swarmd.behavior import Context, Pattern
 from swarmd.params import Params, Unstick, about
 from swarmd.values import Inputs, Message, Neighbor, Outputs, Value
-from swarmd.votes import Rounds, SlidingWindow, VoteWindow, Windows, read_ballot, read_opinion
+from swarmd.votes import (
+    Rounds,
+    SlidingWindow,
+    Ties,
+    VoteWindow,
+    Windows,
+    read_ballot,
+    read_opinion,
+)
 
 OPINION = "opinion"
 BALLOT = "ballot"
 """What is said instead under rounds: [round, opinion, opinion of the round before]."""
 
 
+Opinions = Annotated[
+    int,
+    about("number of opinions; they are 0, 1, 2 ...", ge=1, le=1000, source="paper, experiment 2"),
+]
+Initial = Annotated[
+    int, about("opinion to start with; none: a random one", ge=0, le=999, source="paper")
+]
+WindowLength = Annotated[
+    float, about("length of the voting window", ge=0.1, le=600.0, unit="s", source="ROS2swarm")
+]
+TieRule = Annotated[
+    Ties,
+    about(
+        "between equals: a random one of them, keep the own opinion, or the lowest",
+        source="ROS2swarm",
+    ),
+]
+
+
 class VotingParams(Params, frozen=True, kw_only=True):
     """What every voting pattern can be told."""
 
-    opinions: Annotated[
-        int,
-        about(
-            "number of opinions; they are 0, 1, 2 ...", ge=1, le=1000, source="paper, experiment 2"
-        ),
-    ] = 3
-    initial: (
-        Annotated[
-            int,
-            about("opinion to start with; none: a random one", ge=0, le=999, source="paper"),
-        ]
-        | None
-    ) = None
+    opinions: Opinions = 3
+    initial: Initial | None = None
     windows: Annotated[
         Windows,
         about(
@@ -40,10 +56,7 @@ class VotingParams(Params, frozen=True, kw_only=True):
             source="paper: tumbling, the others as variants",
         ),
     ] = "tumbling"
-    window: Annotated[
-        float,
-        about("length of the voting window", ge=0.1, le=600.0, unit="s", source="ROS2swarm"),
-    ] = 5.0
+    window: WindowLength = 5.0
     share_period: Annotated[
         float,
         about(

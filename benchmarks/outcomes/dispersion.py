@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.mutations import Mutant
-from benchmarks.outcomes.outcome import Outcome, at_least, at_most
+from benchmarks.outcomes.outcome import Outcome, at_least, at_most, number
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.metrics.window import late
@@ -31,22 +31,25 @@ def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
     numbers = [measure(trace) for trace in traces]
     nearest = tuple(late_ranges(trace)[0] for trace in traces)
     loosest = tuple(late_ranges(trace)[1] for trace in traces)
-    speeds = tuple(_number(n["mean_speed_late_share"]) for n in numbers)
-    touches = tuple(_number(n["robot_contacts"]) + _number(n["arena_contacts"]) for n in numbers)
-    ways = tuple(_number(n["path_length"]) for n in numbers)
+    speeds = tuple(number(n["mean_speed_late_share"]) for n in numbers)
+    touches = tuple(number(n["robot_contacts"]) + number(n["arena_contacts"]) for n in numbers)
+    ways = tuple(number(n["path_length"]) for n in numbers)
     least = DISTANCE - TOLERANCE
     return [
-        _outcome("least late range [m]", f">= {least}", nearest, at_least(least, nearest), _PAPER),
-        _outcome(
+        Outcome(
+            NAME, "least late range [m]", f">= {least}", nearest, at_least(least, nearest), _PAPER
+        ),
+        Outcome(
+            NAME,
             "median late range to the nearest [m]",
             f"<= {TOO_FAR}",
             loosest,
             at_most(TOO_FAR, loosest),
             "it spreads no further than it is told: ours",
         ),
-        _outcome("mean way [m]", f"<= {WAY}", ways, at_most(WAY, ways), "ours: no detours"),
-        _outcome("late speed / limit", f"<= {SPEED}", speeds, at_most(SPEED, speeds), _PAPER),
-        _outcome("touches", "0", touches, at_most(0.0, touches), "docs/safety.md"),
+        Outcome(NAME, "mean way [m]", f"<= {WAY}", ways, at_most(WAY, ways), "ours: no detours"),
+        Outcome(NAME, "late speed / limit", f"<= {SPEED}", speeds, at_most(SPEED, speeds), _PAPER),
+        Outcome(NAME, "touches", "0", touches, at_most(0.0, touches), "docs/safety.md"),
     ]
 
 
@@ -71,16 +74,6 @@ def late_ranges(trace: Trace, seconds: float = 10.0) -> tuple[float, float]:
     walls = half - np.abs(lidars[:, :, 0]).max(axis=-1)
     ranges = np.minimum(ranges, walls)
     return float(ranges.min()), float(np.median(ranges))
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value
-
-
-def _outcome(
-    what: str, wanted: str, values: tuple[float, ...], is_reached: bool, source: str
-) -> Outcome:
-    return Outcome(NAME, what, wanted, values, is_reached, source)
 
 
 _PATH, _TESTS = "patterns/dispersion.py", "tests/outcomes/test_dispersion.py"

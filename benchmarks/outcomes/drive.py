@@ -35,12 +35,16 @@ def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
     aside, off, still, circle, left = (tuple(values) for values in zip(*rows, strict=True))
     touches = tuple(float(len(contact_list(trace))) for trace in traces)
     return [
-        _outcome("most aside of its line [m]", "<= 0.05", aside, at_most(0.05, aside), "geometry"),
-        _outcome("speed, off by a share", "<= 0.05", off, at_most(0.05, off), _SPEEDS),
-        _outcome("way in the last 5 s [m]", "<= 0.1", still, at_most(0.1, still), _SAFE),
-        _outcome("footprint from the wall [m]", ">= 0.02", left, at_least(0.02, left), _SAFE),
-        _outcome("touches", "0", touches, at_most(0.0, touches), _SAFE),
-        _outcome("circle: radius, off by a share", "<= 0.1", circle, at_most(0.1, circle), "v / w"),
+        Outcome(
+            NAME, "most aside of its line [m]", "<= 0.05", aside, at_most(0.05, aside), "geometry"
+        ),
+        Outcome(NAME, "speed, off by a share", "<= 0.05", off, at_most(0.05, off), _SPEEDS),
+        Outcome(NAME, "way in the last 5 s [m]", "<= 0.1", still, at_most(0.1, still), _SAFE),
+        Outcome(NAME, "footprint from the wall [m]", ">= 0.02", left, at_least(0.02, left), _SAFE),
+        Outcome(NAME, "touches", "0", touches, at_most(0.0, touches), _SAFE),
+        Outcome(
+            NAME, "circle: radius, off by a share", "<= 0.1", circle, at_most(0.1, circle), "v / w"
+        ),
     ]
 
 
@@ -87,12 +91,6 @@ def _way(trace: Trace, name: str) -> Array:
     return np.column_stack(
         (cos * step[:, 0] + sin * step[:, 1], cos * step[:, 1] - sin * step[:, 0])
     )
-
-
-def _outcome(
-    what: str, wanted: str, values: tuple[float, ...], is_reached: bool, source: str
-) -> Outcome:
-    return Outcome(NAME, what, wanted, values, is_reached, source)
 
 
 _PATH, _TESTS = "patterns/drive.py", "tests/outcomes/test_drive.py"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.mutations import Mutant
-from benchmarks.outcomes.outcome import Outcome, at_least, at_most
+from benchmarks.outcomes.outcome import Outcome, at_least, at_most, number
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.metrics.aggregation import cluster_counts
 from swarmd.sim.metrics.catalog import measure
@@ -28,29 +28,33 @@ def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
     walkers = simulate(NAME, seeds, jobs=jobs, set={"groups.tb3.pattern": "random_walk"})
     flocks = list(results.traces)
     numbers = [measure(trace) for trace in flocks]
-    speeds = tuple(_number(n["mean_speed"]) / 0.22 for n in numbers)
+    speeds = tuple(number(n["mean_speed"]) / 0.22 for n in numbers)
     shared = tuple(together(trace) for trace in flocks)
-    touches = tuple(_number(n["robot_contacts"]) + _number(n["arena_contacts"]) for n in numbers)
+    touches = tuple(number(n["robot_contacts"]) + number(n["arena_contacts"]) for n in numbers)
     apart = tuple(parts(trace) for trace in flocks)
     margin = tuple(parts(trace) - own for trace, own in zip(walkers.traces, apart, strict=True))
     return [
-        _outcome("mean speed / limit", f">= {SPEED}", speeds, at_least(SPEED, speeds), "ours"),
-        _outcome(
+        Outcome(NAME, "mean speed / limit", f">= {SPEED}", speeds, at_least(SPEED, speeds), "ours"),
+        Outcome(
+            NAME,
             "way of the centroid / way of a robot, last half",
             f">= {WAY}",
             shared,
             at_least(WAY, shared),
             "ours: n robots that are independent come to 1 / sqrt(n), here 0.38",
         ),
-        _outcome("parts, mean over time", f"<= {APART}", apart, at_most(APART, apart), _SPLITS),
-        _outcome(
+        Outcome(
+            NAME, "parts, mean over time", f"<= {APART}", apart, at_most(APART, apart), _SPLITS
+        ),
+        Outcome(
+            NAME,
             "parts fewer than of random walkers",
             f">= {MARGIN:g}",
             margin,
             at_least(MARGIN, margin),
             _SPLITS,
         ),
-        _outcome("touches", "0", touches, at_most(0.0, touches), "docs/safety.md"),
+        Outcome(NAME, "touches", "0", touches, at_most(0.0, touches), "docs/safety.md"),
     ]
 
 
@@ -71,16 +75,6 @@ def together(trace: Trace) -> float:
     if own == 0.0:
         return 0.0
     return float(np.hypot(centre[:, 0], centre[:, 1]).sum() * place.shape[1] / own)
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value
-
-
-def _outcome(
-    what: str, wanted: str, values: tuple[float, ...], is_reached: bool, source: str
-) -> Outcome:
-    return Outcome(NAME, what, wanted, values, is_reached, source)
 
 
 _PATH, _TESTS = "patterns/flocking.py", "tests/outcomes/test_flocking.py"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -39,3 +40,8 @@ def at_most(bound: float, values: Sequence[float]) -> bool:
 def at_least(bound: float, values: Sequence[float]) -> bool:
     """Whether there are values, and none is below the bound or not a number."""
     return len(values) > 0 and all(value >= bound for value in values)
+
+
+def number(value: float | None) -> float:
+    """A metric's value; NaN, which no bound lets pass, if the run has none."""
+    return math.nan if value is None else value

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.mutations import Mutant
-from benchmarks.outcomes.outcome import Outcome, at_least, at_most
+from benchmarks.outcomes.outcome import Outcome, at_least, at_most, number
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.metrics.area import COVER, covered_area
 from swarmd.sim.metrics.catalog import measure
@@ -29,34 +29,36 @@ def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
     straight = simulate(NAME, seeds, jobs=jobs, set={**ALONE, "groups.tb3.pattern": "drive"})
     walks = list(results.traces)
     numbers = [measure(trace) for trace in walks]
-    speeds = tuple(_number(n["mean_speed"]) / 0.22 for n in numbers)
-    duty = tuple(_number(n["protection_duty"]) for n in numbers)
-    touches = tuple(_number(n["robot_contacts"]) + _number(n["arena_contacts"]) for n in numbers)
+    speeds = tuple(number(n["mean_speed"]) / 0.22 for n in numbers)
+    duty = tuple(number(n["protection_duty"]) for n in numbers)
+    touches = tuple(number(n["robot_contacts"]) + number(n["arena_contacts"]) for n in numbers)
     search = tuple(of_random_search(trace) for trace in walks)
     gain = tuple(
-        _number(covered_area(walk)) / _number(covered_area(drive))
+        number(covered_area(walk)) / number(covered_area(drive))
         for walk, drive in zip(walks, straight.traces, strict=True)
     )
     bias = (one_sidedness(walks),)
     return [
-        _outcome("mean speed / limit", f">= {SPEED}", speeds, at_least(SPEED, speeds), "ours"),
-        _outcome(
+        Outcome(NAME, "mean speed / limit", f">= {SPEED}", speeds, at_least(SPEED, speeds), "ours"),
+        Outcome(
+            NAME,
             "floor covered / by random search",
             f">= {SHARE}",
             search,
             at_least(SHARE, search),
             _KOOPMAN,
         ),
-        _outcome("floor covered / by drive", f">= {GAIN}", gain, at_least(GAIN, gain), "ours"),
-        _outcome(
+        Outcome(NAME, "floor covered / by drive", f">= {GAIN}", gain, at_least(GAIN, gain), "ours"),
+        Outcome(
+            NAME,
             "turned more to one side than to the other, as a share",
             f"<= {BIAS}",
             bias,
             at_most(BIAS, bias),
             "both sides alike",
         ),
-        _outcome("protection duty", f"<= {DUTY}", duty, at_most(DUTY, duty), "ours"),
-        _outcome("touches", "0", touches, at_most(0.0, touches), "docs/safety.md"),
+        Outcome(NAME, "protection duty", f"<= {DUTY}", duty, at_most(DUTY, duty), "ours"),
+        Outcome(NAME, "touches", "0", touches, at_most(0.0, touches), "docs/safety.md"),
     ]
 
 
@@ -67,23 +69,13 @@ def of_random_search(trace: Trace) -> float:
     """
     way = np.hypot(*np.moveaxis(np.diff(trace.pose[..., :2], axis=0), -1, 0)).sum()
     expected = FLOOR * (1.0 - math.exp(-2.0 * COVER * float(way) / FLOOR))
-    return _number(covered_area(trace)) / expected
+    return number(covered_area(trace)) / expected
 
 
 def one_sidedness(traces: Sequence[Trace]) -> float:
     """How much further all robots turned to one side than to the other, of all that they turned."""
     turns = np.concatenate([np.diff(trace.pose[..., 2], axis=0).ravel() for trace in traces])
     return float(abs(turns.sum()) / np.abs(turns).sum())
-
-
-def _number(value: float | None) -> float:
-    return float("nan") if value is None else value
-
-
-def _outcome(
-    what: str, wanted: str, values: tuple[float, ...], is_reached: bool, source: str
-) -> Outcome:
-    return Outcome(NAME, what, wanted, values, is_reached, source)
 
 
 _PATH, _TESTS = "patterns/random_walk.py", "tests/outcomes/test_random_walk.py"

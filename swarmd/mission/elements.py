@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, NamedTuple, TypeAlias
 
 from swarmd.errors import unknown
 from swarmd.mission.conditions import (
@@ -69,6 +69,17 @@ class Switch:
 Element: TypeAlias = Run | Sequence | Parallel | Switch
 
 
+class _Place(NamedTuple):
+    """What every kind of element is read from, its head read already."""
+
+    name: str
+    until: Condition | None
+    keys: Keys
+    data: Mapping[str, Any]
+    parts: Collection[str]
+    faults: Faults
+
+
 def read_element(
     data: object, keys: Keys, parts: Collection[str], faults: Faults, *, in_switch: bool = False
 ) -> Element | None:
@@ -90,23 +101,15 @@ def read_element(
     if "name" in data:
         name = faults.text(data, "name", keys, "text") or ""
     if "until" in data:
-        until = read_condition(data["until"], (*keys, "until"), faults)
+        until = _condition(data["until"], (*keys, "until"), parts, faults)
         is_clean &= until is not None
-        if until is not None:
-            check_references(until, (*keys, "until"), parts, faults)
     readers = {"part": _run, "sequence": _sequence, "parallel": _parallel, "switch": _switch}
-    element = readers[kind](name, until, keys, data, parts, faults)
+    element = readers[kind](_Place(name, until, keys, data, parts, faults))
     return element if is_clean else None
 
 
-def _run(
-    name: str,
-    until: Condition | None,
-    keys: Keys,
-    data: Mapping[str, Any],
-    parts: Collection[str],
-    faults: Faults,
-) -> Element | None:
+def _run(at: _Place) -> Element | None:
+    name, until, keys, data, parts, faults = at
     part = faults.text(data, "part", keys, "a part's name")
     if part is None:
         return None
@@ -116,14 +119,8 @@ def _run(
     return Run(name or part, until, keys, part)
 
 
-def _sequence(
-    name: str,
-    until: Condition | None,
-    keys: Keys,
-    data: Mapping[str, Any],
-    parts: Collection[str],
-    faults: Faults,
-) -> Element | None:
+def _sequence(at: _Place) -> Element | None:
+    name, until, keys, data, parts, faults = at
     steps = _elements("sequence", keys, data, parts, faults)
     then = data.get("then")
     if then not in _THEN:
@@ -145,14 +142,8 @@ def _sequence(
     return Sequence(name, until, keys, steps, then)
 
 
-def _parallel(
-    name: str,
-    until: Condition | None,
-    keys: Keys,
-    data: Mapping[str, Any],
-    parts: Collection[str],
-    faults: Faults,
-) -> Element | None:
+def _parallel(at: _Place) -> Element | None:
+    name, until, keys, data, parts, faults = at
     items = _elements("parallel", keys, data, parts, faults)
     drives = data.get("drives")
     if not isinstance(drives, str):
@@ -173,14 +164,8 @@ def _parallel(
     return Parallel(name, until, keys, items, None if drives == NOBODY else names.index(drives))
 
 
-def _switch(
-    name: str,
-    until: Condition | None,
-    keys: Keys,
-    data: Mapping[str, Any],
-    parts: Collection[str],
-    faults: Faults,
-) -> Element | None:
+def _switch(at: _Place) -> Element | None:
+    name, until, keys, data, parts, faults = at
     rows = _list("switch", keys, data, faults)
     branches: list[tuple[Condition | None, Element]] = []
     for index, row in enumerate(rows or ()):
@@ -188,14 +173,21 @@ def _switch(
         element = read_element(row, place, parts, faults, in_switch=True)
         when = None
         if isinstance(row, Mapping) and "when" in row:
-            when = read_condition(row["when"], (*place, "when"), faults)
-            if when is not None:
-                check_references(when, (*place, "when"), parts, faults)
+            when = _condition(row["when"], (*place, "when"), parts, faults)
         elif rows is not None and index < len(rows) - 1:
             faults.add((*place, "when"), "is missing; only the last may go without a condition")
         if element is not None:
             branches.append((when, element))
     return None if rows is None else Switch(name, until, keys, tuple(branches))
+
+
+def _condition(
+    data: object, keys: Keys, parts: Collection[str], faults: Faults
+) -> Condition | None:
+    condition = read_condition(data, keys, faults)
+    if condition is not None:
+        check_references(condition, keys, parts, faults)
+    return condition
 
 
 def _list(kind: str, keys: Keys, data: Mapping[str, Any], faults: Faults) -> list[Any] | None:
