@@ -112,7 +112,7 @@ def test_demo_fails_if_a_pattern_fails(tmp_path: Path) -> None:
         (["--seconds", "soon"], "no duration"),
         (["-p", "speed"], "no key=value"),
         (["-n", "0"], "0 is not in the range"),
-        (["--dialect", "ros2dd"], "no dialect 'ros2dd': did you mean 'ros2dds'?"),
+        (["--dialect", "ros2dd"], "no dialect 'ros2dd'; did you mean 'ros2dds'?"),
         (["--dialect", "ros2dds", "--radio-range", "2"], "no robot says there whom it hears"),
         (["--seed", "-1"], "-1 is not in the range"),
         (["--platform", "own/My Bot.yaml"], "would be named 'My Bot-01', which is no robot id"),
