@@ -8,6 +8,7 @@ gone.
 from __future__ import annotations
 
 import asyncio
+import logging
 import math
 import re
 import time
@@ -35,14 +36,20 @@ from swarmd.values import ZERO, Platform, ScanSpec, Twist, Value
 if TYPE_CHECKING:
     from swarmd.drivers.ros import messages as ros
 
+log = logging.getLogger(__name__)
+
 FIRST_PAUSE, LONGEST_PAUSE = 0.1, 5.0
 """Seconds before an adapter that has died is started again: growing from the one to the other."""
 WELL_AFTER = 10.0
 """Seconds that an adapter must have lived for the pause to begin at the first again."""
 
+STANDS = 2.0
+"""Seconds for which a base that counts as lost is told to stand; then others may have it."""
+
 _WATCH_PERIOD = 0.1
 _ENOUGH = 3  # messages of each sense, for a check
 _LOOKS_FOR = 1.0
+_LASTING = 1.0  # s that a base must have been lost for one reason that it is logged
 
 
 class Ros1Driver:
@@ -63,7 +70,10 @@ class Ros1Driver:
         self._view = View(self._options, platform)
         self._child: AdapterProcess | None = None
         self._said: tuple[bool, str] = (False, "")
+        self._said_at = math.inf
+        self._logged = ""
         self._is_up = False
+        self._fell = -math.inf
         self._owes_zero = True
         self._has_sent = False
         self._count = 0
@@ -88,23 +98,36 @@ class Ros1Driver:
             while True:
                 begun = loop.time()
                 end = await self._live(drives=True)
-                self._say(False, f"{end}; it is started again")
+                end = f"{end}; it is started again"
+                self._say(False, end)
+                self._log(False, end)
                 if loop.time() - begun > WELL_AFTER or self._is_planned:
                     pause = FIRST_PAUSE
                 await asyncio.sleep(pause)
                 pause = min(2.0 * pause, LONGEST_PAUSE)
         finally:
-            self._sink, self._said = None, (False, "")
-            self._has_sent = False
+            self._sink, self._said, self._logged = None, (False, ""), ""
+            self._has_sent, self._fell = False, -math.inf
 
     def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
-        """Send a safe command; dropped while the base is lost, zero the first time it is back."""
-        if not self._is_up or self._child is None:
+        """Send a safe command; zero the first time that the base is back.
+
+        Dropped while the base is lost, but that it is told to stand at first: whoever else drives
+        it must not have the adapter against him, which would take silence for a guardian's.
+        """
+        if not self._is_up:
+            if time.monotonic() - self._fell < STANDS:
+                self._put(ZERO)
             return
         if self._owes_zero:
             self._owes_zero = False
             twist = ZERO
         self._has_sent = True
+        self._put(twist)
+
+    def _put(self, twist: Twist) -> None:
+        if self._child is None:
+            return
         self._count += 1
         if self._options.command is wire.TWIST:
             command = wire.encode_twist(twist)
@@ -214,7 +237,7 @@ class Ros1Driver:
         try:
             stamp, detail, deliver = self._reader.read(sense, data)
         except CodecError as error:
-            sense.fault = str(error)
+            sense.fault = sense.fault or str(error)  # one line, however often it comes
             self.on_dropped(sense.name)
             return
         sense.hear(stamp, detail, now)
@@ -242,10 +265,20 @@ class Ros1Driver:
             self._say(True, f"drives on {topic} at {self._options.master_uri}{others}")
 
     def _say(self, is_up: bool, text: str) -> None:
-        self._is_up = is_up
+        now, was_up, self._is_up = time.monotonic(), self._is_up, is_up
+        if was_up and not is_up and self._has_sent:
+            self._fell = now
+            self._put(ZERO)
         if self._sink is not None and self._said != (is_up, text):
-            self._said = is_up, text
+            self._said, self._said_at = (is_up, text), now
             self._sink.state(is_up, text)
+        if is_up or was_up or now - self._said_at > _LASTING:
+            self._log(is_up, text)
+
+    def _log(self, is_up: bool, text: str) -> None:
+        if text != self._logged:
+            self._logged = text
+            log.log(logging.INFO if is_up else logging.WARNING, "driver ros1: %s", text)
 
 
 class _Reader:
@@ -265,13 +298,13 @@ class _Reader:
         if sense.name == "scan":
             self._scans += 1
             sweep = cast("ros.LaserScan", wire.decode_laser_scan(data))
-            scan = scan_of(sweep, self._scans, self._spec, self._yaw)
+            sense.scan = scan = scan_of(sweep, self._scans, self._spec, self._yaw)
             return scan.stamp, f", {len(scan.ranges)} rays", lambda sink: sink.scan(scan)
         if sense.name == "odometry":
             odometry = odometry_of(cast("ros.Odometry", wire.decode_odometry(data)))
             return odometry.stamp, "", lambda sink: sink.odometry(odometry)
         if sense.name == "range":
-            return self._range(sense.index, cast("ros.Range", wire.decode_range(data)))
+            return self._range(sense, cast("ros.Range", wire.decode_range(data)))
         message: wire.Imu | wire.BatteryState
         if sense.name == "imu":
             message = wire.decode_imu(data)
@@ -284,7 +317,8 @@ class _Reader:
         stamp = stamp_of(cast("ros.Time", message.header.stamp))
         return stamp, "", lambda sink: sink.readings(together)
 
-    def _range(self, index: int, message: ros.Range) -> tuple[float, str, Callable[[Sink], None]]:
-        scan = self._ring.take(index, message)
+    def _range(self, sense: Sense, message: ros.Range) -> tuple[float, str, Callable[[Sink], None]]:
+        scan = self._ring.take(sense.index, message)
+        sense.scan = scan or sense.scan
         stamp = stamp_of(message.header.stamp)
         return stamp, "", lambda sink: None if scan is None else sink.scan(scan)

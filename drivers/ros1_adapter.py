@@ -1,8 +1,9 @@
 """The half of driver `ros1` that speaks to ROS: a process under the system's Python with rospy.
 
 It passes serialised messages on, in both directions, over the socket that is its standard input,
-and tells what the master knows. Needs Python 3.8, rospy and the standard library; imports nothing
-of this project. The driver imports it for the frames, which are single packets:
+and tells what the master knows. Needs Python 3.8, rospy and the standard library; of this project
+it imports `ros1_master` alone, which lies beside it. The driver imports it for the frames, which
+are single packets:
 
     to the driver   D link arrival bytes   a message; arrival in s on CLOCK_MONOTONIC
                     J {...}                an event as JSON: state, link, told
@@ -11,11 +12,15 @@ of this project. The driver imports it for the frames, which are single packets:
                     B                      bye: send zero and leave
 
 It outlives its guardian: 0.4 s after a command that was not zero, or the first zeros that followed,
-it sends zeros until the guardian is back; after the end of the socket for 2 s, then it leaves.
+it sends zeros until the guardian is back, for at least 2 s; after the end of the socket for 2 s,
+then it leaves.
 """
 
 from __future__ import annotations
 
+import contextlib
+import importlib
+import io
 import json
 import os
 import signal
@@ -24,19 +29,18 @@ import struct
 import sys
 import threading
 import time
-import xmlrpc.client
 from glob import glob
 from typing import Any, Callable, Dict, List, Optional, Tuple  # noqa: UP035  (Python 3.8)
 
 DATA, EVENT, ALIVE = b"D", b"J", b"H"
 COMMAND, BYE = b"C", b"B"
-DATA_HEAD = struct.Struct("<cBd")
+DATA_HEAD = struct.Struct("<cId")
 COMMAND_HEAD = struct.Struct("<cd")
 
 SILENCE = 0.4
 """Seconds without a command after which the adapter itself sends zeros."""
 STOPPING = 2.0
-"""Seconds of zeros after the guardian has gone."""
+"""Seconds of zeros after the guardian has gone; the least of them after it was silent."""
 
 _BEAT = 0.05
 _BEATS_ALIVE = 4
@@ -46,71 +50,16 @@ _FLUSH = 0.15
 _LOOK = 1.0
 _RETRY = 0.3
 _WRITE = struct.pack("@ll", 0, 100_000)  # s and us that writing a command may take
-_CALL = 1.0  # s for a call of the master's or a node's API
-_KNOWN_FOR = 5.0
-_MAX_LINKS = 255
-_TWIST_SIZE = 48
-
-
-class Master:
-    """The master's API, with a limit of time for each call; OSError if it does not answer."""
-
-    def __init__(self, uri: str, caller: str) -> None:
-        self.uri, self.caller = uri, caller
-        self._alive: Dict[str, Tuple[float, bool]] = {}  # noqa: UP006
-
-    def call(self, method: str, *arguments: str, uri: str = "") -> Any:
-        """The value of one call to the master, or to the node at `uri`."""
-        proxy = xmlrpc.client.ServerProxy(uri or self.uri, transport=_Timed())
-        try:
-            code, text, value = getattr(proxy, method)(self.caller, *arguments)
-        except OSError:
-            raise
-        except Exception as error:  # not XML, not HTTP, or a fault of the other end
-            raise OSError(str(error)) from error
-        finally:
-            proxy("close")()
-        if code != 1:
-            raise OSError(text)
-        return value
-
-    def is_alive(self, node: str) -> bool:
-        """Whether a node that the master lists still answers: who was killed stays on its list."""
-        at, answer = self._alive.get(node, (-_KNOWN_FOR, True))
-        if time.monotonic() - at < _KNOWN_FOR:
-            return answer
-        try:
-            self.call("getPid", uri=self.call("lookupNode", node))
-            answer = True
-        except ConnectionError:
-            answer = False
-        except OSError:
-            answer = True  # slow or behind a network that fails; it may still publish
-        self._alive[node] = time.monotonic(), answer
-        return answer
-
-    def wants(self, node: str, topic: str) -> str:
-        """The type that a node has subscribed to on a topic; empty if that cannot be told."""
-        try:
-            entries = self.call("getSubscriptions", uri=self.call("lookupNode", node))
-        except OSError:
-            return ""
-        return next((str(kind) for name, kind in entries if name == topic), "")
-
-
-class _Timed(xmlrpc.client.Transport):
-    def make_connection(self, host: Any) -> Any:
-        connection = super().make_connection(host)
-        connection.timeout = _CALL
-        return connection
+_WORD = 1.0  # s within which who connects has to say what he wants
+_LEAVING = 1.0  # s that the master may take to hear that this node has gone
+_TWIST = struct.Struct("<6d")
 
 
 class Adapter:
     """All threads of this process: `run` looks at the master; others read, beat and receive."""
 
-    def __init__(self, config: Any, sock: socket.socket, rospy: Any) -> None:
-        self._config, self._sock, self._rospy = config, sock, rospy
-        self._master = Master(config["master"], "/" + config["name"])
+    def __init__(self, config: Any, sock: socket.socket, rospy: Any, master: Any) -> None:
+        self._config, self._sock, self._rospy, self._master = config, sock, rospy, master
         self._command = config["command"]
         self._publisher: Any = None
         self._is_joined = False
@@ -121,7 +70,7 @@ class Adapter:
         self._ends_at: Optional[float] = None  # noqa: UP045
         # A robot that an earlier adapter drove is stopped as soon as it can be reached.
         self._is_armed = bool(config["holds"])
-        self._commanded_at = self._moved_at = -SILENCE
+        self._commanded_at = self._moved_at = self._stops_until = -SILENCE
         self._told: Any = None
 
     def run(self) -> None:
@@ -160,6 +109,7 @@ class Adapter:
         rospy.init_node(config["name"], argv=[], anonymous=True, disable_signals=True,
                         disable_rosout=True)  # fmt: skip
         self._master.caller = rospy.get_name()
+        self._configure_bases(rospy.impl.tcpros_base)
         rospy.on_shutdown(self._on_shutdown)  # called before topics close, as on `rosnode kill`
         if self._command is not None:
             kind = {f"_{k}": self._command[k] for k in ("type", "md5sum", "full_text")}
@@ -175,6 +125,25 @@ class Adapter:
             )
         self._is_joined = True
 
+    def _configure_bases(self, tcpros: Any) -> None:
+        """See to the socket of each base that connects, before rospy does.
+
+        Nagle's algorithm would hold a second command back for up to 40 ms. A base that no longer
+        reads is given up instead of waited for: it may connect again. Who connects and says nothing
+        would keep all others from connecting: rospy would wait for his words for a minute or more.
+        """
+        tcpros.start_tcpros_server()
+        server = tcpros._tcpros_server.tcp_ros_server
+        handle = server.inbound_handler
+
+        def configured(sock: socket.socket, address: Any) -> None:
+            sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _WRITE)
+            sock.settimeout(_WORD)  # until rospy has heard; then it blocks
+            handle(sock, address)
+
+        server.inbound_handler = configured
+
     def _publish(self, payload: bytes) -> None:
         if self._publisher is None:
             return
@@ -183,31 +152,22 @@ class Adapter:
         try:
             self._publisher.publish(message)
         except Exception as error:  # rospy may be closing its topics
-            print(f"a command could not be sent: {error}", file=sys.stderr)
+            sys.stderr.write(f"a command could not be sent: {error}\n")
 
     def _zero(self) -> None:
         self._publish(self._zero_bytes())
 
     def _zero_bytes(self) -> bytes:
         if self._command is None or not self._command["type"].endswith("Stamped"):
-            return bytes(_TWIST_SIZE)
+            return bytes(_TWIST.size)
         frame: bytes = self._command["frame_id"].encode()
         now = time.time_ns()
         stamp = now // 1_000_000_000, now % 1_000_000_000
-        return struct.pack("<4I", 0, *stamp, len(frame)) + frame + bytes(_TWIST_SIZE)
+        return struct.pack("<4I", 0, *stamp, len(frame)) + frame + bytes(_TWIST.size)
 
     def _on_base(self, publish_to: Any) -> None:
-        """A base has connected, or left (None); one that connects while we drive gets zero first.
-
-        Nagle's algorithm would hold a second command back for up to 40 ms. A base that no longer
-        reads is given up instead of waited for: it may connect again.
-        """
+        """A base has connected, or left (None); who connects while we drive gets zero first."""
         self._wake.set()
-        for cell in getattr(publish_to, "__closure__", None) or ():
-            sock = getattr(cell.cell_contents, "socket", None)
-            if isinstance(sock, socket.socket):
-                sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _WRITE)
         if publish_to is not None and self._publisher is not None and self._commanded_at > 0.0:
             message = self._message()
             message._buff = self._zero_bytes()
@@ -230,13 +190,18 @@ class Adapter:
         arrival = time.monotonic()
         header = message._connection_header
         key = topic, header.get("callerid", ""), header.get("type", ""), header.get("md5sum", "")
-        link = self._links.get(key)
-        if link is None:
-            with self._lock:
-                link = self._links.setdefault(key, len(self._links) % _MAX_LINKS)
-            names = ("topic", "node", "type", "md5sum")
-            self._event({"event": "link", "link": link, **dict(zip(names, key))})  # noqa: B905
-        self._send(DATA_HEAD.pack(DATA, link, arrival), message._buff)
+        with self._lock:
+            if key not in self._links and not self._introduce(key):
+                return
+        self._send(DATA_HEAD.pack(DATA, self._links[key], arrival), message._buff)
+
+    def _introduce(self, key: Tuple[str, ...]) -> bool:  # noqa: UP006
+        """Tell of a publisher; False if the driver does not read, so that it is told later."""
+        link, names = len(self._links), ("topic", "node", "type", "md5sum")
+        if not self._event({"event": "link", "link": link, **dict(zip(names, key))}):  # noqa: B905
+            return False
+        self._links[key] = link
+        return True
 
     def _state(self) -> Any:
         """What the master knows of our topics."""
@@ -275,19 +240,19 @@ class Adapter:
     # To the driver
 
     def _tell(self, state: Any) -> None:
-        if state != self._told:
+        if state != self._told and self._event(state):
             self._told = state
-            self._event(state)
 
-    def _event(self, event: Any) -> None:
-        self._send(EVENT, json.dumps(event).encode())
+    def _event(self, event: Any) -> bool:
+        return self._send(EVENT, json.dumps(event).encode())
 
-    def _send(self, *parts: bytes) -> None:
-        """One packet, or none if the driver does not read: what is old by then is of no use."""
+    def _send(self, *parts: bytes) -> bool:
+        """One packet; False if the driver does not read: messages are of no use later."""
         try:
             self._sock.sendmsg(parts, [], socket.MSG_DONTWAIT)
         except OSError:
-            return  # its end is seen by the reader
+            return False  # its end is seen by the reader
+        return True
 
     # From the driver
 
@@ -308,23 +273,28 @@ class Adapter:
                     self._pass_on(frame[COMMAND_HEAD.size :], now)
 
     def _pass_on(self, command: bytes, now: float) -> None:
+        if now < self._stops_until:
+            command = self._zero_bytes()
         self._publish(command)
         self._commanded_at = now
-        if any(command[-_TWIST_SIZE:]):
+        if any(_TWIST.unpack(command[-_TWIST.size :])):
             self._is_armed, self._moved_at = True, now
         elif now - self._moved_at > _ZEROED:
             self._is_armed = False  # it stands and knows it: silence may be an idle guardian's
 
     def _beat(self) -> None:
         """Zeros while the guardian is silent, and on the way out; also a sign of life."""
-        count = 0
+        count, was_silent = 0, True
         while True:
             now = time.monotonic()
             if self._rospy.is_shutdown() and self._is_joined:
                 self._leave()
             is_silent = now - self._commanded_at > SILENCE or self._ends_at is not None
             if self._is_armed and is_silent:
+                if not was_silent:
+                    self._stops_until = now + STOPPING
                 self._zero()
+            was_silent = is_silent
             if self._ends_at is not None and (now >= self._ends_at or not self._is_armed):
                 self._leave()
             if count % _BEATS_ALIVE == 0:
@@ -337,7 +307,7 @@ class Adapter:
         if self._is_joined:
             shutdown = self._rospy.signal_shutdown
             threading.Thread(target=shutdown, args=("the driver has ended",), daemon=True).start()
-            deadline = time.monotonic() + _CALL
+            deadline = time.monotonic() + _LEAVING
             while not self._rospy.is_shutdown() and time.monotonic() < deadline:
                 time.sleep(0.01)
         os._exit(0)
@@ -358,10 +328,18 @@ class _Listener:
         self._changed(None)
 
 
+class _Errors(io.TextIOBase):
+    """Standard error that neither waits nor raises: its reader may be frozen or gone."""
+
+    def write(self, text: str) -> int:
+        """Say it if that can be done at once."""
+        with contextlib.suppress(OSError):
+            os.write(2, text.encode(errors="replace"))
+        return len(text)
+
+
 def load_rospy() -> Any:
     """rospy, also of a ROS under /opt that no set-up file has been sourced for; ImportError."""
-    import importlib
-
     folders: List[str] = sorted(glob("/opt/ros/*/lib/python3/dist-packages"))  # noqa: UP006
     try:
         return importlib.import_module("rospy")
@@ -374,8 +352,12 @@ def load_rospy() -> Any:
 
 def main() -> None:
     """Serve the driver at the other end of standard input."""
-    del sys.path[0]  # this folder: its modules are not for this interpreter
     config = json.loads(sys.argv[1])
+    reach = importlib.import_module("ros1_master").Master  # beside this file
+    master = reach(config["master"], "/" + config["name"])
+    del sys.path[0]  # this folder: its modules are not for this interpreter
+    os.set_blocking(2, False)
+    sys.stderr = _Errors()
     sock = socket.socket(fileno=os.dup(0))
     sys.setswitchinterval(0.0005)  # s: a look at the master must not hold a command back
     try:
@@ -385,7 +367,7 @@ def main() -> None:
             EVENT + json.dumps({"event": "told", "kind": "fatal", "text": str(error)}).encode()
         )
         return
-    adapter = Adapter(config, sock, rospy)
+    adapter = Adapter(config, sock, rospy, master)
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
         signal.signal(number, lambda *_: adapter.end(STOPPING, "somebody ended the adapter"))
     adapter.run()

@@ -20,7 +20,7 @@ from swarmd.drivers.ros1_adapter import ALIVE, BYE, COMMAND, COMMAND_HEAD, DATA,
 from swarmd.errors import DriverError
 from swarmd.processes import how_it_ended
 
-PATIENCE = 2.0
+PATIENCE = 1.0
 """Seconds without a sign of life after which an adapter is killed."""
 STARTS_WITHIN = 20.0
 """Seconds until the first sign of life; importing rospy takes a second on a small machine."""

@@ -97,7 +97,8 @@ def read_options(options: Mapping[str, Value], robot: str) -> Ros1Options:
             raise ConfigError(
                 f"driver ros1: {key} is {name!r}; wanted a topic's name, such as /robot1/scan"
             )
-    if found.namespace and not _NAME.fullmatch(found.namespace.rstrip("/")):
+    _check_topics(found, names)
+    if namespace.rstrip("/") and not _NAME.fullmatch(namespace.rstrip("/")):
         raise ConfigError(
             f"driver ros1: namespace is {found.namespace!r}; wanted is such as /robot1"
         )
@@ -113,3 +114,17 @@ def read_options(options: Mapping[str, Value], robot: str) -> Ros1Options:
                 f" degrees, or [bearing, distance] with 0 to {_REACH:g} m"
             )
     return found
+
+
+def _check_topics(options: Ros1Options, names: Mapping[str, str | None]) -> None:
+    """ConfigError if two of the options name one topic: what comes there is of one type."""
+    keys: dict[str, str] = {}
+    for key, name in names.items():
+        if name is None or (key == "scan" and options.ranges):
+            continue
+        topic = options.topic(name)
+        if topic in keys:
+            raise ConfigError(
+                f"driver ros1: {keys[topic]} and {key} are both {topic}; wanted is a topic each"
+            )
+        keys[topic] = key

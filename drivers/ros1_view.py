@@ -14,7 +14,9 @@ from swarmd.driver import Finding
 from swarmd.drivers import ros1_wire as wire
 from swarmd.drivers.ros1_child import Link, State
 from swarmd.drivers.ros1_options import Ros1Options
-from swarmd.values import Platform
+from swarmd.messages import Reason
+from swarmd.scans import ScanConditioner
+from swarmd.values import Platform, Scan, ScanSpec
 
 SILENCE = 2.5
 """Seconds without a message after which a sense counts as lost; scans may come at 1 Hz."""
@@ -25,8 +27,9 @@ class Sense:
     """One topic that is subscribed to, and what has come of it.
 
     `index` is that of one of the range sensors that make a scan. `wrong`: the latest publisher of
-    another type; `fault`: why the latest message was not read. `stamp` is the latest, `steps`
-    counts those that were later than the one before.
+    another type; `fault`: why no message has been read since. `stamp` is the latest, `steps`
+    counts those that were later than the one before; `began` is the first. `scan` is the latest
+    that it made or completed.
     """
 
     name: str
@@ -38,16 +41,18 @@ class Sense:
     first: float = math.nan
     last: float = -math.inf
     count: int = 0
+    began: float = math.nan
     stamp: float = math.nan
     steps: int = 0
     detail: str = ""
+    scan: Scan | None = None
     wrong: Link | None = None
     fault: str = ""
 
     def hear(self, stamp: float, detail: str, now: float) -> None:
         """A message has come and could be read."""
         if not self.count:
-            self.first = now
+            self.first, self.began = now, stamp
         self.count += 1
         self.last = now
         self.steps += stamp > self.stamp
@@ -143,10 +148,12 @@ class View:
 
     def _finding(self, sense: Sense, state: State, now: float) -> Finding:
         if not sense.is_fresh(now):
-            return Finding(sense.name, False, self._not_heard(sense, state))
+            text, is_wanting = self._not_heard(sense, state), sense.is_needed or sense.count
+            text = text if is_wanting else f"not heard, and not needed to drive: {text}"
+            return Finding(sense.name, not is_wanting, text)
         nodes = _all(state.publishers.get(sense.topic, []))
         rate = f"{1.0 / sense.period:.3g} Hz" if sense.period > 0.0 else "one message"
-        text = f"{sense.topic} from {nodes}: {rate}{sense.detail}"
+        text = f"{sense.topic} ({sense.kind.name}) from {nodes}: {rate}{sense.detail}"
         if sense.count > 1 and not sense.steps:
             return Finding(
                 sense.name, False, f"{text}; its stamps stand still: look at the sensor's node"
@@ -155,7 +162,12 @@ class View:
         if sense.name == "scan" and sense.period > spec.stale_after:
             slow = f"its scans count as stale after {spec.stale_after:g} s; correct scan.rate"
             return Finding(sense.name, False, f"{text}; {slow} ({spec.rate:g}) or the sensor")
-        return Finding(sense.name, True, text + (", stamps advance" if sense.steps else ""))
+        if sense.scan is not None and _leaves_gaps(sense.scan, spec):
+            gaps = "too wide a sector is unseen; look at the sensor, or correct the platform's scan"
+            return Finding(sense.name, False, f"{text}; {gaps}")
+        by_stamp, by_clock = sense.stamp - sense.began, sense.last - sense.first
+        clock = f", stamps went on {by_stamp:.1f} s in {by_clock:.1f} s" if sense.steps else ""
+        return Finding(sense.name, True, text + clock)
 
     def _no_master(self, state: State) -> str:
         return (
@@ -183,7 +195,10 @@ class View:
         if not nodes:
             return f"nobody publishes {topic}; start the robot's nodes, or {correct}"
         if sense.fault:
-            return f"what {_all(nodes)} sends on {topic} cannot be read: {sense.fault}"
+            return (
+                f"what {_all(nodes)} sends on {topic} cannot be read: {sense.fault}; look at that"
+                f" node, or {correct}"
+            )
         kind = state.types.get(topic, "")
         if kind not in (wanted, "*", ""):
             return f"{_all(nodes)} publishes {kind} on {topic}; wanted is {wanted}: {correct}"
@@ -222,6 +237,10 @@ class View:
             f"{nodes} listens on {self.command_topic}, but does not connect to this machine; look"
             " at ROS_IP here"
         )
+
+
+def _leaves_gaps(scan: Scan, spec: ScanSpec) -> bool:
+    return ScanConditioner(spec).take(scan, None, 0.0) is Reason.INVALID_SCAN
 
 
 def _all(names: list[str]) -> str:

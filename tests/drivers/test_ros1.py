@@ -220,8 +220,9 @@ def test_check_says_what_is_there_and_moves_nothing(roscore: RosCore) -> None:
         assert not body.commands()
     assert all(is_well for is_well, _ in found.values()), found
     assert list(found) == ["master", "scan", "odometry", "cmd_vel"]
-    assert f"{body.namespace}/scan from {body.namespace}/robot: " in found["scan"][1]
-    assert "360 rays, stamps advance" in found["scan"][1]
+    said = f"{body.namespace}/scan (sensor_msgs/LaserScan) from {body.namespace}/robot: "
+    assert said in found["scan"][1]
+    assert "360 rays, stamps went on" in found["scan"][1]
     rate = float(found["scan"][1].partition("robot: ")[2].partition(" Hz")[0])
     assert rate == pytest.approx(10.0, rel=0.3)
 

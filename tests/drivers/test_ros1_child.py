@@ -139,6 +139,9 @@ def test_an_interpreter_without_rospy_is_named(monkeypatch: pytest.MonkeyPatch) 
         ({"ranges": {"left": [20, 0.1], "a b": 3}}, "ranges.a b is 'a b'"),
         ({"ranges": {"left": "far"}}, "ranges.left"),
         ({"cmd_vel_type": "Velocity"}, "cmd_vel_type"),
+        ({"scan": "odom"}, "scan and odometry are both /odom; wanted is a topic each"),
+        ({"ranges": {"a": 1, "/a": 2}}, "ranges.a and ranges./a are both /a"),
+        ({"namespace": "r", "imu": "/r/cmd_vel"}, "cmd_vel and imu are both /r/cmd_vel"),
     ],
 )
 def test_options_it_cannot_use_are_refused(options: dict[str, Value], complaint: str) -> None:
@@ -153,6 +156,7 @@ def test_options_it_cannot_use_are_refused(options: dict[str, Value], complaint:
         ("robot1", "scan", "/robot1/scan"),
         ("/robot1/", "front/scan", "/robot1/front/scan"),
         ("/robot1", "/scan", "/scan"),
+        ("/", "scan", "/scan"),
         ("{robot}", "scan", "/tb3_01/scan"),
     ],
 )

@@ -80,3 +80,21 @@ def test_a_daemon_drives_and_its_end_stops_the_robot(roscore: RosCore, tmp_path:
             assert until(body, moving=False) < 0.5 + SLACK
             assert all(twist.is_zero for twist in all_for(body, 1.0))
             wait_until(lambda: not is_running(adapter), "the adapter has left")
+
+
+def test_why_a_robot_is_not_driven_is_one_line_of_the_log(roscore: RosCore, tmp_path: Path) -> None:
+    options: dict[str, Value] = {
+        "platform": "burger",
+        "driver": "ros1",
+        "driver_options": {"master": roscore.uri, "ip": "127.0.0.1", "namespace": "/wrong"},
+    }
+    with DaemonProcess(
+        tmp_path, swarm=unique_swarm(), robot=ROBOT, endpoint="", options=options
+    ) as daemon:
+        line = "WARNING swarmd.drivers.ros1: driver ros1: nobody publishes /wrong/"
+        wait_until(lambda: line in daemon.text(), "it is in the log")
+        time.sleep(SLACK)  # and looks at the master again
+        said = [text for text in daemon.text().splitlines() if "driver ros1" in text]
+        assert len(said) == 1
+        assert "correct namespace or" in said[0]
+        daemon.terminate()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
@@ -12,7 +13,7 @@ from swarmd.drivers.ros1_child import Link, State
 from swarmd.drivers.ros1_options import read_options
 from swarmd.drivers.ros1_view import SILENCE, View
 from swarmd.platforms import load_platform
-from swarmd.values import Value
+from swarmd.values import Scan, Value
 
 WELL = State(
     master=True,
@@ -111,3 +112,42 @@ def test_stamps_that_stand_still_and_slow_scans_are_found() -> None:
     assert not found["scan"].is_well
     assert "0.5 Hz; its scans count as stale" in found["scan"].text
     assert math.isclose(made.senses["/scan"].period, 2.0)
+
+
+def test_what_is_not_needed_and_not_heard_is_no_fault_but_said() -> None:
+    made = view(battery="battery_state", heard=False)
+    for name in ("/scan", "/odom"):
+        made.senses[name].hear(1.0, "", 10.0)
+    found = {finding.subject: finding for finding in made.findings(10.4)}
+    assert found["battery"].is_well
+    assert "not needed to drive: nobody publishes /battery_state" in found["battery"].text
+    made.senses["/battery_state"].hear(1.0, "", 10.0)
+    assert not next(f for f in made.findings(20.0) if f.subject == "battery").is_well
+
+
+def test_what_cannot_be_read_is_named_with_the_next_step() -> None:
+    made = view(heard=False)
+    made.senses["/scan"].fault = "sensor_msgs/LaserScan: 12 bytes, its lengths say 1002"
+    said = "its lengths say 1002; look at that node, or correct namespace or scan"
+    assert said in made.missing(10.0)
+    assert any(said in finding.text for finding in made.findings(10.0))
+
+
+def test_a_check_tells_how_the_clocks_went_on() -> None:
+    found = {finding.subject: finding.text for finding in view().findings(10.4)}
+    assert found["scan"] == (
+        "/scan (sensor_msgs/LaserScan) from /lidar: 5 Hz, stamps went on 1.0 s in 0.2 s"
+    )
+
+
+def test_a_check_finds_a_sweep_that_leaves_too_much_unseen() -> None:
+    made = view()
+    spec = made.platform.scan
+    for unseen, is_well in ((0, True), (30, False), (360, False)):
+        ranges = np.full(360, 1.0)
+        ranges[:unseen] = np.nan
+        scan = Scan(1, 1.0, ranges, spec.bearings, spec.range_min, spec.range_max)
+        made.senses["/scan"].scan = scan
+        found = {finding.subject: finding for finding in made.findings(10.4)}
+        assert found["scan"].is_well is is_well
+        assert is_well or "look at the sensor, or correct the platform" in found["scan"].text

@@ -1,0 +1,66 @@
+"""The ROS master as a node sees it, with a limit of time for each call.
+
+For `ros1_adapter`: needs Python 3.8 and the standard library, and imports nothing of this project.
+"""
+
+from __future__ import annotations
+
+import time
+import xmlrpc.client
+from typing import Any, Dict, Tuple  # noqa: UP035  (Python 3.8)
+
+_CALL = 1.0  # s for a call of the master's or a node's API
+_KNOWN_FOR = 5.0
+
+
+class Master:
+    """The master's API, with a limit of time for each call; OSError if it does not answer."""
+
+    def __init__(self, uri: str, caller: str) -> None:
+        self.uri, self.caller = uri, caller
+        self._alive: Dict[str, Tuple[float, bool]] = {}  # noqa: UP006
+
+    def call(self, method: str, *arguments: str, uri: str = "") -> Any:
+        """The value of one call to the master, or to the node at `uri`."""
+        proxy = xmlrpc.client.ServerProxy(uri or self.uri, transport=_Timed())
+        try:
+            code, text, value = getattr(proxy, method)(self.caller, *arguments)
+        except OSError:
+            raise
+        except Exception as error:  # not XML, not HTTP, or a fault of the other end
+            raise OSError(str(error)) from error
+        finally:
+            proxy("close")()
+        if code != 1:
+            raise OSError(text)
+        return value
+
+    def is_alive(self, node: str) -> bool:
+        """Whether a node that the master lists still answers: who was killed stays on its list."""
+        at, answer = self._alive.get(node, (-_KNOWN_FOR, True))
+        if time.monotonic() - at < _KNOWN_FOR:
+            return answer
+        try:
+            self.call("getPid", uri=self.call("lookupNode", node))
+            answer = True
+        except ConnectionError:
+            answer = False
+        except OSError:
+            answer = True  # slow or behind a network that fails; it may still publish
+        self._alive[node] = time.monotonic(), answer
+        return answer
+
+    def wants(self, node: str, topic: str) -> str:
+        """The type that a node has subscribed to on a topic; empty if that cannot be told."""
+        try:
+            entries = self.call("getSubscriptions", uri=self.call("lookupNode", node))
+        except OSError:
+            return ""
+        return next((str(kind) for name, kind in entries if name == topic), "")
+
+
+class _Timed(xmlrpc.client.Transport):
+    def make_connection(self, host: Any) -> Any:
+        connection = super().make_connection(host)
+        connection.timeout = _CALL
+        return connection

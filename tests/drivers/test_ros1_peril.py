@@ -1,0 +1,105 @@
+"""What others do to driver `ros1`, and what it says of them: against a real roscore."""
+
+from __future__ import annotations
+
+import asyncio
+import signal
+import socket
+import time
+import xmlrpc.client
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from swarmd.drivers.ros1 import STANDS
+from swarmd.drivers.ros1_adapter import SILENCE, STOPPING
+from swarmd.testing.driver_contract import Heard, Stage
+from swarmd.testing.processes import wait_until
+from swarmd.testing.roscore import RosCore
+from swarmd.values import Twist
+from tests.drivers.ros1_rig import RosRobot, robot
+from tests.drivers.test_ros1_life import drive, guarded, play
+
+
+async def moving(stage: Stage, seconds: float, condition: Callable[[], bool]) -> list[Twist]:
+    """Command a velocity 20 times a second until the condition holds, and for seconds more."""
+    taken: list[Twist] = []
+
+    def has_come() -> bool:
+        stage.driver.send(Twist(0.1), 1, 1)
+        assert isinstance(stage.rig, RosRobot)
+        taken.extend(stage.rig.commands())
+        return condition()
+
+    await stage.until(has_come)
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        has_come()
+        await asyncio.sleep(0.05)
+    return taken
+
+
+def test_who_else_drives_is_left_alone_after_zeros_and_named_once_in_the_log(
+    roscore: RosCore, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        await drive(stage, body)
+        other = body.make({})
+        second = asyncio.create_task(other.run(Heard()))
+        await moving(stage, 0.0, lambda: not stage.heard.is_up)
+        told = await moving(stage, STANDS + SILENCE, lambda: True)
+        while not told[0].is_zero:  # sent before
+            del told[0]
+        assert len(told) > 10
+        assert all(twist.is_zero for twist in told)
+        assert not await moving(stage, 3.0 * SILENCE, lambda: not body.commands())
+        second.cancel()
+        await asyncio.gather(second, return_exceptions=True)
+        await stage.until(lambda: stage.heard.is_up)
+
+    with caplog.at_level("INFO", "swarmd.drivers.ros1"):
+        play(RosRobot(roscore), story)
+    lines = [record.getMessage() for record in caplog.records]
+    named = [line for line in lines if "someone else" in line and "end that node" in line]
+    assert 1 <= len(named) <= 2  # by each of the two
+    assert lines[-1].startswith("driver ros1: drives on ")
+
+
+def test_a_guardian_that_was_silent_is_not_obeyed_before_enough_zeros(roscore: RosCore) -> None:
+    with robot(roscore) as body, guarded(body) as (guardian, _):
+        body.commands()
+        guardian.send_signal(signal.SIGSTOP)
+        wait_until(lambda: any(twist.is_zero for twist in body.commands()), "it is told to stand")
+        begin = time.monotonic()
+        guardian.send_signal(signal.SIGCONT)
+        wait_until(lambda: any(not twist.is_zero for twist in body.commands()), "it drives again")
+        assert time.monotonic() - begin > 0.75 * STOPPING
+
+
+def test_who_connects_and_says_nothing_keeps_no_base_away(roscore: RosCore) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        topic = f"{body.namespace}/cmd_vel"
+        with xmlrpc.client.ServerProxy(roscore.uri) as master:
+            uri = str(_value(master.lookupNode("/test", roscore.topics()[topic][0])))
+        with xmlrpc.client.ServerProxy(uri) as node:
+            port = _value(node.requestTopic("/test", topic, [["TCPROS"]]))[2]
+        with (
+            socket.create_connection(("127.0.0.1", port)),
+            socket.create_connection(("127.0.0.1", port)) as noisy,
+        ):
+            noisy.send(b"\xff" * 2000)
+            body.die()
+            await moving(stage, 0.0, lambda: not stage.heard.is_up)
+            await asyncio.to_thread(body.rise)
+            body.do("rate", hz=10)
+            await stage.until(lambda: stage.heard.is_up)
+            stage.driver.send(Twist(0.1), 1, 1)
+            assert (await stage.command()).is_zero
+
+    play(RosRobot(roscore), story)
+
+
+def _value(answer: object) -> Any:
+    assert isinstance(answer, list)
+    return answer[2]
