@@ -98,7 +98,7 @@ class Ros1Driver:
             while True:
                 begun = loop.time()
                 end = await self._live(drives=True)
-                end = f"{end}; it is started again"
+                end = f"{end}; the adapter is started again"
                 self._say(False, end)
                 self._log(False, end)
                 if loop.time() - begun > WELL_AFTER or self._is_planned:

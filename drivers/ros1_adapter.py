@@ -167,6 +167,7 @@ class Adapter:
 
     def _on_base(self, publish_to: Any) -> None:
         """A base has connected, or left (None); who connects while we drive gets zero first."""
+        self._master.forget()
         self._wake.set()
         if publish_to is not None and self._publisher is not None and self._commanded_at > 0.0:
             message = self._message()

@@ -50,6 +50,10 @@ class Master:
         self._alive[node] = time.monotonic(), answer
         return answer
 
+    def forget(self) -> None:
+        """Ask each node anew: one has come or gone."""
+        self._alive = {}
+
     def wants(self, node: str, topic: str) -> str:
         """The type that a node has subscribed to on a topic; empty if that cannot be told."""
         try:

@@ -159,7 +159,7 @@ class View:
                 sense.name, False, f"{text}; its stamps stand still: look at the sensor's node"
             )
         spec = self.platform.scan
-        if sense.name == "scan" and sense.period > spec.stale_after:
+        if sense.name in ("scan", "range") and sense.period > spec.stale_after:
             slow = f"its scans count as stale after {spec.stale_after:g} s; correct scan.rate"
             return Finding(sense.name, False, f"{text}; {slow} ({spec.rate:g}) or the sensor")
         if sense.scan is not None and _leaves_gaps(sense.scan, spec):
@@ -176,10 +176,11 @@ class View:
         )
 
     def _someone_else(self, state: State) -> str:
+        is_daemon = any(node.startswith("/swarmd_") for node in state.others)
         return (
             f"someone else may drive this robot: {self.command_topic} is also published by"
-            f" {_all(state.others)}; end that node, or set shared_cmd_vel if the base has a"
-            " multiplexer"
+            f" {_all(state.others)}; end that {'daemon' if is_daemon else 'node'}, or set"
+            " shared_cmd_vel if the base has a multiplexer"
         )
 
     def _not_heard(self, sense: Sense, state: State) -> str:
@@ -203,8 +204,8 @@ class View:
         if kind not in (wanted, "*", ""):
             return f"{_all(nodes)} publishes {kind} on {topic}; wanted is {wanted}: {correct}"
         return (
-            f"{_all(nodes)} publishes {topic}, but nothing comes; look at the sensor, and at ROS_IP"
-            " on both machines"
+            f"{_all(nodes)} publishes {topic}, but nothing comes; look at the sensor, at whether"
+            " that node still runs, and at ROS_IP on both machines"
         )
 
     def _elsewhere(self, sense: Sense, state: State) -> str:

@@ -38,7 +38,7 @@ class Robot:
         self._odometry = raw_publisher("odom", Odometry)
         self._imu = rospy.Publisher("imu", Imu, queue_size=5)
         self._battery = rospy.Publisher("battery", BatteryState, queue_size=5)
-        self._ranges = [rospy.Publisher(f"ir/{i}", Range, queue_size=5) for i in range(3)]
+        self._ranges = [rospy.Publisher(name, Range, queue_size=5) for name in args.ranges]
         if not args.no_base:
             stamped = args.command_type == "TwistStamped"
             rospy.Subscriber(
@@ -158,6 +158,7 @@ def main() -> None:
     parser.add_argument("--scan-type", default="LaserScan")
     parser.add_argument("--command-type", default="Twist")
     parser.add_argument("--no-base", action="store_true")
+    parser.add_argument("--ranges", nargs="+", default=["ir/0", "ir/1", "ir/2"])
     args = parser.parse_args()
     rospy.init_node(args.name, argv=[], disable_signals=True, disable_rosout=True)
     robot = Robot(args)

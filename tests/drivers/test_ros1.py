@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Mapping
 
 import numpy as np
 import pytest
 
+from swarmd.base import BaseOptions
 from swarmd.drivers.ros1 import Ros1Driver
 from swarmd.drivers.ros1_view import SILENCE
+from swarmd.platforms import load_platform
 from swarmd.testing.driver_contract import DriverContract, Stage, on_stage
 from swarmd.testing.roscore import RosCore
 from swarmd.values import Twist, Value
@@ -127,6 +129,48 @@ def test_several_range_sensors_are_one_scan(roscore: RosCore) -> None:
 
     ring: dict[str, Value] = {"ir/0": [90.0, 0.1], "ir/1": 0.0, "ir/2": math.degrees(-0.5)}
     play(Wanting(roscore, {"ranges": ring}), story, connected=False)
+
+
+class Thymio(RosRobot):
+    """Seven range sensors in place of a lidar, called and placed as its platform's file says."""
+
+    platform = load_platform("thymio")
+
+    def __init__(self, core: RosCore) -> None:
+        options = self.platform.drivers["ros1"]
+        self._given = {key: options[key] for key in options.keys() - BaseOptions.__struct_fields__}
+        ring = self._given["ranges"]
+        assert isinstance(ring, Mapping)
+        super().__init__(core, "--ranges", *ring, namespace="/thymio_01")
+
+    def make(self, options: Mapping[str, Value]) -> Ros1Driver:
+        where = {"master": self.core.uri, "ip": "127.0.0.1"}
+        return Ros1Driver(
+            swarm="s",
+            robot="thymio-01",
+            platform=self.platform,
+            options={**self._given, **where, **options},
+        )
+
+
+def test_a_thymio_sees_with_its_seven_sensors_by_its_file_alone(roscore: RosCore) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        heard = stage.heard
+
+        def is_whole() -> bool:
+            body.do("extras")
+            return bool(heard.scans) and bool(np.isfinite(heard.scans[-1].ranges).all())
+
+        await stage.until(is_whole, speaking=True)
+        scan = heard.scans[-1]
+        off = scan.bearings - body.platform.scan.bearings
+        assert np.cos(off) == pytest.approx(np.ones(7))
+        wanted = [0.58, 1.58, 2.58, 3.58, 4.58, 5.535, 6.535]  # 0.5 m, 1.5 m ... from each sensor
+        assert scan.ranges.tolist() == pytest.approx(wanted)
+        stage.driver.send(Twist(0.1), 1, 1)
+        assert (await stage.command()).is_zero
+
+    play(Thymio(roscore), story, connected=False)
 
 
 @pytest.mark.parametrize("hz", [1, 50])

@@ -10,11 +10,12 @@ from pathlib import Path
 
 import pytest
 
+from swarmd.base import BaseOptions
 from swarmd.drivers import ros1, ros1_adapter, ros1_child
 from swarmd.drivers.ros1 import Ros1Driver
 from swarmd.drivers.ros1_options import read_options
 from swarmd.errors import ConfigError
-from swarmd.platforms import load_platform
+from swarmd.platforms import load_platform, platform_names
 from swarmd.testing.driver_contract import CAP, Heard
 from swarmd.testing.processes import is_running
 from swarmd.values import Value
@@ -165,3 +166,12 @@ def test_names_are_within_the_namespace_unless_they_begin_with_a_slash(
 ) -> None:
     options = read_options({"namespace": namespace, "scan": name}, "tb3-01")
     assert options.topic(options.scan) == topic
+
+
+@pytest.mark.parametrize("name", platform_names())
+def test_what_platforms_say_of_ros_1_is_understood(name: str) -> None:
+    said = load_platform(name).drivers["ros1"]
+    own = {key: said[key] for key in said.keys() - BaseOptions.__struct_fields__}
+    options = read_options(own, "tb3-01")
+    assert said["deadman"]
+    assert options.cmd_vel_type == "twist"

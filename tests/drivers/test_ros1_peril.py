@@ -61,7 +61,7 @@ def test_who_else_drives_is_left_alone_after_zeros_and_named_once_in_the_log(
     with caplog.at_level("INFO", "swarmd.drivers.ros1"):
         play(RosRobot(roscore), story)
     lines = [record.getMessage() for record in caplog.records]
-    named = [line for line in lines if "someone else" in line and "end that node" in line]
+    named = [line for line in lines if "someone else" in line and "end that daemon" in line]
     assert 1 <= len(named) <= 2  # by each of the two
     assert lines[-1].startswith("driver ros1: drives on ")
 
