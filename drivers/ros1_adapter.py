@@ -88,7 +88,7 @@ class Adapter:
             self._wake.clear()
             try:
                 if not self._is_joined:
-                    self._master.call("getPid")
+                    self._master.call("getSystemState")  # nodes have no such thing
                     self._join()
                 self._tell(self._state())
             except OSError as error:

@@ -71,7 +71,11 @@ class RosCore:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
         )
-        wait_until(self._answers, f"roscore at {self.uri} answers")
+        try:
+            wait_until(self._answers, f"roscore at {self.uri} answers")
+        except BaseException:
+            self.kill()
+            raise
         return self
 
     def kill(self) -> None:

@@ -130,7 +130,7 @@ def master() -> Iterator[str]:
     """The address of a master that knows nobody."""
     with SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False) as server:
         known = {
-            "getPid": 1,
+            "getUri": "",
             "getSystemState": [[], [["/scan", ["/r_1"]]], []],
             "getTopicTypes": [],
         }

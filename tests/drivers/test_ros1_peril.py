@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import os
 import signal
 import socket
 import time
 import xmlrpc.client
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,7 +17,7 @@ import pytest
 from swarmd.drivers.ros1 import STANDS
 from swarmd.drivers.ros1_adapter import SILENCE, STOPPING
 from swarmd.testing.driver_contract import Heard, Stage
-from swarmd.testing.processes import wait_until
+from swarmd.testing.processes import children, is_running, wait_until
 from swarmd.testing.roscore import RosCore
 from swarmd.values import Twist
 from tests.drivers.ros1_rig import RosRobot, robot
@@ -80,7 +82,7 @@ def test_a_guardian_that_was_silent_is_not_obeyed_before_enough_zeros(roscore: R
 def test_who_connects_and_says_nothing_keeps_no_base_away(roscore: RosCore) -> None:
     async def story(stage: Stage, body: RosRobot) -> None:
         topic = f"{body.namespace}/cmd_vel"
-        with xmlrpc.client.ServerProxy(roscore.uri) as master:
+        with _master_of(roscore) as master:
             uri = str(_value(master.lookupNode("/test", roscore.topics()[topic][0])))
         with xmlrpc.client.ServerProxy(uri) as node:
             port = _value(node.requestTopic("/test", topic, [["TCPROS"]]))[2]
@@ -98,6 +100,40 @@ def test_who_connects_and_says_nothing_keeps_no_base_away(roscore: RosCore) -> N
             assert (await stage.command()).is_zero
 
     play(RosRobot(roscore), story)
+
+
+def test_an_address_that_is_a_nodes_and_no_masters_is_said(roscore: RosCore) -> None:
+    with robot(roscore) as body:
+        with _master_of(roscore) as master:
+            node = str(_value(master.lookupNode("/test", f"{body.namespace}/robot")))
+        driver = body.make({"master": node.rstrip("/")})
+        findings = asyncio.run(driver.check(10.0))
+    assert [finding.is_well for finding in findings] == [False]
+    assert f"no ROS master at {node.rstrip('/')} (" in findings[0].text
+    assert "correct driver_options.master" in findings[0].text
+
+
+def test_a_roscore_that_does_not_answer_leaves_nothing_behind(
+    roscore: RosCore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    core, seen = RosCore(tmp_path, is_whole=False), list[int]()
+
+    def lose_patience(condition: Callable[[], bool], what: str) -> None:
+        wait_until(condition, what)
+        seen.extend(children(os.getpid()))
+        raise AssertionError(what)
+
+    before = children(os.getpid())
+    monkeypatch.setattr("swarmd.testing.roscore.wait_until", lose_patience)
+    with pytest.raises(AssertionError, match="answers"):
+        core.start()
+    started = set(seen) - set(before)
+    assert started
+    assert not any(is_running(pid) for pid in started)
+
+
+def _master_of(core: RosCore) -> xmlrpc.client.ServerProxy:
+    return xmlrpc.client.ServerProxy(core.uri)
 
 
 def _value(answer: object) -> Any:
