@@ -39,9 +39,10 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 FIRST_PAUSE, LONGEST_PAUSE = 0.1, 5.0
-"""Seconds before an adapter that has died is started again: growing from the one to the other."""
-WELL_AFTER = 10.0
-"""Seconds that an adapter must have lived for the pause to begin at the first again."""
+"""Seconds before an adapter that has died is started again: growing from the one to the other.
+
+After one that had its base always the first: the base may keep its velocity until the next one.
+"""
 
 STANDS = 2.0
 """Seconds for which a base that counts as lost is told to stand; then others may have it."""
@@ -72,7 +73,7 @@ class Ros1Driver:
         self._said: tuple[bool, str] = (False, "")
         self._said_at = math.inf
         self._logged = ""
-        self._is_up = False
+        self._is_up = self._was_up = False
         self._fell = -math.inf
         self._owes_zero = True
         self._has_sent = False
@@ -91,17 +92,15 @@ class Ros1Driver:
 
     async def run(self, sink: Sink) -> None:
         """Feed the sink until cancelled; the adapter is started again as often as it ends."""
-        loop = asyncio.get_running_loop()
         self._sink, pause = sink, FIRST_PAUSE
         self._say(False, self._view.note)
         try:
             while True:
-                begun = loop.time()
                 end = await self._live(drives=True)
                 end = f"{end}; the adapter is started again"
                 self._say(False, end)
                 self._log(False, end)
-                if loop.time() - begun > WELL_AFTER or self._is_planned:
+                if self._was_up or self._is_planned:
                     pause = FIRST_PAUSE
                 await asyncio.sleep(pause)
                 pause = min(2.0 * pause, LONGEST_PAUSE)
@@ -165,7 +164,7 @@ class Ros1Driver:
     async def _live(self, *, drives: bool) -> str:
         """One life of the adapter; how it ended."""
         self._view = View(self._options, self._platform)
-        self._end, self._is_planned = "", False
+        self._end, self._is_planned, self._was_up = "", False, False
         options = self._options
         try:
             child = AdapterProcess(
@@ -266,6 +265,7 @@ class Ros1Driver:
 
     def _say(self, is_up: bool, text: str) -> None:
         now, was_up, self._is_up = time.monotonic(), self._is_up, is_up
+        self._was_up |= is_up
         if was_up and not is_up and self._has_sent:
             self._fell = now
             self._put(ZERO)

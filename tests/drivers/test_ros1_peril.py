@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from swarmd.drivers import ros1
 from swarmd.drivers.ros1 import STANDS
 from swarmd.drivers.ros1_adapter import SILENCE, STOPPING
 from swarmd.testing.driver_contract import Heard, Stage
@@ -21,7 +22,7 @@ from swarmd.testing.processes import children, is_running, wait_until
 from swarmd.testing.roscore import RosCore
 from swarmd.values import Twist
 from tests.drivers.ros1_rig import RosRobot, robot
-from tests.drivers.test_ros1_life import drive, guarded, play
+from tests.drivers.test_ros1_life import adapter, drive, guarded, play
 
 
 async def moving(stage: Stage, seconds: float, condition: Callable[[], bool]) -> list[Twist]:
@@ -77,6 +78,24 @@ def test_a_guardian_that_was_silent_is_not_obeyed_before_enough_zeros(roscore: R
         guardian.send_signal(signal.SIGCONT)
         wait_until(lambda: any(not twist.is_zero for twist in body.commands()), "it drives again")
         assert time.monotonic() - begin > 0.75 * STOPPING
+
+
+def test_a_base_is_not_left_alone_for_longer_the_oftener_its_adapter_dies(
+    roscore: RosCore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ros1, "FIRST_PAUSE", 0.5)
+    monkeypatch.setattr(ros1, "LONGEST_PAUSE", 100.0)
+
+    async def story(stage: Stage, body: RosRobot) -> None:
+        for _ in range(7):
+            await drive(stage, body)
+            os.kill(adapter(stage.driver), signal.SIGKILL)
+            await stage.until(lambda: not stage.heard.is_up)
+            body.commands()
+            assert (await stage.command()).is_zero
+            await stage.until(lambda: stage.heard.is_up)
+
+    play(RosRobot(roscore), story)
 
 
 def test_who_connects_and_says_nothing_keeps_no_base_away(roscore: RosCore) -> None:
