@@ -23,6 +23,7 @@ import importlib
 import io
 import json
 import os
+import resource
 import signal
 import socket
 import struct
@@ -52,6 +53,7 @@ _RETRY = 0.3
 _WRITE = struct.pack("@ll", 0, 100_000)  # s and us that writing a command may take
 _WORD = 1.0  # s within which who connects has to say what he wants
 _LEAVING = 1.0  # s that the master may take to hear that this node has gone
+_MOST_MEMORY = 512 << 20  # bytes; rospy believes whatever length a message says it has
 _TWIST = struct.Struct("<6d")
 
 
@@ -359,6 +361,7 @@ def main() -> None:
     del sys.path[0]  # this folder: its modules are not for this interpreter
     os.set_blocking(2, False)
     sys.stderr = _Errors()
+    resource.setrlimit(resource.RLIMIT_DATA, (_MOST_MEMORY, _MOST_MEMORY))
     sock = socket.socket(fileno=os.dup(0))
     sys.setswitchinterval(0.0005)  # s: a look at the master must not hold a command back
     try:

@@ -3,22 +3,26 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
 import signal
 import socket
+import threading
 import time
 import xmlrpc.client
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 
 from swarmd.drivers import ros1
+from swarmd.drivers import ros1_wire as wire
 from swarmd.drivers.ros1 import STANDS
 from swarmd.drivers.ros1_adapter import SILENCE, STOPPING
 from swarmd.testing.driver_contract import Heard, Stage
-from swarmd.testing.processes import children, is_running, wait_until
+from swarmd.testing.processes import CAP, children, is_running, wait_until
 from swarmd.testing.roscore import RosCore
 from swarmd.values import Twist
 from tests.drivers.ros1_rig import RosRobot, robot
@@ -117,6 +121,60 @@ def test_who_connects_and_says_nothing_keeps_no_base_away(roscore: RosCore) -> N
             await stage.until(lambda: stage.heard.is_up)
             stage.driver.send(Twist(0.1), 1, 1)
             assert (await stage.command()).is_zero
+
+    play(RosRobot(roscore), story)
+
+
+class Liar(threading.Thread):
+    """Who publishes one message without an end on a topic, until he is hung up on."""
+
+    def __init__(self, core: RosCore, topic: str) -> None:
+        super().__init__(daemon=True)
+        self._server = socket.create_server(("127.0.0.1", 0))
+        port = self._server.getsockname()[1]
+        self._api = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
+        where = [1, "", ["TCPROS", "127.0.0.1", port]]
+        self._api.register_function(lambda *asked: where, "requestTopic")
+        self._talk = threading.Thread(target=self._api.serve_forever)
+        self._talk.start()
+        self.start()
+        uri = f"http://127.0.0.1:{self._api.server_address[1]}"
+        with _master_of(core) as master:
+            master.registerPublisher("/liar", topic, wire.LASER_SCAN.name, uri)
+
+    def run(self) -> None:
+        with self._server, self._server.accept()[0] as reader:
+            reader.recv(4096)
+            says = {"type": wire.LASER_SCAN.name, "md5sum": wire.LASER_SCAN.md5sum}
+            head = b"".join(_sized(f"{key}={value}") for key, value in says.items())
+            try:
+                reader.sendall(len(head).to_bytes(4, "little") + head + b"\xff\xff\xff\xff")
+                for _ in range(4096):
+                    reader.sendall(bytes(1 << 20))
+            except OSError:
+                return
+
+    def close(self) -> None:
+        self.join(CAP)
+        self._api.shutdown()
+        self._api.server_close()
+        self._talk.join(CAP)
+
+
+def _sized(text: str) -> bytes:
+    return len(text).to_bytes(4, "little") + text.encode()
+
+
+def test_a_message_without_an_end_fills_no_memory(roscore: RosCore) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        await drive(stage, body)
+        with contextlib.closing(Liar(roscore, f"{body.namespace}/scan")) as liar:
+            await stage.until(lambda: not liar.is_alive())
+        status = Path(f"/proc/{adapter(stage.driver)}/status").read_text()
+        peak = int(status.partition("VmHWM:")[2].split()[0])  # kB
+        assert peak < 1 << 20
+        known = len(stage.heard.scans)
+        await stage.until(lambda: stage.heard.is_up and len(stage.heard.scans) > known)
 
     play(RosRobot(roscore), story)
 
