@@ -47,7 +47,6 @@ _BEAT = 0.05
 _BEATS_ALIVE = 4
 _LATE = 0.2  # a command older than this was made by a guardian that has been stopped since
 _ZEROED = 0.5  # s of zeros after which a guardian may be silent
-_FLUSH = 0.15
 _LOOK = 1.0
 _RETRY = 0.3
 _WRITE = struct.pack("@ll", 0, 100_000)  # s and us that writing a command may take
@@ -91,7 +90,7 @@ class Adapter:
             try:
                 if not self._is_joined:
                     self._master.call("getSystemState")  # nodes have no such thing
-                    self._join()
+                    self._join_once()
                 self._tell(self._state())
             except OSError as error:
                 self._tell({"event": "state", "master": False, "text": str(error)})
@@ -105,6 +104,13 @@ class Adapter:
         self._ends_at = ends_at if self._ends_at is None else min(ends_at, self._ends_at)
 
     # To ROS
+
+    def _join_once(self) -> None:
+        """Join, or end: what rospy has half done it does not undo."""
+        try:
+            self._join()
+        except OSError as error:
+            raise RuntimeError(f"it could not join the master: {error}") from error
 
     def _join(self) -> None:
         rospy, config = self._rospy, self._config
@@ -184,7 +190,6 @@ class Adapter:
         self.end(0.0, "ROS has shut the adapter's node down")
         if self._is_armed:
             self._zero()
-            time.sleep(_FLUSH)  # a thread of rospy's writes it
 
     # From ROS
 
@@ -208,7 +213,7 @@ class Adapter:
 
     def _state(self) -> Any:
         """What the master knows of our topics."""
-        master, rospy = self._master, self._rospy
+        master = self._master
         publishers, subscribers, _ = master.call("getSystemState")
         publishes, subscribes = dict(publishers), dict(subscribers)
         topics = self._config["topics"]
@@ -227,7 +232,6 @@ class Adapter:
         return {
             "event": "state",
             "master": True,
-            "node": rospy.get_name(),
             "publishers": {topic: publishes.get(topic, []) for topic in topics},
             "types": {topic: types.get(topic, "") for topic in topics},
             "candidates": {

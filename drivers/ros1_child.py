@@ -44,7 +44,6 @@ class State(Struct, frozen=True, tag_field="event", tag="state"):
 
     master: bool
     text: str = ""
-    node: str = ""
     publishers: dict[str, list[str]] = {}
     types: dict[str, str] = {}
     candidates: dict[str, list[str]] = {}

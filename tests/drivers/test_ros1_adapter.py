@@ -171,5 +171,26 @@ def test_an_adapter_that_nobody_reads_the_errors_of_still_leaves(
     assert process.returncode == 0
 
 
+def test_an_adapter_that_could_join_only_in_part_ends_and_says_why(
+    tmp_path: Path, master: str
+) -> None:
+    half = ROSPY + '\ndef Subscriber(*args, **kwargs): raise ConnectionRefusedError("gone")\n'
+    (tmp_path / "rospy.py").write_text(half)
+    mine, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with mine, theirs:
+        subprocess.run(
+            [sys.executable, str(SCRIPT), json.dumps({**CONFIG, "master": master})],
+            stdin=theirs.fileno(),
+            stderr=subprocess.DEVNULL,
+            env={"PYTHONPATH": str(tmp_path)},
+            timeout=CAP,
+            check=False,
+        )
+        mine.setblocking(False)
+        frames = taken(mine)
+    (said,) = (json.loads(frame[1:]) for frame in frames if frame[:1] == EVENT)
+    assert "it could not join the master: gone" in said["text"]
+
+
 def _waits(pipe: IO[bytes]) -> bool:
     return bool(select.select([pipe], [], [], 0.0)[0])

@@ -17,7 +17,6 @@ from swarmd.values import Scan, Value
 
 WELL = State(
     master=True,
-    node="/swarmd_r_1",
     publishers={"/scan": ["/lidar"], "/odom": ["/base"]},
     types={"/scan": wire.LASER_SCAN.name, "/odom": wire.ODOMETRY.name},
     listeners=["/base"],
