@@ -93,6 +93,12 @@ class RosCore:
         while any(is_running(pid) for pid in found) and time.monotonic() < deadline:
             time.sleep(0.01)
 
+    def send(self, number: signal.Signals) -> None:
+        """Send it a signal, such as SIGSTOP."""
+        assert self._process is not None
+        for pid in (self._process.pid, *self._all):
+            os.kill(pid, number)
+
     def topics(self) -> dict[str, list[str]]:
         """The nodes that publish each topic, as the master knows."""
         with xmlrpc.client.ServerProxy(self.uri) as master:

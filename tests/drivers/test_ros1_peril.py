@@ -105,10 +105,7 @@ def test_a_base_is_not_left_alone_for_longer_the_oftener_its_adapter_dies(
 def test_who_connects_and_says_nothing_keeps_no_base_away(roscore: RosCore) -> None:
     async def story(stage: Stage, body: RosRobot) -> None:
         topic = f"{body.namespace}/cmd_vel"
-        with _master_of(roscore) as master:
-            uri = str(_value(master.lookupNode("/test", roscore.topics()[topic][0])))
-        with xmlrpc.client.ServerProxy(uri) as node:
-            port = _value(node.requestTopic("/test", topic, [["TCPROS"]]))[2]
+        port = _port_of(roscore, topic)
         with (
             socket.create_connection(("127.0.0.1", port)),
             socket.create_connection(("127.0.0.1", port)) as noisy,
@@ -165,6 +162,35 @@ def _sized(text: str) -> bytes:
     return len(text).to_bytes(4, "little") + text.encode()
 
 
+def test_a_master_that_hangs_stops_the_robot_until_it_answers(
+    roscore: RosCore, tmp_path: Path
+) -> None:
+    with RosCore(tmp_path, is_whole=False) as core:
+
+        async def story(stage: Stage, body: RosRobot) -> None:
+            await drive(stage, body)
+            first = adapter(stage.driver)
+            core.send(signal.SIGSTOP)
+            try:
+                taken = await moving(stage, 1.0, lambda: not stage.heard.is_up)
+                assert taken[-1].is_zero
+                said = stage.heard.states[-1][1]
+                assert f"no ROS master at {core.uri} (timed out); start roscore" in said
+            finally:
+                core.send(signal.SIGCONT)
+            await stage.until(lambda: stage.heard.is_up)
+            body.commands()
+            stage.driver.send(Twist(0.1), 1, 1)
+            assert (await stage.command()).is_zero
+            assert adapter(stage.driver) == first
+            core.send(signal.SIGSTOP)
+            await stage.end()
+            assert not is_running(first)
+            core.send(signal.SIGCONT)
+
+        play(RosRobot(core), story)
+
+
 def test_a_message_without_an_end_fills_no_memory(roscore: RosCore) -> None:
     async def story(stage: Stage, body: RosRobot) -> None:
         await drive(stage, body)
@@ -211,6 +237,14 @@ def test_a_roscore_that_does_not_answer_leaves_nothing_behind(
 
 def _master_of(core: RosCore) -> xmlrpc.client.ServerProxy:
     return xmlrpc.client.ServerProxy(core.uri)
+
+
+def _port_of(core: RosCore, topic: str) -> int:
+    """Where the first publisher of a topic waits for who listens."""
+    with _master_of(core) as master:
+        uri = str(_value(master.lookupNode("/test", core.topics()[topic][0])))
+    with xmlrpc.client.ServerProxy(uri) as node:
+        return int(_value(node.requestTopic("/test", topic, [["TCPROS"]]))[2])
 
 
 def _value(answer: object) -> Any:
