@@ -264,8 +264,8 @@ def test_a_check_moves_nothing_and_announces_nothing(monkeypatch: pytest.MonkeyP
         driver = make({}, robots.PLATFORM)
         checking = asyncio.create_task(driver.check(2.0))
         await asyncio.sleep(0.01)
-        for _ in range(5):
-            session.moves()
+        for count in range(5):
+            session.moves(0.1 * count)
             await asyncio.sleep(0.1)
         found = await checking
         assert not session.taken()
