@@ -22,8 +22,8 @@ _STOPPER = (
         ("stopper: before the first tick", "it says zero",
          "        if self._heard is None:\n            return False",
          "        if self._heard is None:\n            self._heard = now - 1.0"),
-        ("stopper: end of file", "it is waited for silence", "return self._has_left or (",
-         "return ("),
+        ("stopper: farewell to one that drove", "there are no zeros",
+         "if self._began is None and self._heard is not None and not self._may_end:", "if False:"),
         ("stopper: relief", "its zeros go on", "self._may_end = True", "pass"),
         ("stopper: one that thaws", "it stays relieved",
          "        self._heard = now\n        self._may_end = False", "        self._heard = now"),
@@ -42,6 +42,8 @@ _STOPPER = (
         ("stopper: farewell", "it is an end of file",
          "self._is_asked |= frame == FAREWELL", "pass"),
         ("stopper: its answers", "there are none", "                self._answer(TICK)\n", ""),
+        ("stopper: one at work", "it is relieved too",
+         "if self._deadman.is_silent(boottime()):", "if True:"),
     ),
     *mutants_of(
         "swarmd/guarded.py",
@@ -141,20 +143,49 @@ _ROS1 = (
 _REPLAY = (
     *mutants_of(
         "swarmd/recording.py",
-        "tests/drivers/test_replay.py",
+        "tests/drivers/test_replay.py::test_times_that_go_back_are_damage",
         ("recording: times that go back", "they are taken", "if entry.at < before:", "if False:"),
+    ),
+    *mutants_of(
+        "swarmd/recording.py",
+        "tests/drivers/test_replay.py::test_what_is_no_recording_is_one_clear_line",
+        ("recording: frames that are too long", "they are cut off", "if size > MAX_FRAME:",
+         "if False:"),
+    ),
+    *mutants_of(
+        "swarmd/recording.py",
+        "tests/drivers/test_replay.py::test_a_disk_that_is_full_ends_the_recording_and_nothing_else",
         ("recording: a disk that is full", "it ends the driver",
          "except OSError as error:\n            fault",
          "except ZeroDivisionError as error:\n            fault"),
-        ("recording: frames that are too long", "they are waited for", "if size > MAX_FRAME:",
-         "if False:"),
-        ("recording: one that is there", "it is gone", "while candidate.exists():", "while False:"),
+    ),
+    *mutants_of(
+        "swarmd/recording.py",
+        "tests/drivers/test_replay.py::test_an_earlier_recording_is_kept",
+        ("recording: one that is there", "it is in the way", "while candidate.exists():",
+         "while False:"),
     ),
     *mutants_of(
         "drivers/replay.py",
-        "tests/drivers/test_replay.py",
+        "tests/drivers/test_replay.py::test_in_a_loop_stamps_and_sequences_go_on",
         ("replay: stamps in a loop", "they jump back", "scan.stamp + shift,", "scan.stamp,"),
+        ("replay: sequences in a loop", "they jump back", "scan.seq + ahead,", "scan.seq,"),
+    ),
+    *mutants_of(
+        "drivers/replay.py",
+        "tests/drivers/test_replay.py::test_speed_makes_it_pass_faster",
         ("replay: speed", "it is slower by it", "entry.at / speed", "entry.at * speed"),
+    ),
+    *mutants_of(
+        "drivers/replay.py",
+        "tests/drivers/test_replay.py::test_each_beginning_is_commanded_zero_first_and_the_end_is"
+        "_zero",
+        ("replay: zero at each beginning", "only at the first",
+         "self._is_up = self._owes_zero = True", "self._is_up = True"),
+        ("replay: commands between two rounds", "they are taken",
+         "if not self._is_up:\n            return", "if False:\n            return"),
+        ("replay: zero at the end", "there is none", "                self._take(ZERO)",
+         "                pass"),
     ),
 )  # fmt: skip
 

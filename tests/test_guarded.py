@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import os
+import secrets
 import signal
 import socket
 from collections.abc import Iterator
@@ -214,6 +215,29 @@ def test_a_farewell_is_2_s_of_zeros_and_the_end_of_file_is_zeros_for_ever(
         assert sender.at[-1] == pytest.approx(2.0, abs=0.06)
     else:
         assert sender.at[-1] > 9.9
+
+
+def test_only_one_whose_guardian_is_silent_is_relieved(
+    clock: Clock, guardian: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = f"swarmd/test/{secrets.token_hex(8)}"
+    sender = Sender(clock)
+    mine = Stopper(guardian[1], sender, name, None)
+    guardian[0].send(TICK)
+    mine._hear()
+    monkeypatch.setattr(stopper, "_CLAIM_WITHIN", 0.0)
+    for after, is_taken in ((0.0, False), (0.39, False), (0.41, True)):
+        clock.now = 1000.0 + after
+        with pytest.raises(DriverError, match="another daemon on this machine drives this robot"):
+            Stopper(guardian[1], sender, name, None)
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+            other.sendto(b"relief", f"\0{name}")
+        assert mine._name is not None
+        mine._on_relief(mine._name)
+        assert (mine._name is None) == is_taken
+    relieving = Stopper(guardian[1], sender, name, None)
+    assert relieving._name is not None
+    relieving._name.close()
 
 
 # The driver between them

@@ -24,6 +24,7 @@ from swarmd.settings import load_daemon_settings
 from swarmd.sim.live.link import WorldLink
 from swarmd.testing.driver_contract import CAP, DriverContract, Heard, on_stage
 from swarmd.values import Odometry, Pose, Scan, Twist, Value
+from tests.drivers import handclock
 
 PLATFORM = load_platform("burger")
 SPEC = PLATFORM.scan
@@ -350,3 +351,29 @@ def test_a_disk_that_is_full_ends_the_recording_and_nothing_else(
     assert full.closed
     assert "ends here: No space left on device" in caplog.text
     assert caplog.text.count("ends here") == 1
+
+
+def test_each_beginning_is_commanded_zero_first_and_the_end_is_zero(tmp_path: Path) -> None:
+    driver = make(record(tmp_path / "a.rec", [0.0, 1.0]), loop=True)
+
+    def taken() -> list[Twist]:
+        for _ in range(2):
+            driver.send(Twist(0.1), 1, 1)
+        found = list(driver.taken)
+        driver.taken.clear()
+        return found
+
+    async def story() -> None:
+        task = asyncio.create_task(driver.run(Heard()))
+        for _ in range(2):
+            await asyncio.sleep(0.4)
+            assert not taken(), "there is no robot yet"
+            await asyncio.sleep(0.2)
+            assert taken() == [Twist(), Twist(0.1)]
+            assert taken() == [Twist(0.1)] * 2
+            await asyncio.sleep(1.4)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        assert taken() == [Twist()]
+
+    handclock.run(story())
