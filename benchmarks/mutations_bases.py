@@ -66,6 +66,8 @@ _STOPPER = (
          'if found.idle_output == "silent" and found.deadman == "none":', "if False:"),
         ("base: deadman not told", "the base has one", '"base" if driver.is_simulated else "none"',
          '"base"'),
+        ("base: silent and no deadman told", "it may be",
+         'if base.idle_output == "silent":', "if False:"),
         ("base: driver without a stopper", "it runs", "if not isinstance(driver, Stopping):",
          "if not isinstance(driver, Stopping):\n        return wrapped\n    if False:"),
         ("base: silent is only who is idle", "also who is stopped",
@@ -115,6 +117,12 @@ _ROS1 = (
         ("ros1: newest only", "the oldest is delivered", "                newest[link] = frame",
          "                newest.setdefault(link, b'')\n                _ = frame"),
         ("ros1: messages that waited", "they are delivered", "OLD = 0.5", "OLD = 50.0"),
+    ),
+    *mutants_of(
+        "drivers/ros1_options.py",
+        "tests/drivers/test_ros1_child.py::test_the_adapters_environment_is_that_of_the_options",
+        ("ros1: ROS_HOSTNAME", "it stands beside ROS_IP", 'found.pop("ROS_HOSTNAME", None)',
+         "pass"),
     ),
     *mutants_of(
         "drivers/ros1.py",

@@ -149,6 +149,7 @@ _DIALECTS = (
         "tests/drivers/ros/test_dialects.py",
         ("rmw_zenoh: domain", "it is not in the key", 'return f"{self.domain}{topic}/{dds_name(',
          'return f"0{topic}/{dds_name('),
+        ("rmw_zenoh: topics", "all below them are heard", '{topic}/*/*"', '{topic}/**"'),
         ("rmw_zenoh: type", "any will do", "if told != dds_name(wanted):", "if False:"),
         ("rmw_zenoh: hash", "any will do", "if hashed not in known_hashes(kind):", "if False:"),
         ("rmw_zenoh: Humble", "it is not recognised", "self._is_humble = True",

@@ -198,3 +198,13 @@ def test_of_what_waited_only_the_newest_of_each_link_is_news_and_nothing_old(
     asyncio.run(run())
     assert heard == [(1, b"newest"), (2, b"late")]
     assert dropped == ["overtaken"] * 3
+
+
+def test_the_adapters_environment_is_that_of_the_options(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_MASTER_URI", "http://robot:11311")
+    monkeypatch.setenv("ROS_HOSTNAME", "desk")
+    usual = read_options({}, "r")
+    assert (usual.master_uri, usual.environ["ROS_HOSTNAME"]) == ("http://robot:11311", "desk")
+    told = read_options({"master": "http://127.0.0.1:9", "ip": "10.0.0.7"}, "r").environ
+    assert (told["ROS_MASTER_URI"], told["ROS_IP"]) == ("http://127.0.0.1:9", "10.0.0.7")
+    assert "ROS_HOSTNAME" not in told, "it would win"
