@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
-from swarmd.base import FIRST_ZEROS, IdleOutput, base_options, deadman_of, make_driver, stops_after
+from swarmd.base import FIRST_ZEROS, IdleOutput, base_options, deadman_of, make_driver
 from swarmd.driver import Finding, Sink
 from swarmd.errors import ConfigError
 from swarmd.guarded import GuardedDriver
@@ -242,14 +241,3 @@ def test_silent_needs_a_timeout_that_is_told(
 def test_the_simulated_driver_can_be_guarded_and_is_not_unless_told(tmp_path: Path) -> None:
     assert isinstance(make_driver(settings(tmp_path, deadman="none")), GuardedDriver)
     assert not isinstance(make_driver(settings(tmp_path)), GuardedDriver)
-
-
-def test_how_soon_a_base_stops_by_itself() -> None:
-    told = [stops_after(options, "") for options in ({}, {"deadman": "none"})]
-    assert told == [math.inf, math.inf]
-    assert stops_after({"deadman": "base"}, "") == 0.5
-    assert stops_after({"deadman": 0.25}, "") == 0.25
-
-
-def test_the_first_zeros_of_an_idle_robot_are_a_second_of_them() -> None:
-    assert FIRST_ZEROS == 1.0
