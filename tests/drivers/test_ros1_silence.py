@@ -10,6 +10,7 @@ import contextlib
 import json
 import struct
 from collections.abc import Callable, Mapping
+from inspect import signature
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -51,7 +52,14 @@ class Scene:
         given = {"master": "http://127.0.0.1:9", "name": "swarmd_r", "topics": [], "kinds": [],
                  "command_topic": "/cmd_vel", "holds": False, **config}  # fmt: skip
         sock: Any = self
-        self.adapter = Adapter({**given, "command": command}, sock, self._rospy())
+        offered = {
+            "config": {**given, "command": command},
+            "sock": sock,
+            "rospy": self._rospy(),
+            "master": SimpleNamespace(caller="", forget=lambda: None),
+        }
+        wanted = signature(Adapter).parameters
+        self.adapter = Adapter(**{name: offered[name] for name in wanted})
         monkeypatch.setattr(self.adapter, "_leave", self._leave)
         self.adapter._join()
 
@@ -60,6 +68,8 @@ class Scene:
             set_queue_size=lambda size: None, acquire=lambda: None, release=lambda: None
         )
         publisher = SimpleNamespace(publish=self._publish, impl=impl)
+        server = SimpleNamespace(tcp_ros_server=SimpleNamespace(inbound_handler=None))
+        tcpros = SimpleNamespace(start_tcpros_server=lambda: None, _tcpros_server=server)
         return SimpleNamespace(
             AnyMsg=object,
             init_node=lambda *_, **__: None,
@@ -67,6 +77,7 @@ class Scene:
             on_shutdown=lambda hook: None,
             is_shutdown=lambda: False,
             Publisher=lambda *_, **__: publisher,
+            impl=SimpleNamespace(tcpros_base=tcpros),
         )
 
     def _publish(self, message: Any) -> None:
@@ -138,8 +149,8 @@ def test_zeros_begin_after_0_4_s_of_silence_and_go_on(scene: Scene, payload: byt
 
 def test_a_guardian_that_is_back_is_listened_to(scene: Scene) -> None:
     scene.command(MOVING)
-    zeros = scene.pass_time(2.0, {1.0 + 0.1 * i: lambda: scene.command(MOVING) for i in range(20)})
-    assert all(0.4 <= zero <= 1.0 for zero in zeros)
+    zeros = scene.pass_time(4.0, {1.0 + 0.1 * i: lambda: scene.command(MOVING) for i in range(40)})
+    assert all(0.4 <= zero <= 2.5 for zero in zeros), "it may send them for 2 s"
 
 
 def test_before_the_first_command_it_says_nothing(scene: Scene) -> None:
@@ -152,12 +163,13 @@ def test_a_robot_that_an_earlier_adapter_drove_gets_zeros_at_once(
     assert Scene(monkeypatch, holds=True).pass_time(1.0)[0] == 0.0
 
 
-def test_one_zero_does_not_make_silence_harmless_but_half_a_second_of_them_does(
-    scene: Scene,
-) -> None:
+def test_one_zero_does_not_make_silence_harmless(scene: Scene) -> None:
     scene.command(MOVING)
     scene.command(ZERO)
     assert scene.pass_time(1.0), "that zero may have been lost"
+
+
+def test_half_a_second_of_zeros_makes_silence_harmless(scene: Scene) -> None:
     scene.command(MOVING)
     idle = {0.1 * i: lambda: scene.command(ZERO) for i in range(1, 8)}
     assert len(scene.pass_time(5.0, idle)) == len(idle), "who is idle may be silent"
@@ -218,16 +230,3 @@ def test_a_base_that_connects_while_it_is_driven_gets_zero_first(scene: Scene) -
     scene.command(MOVING)
     scene.adapter._on_base(lambda message: given.append(message._buff))
     assert given == [ZERO]
-
-
-def test_who_was_killed_is_told_from_who_is_slow(
-    scene: Scene, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for error, is_alive in ((ConnectionRefusedError(), False), (TimeoutError(), True)):
-        master = ros1_adapter.Master("http://127.0.0.1:9", "/x")
-
-        def call(*_: object, error: OSError = error, **__: object) -> Any:
-            raise error
-
-        monkeypatch.setattr(master, "call", call)
-        assert master.is_alive("/node") == is_alive
