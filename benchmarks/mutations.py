@@ -41,7 +41,9 @@ class Mutant:
 
 def mutants_of(path: str, tests: str, *rows: tuple[str, str, str, str]) -> tuple[Mutant, ...]:
     """Mutants of one file, each a row: mechanism, change, old and new."""
-    return tuple(Mutant(what, change, path, *texts, tests=tests) for what, change, *texts in rows)
+    return tuple(
+        Mutant(what, change, path, old, new, tests=tests) for what, change, old, new in rows
+    )
 
 
 _BARRIER = "swarmd/protection/barrier.py"

@@ -105,7 +105,7 @@ _ROS1 = (
     ),
     *mutants_of(
         "drivers/ros1_child.py",
-        "tests/drivers/test_ros1_child.py::test_of_what_waited_only_the_newest_of_each_link_is_news"
+        "tests/drivers/test_ros1_driving.py::test_of_what_waited_only_the_newest_of_each_link_is_news"
         "_and_nothing_old",
         ("ros1: newest only", "the oldest is delivered", "                newest[link] = frame",
          "                newest.setdefault(link, b'')\n                _ = frame"),
@@ -113,7 +113,7 @@ _ROS1 = (
     ),
     *mutants_of(
         "drivers/ros1_options.py",
-        "tests/drivers/test_ros1_child.py::test_the_adapters_environment_is_that_of_the_options",
+        "tests/drivers/test_ros1_driving.py::test_the_adapters_environment_is_that_of_the_options",
         ("ros1: ROS_HOSTNAME", "it stands beside ROS_IP", 'found.pop("ROS_HOSTNAME", None)',
          "pass"),
     ),

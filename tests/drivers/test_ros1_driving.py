@@ -6,17 +6,21 @@ With a real one: `test_ros1_child.py` and, with ROS, `test_ros1.py`.
 from __future__ import annotations
 
 import asyncio
+import os
+import socket
 import struct
 from collections.abc import Awaitable, Callable
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from msgspec.structs import replace
 
-from swarmd.drivers import ros1
+from swarmd.drivers import ros1, ros1_adapter, ros1_child
 from swarmd.drivers import ros1_wire as wire
 from swarmd.drivers.ros1 import Ros1Driver
 from swarmd.drivers.ros1_child import Link, State, Told
+from swarmd.drivers.ros1_options import read_options
 from swarmd.platforms import load_platform
 from swarmd.testing.driver_contract import Heard
 from swarmd.values import Twist, Value
@@ -240,3 +244,46 @@ def test_stamped_commands_are_numbered_and_in_the_frame_asked_for(
             assert data[12:20] == b"\x04\0\0\0base"
 
     play(monkeypatch, story, cmd_vel_type="twist_stamped", cmd_vel_frame="base")
+
+
+def test_of_what_waited_only_the_newest_of_each_link_is_news_and_nothing_old(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 1000.0
+    heard: list[tuple[int, bytes]] = []
+    dropped: list[str] = []
+    listener = SimpleNamespace(
+        on_message=lambda link, data: heard.append((link, data)),
+        on_dropped=dropped.append,
+        on_event=lambda event: None,
+    )
+
+    async def run() -> None:
+        child = ros1_child.AdapterProcess("-", "/bin/cat", {}, os.environ, listener)
+        monkeypatch.setattr(ros1_child, "time", SimpleNamespace(monotonic=lambda: now))
+        near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        near.setblocking(False)
+        for link, age, data in (
+            (1, 0.3, b"first"), (1, 0.1, b"newest"), (2, 0.49, b"late"), (3, 0.5, b"history"),
+            (4, -0.5, b"of a clock to come"),
+        ):  # fmt: skip
+            far.send(ros1_adapter.DATA_HEAD.pack(ros1_adapter.DATA, link, now - age) + data)
+        with near, far:
+            child._socket, own = near, child._socket
+            child._on_readable()
+            child._socket = own
+        await child.close(politely=False)
+
+    asyncio.run(run())
+    assert heard == [(1, b"newest"), (2, b"late")]
+    assert dropped == ["overtaken"] * 3
+
+
+def test_the_adapters_environment_is_that_of_the_options(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_MASTER_URI", "http://robot:11311")
+    monkeypatch.setenv("ROS_HOSTNAME", "desk")
+    usual = read_options({}, "r")
+    assert (usual.master_uri, usual.environ["ROS_HOSTNAME"]) == ("http://robot:11311", "desk")
+    told = read_options({"master": "http://127.0.0.1:9", "ip": "10.0.0.7"}, "r").environ
+    assert (told["ROS_MASTER_URI"], told["ROS_IP"]) == ("http://127.0.0.1:9", "10.0.0.7")
+    assert "ROS_HOSTNAME" not in told, "it would win"
