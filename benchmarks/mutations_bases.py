@@ -64,12 +64,16 @@ _STOPPER = (
          'if found.idle_output == "silent" and found.deadman == "none":', "if False:"),
         ("base: deadman not told", "the base has one", '"base" if driver.is_simulated else "none"',
          '"base"'),
+        ("base: silent is only who is idle", "also who is stopped",
+         "if not (is_idle and twist.is_zero):", "if not twist.is_zero:"),
+    ),
+    *mutants_of(
+        "swarmd/base.py",
+        _STOPPER_TESTS,
         ("base: silent and no deadman told", "it may be",
          'if base.idle_output == "silent":', "if False:"),
         ("base: driver without a stopper", "it runs", "if not isinstance(driver, Stopping):",
          "if not isinstance(driver, Stopping):\n        return wrapped\n    if False:"),
-        ("base: silent is only who is idle", "also who is stopped",
-         "if not (is_idle and twist.is_zero):", "if not twist.is_zero:"),
     ),
 )  # fmt: skip
 _WIRE_TEST = "tests/drivers/test_ros1_wire.py::test_bytes_are_little_endian"
