@@ -36,7 +36,7 @@ COPIED = (
 MUTANTS = (*OF_PROTECTION, *OF_PATTERNS, *OF_ROS, *OF_BASES)
 # Whole rides and swarms take longest, and show least of which mechanism it was.
 LEFT_OUT = ("test_directed_rides.py", "test_directed_swarm.py")
-_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+?)::(\w+)", re.MULTILINE)
+_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+?)::(?:\w+::)?(\w+)", re.MULTILINE)
 
 
 def copy_tree(tree: Path) -> None:

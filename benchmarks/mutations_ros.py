@@ -46,7 +46,7 @@ _CONVERSION = mutants_of(
      "value + self._distances[index]"),
     ("ring: sensor that is silent", "it sees nothing", "np.full(len(self._bearings), np.nan)",
      "np.full(len(self._bearings), np.inf)"),
-    ("ring: one that speaks twice", "it is waited for the others", "self._close() if is_again",
+    ("ring: one that speaks twice", "the others are waited for", "self._close() if is_again",
      "self._close() if False"),
 )  # fmt: skip
 _HEARING = mutants_of(
