@@ -43,7 +43,7 @@ paper: $(VENV)/tools
 outcomes: $(VENV)/tools
 	@$(BIN)/python -m benchmarks.outcomes $(ARGS)
 
-# The tables of docs/safety.md and docs/patterns: which tests fail without which mechanism; ten minutes on two cores.
+# The tables of docs/safety.md and docs/patterns: which tests fail without which mechanism; a quarter of an hour on two cores.
 mutants: $(VENV)/tools
 	@$(BIN)/python -m benchmarks.mutants $(ARGS)
 

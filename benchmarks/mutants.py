@@ -1,8 +1,9 @@
 """Which tests fail if one mechanism is taken out, or wrong: `python -m benchmarks.mutants`.
 
 Each mutant is one textual change in a copy of the tree, in which its tests are run: those of
-protection, but those that are `LEFT_OUT`, or the outcomes of a pattern. Prints the table of
-docs/safety.md and docs/patterns; ends with 1 if a mutant survives, with 2 if one does not apply.
+protection, but those that are `LEFT_OUT`, the outcomes of a pattern, or those of a driver's parts.
+Prints the tables of docs/safety.md and docs/patterns; ends with 1 if a mutant survives, with 2 if
+one does not apply.
 """
 
 from __future__ import annotations
@@ -20,23 +21,26 @@ from pathlib import Path
 
 from benchmarks.mutations import MUTANTS as OF_PROTECTION
 from benchmarks.mutations import Mutant
+from benchmarks.mutations_bases import MUTANTS as OF_BASES
+from benchmarks.mutations_ros import MUTANTS as OF_ROS
 from benchmarks.outcomes.catalog import MUTANTS as OF_PATTERNS
 from swarmd.errors import SwarmError
 
 ROOT = Path(__file__).resolve().parent.parent
 COPIED = (
+    *("tests/drivers", "tests/test_stopper.py", "tests/test_guarded.py"),
     *("swarmd", "patterns", "drivers", "sim", "config", "benchmarks", "pyproject.toml"),
     *("tests/protection", "tests/outcomes", "tests/patterns", "tests/test_votes.py"),
     "tests/test_voting.py",
 )
-MUTANTS = (*OF_PROTECTION, *OF_PATTERNS)
+MUTANTS = (*OF_PROTECTION, *OF_PATTERNS, *OF_ROS, *OF_BASES)
 # Whole rides and swarms take longest, and show least of which mechanism it was.
 LEFT_OUT = ("test_directed_rides.py", "test_directed_swarm.py")
-_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+?)::(\w+)", re.MULTILINE)
+_FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+?)::(?:\w+::)?(\w+)", re.MULTILINE)
 
 
 def copy_tree(tree: Path) -> None:
-    """What the tests of protection need, links as links."""
+    """What the tests of mutants need, links as links."""
     for name in COPIED:
         source, target = ROOT / name, tree / name
         target.parent.mkdir(parents=True, exist_ok=True)

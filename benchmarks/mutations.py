@@ -39,6 +39,13 @@ class Mutant:
         path.write_text(text)
 
 
+def mutants_of(path: str, tests: str, *rows: tuple[str, str, str, str]) -> tuple[Mutant, ...]:
+    """Mutants of one file, each a row: mechanism, change, old and new."""
+    return tuple(
+        Mutant(what, change, path, old, new, tests=tests) for what, change, old, new in rows
+    )
+
+
 _BARRIER = "swarmd/protection/barrier.py"
 _FRONT = "swarmd/protection/front.py"
 _MEMORY = "swarmd/protection/memory.py"

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.mutants import MUTANTS, ROOT, chosen, row
+from benchmarks.mutants import COPIED, MUTANTS, ROOT, chosen, row
 from benchmarks.mutations import Mutant
 from swarmd.errors import SwarmError
 
@@ -19,6 +19,14 @@ def test_each_takes_out_something_that_is_there(mutant: Mutant, tmp_path: Path) 
     mutant.apply(tmp_path)
     compile(file.read_text(), mutant.path, "exec")
     assert file.read_text() != (ROOT / mutant.path).read_text()
+
+
+@pytest.mark.parametrize("tests", sorted({mutant.tests for mutant in MUTANTS}))
+def test_what_is_to_notice_it_is_there_and_copied(tests: str) -> None:
+    path, _, name = tests.partition("::")
+    assert any(Path(path).is_relative_to(copied) for copied in COPIED)
+    assert (ROOT / path).exists()
+    assert not name or f"def {name}(" in (ROOT / path).read_text()
 
 
 @pytest.mark.parametrize(("text", "times"), [("b = 1\n", 0), ("a = 1\na = 1\n", 2)])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import asyncio
+import errno
+import io
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,6 +24,7 @@ from swarmd.settings import load_daemon_settings
 from swarmd.sim.live.link import WorldLink
 from swarmd.testing.driver_contract import CAP, DriverContract, Heard, on_stage
 from swarmd.values import Odometry, Pose, Scan, Twist, Value
+from tests.drivers import handclock
 
 PLATFORM = load_platform("burger")
 SPEC = PLATFORM.scan
@@ -326,3 +329,51 @@ def test_option_record_is_for_every_driver(tmp_path: Path) -> None:
         "driver_options": {"record": str(tmp_path / "x.rec")},
     }
     assert isinstance(make_driver(load_daemon_settings(None, values)), RecordedDriver)
+
+
+def test_times_that_go_back_are_damage(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="times that go back; record it again"):
+        make(record(tmp_path / "a.rec", [0.2, 0.1]))
+
+
+def test_a_disk_that_is_full_ends_the_recording_and_nothing_else(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Full(io.BytesIO):
+        def write(self, data: object) -> int:
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    recorder, full = Recorder(tmp_path / "a.rec", HEAD), Full()
+    recorder.close()
+    recorder._file = full
+    for time in (0.0, 0.1):
+        recorder.add("scan", encode_scan(scan(1)), time)
+    assert full.closed
+    assert "ends here: No space left on device" in caplog.text
+    assert caplog.text.count("ends here") == 1
+
+
+def test_each_beginning_is_commanded_zero_first_and_the_end_is_zero(tmp_path: Path) -> None:
+    driver = make(record(tmp_path / "a.rec", [0.0, 1.0]), loop=True)
+
+    def taken() -> list[Twist]:
+        for _ in range(2):
+            driver.send(Twist(0.1), 1, 1)
+        found = list(driver.taken)
+        driver.taken.clear()
+        return found
+
+    async def story() -> None:
+        task = asyncio.create_task(driver.run(Heard()))
+        for _ in range(2):
+            await asyncio.sleep(0.4)
+            assert not taken(), "there is no robot yet"
+            await asyncio.sleep(0.2)
+            assert taken() == [Twist(), Twist(0.1)]
+            assert taken() == [Twist(0.1)] * 2
+            await asyncio.sleep(1.4)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+        assert taken() == [Twist()]
+
+    handclock.run(story())

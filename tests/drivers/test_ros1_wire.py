@@ -244,3 +244,29 @@ def test_lengths_beyond_all_memory_are_no_message() -> None:
 def test_what_a_sensor_does_not_know_is_kept() -> None:
     found = wire.decode_laser_scan(SCAN)
     np.testing.assert_array_equal(found.ranges, np.array([np.nan, np.inf, -np.inf], np.float32))
+
+
+def test_bytes_are_little_endian_and_fields_in_their_order() -> None:
+    """Also where no ROS is there to ask."""
+    head = b"\x01\0\0\0\x02\0\0\0\x03\0\0\0\x02\0\0\0ab"
+    data = head + struct.pack("<7f", 1, 2, 3, 4, 5, 6, 7) + struct.pack("<I2f", 2, 8, 9) + bytes(4)
+    scan = wire.decode_laser_scan(data)
+    assert scan.header == wire.Header(wire.Time(2, 3), "ab")
+    angles = (scan.angle_min, scan.angle_max, scan.angle_increment)
+    assert (*angles, scan.range_min, scan.range_max) == (1, 2, 3, 6, 7)
+    assert scan.ranges.tolist() == [8, 9]
+    pose, twist = struct.pack("<7d", *range(7)), struct.pack("<6d", *range(6))
+    data = head + b"\x01\0\0\0c" + pose + bytes(288) + twist + bytes(288)
+    odometry = wire.decode_odometry(data)
+    assert odometry.pose.pose == wire.Pose(wire.Vector(0, 1, 2), wire.Quaternion(3, 4, 5, 6))
+    assert odometry.twist.twist == wire.Velocity(wire.Vector(0, 1, 2), wire.Vector(3, 4, 5))
+    imu = wire.decode_imu(head + struct.pack("<37d", *range(37)))
+    assert (imu.orientation, imu.orientation_covariance[0]) == (wire.Quaternion(0, 1, 2, 3), 4)
+    battery = wire.decode_battery(head + struct.pack("<7f", *range(7)) + bytes(20))
+    assert (battery.voltage, battery.percentage) == (0, 6)
+    near = wire.decode_range(head + struct.pack("<B4f", 1, 2, 3, 4, 5))
+    assert near == wire.Range(wire.Header(wire.Time(2, 3), "ab"), 2, 3, 4, 5)
+    command = struct.pack("<6d", 0.5, 0.125, 0, 0, 0, -0.25)
+    assert wire.encode_twist(Twist(0.5, -0.25, 0.125)) == command
+    stamped = wire.encode_twist_stamped(Twist(0.5, -0.25, 0.125), 1, 2_000_000_003, "ab")
+    assert stamped == head + command

@@ -211,3 +211,15 @@ class TestRangeRing:
         ring = conversion.RangeRing([0.0], [0.0], SPEC)
         scans = [ring.take(0, self.value(1.0 + i, 0.2)) for i in range(3)]
         assert [scan.seq for scan in scans if scan is not None] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("field", ["linear", "angular"])
+def test_a_twist_that_is_not_finite_is_refused(field: str) -> None:
+    message = robots.odometry(1.0)
+    setattr(message.twist.twist, field, second.Vector3(math.nan, 0.0, math.inf))
+    with pytest.raises(CodecError, match="not finite"):
+        conversion.odometry_of(read(messages.Odometry, message))
+
+
+def test_stamps_are_seconds_and_billionths() -> None:
+    assert conversion.stamp_of(messages.Time(sec=12, nanosec=250_000_000)) == 12.25

@@ -148,3 +148,7 @@ def test_the_bridges_announcements_are_understood() -> None:
     assert end.type == "sensor_msgs/msg/LaserScan"
     assert Ros2Dds().announced("@/8b20917502ee955a/@ros2_lv/SS/a/b") is None
     assert Ros2Dds().announced("@/8b20917502ee955a/@ros2_lv") is None
+
+
+def test_a_topic_is_heard_in_its_domain_whatever_its_type_and_hash() -> None:
+    assert dialect(3).listening("/bot/scan") == "3/bot/scan/*/*"

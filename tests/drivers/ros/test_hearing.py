@@ -89,3 +89,18 @@ def test_readings_of_several_sensors_are_told_together() -> None:
     hearing.take("imu", second.Imu().serialize(), 0.0)(heard)
     hearing.take("battery", second.BatteryState(percentage=0.5).serialize(), 0.0)(heard)
     assert heard.values[-1] == {"yaw": 0.0, "battery": 0.5, "battery_voltage": 0.0}
+
+
+def test_the_lidars_turn_is_in_degrees_counted_to_the_left() -> None:
+    heard = Heard()
+    turned = Hearing(RosOptions(scan_yaw_deg=90.0), robots.PLATFORM)
+    turned.take("scan", robots.scan(1.0, [1.0] * 4).serialize(), 0.0)(heard)
+    assert np.degrees(heard.scans[0].bearings[:2]).tolist() == pytest.approx([90.0, -180.0])
+
+
+def test_silence_is_counted_from_the_last_arrival_and_its_bound_is_no_silence() -> None:
+    hearing = Hearing(OPTIONS, robots.PLATFORM)
+    for name, message in (("scan", robots.scan(1.0)), ("odometry", robots.odometry(1.0))):
+        hearing.take(name, message.serialize(), 10.0)
+    assert not hearing.missing(12.0, 2.0)
+    assert len(hearing.missing(12.001, 2.0)) == 2
