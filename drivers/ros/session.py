@@ -53,9 +53,10 @@ def is_connected(session: zenoh.Session) -> bool:
 
 
 def commanding(session: zenoh.Session, key: str) -> zenoh.Publisher:
-    """A publisher that never waits and goes before everything else."""
+    """A publisher that never waits and goes before everything else; this session does not count."""
     return session.declare_publisher(
         key,
+        allowed_destination=zenoh.Locality.REMOTE,
         congestion_control=zenoh.CongestionControl.DROP,
         priority=zenoh.Priority.REAL_TIME,
         express=True,
