@@ -11,6 +11,9 @@ import click
 import pytest
 
 from swarmd.cli import VERBS, cli
+from swarmd.cli.daemon import swarmd
+from swarmd.platforms import platform_names
+from swarmd.plugins import driver_names
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -26,11 +29,11 @@ def blocks(page: Path, language: str) -> list[str]:
     return [text for kind, text in BLOCK.findall(page.read_text()) if kind == language]
 
 
-def commands(page: Path) -> list[list[str]]:
-    """The words of each `swarmctl` line in a block, without comments."""
+def commands(page: Path, program: str = "swarmctl") -> list[list[str]]:
+    """The words of each line in a block that begins with `program`, without comments."""
     lines = [line for block in blocks(page, "") for line in block.splitlines()]
-    found = [re.match(r"(?:\w+=\S+ )?swarmctl\s+(.+?)(?:\s+#.*)?$", line) for line in lines]
-    return [shlex.split(match[1]) for match in found if match]
+    pattern = re.compile(rf"(?:\w+=\S+ )?{program}\s+(.+?)(?:\s+#.*)?$")
+    return [shlex.split(match[1]) for match in map(pattern.match, lines) if match]
 
 
 def test_the_pattern_in_the_readme_is_the_example() -> None:
@@ -66,6 +69,16 @@ def test_commands_are_as_swarmctl_takes_them(page: Path) -> None:
             except click.exceptions.Exit:  # --help
                 continue
     assert wrong == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_commands_are_as_swarmd_takes_them(page: Path) -> None:
+    for words in commands(page, "swarmd"):
+        said = swarmd.make_context("swarmd", words).params
+        platform, driver = said["platform"], said["driver"]
+        assert platform is None or platform.endswith(".yaml") or platform in platform_names()
+        assert driver is None or driver in driver_names()
+        assert platform is None or driver is not None, f"{words}: drives a simulated robot"
 
 
 def test_the_readme_shows_the_verbs_of_every_day() -> None:
