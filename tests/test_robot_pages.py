@@ -11,10 +11,12 @@ import pytest
 import yaml
 
 from swarmd.base import BaseOptions
+from swarmd.driver import Driver, Sink, Stopping
 from swarmd.drivers.replay import ReplayOptions
 from swarmd.drivers.ros.options import RmwOptions
 from swarmd.drivers.ros1_options import Ros1Options
 from swarmd.platforms import load_platform, platform_names
+from swarmd.testing.driver_stage import Mortal, Rig, Speaker
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ROOT / "docs" / "robots"
@@ -100,3 +102,11 @@ def test_each_robot_says_how_it_is_stopped() -> None:
         (page.name, title) for page in robots for title in wanted if title not in page.read_text()
     ]
     assert not lacking
+
+
+def test_what_a_driver_offers_and_tells_is_explained() -> None:
+    text = (ROOT / "docs" / "drivers.md").read_text()
+    said = {name for kind in (Driver, Stopping, Sink, Rig, Speaker, Mortal) for name in vars(kind)}
+    said |= set(Driver.__annotations__) | set(Rig.__annotations__)
+    public = {name for name in said if not name.startswith("_")}
+    assert not [name for name in sorted(public) if not re.search(rf"`{name}\b", text)]
