@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import re
 import shlex
+from importlib import import_module
 from pathlib import Path
 
 import click
@@ -19,6 +21,8 @@ ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
 EXAMPLE = "udp"  # the driver in examples/
+NAME = re.compile(r"`(swarmd(?:\.\w+)+)`")
+GROUPS = ("swarmd.patterns", "swarmd.drivers", "swarmd.dialects", "swarmd.commands")
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
@@ -82,6 +86,11 @@ def test_commands_are_as_swarmd_takes_them(page: Path) -> None:
         assert platform is None or driver is not None, f"{words}: drives a simulated robot"
 
 
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_names_of_the_library_are_there(page: Path) -> None:
+    assert [name for name in NAME.findall(page.read_text()) if not _is_there(name)] == []
+
+
 def test_the_readme_shows_the_verbs_of_every_day() -> None:
     shown = {words[0] for words in commands(ROOT / "README.md")}
     assert {"members", "run", "stop", "estop", "reset", "describe", "demo", "sim", "exp"} <= shown
@@ -96,3 +105,13 @@ def _parse(command: click.Command, ctx: click.Context, words: list[str]) -> None
         _, verb, rest = command.resolve_command(made, rest)
         assert verb is not None
         _parse(verb, made, rest)
+
+
+def _is_there(name: str) -> bool:
+    """Whether it is an entry-point group, a module, or something in a module."""
+    if name in GROUPS:
+        return True
+    module, _, last = name.rpartition(".")
+    with contextlib.suppress(ImportError):
+        return hasattr(import_module(module), last) or bool(import_module(name))
+    return False
