@@ -146,7 +146,7 @@ def _check_network(layers: Layered, file: DaemonFile) -> None:
             if not _ENDPOINT.fullmatch(endpoint):
                 raise layers.error(
                     (key, index),
-                    f"{key}[{index}] is {endpoint!r}; wanted an endpoint such as tcp/10.0.0.1:7447",
+                    f"{key}[{index}] is {endpoint!r}; wanted an endpoint such as tcp/10.0.0.1:7440",
                 )
     if file.profile == "field" and file.interface is None:
         raise layers.error(

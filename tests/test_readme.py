@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import ast
+import contextlib
 import re
 import shlex
+from importlib import import_module
 from pathlib import Path
 
 import click
 import pytest
 
 from swarmd.cli import VERBS, cli
+from swarmd.cli.daemon import swarmd
+from swarmd.platforms import platform_names
+from swarmd.plugins import driver_names
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
+EXAMPLE = "udp"  # the driver in examples/
+NAME = re.compile(r"`(swarmd(?:\.\w+)+)`")
+GROUPS = ("swarmd.patterns", "swarmd.drivers", "swarmd.dialects", "swarmd.commands")
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
@@ -26,11 +34,11 @@ def blocks(page: Path, language: str) -> list[str]:
     return [text for kind, text in BLOCK.findall(page.read_text()) if kind == language]
 
 
-def commands(page: Path) -> list[list[str]]:
-    """The words of each `swarmctl` line in a block, without comments."""
+def commands(page: Path, program: str = "swarmctl") -> list[list[str]]:
+    """The words of each line in a block that begins with `program`, without comments."""
     lines = [line for block in blocks(page, "") for line in block.splitlines()]
-    found = [re.match(r"(?:\w+=\S+ )?swarmctl\s+(.+?)(?:\s+#.*)?$", line) for line in lines]
-    return [shlex.split(match[1]) for match in found if match]
+    pattern = re.compile(rf"(?:\w+=\S+ )?{program}\s+(.+?)(?:\s+#.*)?$")
+    return [shlex.split(match[1]) for match in map(pattern.match, lines) if match]
 
 
 def test_the_pattern_in_the_readme_is_the_example() -> None:
@@ -68,6 +76,21 @@ def test_commands_are_as_swarmctl_takes_them(page: Path) -> None:
     assert wrong == []
 
 
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_commands_are_as_swarmd_takes_them(page: Path) -> None:
+    for words in commands(page, "swarmd"):
+        said = swarmd.make_context("swarmd", words).params
+        platform, driver = said["platform"], said["driver"]
+        assert platform is None or platform.endswith(".yaml") or platform in platform_names()
+        assert driver is None or driver in (*driver_names(), EXAMPLE)
+        assert platform is None or driver is not None, f"{words}: drives a simulated robot"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_names_of_the_library_are_there(page: Path) -> None:
+    assert [name for name in NAME.findall(page.read_text()) if not _is_there(name)] == []
+
+
 def test_the_readme_shows_the_verbs_of_every_day() -> None:
     shown = {words[0] for words in commands(ROOT / "README.md")}
     assert {"members", "run", "stop", "estop", "reset", "describe", "demo", "sim", "exp"} <= shown
@@ -82,3 +105,13 @@ def _parse(command: click.Command, ctx: click.Context, words: list[str]) -> None
         _, verb, rest = command.resolve_command(made, rest)
         assert verb is not None
         _parse(verb, made, rest)
+
+
+def _is_there(name: str) -> bool:
+    """Whether it is an entry-point group, a module, or something in a module."""
+    if name in GROUPS:
+        return True
+    module, _, last = name.rpartition(".")
+    with contextlib.suppress(ImportError):
+        return hasattr(import_module(module), last) or bool(import_module(name))
+    return False

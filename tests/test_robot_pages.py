@@ -6,13 +6,21 @@ import re
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 import yaml
 
+from swarmd.base import BaseOptions
+from swarmd.driver import Driver, Sink, Stopping
+from swarmd.drivers.replay import ReplayOptions
+from swarmd.drivers.ros.options import RmwOptions
+from swarmd.drivers.ros1_options import Ros1Options
 from swarmd.platforms import load_platform, platform_names
+from swarmd.testing.driver_stage import Mortal, Rig, Speaker
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ROOT / "docs" / "robots"
+GENERAL = ("new_robot.md", "trouble.md")
 BLOCK = re.compile(r"^```yaml\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
@@ -44,15 +52,61 @@ def test_the_parts_are_those_of_the_thymio(block: str) -> None:
     assert not differences(yaml.safe_load(block), real)
 
 
+def test_the_parts_together_are_a_platform(tmp_path: Path) -> None:
+    whole = yaml.safe_load("".join(blocks("new_robot.md")[1:]))
+    (tmp_path / "whole.yaml").write_text(yaml.safe_dump({"description": "a new robot", **whole}))
+    platform = load_platform("whole.yaml", tmp_path)
+    assert platform.body["mass"] == 0.25
+    whole.pop("body")
+    (tmp_path / "bodiless.yaml").write_text(yaml.safe_dump({"description": "another", **whole}))
+    assert load_platform("bodiless.yaml", tmp_path).drivers == platform.drivers
+
+
+def options_in_tables() -> list[tuple[str, dict[str, Any]]]:
+    """The options that a page's table says for some robot."""
+    return [
+        (page.name, yaml.safe_load(f"{{{text}}}"))
+        for page in sorted(PAGES.glob("*.md"))
+        for line in page.read_text().splitlines()
+        if line.startswith("|")
+        for text in re.findall(r"`(\w+: [^`]+)`", line.split("|")[-2])
+    ]
+
+
+@pytest.mark.parametrize(("page", "options"), options_in_tables())
+def test_options_in_tables_are_taken_by_a_driver(page: str, options: dict[str, Any]) -> None:
+    kinds = (RmwOptions, Ros1Options)
+    names = {name for kind in kinds for name in kind.__struct_fields__}
+    assert set(options) <= names, page
+    for kind in kinds:
+        mine = {key: value for key, value in options.items() if key in kind.__struct_fields__}
+        msgspec.convert(mine, kind)
+
+
+def test_each_option_of_a_driver_is_explained() -> None:
+    text = (ROOT / "docs" / "configuration.md").read_text().split("## A driver's options")[1]
+    kinds = (BaseOptions, RmwOptions, Ros1Options, ReplayOptions)
+    names = {name for kind in kinds for name in kind.__struct_fields__}
+    assert not [name for name in sorted(names) if f"`{name}`" not in text]
+
+
 def test_each_shipped_robot_has_a_page() -> None:
     text = "".join(page.read_text() for page in PAGES.glob("*.md"))
     assert not [name for name in platform_names() if f"`{name}`" not in text]
 
 
 def test_each_robot_says_how_it_is_stopped() -> None:
-    robots = [page for page in PAGES.glob("*.md") if page.name != "new_robot.md"]
+    robots = [page for page in PAGES.glob("*.md") if page.name not in GENERAL]
     wanted = ("On the robot", "The daemon", "How to see that it works", "How the deadman is")
     lacking = [
         (page.name, title) for page in robots for title in wanted if title not in page.read_text()
     ]
     assert not lacking
+
+
+def test_what_a_driver_offers_and_tells_is_explained() -> None:
+    text = (ROOT / "docs" / "drivers.md").read_text()
+    said = {name for kind in (Driver, Stopping, Sink, Rig, Speaker, Mortal) for name in vars(kind)}
+    said |= set(Driver.__annotations__) | set(Rig.__annotations__)
+    public = {name for name in said if not name.startswith("_")}
+    assert not [name for name in sorted(public) if not re.search(rf"`{name}\b", text)]

@@ -143,7 +143,7 @@ class Report:
                 "others",
                 False,
                 f"{self.others} commands of someone else on {self.cmd_vel}; stop what publishes"
-                " them, unless it is this robot's own daemon",
+                " them, unless it is this robot's own daemon or stopper",
             )
         said = [
             end.node or end.zid

@@ -41,7 +41,7 @@ _OPTIONS = (
         "seeds",
         multiple=True,
         metavar="ENDPOINT",
-        help="A robot to dial, such as tcp/10.0.0.5:7447; may be repeated.",
+        help="A robot to dial, such as tcp/10.0.0.5:7440; may be repeated.",
     ),
     click.option(
         "-o", "--output", type=click.Choice(["table", "json"]), help="Form of the answer [table]."

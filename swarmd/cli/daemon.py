@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from swarmd.cli import run_cli
-from swarmd.cli.arguments import read_assignments
+from swarmd.cli.arguments import Value, read_assignments
 from swarmd.errors import DriverError, IdHeldError, NetworkError, SwarmError
 from swarmd.processes import die_with_parent as tie_to
 
@@ -82,7 +82,7 @@ def swarmd(
     overrides = {
         **options,
         "seeds": list(seeds) or None,
-        "driver_options": read_assignments(driver_options, "--driver-option") or None,
+        "driver_options": _read_options(driver_options) or None,
         "die_with_parent": die_with_parent,
     }
     if die_with_parent is not None:
@@ -121,6 +121,15 @@ def exit_code_of(error: SwarmError) -> int:
     if isinstance(error, NetworkError):
         return Exit.NETWORK
     return Exit.DRIVER if isinstance(error, DriverError) else Exit.CONFIG
+
+
+def _read_options(words: tuple[str, ...]) -> dict[str, Value]:
+    """The driver's options, as a file would have them: `true` and `false` are not text."""
+    found = read_assignments(words, "--driver-option")
+    return {
+        key: value == "true" if value in ("true", "false") else value
+        for key, value in found.items()
+    }
 
 
 def _serve(settings: DaemonSettings) -> int:

@@ -27,7 +27,7 @@ from swarmd.network.sockets import tune_sockets
 MULTICAST_ADDRESS = "224.0.0.224"
 FIRST_PORT = 7450
 PORTS = 64
-FIELD_PORT = 7447
+FIELD_PORT = 7440  # 7447, Zenoh's own, is that of the bridges and routers of ROS robots
 MAX_WIRE = 1024 * 1024
 _SIOCGIFFLAGS, _IFF_UP = 0x8913, 1  # linux/sockios.h, linux/if.h
 # How long a full link may hold up the caller, in us: Zenoh's own 5 s would stall the guardian.
@@ -50,8 +50,8 @@ class SessionSettings:
     """How to meet the swarm.
 
     `interface`: required in profile field, where nothing else is bound; dev uses `lo`.
-    `listen`: Zenoh endpoints such as `tcp/10.0.0.5:7447`; empty means an ephemeral port on
-    loopback (dev) or port 7447 on the interface (field).
+    `listen`: Zenoh endpoints such as `tcp/10.0.0.5:7440`; empty means an ephemeral port on
+    loopback (dev) or port 7440 on the interface (field).
     `seeds`: endpoints that are dialled, and again at least every second while they are away:
     the fast way back after a cut, and the only one with `multicast` off.
     `lease`: seconds without a sign of life after which a peer counts as gone; shorter notices
@@ -185,7 +185,7 @@ def _check(settings: SessionSettings) -> None:
     if not settings.multicast and not settings.seeds:
         raise ConfigError(
             "profile field with multicast off needs `seeds`: endpoints of robots to dial,"
-            " such as tcp/10.0.0.5:7447"
+            " such as tcp/10.0.0.5:7440"
         )
 
 

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from swarmd.settings import load_daemon_settings, load_platform
 from swarmd.testing.body import Body
@@ -64,6 +65,16 @@ def test_a_mistake_is_one_line_and_exit_2(tmp_path: Path, args: list[str], fault
     assert done.stderr.startswith("error: ")
     assert fault in done.stderr
     assert done.stderr.count("\n") == 1
+
+
+def test_driver_options_are_read_as_in_a_file(tmp_path: Path) -> None:
+    words = ("loop=true", "again=false", "speed=2", "namespace={robot}")
+    given = [part for word in words for part in ("--driver-option", word)]
+    done = swarmd("--id", "r1", *given, "--print-effective-config", cwd=tmp_path)
+    found = yaml.safe_load(done.stdout)["driver_options"]
+    assert {"loop": True, "again": False, "speed": 2, "namespace": "{robot}"}.items() <= (
+        found.items()
+    )
 
 
 def test_the_effective_configuration_names_sources_and_reads_back_the_same(tmp_path: Path) -> None:

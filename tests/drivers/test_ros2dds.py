@@ -273,6 +273,12 @@ def test_check_of_a_base_that_wants_stamped_commands_says_so() -> None:
     assert "set driver_options.cmd_vel_type: twist_stamped" in found["cmd_vel"].text
 
 
+def test_check_of_commands_that_nobody_takes_says_so() -> None:
+    found = check(BridgedRobot(), seconds=1.0, cmd_vel="other_vel")
+    assert not found["cmd_vel"].is_well
+    assert "nobody subscribes to /other_vel" in found["cmd_vel"].text
+
+
 def test_check_tells_of_others_who_command() -> None:
     robot = BridgedRobot()
 

@@ -39,7 +39,7 @@ def test_dev_stays_on_loopback() -> None:
 def test_field_binds_the_named_interface_alone() -> None:
     options = session_options(field())
     assert options["scouting/multicast/interface"] == "wlan0"
-    assert options["listen/endpoints"] == ["tcp/0.0.0.0:7447#iface=wlan0"]
+    assert options["listen/endpoints"] == ["tcp/0.0.0.0:7440#iface=wlan0"]
     assert options["transport/link/tx/lease"] == 3000
 
 

@@ -7,8 +7,16 @@ from collections.abc import Mapping
 
 import pytest
 
-from swarmd.drivers.ros.options import RmwOptions, RosOptions, read_options, ring_of, topic
+from swarmd.drivers.ros.options import (
+    DEFAULT_ENDPOINT,
+    RmwOptions,
+    RosOptions,
+    read_options,
+    ring_of,
+    topic,
+)
 from swarmd.errors import ConfigError
+from swarmd.network.session import FIELD_PORT
 from swarmd.values import Value
 
 
@@ -20,6 +28,10 @@ def test_defaults_are_those_of_a_bridge_on_this_machine() -> None:
     options = read_options(RosOptions, {}, "ros2dds", "r")
     assert options.endpoint == "tcp/127.0.0.1:7447"
     assert topic(options, options.scan) == "/scan"
+
+
+def test_a_bridge_of_this_machine_and_a_daemon_in_the_field_are_not_in_each_others_way() -> None:
+    assert not DEFAULT_ENDPOINT.endswith(f":{FIELD_PORT}")
 
 
 @pytest.mark.parametrize(
