@@ -12,6 +12,7 @@ import zenoh
 
 from swarmd.driver import Finding, SenderSpec, Sink
 from swarmd.drivers.inbox import Inbox
+from swarmd.drivers.opening import opened
 from swarmd.drivers.ros import cdr, conversion
 from swarmd.drivers.ros.advice import why_misleading, why_refused, why_silent, why_unheard
 from swarmd.drivers.ros.check import Report, has_enough, unheard
@@ -151,12 +152,7 @@ class RosDriver:
     async def _opened(self, sink: Sink) -> zenoh.Session:
         """A session; tries until something listens at the endpoint. Leaves none if cancelled."""
         while True:
-            opening = asyncio.ensure_future(asyncio.to_thread(open_session, self._options.endpoint))
-            try:
-                session = await asyncio.shield(opening)
-            except asyncio.CancelledError:
-                opening.add_done_callback(_close_if_open)
-                raise
+            session = await opened(partial(open_session, self._options.endpoint))
             if session is not None:
                 return session
             self._tell(sink, False, unheard(self._dialect, self._options.endpoint))
@@ -333,14 +329,6 @@ def _receiver(
             inbox.put(name, sample.payload.to_bytes())
 
     return on_sample
-
-
-def _close_if_open(opening: asyncio.Future[zenoh.Session | None]) -> None:
-    if opening.cancelled() or opening.exception() is not None:
-        return
-    session = opening.result()
-    if session is not None:
-        session.close()
 
 
 class _Nowhere:
