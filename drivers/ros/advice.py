@@ -7,6 +7,9 @@ from collections.abc import Collection, Iterable
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.dialect import Dialect, Endpoint
 from swarmd.drivers.ros.sense import Sense
+from swarmd.messages import Reason
+from swarmd.scans import ScanConditioner
+from swarmd.values import Scan, ScanSpec
 
 _SHOWN = 4
 _COMMANDS = {
@@ -75,6 +78,16 @@ def why_misleading(sense: Sense, graph: Collection[Endpoint], dialect: Dialect) 
             f" set; look at ros2 topic info -v {topic}"
         )
     return ""
+
+
+def why_blind(sense: Sense, scan: Scan, spec: ScanSpec) -> str:
+    """Why this sweep alone shows too little, with the next step; empty if it shows enough."""
+    if ScanConditioner(spec).take(scan, None, 0.0) is not Reason.INVALID_SCAN:
+        return ""
+    return (
+        f"{sense.topic}: {len(scan.ranges)} rays that leave too wide a sector unseen; look at the"
+        " sensor, or correct the platform's scan"
+    )
 
 
 def why_unheard(

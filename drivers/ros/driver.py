@@ -14,7 +14,13 @@ from swarmd.driver import Finding, SenderSpec, Sink
 from swarmd.drivers.inbox import Inbox
 from swarmd.drivers.opening import opened
 from swarmd.drivers.ros import cdr, conversion
-from swarmd.drivers.ros.advice import why_misleading, why_refused, why_silent, why_unheard
+from swarmd.drivers.ros.advice import (
+    why_blind,
+    why_misleading,
+    why_refused,
+    why_silent,
+    why_unheard,
+)
 from swarmd.drivers.ros.check import Report, has_enough, unheard
 from swarmd.drivers.ros.dialect import Dialect, Endpoint
 from swarmd.drivers.ros.hearing import Hearing
@@ -126,6 +132,7 @@ class RosDriver:
         self._other_commands = 0
         self._told: tuple[bool, str] | None = None
         self._told_at = -math.inf
+        self._was_blind = False
 
     async def _run(self, sink: Sink, *, looks_only: bool) -> None:
         loop = asyncio.get_running_loop()
@@ -284,7 +291,15 @@ class RosDriver:
             *(why_silent(sense, graph, self._dialect) for sense in missing),
             *(why_misleading(sense, graph, self._dialect) for sense in senses if sense.is_needed),
         )
-        return next(filter(None, faults), "")
+        return next(filter(None, faults), "") or self._blindness()
+
+    def _blindness(self) -> str:
+        """What all sweeps lack, as far as the last two that were looked at tell."""
+        scan, was_blind = self._hearing.scan, self._was_blind
+        sense = next(iter(self._hearing.senses.values()))
+        fault = "" if scan is None else why_blind(sense, scan, self._platform.scan)
+        self._was_blind = bool(fault)
+        return fault if was_blind else ""
 
     def _place(self) -> str:
         return f"{self._dialect.hub} at {self._options.endpoint}"

@@ -163,6 +163,20 @@ def test_stamps_that_stand_still_are_told_while_it_runs() -> None:
     play(robot, story)
 
 
+def test_sweeps_that_do_not_look_around_are_told_while_it_runs() -> None:
+    robot = BridgedRobot()
+
+    async def story(stage: Stage) -> None:
+        def is_told() -> bool:
+            robot.move()
+            robot.put("scan", robots.scan(robot._stamp(), [1.0] * 180, angle_increment=0.0174))
+            return told(stage, "180 rays that leave too wide a sector unseen; look at", is_up=True)
+
+        await stage.until(is_told)
+
+    play(robot, story)
+
+
 def checked_stamps(stamp: Callable[[int], float], seconds: float = 2.0) -> str:
     """What check says of scans with these stamps; empty if all is well."""
     robot, count = BridgedRobot(), 0
