@@ -41,7 +41,7 @@ OTHERS_LAST = 2.0
 
 _PERIOD = 0.1
 _PATIENCE = 2.0
-_MOST_ANNOUNCED = 4096
+_MOST_ANNOUNCED, _LONGEST = 4096, 1000
 _COMMAND = "cmd_vel"
 _MISTAKEN = ":type"
 
@@ -183,7 +183,7 @@ class RosDriver:
 
     def _on_token(self, token: str, is_there: bool) -> None:
         end = self._dialect.announced(token)
-        if end is None:
+        if end is None or not token.isprintable() or len(token) > _LONGEST:
             return
         if is_there and len(self._graph) < _MOST_ANNOUNCED:
             self._graph[token] = end

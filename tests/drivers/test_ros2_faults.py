@@ -218,3 +218,23 @@ def test_what_cannot_be_read_among_what_can_is_told() -> None:
         robot.put("scan", robots.scan(1.0, [1.0], angle_min=math.nan))
 
     assert "/scan: cannot be read" in check(robot, speak)["scan"].text
+
+
+@pytest.mark.parametrize("make", MAKERS)
+def test_names_that_are_none_make_no_second_line(make: Callable[[], Robot]) -> None:
+    robot = make()
+    announce(robot, "MP", "bot1/scan\nok    scan", LASER)
+    announce(robot, "MP", "bot1/" + 2000 * "x", LASER)
+    found = check(robot, robot.move, seconds=1.0)
+    assert "announces no topic at all" in found["scan"].text
+    assert found["scan"].text.isprintable()
+
+
+def test_a_type_that_is_none_makes_no_second_line() -> None:
+    robot = ZenohRobot()
+
+    def speak() -> None:
+        robot.move()
+        robot.put_on(f"0/scan/ok\nok/{robots.HASHES['LaserScan']}", b"")
+
+    assert "said on key '0/scan/ok\\nok/RIHS" in check(robot, speak, seconds=1.0)["scan"].text
