@@ -27,7 +27,7 @@ from swarmd.drivers.ros.hearing import Hearing
 from swarmd.drivers.ros.messages import Twist as TwistMessage
 from swarmd.drivers.ros.messages import TwistStamped
 from swarmd.drivers.ros.options import RosOptions, topic
-from swarmd.drivers.ros.session import commanding, has_subscriber, is_connected, open_session
+from swarmd.drivers.ros.session import commanding, has_subscriber, hubs_of, open_session
 from swarmd.errors import CodecError
 from swarmd.handover import hand_over
 from swarmd.values import ZERO, Neighbor, Odometry, Platform, Scan, Twist
@@ -111,7 +111,7 @@ class RosDriver:
         return Report(
             dialect=self._dialect,
             endpoint=self._options.endpoint,
-            is_connected=session is not None and is_connected(session),
+            is_connected=session is not None and bool(hubs_of(session)),
             hearing=self._hearing,
             spec=self._platform.scan,
             graph=self._others(),
@@ -126,6 +126,7 @@ class RosDriver:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
         self._graph: dict[str, Endpoint] = {}
+        self._hubs: frozenset[str] = frozenset()
         self._is_up = self._has_sent = False
         self._owes_zero = True
         self._other_at = -math.inf
@@ -251,18 +252,21 @@ class RosDriver:
         self._tell(sink, False, text)
 
     def _watch(self, sink: Sink, session: zenoh.Session, now: float, opened: float) -> None:
-        is_linked = is_connected(session)
+        hubs, before = hubs_of(session), self._hubs
+        self._hubs = hubs or before
         silent = now - self._hearing.heard_at
-        if self._is_up and not is_linked:
+        if self._is_up and not hubs:
             self._fall(sink, unheard(self._dialect, self._options.endpoint))
+        elif self._is_up and before and hubs != before:
+            self._fall(sink, f"{self._place()} was started anew")
         elif self._is_up and silent > self._silence:
             self._fall(sink, f"no scan and no odometry from {self._place()} for {silent:.1f} s")
         elif self._is_up and (obstacle := self._obstacle(now)):
             self._fall(sink, obstacle)
         elif now - self._told_at >= _PATIENCE and now - opened >= _PATIENCE:
-            self._explain(sink, now, is_linked)
+            self._explain(sink, now, is_linked=bool(hubs))
 
-    def _explain(self, sink: Sink, now: float, is_linked: bool) -> None:
+    def _explain(self, sink: Sink, now: float, *, is_linked: bool) -> None:
         """Say anew why it is lost, or what is missing although it is there."""
         if is_linked:
             is_heard = now - self._hearing.heard_at <= self._silence

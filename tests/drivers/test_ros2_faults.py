@@ -110,6 +110,29 @@ def test_check_does_not_take_its_own_ear_for_the_bases() -> None:
 
 
 @pytest.mark.parametrize("make", MAKERS)
+def test_after_a_hub_that_is_started_anew_in_no_time_the_first_command_is_zero(
+    make: Callable[[], Robot],
+) -> None:
+    robot = make()
+
+    async def story(stage: Stage) -> None:
+        until = asyncio.get_running_loop().time() + 0.5  # it has looked whom it is linked to
+        while asyncio.get_running_loop().time() < until:
+            stage.driver.send(Twist(0.1), 1, 1)
+            robot.speak()
+            await asyncio.sleep(0.01)
+        robot.die()
+        robot.rise()
+        await stage.until(lambda: told(stage, "was started anew", is_up=False), speaking=True)
+        await stage.until(lambda: stage.heard.is_up, speaking=True)
+        robot.commands()
+        stage.driver.send(Twist(0.1), 2, 2)
+        assert (await stage.command()).is_zero
+
+    play(robot, story)
+
+
+@pytest.mark.parametrize("make", MAKERS)
 def test_one_cause_is_one_line_in_the_log(
     make: Callable[[], Robot], caplog: pytest.LogCaptureFixture
 ) -> None:
