@@ -86,6 +86,31 @@ def test_a_base_that_turns_out_to_want_another_type_is_let_go(make: Callable[[],
     play(robot, story)
 
 
+def test_the_last_zero_is_zero_also_to_a_base_that_takes_it_for_a_twist() -> None:
+    robot = BridgedRobot(is_stamped=True)
+
+    async def story(stage: Stage) -> None:
+        for seq in range(2):
+            stage.driver.send(Twist(0.1), seq, seq)
+        await stage.until(lambda: bool(robot.samples()))
+        robot.samples()
+        announce(robot, "MS", "cmd_vel", TWIST)
+        await stage.until(lambda: not stage.heard.is_up, speaking=True)
+        await stage.end()
+        said: list[bytes] = []
+
+        def is_told() -> bool:
+            said.extend(sample.payload.to_bytes() for sample in robot.samples())
+            return len(said) >= 2
+
+        await stage.until(is_told)
+        for payload in said[-2:]:
+            taken = robots.twist(payload[:52], is_stamped=False)
+            assert max(abs(taken.linear), abs(taken.angular), abs(taken.lateral)) < 1e-9
+
+    play(robot, story)
+
+
 def test_a_type_of_command_that_nobody_knows_is_told_too() -> None:
     robot = BridgedRobot()
     announce(robot, "MS", "cmd_vel", "my_msgs/msg/Wheels")
