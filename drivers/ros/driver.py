@@ -12,15 +12,22 @@ import zenoh
 
 from swarmd.driver import Finding, SenderSpec, Sink
 from swarmd.drivers.inbox import Inbox
+from swarmd.drivers.opening import opened
 from swarmd.drivers.ros import cdr, conversion
-from swarmd.drivers.ros.advice import why_silent
+from swarmd.drivers.ros.advice import (
+    why_blind,
+    why_misleading,
+    why_refused,
+    why_silent,
+    why_unheard,
+)
 from swarmd.drivers.ros.check import Report, has_enough, unheard
 from swarmd.drivers.ros.dialect import Dialect, Endpoint
 from swarmd.drivers.ros.hearing import Hearing
 from swarmd.drivers.ros.messages import Twist as TwistMessage
 from swarmd.drivers.ros.messages import TwistStamped
 from swarmd.drivers.ros.options import RosOptions, topic
-from swarmd.drivers.ros.session import commanding, has_subscriber, is_connected, open_session
+from swarmd.drivers.ros.session import commanding, has_subscriber, hubs_of, open_session
 from swarmd.errors import CodecError
 from swarmd.handover import hand_over
 from swarmd.values import ZERO, Neighbor, Odometry, Platform, Scan, Twist
@@ -34,7 +41,7 @@ OTHERS_LAST = 2.0
 
 _PERIOD = 0.1
 _PATIENCE = 2.0
-_MOST_ANNOUNCED = 4096
+_MOST_ANNOUNCED, _LONGEST = 4096, 1000
 _COMMAND = "cmd_vel"
 _MISTAKEN = ":type"
 
@@ -78,7 +85,7 @@ class RosDriver:
             self._owes_zero = False
             twist = ZERO
         self._has_sent = True
-        self._put(twist)
+        self._put(twist, self._options.cmd_vel_frame)
 
     def zero_sender(self) -> SenderSpec:
         """How a stopper says zero to this base."""
@@ -104,13 +111,13 @@ class RosDriver:
         return Report(
             dialect=self._dialect,
             endpoint=self._options.endpoint,
-            is_connected=session is not None and is_connected(session),
+            is_connected=session is not None and bool(hubs_of(session)),
             hearing=self._hearing,
             spec=self._platform.scan,
             graph=self._others(),
             cmd_vel=self._cmd_vel,
             command=self._command,
-            has_taker=any(has_subscriber(publisher) for publisher in self._publishers.values()),
+            has_taker=self._has_taker(),
             others=self._other_commands,
         )
 
@@ -119,12 +126,14 @@ class RosDriver:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
         self._graph: dict[str, Endpoint] = {}
+        self._hubs: frozenset[str] = frozenset()
         self._is_up = self._has_sent = False
         self._owes_zero = True
         self._other_at = -math.inf
         self._other_commands = 0
         self._told: tuple[bool, str] | None = None
         self._told_at = -math.inf
+        self._was_blind = False
 
     async def _run(self, sink: Sink, *, looks_only: bool) -> None:
         loop = asyncio.get_running_loop()
@@ -144,19 +153,14 @@ class RosDriver:
         finally:
             inbox.close()
             if self._has_sent:  # who only looked must not interrupt the daemon that drives
-                self._put(ZERO)
+                self._put(ZERO, frame="")
             self._reset()
             session.close()
 
     async def _opened(self, sink: Sink) -> zenoh.Session:
         """A session; tries until something listens at the endpoint. Leaves none if cancelled."""
         while True:
-            opening = asyncio.ensure_future(asyncio.to_thread(open_session, self._options.endpoint))
-            try:
-                session = await asyncio.shield(opening)
-            except asyncio.CancelledError:
-                opening.add_done_callback(_close_if_open)
-                raise
+            session = await opened(partial(open_session, self._options.endpoint))
             if session is not None:
                 return session
             self._tell(sink, False, unheard(self._dialect, self._options.endpoint))
@@ -180,7 +184,7 @@ class RosDriver:
 
     def _on_token(self, token: str, is_there: bool) -> None:
         end = self._dialect.announced(token)
-        if end is None:
+        if end is None or not token.isprintable() or len(token) > _LONGEST:
             return
         if is_there and len(self._graph) < _MOST_ANNOUNCED:
             self._graph[token] = end
@@ -231,7 +235,7 @@ class RosDriver:
         )
 
     def _rise(self, sink: Sink, looks_only: bool, now: float) -> None:
-        if self._is_up or self._hearing.heard_at < now or now - self._other_at < OTHERS_LAST:
+        if self._is_up or self._hearing.heard_at < now or self._obstacle(now):
             return
         self._is_up = self._owes_zero = True
         self._tell(sink, True, self._place())
@@ -244,40 +248,62 @@ class RosDriver:
     def _fall(self, sink: Sink, text: str) -> None:
         self._is_up = False
         if self._has_sent:
-            self._put(ZERO)
+            self._put(ZERO, frame="")  # without a name in it, it is zero as a Twist too
         self._tell(sink, False, text)
 
     def _watch(self, sink: Sink, session: zenoh.Session, now: float, opened: float) -> None:
-        is_linked = is_connected(session)
+        hubs, before = hubs_of(session), self._hubs
+        self._hubs = hubs or before
         silent = now - self._hearing.heard_at
-        if self._is_up and not is_linked:
+        if self._is_up and not hubs:
             self._fall(sink, unheard(self._dialect, self._options.endpoint))
+        elif self._is_up and before and hubs != before:
+            self._fall(sink, f"{self._place()} was started anew")
         elif self._is_up and silent > self._silence:
             self._fall(sink, f"no scan and no odometry from {self._place()} for {silent:.1f} s")
+        elif self._is_up and (obstacle := self._obstacle(now)):
+            self._fall(sink, obstacle)
         elif now - self._told_at >= _PATIENCE and now - opened >= _PATIENCE:
-            self._explain(sink, now, is_linked)
+            self._explain(sink, now, is_linked=bool(hubs))
 
-    def _explain(self, sink: Sink, now: float, is_linked: bool) -> None:
+    def _explain(self, sink: Sink, now: float, *, is_linked: bool) -> None:
         """Say anew why it is lost, or what is missing although it is there."""
-        if not is_linked:
-            self._tell(sink, self._is_up, unheard(self._dialect, self._options.endpoint))
-        elif now - self._other_at < OTHERS_LAST:
-            self._tell(sink, self._is_up, self._driven_by_others())
+        if is_linked:
+            is_heard = now - self._hearing.heard_at <= self._silence
+            obstacle = self._obstacle(now) if is_heard or now - self._other_at < OTHERS_LAST else ""
+            self._tell(sink, self._is_up, obstacle or self._trouble(now) or self._place())
         else:
-            trouble = self._trouble(now)
-            place = f"{self._place()}; {trouble}" if trouble else self._place()
-            self._tell(sink, self._is_up, place if self._is_up else trouble or place)
+            self._tell(sink, self._is_up, unheard(self._dialect, self._options.endpoint))
+
+    def _obstacle(self, now: float) -> str:
+        """Why this base is not to be commanded although it is heard; empty if nothing is."""
+        if now - self._other_at < OTHERS_LAST:
+            return self._driven_by_others()
+        others = self._others()
+        has_taker = not others or self._has_taker()  # where nothing is announced nobody can tell
+        return why_unheard(self._cmd_vel, self._command, others, self._dialect, has_taker=has_taker)
+
+    def _has_taker(self) -> bool:
+        return any(has_subscriber(publisher) for publisher in self._publishers.values())
 
     def _trouble(self, now: float) -> str:
-        graph = self._others()
-        complaints = [
-            f"{sense.topic}: {sense.complaint(now)}; correct driver_options.{sense.option}"
-            for sense in self._hearing.senses.values()
-            if sense.complaint(now)
-        ]
+        """The first thing that is wrong with what the robot says; empty if nothing is."""
+        graph, senses = self._others(), self._hearing.senses.values()
         missing = self._hearing.missing(now, max(_PATIENCE, self._silence))
-        silent = [why_silent(sense, graph, self._dialect) for sense in missing]
-        return "; ".join((complaints or silent)[:2])
+        faults = (
+            *(why_refused(sense, graph, self._dialect) for sense in senses if sense.complaint(now)),
+            *(why_silent(sense, graph, self._dialect) for sense in missing),
+            *(why_misleading(sense, graph, self._dialect) for sense in senses if sense.is_needed),
+        )
+        return next(filter(None, faults), "") or self._blindness()
+
+    def _blindness(self) -> str:
+        """What all sweeps lack, as far as the last two that were looked at tell."""
+        scan, was_blind = self._hearing.scan, self._was_blind
+        sense = next(iter(self._hearing.senses.values()))
+        fault = "" if scan is None else why_blind(sense, scan, self._platform.scan)
+        self._was_blind = bool(fault)
+        return fault if was_blind else ""
 
     def _place(self) -> str:
         return f"{self._dialect.hub} at {self._options.endpoint}"
@@ -287,16 +313,17 @@ class RosDriver:
         if self._told == (is_up, text):
             return
         if self._told is not None and not isinstance(sink, _Nowhere):
-            log.log(logging.INFO if is_up else logging.WARNING, "driver %s: %s", self._name, text)
+            is_well = is_up and text == self._place()
+            log.log(logging.INFO if is_well else logging.WARNING, "driver %s: %s", self._name, text)
         self._told = (is_up, text)
         sink.state(is_up, text)
 
-    def _put(self, twist: Twist) -> None:
+    def _put(self, twist: Twist, frame: str) -> None:
         publisher = self._publishers.get(self._dialect.command_key(self._cmd_vel, self._command))
         if publisher is None:
             return
         message = (
-            conversion.stamped_message(twist, self._options.cmd_vel_frame)
+            conversion.stamped_message(twist, frame)
             if self._is_stamped
             else conversion.twist_message(twist)
         )
@@ -321,14 +348,6 @@ def _receiver(
             inbox.put(name, sample.payload.to_bytes())
 
     return on_sample
-
-
-def _close_if_open(opening: asyncio.Future[zenoh.Session | None]) -> None:
-    if opening.cancelled() or opening.exception() is not None:
-        return
-    session = opening.result()
-    if session is not None:
-        session.close()
 
 
 class _Nowhere:
