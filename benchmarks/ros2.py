@@ -2,7 +2,8 @@
 
 A robot in a process of its own, at its own Zenoh router, sends a 360-ray LaserScan and waits for
 the command; the driver answers with a potential field over the rays, as `benchmarks.ros1` has it
-done over ROS 1 and by a plain node in rospy.
+done over ROS 1 and by a plain node in rospy. Where there is a zenoh-bridge-ros2dds, also a ROS 2 node
+on DDS behind it, from before it writes the scan until it has read the command.
 """
 
 from __future__ import annotations
@@ -13,9 +14,12 @@ import json
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
 
 import zenoh
 
@@ -27,13 +31,19 @@ from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros.driver import RosDriver
 from swarmd.platforms import load_platform
 from swarmd.testing.driver_contract import Heard
+from swarmd.testing.ros2_bridge import LOOPBACK, Bridge, free_domain, why_no_bridge
 from swarmd.values import Scan
 
 SECONDS = 15.0
 WARM = 2.0
 PERIOD = 0.05
 PLATFORM = load_platform("burger")
-MAKERS = {"ros2dds": ros2dds.make_driver, "rmw_zenoh": rmw_zenoh.make_driver}
+BRIDGED = "ros2dds, real bridge"
+MAKERS = {
+    "ros2dds": ros2dds.make_driver,
+    BRIDGED: ros2dds.make_driver,
+    "rmw_zenoh": rmw_zenoh.make_driver,
+}
 
 
 class Answering(Heard):
@@ -47,6 +57,11 @@ class Answering(Heard):
 
 def robot(name: str, seconds: float) -> None:
     """Print the endpoint, then, in the end, what each answer took in s, as JSON."""
+    (on_dds if name == BRIDGED else on_zenoh)(name, seconds)
+
+
+def on_zenoh(name: str, seconds: float) -> None:
+    """The robot is a Zenoh session."""
     hub, endpoint = _hub()
     dialect = rmw_zenoh.RmwZenoh(0, "/cmd_vel") if name == "rmw_zenoh" else ros2dds.Ros2Dds()
     said = dialect.command_keys("/scan", messages.LaserScan)[0]
@@ -59,19 +74,55 @@ def robot(name: str, seconds: float) -> None:
         answered.set()
 
     hub.declare_subscriber(heard, on_command)
-    print(endpoint, flush=True)
-    taken, message, begin = [], scan(), time.perf_counter()
-    while (start := time.perf_counter()) < begin + WARM + seconds:
+    message = scan()
+
+    def exchange() -> float | None:
         message.header.stamp.nanosec += 1
         payload = cdr.encode(message)
         answered.clear()
         sent = time.perf_counter()
         hub.put(said, payload, attachment=dialect.attachment())
-        if answered.wait(1.0) and start > begin + WARM:
-            taken.append(at - sent)
+        return at - sent if answered.wait(1.0) else None
+
+    _tell(endpoint, exchange, seconds)
+    hub.close()
+
+
+def on_dds(name: str, seconds: float) -> None:
+    """The robot is a ROS 2 node on DDS, behind a bridge."""
+    # For development alone, as the bridge is: not everyone has it.
+    from cyclonedds.domain import Domain
+
+    from swarmd.testing import dds_types
+    from swarmd.testing.dds_node import DdsNode
+
+    domain = free_domain()
+    held = Domain(domain, LOOPBACK)
+    node = DdsNode(domain, "base", {"/scan": dds_types.LaserScan}, {"/cmd_vel": dds_types.Twist})
+    message: Any = dds_types.LaserScan.deserialize(cdr.encode(scan()))
+
+    def exchange() -> float | None:
+        message.header.stamp.nanosec += 1
+        node.heard("/cmd_vel")
+        sent = time.perf_counter()
+        node.say("/scan", message)
+        return time.perf_counter() - sent if node.wait("/cmd_vel", 1.0) else None
+
+    with tempfile.TemporaryDirectory() as folder, Bridge(Path(folder), domain) as bridge:
+        _tell(bridge.endpoint, exchange, seconds)
+    node.close()
+    del held
+
+
+def _tell(endpoint: str, exchange: Callable[[], float | None], seconds: float) -> None:
+    print(endpoint, flush=True)
+    taken, begin = [], time.perf_counter()
+    while (start := time.perf_counter()) < begin + WARM + seconds:
+        took = exchange()
+        if took is not None and start > begin + WARM:
+            taken.append(took)
         time.sleep(max(0.0, PERIOD - (time.perf_counter() - start)))
     print(json.dumps(taken), flush=True)
-    hub.close()
 
 
 def answers(name: str) -> list[float]:
@@ -111,6 +162,10 @@ def _hub() -> tuple[zenoh.Session, str]:
 
 def rows() -> Iterator[Row]:
     for name in MAKERS:
+        lacks = why_no_bridge() if name == BRIDGED else ""
+        if lacks:
+            yield Row(f"scan to velocity, {name}", [], note=lacks)
+            continue
         yield Row(f"scan to velocity, {name}", answers(name), note="beside rospy: see ros1")
 
 
