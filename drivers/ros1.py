@@ -253,7 +253,7 @@ class _Reader:
 
     def __init__(self, platform: Platform, options: Ros1Options) -> None:
         self._spec: ScanSpec = platform.scan
-        self._yaw = math.radians(options.scan_yaw_deg)
+        self._yaw, self._hangs = math.radians(options.scan_yaw_deg), options.scan_upside_down
         places = options.placed.values()
         bearings = [math.radians(degrees) for degrees, _ in places]
         self._ring = RangeRing(bearings, [distance for _, distance in places], platform.scan)
@@ -265,7 +265,7 @@ class _Reader:
         if sense.name == "scan":
             self._scans += 1
             sweep = cast("ros.LaserScan", wire.decode_laser_scan(data))
-            scan = scan_of(sweep, self._scans, self._spec, self._yaw)
+            scan = scan_of(sweep, self._scans, self._spec, self._yaw, is_upside_down=self._hangs)
             return scan.stamp, f", {len(scan.ranges)} rays", lambda sink: sink.scan(scan)
         if sense.name == "odometry":
             odometry = odometry_of(cast("ros.Odometry", wire.decode_odometry(data)))

@@ -29,8 +29,9 @@ class Ros1Options(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     `_` for `-`. `imu` and `battery` are not subscribed to unless named; they become the readings
     `yaw` in rad, `battery` (0 to 1) and `battery_voltage`. `ranges` makes one scan of several
     `sensor_msgs/Range` in place of `scan`: topic to bearing in degrees, or to bearing and the
-    sensor's distance in m from the scan's origin. `scan_yaw_deg`: how far the sensor's frame is
-    turned in the base's. `cmd_vel_frame` is that of stamped commands. `master` and `ip` stand for
+    sensor's distance in m from the scan's origin. `scan_yaw_deg`: where the sensor's own zero
+    looks, from the base's front to the left; `scan_upside_down`: it hangs, and so turns the other
+    way round. `cmd_vel_frame` is that of stamped commands. `master` and `ip` stand for
     ROS_MASTER_URI and ROS_IP, which they override. `shared_cmd_vel`: others may publish commands
     too, as behind a multiplexer of the base.
     """
@@ -47,6 +48,7 @@ class Ros1Options(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     cmd_vel_type: Literal["twist", "twist_stamped"] = "twist"
     cmd_vel_frame: Annotated[str, Meta(max_length=200)] = "base_link"
     scan_yaw_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+    scan_upside_down: bool = False
     shared_cmd_vel: bool = False
     python: Name = "/usr/bin/python3"
 

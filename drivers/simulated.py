@@ -13,6 +13,7 @@ import zenoh
 from swarmd import keys
 from swarmd.driver import Finding, SenderSpec, Sink
 from swarmd.drivers.inbox import Inbox
+from swarmd.drivers.opening import opened
 from swarmd.errors import CodecError, ConfigError, unknown
 from swarmd.network.session import open_with
 from swarmd.sensing import (
@@ -54,7 +55,7 @@ class SimulatedDriver:
         """Feed the sink until cancelled; the session reconnects by itself."""
         loop = asyncio.get_running_loop()
         sink.state(False, f"no body yet at {self._endpoint}")
-        session = await _opened(self._open)
+        session = await opened(self._open)
         inbox = Inbox(
             loop,
             lambda name, payload: self._take(sink, name, payload),
@@ -251,21 +252,6 @@ def _publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
         priority=zenoh.Priority.REAL_TIME,
         express=True,
     )
-
-
-async def _opened(open_it: Callable[[], zenoh.Session]) -> zenoh.Session:
-    """The session, opened in a thread; closed at once if nobody waits for it any more."""
-    opening = asyncio.ensure_future(asyncio.to_thread(open_it))
-    try:
-        return await asyncio.shield(opening)
-    except asyncio.CancelledError:
-        opening.add_done_callback(_close_if_open)
-        raise
-
-
-def _close_if_open(opening: asyncio.Future[zenoh.Session]) -> None:
-    if not opening.cancelled() and opening.exception() is None:
-        opening.result().close()
 
 
 def _has_subscriber(publisher: zenoh.Publisher) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from swarmd.driver import Finding
-from swarmd.drivers.ros.advice import shown, why_silent
+from swarmd.drivers.ros.advice import shown, why_misleading, why_refused, why_silent, why_unheard
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.dialect import Dialect, Endpoint
 from swarmd.drivers.ros.hearing import Hearing
@@ -74,28 +74,21 @@ class Report:
             return Finding(sense.name, not is_wanting, text)
         by_stamp, by_clock = sense.passed()
         kind = name_of(sense.kind)
-        rate = f"{sense.rate():.1f} Hz, " if sense.count > 1 else ""
-        clock = f"stamps went on {by_stamp:.1f} s in {by_clock:.1f} s" if sense.count > 2 else ""
+        rate = f"{sense.rate():.1f} Hz, " if sense.rate() else ""
+        clock = f"stamps went on {by_stamp:.1f} s in {by_clock:.1f} s" if rate else ""
         said = ", ".join(part for part in (sense.text, clock) if part)
         return Finding(sense.name, True, f"{sense.topic} ({kind}): {rate}{said}".rstrip(": "))
 
     def _fault(self, sense: Sense) -> str:
         """What is wrong on one topic; empty if nothing is."""
-        if sense.faults and not sense.count:
-            return (
-                f"{sense.topic}: {sense.fault} ({sense.faults} times);"
-                f" correct driver_options.{sense.option}"
-            )
+        if sense.faults:
+            return why_refused(sense, self.graph, self.dialect)
         if not sense.count:
             return why_silent(sense, self.graph, self.dialect)
-        if not sense.advances():
-            return (
-                f"{sense.topic}: {sense.count} messages, all with the stamp {sense.stamps[-1]:g};"
-                " a frozen sensor, or a publisher that fills in none"
-            )
-        if sense.name != "odometry" and sense.is_needed:
+        fault = why_misleading(sense, self.graph, self.dialect)
+        if not fault and sense.name != "odometry" and sense.is_needed:
             return self._scan_fault(sense)
-        return ""
+        return fault
 
     def _scan_fault(self, sense: Sense) -> str:
         rate, wanted = sense.rate(), self.spec.rate
@@ -115,27 +108,11 @@ class Report:
         return ""
 
     def _taker(self) -> Finding:
-        wanted = name_of(self.command)
-        ends = [
-            end
-            for end in self.graph
-            if not end.is_publisher
-            and end.topic == self.cmd_vel
-            and end.domain == self.dialect.domain
-        ]
-        types = sorted({end.type for end in ends})
-        if types and wanted not in types:
-            other = "twist" if types[0] == "geometry_msgs/msg/Twist" else "twist_stamped"
-            text = f"{self.cmd_vel} wants {shown(types)}, not {wanted}"
-            return Finding("cmd_vel", False, f"{text}; set driver_options.cmd_vel_type: {other}")
-        if types or self.has_taker:
-            return Finding("cmd_vel", True, f"{self.cmd_vel} ({wanted}) has a subscriber")
-        return Finding(
-            "cmd_vel",
-            False,
-            f"nobody subscribes to {self.cmd_vel}; start the base, or correct"
-            " driver_options.cmd_vel",
+        fault = why_unheard(
+            self.cmd_vel, self.command, self.graph, self.dialect, has_taker=self.has_taker
         )
+        well = f"{self.cmd_vel} ({name_of(self.command)}) has a subscriber"
+        return Finding("cmd_vel", not fault, fault or well)
 
     def _rivals(self) -> Finding:
         if self.others:

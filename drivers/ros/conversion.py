@@ -27,10 +27,17 @@ def stamp_of(stamp: ros.Time) -> float:
     return stamp.sec + 1e-9 * stamp.nanosec
 
 
-def scan_of(message: ros.LaserScan, seq: int, spec: ScanSpec, yaw: float = 0.0) -> Scan:
-    """The sweep in the base frame's directions, of a sensor mounted turned by `yaw` rad.
+def scan_of(
+    message: ros.LaserScan,
+    seq: int,
+    spec: ScanSpec,
+    yaw: float = 0.0,
+    *,
+    is_upside_down: bool = False,
+) -> Scan:
+    """The sweep in the base frame's directions, of a sensor whose zero looks to `yaw` rad.
 
-    CodecError if its angles are none.
+    One that is upside down turns the other way round. CodecError if its angles are none.
     """
     count, first, step = len(message.ranges), message.angle_min, message.angle_increment
     sweep = step * max(count - 1, 0)
@@ -38,11 +45,12 @@ def scan_of(message: ros.LaserScan, seq: int, spec: ScanSpec, yaw: float = 0.0) 
         raise CodecError(f"{count} rays; wanted are at most {MAX_RAYS}")
     if not (abs(first) <= _FARTHEST and abs(sweep) <= _WIDEST):  # false for NaN too
         raise CodecError(f"rays from {first:g} rad over {sweep:g} rad; wanted is one turn at most")
+    side = -1.0 if is_upside_down else 1.0
     return Scan(
         seq,
         stamp_of(message.header.stamp),
         message.ranges.astype(np.float64),
-        _bearings(first + yaw, step, count),
+        _bearings(yaw + side * first, side * step, count),
         spec.range_min,
         spec.range_max,
     )
@@ -112,8 +120,9 @@ class RangeRing:
     """Several range sensors, each with its own topic, as one scan.
 
     A scan is complete when each has spoken since the last one, or when one speaks for the second
-    time: those that did not are NaN, unknown. `bearings` (n,) rad; `distances` (n,) m from the
-    scan's origin to each sensor are added to what it measures.
+    time: those that did not are NaN, unknown. One whose stamp stands still has not spoken.
+    `bearings` (n,) rad; `distances` (n,) m from the scan's origin to each sensor are added to what
+    it measures.
     """
 
     def __init__(
@@ -123,10 +132,15 @@ class RangeRing:
         self._bearings.flags.writeable = False
         self._distances, self._spec = tuple(distances), spec
         self._round: dict[int, ros.Range] = {}
+        self._stamps: dict[int, float] = {}
         self._seq = 0
 
     def take(self, index: int, message: ros.Range) -> Scan | None:
         """One sensor's value; the scan that it completes, if it does."""
+        stamp = stamp_of(message.header.stamp)
+        if self._stamps.get(index) == stamp:
+            return None
+        self._stamps[index] = stamp
         is_again = index in self._round
         scan = self._close() if is_again else None
         self._round[index] = message

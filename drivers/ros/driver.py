@@ -12,8 +12,9 @@ import zenoh
 
 from swarmd.driver import Finding, SenderSpec, Sink
 from swarmd.drivers.inbox import Inbox
+from swarmd.drivers.opening import opened
 from swarmd.drivers.ros import cdr, conversion
-from swarmd.drivers.ros.advice import why_silent
+from swarmd.drivers.ros.advice import why_misleading, why_refused, why_silent, why_unheard
 from swarmd.drivers.ros.check import Report, has_enough, unheard
 from swarmd.drivers.ros.dialect import Dialect, Endpoint
 from swarmd.drivers.ros.hearing import Hearing
@@ -110,7 +111,7 @@ class RosDriver:
             graph=self._others(),
             cmd_vel=self._cmd_vel,
             command=self._command,
-            has_taker=any(has_subscriber(publisher) for publisher in self._publishers.values()),
+            has_taker=self._has_taker(),
             others=self._other_commands,
         )
 
@@ -151,12 +152,7 @@ class RosDriver:
     async def _opened(self, sink: Sink) -> zenoh.Session:
         """A session; tries until something listens at the endpoint. Leaves none if cancelled."""
         while True:
-            opening = asyncio.ensure_future(asyncio.to_thread(open_session, self._options.endpoint))
-            try:
-                session = await asyncio.shield(opening)
-            except asyncio.CancelledError:
-                opening.add_done_callback(_close_if_open)
-                raise
+            session = await opened(partial(open_session, self._options.endpoint))
             if session is not None:
                 return session
             self._tell(sink, False, unheard(self._dialect, self._options.endpoint))
@@ -231,7 +227,7 @@ class RosDriver:
         )
 
     def _rise(self, sink: Sink, looks_only: bool, now: float) -> None:
-        if self._is_up or self._hearing.heard_at < now or now - self._other_at < OTHERS_LAST:
+        if self._is_up or self._hearing.heard_at < now or self._obstacle(now):
             return
         self._is_up = self._owes_zero = True
         self._tell(sink, True, self._place())
@@ -254,30 +250,41 @@ class RosDriver:
             self._fall(sink, unheard(self._dialect, self._options.endpoint))
         elif self._is_up and silent > self._silence:
             self._fall(sink, f"no scan and no odometry from {self._place()} for {silent:.1f} s")
+        elif self._is_up and (obstacle := self._obstacle(now)):
+            self._fall(sink, obstacle)
         elif now - self._told_at >= _PATIENCE and now - opened >= _PATIENCE:
             self._explain(sink, now, is_linked)
 
     def _explain(self, sink: Sink, now: float, is_linked: bool) -> None:
         """Say anew why it is lost, or what is missing although it is there."""
-        if not is_linked:
-            self._tell(sink, self._is_up, unheard(self._dialect, self._options.endpoint))
-        elif now - self._other_at < OTHERS_LAST:
-            self._tell(sink, self._is_up, self._driven_by_others())
+        if is_linked:
+            is_heard = now - self._hearing.heard_at <= self._silence
+            obstacle = self._obstacle(now) if is_heard or now - self._other_at < OTHERS_LAST else ""
+            self._tell(sink, self._is_up, obstacle or self._trouble(now) or self._place())
         else:
-            trouble = self._trouble(now)
-            place = f"{self._place()}; {trouble}" if trouble else self._place()
-            self._tell(sink, self._is_up, place if self._is_up else trouble or place)
+            self._tell(sink, self._is_up, unheard(self._dialect, self._options.endpoint))
+
+    def _obstacle(self, now: float) -> str:
+        """Why this base is not to be commanded although it is heard; empty if nothing is."""
+        if now - self._other_at < OTHERS_LAST:
+            return self._driven_by_others()
+        others = self._others()
+        has_taker = not others or self._has_taker()  # where nothing is announced nobody can tell
+        return why_unheard(self._cmd_vel, self._command, others, self._dialect, has_taker=has_taker)
+
+    def _has_taker(self) -> bool:
+        return any(has_subscriber(publisher) for publisher in self._publishers.values())
 
     def _trouble(self, now: float) -> str:
-        graph = self._others()
-        complaints = [
-            f"{sense.topic}: {sense.complaint(now)}; correct driver_options.{sense.option}"
-            for sense in self._hearing.senses.values()
-            if sense.complaint(now)
-        ]
+        """The first thing that is wrong with what the robot says; empty if nothing is."""
+        graph, senses = self._others(), self._hearing.senses.values()
         missing = self._hearing.missing(now, max(_PATIENCE, self._silence))
-        silent = [why_silent(sense, graph, self._dialect) for sense in missing]
-        return "; ".join((complaints or silent)[:2])
+        faults = (
+            *(why_refused(sense, graph, self._dialect) for sense in senses if sense.complaint(now)),
+            *(why_silent(sense, graph, self._dialect) for sense in missing),
+            *(why_misleading(sense, graph, self._dialect) for sense in senses if sense.is_needed),
+        )
+        return next(filter(None, faults), "")
 
     def _place(self) -> str:
         return f"{self._dialect.hub} at {self._options.endpoint}"
@@ -287,7 +294,8 @@ class RosDriver:
         if self._told == (is_up, text):
             return
         if self._told is not None and not isinstance(sink, _Nowhere):
-            log.log(logging.INFO if is_up else logging.WARNING, "driver %s: %s", self._name, text)
+            is_well = is_up and text == self._place()
+            log.log(logging.INFO if is_well else logging.WARNING, "driver %s: %s", self._name, text)
         self._told = (is_up, text)
         sink.state(is_up, text)
 
@@ -321,14 +329,6 @@ def _receiver(
             inbox.put(name, sample.payload.to_bytes())
 
     return on_sample
-
-
-def _close_if_open(opening: asyncio.Future[zenoh.Session | None]) -> None:
-    if opening.cancelled() or opening.exception() is not None:
-        return
-    session = opening.result()
-    if session is not None:
-        session.close()
 
 
 class _Nowhere:

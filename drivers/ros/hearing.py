@@ -28,6 +28,7 @@ class Hearing:
         """`senses`: the record of each topic by its name in here."""
         self._spec = platform.scan
         self._yaw = math.radians(options.scan_yaw_deg)
+        self._is_upside_down = options.scan_upside_down
         self._scan_seq = 0
         self.scan: Scan | None = None
         self.heard_at = -math.inf
@@ -64,7 +65,13 @@ class Hearing:
     def _read(self, name: str, message: object) -> tuple[Deliver, str]:
         if isinstance(message, LaserScan):
             self._scan_seq += 1
-            scan = conversion.scan_of(message, self._scan_seq, self._spec, self._yaw)
+            scan = conversion.scan_of(
+                message,
+                self._scan_seq,
+                self._spec,
+                self._yaw,
+                is_upside_down=self._is_upside_down,
+            )
             return self._given(scan), f"{len(scan.ranges)} rays"
         if isinstance(message, Range):
             index = next(i for i, (topic, _, _) in enumerate(self._ring) if name == _named(topic))

@@ -29,7 +29,8 @@ class RosOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     `namespace` stands before every topic that does not begin with a slash; `{robot}` in it is the
     robot's id, with `_` for `-`. `ranges` makes one scan of several `sensor_msgs/Range`: topic to
     bearing in degrees, or to bearing and the sensor's distance in m from the scan's origin;
-    `scan` is not listened to then. `scan_yaw_deg`: how the lidar is turned on the base.
+    `scan` is not listened to then. `scan_yaw_deg`: where the lidar's own zero looks, from the
+    base's front to the left; `scan_upside_down`: it hangs, and so turns the other way round.
     """
 
     endpoint: str = DEFAULT_ENDPOINT
@@ -42,6 +43,7 @@ class RosOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     cmd_vel_type: Literal["twist", "twist_stamped"] = "twist"
     cmd_vel_frame: str = "base_link"
     scan_yaw_deg: Degrees = 0.0
+    scan_upside_down: bool = False
     # Unbounded here: msgspec 0.22 crashes on a union of a bounded number and a tuple of such.
     ranges: dict[str, float | tuple[float, float]] = {}
 

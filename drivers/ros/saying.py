@@ -31,8 +31,9 @@ class LaserVoice:
         """ConfigError if the platform's rays are not evenly spread."""
         self._spec = platform.scan
         self.topics = ((topic(options, options.scan), ros.LaserScan),)
-        self._first, self._step = _evenly(platform)
-        self._first -= math.radians(options.scan_yaw_deg)
+        first, step = _evenly(platform)
+        side = -1.0 if options.scan_upside_down else 1.0
+        self._first, self._step = side * (first - math.radians(options.scan_yaw_deg)), side * step
 
     def say(self, scan: Scan) -> tuple[object, ...]:
         """The message, for the one topic."""

@@ -53,9 +53,10 @@ def is_connected(session: zenoh.Session) -> bool:
 
 
 def commanding(session: zenoh.Session, key: str) -> zenoh.Publisher:
-    """A publisher that never waits and goes before everything else."""
+    """A publisher that never waits, goes before everything else, and is not heard by itself."""
     return session.declare_publisher(
         key,
+        allowed_destination=zenoh.Locality.REMOTE,
         congestion_control=zenoh.CongestionControl.DROP,
         priority=zenoh.Priority.REAL_TIME,
         express=True,
@@ -63,6 +64,6 @@ def commanding(session: zenoh.Session, key: str) -> zenoh.Publisher:
 
 
 def has_subscriber(publisher: zenoh.Publisher) -> bool:
-    """Whether anyone listens to what it says."""
+    """Whether anyone else listens to what it says."""
     # The stubs call it a bool; it is an object with that attribute.
     return bool(getattr(publisher.matching_status, "matching", False))

@@ -75,7 +75,8 @@ def test_is_a_real_robot_and_brings_its_own_stopper(roscore: RosCore) -> None:
     assert driver.zero_sender() is None
 
 
-def test_all_senses_arrive_as_they_were_sent(roscore: RosCore) -> None:
+@pytest.mark.parametrize("hangs", [False, True])
+def test_all_senses_arrive_as_they_were_sent(roscore: RosCore, hangs: bool) -> None:
     async def story(stage: Stage, body: RosRobot) -> None:
         heard = stage.heard
         sent = [0.5, math.inf, -math.inf, math.nan, 0.0, *(3.0 for _ in range(355))]
@@ -84,7 +85,9 @@ def test_all_senses_arrive_as_they_were_sent(roscore: RosCore) -> None:
         scan = heard.scans[-1]
         np.testing.assert_array_equal(scan.ranges, np.array(sent, np.float32))
         np.testing.assert_allclose(
-            np.cos(scan.bearings), np.cos(np.radians(np.arange(360) + 90.0)), atol=1e-5
+            np.exp(1j * scan.bearings),
+            np.exp(1j * np.radians(90.0 + (-1 if hangs else 1) * np.arange(360))),
+            atol=1e-5,
         )
         assert heard.odometries[-1].pose.yaw == pytest.approx(0.6)
         assert heard.odometries[-1].twist == Twist(0.1, -0.2)
@@ -99,6 +102,7 @@ def test_all_senses_arrive_as_they_were_sent(roscore: RosCore) -> None:
         assert heard.lost.count("ros1/scan") == 0
 
     more: dict[str, Value] = {"imu": "imu", "battery": "battery", "scan_yaw_deg": 90.0}
+    more["scan_upside_down"] = hangs
     play(Wanting(roscore, more), story)
 
 

@@ -56,6 +56,31 @@ def test_bearings_are_those_of_the_base(
     np.testing.assert_allclose(swept(message, yaw).bearings, wanted, atol=1e-4)
 
 
+@pytest.mark.parametrize(
+    ("first", "step", "yaw", "wanted"),
+    [
+        (0.0, 0.5, 0.0, [0.0, -0.5, -1.0, -1.5]),
+        (1.0, -0.5, 0.0, [-1.0, -0.5, 0.0, 0.5]),
+        (0.0, 0.5, math.pi / 2.0, [1.5708, 1.0708, 0.5708, 0.0708]),
+        (-math.pi, 0.5, math.pi / 2.0, [-1.5708, -2.0708, -2.5708, -3.0708]),
+    ],
+)
+def test_a_sensor_that_hangs_turns_the_other_way_round(
+    first: float, step: float, yaw: float, wanted: list[float]
+) -> None:
+    message = robots.scan(1.0, [1.0] * 4, angle_min=first, angle_increment=step)
+    told = read(messages.LaserScan, message)
+    hanging = conversion.scan_of(told, 7, SPEC, yaw, is_upside_down=True)
+    # What the transform of a base does with such a frame: a roll of half a turn, then the yaw.
+    angles = first + step * np.arange(4)
+    x, y = np.cos(angles), -np.sin(angles)
+    turned = np.arctan2(
+        math.sin(yaw) * x + math.cos(yaw) * y, math.cos(yaw) * x - math.sin(yaw) * y
+    )
+    np.testing.assert_allclose(hanging.bearings, wanted, atol=1e-4)
+    np.testing.assert_allclose(hanging.bearings, turned, atol=1e-4)
+
+
 @pytest.mark.parametrize("turn", [1.0, -1.0])
 def test_a_wall_ahead_is_ahead_whichever_way_the_sensor_turns(turn: float) -> None:
     n = 360
@@ -206,6 +231,23 @@ class TestRangeRing:
         assert scan is not None
         wanted = [0.18, 0.0, math.inf, -math.inf, math.nan, 0.28, 0.38]
         np.testing.assert_allclose(scan.ranges, wanted, rtol=1e-6)
+
+    def test_a_sensor_whose_stamp_stands_still_is_unknown(self) -> None:
+        ring = self.ring()
+        scans = []
+        for count in range(6):
+            for i in range(7):
+                stamp = 1.0 if i == 2 else 1.0 + 0.1 * count
+                scans.append(ring.take(i, self.value(stamp, 0.2)))
+        made = [scan for scan in scans if scan is not None]
+        assert len(made) > 3
+        assert not np.isnan(made[0].ranges).any()
+        assert all(np.flatnonzero(np.isnan(scan.ranges)).tolist() == [2] for scan in made[1:])
+
+    def test_sensors_that_begin_anew_are_heard_again(self) -> None:
+        ring = self.ring()
+        scans = [ring.take(i % 7, self.value(9.0 - i // 7, 0.2)) for i in range(21)]
+        assert len([scan for scan in scans if scan is not None]) == 3
 
     def test_a_single_sensor_is_a_scan_each_time(self) -> None:
         ring = conversion.RangeRing([0.0], [0.0], SPEC)

@@ -18,6 +18,7 @@ from swarmd.driver import Driver
 from swarmd.drivers.rmw_zenoh import RmwZenoh, gid_of
 from swarmd.drivers.rmw_zenoh_robots import NodeVoice
 from swarmd.drivers.ros import cdr, messages
+from swarmd.drivers.ros.hearing import Hearing
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.robot_side import End
 from swarmd.drivers.ros.saying import LaserVoice, odometry_message
@@ -108,6 +109,16 @@ def test_a_turned_lidar_begins_where_it_looks() -> None:
     assert second.LaserScan.deserialize(cdr.encode(message)).angle_min == pytest.approx(
         -math.pi / 2
     )
+
+
+@pytest.mark.parametrize("hangs", [False, True])
+def test_a_lidar_however_mounted_is_heard_as_it_was_said(hangs: bool) -> None:
+    options, said = RosOptions(scan_yaw_deg=70.0, scan_upside_down=hangs), sweep(BURGER)
+    (message,) = LaserVoice(options, BURGER).say(said)
+    heard = Heard()
+    Hearing(options, BURGER).take("scan", cdr.encode(message), 0.0)(heard)
+    off = np.abs(np.exp(1j * heard.scans[0].bearings) - np.exp(1j * said.bearings))
+    assert off.max() < 1e-5
 
 
 def test_odometry_is_that_of_nav_msgs() -> None:
