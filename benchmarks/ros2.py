@@ -2,8 +2,8 @@
 
 A robot in a process of its own, at its own Zenoh router, sends a 360-ray LaserScan and waits for
 the command; the driver answers with a potential field over the rays, as `benchmarks.ros1` has it
-done over ROS 1 and by a plain node in rospy. Where there is a zenoh-bridge-ros2dds, also a ROS 2 node
-on DDS behind it, from before it writes the scan until it has read the command.
+done over ROS 1 and by a plain node in rospy. Where there is a zenoh-bridge-ros2dds, also a ROS 2
+node on DDS behind it, from before it writes the scan until it has read the command.
 """
 
 from __future__ import annotations

@@ -123,7 +123,7 @@ class Report:
                 " them, unless it is this robot's own daemon",
             )
         said = [
-            end.node or end.zid
+            end.who
             for end in self.graph
             if end.is_publisher and end.topic == self.cmd_vel and end.domain == self.dialect.domain
         ]

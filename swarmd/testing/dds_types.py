@@ -10,18 +10,24 @@ from cyclonedds.idl.types import array, float32, float64, int32, sequence, uint8
 
 @dataclass
 class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
+    """builtin_interfaces/msg/Time."""
+
     sec: int32 = 0
     nanosec: uint32 = 0
 
 
 @dataclass
 class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
+    """std_msgs/msg/Header."""
+
     stamp: Time = field(default_factory=Time)
     frame_id: str = ""
 
 
 @dataclass
 class Vector3(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3_"):
+    """geometry_msgs/msg/Vector3."""
+
     x: float64 = 0.0
     y: float64 = 0.0
     z: float64 = 0.0
@@ -29,12 +35,16 @@ class Vector3(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3_"):
 
 @dataclass
 class Twist(IdlStruct, typename="geometry_msgs.msg.dds_.Twist_"):
+    """geometry_msgs/msg/Twist."""
+
     linear: Vector3 = field(default_factory=Vector3)
     angular: Vector3 = field(default_factory=Vector3)
 
 
 @dataclass
 class LaserScan(IdlStruct, typename="sensor_msgs.msg.dds_.LaserScan_"):
+    """sensor_msgs/msg/LaserScan."""
+
     header: Header = field(default_factory=Header)
     angle_min: float32 = 0.0
     angle_max: float32 = 0.0
@@ -49,12 +59,16 @@ class LaserScan(IdlStruct, typename="sensor_msgs.msg.dds_.LaserScan_"):
 
 @dataclass
 class TwistStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TwistStamped_"):
+    """geometry_msgs/msg/TwistStamped."""
+
     header: Header = field(default_factory=Header)
     twist: Twist = field(default_factory=Twist)
 
 
 @dataclass
 class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
+    """geometry_msgs/msg/Quaternion."""
+
     x: float64 = 0.0
     y: float64 = 0.0
     z: float64 = 0.0
@@ -63,24 +77,32 @@ class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
 
 @dataclass
 class Pose(IdlStruct, typename="geometry_msgs.msg.dds_.Pose_"):
+    """geometry_msgs/msg/Pose."""
+
     position: Vector3 = field(default_factory=Vector3)
     orientation: Quaternion = field(default_factory=Quaternion)
 
 
 @dataclass
 class PoseWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.PoseWithCovariance_"):
+    """geometry_msgs/msg/PoseWithCovariance."""
+
     pose: Pose = field(default_factory=Pose)
     covariance: array[float64, 36] = field(default_factory=lambda: [0.0] * 36)
 
 
 @dataclass
 class TwistWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.TwistWithCovariance_"):
+    """geometry_msgs/msg/TwistWithCovariance."""
+
     twist: Twist = field(default_factory=Twist)
     covariance: array[float64, 36] = field(default_factory=lambda: [0.0] * 36)
 
 
 @dataclass
 class Odometry(IdlStruct, typename="nav_msgs.msg.dds_.Odometry_"):
+    """nav_msgs/msg/Odometry."""
+
     header: Header = field(default_factory=Header)
     child_frame_id: str = ""
     pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
@@ -96,6 +118,8 @@ class Gid(IdlStruct, typename="rmw_dds_common.msg.dds_.Gid_"):
 
 @dataclass
 class NodeEntitiesInfo(IdlStruct, typename="rmw_dds_common.msg.dds_.NodeEntitiesInfo_"):
+    """rmw_dds_common/msg/NodeEntitiesInfo."""
+
     node_namespace: str
     node_name: str
     reader_gid_seq: sequence[Gid]

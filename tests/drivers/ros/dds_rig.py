@@ -16,14 +16,16 @@ from swarmd.testing.ros2_bridge import LOOPBACK, Bridge, free_domain
 from swarmd.values import Twist, Value
 from tests.drivers.ros.robots import BridgedRobot, open_session
 
-SENSES = {"scan": dds_types.LaserScan, "odom": dds_types.Odometry}
+SENSES: Mapping[str, Any] = {"scan": dds_types.LaserScan, "odom": dds_types.Odometry}
 
 
 class DdsRobot(BridgedRobot):
     """A node that says scans and odometry and takes velocities, and a bridge of its own.
 
     `namespace`, such as `/front`, is the node's, `at` likewise the bridge's, which stands before
-    it. `says`: the type of each topic. The node leaves with `stop`, the bridge with `die`.
+    it. `says`: the type of each topic. `distro` is what the bridge takes the robot for, which is of
+    Jazzy; `is_elsewhere`: the bridge is in another domain. The node leaves with `stop`, the bridge
+    with `die`.
     """
 
     def __init__(
@@ -32,18 +34,18 @@ class DdsRobot(BridgedRobot):
         namespace: str = "",
         at: str = "",
         is_stamped: bool = False,
-        says: Mapping[str, type] | None = None,
+        says: Mapping[str, Any] = SENSES,
         distro: str = "jazzy",
+        is_elsewhere: bool = False,
     ) -> None:
         self.namespace, self.at = namespace, at
-        self._says = SENSES if says is None else says
+        self._says = says
         self._command = dds_types.TwistStamped if is_stamped else dds_types.Twist
         self._folder = tempfile.TemporaryDirectory()
         self.domain = free_domain()
         self._held = Domain(self.domain, LOOPBACK)  # ends, with all in it, when it is deleted
-        self.bridge = Bridge(
-            Path(self._folder.name), self.domain, namespace=at or "/", distro=distro
-        )
+        folder, domain = Path(self._folder.name), free_domain() if is_elsewhere else self.domain
+        self.bridge = Bridge(folder, domain, namespace=at or "/", distro=distro)
         self.node: DdsNode | None = None
         super().__init__(is_stamped=is_stamped)
         self.endpoint = self.bridge.endpoint
@@ -79,8 +81,9 @@ class DdsRobot(BridgedRobot):
             with contextlib.closing(session):
                 session.put(key, message)
         elif self.node is not None and topic in self._says:
-            kind: Any = self._says[topic]
-            said = kind.deserialize(message.serialize()) if kind is SENSES.get(topic) else kind()
+            kind = self._says[topic]
+            is_usual = kind is SENSES[topic]
+            said = kind.deserialize(message.serialize()) if is_usual else kind()
             self.node.say(self.name(topic), said)
 
     def commands(self) -> Sequence[Twist]:
