@@ -166,7 +166,8 @@ def rows() -> Iterator[Row]:
         if lacks:
             yield Row(f"scan to velocity, {name}", [], note=lacks)
             continue
-        yield Row(f"scan to velocity, {name}", answers(name), note="beside rospy: see ros1")
+        note = "from DDS to DDS" if name == BRIDGED else "beside rospy: see ros1"
+        yield Row(f"scan to velocity, {name}", answers(name), note=note)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -34,11 +34,6 @@ class TestContract(DriverContract):
         return DdsRobot()
 
 
-class TestStampedContract(DriverContract):
-    def rig(self) -> DdsRobot:
-        return DdsRobot(is_stamped=True)
-
-
 async def moves(stage: Stage) -> None:
     """Until the base is told to move."""
     taken: list[Twist] = []
@@ -62,6 +57,10 @@ async def tells(stage: Stage, words: str) -> None:
 )
 def test_a_namespace_is_the_robots_or_the_bridges(namespace: str, at: str) -> None:
     play(DdsRobot(namespace=namespace, at=at), moves)
+
+
+def test_a_base_may_want_stamped_commands() -> None:
+    play(DdsRobot(is_stamped=True), moves)
 
 
 def test_a_robot_that_leaves_and_returns_gets_zero_first() -> None:
