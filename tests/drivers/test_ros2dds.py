@@ -211,22 +211,6 @@ def test_a_stopper_finds_a_base_that_comes_later() -> None:
     robot.close()
 
 
-def test_a_stoppers_stamped_zero_stops_a_base_that_takes_it_for_a_twist() -> None:
-    robot = BridgedRobot(is_stamped=True)
-    sender = ros2dds.make_zero_sender(robot="r", given=dict(robot.options({})))
-    sender.open()
-    samples = robot.samples()
-    while not samples:
-        sender.send_zero()
-        samples = robot.samples()
-    sender.close()
-    robot.close()
-    payload = samples[0].payload.to_bytes()
-    assert second.TwistStamped.deserialize(payload).twist == second.Twist()
-    taken = second.Twist.deserialize(payload + bytes(48))
-    assert abs(taken.linear.x) + abs(taken.linear.y) + abs(taken.angular.z) < 1e-300
-
-
 def test_check_tells_rates_types_and_clocks() -> None:
     robot = BridgedRobot()
     found = check(robot, robot.speak)
