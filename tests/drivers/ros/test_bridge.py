@@ -15,7 +15,7 @@ from swarmd.drivers.ros.robot_side import End
 from swarmd.drivers.ros2dds_robots import BridgedVoice
 from swarmd.testing import dds_types
 from swarmd.testing.dds_node import DdsNode
-from swarmd.testing.driver_contract import DriverContract, Stage
+from swarmd.testing.driver_contract import CAP, DriverContract, Stage
 from swarmd.testing.processes import wait_until
 from swarmd.testing.ros2_bridge import why_no_bridge
 from swarmd.values import Twist
@@ -255,7 +255,7 @@ def test_check_tells(
     make: Callable[[], DdsRobot], options: dict[str, str], wanted: dict[str, str]
 ) -> None:
     robot = make()
-    found = check(robot, robot.speak, seconds=2.0, **options)
+    found = check(robot, robot.speak, seconds=3.0 if wanted else CAP, **options)
     assert found["connection"].is_well
     for subject, text in wanted.items():
         assert not found[subject].is_well
@@ -267,7 +267,7 @@ def test_check_tells(
 def test_check_of_a_robot_that_is_off_says_to_start_it() -> None:
     robot = DdsRobot()
     robot.stop()
-    found = check(robot, seconds=1.0)
+    found = check(robot, seconds=2.0)
     assert "start the robot" in found["scan"].text
     assert "nobody subscribes to /cmd_vel" in found["cmd_vel"].text
 
@@ -282,7 +282,7 @@ def test_check_tells_of_who_may_command_and_of_who_does(speed: float | None) -> 
         if speed is not None:
             joystick.say("/cmd_vel", dds_types.Twist(dds_types.Vector3(speed)))
 
-    others = check(robot, speak, seconds=2.0)["others"]
+    others = check(robot, speak)["others"]
     joystick.close()
     if speed is None:
         assert "a node behind bridge" in others.text
