@@ -26,6 +26,7 @@ NO_HASH = "TypeHashNotSupported"
 """What stands for every type's hash in Humble."""
 
 _NODE = "swarmd"
+_LONGEST = 600
 _COMMANDING = "::,1:,:,:,,"  # reliable, volatile, keep last 1: only what differs is written
 _SENSING = "2::,1:,:,:,,"  # best effort
 _ATTACHMENT = struct.Struct("<qqB16s")
@@ -84,8 +85,9 @@ class RmwZenoh:
         """Another type, or a hash that no distribution has for it."""
         prefix = f"{self.domain}{topic}/"
         told, _, hashed = key.removeprefix(prefix).partition("/")
-        if not key.startswith(prefix) or not told or not hashed or "*" in key or "/" in hashed:
-            return f"said on key {key}"
+        is_one = bool(told) and bool(hashed) and "*" not in key and "/" not in hashed
+        if not (is_one and key.startswith(prefix) and key.isprintable() and len(key) < _LONGEST):
+            return f"said on key {key[:80]!a}"
         wanted = name_of(kind)
         if told != dds_name(wanted):
             return f"it carries {ros_name(told)}; wanted is {wanted}"

@@ -50,7 +50,7 @@ class Ros2Dds:
 
     def fault(self, key: str, topic: str, kind: type) -> str:
         """Only a wildcard put can be wrong: the key says nothing of the type."""
-        return "" if key == self.listening(topic) else f"said on key {key}"
+        return "" if key == self.listening(topic) else f"said on key {key[:80]!a}"
 
     def announced(self, token: str) -> Endpoint | None:
         """From `@/<zid>/@ros2_lv/{MP|MS}/<key>/<type>/<qos>`, with § for the slashes inside."""

@@ -184,7 +184,10 @@ class Param(Struct, frozen=True, kw_only=True):
 
 
 class Status(Struct, frozen=True, kw_only=True):
-    """All that others may know of a robot; published on change and at 1 Hz."""
+    """All that others may know of a robot; published on change and at 1 Hz.
+
+    `readings`: what its scalar sensors told last, such as `battery`, a share of 1.
+    """
 
     robot: Name
     instance: Name
@@ -208,6 +211,7 @@ class Status(Struct, frozen=True, kw_only=True):
     verdict: VerdictSummary
     health: Health
     uptime: Seconds
+    readings: dict[Word, Scalar] = {}
     events: tuple[Event, ...] = ()
     has_left: bool = False
 

@@ -100,6 +100,7 @@ def make_status(
             dropped=_dropped(conduct, senses),
         ),
         uptime=max(now - born, 0.0),
+        readings=_clean(senses.readings),
         events=tuple(conduct.events),
     )
 
@@ -137,7 +138,7 @@ def _dropped(conduct: Conduct, senses: Senses) -> dict[str, int]:
 
 
 def _clean(report: Mapping[str, Scalar]) -> dict[str, Scalar]:
-    """What of a pattern's report peers can read: bounded, finite, not too much."""
+    """What of a report, or of readings, peers can read: bounded, finite, not too much."""
     cleaned: dict[str, Scalar] = {}
     for name, value in list(report.items())[:REPORTED]:
         short = value[:TEXT] if isinstance(value, str) else value

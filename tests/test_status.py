@@ -1,4 +1,4 @@
-"""What a robot says of its protection."""
+"""What a robot says of its protection and its sensors."""
 
 from __future__ import annotations
 
@@ -9,13 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarmd.messages import Reason, VerdictSummary
+from swarmd.codec import Decoder, encode
+from swarmd.messages import Reason, Status, VerdictSummary
 from swarmd.status import ROWS
 from swarmd.testing.players import PATTERNS
 from swarmd.testing.scans import empty_scan
 from swarmd.testing.story import Story
 from swarmd.values import Scan
 
+decode = Decoder(Status)
 BARRIER = "extends: waffle_pi\nprotection: {mode: barrier}\n"
 
 
@@ -74,3 +76,10 @@ def test_says_nothing_of_what_bounds_nothing(story: Story) -> None:
 def test_says_when_it_seeks_a_way_around(story: Story) -> None:
     assert not summary(story, 0.0, 0.3).is_unsticking
     assert summary(story, 0.0, 0.3, unstick=True).is_unsticking
+
+
+def test_says_what_its_scalar_sensors_told(story: Story) -> None:
+    told = {"battery": 0.71, "yaw": -1.5, "odd": math.nan}
+    story.robot.on_readings(told)
+    assert story.status.readings == {"battery": 0.71, "yaw": -1.5}
+    assert decode(encode(story.status)).readings == story.status.readings

@@ -7,6 +7,9 @@ from collections.abc import Collection, Iterable
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.dialect import Dialect, Endpoint
 from swarmd.drivers.ros.sense import Sense
+from swarmd.messages import Reason
+from swarmd.scans import ScanConditioner
+from swarmd.values import Scan, ScanSpec
 
 _SHOWN = 4
 _COMMANDS = {
@@ -25,19 +28,21 @@ def why_silent(sense: Sense, graph: Collection[Endpoint], dialect: Dialect) -> s
         return f"{topic} is announced but silent; look at the sensor: ros2 topic hz {topic}"
     if types:
         return f"{topic} carries {', '.join(types)}; wanted is {wanted}: correct {option}"
-    alike = sorted({end.topic for end in here if end.type == wanted})
-    if alike:
-        return (
-            f"no {topic}, but {shown(alike)} of that type; correct driver_options.namespace"
-            f" or {option}"
-        )
-    if here:
+    domains = _domains(end for end in said if (end.topic, end.type) == (topic, wanted))
+    if here and not domains:
+        alike = sorted({end.topic for end in here if end.type == wanted})
+        if alike:
+            return (
+                f"no {topic}, but {shown(alike)} of that type; correct driver_options.namespace"
+                f" or {option}"
+            )
         names = sorted({end.topic for end in here})
         return f"no {topic} among {shown(names)}; start the sensor, or correct {option}"
-    domains = sorted({end.domain for end in said if end.domain is not None})
+    domains = domains or _domains(said)
     if domains:
+        what = topic if here else "topic"
         return (
-            f"no topic in domain {dialect.domain}, but in {shown(map(str, domains))}; correct"
+            f"no {what} in domain {dialect.domain}, but in {shown(map(str, domains))}; correct"
             " driver_options.domain"
         )
     return f"no {topic}, and {dialect.hub} announces no topic at all; {dialect.silent}"
@@ -77,6 +82,16 @@ def why_misleading(sense: Sense, graph: Collection[Endpoint], dialect: Dialect) 
     return ""
 
 
+def why_blind(sense: Sense, scan: Scan, spec: ScanSpec) -> str:
+    """Why this sweep alone shows too little, with the next step; empty if it shows enough."""
+    if ScanConditioner(spec).take(scan, None, 0.0) is not Reason.INVALID_SCAN:
+        return ""
+    return (
+        f"{sense.topic}: {len(scan.ranges)} rays that leave too wide a sector unseen; look at the"
+        " sensor, or correct the platform's scan"
+    )
+
+
 def why_unheard(
     topic: str, command: type, graph: Collection[Endpoint], dialect: Dialect, *, has_taker: bool
 ) -> str:
@@ -106,6 +121,10 @@ def shown(names: Iterable[str]) -> str:
     listed = list(names)
     more = f" and {len(listed) - _SHOWN} more" if len(listed) > _SHOWN else ""
     return ", ".join(listed[:_SHOWN]) + more
+
+
+def _domains(ends: Iterable[Endpoint]) -> list[int]:
+    return sorted({end.domain for end in ends if end.domain is not None})
 
 
 def _publishing(topic: str, graph: Iterable[Endpoint], dialect: Dialect) -> list[Endpoint]:

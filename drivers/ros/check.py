@@ -6,13 +6,18 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from swarmd.driver import Finding
-from swarmd.drivers.ros.advice import shown, why_misleading, why_refused, why_silent, why_unheard
+from swarmd.drivers.ros.advice import (
+    shown,
+    why_blind,
+    why_misleading,
+    why_refused,
+    why_silent,
+    why_unheard,
+)
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.dialect import Dialect, Endpoint
 from swarmd.drivers.ros.hearing import Hearing
 from swarmd.drivers.ros.sense import Sense
-from swarmd.messages import Reason
-from swarmd.scans import ScanConditioner
 from swarmd.values import ScanSpec
 
 ENOUGH = 5
@@ -98,14 +103,7 @@ class Report:
                 " so the robot would stop for old scans: correct one of them"
             )
         scan = self.hearing.scan
-        if scan is None:
-            return ""
-        if ScanConditioner(self.spec).take(scan, None, 0.0) is Reason.INVALID_SCAN:
-            return (
-                f"{sense.topic}: {len(scan.ranges)} rays that leave too wide a sector unseen;"
-                " look at the sensor, or correct the platform's scan"
-            )
-        return ""
+        return "" if scan is None else why_blind(sense, scan, self.spec)
 
     def _taker(self) -> Finding:
         fault = why_unheard(

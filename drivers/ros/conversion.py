@@ -88,7 +88,7 @@ def battery_readings(message: ros.BatteryState) -> dict[str, float]:
     if 1.0 < share < math.inf:
         share = min(share / _PER_CENT, 1.0)
     values = {"battery": share, "battery_voltage": message.voltage}
-    return {name: value for name, value in values.items() if math.isfinite(value)}
+    return {name: value for name, value in values.items() if 0.0 <= value < math.inf}
 
 
 def twist_message(twist: Twist) -> ros.Twist:

@@ -14,14 +14,20 @@ from swarmd.driver import Finding, SenderSpec, Sink
 from swarmd.drivers.inbox import Inbox
 from swarmd.drivers.opening import opened
 from swarmd.drivers.ros import cdr, conversion
-from swarmd.drivers.ros.advice import why_misleading, why_refused, why_silent, why_unheard
+from swarmd.drivers.ros.advice import (
+    why_blind,
+    why_misleading,
+    why_refused,
+    why_silent,
+    why_unheard,
+)
 from swarmd.drivers.ros.check import Report, has_enough, unheard
 from swarmd.drivers.ros.dialect import Dialect, Endpoint
 from swarmd.drivers.ros.hearing import Hearing
 from swarmd.drivers.ros.messages import Twist as TwistMessage
 from swarmd.drivers.ros.messages import TwistStamped
 from swarmd.drivers.ros.options import RosOptions, topic
-from swarmd.drivers.ros.session import commanding, has_subscriber, is_connected, open_session
+from swarmd.drivers.ros.session import commanding, has_subscriber, hubs_of, open_session
 from swarmd.errors import CodecError
 from swarmd.handover import hand_over
 from swarmd.values import ZERO, Neighbor, Odometry, Platform, Scan, Twist
@@ -35,7 +41,7 @@ OTHERS_LAST = 2.0
 
 _PERIOD = 0.1
 _PATIENCE = 2.0
-_MOST_ANNOUNCED = 4096
+_MOST_ANNOUNCED, _LONGEST = 4096, 1000
 _COMMAND = "cmd_vel"
 _MISTAKEN = ":type"
 
@@ -105,7 +111,7 @@ class RosDriver:
         return Report(
             dialect=self._dialect,
             endpoint=self._options.endpoint,
-            is_connected=session is not None and is_connected(session),
+            is_connected=session is not None and bool(hubs_of(session)),
             hearing=self._hearing,
             spec=self._platform.scan,
             graph=self._others(),
@@ -120,12 +126,14 @@ class RosDriver:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
         self._graph: dict[str, Endpoint] = {}
+        self._hubs: frozenset[str] = frozenset()
         self._is_up = self._has_sent = False
         self._owes_zero = True
         self._other_at = -math.inf
         self._other_commands = 0
         self._told: tuple[bool, str] | None = None
         self._told_at = -math.inf
+        self._was_blind = False
 
     async def _run(self, sink: Sink, *, looks_only: bool) -> None:
         loop = asyncio.get_running_loop()
@@ -176,7 +184,7 @@ class RosDriver:
 
     def _on_token(self, token: str, is_there: bool) -> None:
         end = self._dialect.announced(token)
-        if end is None:
+        if end is None or not token.isprintable() or len(token) > _LONGEST:
             return
         if is_there and len(self._graph) < _MOST_ANNOUNCED:
             self._graph[token] = end
@@ -244,18 +252,21 @@ class RosDriver:
         self._tell(sink, False, text)
 
     def _watch(self, sink: Sink, session: zenoh.Session, now: float, opened: float) -> None:
-        is_linked = is_connected(session)
+        hubs, before = hubs_of(session), self._hubs
+        self._hubs = hubs or before
         silent = now - self._hearing.heard_at
-        if self._is_up and not is_linked:
+        if self._is_up and not hubs:
             self._fall(sink, unheard(self._dialect, self._options.endpoint))
+        elif self._is_up and before and hubs != before:
+            self._fall(sink, f"{self._place()} was started anew")
         elif self._is_up and silent > self._silence:
             self._fall(sink, f"no scan and no odometry from {self._place()} for {silent:.1f} s")
         elif self._is_up and (obstacle := self._obstacle(now)):
             self._fall(sink, obstacle)
         elif now - self._told_at >= _PATIENCE and now - opened >= _PATIENCE:
-            self._explain(sink, now, is_linked)
+            self._explain(sink, now, is_linked=bool(hubs))
 
-    def _explain(self, sink: Sink, now: float, is_linked: bool) -> None:
+    def _explain(self, sink: Sink, now: float, *, is_linked: bool) -> None:
         """Say anew why it is lost, or what is missing although it is there."""
         if is_linked:
             is_heard = now - self._hearing.heard_at <= self._silence
@@ -284,7 +295,15 @@ class RosDriver:
             *(why_silent(sense, graph, self._dialect) for sense in missing),
             *(why_misleading(sense, graph, self._dialect) for sense in senses if sense.is_needed),
         )
-        return next(filter(None, faults), "")
+        return next(filter(None, faults), "") or self._blindness()
+
+    def _blindness(self) -> str:
+        """What all sweeps lack, as far as the last two that were looked at tell."""
+        scan, was_blind = self._hearing.scan, self._was_blind
+        sense = next(iter(self._hearing.senses.values()))
+        fault = "" if scan is None else why_blind(sense, scan, self._platform.scan)
+        self._was_blind = bool(fault)
+        return fault if was_blind else ""
 
     def _place(self) -> str:
         return f"{self._dialect.hub} at {self._options.endpoint}"

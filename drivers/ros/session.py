@@ -45,11 +45,11 @@ def open_session(endpoint: str, *, within: float = 1.0) -> zenoh.Session | None:
     return session
 
 
-def is_connected(session: zenoh.Session) -> bool:
-    """True while there is a link to the hub."""
+def hubs_of(session: zenoh.Session) -> frozenset[str]:
+    """Whom it is linked to, by an id that is new at each start; empty while to nobody."""
     with contextlib.suppress(zenoh.ZError):
-        return bool(list(session.info.routers_zid()) or list(session.info.peers_zid()))
-    return False
+        return frozenset(map(str, (*session.info.routers_zid(), *session.info.peers_zid())))
+    return frozenset()
 
 
 def commanding(session: zenoh.Session, key: str) -> zenoh.Publisher:

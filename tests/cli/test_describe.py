@@ -76,6 +76,11 @@ def test_shows_who_stopped_it_and_why(estopped: Member) -> None:
     assert shown(estopped)["Emergency stops"] == {"e1": "by bob@desk, for swarm: smoke"}
 
 
+def test_shows_what_its_scalar_sensors_told(make_member: MakeMember) -> None:
+    member = make_member(readings={"battery": 0.71, "battery_voltage": 11.5})
+    assert shown(member)["Readings"] == {"battery": "0.71", "battery_voltage": "11.5"}
+
+
 def test_shows_events_by_their_age(make_member: MakeMember) -> None:
     assert shown(make_member())["Events"] == {"3.0 s ago": "loading drive"}
 

@@ -177,6 +177,15 @@ def test_check_tells_of_another_domain() -> None:
     assert "no topic in domain 0, but in 30; correct driver_options.domain" in found["scan"].text
 
 
+def test_check_finds_the_topic_in_another_domain_than_some_nodes() -> None:
+    robot = ZenohRobot()
+    announce(robot, 0, "MP", "rosout", "rcl_interfaces/msg/Log")
+    announce(robot, 0, "MP", "bot1%scan", "sensor_msgs/msg/LaserScan")
+    announce(robot, 30, "MP", "scan", "sensor_msgs/msg/LaserScan")
+    found = check(robot, robot.move, seconds=0.7)
+    assert "no /scan in domain 0, but in 30; correct driver_options.domain" in found["scan"].text
+
+
 def test_check_without_any_node_says_how_they_are_started() -> None:
     found = check(ZenohRobot(), seconds=0.7)
     assert "RMW_IMPLEMENTATION=rmw_zenoh_cpp" in found["scan"].text

@@ -110,6 +110,29 @@ def test_check_does_not_take_its_own_ear_for_the_bases() -> None:
 
 
 @pytest.mark.parametrize("make", MAKERS)
+def test_after_a_hub_that_is_started_anew_in_no_time_the_first_command_is_zero(
+    make: Callable[[], Robot],
+) -> None:
+    robot = make()
+
+    async def story(stage: Stage) -> None:
+        until = asyncio.get_running_loop().time() + 0.5  # it has looked whom it is linked to
+        while asyncio.get_running_loop().time() < until:
+            stage.driver.send(Twist(0.1), 1, 1)
+            robot.speak()
+            await asyncio.sleep(0.01)
+        robot.die()
+        robot.rise()
+        await stage.until(lambda: told(stage, "was started anew", is_up=False), speaking=True)
+        await stage.until(lambda: stage.heard.is_up, speaking=True)
+        robot.commands()
+        stage.driver.send(Twist(0.1), 2, 2)
+        assert (await stage.command()).is_zero
+
+    play(robot, story)
+
+
+@pytest.mark.parametrize("make", MAKERS)
 def test_one_cause_is_one_line_in_the_log(
     make: Callable[[], Robot], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -163,6 +186,20 @@ def test_stamps_that_stand_still_are_told_while_it_runs() -> None:
     play(robot, story)
 
 
+def test_sweeps_that_do_not_look_around_are_told_while_it_runs() -> None:
+    robot = BridgedRobot()
+
+    async def story(stage: Stage) -> None:
+        def is_told() -> bool:
+            robot.move()
+            robot.put("scan", robots.scan(robot._stamp(), [1.0] * 180, angle_increment=0.0174))
+            return told(stage, "180 rays that leave too wide a sector unseen; look at", is_up=True)
+
+        await stage.until(is_told)
+
+    play(robot, story)
+
+
 def checked_stamps(stamp: Callable[[int], float], seconds: float = 2.0) -> str:
     """What check says of scans with these stamps; empty if all is well."""
     robot, count = BridgedRobot(), 0
@@ -204,3 +241,23 @@ def test_what_cannot_be_read_among_what_can_is_told() -> None:
         robot.put("scan", robots.scan(1.0, [1.0], angle_min=math.nan))
 
     assert "/scan: cannot be read" in check(robot, speak)["scan"].text
+
+
+@pytest.mark.parametrize("make", MAKERS)
+def test_names_that_are_none_make_no_second_line(make: Callable[[], Robot]) -> None:
+    robot = make()
+    announce(robot, "MP", "bot1/scan\nok    scan", LASER)
+    announce(robot, "MP", "bot1/" + 2000 * "x", LASER)
+    found = check(robot, robot.move, seconds=1.0)
+    assert "announces no topic at all" in found["scan"].text
+    assert found["scan"].text.isprintable()
+
+
+def test_a_type_that_is_none_makes_no_second_line() -> None:
+    robot = ZenohRobot()
+
+    def speak() -> None:
+        robot.move()
+        robot.put_on(f"0/scan/ok\nok/{robots.HASHES['LaserScan']}", b"")
+
+    assert "said on key '0/scan/ok\\nok/RIHS" in check(robot, speak, seconds=1.0)["scan"].text

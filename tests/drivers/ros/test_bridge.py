@@ -78,6 +78,19 @@ def test_a_robot_that_leaves_and_returns_gets_zero_first() -> None:
     play(robot, story)
 
 
+def test_after_a_bridge_that_is_restarted_at_once_the_first_command_is_zero() -> None:
+    robot = DdsRobot()
+
+    async def story(stage: Stage) -> None:
+        for _ in range(3):
+            await moves(stage)
+            robot.die()
+            robot.commands()
+            robot.rise()
+
+    play(robot, story)
+
+
 def test_a_frozen_bridge_is_told_and_nothing_late_moves_the_robot() -> None:
     robot = DdsRobot()
 

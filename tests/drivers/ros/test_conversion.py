@@ -169,7 +169,7 @@ def test_battery_is_a_share_of_one(percentage: float, wanted: float) -> None:
 
 
 def test_what_a_battery_does_not_measure_is_left_out() -> None:
-    for unknown in (math.nan, math.inf):
+    for unknown in (math.nan, math.inf, -1.0):
         message = second.BatteryState(voltage=unknown, percentage=unknown)
         assert conversion.battery_readings(read(messages.BatteryState, message)) == {}
 
