@@ -2,7 +2,8 @@
 
 A robot in a process of its own, at its own Zenoh router, sends a 360-ray LaserScan and waits for
 the command; the driver answers with a potential field over the rays, as `benchmarks.ros1` has it
-done over ROS 1 and by a plain node in rospy.
+done over ROS 1 and by a plain node in rospy. Where there is a zenoh-bridge-ros2dds, the robot is
+also a ROS 2 node on DDS, answered by the driver through the bridge, and by a plain node directly.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
+import numpy as np
 import zenoh
 
+from benchmarks import ros2_dds
 from benchmarks.cdr import scan
 from benchmarks.ros1 import field
 from benchmarks.table import Row, print_table
@@ -27,6 +30,7 @@ from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros.driver import RosDriver
 from swarmd.platforms import load_platform
 from swarmd.testing.driver_contract import Heard
+from swarmd.testing.ros2_bridge import why_no_bridge
 from swarmd.values import Scan
 
 SECONDS = 15.0
@@ -34,6 +38,9 @@ WARM = 2.0
 PERIOD = 0.05
 PLATFORM = load_platform("burger")
 MAKERS = {"ros2dds": ros2dds.make_driver, "rmw_zenoh": rmw_zenoh.make_driver}
+PLAIN, BRIDGE = "a plain node on DDS", "ros2dds behind a bridge"
+BRIDGED = (PLAIN, BRIDGE)
+BUDGET = "p50 1.5 x, p99 10 ms"
 
 
 class Answering(Heard):
@@ -46,7 +53,15 @@ class Answering(Heard):
 
 
 def robot(name: str, seconds: float) -> None:
-    """Print the endpoint, then, in the end, what each answer took in s, as JSON."""
+    """Print where it is, then, in the end, what each answer took in s, as JSON."""
+    if name in BRIDGED:
+        with ros2_dds.robot() as (place, exchange):
+            _tell(place, exchange, seconds)
+    else:
+        _on_zenoh(name, seconds)
+
+
+def _on_zenoh(name: str, seconds: float) -> None:
     hub, endpoint = _hub()
     dialect = rmw_zenoh.RmwZenoh(0, "/cmd_vel") if name == "rmw_zenoh" else ros2dds.Ros2Dds()
     said = dialect.command_keys("/scan", messages.LaserScan)[0]
@@ -59,19 +74,29 @@ def robot(name: str, seconds: float) -> None:
         answered.set()
 
     hub.declare_subscriber(heard, on_command)
-    print(endpoint, flush=True)
-    taken, message, begin = [], scan(), time.perf_counter()
-    while (start := time.perf_counter()) < begin + WARM + seconds:
+    message = scan()
+
+    def exchange() -> float | None:
         message.header.stamp.nanosec += 1
         payload = cdr.encode(message)
         answered.clear()
         sent = time.perf_counter()
         hub.put(said, payload, attachment=dialect.attachment())
-        if answered.wait(1.0) and start > begin + WARM:
-            taken.append(at - sent)
+        return at - sent if answered.wait(1.0) else None
+
+    _tell(endpoint, exchange, seconds)
+    hub.close()
+
+
+def _tell(endpoint: str, exchange: Callable[[], float | None], seconds: float) -> None:
+    print(endpoint, flush=True)
+    taken, begin = [], time.perf_counter()
+    while (start := time.perf_counter()) < begin + WARM + seconds:
+        took = exchange()
+        if took is not None and start > begin + WARM:
+            taken.append(took)
         time.sleep(max(0.0, PERIOD - (time.perf_counter() - start)))
     print(json.dumps(taken), flush=True)
-    hub.close()
 
 
 def answers(name: str) -> list[float]:
@@ -79,15 +104,19 @@ def answers(name: str) -> list[float]:
     command = [sys.executable, "-m", "benchmarks.ros2", "--robot", name]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
-        endpoint = child.stdout.readline().strip()
-        lines = asyncio.run(_drive(name, endpoint, child))
+        endpoint, _, domain = child.stdout.readline().strip().partition(" ")
+        if name == PLAIN:
+            lines = ros2_dds.answer(int(domain), child.stdout.readline)
+        else:
+            lines = asyncio.run(_drive(name, endpoint, child))
     taken: list[float] = json.loads(lines)
     return taken
 
 
 async def _drive(name: str, endpoint: str, child: subprocess.Popen[str]) -> str:
     assert child.stdout is not None
-    driver = MAKERS[name](swarm="s", robot="r", platform=PLATFORM, options={"endpoint": endpoint})
+    make = MAKERS["ros2dds" if name == BRIDGE else name]
+    driver = make(swarm="s", robot="r", platform=PLATFORM, options={"endpoint": endpoint})
     sink = Answering()
     sink.driver = driver
     running = asyncio.create_task(driver.run(sink))
@@ -112,6 +141,16 @@ def _hub() -> tuple[zenoh.Session, str]:
 def rows() -> Iterator[Row]:
     for name in MAKERS:
         yield Row(f"scan to velocity, {name}", answers(name), note="beside rospy: see ros1")
+    lacks = why_no_bridge()
+    if lacks:
+        yield Row(f"scan to velocity, {BRIDGE}", [], note=lacks)
+        return
+    plain = answers(PLAIN)
+    yield Row(f"scan to velocity, {PLAIN}", plain, note="no bridge between")
+    bridged = answers(BRIDGE)
+    more = np.median(bridged) / np.median(plain)
+    note = f"p50 {more:.2f} x that of the node"
+    yield Row(f"scan to velocity, {BRIDGE}", bridged, BUDGET, note)
 
 
 def main(arguments: list[str] | None = None) -> None:

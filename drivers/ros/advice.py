@@ -70,7 +70,7 @@ def why_misleading(sense: Sense, graph: Collection[Endpoint], dialect: Dialect) 
         )
     said = _publishing(topic, graph, dialect)
     if len(said) > 1 and sense.is_needed:
-        whose = shown(sorted({end.node or end.zid for end in said}))
+        whose = shown(sorted({end.who for end in said}))
         return (
             f"{len(said)} publish {topic}: {whose}; end all but one, or give each robot a namespace"
         )

@@ -121,7 +121,7 @@ class Report:
                 " them, unless it is this robot's own daemon or stopper",
             )
         said = [
-            end.node or end.zid
+            end.who
             for end in self.graph
             if end.is_publisher and end.topic == self.cmd_vel and end.domain == self.dialect.domain
         ]

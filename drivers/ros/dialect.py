@@ -23,6 +23,11 @@ class Endpoint:
     domain: int | None = None
     node: str = ""
 
+    @property
+    def who(self) -> str:
+        """The node, or what stands for all of those that a bridge announces without a name."""
+        return self.node or f"a node behind bridge {self.zid[:8]}"
+
 
 class Dialect(Protocol):
     """Keys and framing of one way of speaking ROS 2 over Zenoh.

@@ -168,6 +168,12 @@ class RosDriver:
     def _listen(
         self, session: zenoh.Session, inbox: Inbox, loop: asyncio.AbstractEventLoop
     ) -> None:
+        def on_token(sample: zenoh.Sample) -> None:
+            is_there = sample.kind == zenoh.SampleKind.PUT
+            hand_over(loop, self._on_token, str(sample.key_expr), is_there)
+
+        # Before the topics: what a base wants is known when it is first heard.
+        session.liveliness().declare_subscriber(self._dialect.graph, on_token, history=True)
         heard = [(s.name, s.topic, s.kind) for s in self._hearing.senses.values()]
         for name, full, kind in (*heard, (_COMMAND, self._cmd_vel, self._command)):
             session.declare_subscriber(
@@ -175,12 +181,6 @@ class RosDriver:
                 _receiver(self._dialect, inbox, name, full, kind),
                 allowed_origin=zenoh.Locality.REMOTE,
             )
-
-        def on_token(sample: zenoh.Sample) -> None:
-            is_there = sample.kind == zenoh.SampleKind.PUT
-            hand_over(loop, self._on_token, str(sample.key_expr), is_there)
-
-        session.liveliness().declare_subscriber(self._dialect.graph, on_token, history=True)
 
     def _on_token(self, token: str, is_there: bool) -> None:
         end = self._dialect.announced(token)

@@ -60,7 +60,9 @@ class RosZeroSender:
 def zero_sender_of(dialect: Dialect, options: RosOptions) -> RosZeroSender:
     """The sender for a robot with these options."""
     is_stamped = options.cmd_vel_type == "twist_stamped"
-    message = stamped_message(ZERO, options.cmd_vel_frame) if is_stamped else twist_message(ZERO)
+    # A base that takes this for a Twist reads the frame's name as a speed: none is 0, where
+    # `base_link` would be 1e180 m/s to the side. What it wants cannot be asked here.
+    message = stamped_message(ZERO, "") if is_stamped else twist_message(ZERO)
     keys = dialect.command_keys(
         topic(options, options.cmd_vel), TwistStamped if is_stamped else Twist
     )

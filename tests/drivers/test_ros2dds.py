@@ -262,7 +262,17 @@ def test_check_of_a_silent_topic_goes_by_what_is_announced(
 def test_check_of_a_bridge_that_knows_nothing_points_at_the_domain() -> None:
     found = check(BridgedRobot(), seconds=0.7)
     assert "announces no topic at all" in found["scan"].text
-    assert "ROS_DOMAIN_ID" in found["scan"].text
+    assert "ROS_DOMAIN_ID, ROS_DISTRO and" in found["scan"].text
+
+
+def test_check_tells_of_somebody_without_a_name_who_may_command() -> None:
+    robot = BridgedRobot()
+    announce(robot, "MP", "cmd_vel", "geometry_msgs/msg/Twist")
+    announce(robot, "MS", "cmd_vel", "geometry_msgs/msg/Twist")
+    found = check(robot, robot.speak)
+    zid = str(robot.hub.zid())
+    assert found["others"].is_well
+    assert found["others"].text.startswith(f"a node behind bridge {zid[:8]} may publish /cmd_vel")
 
 
 def test_check_of_a_base_that_wants_stamped_commands_says_so() -> None:

@@ -14,15 +14,20 @@ from swarmd.clock import boottime
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings
 from swarmd.testing.processes import DaemonProcess, is_running, stoppers, unique_swarm, wait_until
+from swarmd.testing.ros2_bridge import why_no_bridge
 from swarmd.values import Twist, Value
 from tests.drivers.driving import ROBOT, drive
+from tests.drivers.ros.dds_rig import DdsRobot
 from tests.drivers.ros.robots import RAYS, BridgedRobot, Robot, ZenohRobot, odometry, scan
 
 pytestmark = pytest.mark.integration
 
+BRIDGED = "ros2dds, DDS and a real bridge"
+NO_BRIDGE = pytest.mark.skipif(bool(why_no_bridge()), reason=why_no_bridge())
 KINDS: dict[str, tuple[str, Callable[[], Robot]]] = {
     "ros2dds": ("ros2dds", BridgedRobot),
     "ros2dds, stamped": ("ros2dds", lambda: BridgedRobot(is_stamped=True)),
+    BRIDGED: ("ros2dds", DdsRobot),
     "rmw_zenoh": ("rmw_zenoh", ZenohRobot),
     "rmw_zenoh, Humble": ("rmw_zenoh", lambda: ZenohRobot(is_humble=True)),
 }
@@ -76,7 +81,9 @@ class Course:
             self.told += [(boottime(), twist) for twist in self.robot.commands()]
 
 
-@pytest.fixture(params=KINDS)
+@pytest.fixture(
+    params=[pytest.param(kind, marks=NO_BRIDGE if kind == BRIDGED else ()) for kind in KINDS]
+)
 def driven(
     request: pytest.FixtureRequest, tmp_path: Path
 ) -> Iterator[tuple[Course, DaemonProcess]]:

@@ -13,6 +13,7 @@ from zenoh.ext import Int64, z_serialize
 
 from swarmd.drivers.rmw_zenoh import NO_HASH, RmwZenoh, gid_of
 from swarmd.drivers.ros import messages
+from swarmd.drivers.ros.dialect import Endpoint
 from swarmd.drivers.ros2dds import Ros2Dds
 from tests.drivers.ros.robots import HASHES
 
@@ -137,6 +138,16 @@ def test_the_bridges_keys_are_topics_without_their_first_slash() -> None:
     assert ours.fault("bot1/scan", "/bot1/scan", messages.LaserScan) == ""
     assert ours.fault("**", "/bot1/scan", messages.LaserScan)
     assert ours.attachment() is None
+
+
+def test_the_announcements_of_a_bridge_since_iron_are_understood() -> None:
+    """As zenoh-bridge-ros2dds 1.10 says them: the type's hash behind the quality of service."""
+    zid, hashed = "ad21b741805add91719f8b8dd4f837a7", "typehash=RIHS01_9c45bf16fe0983d8;"
+    end = Ros2Dds().announced(
+        f"@/{zid}/@ros2_lv/MS/cmd_vel/geometry_msgs§msg§Twist/:1::0,10:{hashed}"
+    )
+    assert end == Endpoint(False, "/cmd_vel", "geometry_msgs/msg/Twist", zid)
+    assert Ros2Dds().announced(f"@/{zid}/@ros2_lv") is None
 
 
 def test_the_bridges_announcements_are_understood() -> None:
