@@ -20,8 +20,8 @@ from typing import Any
 from swarmd.clock import boottime
 from swarmd.driver import Driver, Finding, SenderSpec, Sink
 from swarmd.errors import DriverError
-from swarmd.stopper import FAREWELL, FAULT, READY, TICK
-from swarmd.values import Twist
+from swarmd.stopper import FAREWELL, FAULT, READY, SILENCE, TICK, ZEROS
+from swarmd.values import ZERO, Twist
 
 log = logging.getLogger(__name__)
 
@@ -43,6 +43,7 @@ class StopperProcess:
         self._lost: asyncio.Future[str] = self._loop.create_future()
         self._fed = self._waiting = 0.0
         self.pid = 0
+        self.says_zero = False
         self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._socket.setblocking(False)
         command = [sys.executable, "-P", "-m", "swarmd.stopper", "--fd", str(theirs.fileno())]
@@ -80,6 +81,8 @@ class StopperProcess:
         now = boottime()
         if now - self._fed < _FEED_EVERY:
             return
+        if self._fed and now - self._fed >= SILENCE:
+            self._on_readable()  # this process stood still; what was said meanwhile comes first
         self._fed = now
         if self._waiting and now - self._waiting > SILENT_AFTER:
             self._on_readable()  # its answers may have waited for this loop
@@ -106,8 +109,9 @@ class StopperProcess:
                 return
             except OSError:
                 frame = b""
-            if frame == TICK:
+            if frame in (TICK, ZEROS):
                 self._waiting = 0.0
+                self.says_zero = frame == ZEROS
             elif not self._first.done():
                 self._first.set_result(frame or FAULT)
             if not frame:
@@ -149,10 +153,11 @@ class GuardedDriver:
             stopper.close()
 
     def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
-        """Hand a command on and feed the stopper; dropped while there is no stopper."""
+        """Feed the stopper and hand a command on: zero while it says zero, dropped without it."""
         if self._stopper is not None:
-            self._driver.send(twist, scan_seq, wish_seq)
             self._stopper.feed()
+            told = ZERO if self._stopper.says_zero else twist
+            self._driver.send(told, scan_seq, wish_seq)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """The driver's findings, and whether a stopper can be started; moves nothing."""

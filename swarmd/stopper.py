@@ -2,7 +2,8 @@
 
 For bases that keep their last command for ever. It is started before the driver, with a connection
 of its own that is already open, and fed by the guardian's tick over a socket pair. End of file, or
-0.4 s of silence: it sends zeros until the guardian is back, for at least 2 s.
+0.4 s of silence: it sends zeros until the guardian is back, for at least 2 s. A guardian that is
+back before they end says zero as well, so that the base stands.
 
 Before the first tick it sends nothing. After a farewell, SIGTERM, or when a new guardian's stopper
 relieves it, the 2 s are enough. It detaches from its guardian, whose end must not be its own.
@@ -18,12 +19,11 @@ import os
 import select
 import signal
 import socket
-import sys
 import time
 from collections.abc import Callable
 from hashlib import sha256
 from importlib import import_module
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, NoReturn, cast
 
 from swarmd.clock import boottime
 from swarmd.errors import DriverError, SwarmError
@@ -39,6 +39,8 @@ PERIOD = 0.05
 
 TICK, FAREWELL = b"t", b"f"
 READY, FAULT = b"r", b"e"
+ZEROS = b"z"
+"""The answer to a tick, and what is said unasked, while zeros are sent; else a tick itself."""
 _RELIEF = b"relief"
 _CLAIM_WITHIN = 5.0
 
@@ -147,6 +149,7 @@ class Stopper:
                     say(f"a zero could not be sent: {error}")
         if is_sending != self._is_sending:
             self._is_sending = is_sending
+            self._answer(ZEROS if is_sending else TICK)
             gone = "ended" if self._deadman.has_left else "is silent"
             say(f"the guardian {gone}: sending zeros" if is_sending else "no more zeros")
 
@@ -177,7 +180,7 @@ class Stopper:
                 frame = b""
             if frame == TICK:
                 self._deadman.tick(boottime())
-                self._answer(TICK)
+                self._answer(ZEROS if self._is_sending else TICK)
                 continue
             self._deadman.leave(boottime())
             self._is_asked |= frame == FAREWELL
@@ -236,8 +239,8 @@ def _claimed(name: str) -> socket.socket:
 def _pidfd(pid: int) -> int:
     try:
         return os.pidfd_open(pid)
-    except OSError:  # it has ended already: so must this
-        sys.exit(0)
+    except OSError as error:
+        raise DriverError(f"process {pid}, which the daemon is tied to, has ended") from error
 
 
 def _made(maker: str, options: str) -> ZeroSender:
@@ -246,7 +249,7 @@ def _made(maker: str, options: str) -> ZeroSender:
     return make(**json.loads(options))
 
 
-def main() -> None:
+def main() -> NoReturn:
     """Entry of `python -m swarmd.stopper`."""
     parser = argparse.ArgumentParser(prog="swarmd.stopper", description=__doc__)
     parser.add_argument("--fd", type=int, required=True, help="the guardian's socket")
@@ -260,16 +263,25 @@ def main() -> None:
     os.set_inheritable(args.fd, False)
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    with socket.socket(fileno=args.fd) as guardian:
+    try:
+        _serve(args)
+    except BaseException as error:
+        say(f"ends with {error!r}")
+        os._exit(1)
+    os._exit(0)  # the interpreter's own end may wait for a library's threads, or abort over them
+
+
+def _serve(args: argparse.Namespace) -> None:
+    with socket.socket(fileno=args.fd) as guardian, contextlib.ExitStack() as left:
         try:
             sender = _made(args.maker, args.options)
             sender.open()
+            left.callback(sender.close)
             stopper = Stopper(guardian, sender, args.name, args.tie)
         except (SwarmError, ImportError, AttributeError, TypeError, OSError) as error:
             guardian.send(FAULT + str(error).encode()[:500])
-            sys.exit(1)
+            return
         stopper.serve()
-        sender.close()
 
 
 if __name__ == "__main__":

@@ -32,6 +32,9 @@ SILENCE = 1.0
 OTHERS_LAST = 2.0
 """Seconds for which somebody else's command keeps this driver from commanding."""
 
+ZEROS_LAST = 2.0
+"""Seconds for which a lost robot is told zero: from its loss, and from when its link is back."""
+
 _PERIOD = 0.1
 _PATIENCE = 2.0
 _MOST_ANNOUNCED = 4096
@@ -119,8 +122,9 @@ class RosDriver:
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
         self._graph: dict[str, Endpoint] = {}
-        self._is_up = self._has_sent = False
+        self._is_up = self._has_sent = self._was_linked = False
         self._owes_zero = True
+        self._zeros_end = -math.inf
         self._other_at = -math.inf
         self._other_commands = 0
         self._told: tuple[bool, str] | None = None
@@ -143,10 +147,12 @@ class RosDriver:
                 self._watch(sink, session, loop.time(), opened)
         finally:
             inbox.close()
-            if self._has_sent:  # who only looked must not interrupt the daemon that drives
-                self._put(ZERO)
-            self._reset()
-            session.close()
+            try:
+                if self._has_sent:  # who only looked must not interrupt the daemon that drives
+                    self._put(ZERO)
+            finally:  # an open session would keep the process for ever
+                self._reset()
+                session.close()
 
     async def _opened(self, sink: Sink) -> zenoh.Session:
         """A session; tries until something listens at the endpoint. Leaves none if cancelled."""
@@ -250,12 +256,23 @@ class RosDriver:
     def _watch(self, sink: Sink, session: zenoh.Session, now: float, opened: float) -> None:
         is_linked = is_connected(session)
         silent = now - self._hearing.heard_at
+        if is_linked and not self._was_linked:
+            self._zeros_end = now + ZEROS_LAST
+        self._was_linked = is_linked
         if self._is_up and not is_linked:
             self._fall(sink, unheard(self._dialect, self._options.endpoint))
         elif self._is_up and silent > self._silence:
+            self._zeros_end = now + ZEROS_LAST
             self._fall(sink, f"no scan and no odometry from {self._place()} for {silent:.1f} s")
-        elif now - self._told_at >= _PATIENCE and now - opened >= _PATIENCE:
+        elif self._has_sent and not self._is_up and now < self._zeros_end:
+            self._repeat_zero(now)
+        if now - self._told_at >= _PATIENCE and now - opened >= _PATIENCE:
             self._explain(sink, now, is_linked)
+
+    def _repeat_zero(self, now: float) -> None:
+        """It may still drive as it was told last: nobody could tell it, or the zero was lost."""
+        if now - self._other_at >= OTHERS_LAST:
+            self._put(ZERO)
 
     def _explain(self, sink: Sink, now: float, is_linked: bool) -> None:
         """Say anew why it is lost, or what is missing although it is there."""

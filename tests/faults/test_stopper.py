@@ -95,9 +95,25 @@ def test_a_frozen_guardian_is_stopped_for_and_thawed_it_does_not_move(guarded: B
     stalled = guarded.await_state(State.STOPPED, Reason.LOOP_STALLED, thawed)
     assert not guarded.body.moved_since(stalled.at)
     assert stopper_of(guarded) == stopper, "it is the same, and serves on"
+    guarded.meet()
     moving = guarded.drive()
     guarded.body.wait(lambda one: one.at > moving.at + 0.5)
     wait_until(lambda: guarded.body.commands[-1].twist.linear > 0.0, "it drives on undisturbed")
+
+
+def test_a_guardian_that_is_back_before_the_zeros_end_says_zero_too(guarded: Bench) -> None:
+    guarded.drive()
+    frozen = boottime()
+    guarded.daemon.freeze()
+    try:
+        first = guarded.body.wait_zero(frozen)
+    finally:
+        guarded.daemon.thaw()
+    guarded.body.wait(lambda one: one.at > first.at + AT_LEAST + 0.5)
+    meanwhile = [one for one in guarded.body.commands if 0.0 < one.at - first.at < AT_LEAST - 0.1]
+    moving = [one for one in meanwhile if not one.twist.is_zero]
+    assert len(moving) <= 1, "but for one that was on its way when the guardian froze"
+    wait_until(lambda: not guarded.body.commands[-1].twist.is_zero, "it drives on", 10.0)
 
 
 def test_told_to_end_it_says_zero_for_two_seconds_and_is_gone(guarded: Bench) -> None:
