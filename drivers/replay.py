@@ -157,6 +157,8 @@ class ReplayDriver:
 
     def _lose(self, sink: Sink, text: str) -> None:
         self._is_up = False
+        if self._has_sent:
+            self._take(ZERO)
         sink.state(False, text)
 
     def _take(self, twist: Twist) -> None:

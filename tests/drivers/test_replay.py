@@ -100,8 +100,8 @@ class TestContract(DriverContract):
 @pytest.mark.parametrize("name", ["", "~nobody-of-that-name/x.rec", "x\0.rec", "/"])
 def test_what_can_be_no_file_is_refused_before_anything_starts(tmp_path: Path, name: str) -> None:
     for driver, option in (("replay", "file"), ("simulated", "record")):
-        options: Mapping[str, Value] = {option: name}
-        values: Mapping[str, Value] = {
+        options: dict[str, Value] = {option: name}
+        values: dict[str, Value] = {
             "id": "r",
             "driver": driver,
             "driver_options": options,
