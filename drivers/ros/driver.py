@@ -35,6 +35,9 @@ OTHERS_LAST = 2.0
 ZEROS_LAST = 2.0
 """Seconds for which a lost robot is told zero: from its loss, and from when its link is back."""
 
+ZEROS_OF_OTHERS = 3.0
+"""Seconds after which zeros that others say are told of: longer than our own stopper's."""
+
 _PERIOD = 0.1
 _PATIENCE = 2.0
 _MOST_ANNOUNCED = 4096
@@ -125,7 +128,7 @@ class RosDriver:
         self._is_up = self._has_sent = self._was_linked = False
         self._owes_zero = True
         self._zeros_end = -math.inf
-        self._other_at = -math.inf
+        self._other_at = self._other_zero_at = self._other_zeros_from = -math.inf
         self._other_commands = 0
         self._told: tuple[bool, str] | None = None
         self._told_at = -math.inf
@@ -223,6 +226,9 @@ class RosDriver:
         if name == _COMMAND:
             try:
                 if _asked(cdr.decode(self._command, payload)).is_zero:
+                    if now - self._other_zero_at > OTHERS_LAST:
+                        self._other_zeros_from = now
+                    self._other_zero_at = now
                     return
             except CodecError:
                 pass  # not what we would say: it may well move the robot
@@ -286,6 +292,12 @@ class RosDriver:
             self._tell(sink, self._is_up, place if self._is_up else trouble or place)
 
     def _trouble(self, now: float) -> str:
+        lasts = self._other_zero_at - self._other_zeros_from
+        if lasts > ZEROS_OF_OTHERS and now - self._other_zero_at < OTHERS_LAST:
+            return (
+                f"someone else tells this robot to stand: zeros on {self._cmd_vel} that are not"
+                " ours, such as of the stopper of an earlier daemon; end what says them"
+            )
         graph = self._others()
         complaints = [
             f"{sense.topic}: {sense.complaint(now)}; correct driver_options.{sense.option}"

@@ -241,6 +241,22 @@ def test_a_robot_whose_link_is_back_is_told_zero_though_its_sensors_are_silent()
     play(robot, story)
 
 
+def test_zeros_of_someone_else_that_do_not_end_are_told_of() -> None:
+    robot = BridgedRobot()
+
+    async def story(stage: Stage) -> None:
+        began = asyncio.get_running_loop().time()
+
+        def is_told() -> bool:
+            robot.put("cmd_vel", robots.command(0.0))
+            return told(stage, "someone else tells this robot to stand", is_up=True)
+
+        await stage.until(is_told, speaking=True)
+        assert asyncio.get_running_loop().time() - began > 2.5, "a stopper of ours ends before"
+
+    play(robot, story)
+
+
 def test_its_session_is_closed_though_the_last_zero_cannot_be_sent(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
