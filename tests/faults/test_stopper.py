@@ -15,11 +15,12 @@ import pytest
 from swarmd.clock import boottime
 from swarmd.driver import SenderSpec
 from swarmd.drivers.simulated import SimulatedDriver
+from swarmd.errors import DriverError
 from swarmd.guarded import StopperProcess
 from swarmd.messages import Code, Reason, State
-from swarmd.stopper import AT_LEAST
+from swarmd.stopper import AT_LEAST, name_of
 from swarmd.testing.body import Commanded
-from swarmd.testing.processes import is_running, stoppers, wait_until
+from swarmd.testing.processes import is_running, stoppers, unique_swarm, wait_until
 
 if TYPE_CHECKING:
     from tests.faults.conftest import Bench
@@ -197,6 +198,34 @@ def test_a_silent_daemon_leaves_an_idle_robot_alone_and_no_other(bench: Bench) -
     wait_until(lambda: commands[-1].at - stopped.at > 2.0, "who is stopped is told zero")
     assert not bench.body.moved_since(stopped.at)
     assert not stoppers(bench.swarm, bench.body.robot), "a base with a timeout needs none"
+
+
+def test_who_is_at_work_is_not_relieved_and_who_is_silent_is() -> None:
+    where = {"swarm": "s", "robot": "r", "endpoint": "tcp/127.0.0.1:9"}
+    spec = SenderSpec(SimulatedDriver.__module__ + ":SimulatedZeros", where)
+    name = name_of(unique_swarm(), "r")
+
+    async def feed(stopper: StopperProcess) -> None:
+        while True:
+            stopper.feed()
+            await asyncio.sleep(0.05)
+
+    async def meet() -> None:
+        made = [StopperProcess(spec, name=name)]
+        try:
+            await made[0].start()
+            feeding = asyncio.create_task(feed(made[0]))
+            made.append(StopperProcess(spec, name=name))
+            with pytest.raises(DriverError, match="another daemon on this machine drives this"):
+                await made[1].start()
+            feeding.cancel()
+            made.append(StopperProcess(spec, name=name))
+            await made[2].start()
+        finally:
+            for stopper in made:
+                stopper.close()
+
+    asyncio.run(meet())
 
 
 def test_what_it_is_tied_to_ends_it_although_its_guardian_never_returns() -> None:
