@@ -6,7 +6,8 @@ of its own that is already open, and fed by the guardian's tick over a socket pa
 back before they end says zero as well, so that the base stands.
 
 Before the first tick it sends nothing. After a farewell, SIGTERM, or when a new guardian's stopper
-relieves it, the 2 s are enough. It detaches from its guardian, whose end must not be its own.
+relieves it, the 2 s are enough; the new one is ready when they are over. It detaches from its
+guardian, whose end must not be its own.
 """
 
 from __future__ import annotations
@@ -61,6 +62,11 @@ class Deadman:
     def has_left(self) -> bool:
         """True once the guardian's end is closed."""
         return self._has_left
+
+    @property
+    def is_relieved(self) -> bool:
+        """True if nothing was heard since another took over."""
+        return self._may_end
 
     def tick(self, now: float) -> None:
         """The guardian lives."""
@@ -134,6 +140,7 @@ class Stopper:
             self._poll(self._deadman.wait(now))
             now = boottime()
             self._act(now)
+            self._hand_over()
 
     def _act(self, now: float) -> None:
         if self._is_asked and self._deadman.has_left:
@@ -191,7 +198,11 @@ class Stopper:
             name.recv(16)
         if self._deadman.is_silent(boottime()):
             self._deadman.relieve()
-            name.close()
+
+    def _hand_over(self) -> None:
+        """The name is given up only after the last zero: who has it next may move the base."""
+        if self._name is not None and self._deadman.is_relieved and not self._is_sending:
+            self._name.close()
             self._name = None
 
     def _answer(self, frame: bytes) -> None:

@@ -75,11 +75,28 @@ def test_a_guardian_that_is_back_relieves_the_stopper_of_the_one_before(guarded:
     before = stopper_of(guarded)
     guarded.daemon.kill()
     guarded.start()
+    moving = guarded.drive()  # at once: the last zero has been said
     wait_until(lambda: not is_running(before), "the first stopper has ended")
     assert stopper_of(guarded) != before
-    moving = guarded.drive()
     guarded.body.wait(lambda one: one.at > moving.at + 1.0)
     assert not zeros_since(guarded, moving.at), "nobody else says zero"
+
+
+def test_signals_meant_for_everyone_leave_the_stopper_at_its_post(guarded: Bench) -> None:
+    guarded.drive()
+    stopper = stopper_of(guarded)
+    assert os.getsid(stopper) != os.getsid(guarded.daemon.process.pid), "Ctrl-C"
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
+        os.kill(stopper, number)
+    signalled = boottime()
+    guarded.body.wait(lambda one: one.at > signalled + 1.0)
+    assert is_running(stopper)
+    assert not zeros_since(guarded, signalled), "its guardian lives and drives on"
+    killed = boottime()
+    guarded.daemon.kill()
+    guarded.body.wait_zero(killed)
+    wait_until(lambda: not is_running(stopper), "it was asked to end, and has")
+    assert zeros_since(guarded, killed)[-1].at - killed > 1.5
 
 
 def test_a_frozen_guardian_is_stopped_for_and_thawed_it_does_not_move(guarded: Bench) -> None:
