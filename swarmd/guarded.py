@@ -44,20 +44,16 @@ class StopperProcess:
         self._fed = self._waiting = 0.0
         self.pid = 0
         self.says_zero = False
-        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with contextlib.ExitStack() as left:
+            try:
+                self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+                left.callback(self._socket.close)
+                with theirs:
+                    self._process = _started(spec, theirs.fileno(), name, tie)
+            except OSError as error:
+                raise DriverError(f"no stopper: {error.strerror}; is the machine full?") from error
+            left.pop_all()
         self._socket.setblocking(False)
-        command = [sys.executable, "-P", "-m", "swarmd.stopper", "--fd", str(theirs.fileno())]
-        command += ["--maker", spec.maker, "--options", json.dumps(dict(spec.options))]
-        command += [] if name is None else ["--name", name]
-        command += [] if tie is None else ["--tie", str(tie)]
-        with theirs:
-            self._process = subprocess.Popen(
-                command,
-                pass_fds=(theirs.fileno(),),
-                start_new_session=True,  # a Ctrl-C is the guardian's alone
-                stdin=subprocess.DEVNULL,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-            )
         self._loop.add_reader(self._socket, self._on_readable)
 
     async def start(self) -> None:
@@ -129,6 +125,22 @@ class StopperProcess:
             self._socket.close()
 
 
+def _started(
+    spec: SenderSpec, fd: int, name: str | None, tie: int | None
+) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-P", "-m", "swarmd.stopper", "--fd", str(fd)]
+    command += ["--maker", spec.maker, "--options", json.dumps(dict(spec.options))]
+    command += [] if name is None else ["--name", name]
+    command += [] if tie is None else ["--tie", str(tie)]
+    return subprocess.Popen(
+        command,
+        pass_fds=(fd,),
+        start_new_session=True,  # a Ctrl-C is the guardian's alone
+        stdin=subprocess.DEVNULL,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+    )
+
+
 class GuardedDriver:
     """Runs `driver` only while a stopper, made from `spec`, watches over its base."""
 
@@ -162,15 +174,13 @@ class GuardedDriver:
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """The driver's findings, and whether a stopper can be started; moves nothing."""
         looking = asyncio.create_task(self._driver.check(seconds))
-        stopper = StopperProcess(self._spec, name=None)
         try:
-            async with asyncio.timeout(seconds):
-                await stopper.start()
+            with contextlib.closing(StopperProcess(self._spec, name=None)) as stopper:
+                async with asyncio.timeout(seconds):
+                    await stopper.start()
             mine = Finding("stopper", True, "starts and connects; the base has no timeout")
         except (DriverError, TimeoutError) as error:
             mine = Finding("stopper", False, str(error) or f"not ready within {seconds:g} s")
-        finally:
-            stopper.close()
         return (*await looking, mine)
 
 
