@@ -202,6 +202,32 @@ if "swarmd.stopper" in " ".join(sys.orig_argv):
 """
 
 
+def test_a_zero_that_cannot_be_sent_is_followed_by_others(bench: Bench) -> None:
+    bench.driver_options = {"deadman": "none"}
+    shaky = {"PYTHONPATH": f"{bench.folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    (bench.folder / "sitecustomize.py").write_text(SHAKY)
+    bench.start(shaky)
+    bench.drive()
+    killed = boottime()
+    bench.daemon.kill()
+    await_steady_zeros(bench, killed, 1.0)
+    assert bench.daemon.text().count("a zero could not be sent: not yet") == 1
+
+
+SHAKY = """
+import sys
+if "swarmd.stopper" in " ".join(sys.orig_argv):
+    from swarmd.drivers.simulated import SimulatedZeros
+    send, failed = SimulatedZeros.send_zero, []
+    def send_later(self):
+        if len(failed) < 3:
+            failed.append(1)
+            raise ValueError("not yet")
+        send(self)
+    SimulatedZeros.send_zero = send_later
+"""
+
+
 def test_a_silent_daemon_leaves_an_idle_robot_alone_and_no_other(bench: Bench) -> None:
     bench.driver_options = {"deadman": 0.5, "idle_output": "silent"}
     bench.start()
