@@ -17,7 +17,7 @@ from msgspec import Meta, Struct
 from swarmd.driver import Finding, Sink
 from swarmd.errors import CodecError, ConfigError
 from swarmd.layered import Layered
-from swarmd.recording import Entry, Recording, read_recording
+from swarmd.recording import Entry, Recording, named_file, read_recording
 from swarmd.sensing import decode_neighbors, decode_odometry, decode_readings, decode_scan
 from swarmd.values import ZERO, Odometry, Platform, Scan, Twist, Value
 
@@ -48,7 +48,7 @@ class ReplayDriver:
     ) -> None:
         """Not playing yet; ConfigError if an option or the recording is wrong."""
         self._options = Layered(("driver replay", options)).build(ReplayOptions)
-        self._path = Path(self._options.file).expanduser()
+        self._path = named_file(self._options.file, "driver replay: file")
         self._spec = platform.scan
         self._recording = read_recording(self._path)
         self._after, self._span = _extent(self._path, self._recording, platform)
@@ -157,6 +157,8 @@ class ReplayDriver:
 
     def _lose(self, sink: Sink, text: str) -> None:
         self._is_up = False
+        if self._has_sent:
+            self._take(ZERO)
         sink.state(False, text)
 
     def _take(self, twist: Twist) -> None:

@@ -70,11 +70,13 @@ class SimulatedDriver:
                 self._watch(sink, loop.time())
         finally:
             inbox.close()
-            if self._has_sent:  # who only looked must not interrupt the daemon that drives
-                self._put(ZERO, -1, -1)
-            self._commands, self._is_up, self._owes_zero = None, False, True
-            self._has_sent = False
-            session.close()
+            try:
+                if self._has_sent:  # who only looked must not interrupt the daemon that drives
+                    self._put(ZERO, -1, -1)
+            finally:  # an open session would keep the process for ever
+                self._commands, self._is_up, self._owes_zero = None, False, True
+                self._has_sent = False
+                session.close()
 
     def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
         """Send a safe command; dropped while the body is lost, zero the first time it is back."""
@@ -165,6 +167,8 @@ class SimulatedDriver:
     def _watch(self, sink: Sink, now: float) -> None:
         if self._is_up and now - self._heard > SILENCE:
             self._is_up = False
+            if self._has_sent:
+                self._put(ZERO, -1, -1)
             sink.state(False, f"nothing from {self._endpoint} for {SILENCE:g} s")
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from msgspec import Meta, Struct
@@ -111,10 +110,11 @@ def make_driver(settings: DaemonSettings) -> Driver:
 def _recorded(driver: Driver, base: BaseOptions, settings: DaemonSettings) -> Driver:
     if base.record is None:
         return driver
-    from swarmd.recording import RecordedDriver
+    from swarmd.recording import RecordedDriver, named_file
 
     head = {"robot": settings.id, "platform": settings.platform.name, "driver": settings.driver}
-    return RecordedDriver(driver, Path(base.record).expanduser(), head)
+    path = named_file(base.record, f"driver {settings.driver}: record")
+    return RecordedDriver(driver, path, head)
 
 
 def _guarded(

@@ -50,10 +50,11 @@ MAX_PENDING = 64
 
 
 async def serve(settings: DaemonSettings) -> int:
-    """Run the daemon until SIGTERM or SIGINT; 0 after a clean stop. Raises SwarmError."""
+    """Run until SIGTERM, SIGINT or SIGHUP; 0 after a clean stop. Raises SwarmError."""
     loop = asyncio.get_running_loop()
     stop = asyncio.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
+    is_nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    for number in (signal.SIGTERM, signal.SIGINT, *(() if is_nohup else (signal.SIGHUP,))):
         loop.add_signal_handler(number, stop.set)
     daemon = Daemon(settings, make_driver(settings))
     await daemon.run(stop)

@@ -73,7 +73,7 @@ class SenderSpec:
 class ZeroSender(Protocol):
     """A second connection to a base, which can say nothing but zero.
 
-    It lives in the stopper's process (`stopper.py`), with no loop and no other thread of ours.
+    It lives in the stopper's process (`stopper.py`), with no loop.
     """
 
     def open(self) -> None:

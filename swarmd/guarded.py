@@ -20,8 +20,8 @@ from typing import Any
 from swarmd.clock import boottime
 from swarmd.driver import Driver, Finding, SenderSpec, Sink
 from swarmd.errors import DriverError
-from swarmd.stopper import FAREWELL, FAULT, READY, TICK
-from swarmd.values import Twist
+from swarmd.stopper import FAREWELL, FAULT, READY, SILENCE, TICK, ZEROS
+from swarmd.values import ZERO, Twist
 
 log = logging.getLogger(__name__)
 
@@ -43,20 +43,17 @@ class StopperProcess:
         self._lost: asyncio.Future[str] = self._loop.create_future()
         self._fed = self._waiting = 0.0
         self.pid = 0
-        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self.says_zero = False
+        with contextlib.ExitStack() as left:
+            try:
+                self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+                left.callback(self._socket.close)
+                with theirs:
+                    self._process = _started(spec, theirs.fileno(), name, tie)
+            except OSError as error:
+                raise DriverError(f"no stopper: {error.strerror}; is the machine full?") from error
+            left.pop_all()
         self._socket.setblocking(False)
-        command = [sys.executable, "-P", "-m", "swarmd.stopper", "--fd", str(theirs.fileno())]
-        command += ["--maker", spec.maker, "--options", json.dumps(dict(spec.options))]
-        command += [] if name is None else ["--name", name]
-        command += [] if tie is None else ["--tie", str(tie)]
-        with theirs:
-            self._process = subprocess.Popen(
-                command,
-                pass_fds=(theirs.fileno(),),
-                start_new_session=True,  # a Ctrl-C is the guardian's alone
-                stdin=subprocess.DEVNULL,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-            )
         self._loop.add_reader(self._socket, self._on_readable)
 
     async def start(self) -> None:
@@ -80,6 +77,8 @@ class StopperProcess:
         now = boottime()
         if now - self._fed < _FEED_EVERY:
             return
+        if self._fed and now - self._fed >= SILENCE:
+            self._on_readable()  # this process stood still; what was said meanwhile comes first
         self._fed = now
         if self._waiting and now - self._waiting > SILENT_AFTER:
             self._on_readable()  # its answers may have waited for this loop
@@ -106,8 +105,9 @@ class StopperProcess:
                 return
             except OSError:
                 frame = b""
-            if frame == TICK:
+            if frame in (TICK, ZEROS):
                 self._waiting = 0.0
+                self.says_zero = frame == ZEROS
             elif not self._first.done():
                 self._first.set_result(frame or FAULT)
             if not frame:
@@ -123,6 +123,22 @@ class StopperProcess:
         if self._socket.fileno() >= 0:
             self._loop.remove_reader(self._socket)
             self._socket.close()
+
+
+def _started(
+    spec: SenderSpec, fd: int, name: str | None, tie: int | None
+) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-P", "-m", "swarmd.stopper", "--fd", str(fd)]
+    command += ["--maker", spec.maker, "--options", json.dumps(dict(spec.options))]
+    command += [] if name is None else ["--name", name]
+    command += [] if tie is None else ["--tie", str(tie)]
+    return subprocess.Popen(
+        command,
+        pass_fds=(fd,),
+        start_new_session=True,  # a Ctrl-C is the guardian's alone
+        stdin=subprocess.DEVNULL,
+        env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+    )
 
 
 class GuardedDriver:
@@ -149,23 +165,22 @@ class GuardedDriver:
             stopper.close()
 
     def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
-        """Hand a command on and feed the stopper; dropped while there is no stopper."""
+        """Feed the stopper and hand a command on: zero while it says zero, dropped without it."""
         if self._stopper is not None:
-            self._driver.send(twist, scan_seq, wish_seq)
             self._stopper.feed()
+            told = ZERO if self._stopper.says_zero else twist
+            self._driver.send(told, scan_seq, wish_seq)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """The driver's findings, and whether a stopper can be started; moves nothing."""
         looking = asyncio.create_task(self._driver.check(seconds))
-        stopper = StopperProcess(self._spec, name=None)
         try:
-            async with asyncio.timeout(seconds):
-                await stopper.start()
+            with contextlib.closing(StopperProcess(self._spec, name=None)) as stopper:
+                async with asyncio.timeout(seconds):
+                    await stopper.start()
             mine = Finding("stopper", True, "starts and connects; the base has no timeout")
         except (DriverError, TimeoutError) as error:
             mine = Finding("stopper", False, str(error) or f"not ready within {seconds:g} s")
-        finally:
-            stopper.close()
         return (*await looking, mine)
 
 

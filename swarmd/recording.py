@@ -68,6 +68,17 @@ class Recording:
         return self.entries[-1].at if self.entries else 0.0
 
 
+def named_file(name: str, what: str) -> Path:
+    """The file that an option names; ConfigError, after `what`, if no file can be called so."""
+    try:
+        path = Path(name).expanduser()
+    except RuntimeError:
+        raise ConfigError(f"{what} is {name!r}: there is no such user; wanted is a file") from None
+    if not path.name or "\0" in name:
+        raise ConfigError(f"{what} is {name!r}; wanted is a file")
+    return path
+
+
 _head = Decoder(Head)
 _entry = Decoder(Entry, MAX_FRAME)
 
@@ -128,13 +139,13 @@ class Recorder:
 
     def __init__(self, path: Path, head: Mapping[str, str]) -> None:
         """DriverError if the file cannot be made. An earlier recording of that name is kept."""
-        self._path = _unused(path)
         try:
+            self._path = _unused(path)
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._file: IO[bytes] | None = self._path.open("xb", buffering=0)
         except OSError as error:
             raise DriverError(
-                f"record: {self._path} cannot be written: {error.strerror}; give another file"
+                f"record: {path} cannot be written: {error.strerror}; give another file"
             ) from error
         self._begin = boottime()
         self._write(MAGIC, _framed(Head(**head)))

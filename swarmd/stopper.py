@@ -2,10 +2,12 @@
 
 For bases that keep their last command for ever. It is started before the driver, with a connection
 of its own that is already open, and fed by the guardian's tick over a socket pair. End of file, or
-0.4 s of silence: it sends zeros until the guardian is back, for at least 2 s.
+0.4 s of silence: it sends zeros until the guardian is back, for at least 2 s. A guardian that is
+back before they end says zero as well, so that the base stands.
 
 Before the first tick it sends nothing. After a farewell, SIGTERM, or when a new guardian's stopper
-relieves it, the 2 s are enough. It detaches from its guardian, whose end must not be its own.
+relieves it, the 2 s are enough; the new one is ready when they are over. It detaches from its
+guardian, whose end must not be its own.
 """
 
 from __future__ import annotations
@@ -18,12 +20,11 @@ import os
 import select
 import signal
 import socket
-import sys
 import time
 from collections.abc import Callable
 from hashlib import sha256
 from importlib import import_module
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, NoReturn, cast
 
 from swarmd.clock import boottime
 from swarmd.errors import DriverError, SwarmError
@@ -39,6 +40,8 @@ PERIOD = 0.05
 
 TICK, FAREWELL = b"t", b"f"
 READY, FAULT = b"r", b"e"
+ZEROS = b"z"
+"""The answer to a tick, and what is said unasked, while zeros are sent; else a tick itself."""
 _RELIEF = b"relief"
 _CLAIM_WITHIN = 5.0
 
@@ -59,6 +62,11 @@ class Deadman:
     def has_left(self) -> bool:
         """True once the guardian's end is closed."""
         return self._has_left
+
+    @property
+    def is_relieved(self) -> bool:
+        """True if nothing was heard since another took over."""
+        return self._may_end
 
     def tick(self, now: float) -> None:
         """The guardian lives."""
@@ -132,6 +140,7 @@ class Stopper:
             self._poll(self._deadman.wait(now))
             now = boottime()
             self._act(now)
+            self._hand_over()
 
     def _act(self, now: float) -> None:
         if self._is_asked and self._deadman.has_left:
@@ -147,6 +156,7 @@ class Stopper:
                     say(f"a zero could not be sent: {error}")
         if is_sending != self._is_sending:
             self._is_sending = is_sending
+            self._answer(ZEROS if is_sending else TICK)
             gone = "ended" if self._deadman.has_left else "is silent"
             say(f"the guardian {gone}: sending zeros" if is_sending else "no more zeros")
 
@@ -177,7 +187,7 @@ class Stopper:
                 frame = b""
             if frame == TICK:
                 self._deadman.tick(boottime())
-                self._answer(TICK)
+                self._answer(ZEROS if self._is_sending else TICK)
                 continue
             self._deadman.leave(boottime())
             self._is_asked |= frame == FAREWELL
@@ -188,7 +198,11 @@ class Stopper:
             name.recv(16)
         if self._deadman.is_silent(boottime()):
             self._deadman.relieve()
-            name.close()
+
+    def _hand_over(self) -> None:
+        """The name is given up only after the last zero: who has it next may move the base."""
+        if self._name is not None and self._deadman.is_relieved and not self._is_sending:
+            self._name.close()
             self._name = None
 
     def _answer(self, frame: bytes) -> None:
@@ -236,8 +250,8 @@ def _claimed(name: str) -> socket.socket:
 def _pidfd(pid: int) -> int:
     try:
         return os.pidfd_open(pid)
-    except OSError:  # it has ended already: so must this
-        sys.exit(0)
+    except OSError as error:
+        raise DriverError(f"process {pid}, which the daemon is tied to, has ended") from error
 
 
 def _made(maker: str, options: str) -> ZeroSender:
@@ -246,7 +260,7 @@ def _made(maker: str, options: str) -> ZeroSender:
     return make(**json.loads(options))
 
 
-def main() -> None:
+def main() -> NoReturn:
     """Entry of `python -m swarmd.stopper`."""
     parser = argparse.ArgumentParser(prog="swarmd.stopper", description=__doc__)
     parser.add_argument("--fd", type=int, required=True, help="the guardian's socket")
@@ -260,16 +274,25 @@ def main() -> None:
     os.set_inheritable(args.fd, False)
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)
-    with socket.socket(fileno=args.fd) as guardian:
+    try:
+        _serve(args)
+    except BaseException as error:
+        say(f"ends with {error!r}")
+        os._exit(1)
+    os._exit(0)  # the interpreter's own end may wait for a library's threads, or abort over them
+
+
+def _serve(args: argparse.Namespace) -> None:
+    with socket.socket(fileno=args.fd) as guardian, contextlib.ExitStack() as left:
         try:
             sender = _made(args.maker, args.options)
             sender.open()
+            left.callback(sender.close)
             stopper = Stopper(guardian, sender, args.name, args.tie)
         except (SwarmError, ImportError, AttributeError, TypeError, OSError) as error:
             guardian.send(FAULT + str(error).encode()[:500])
-            sys.exit(1)
+            return
         stopper.serve()
-        sender.close()
 
 
 if __name__ == "__main__":

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import errno
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -9,10 +11,11 @@ import pytest
 
 from swarmd.base import FIRST_ZEROS, IdleOutput, base_options, deadman_of, make_driver
 from swarmd.driver import Finding, Sink
-from swarmd.errors import ConfigError
+from swarmd.errors import ConfigError, DriverError
 from swarmd.guarded import GuardedDriver
 from swarmd.settings import DaemonSettings, load_daemon_settings
 from swarmd.stopper import AT_LEAST, PERIOD, SILENCE, Deadman, name_of
+from swarmd.testing.driver_stage import Heard
 from swarmd.values import ZERO, Twist, Value
 
 
@@ -241,3 +244,17 @@ def test_silent_needs_a_timeout_that_is_told(
 def test_the_simulated_driver_can_be_guarded_and_is_not_unless_told(tmp_path: Path) -> None:
     assert isinstance(make_driver(settings(tmp_path, deadman="none")), GuardedDriver)
     assert not isinstance(make_driver(settings(tmp_path)), GuardedDriver)
+
+
+def test_a_machine_without_room_for_a_stopper_is_no_crash(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*args: object, **options: object) -> None:
+        raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    driver = make_driver(settings(tmp_path, deadman="none"))
+    monkeypatch.setattr("swarmd.guarded.subprocess.Popen", full)
+    with pytest.raises(DriverError, match=r"^no stopper: Resource temporarily unavailable"):
+        asyncio.run(driver.run(Heard()))
+    (finding,) = [one for one in asyncio.run(driver.check(0.1)) if one.subject == "stopper"]
+    assert not finding.is_well

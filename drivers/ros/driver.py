@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 
 import zenoh
 
 from swarmd.driver import Finding, SenderSpec, Sink
 from swarmd.drivers.inbox import Inbox
+from swarmd.drivers.nowhere import Nowhere
 from swarmd.drivers.opening import opened
 from swarmd.drivers.ros import cdr, conversion
 from swarmd.drivers.ros.advice import (
@@ -30,7 +31,7 @@ from swarmd.drivers.ros.options import RosOptions, topic
 from swarmd.drivers.ros.session import commanding, has_subscriber, hubs_of, open_session
 from swarmd.errors import CodecError
 from swarmd.handover import hand_over
-from swarmd.values import ZERO, Neighbor, Odometry, Platform, Scan, Twist
+from swarmd.values import ZERO, Platform, Twist
 
 log = logging.getLogger(__name__)
 
@@ -38,6 +39,12 @@ SILENCE = 1.0
 """Seconds without scan or odometry after which the base counts as lost; longer for slow scans."""
 OTHERS_LAST = 2.0
 """Seconds for which somebody else's command keeps this driver from commanding."""
+
+ZEROS_LAST = 2.0
+"""Seconds for which a lost robot is told zero: from its loss, and from when its link is back."""
+
+ZEROS_OF_OTHERS = 3.0
+"""Seconds after which zeros that others say are told of: longer than our own stopper's."""
 
 _PERIOD = 0.1
 _PATIENCE = 2.0
@@ -95,7 +102,7 @@ class RosDriver:
         """Topics, rates, types, clocks and what is missing, each with the next step."""
         loop = asyncio.get_running_loop()
         began = loop.time()
-        task = asyncio.create_task(self._run(_Nowhere(), looks_only=True))
+        task = asyncio.create_task(self._run(Nowhere(), looks_only=True))
         try:
             while loop.time() - began < seconds and not task.done():
                 await asyncio.sleep(min(_PERIOD, seconds))
@@ -127,9 +134,10 @@ class RosDriver:
         self._tokens: list[zenoh.LivelinessToken] = []
         self._graph: dict[str, Endpoint] = {}
         self._hubs: frozenset[str] = frozenset()
-        self._is_up = self._has_sent = False
+        self._is_up = self._has_sent = self._was_linked = False
         self._owes_zero = True
-        self._other_at = -math.inf
+        self._zeros_end = -math.inf
+        self._other_at = self._other_zero_at = self._other_zeros_from = -math.inf
         self._other_commands = 0
         self._told: tuple[bool, str] | None = None
         self._told_at = -math.inf
@@ -152,10 +160,12 @@ class RosDriver:
                 self._watch(sink, session, loop.time(), opened)
         finally:
             inbox.close()
-            if self._has_sent:  # who only looked must not interrupt the daemon that drives
-                self._put(ZERO, frame="")
-            self._reset()
-            session.close()
+            try:
+                if self._has_sent:  # who only looked must not interrupt the daemon that drives
+                    self._put(ZERO, frame="")
+            finally:  # an open session would keep the process for ever
+                self._reset()
+                session.close()
 
     async def _opened(self, sink: Sink) -> zenoh.Session:
         """A session; tries until something listens at the endpoint. Leaves none if cancelled."""
@@ -221,6 +231,9 @@ class RosDriver:
         if name == _COMMAND:
             try:
                 if _asked(cdr.decode(self._command, payload)).is_zero:
+                    if now - self._other_zero_at > OTHERS_LAST:
+                        self._other_zeros_from = now
+                    self._other_zero_at = now
                     return
             except CodecError:
                 pass  # not what we would say: it may well move the robot
@@ -255,16 +268,27 @@ class RosDriver:
         hubs, before = hubs_of(session), self._hubs
         self._hubs = hubs or before
         silent = now - self._hearing.heard_at
+        if hubs and not self._was_linked:
+            self._zeros_end = now + ZEROS_LAST
+        self._was_linked = bool(hubs)
         if self._is_up and not hubs:
             self._fall(sink, unheard(self._dialect, self._options.endpoint))
         elif self._is_up and before and hubs != before:
             self._fall(sink, f"{self._place()} was started anew")
         elif self._is_up and silent > self._silence:
+            self._zeros_end = now + ZEROS_LAST
             self._fall(sink, f"no scan and no odometry from {self._place()} for {silent:.1f} s")
         elif self._is_up and (obstacle := self._obstacle(now)):
             self._fall(sink, obstacle)
-        elif now - self._told_at >= _PATIENCE and now - opened >= _PATIENCE:
+        elif self._has_sent and not self._is_up and now < self._zeros_end:
+            self._repeat_zero(now)
+        if now - self._told_at >= _PATIENCE and now - opened >= _PATIENCE:
             self._explain(sink, now, is_linked=bool(hubs))
+
+    def _repeat_zero(self, now: float) -> None:
+        """It may still drive as it was told last: nobody could tell it, or the zero was lost."""
+        if now - self._other_at >= OTHERS_LAST:
+            self._put(ZERO, frame="")
 
     def _explain(self, sink: Sink, now: float, *, is_linked: bool) -> None:
         """Say anew why it is lost, or what is missing although it is there."""
@@ -288,6 +312,12 @@ class RosDriver:
 
     def _trouble(self, now: float) -> str:
         """The first thing that is wrong with what the robot says; empty if nothing is."""
+        lasts = self._other_zero_at - self._other_zeros_from
+        if lasts > ZEROS_OF_OTHERS and now - self._other_zero_at < OTHERS_LAST:
+            return (
+                f"someone else tells this robot to stand: zeros on {self._cmd_vel} that are not"
+                " ours, such as of the stopper of an earlier daemon; end what says them"
+            )
         graph, senses = self._others(), self._hearing.senses.values()
         missing = self._hearing.missing(now, max(_PATIENCE, self._silence))
         faults = (
@@ -312,7 +342,7 @@ class RosDriver:
         self._told_at = asyncio.get_running_loop().time()
         if self._told == (is_up, text):
             return
-        if self._told is not None and not isinstance(sink, _Nowhere):
+        if self._told is not None and not isinstance(sink, Nowhere):
             is_well = is_up and text == self._place()
             log.log(logging.INFO if is_well else logging.WARNING, "driver %s: %s", self._name, text)
         self._told = (is_up, text)
@@ -348,25 +378,3 @@ def _receiver(
             inbox.put(name, sample.payload.to_bytes())
 
     return on_sample
-
-
-class _Nowhere:
-    """A sink for who only looks."""
-
-    def scan(self, scan: Scan) -> None:
-        pass
-
-    def odometry(self, odometry: Odometry) -> None:
-        pass
-
-    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        pass
-
-    def readings(self, values: Mapping[str, float]) -> None:
-        pass
-
-    def state(self, is_up: bool, text: str) -> None:
-        pass
-
-    def dropped(self, what: str) -> None:
-        pass

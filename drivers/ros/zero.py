@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import time
+import threading
 
 import zenoh
 
@@ -16,12 +16,16 @@ from swarmd.drivers.ros.session import commanding, open_session
 from swarmd.values import ZERO
 
 _AT_OPENING = 0.3
-_IN_A_TICK = 0.03
+_TRY_FOR = 1.0
 _AGAIN_AFTER = 0.5
 
 
 class RosZeroSender:
-    """Commands zero on every key on which the robot may listen."""
+    """Commands zero on every key on which the robot may listen.
+
+    A thread connects, however long that takes: what listens there may start after the robot's
+    daemon, and be far away.
+    """
 
     def __init__(self, dialect: Dialect, endpoint: str, keys: tuple[str, ...], payload: bytes):
         """Not connected yet; `payload` is the zero as the robot wants it."""
@@ -29,31 +33,35 @@ class RosZeroSender:
         self._keys, self._payload = keys, payload
         self._session: zenoh.Session | None = None
         self._publishers: tuple[zenoh.Publisher, ...] = ()
-        self._tried = 0.0
+        self._closing = threading.Event()
+        self._connecting = threading.Thread(target=self._connect, name="connecting", daemon=True)
 
     def open(self) -> None:
-        """Connect; while nothing listens there, `send_zero` tries again every half second."""
-        self._connect(_AT_OPENING)
+        """Begin to connect; returns when it is done, or after a moment."""
+        self._connecting.start()
+        self._connecting.join(_AT_OPENING)
 
     def send_zero(self) -> None:
-        """Command zero once, now."""
-        if self._session is None and time.monotonic() - self._tried >= _AGAIN_AFTER:
-            self._connect(_IN_A_TICK)
+        """Command zero once, now; nothing while there is no connection."""
         for publisher in self._publishers:
             with contextlib.suppress(zenoh.ZError):
                 publisher.put(self._payload, attachment=self._dialect.attachment())
 
     def close(self) -> None:
         """Disconnect; commands nothing."""
+        self._closing.set()
+        self._connecting.join()
         session, self._session, self._publishers = self._session, None, ()
         if session is not None:
             session.close()
 
-    def _connect(self, within: float) -> None:
-        self._session = open_session(self._endpoint, within=within)
-        self._tried = time.monotonic()
-        if self._session is not None:
-            session = self._session
+    def _connect(self) -> None:
+        while self._session is None and not self._closing.is_set():
+            session = open_session(self._endpoint, within=_TRY_FOR)
+            if session is None:
+                self._closing.wait(_AGAIN_AFTER)
+                continue
+            self._session = session
             self._publishers = tuple(commanding(session, key) for key in self._keys)
 
 

@@ -77,7 +77,7 @@ def swarmd(
 ) -> None:
     """Guard and drive one robot: its driver, its protection, and one pattern in a child.
 
-    Ends on SIGTERM and SIGINT: zero is sent, the swarm is told, exit code 0.
+    Ends on SIGTERM, SIGINT and SIGHUP: zero is sent, the swarm is told, exit code 0.
     """
     overrides = {
         **options,

@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import asyncio
 import itertools
-from collections.abc import Awaitable, Callable
+import threading
 
 import numpy as np
 import pytest
 
 from swarmd.errors import ConfigError
+from swarmd.testing.driver_ends import SETTLE, DriverEnds, mortal_of
 from swarmd.testing.driver_stage import (
     CAP,
     PACE,
@@ -42,8 +43,6 @@ __all__ = [
     "on_stage",
 ]
 
-_SETTLE = 0.3
-
 
 def _bearings(stage: Stage) -> Array:
     """(n,) the nominal bearings of the rig's sensor."""
@@ -63,30 +62,11 @@ def _speaker(stage: Stage) -> Speaker:
     return stage.rig
 
 
-def _mortal(stage: Stage) -> Mortal:
-    """The rig, if its base can be taken away; else the test is skipped."""
-    if not isinstance(stage.rig, Mortal):
-        pytest.skip("this rig is not Mortal")
-    return stage.rig
+_ENOUGH = 5
 
 
-class DriverContract:
+class DriverContract(DriverEnds):
     """Inherit, and give a rig."""
-
-    def rig(self) -> Rig:
-        """A fresh base, not yet speaking."""
-        raise NotImplementedError
-
-    def play(self, story: Callable[[Stage], Awaitable[None]], *, connected: bool = True) -> None:
-        """Run a story on a stage whose driver has found its base (or not yet)."""
-
-        async def run() -> None:
-            async with on_stage(self.rig()) as stage:
-                if connected:
-                    await stage.connect()
-                await story(stage)
-
-        asyncio.run(run())
 
     def test_says_that_the_base_is_there_before_it_hands_on_anything(self) -> None:
         """The core drops what comes from a base that is not there."""
@@ -106,6 +86,7 @@ class DriverContract:
         async def story(stage: Stage) -> None:
             heard = stage.heard
             await stage.until(lambda: len(heard.scans) >= 5, speaking=True)
+            assert heard.threads == {threading.get_ident()}
             for scan in heard.scans:
                 assert scan.ranges.shape == scan.bearings.shape == (len(scan.ranges),)
                 assert scan.ranges.dtype == scan.bearings.dtype == np.float64
@@ -174,54 +155,11 @@ class DriverContract:
 
         self.play(story)
 
-    def test_the_last_command_is_zero_and_nothing_follows(self) -> None:
-        """Every way out sends zero."""
-
-        async def story(stage: Stage) -> None:
-            taken: list[Twist] = []
-
-            def moves() -> bool:
-                stage.driver.send(Twist(0.1), 1, 1)
-                taken.extend(stage.rig.commands())
-                return bool(taken) and not taken[-1].is_zero
-
-            await stage.until(moves, speaking=True)
-            await stage.end()
-            stage.driver.send(Twist(0.1), 2, 2)
-
-            def stands() -> bool:
-                taken.extend(stage.rig.commands())
-                return taken[-1].is_zero
-
-            await stage.until(stands)
-
-        self.play(story)
-
-    def test_a_command_just_before_the_end_does_not_outlive_it(self) -> None:
-        """The zero of the way out comes after all that was sent, however shortly before."""
-
-        async def story(stage: Stage) -> None:
-            for seq in range(5):
-                stage.driver.send(Twist(0.1), seq, seq)
-            await stage.end()
-            taken: list[Twist] = []
-
-            def has_come() -> bool:
-                taken.extend(stage.rig.commands())
-                return bool(taken) and taken[-1].is_zero
-
-            await stage.until(has_come)
-            await asyncio.sleep(_SETTLE)
-            taken.extend(stage.rig.commands())
-            assert taken[-1].is_zero
-
-        self.play(story)
-
     def test_a_base_that_vanishes_and_returns_gets_zero_first(self) -> None:
         """As it falls silent, but with its links cut: the driver finds it again by itself."""
 
         async def story(stage: Stage) -> None:
-            rig = _mortal(stage)
+            rig = mortal_of(stage)
             for seq in range(3):
                 stage.driver.send(Twist(0.1), seq, seq)
             rig.die()
@@ -239,11 +177,16 @@ class DriverContract:
 
         async def story(stage: Stage) -> None:
             rig, heard = _speaker(stage), stage.heard
-            for _ in range(5):
+            await asyncio.sleep(SETTLE)
+            before = len(heard.scans), len(heard.odometries)
+
+            def is_counted() -> bool:
                 rig.garble()
-                await asyncio.sleep(PACE)
-            await stage.until(lambda: bool(heard.lost), speaking=True)
+                return len(heard.lost) >= _ENOUGH
+
+            await stage.until(is_counted)
             known = len(heard.scans), len(heard.odometries)
+            assert known == before, "garbage was handed on"
             await stage.until(lambda: len(heard.scans) > known[0] + 2, speaking=True)
             await stage.until(lambda: len(heard.odometries) > known[1] + 2, speaking=True)
             assert not stage.task.done()
@@ -260,6 +203,7 @@ class DriverContract:
             some[:2] = (np.nan, np.inf)
             for seq, ranges in enumerate((np.full(n, np.nan), some, np.full(n, np.inf)), 1000):
                 heard = await self._heard(stage, rig, seq, ranges)
+                assert heard.ranges.shape == ranges.shape
                 assert np.allclose(heard.ranges, ranges, rtol=1e-6, equal_nan=True)
 
         self.play(story)
@@ -273,8 +217,10 @@ class DriverContract:
             for seq, count in enumerate((n, n + 3, n - 2, n + 1), 1000):
                 ranges = np.linspace(0.5, 2.0, count)
                 heard = await self._heard(stage, rig, seq, ranges)
+                assert heard.ranges.shape == ranges.shape
                 assert np.allclose(heard.ranges, ranges, rtol=1e-6)
                 wanted = _regular(stage, count)
+                assert heard.bearings.shape == ranges.shape
                 off = np.abs((heard.bearings - wanted + np.pi) % (2.0 * np.pi) - np.pi)
                 assert off.max() < 1e-3
 
@@ -312,22 +258,6 @@ class DriverContract:
             assert heard.is_up
             assert "lost" not in heard.order[heard.order.index("up") :]
             assert len(heard.scans) - known >= sent // 2  # the newest counts, not each
-
-        self.play(story)
-
-    def test_runs_again_after_it_has_ended(self) -> None:
-        """`run` leaves nothing behind that would keep a second one from working."""
-
-        async def story(stage: Stage) -> None:
-            await stage.end()
-            again = Stage(
-                stage.rig, stage.driver, heard := Heard(),
-                asyncio.create_task(stage.driver.run(heard)),
-            )  # fmt: skip
-            await again.connect()
-            stage.driver.send(Twist(0.1), 1, 1)
-            assert (await again.command()).is_zero
-            await again.end()
 
         self.play(story)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
@@ -74,6 +75,7 @@ class Heard:
     states: list[tuple[bool, str]] = field(default_factory=list)
     lost: list[str] = field(default_factory=list)
     order: list[str] = field(default_factory=list)
+    threads: set[int] = field(default_factory=set)
 
     @property
     def is_up(self) -> bool:
@@ -84,11 +86,13 @@ class Heard:
         """Remember a sweep."""
         self.scans.append(scan)
         self.order.append("scan")
+        self.threads.add(threading.get_ident())
 
     def odometry(self, odometry: Odometry) -> None:
         """Remember a pose and twist."""
         self.odometries.append(odometry)
         self.order.append("odometry")
+        self.threads.add(threading.get_ident())
 
     def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
         """Remember the robots within hearing."""

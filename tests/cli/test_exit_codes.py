@@ -66,7 +66,7 @@ def swarmd(folder: Path, *args: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_0_after_a_clean_stop(tmp_path: Path, number: signal.Signals) -> None:
     swarm = unique_swarm()
     with DaemonProcess(tmp_path, swarm=swarm, robot="r1", endpoint="tcp/127.0.0.1:9") as daemon:
@@ -74,6 +74,22 @@ def test_0_after_a_clean_stop(tmp_path: Path, number: signal.Signals) -> None:
         daemon.send(number)
         assert daemon.process.wait(30) == 0
         assert "Traceback" not in daemon.text()
+
+
+@pytest.mark.integration
+def test_under_nohup_a_terminal_that_goes_ends_nothing(tmp_path: Path) -> None:
+    with DaemonProcess(
+        tmp_path,
+        swarm=unique_swarm(),
+        robot="r1",
+        endpoint="tcp/127.0.0.1:9",
+        prefix=["env", "--ignore-signal=HUP"],
+    ) as daemon:
+        daemon.wait_ready()
+        daemon.send(signal.SIGHUP)
+        with pytest.raises(subprocess.TimeoutExpired):
+            daemon.process.wait(1.0)
+        assert daemon.terminate() == 0
 
 
 def test_1_and_a_traceback_for_an_error_nobody_foresaw(tmp_path: Path) -> None:

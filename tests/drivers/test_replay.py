@@ -16,7 +16,7 @@ from swarmd.base import make_driver
 from swarmd.driver import Driver
 from swarmd.drivers.replay import ReplayDriver
 from swarmd.drivers.simulated import SimulatedDriver
-from swarmd.errors import ConfigError
+from swarmd.errors import ConfigError, DriverError
 from swarmd.platforms import load_platform
 from swarmd.recording import MAGIC, RecordedDriver, Recorder, read_recording
 from swarmd.sensing import decode_command, encode_odometry, encode_scan
@@ -98,6 +98,27 @@ class TestContract(DriverContract):
         unwell = [finding for finding in findings if not finding.is_well]
         assert [finding.subject for finding in unwell] == ["scan", "odometry"]
         assert all("record a robot that has it" in finding.text for finding in unwell)
+
+
+@pytest.mark.parametrize("name", ["", "~nobody-of-that-name/x.rec", "x\0.rec", "/"])
+def test_what_can_be_no_file_is_refused_before_anything_starts(tmp_path: Path, name: str) -> None:
+    for driver, option in (("replay", "file"), ("simulated", "record")):
+        options: dict[str, Value] = {option: name}
+        values: dict[str, Value] = {
+            "id": "r",
+            "driver": driver,
+            "driver_options": options,
+            "state_dir": str(tmp_path),
+        }
+        with pytest.raises(ConfigError, match=f"^driver {driver}: {option} is .*wanted is a file"):
+            make_driver(load_daemon_settings(None, values))
+
+
+def test_a_file_that_cannot_be_made_is_said_in_a_line(tmp_path: Path) -> None:
+    (tmp_path / "taken").touch()
+    for path in (tmp_path / f"{'x' * 255}.rec", tmp_path / "taken" / "x.rec"):
+        with pytest.raises(DriverError, match=r"^record: .* cannot be written: "):
+            Recorder(path, HEAD)
 
 
 class Timed(Heard):

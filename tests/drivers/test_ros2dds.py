@@ -8,8 +8,6 @@ import math
 import numpy as np
 import pytest
 
-from swarmd.driver import Stopping
-from swarmd.drivers import ros2dds
 from swarmd.testing.driver_contract import DriverContract, Stage
 from swarmd.values import Pose, Twist, Value
 from tests.drivers.ros import robots, second
@@ -176,39 +174,6 @@ def test_odometry_that_is_not_finite_is_counted() -> None:
         assert all(odometry.pose != Pose(math.nan) for odometry in stage.heard.odometries)
 
     play(robot, story)
-
-
-def test_a_stopper_can_say_zero_to_this_base() -> None:
-    robot = BridgedRobot()
-    driver = robot.make({})
-    assert isinstance(driver, Stopping)
-    spec = driver.zero_sender()
-    assert spec is not None
-    assert spec.maker == "swarmd.drivers.ros2dds:make_zero_sender"
-    sender = ros2dds.make_zero_sender(**spec.options)  # type: ignore[arg-type]  # from JSON
-    sender.open()
-    taken: list[Twist] = []
-    while not taken:
-        sender.send_zero()
-        taken.extend(robot.commands())
-    assert all(twist.is_zero for twist in taken)
-    sender.close()
-    robot.close()
-
-
-def test_a_stopper_finds_a_base_that_comes_later() -> None:
-    robot = BridgedRobot()
-    robot.die()
-    sender = ros2dds.make_zero_sender(robot="r", given=dict(robot.options({})))
-    sender.open()
-    sender.send_zero()
-    robot.rise()
-    taken: list[Twist] = []
-    while not taken:
-        sender.send_zero()
-        taken.extend(robot.commands())
-    sender.close()
-    robot.close()
 
 
 def test_check_tells_rates_types_and_clocks() -> None:

@@ -15,11 +15,12 @@ import pytest
 from swarmd.clock import boottime
 from swarmd.driver import SenderSpec
 from swarmd.drivers.simulated import SimulatedDriver
+from swarmd.errors import DriverError
 from swarmd.guarded import StopperProcess
 from swarmd.messages import Code, Reason, State
-from swarmd.stopper import AT_LEAST
+from swarmd.stopper import AT_LEAST, name_of
 from swarmd.testing.body import Commanded
-from swarmd.testing.processes import is_running, stoppers, wait_until
+from swarmd.testing.processes import is_running, stoppers, unique_swarm, wait_until
 
 if TYPE_CHECKING:
     from tests.faults.conftest import Bench
@@ -74,11 +75,28 @@ def test_a_guardian_that_is_back_relieves_the_stopper_of_the_one_before(guarded:
     before = stopper_of(guarded)
     guarded.daemon.kill()
     guarded.start()
+    moving = guarded.drive()  # at once: the last zero has been said
     wait_until(lambda: not is_running(before), "the first stopper has ended")
     assert stopper_of(guarded) != before
-    moving = guarded.drive()
     guarded.body.wait(lambda one: one.at > moving.at + 1.0)
     assert not zeros_since(guarded, moving.at), "nobody else says zero"
+
+
+def test_signals_meant_for_everyone_leave_the_stopper_at_its_post(guarded: Bench) -> None:
+    guarded.drive()
+    stopper = stopper_of(guarded)
+    assert os.getsid(stopper) != os.getsid(guarded.daemon.process.pid), "Ctrl-C"
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
+        os.kill(stopper, number)
+    signalled = boottime()
+    guarded.body.wait(lambda one: one.at > signalled + 1.0)
+    assert is_running(stopper)
+    assert not zeros_since(guarded, signalled), "its guardian lives and drives on"
+    killed = boottime()
+    guarded.daemon.kill()
+    guarded.body.wait_zero(killed)
+    wait_until(lambda: not is_running(stopper), "it was asked to end, and has")
+    assert zeros_since(guarded, killed)[-1].at - killed > 1.5
 
 
 def test_a_frozen_guardian_is_stopped_for_and_thawed_it_does_not_move(guarded: Bench) -> None:
@@ -95,9 +113,25 @@ def test_a_frozen_guardian_is_stopped_for_and_thawed_it_does_not_move(guarded: B
     stalled = guarded.await_state(State.STOPPED, Reason.LOOP_STALLED, thawed)
     assert not guarded.body.moved_since(stalled.at)
     assert stopper_of(guarded) == stopper, "it is the same, and serves on"
+    guarded.meet()
     moving = guarded.drive()
     guarded.body.wait(lambda one: one.at > moving.at + 0.5)
     wait_until(lambda: guarded.body.commands[-1].twist.linear > 0.0, "it drives on undisturbed")
+
+
+def test_a_guardian_that_is_back_before_the_zeros_end_says_zero_too(guarded: Bench) -> None:
+    guarded.drive()
+    frozen = boottime()
+    guarded.daemon.freeze()
+    try:
+        first = guarded.body.wait_zero(frozen)
+    finally:
+        guarded.daemon.thaw()
+    guarded.body.wait(lambda one: one.at > first.at + AT_LEAST + 0.5)
+    meanwhile = [one for one in guarded.body.commands if 0.0 < one.at - first.at < AT_LEAST - 0.1]
+    moving = [one for one in meanwhile if not one.twist.is_zero]
+    assert len(moving) <= 1, "but for one that was on its way when the guardian froze"
+    wait_until(lambda: not guarded.body.commands[-1].twist.is_zero, "it drives on", 10.0)
 
 
 def test_told_to_end_it_says_zero_for_two_seconds_and_is_gone(guarded: Bench) -> None:
@@ -168,6 +202,32 @@ if "swarmd.stopper" in " ".join(sys.orig_argv):
 """
 
 
+def test_a_zero_that_cannot_be_sent_is_followed_by_others(bench: Bench) -> None:
+    bench.driver_options = {"deadman": "none"}
+    shaky = {"PYTHONPATH": f"{bench.folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    (bench.folder / "sitecustomize.py").write_text(SHAKY)
+    bench.start(shaky)
+    bench.drive()
+    killed = boottime()
+    bench.daemon.kill()
+    await_steady_zeros(bench, killed, 1.0)
+    assert bench.daemon.text().count("a zero could not be sent: not yet") == 1
+
+
+SHAKY = """
+import sys
+if "swarmd.stopper" in " ".join(sys.orig_argv):
+    from swarmd.drivers.simulated import SimulatedZeros
+    send, failed = SimulatedZeros.send_zero, []
+    def send_later(self):
+        if len(failed) < 3:
+            failed.append(1)
+            raise ValueError("not yet")
+        send(self)
+    SimulatedZeros.send_zero = send_later
+"""
+
+
 def test_a_silent_daemon_leaves_an_idle_robot_alone_and_no_other(bench: Bench) -> None:
     bench.driver_options = {"deadman": 0.5, "idle_output": "silent"}
     bench.start()
@@ -181,6 +241,34 @@ def test_a_silent_daemon_leaves_an_idle_robot_alone_and_no_other(bench: Bench) -
     wait_until(lambda: commands[-1].at - stopped.at > 2.0, "who is stopped is told zero")
     assert not bench.body.moved_since(stopped.at)
     assert not stoppers(bench.swarm, bench.body.robot), "a base with a timeout needs none"
+
+
+def test_who_is_at_work_is_not_relieved_and_who_is_silent_is() -> None:
+    where = {"swarm": "s", "robot": "r", "endpoint": "tcp/127.0.0.1:9"}
+    spec = SenderSpec(SimulatedDriver.__module__ + ":SimulatedZeros", where)
+    name = name_of(unique_swarm(), "r")
+
+    async def feed(stopper: StopperProcess) -> None:
+        while True:
+            stopper.feed()
+            await asyncio.sleep(0.05)
+
+    async def meet() -> None:
+        made = [StopperProcess(spec, name=name)]
+        try:
+            await made[0].start()
+            feeding = asyncio.create_task(feed(made[0]))
+            made.append(StopperProcess(spec, name=name))
+            with pytest.raises(DriverError, match="another daemon on this machine drives this"):
+                await made[1].start()
+            feeding.cancel()
+            made.append(StopperProcess(spec, name=name))
+            await made[2].start()
+        finally:
+            for stopper in made:
+                stopper.close()
+
+    asyncio.run(meet())
 
 
 def test_what_it_is_tied_to_ends_it_although_its_guardian_never_returns() -> None:

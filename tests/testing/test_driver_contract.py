@@ -1,0 +1,114 @@
+"""The contract finds what it is for: each broken driver fails the test that is named."""
+
+from __future__ import annotations
+
+import pytest
+
+from swarmd.testing import driver_contract, driver_stage
+from swarmd.testing.driver_contract import DriverContract
+from tests.testing import broken_drivers as broken
+from tests.testing.wire import Good, Wire
+
+QUICK_CAP = 2.5
+
+BROKEN: dict[str, tuple[type[Good], ...]] = {
+    "says_that_the_base_is_there_before": (broken.HandsOnTooEarly, broken.NeverSaysThere),
+    "what_is_commanded_while_there_is_no": (
+        broken.ThereFromTheFirst,
+        broken.SendsWhileLost,
+        broken.KeepsForLater,
+    ),
+    "the_first_command_is_zero_and": (
+        broken.BeginsAsTold,
+        broken.OwesZeroForEver,
+        broken.TurnsTheOtherWay,
+    ),
+    "a_base_that_falls_silent_is_lost": (
+        broken.NeverLosesIt,
+        broken.LosesItWithoutAWord,
+        broken.GoesOnWhenItIsBack,
+    ),
+    "a_base_that_vanishes_and": (broken.GoesOnWhenItIsBack, broken.EndsWhenItIsLost),
+    "a_base_that_falls_silent_is_told": (broken.FallsWithoutZero,),
+    "slow_and_fast": (broken.CallsASlowSensorSilent, broken.HearsOneInThree),
+    "the_last_command_is_zero_and": (
+        broken.LeavesItMoving,
+        broken.SendsAfterItsEnd,
+        broken.RepeatsItself,
+    ),
+    "the_last_command_is_zero_though": (broken.StopsOnlyIfCancelled,),
+    "a_command_just_before": (broken.KeepsAQueue, broken.RepeatsItself),
+    "nobody_waits": (broken.WaitsForTheBase,),
+    "runs_again": (broken.RunsOnce,),
+    "leaves_no_task": (broken.LeavesATask, broken.LeavesASocket, broken.LeavesAProcess),
+    "garbage": (
+        broken.DiesOfGarbage,
+        broken.CountsNoGarbage,
+        broken.TakesGarbage,
+        broken.DeafAfterGarbage,
+    ),
+    "what_is_unknown": (
+        broken.TakesNothingForFar,
+        broken.TakesUnknownForNothing,
+        broken.DropsBlindSweeps,
+    ),
+    "the_number_of_rays": (broken.KnowsHowManyRays, broken.KnowsTheBearings),
+    "scans_are_whole": (
+        broken.CountsNothing,
+        broken.HasNoClock,
+        broken.IsHalfPrecise,
+        broken.BelievesTheMessage,
+        broken.SpeaksFromAThread,
+    ),
+    "odometry_is_finite": (broken.IsNowhere, broken.StandsStillInTime),
+    "check_finds": (broken.MovesWhenItLooks, broken.SeesNothing),
+    "check_of_a_silent": (broken.SeesWhatIsNotThere, broken.SaysNoWhy),
+    "an_option": (broken.TakesAnyOption,),
+}
+
+
+class TestGood(DriverContract):
+    def rig(self) -> Wire:
+        return Wire(Good)
+
+
+@pytest.fixture(autouse=True)
+def _is_quick(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What never happens is not waited for as long as it would be elsewhere."""
+    if request.cls is None:
+        for module in (driver_stage, driver_contract):
+            monkeypatch.setattr(module, "CAP", QUICK_CAP)
+
+
+CASES = [(name, kind) for name, kinds in BROKEN.items() for kind in kinds]
+
+
+def perform(contract: DriverContract, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The one test of the contract that begins so."""
+    (full,) = [one for one in dir(contract) if one.startswith(f"test_{name}")]
+    test = getattr(contract, full)
+    if name == "slow_and_fast":
+        test(1.0, 3.2)
+        test(50.0, 1.0)
+    elif name == "leaves_no_task":
+        test(monkeypatch)
+    else:
+        test()
+
+
+@pytest.mark.parametrize(("name", "kind"), CASES, ids=lambda v: getattr(v, "__name__", v))
+def test_a_broken_driver_is_found(
+    name: str, kind: type[Good], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Contract(DriverContract):
+        def rig(self) -> Wire:
+            return Wire(kind)
+
+    with pytest.raises((AssertionError, TimeoutError, pytest.fail.Exception)):
+        perform(Contract(), name, monkeypatch)
+
+
+def test_each_test_of_the_contract_finds_something() -> None:
+    tests = [name for name in dir(DriverContract) if name.startswith("test_")]
+    idle = [full for full in tests if not any(full.startswith(f"test_{name}") for name in BROKEN)]
+    assert not idle
