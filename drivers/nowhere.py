@@ -11,19 +11,19 @@ class Nowhere:
     """Takes everything and keeps nothing."""
 
     def scan(self, scan: Scan) -> None:
-        pass
+        """It is not kept."""
 
     def odometry(self, odometry: Odometry) -> None:
-        pass
+        """It is not kept."""
 
     def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        pass
+        """They are not kept."""
 
     def readings(self, values: Mapping[str, float]) -> None:
-        pass
+        """They are not kept."""
 
     def state(self, is_up: bool, text: str) -> None:
-        pass
+        """It is not kept."""
 
     def dropped(self, what: str) -> None:
-        pass
+        """It is not counted."""

@@ -13,6 +13,7 @@ import zenoh
 from swarmd import keys
 from swarmd.driver import Finding, SenderSpec, Sink
 from swarmd.drivers.inbox import Inbox
+from swarmd.drivers.nowhere import Nowhere
 from swarmd.drivers.opening import opened
 from swarmd.errors import CodecError, ConfigError, unknown
 from swarmd.network.session import open_with
@@ -23,7 +24,7 @@ from swarmd.sensing import (
     decode_scan,
     encode_command,
 )
-from swarmd.values import ZERO, Neighbor, Odometry, Platform, Scan, Twist, Value
+from swarmd.values import ZERO, Odometry, Platform, Scan, Twist, Value
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7790"
 SILENCE = 1.0
@@ -193,8 +194,8 @@ class SimulatedZeros:
         self._session.close()
 
 
-@dataclass(slots=True)
-class _Seen:
+@dataclass
+class _Seen(Nowhere):
     """A sink that only looks."""
 
     everything: asyncio.Event = field(default_factory=asyncio.Event)
@@ -202,24 +203,14 @@ class _Seen:
     last_odometry: Odometry | None = None
 
     def scan(self, scan: Scan) -> None:
+        """Keep the last one."""
         self.last_scan = scan
         self._look()
 
     def odometry(self, odometry: Odometry) -> None:
+        """Keep the last one."""
         self.last_odometry = odometry
         self._look()
-
-    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        pass
-
-    def readings(self, values: Mapping[str, float]) -> None:
-        pass
-
-    def state(self, is_up: bool, text: str) -> None:
-        pass
-
-    def dropped(self, what: str) -> None:
-        pass
 
     def _look(self) -> None:
         if self.last_scan is not None and self.last_odometry is not None:
