@@ -85,7 +85,7 @@ class RosDriver:
             self._owes_zero = False
             twist = ZERO
         self._has_sent = True
-        self._put(twist)
+        self._put(twist, self._options.cmd_vel_frame)
 
     def zero_sender(self) -> SenderSpec:
         """How a stopper says zero to this base."""
@@ -153,7 +153,7 @@ class RosDriver:
         finally:
             inbox.close()
             if self._has_sent:  # who only looked must not interrupt the daemon that drives
-                self._put(ZERO)
+                self._put(ZERO, frame="")
             self._reset()
             session.close()
 
@@ -248,7 +248,7 @@ class RosDriver:
     def _fall(self, sink: Sink, text: str) -> None:
         self._is_up = False
         if self._has_sent:
-            self._put(ZERO)
+            self._put(ZERO, frame="")  # without a name in it, it is zero as a Twist too
         self._tell(sink, False, text)
 
     def _watch(self, sink: Sink, session: zenoh.Session, now: float, opened: float) -> None:
@@ -318,12 +318,12 @@ class RosDriver:
         self._told = (is_up, text)
         sink.state(is_up, text)
 
-    def _put(self, twist: Twist) -> None:
+    def _put(self, twist: Twist, frame: str) -> None:
         publisher = self._publishers.get(self._dialect.command_key(self._cmd_vel, self._command))
         if publisher is None:
             return
         message = (
-            conversion.stamped_message(twist, self._options.cmd_vel_frame)
+            conversion.stamped_message(twist, frame)
             if self._is_stamped
             else conversion.twist_message(twist)
         )

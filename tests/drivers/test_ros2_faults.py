@@ -5,12 +5,15 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
+import threading
 from collections.abc import Callable
 
 import pytest
+import zenoh
 
 from swarmd.drivers.ros.messages import dds_name
-from swarmd.testing.driver_contract import Stage
+from swarmd.drivers.ros.session import open_session
+from swarmd.testing.driver_contract import CAP, Stage
 from swarmd.values import Twist
 from tests.drivers.ros import robots
 from tests.drivers.ros.robots import BridgedRobot, Robot, ZenohRobot
@@ -82,6 +85,31 @@ def test_a_base_that_turns_out_to_want_another_type_is_let_go(make: Callable[[],
             stage.driver.send(Twist(0.1), seq, seq)
         announce(robot, "MS", "cmd_vel", STAMPED)
         await stays_lost(stage, f"/cmd_vel wants {STAMPED}, not {TWIST}")
+
+    play(robot, story)
+
+
+def test_the_last_zero_is_zero_also_to_a_base_that_takes_it_for_a_twist() -> None:
+    robot = BridgedRobot(is_stamped=True)
+
+    async def story(stage: Stage) -> None:
+        for seq in range(2):
+            stage.driver.send(Twist(0.1), seq, seq)
+        await stage.until(lambda: bool(robot.samples()))
+        robot.samples()
+        announce(robot, "MS", "cmd_vel", TWIST)
+        await stage.until(lambda: not stage.heard.is_up, speaking=True)
+        await stage.end()
+        said: list[bytes] = []
+
+        def is_told() -> bool:
+            said.extend(sample.payload.to_bytes() for sample in robot.samples())
+            return len(said) >= 2
+
+        await stage.until(is_told)
+        for payload in said[-2:]:
+            taken = robots.twist(payload[:52], is_stamped=False)
+            assert max(abs(taken.linear), abs(taken.angular), abs(taken.lateral)) < 1e-9
 
     play(robot, story)
 
@@ -261,3 +289,25 @@ def test_a_type_that_is_none_makes_no_second_line() -> None:
         robot.put_on(f"0/scan/ok\nok/{robots.HASHES['LaserScan']}", b"")
 
     assert "said on key '0/scan/ok\\nok/RIHS" in check(robot, speak, seconds=1.0)["scan"].text
+
+
+def test_a_hub_that_answers_as_the_check_ends_leaves_no_session(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An open session that listens to anything keeps its process alive for ever."""
+    robot, made = BridgedRobot(), []
+    is_over = threading.Event()
+
+    def late(endpoint: str) -> zenoh.Session | None:
+        is_over.wait(CAP)
+        made.append(open_session(endpoint))
+        return made[-1]
+
+    async def run() -> None:
+        await robot.make({}).check(0.05)
+        is_over.set()
+
+    monkeypatch.setattr("swarmd.drivers.ros.driver.open_session", late)
+    asyncio.run(run())
+    assert [session is not None and session.is_closed() for session in made] == [True]
+    robot.close()
