@@ -30,7 +30,6 @@ MOVING = Twist(0.1, -0.2)
 FIRST = [wire.encode_twist(Twist()), wire.encode_twist(MOVING)]
 WELL = State(
     master=True,
-    node="/swarmd_r_1",
     publishers={"/scan": ["/lidar"], "/odom": ["/base"]},
     listeners=["/base"],
     connected=1,
