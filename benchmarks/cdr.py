@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.table import Row, print_table
 from swarmd.drivers.ros import cdr, conversion, messages
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.values import Twist
 
 RAYS = 360

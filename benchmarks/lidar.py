@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 
 from benchmarks.table import Row, print_table
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.layouts import parse_layout

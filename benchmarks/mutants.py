@@ -28,10 +28,10 @@ from swarmd.errors import SwarmError
 
 ROOT = Path(__file__).resolve().parent.parent
 COPIED = (
-    *("tests/drivers", "tests/test_stopper.py", "tests/test_guarded.py"),
+    *("tests/drivers", "tests/driving/test_stopper.py", "tests/driving/test_guarded.py"),
     *("swarmd", "patterns", "drivers", "sim", "config", "benchmarks", "pyproject.toml"),
-    *("tests/protection", "tests/outcomes", "tests/patterns", "tests/test_votes.py"),
-    "tests/test_voting.py",
+    *("tests/protection", "tests/outcomes", "tests/patterns", "tests/kit/test_votes.py"),
+    "tests/kit/test_voting.py",
 )
 MUTANTS = (*OF_PROTECTION, *OF_PATTERNS, *OF_ROS, *OF_BASES)
 # Whole rides and swarms take longest, and show least of which mechanism it was.

@@ -52,8 +52,8 @@ _MEMORY = "swarmd/protection/memory.py"
 _MOTION = "swarmd/protection/motion.py"
 _PRESSING = "swarmd/protection/pressing.py"
 _REACH = "swarmd/protection/reach.py"
-_SCANS = "swarmd/scans.py"
-_SENSES = "swarmd/senses.py"
+_SCANS = "swarmd/scans/conditioning.py"
+_SENSES = "swarmd/robot/senses.py"
 _SWEEP = "swarmd/protection/sweep.py"
 
 MUTANTS = (

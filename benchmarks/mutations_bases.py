@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from benchmarks.mutations import mutants_of
 
-_STOPPER_TESTS = "tests/test_stopper.py"
-_GUARDED_TESTS = "tests/test_guarded.py"
+_STOPPER_TESTS = "tests/driving/test_stopper.py"
+_GUARDED_TESTS = "tests/driving/test_guarded.py"
 
 _STOPPER = (
     *mutants_of(
-        "swarmd/stopper.py",
+        "swarmd/driving/stopper.py",
         _STOPPER_TESTS,
         ("stopper: silence", "0.5 s", "SILENCE = 0.4", "SILENCE = 0.5"),
         ("stopper: bound of silence", "after it", ">= SILENCE)", "> SILENCE)"),
@@ -31,7 +31,7 @@ _STOPPER = (
          "return self._may_end and not self.is_sending(now)", "return self._may_end"),
     ),
     *mutants_of(
-        "swarmd/stopper.py",
+        "swarmd/driving/stopper.py",
         _GUARDED_TESTS,
         ("stopper: 20 zeros a second", "two a second", "self._next = now + PERIOD",
          "self._next = now + 10.0 * PERIOD"),
@@ -46,7 +46,7 @@ _STOPPER = (
          "if self._deadman.is_silent(boottime()):", "if True:"),
     ),
     *mutants_of(
-        "swarmd/guarded.py",
+        "swarmd/driving/guarded.py",
         _GUARDED_TESTS,
         ("guardian: it feeds", "it does not", "            self._stopper.feed()\n", ""),
         ("guardian: first the stopper", "the driver does not wait for it",
@@ -58,7 +58,7 @@ _STOPPER = (
         ("guardian: farewell", "it hangs up", "self._socket.send(FAREWELL)", "pass"),
     ),
     *mutants_of(
-        "swarmd/base.py",
+        "swarmd/driving/base.py",
         _STOPPER_TESTS,
         ("base: silent without a deadman", "it may be",
          'if found.idle_output == "silent" and found.deadman == "none":', "if False:"),
@@ -68,7 +68,7 @@ _STOPPER = (
          "if not (is_idle and twist.is_zero):", "if not twist.is_zero:"),
     ),
     *mutants_of(
-        "swarmd/base.py",
+        "swarmd/driving/base.py",
         _STOPPER_TESTS,
         ("base: silent and no deadman told", "it may be",
          'if base.idle_output == "silent":', "if False:"),
@@ -147,18 +147,18 @@ _ROS1 = (
 )  # fmt: skip
 _REPLAY = (
     *mutants_of(
-        "swarmd/recording.py",
+        "swarmd/driving/recording.py",
         "tests/drivers/test_replay.py::test_times_that_go_back_are_damage",
         ("recording: times that go back", "they are taken", "if entry.at < before:", "if False:"),
     ),
     *mutants_of(
-        "swarmd/recording.py",
+        "swarmd/driving/recording.py",
         "tests/drivers/test_replay.py::test_what_is_no_recording_is_one_clear_line",
         ("recording: frames that are too long", "they are cut off", "if size > MAX_FRAME:",
          "if False:"),
     ),
     *mutants_of(
-        "swarmd/recording.py",
+        "swarmd/driving/recording.py",
         "tests/drivers/test_replay.py::test_a_disk_that_is_full_ends_the_recording_and_nothing_else",
         ("recording: a disk that is full", "it ends the driver",
          "except OSError as error:\n            fault",

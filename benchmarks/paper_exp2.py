@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.plots.bands import draw_series

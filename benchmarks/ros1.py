@@ -24,10 +24,10 @@ from benchmarks.table import Row, print_table
 from swarmd.clock import boottime
 from swarmd.drivers import ros1_wire as wire
 from swarmd.drivers.ros1 import Ros1Driver
-from swarmd.fields import potential_field
-from swarmd.platforms import load_platform
-from swarmd.robot import Robot
-from swarmd.status import RobotSettings
+from swarmd.robot.robot import Robot
+from swarmd.robot.status import RobotSettings
+from swarmd.scans.fields import potential_field
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import Heard
 from swarmd.testing.roscore import PYTHON, RosCore, why_no_ros1
 from swarmd.values import Scan, Twist

@@ -28,7 +28,7 @@ from benchmarks.table import Row, print_table
 from swarmd.drivers import rmw_zenoh, ros2dds
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros.driver import RosDriver
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import Heard
 from swarmd.testing.ros2_bridge import why_no_bridge
 from swarmd.values import Scan

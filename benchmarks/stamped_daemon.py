@@ -23,14 +23,14 @@ import zenoh
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
-from swarmd import daemon as daemon_module
-from swarmd.daemon import Daemon
+from swarmd.daemon import daemon as daemon_module
+from swarmd.daemon.daemon import Daemon
 from swarmd.drivers import simulated
 from swarmd.drivers.inbox import Inbox
 from swarmd.frames import Command, Event, Step, Stepped
+from swarmd.hosts.runner import ProcessRunner
 from swarmd.processes import die_with_parent
-from swarmd.runner import ProcessRunner
-from swarmd.settings import load_daemon_settings
+from swarmd.settings.settings import load_daemon_settings
 from swarmd.values import Scan, Twist
 
 

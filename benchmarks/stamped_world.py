@@ -17,8 +17,8 @@ import numpy as np
 import zenoh
 
 from swarmd import keys
-from swarmd.platforms import load_platform
-from swarmd.sensing import decode_command, decode_scan
+from swarmd.driving.sensing import decode_command, decode_scan
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.live import server
 from swarmd.sim.live.link import WorldLink
 

@@ -17,10 +17,10 @@ from statistics import median
 import numpy as np
 
 from benchmarks.table import Row, print_table
-from swarmd.fields import potential_field
-from swarmd.loading import Finder
+from swarmd.hosts.loading import Finder
 from swarmd.plugins import pattern_names
-from swarmd.settings import load_platform
+from swarmd.scans.fields import potential_field
+from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import Subject
 from swarmd.testing.scans import Disc, scan_from, scan_of
 from swarmd.values import (

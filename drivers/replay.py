@@ -14,11 +14,11 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from swarmd.driver import Finding, Sink
+from swarmd.driving.driver import Finding, Sink
+from swarmd.driving.recording import Entry, Recording, named_file, read_recording
+from swarmd.driving.sensing import decode_neighbors, decode_odometry, decode_readings, decode_scan
 from swarmd.errors import CodecError, ConfigError
-from swarmd.layered import Layered
-from swarmd.recording import Entry, Recording, named_file, read_recording
-from swarmd.sensing import decode_neighbors, decode_odometry, decode_readings, decode_scan
+from swarmd.settings.layered import Layered
 from swarmd.values import ZERO, Odometry, Platform, Scan, Twist, Value
 
 log = logging.getLogger(__name__)

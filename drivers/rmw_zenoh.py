@@ -12,13 +12,13 @@ from collections.abc import Iterable, Mapping
 
 import xxhash
 
-from swarmd.driver import SenderSpec
 from swarmd.drivers.ros.cdr import known_hashes, name_of, type_hash
 from swarmd.drivers.ros.dialect import Endpoint
 from swarmd.drivers.ros.driver import RosDriver
 from swarmd.drivers.ros.messages import dds_name, ros_name
 from swarmd.drivers.ros.options import RmwOptions, read_options, topic
 from swarmd.drivers.ros.zero import RosZeroSender, zero_sender_of
+from swarmd.driving.driver import SenderSpec
 from swarmd.values import Platform, Value
 
 NAME = "rmw_zenoh"

@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 
-from swarmd.dialect import OnCommand
 from swarmd.drivers.rmw_zenoh import NAME, attachment_of, gid_of
 from swarmd.drivers.ros.cdr import name_of, type_hash
 from swarmd.drivers.ros.messages import dds_name
 from swarmd.drivers.ros.options import RmwOptions, RosOptions
 from swarmd.drivers.ros.robot_side import End, Language, RosRobots
+from swarmd.driving.dialect import OnCommand
 from swarmd.values import Platform
 
 _NODE = "base"

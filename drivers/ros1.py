@@ -16,7 +16,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from swarmd.driver import Finding, SenderSpec, Sink
 from swarmd.drivers import ros1_adapter
 from swarmd.drivers import ros1_wire as wire
 from swarmd.drivers.ros.conversion import (
@@ -30,6 +29,7 @@ from swarmd.drivers.ros.conversion import (
 from swarmd.drivers.ros1_child import AdapterProcess, Event, Link, State
 from swarmd.drivers.ros1_options import Ros1Options, read_options
 from swarmd.drivers.ros1_view import Sense, View
+from swarmd.driving.driver import Finding, SenderSpec, Sink
 from swarmd.errors import CodecError, DriverError
 from swarmd.values import ZERO, Platform, ScanSpec, Twist, Value
 

@@ -12,7 +12,7 @@ from msgspec import Meta, Struct
 
 from swarmd.drivers import ros1_wire as wire
 from swarmd.errors import ConfigError
-from swarmd.layered import Layered
+from swarmd.settings.layered import Layered
 from swarmd.values import Value
 
 DEFAULT_MASTER = "http://127.0.0.1:11311"

@@ -10,12 +10,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from difflib import SequenceMatcher
 
-from swarmd.driver import Finding
 from swarmd.drivers import ros1_wire as wire
 from swarmd.drivers.ros1_child import Link, State
 from swarmd.drivers.ros1_options import Ros1Options
+from swarmd.driving.driver import Finding
 from swarmd.messages import Reason
-from swarmd.scans import ScanConditioner
+from swarmd.scans.conditioning import ScanConditioner
 from swarmd.values import Platform, Scan, ScanSpec
 
 SILENCE = 2.5

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from swarmd.driver import SenderSpec
 from swarmd.drivers.ros.dialect import Endpoint
 from swarmd.drivers.ros.driver import RosDriver
 from swarmd.drivers.ros.options import RosOptions, read_options
 from swarmd.drivers.ros.zero import RosZeroSender, zero_sender_of
+from swarmd.driving.driver import SenderSpec
 from swarmd.values import Platform, Value
 
 NAME = "ros2dds"

@@ -7,11 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from swarmd.dialect import OnCommand
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.robot_side import End, Language, RosRobots
 from swarmd.drivers.ros2dds import NAME
+from swarmd.driving.dialect import OnCommand
 from swarmd.values import Platform
 
 _BEST_EFFORT = ":0::0,5"

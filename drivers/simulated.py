@@ -11,19 +11,19 @@ from functools import partial
 import zenoh
 
 from swarmd import keys
-from swarmd.driver import Finding, SenderSpec, Sink
 from swarmd.drivers.inbox import Inbox
 from swarmd.drivers.nowhere import Nowhere
 from swarmd.drivers.opening import opened
-from swarmd.errors import CodecError, ConfigError, unknown
-from swarmd.network.session import open_with
-from swarmd.sensing import (
+from swarmd.driving.driver import Finding, SenderSpec, Sink
+from swarmd.driving.sensing import (
     decode_neighbors,
     decode_odometry,
     decode_readings,
     decode_scan,
     encode_command,
 )
+from swarmd.errors import CodecError, ConfigError, unknown
+from swarmd.network.session import open_with
 from swarmd.values import ZERO, Odometry, Platform, Scan, Twist, Value
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7790"

@@ -5,15 +5,26 @@ from __future__ import annotations
 from typing import Annotated
 
 from swarmd.angles import difference, wrap
-from swarmd.behavior import Context, Make, MovementPattern, Pattern
-from swarmd.combined import CombinedPattern
 from swarmd.errors import ConfigError, PluginError
-from swarmd.fields import FieldKind, FieldResult, field_twist, potential_field
-from swarmd.formation import place_on_circle, place_on_line, radius_of
-from swarmd.forming import FormationParams, FormationPattern
-from swarmd.params import P, Params, TopSpeed, TopTurn, Unstick, about
-from swarmd.rays import Gap, Ray, RayClusters, closest_points, clusters, gaps, nearest, sectors
-from swarmd.steering import from_base, keep_clear, steer
+from swarmd.kit.behavior import Context, Make, MovementPattern, Pattern
+from swarmd.kit.combined import CombinedPattern
+from swarmd.kit.formation import place_on_circle, place_on_line, radius_of
+from swarmd.kit.forming import FormationParams, FormationPattern
+from swarmd.kit.params import P, Params, TopSpeed, TopTurn, Unstick, about
+from swarmd.kit.steering import from_base, keep_clear, steer
+from swarmd.kit.votes import Ties, VoteWindow, majority, tally
+from swarmd.kit.voting import Initial, Opinions, TieRule, VotingParams, VotingPattern, WindowLength
+from swarmd.scans.fields import FieldKind, FieldResult, field_twist, potential_field
+from swarmd.scans.rays import (
+    Gap,
+    Ray,
+    RayClusters,
+    closest_points,
+    clusters,
+    gaps,
+    nearest,
+    sectors,
+)
 from swarmd.values import (
     ZERO,
     Array,
@@ -30,8 +41,6 @@ from swarmd.values import (
     Twist,
     Value,
 )
-from swarmd.votes import Ties, VoteWindow, majority, tally
-from swarmd.voting import Initial, Opinions, TieRule, VotingParams, VotingPattern, WindowLength
 
 __all__ = [
     "ZERO",

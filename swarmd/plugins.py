@@ -24,8 +24,8 @@ from swarmd.keys import check_id, is_id
 if TYPE_CHECKING:
     import click
 
-    from swarmd.dialect import RobotSideFactory
-    from swarmd.driver import DriverFactory
+    from swarmd.driving.dialect import RobotSideFactory
+    from swarmd.driving.driver import DriverFactory
 
 PATTERNS = "swarmd.patterns"
 DRIVERS = "swarmd.drivers"

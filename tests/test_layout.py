@@ -132,9 +132,9 @@ def test_the_core_names_no_concrete_plugin() -> None:
 
 
 def test_the_guardian_leaves_to_the_host_what_only_patterns_need() -> None:
-    code = "import sys, swarmd.daemon; print(*sys.modules)"
+    code = "import sys, swarmd.daemon.daemon; print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not {"swarmd.behavior", "swarmd.api", "numpy.random"} & set(done.stdout.split())
+    assert not {"swarmd.kit.behavior", "swarmd.api", "numpy.random"} & set(done.stdout.split())
 
 
 @pytest.mark.parametrize("folder", LINKED)

@@ -14,8 +14,8 @@ import pytest
 
 from swarmd.cli import VERBS, cli
 from swarmd.cli.daemon import swarmd
-from swarmd.platforms import platform_names
 from swarmd.plugins import driver_names
+from swarmd.settings.platforms import platform_names
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])

@@ -10,12 +10,12 @@ import msgspec
 import pytest
 import yaml
 
-from swarmd.base import BaseOptions
-from swarmd.driver import Driver, Sink, Stopping
 from swarmd.drivers.replay import ReplayOptions
 from swarmd.drivers.ros.options import RmwOptions
 from swarmd.drivers.ros1_options import Ros1Options
-from swarmd.platforms import load_platform, platform_names
+from swarmd.driving.base import BaseOptions
+from swarmd.driving.driver import Driver, Sink, Stopping
+from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.testing.driver_stage import Mortal, Rig, Speaker
 
 ROOT = Path(__file__).resolve().parent.parent

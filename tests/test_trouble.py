@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.base import base_options
 from swarmd.drivers.rmw_zenoh import RmwZenoh
 from swarmd.drivers.ros.advice import why_silent
 from swarmd.drivers.ros.check import Report, unheard
@@ -21,8 +20,9 @@ from swarmd.drivers.ros1_child import State, Told
 from swarmd.drivers.ros1_options import Ros1Options
 from swarmd.drivers.ros1_view import View
 from swarmd.drivers.ros2dds import Ros2Dds
+from swarmd.driving.base import base_options
 from swarmd.errors import ConfigError
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "robots" / "trouble.md").read_text()
 PLATFORM = load_platform("burger")

@@ -12,7 +12,7 @@ from benchmarks.outcomes.line_formation import BY_LIDAR, SETTINGS, Setting, form
 from benchmarks.outcomes.outcome import Outcome
 from swarmd.sim.metrics.formation import circle_errors
 
-_FORMATION, _FORMING = "swarmd/formation.py", "swarmd/forming.py"
+_FORMATION, _FORMING = "swarmd/kit/formation.py", "swarmd/kit/forming.py"
 _TESTS = "tests/outcomes/test_circle_formation.py"
 _ALL = (*SETTINGS, BY_LIDAR)
 

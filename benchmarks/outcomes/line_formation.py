@@ -27,7 +27,7 @@ _BOUND = 0.1
 _MOVING, _FEW = 0.05, 0.25
 _HELD = 10.0
 _PROJECT = "bound: the project's, a tenth of the spacing; error: after Fredslund and Mataric 2002"
-_FORMATION, _FORMING = "swarmd/formation.py", "swarmd/forming.py"
+_FORMATION, _FORMING = "swarmd/kit/formation.py", "swarmd/kit/forming.py"
 _TESTS = "tests/outcomes/test_line_formation.py"
 
 

@@ -145,9 +145,9 @@ def _outcome(what: str, wanted: str, value: float, is_reached: bool, source: str
 
 
 _TESTS = "tests/outcomes/test_majority_rule.py"
-_UNITS, _SHARED = "tests/test_votes.py", "tests/test_voting.py"
-_VOTES = "swarmd/votes.py"
-_VOTING = "swarmd/voting.py"
+_UNITS, _SHARED = "tests/kit/test_votes.py", "tests/kit/test_voting.py"
+_VOTES = "swarmd/kit/votes.py"
+_VOTING = "swarmd/kit/voting.py"
 
 MUTANTS: tuple[Mutant, ...] = (
     Mutant(

@@ -121,10 +121,10 @@ def _outcome(what: str, wanted: str, value: float, is_reached: bool, source: str
 
 
 _TESTS = "tests/outcomes/test_voter_model.py"
-_UNITS = "tests/test_votes.py"
+_UNITS = "tests/kit/test_votes.py"
 _VOTER = "patterns/voter_model.py"
-_VOTES = "swarmd/votes.py"
-_VOTING = "swarmd/voting.py"
+_VOTES = "swarmd/kit/votes.py"
+_VOTING = "swarmd/kit/voting.py"
 _PICK = "return opinions[int(self.context.rng.integers(len(opinions)))]"
 
 MUTANTS: tuple[Mutant, ...] = (

@@ -30,10 +30,10 @@ from benchmarks.safety.scenes import KINDS, VISIBILITIES
 from benchmarks.swarm import Swarm
 from benchmarks.table import Row, print_table
 from swarmd import keys
+from swarmd.driving.sensing import encode_command
 from swarmd.errors import SwarmError
 from swarmd.network.session import open_with
-from swarmd.platforms import load_platform
-from swarmd.sensing import encode_command
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldView, dialling
 from swarmd.sim.live.show import Watch
 from swarmd.sim.live.state import WorldState

@@ -13,7 +13,7 @@ from typing import Any
 from msgspec import Struct, structs
 
 from swarmd.errors import ConfigError, unknown
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 

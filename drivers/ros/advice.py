@@ -8,7 +8,7 @@ from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.dialect import Dialect, Endpoint
 from swarmd.drivers.ros.sense import Sense
 from swarmd.messages import Reason
-from swarmd.scans import ScanConditioner
+from swarmd.scans.conditioning import ScanConditioner
 from swarmd.values import Scan, ScanSpec
 
 _SHOWN = 4

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
-from swarmd.driver import Finding
 from swarmd.drivers.ros.advice import (
     shown,
     why_blind,
@@ -18,6 +17,7 @@ from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.dialect import Dialect, Endpoint
 from swarmd.drivers.ros.hearing import Hearing
 from swarmd.drivers.ros.sense import Sense
+from swarmd.driving.driver import Finding
 from swarmd.values import ScanSpec
 
 ENOUGH = 5

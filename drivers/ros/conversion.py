@@ -1,7 +1,7 @@
 """ROS messages as the core's values, and safe commands as ROS messages.
 
 Nothing is conditioned here: zeros, infinities and NaN pass as the sensor gave them, and the limits
-of the range come from the platform's file (`swarmd.scans`).
+of the range come from the platform's file (`swarmd.scans.conditioning`).
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from functools import lru_cache
 import numpy as np
 
 from swarmd.drivers.ros import messages as ros
+from swarmd.driving.sensing import MAX_RAYS
 from swarmd.errors import CodecError
-from swarmd.sensing import MAX_RAYS
 from swarmd.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
 
 _WIDEST = 1.1 * 2.0 * math.pi  # of a sweep: some sensors repeat their first rays at the end

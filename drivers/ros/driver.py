@@ -10,7 +10,6 @@ from functools import partial
 
 import zenoh
 
-from swarmd.driver import Finding, SenderSpec, Sink
 from swarmd.drivers.inbox import Inbox
 from swarmd.drivers.nowhere import Nowhere
 from swarmd.drivers.opening import opened
@@ -29,6 +28,7 @@ from swarmd.drivers.ros.messages import Twist as TwistMessage
 from swarmd.drivers.ros.messages import TwistStamped
 from swarmd.drivers.ros.options import RosOptions, topic
 from swarmd.drivers.ros.session import commanding, has_subscriber, hubs_of, open_session
+from swarmd.driving.driver import Finding, SenderSpec, Sink
 from swarmd.errors import CodecError
 from swarmd.handover import hand_over
 from swarmd.values import ZERO, Platform, Twist

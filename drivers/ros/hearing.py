@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from swarmd.driver import Sink
 from swarmd.drivers.ros import conversion
 from swarmd.drivers.ros.cdr import decode
 from swarmd.drivers.ros.messages import BatteryState, Imu, LaserScan, Odometry, Range
 from swarmd.drivers.ros.options import RosOptions, ring_of, topic
 from swarmd.drivers.ros.sense import Sense
+from swarmd.driving.driver import Sink
 from swarmd.values import Odometry as Measured
 from swarmd.values import Platform, Scan
 

@@ -15,12 +15,12 @@ from typing import Protocol
 
 import zenoh
 
-from swarmd.base import BaseOptions
-from swarmd.dialect import OnCommand
 from swarmd.drivers.ros import cdr, conversion
 from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.options import RosOptions, read_options, topic
 from swarmd.drivers.ros.saying import odometry_message, scan_voice
+from swarmd.driving.base import BaseOptions
+from swarmd.driving.dialect import OnCommand
 from swarmd.errors import CodecError, ConfigError
 from swarmd.network.listening import open_listening
 from swarmd.values import Odometry, Platform, Scan, Twist, Value
@@ -82,7 +82,7 @@ class RosRobots:
         endpoint: str,
         on_command: OnCommand,
     ) -> None:
-        """Listening from now on; errors as those of `swarmd.dialect.RobotSideFactory`."""
+        """Listening from now on; errors as those of `swarmd.driving.dialect.RobotSideFactory`."""
         self.dropped = 0
         self._lock = threading.Lock()
         self._on_command = on_command

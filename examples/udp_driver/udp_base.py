@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from swarmd.driver import Finding, SenderSpec, Sink
+from swarmd.driving.driver import Finding, SenderSpec, Sink
 from swarmd.errors import ConfigError, unknown
 from swarmd.values import ZERO, Neighbor, Odometry, Platform, Pose, Scan, ScanSpec, Twist, Value
 

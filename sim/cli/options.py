@@ -162,7 +162,7 @@ def chosen_metrics(text: str | None) -> tuple[str, ...] | None:
 
 def robots_for(platform: str, count: int) -> tuple[Platform, dict[str, str]]:
     """The platform, and its name or file by robot id; ConfigError if robots cannot be named so."""
-    from swarmd.platforms import load_platform
+    from swarmd.settings.platforms import load_platform
     from swarmd.sim.live.fleet import robot_ids
 
     if any(mark in platform for mark in ",:"):

@@ -17,11 +17,11 @@ import zenoh
 
 from swarmd import keys
 from swarmd.codec import MAX_CONTROL, encode
+from swarmd.driving.sensing import CommandWire, decode_command
 from swarmd.errors import CodecError, NetworkError, SwarmError
 from swarmd.network.listening import open_listening
 from swarmd.network.session import open_with
 from swarmd.network.sockets import tune_sockets
-from swarmd.sensing import CommandWire, decode_command
 from swarmd.sim.live.state import (
     Action,
     Triple,

@@ -21,13 +21,13 @@ from types import FrameType
 from msgspec import to_builtins
 from msgspec.structs import replace
 
-from swarmd.base import stops_after
+from swarmd.driving.base import stops_after
 from swarmd.errors import ConfigError, SwarmError
 from swarmd.keys import check_id
-from swarmd.layered import Layered
-from swarmd.platforms import load_platform
 from swarmd.plugins import load_dialect
 from swarmd.processes import die_with_parent
+from swarmd.settings.layered import Layered
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
 from swarmd.sim.live.realtime import RealTimeWorld
 from swarmd.sim.live.recording import Record, RecordSettings

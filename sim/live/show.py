@@ -19,7 +19,7 @@ from swarmd.messages import Condition, Status
 from swarmd.network.operator import Operator
 from swarmd.network.requests import Outcome
 from swarmd.network.views import MembersView
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.state import WorldState

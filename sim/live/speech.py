@@ -8,8 +8,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
-from swarmd.dialect import RobotSide, RobotSideFactory
-from swarmd.sensing import encode_neighbors, encode_odometry, encode_readings, encode_scan
+from swarmd.driving.dialect import RobotSide, RobotSideFactory
+from swarmd.driving.sensing import encode_neighbors, encode_odometry, encode_readings, encode_scan
 from swarmd.sim.live.link import WorldLink
 from swarmd.values import Neighbor, Odometry, Platform, Scan, Twist
 

@@ -16,11 +16,12 @@ import numpy as np
 
 from swarmd.codec import decode_value, encode_value
 from swarmd.errors import CodecError
-from swarmd.latches import LatchRecord
-from swarmd.loading import Finder
+from swarmd.hosts.loading import Finder
 from swarmd.messages import Latch, Status
 from swarmd.plugins import pattern_names
-from swarmd.robot import TICK, Robot
+from swarmd.robot.latches import LatchRecord
+from swarmd.robot.robot import TICK, Robot
+from swarmd.robot.status import RobotSettings
 from swarmd.sim.lockstep.logbook import Logbook
 from swarmd.sim.lockstep.rhythm import Rhythm, Wakes
 from swarmd.sim.lockstep.shell import Shell
@@ -34,7 +35,6 @@ from swarmd.sim.world.rates import HEARING_RATE, ODOMETRY_RATE, READINGS_RATE
 from swarmd.sim.world.realism import Realism
 from swarmd.sim.world.seeding import generator
 from swarmd.sim.world.world import World
-from swarmd.status import RobotSettings
 from swarmd.values import Array, Platform, Scan, Twist, Value
 
 BODY_TIMEOUT = 0.5

@@ -1,21 +1,21 @@
 """One robot in lockstep: a thin shell that carries out what the pure robot asks for.
 
-It is to `swarmd.robot.Robot` what the daemon is, with an inline pattern and without a socket, a
-thread or a clock.
+It is to `swarmd.robot.robot.Robot` what the daemon is, with an inline pattern and without a
+socket, a thread or a clock.
 """
 
 from __future__ import annotations
 
 from typing import Protocol
 
-from swarmd.actions import Actions
-from swarmd.assembly import Find
 from swarmd.frames import Command
-from swarmd.latches import LatchRecord
+from swarmd.hosts.runner import InlineRunner
+from swarmd.hosts.stage import Stage
+from swarmd.kit.assembly import Find
 from swarmd.messages import Reply, Request, Status
-from swarmd.robot import Robot
-from swarmd.runner import InlineRunner
-from swarmd.stage import Stage
+from swarmd.robot.actions import Actions
+from swarmd.robot.latches import LatchRecord
+from swarmd.robot.robot import Robot
 from swarmd.values import Neighbor, Odometry, Scan, Twist, Value
 
 

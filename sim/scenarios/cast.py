@@ -10,13 +10,13 @@ from msgspec import json
 
 from swarmd.errors import ConfigError, unknown
 from swarmd.keys import check_id
-from swarmd.layered import Keys, Layered, dotted
-from swarmd.platforms import PlatformFile, platform_names, platform_of, platform_sources
+from swarmd.settings.layered import Keys, Layered, dotted
+from swarmd.settings.platforms import PlatformFile, platform_names, platform_of, platform_sources
+from swarmd.settings.yamlfile import Data
 from swarmd.sim.scenarios.schema import GroupSection, ScenarioFile
 from swarmd.sim.world.radio import with_bearings
 from swarmd.sim.world.readings import Field, with_readings
 from swarmd.values import Platform
-from swarmd.yamlfile import Data
 
 ALL = "all"
 

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 from swarmd.errors import ConfigError, unknown
-from swarmd.layered import Keys, Layered
 from swarmd.mission.conditions import parse_conditions
+from swarmd.settings.layered import Keys, Layered
 from swarmd.sim.scenarios.cast import ALL, Cast
 from swarmd.sim.scenarios.scenario import Action, Event
 from swarmd.sim.scenarios.scenery import check_inside

@@ -7,7 +7,7 @@ from copy import deepcopy
 from typing import Any
 
 from swarmd.errors import ConfigError, unknown
-from swarmd.yamlfile import brief, read_value
+from swarmd.settings.yamlfile import brief, read_value
 
 SOURCE = "--set"
 SWEPT = "--sweep"

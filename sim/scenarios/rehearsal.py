@@ -9,13 +9,13 @@ from pathlib import Path
 
 from swarmd.errors import PluginError, unknown
 from swarmd.frames import Layers, Load, Refused
-from swarmd.layered import Keys, Layered, dotted
-from swarmd.loading import Finder
+from swarmd.hosts.loading import Finder
+from swarmd.hosts.stage import Stage
 from swarmd.plugins import Origin, check_single, pattern_names
+from swarmd.settings.layered import Keys, Layered, dotted
 from swarmd.sim.scenarios.cast import Cast
 from swarmd.sim.scenarios.schema import ScenarioFile
 from swarmd.sim.scenarios.script import Rehearsal, Script
-from swarmd.stage import Stage
 from swarmd.values import Value
 
 _WORD = 64  # the longest source that a status can name

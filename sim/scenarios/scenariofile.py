@@ -15,7 +15,9 @@ from msgspec import json
 
 import swarmd.config
 from swarmd.errors import ConfigError, unknown
-from swarmd.layered import Layered
+from swarmd.kit.touch import zones
+from swarmd.settings.layered import Layered
+from swarmd.settings.yamlfile import Data, read_extended, shown
 from swarmd.sim.scenarios.cast import Cast, cast_of, platform_name
 from swarmd.sim.scenarios.overrides import SOURCE, nested, parse_override
 from swarmd.sim.scenarios.rehearsal import ConfiguredParameters, rehearse
@@ -27,8 +29,6 @@ from swarmd.sim.scenarios.starts import Starts, part_of, without_stale
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.readings import Field
 from swarmd.sim.world.realism import realism_of
-from swarmd.touch import zones
-from swarmd.yamlfile import Data, read_extended, shown
 
 __all__ = ["load_scenario", "parse_override", "scenario_names", "scenario_of"]
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, get_args
 
 from swarmd.errors import ConfigError, unknown
-from swarmd.layered import Keys, Layered, dotted
+from swarmd.settings.layered import Keys, Layered, dotted
 from swarmd.sim.scenarios.schema import ArenaSection, BoxSection, Point
 from swarmd.sim.world.arena import Arena, Box, Pole, Segment
 from swarmd.sim.world.radio import RadioSettings, check_radio

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, field
 
-from swarmd.grants import Touch
+from swarmd.kit.grants import Touch
 from swarmd.messages import Scalar
 from swarmd.sim.world.radio import RadioSettings
 

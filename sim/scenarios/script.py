@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from swarmd.errors import ConfigError
-from swarmd.layered import Keys, Layered
+from swarmd.settings.layered import Keys, Layered
 from swarmd.sim.scenarios.cast import Cast
 from swarmd.sim.scenarios.events import read_event, words_of
 from swarmd.sim.scenarios.scenario import Event

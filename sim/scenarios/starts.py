@@ -11,13 +11,13 @@ import numpy as np
 from numpy.random import Generator
 
 from swarmd.errors import ConfigError, unknown
-from swarmd.layered import Keys, Layered, dotted
+from swarmd.settings.layered import Keys, Layered, dotted
+from swarmd.settings.yamlfile import Data
 from swarmd.sim.scenarios.schema import StartSection
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.layouts import REGULAR, Floor, chain, moved, scatter
 from swarmd.sim.world.seeding import generator
 from swarmd.values import Array
-from swarmd.yamlfile import Data
 
 _TURNABLE = ("center", "heading_deg")
 KEYS: Mapping[str, tuple[str, ...]] = {

@@ -14,8 +14,8 @@ from typing import Annotated, Any
 from msgspec import Meta, Struct, to_builtins
 
 from swarmd.errors import ConfigError, unknown
-from swarmd.layered import Layered
-from swarmd.yamlfile import brief
+from swarmd.settings.layered import Layered
+from swarmd.settings.yamlfile import brief
 
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 Spread = Annotated[float, Meta(ge=0.0, le=0.2)]

@@ -48,7 +48,7 @@ def _ask(
 ) -> list[Row]:
     """The rows of `names` in their order, up to one that ends or keeps the child."""
     # -P: a random.py where this is called is not to shadow a module.
-    command = [sys.executable, "-P", "-m", "swarmd.host", "--platform", platform]
+    command = [sys.executable, "-P", "-m", "swarmd.hosts.host", "--platform", platform]
     command += ["--parent", str(os.getpid())]
     if plugin_dir is not None:
         command += ["--plugin-dir", str(plugin_dir)]

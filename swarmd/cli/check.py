@@ -13,13 +13,13 @@ from typing import Any
 
 import click
 
-from swarmd.base import base_options, deadman_of, make_driver
 from swarmd.cli.catalog import Row, describe_patterns
-from swarmd.driver import Driver, Finding, check_protected
+from swarmd.driving.base import base_options, deadman_of, make_driver
+from swarmd.driving.driver import Driver, Finding, check_protected
 from swarmd.errors import SwarmError, unknown
+from swarmd.kit.touch import in_words
 from swarmd.plugins import pattern_names
-from swarmd.settings import DaemonSettings
-from swarmd.touch import in_words
+from swarmd.settings.settings import DaemonSettings
 
 _SECONDS = 4.2  # of five in which all is said; the rest goes into starting Python, and ending
 _DRIVER_SECONDS = 3.0  # at least; else what the rest leaves

@@ -93,7 +93,7 @@ class Console:
     def _operator_of_file(self, config: Path) -> Operator:
         from swarmd.network.operator import Operator
         from swarmd.network.session import SessionSettings
-        from swarmd.swarmfile import load_swarm  # YAML, which most commands do without
+        from swarmd.settings.swarmfile import load_swarm  # YAML, which most commands do without
 
         overrides = {
             "swarm": self.swarm,

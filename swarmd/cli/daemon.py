@@ -18,7 +18,7 @@ from swarmd.errors import DriverError, IdHeldError, NetworkError, SwarmError
 from swarmd.processes import die_with_parent as tie_to
 
 if TYPE_CHECKING:
-    from swarmd.settings import DaemonSettings
+    from swarmd.settings.settings import DaemonSettings
 
 
 class Exit(IntEnum):
@@ -89,7 +89,7 @@ def swarmd(
         tie_to(die_with_parent)
     # numpy comes with the settings; its BLAS would start a thread per core for 360 numbers.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from swarmd.settings import load_daemon_settings
+    from swarmd.settings.settings import load_daemon_settings
 
     settings = load_daemon_settings(config, overrides)
     logging.basicConfig(
@@ -133,7 +133,7 @@ def _read_options(words: tuple[str, ...]) -> dict[str, Value]:
 
 
 def _serve(settings: DaemonSettings) -> int:
-    from swarmd.daemon import serve
+    from swarmd.daemon.daemon import serve
 
     return asyncio.run(serve(settings))
 

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 from msgspec import to_builtins
 
-from swarmd.settings import DaemonSettings
+from swarmd.settings.settings import DaemonSettings
 from swarmd.values import Platform
 
 _COLUMN = 40

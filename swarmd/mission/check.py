@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from swarmd.assembly import Find, assemble
-from swarmd.behavior import Pattern
 from swarmd.errors import PluginError, SwarmError
+from swarmd.hosts.loading import Finder
 from swarmd.keys import is_id
-from swarmd.loading import Finder
+from swarmd.kit.assembly import Find, assemble
+from swarmd.kit.behavior import Pattern
 from swarmd.mission.checking import make_company, words_of
 from swarmd.mission.conditions import needs_of
 from swarmd.mission.document import Document, read_document
@@ -26,7 +26,7 @@ from swarmd.mission.elements import conditions_of
 from swarmd.mission.mission import kinds_of, mission_class
 from swarmd.mission.places import told
 from swarmd.plugins import MISSION, Origin, is_mission, pattern_names
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.values import Platform, Value
 
 

@@ -9,16 +9,16 @@ from typing import Any
 
 import msgspec
 
-from swarmd.behavior import Make, Pattern
-from swarmd.combined import outer_name
 from swarmd.errors import SwarmError, unknown
+from swarmd.kit.behavior import Make, Pattern
+from swarmd.kit.combined import outer_name
+from swarmd.kit.params import build, schema
+from swarmd.kit.voting import OPINION, VotingPattern
 from swarmd.mission.conditions import Compared, Scalar, Settled, leaves
 from swarmd.mission.document import Document, MapSpec, PartSpec, Table
 from swarmd.mission.elements import conditions_of
 from swarmd.mission.faults import Faults, Keys
-from swarmd.params import build, schema
 from swarmd.values import Inputs
-from swarmd.voting import OPINION, VotingPattern
 
 Exposed = Mapping[str, Mapping[str, Any]]
 """By part, the values that the mission's own parameters give."""

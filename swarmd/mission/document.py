@@ -16,7 +16,7 @@ from swarmd.keys import is_id
 from swarmd.mission.conditions import Scalar
 from swarmd.mission.elements import Element, read_element, uses_of
 from swarmd.mission.faults import Faults, Keys
-from swarmd.yamlfile import read
+from swarmd.settings.yamlfile import read
 
 _OWN = ("mission", "parts", "map", "report", "parameters", "unstick")
 _OF_PART = ("pattern", "params", "private")

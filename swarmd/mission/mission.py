@@ -10,9 +10,11 @@ from typing import get_type_hints as type_hints
 import msgspec
 from msgspec import NODEFAULT
 
-from swarmd.behavior import Context, Pattern
-from swarmd.combined import CombinedPattern
 from swarmd.errors import SwarmError
+from swarmd.kit.behavior import Context, Pattern
+from swarmd.kit.combined import CombinedPattern
+from swarmd.kit.params import Params, Unstick
+from swarmd.kit.voting import VotingPattern
 from swarmd.mission.checking import (
     Company,
     make_company,
@@ -28,9 +30,7 @@ from swarmd.mission.faults import Faults
 from swarmd.mission.nodes import node_of
 from swarmd.mission.places import refusal
 from swarmd.mission.watch import Facts
-from swarmd.params import Params, Unstick
 from swarmd.values import Inputs, Outputs, Platform, Value
-from swarmd.voting import VotingPattern
 
 Find: TypeAlias = Callable[[str], type[Pattern[Any]]]
 Kinds: TypeAlias = dict[str, type[Pattern[Any]]]

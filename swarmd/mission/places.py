@@ -8,9 +8,9 @@ from pathlib import Path
 import yaml
 
 from swarmd.errors import ConfigError
-from swarmd.layered import dotted
 from swarmd.mission.faults import Keys
-from swarmd.yamlfile import shown
+from swarmd.settings.layered import dotted
+from swarmd.settings.yamlfile import shown
 
 
 def told(path: Path, faults: Iterable[tuple[Keys, str]]) -> list[str]:

@@ -8,10 +8,10 @@ range_min (in the original they count as free), and the front holds the command 
 
 from __future__ import annotations
 
-from swarmd.fields import field_twist, potential_field
 from swarmd.protection.footprint import Sight
 from swarmd.protection.moment import Moment
 from swarmd.protection.verdict import Decision
+from swarmd.scans.fields import field_twist, potential_field
 from swarmd.values import Platform, Scan, TouchZone, Twist
 
 

@@ -18,8 +18,8 @@ import zenoh
 
 from swarmd import keys
 from swarmd.clock import boottime
+from swarmd.driving.sensing import decode_command, encode_odometry, encode_scan
 from swarmd.errors import CodecError
-from swarmd.sensing import decode_command, encode_odometry, encode_scan
 from swarmd.testing.scans import empty_scan
 from swarmd.values import Odometry, Platform, Pose, Scan, Twist
 

@@ -19,12 +19,12 @@ from pathlib import Path
 from types import FrameType
 from typing import IO, Any
 
-from swarmd.behavior import Pattern
 from swarmd.errors import SwarmError
+from swarmd.hosts.loading import Finder
 from swarmd.keys import check_id
-from swarmd.loading import Finder
+from swarmd.kit.behavior import Pattern
 from swarmd.processes import die_with_parent
-from swarmd.settings import platform_names
+from swarmd.settings.settings import platform_names
 from swarmd.testing.pattern_contract import PatternContract
 
 LOADING = "it can be imported and holds one pattern"

@@ -9,7 +9,7 @@ from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from typing import Protocol, runtime_checkable
 
-from swarmd.driver import Driver
+from swarmd.driving.driver import Driver
 from swarmd.values import Neighbor, Odometry, Platform, Scan, Twist, Value
 
 CAP = 30.0

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from swarmd.behavior import Pattern
+from swarmd.kit.behavior import Pattern
 from swarmd.testing.scans import Disc, scan_of
 from swarmd.values import ZERO, Array, Inputs, Message, Outputs, Platform, Pose, Scan, Twist
 

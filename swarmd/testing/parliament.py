@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from swarmd.errors import ConfigError
 from swarmd.frames import Layers, Load, Ready, Refused, Step, Stepped
-from swarmd.loading import Finder
+from swarmd.hosts.loading import Finder
+from swarmd.hosts.stage import Stage
 from swarmd.plugins import pattern_names
-from swarmd.settings import load_platform
-from swarmd.stage import Stage
+from swarmd.settings.settings import load_platform
 from swarmd.values import Array, Inputs, Message, Neighbor, Platform, Value
 
 Opinions = NDArray[np.int64]

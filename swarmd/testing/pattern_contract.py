@@ -26,13 +26,13 @@ from typing import Any, ClassVar
 import msgspec
 import numpy as np
 
-from swarmd.assembly import assemble, full_layers
-from swarmd.behavior import Pattern
 from swarmd.codec import encode_value
-from swarmd.loading import Finder
-from swarmd.params import build, schema
+from swarmd.hosts.loading import Finder
+from swarmd.kit.assembly import assemble, full_layers
+from swarmd.kit.behavior import Pattern
+from swarmd.kit.params import build, schema
 from swarmd.plugins import pattern_names
-from swarmd.settings import load_platform, platform_names
+from swarmd.settings.settings import load_platform, platform_names
 from swarmd.testing.doors import closed
 from swarmd.testing.scans import busy_scans, mirrored, odd_scans, read_only, reordered
 from swarmd.values import (

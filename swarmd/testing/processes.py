@@ -15,7 +15,7 @@ from types import TracebackType
 
 import yaml
 
-from swarmd.stopper import name_of
+from swarmd.driving.stopper import name_of
 from swarmd.values import Value
 
 CAP = 60.0

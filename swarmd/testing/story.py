@@ -17,17 +17,17 @@ from typing import Any
 
 import numpy as np
 
-from swarmd.actions import Actions
-from swarmd.behavior import Pattern
 from swarmd.errors import PluginError, unknown
 from swarmd.frames import Command, Event, Kill
-from swarmd.latches import LatchRecord
+from swarmd.hosts.runner import InlineRunner
+from swarmd.hosts.stage import Stage
+from swarmd.kit.behavior import Pattern
 from swarmd.messages import Epoch, Reply, Request, Status
-from swarmd.robot import TICK, Robot
-from swarmd.runner import InlineRunner
-from swarmd.settings import load_platform
-from swarmd.stage import Stage
-from swarmd.status import RobotSettings
+from swarmd.robot.actions import Actions
+from swarmd.robot.latches import LatchRecord
+from swarmd.robot.robot import TICK, Robot
+from swarmd.robot.status import RobotSettings
+from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan
 from swarmd.values import ZERO, Odometry, Pose, Scan, TouchZone, Twist
 

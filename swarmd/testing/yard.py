@@ -16,7 +16,7 @@ import numpy as np
 from swarmd.protection.front import Protection
 from swarmd.protection.moment import NO_PERMIT, Moment, Permit
 from swarmd.protection.verdict import Verdict
-from swarmd.senses import Senses
+from swarmd.robot.senses import Senses
 from swarmd.testing.scans import trembling
 from swarmd.values import (
     ZERO,

@@ -8,12 +8,12 @@ from typing import Any, get_args
 
 import pytest
 
-from swarmd.base import make_driver
 from swarmd.cli.check import check_daemon, deadman_text, protection_text
-from swarmd.driver import Finding
-from swarmd.platforms import load_platform
+from swarmd.driving.base import make_driver
+from swarmd.driving.driver import Finding
 from swarmd.protection.settings import Mode
-from swarmd.settings import DaemonSettings, load_daemon_settings
+from swarmd.settings.platforms import load_platform
+from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 from swarmd.values import Value
 
 

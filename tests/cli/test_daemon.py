@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from swarmd.settings import load_daemon_settings, load_platform
+from swarmd.settings.settings import load_daemon_settings, load_platform
 from swarmd.testing.body import Body
 from swarmd.testing.processes import unique_swarm
 

@@ -12,7 +12,7 @@ import json
 import sys
 
 from swarmd.drivers.ros1 import Ros1Driver
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import Heard
 from swarmd.values import Twist
 

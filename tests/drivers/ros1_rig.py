@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from swarmd.drivers.ros1 import Ros1Driver
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.processes import CAP, wait_until
 from swarmd.testing.roscore import PYTHON, RosCore
 from swarmd.values import Scan, Twist, Value

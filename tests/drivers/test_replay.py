@@ -12,15 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarmd.base import make_driver
-from swarmd.driver import Driver
 from swarmd.drivers.replay import ReplayDriver
 from swarmd.drivers.simulated import SimulatedDriver
+from swarmd.driving.base import make_driver
+from swarmd.driving.driver import Driver
+from swarmd.driving.recording import MAGIC, RecordedDriver, Recorder, read_recording
+from swarmd.driving.sensing import decode_command, encode_odometry, encode_scan
 from swarmd.errors import ConfigError, DriverError
-from swarmd.platforms import load_platform
-from swarmd.recording import MAGIC, RecordedDriver, Recorder, read_recording
-from swarmd.sensing import decode_command, encode_odometry, encode_scan
-from swarmd.settings import load_daemon_settings
+from swarmd.settings.platforms import load_platform
+from swarmd.settings.settings import load_daemon_settings
 from swarmd.sim.live.link import WorldLink
 from swarmd.testing.driver_contract import CAP, DriverContract, Heard, on_stage
 from swarmd.values import Odometry, Pose, Scan, Twist, Value

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
+from swarmd.driving.recording import read_recording
+from swarmd.driving.sensing import decode_command
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings
-from swarmd.recording import read_recording
-from swarmd.sensing import decode_command
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.body import Body
 from swarmd.testing.processes import DaemonProcess, unique_swarm, wait_until
 from swarmd.values import Value

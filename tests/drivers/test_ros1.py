@@ -9,10 +9,10 @@ from collections.abc import Awaitable, Callable, Mapping
 import numpy as np
 import pytest
 
-from swarmd.base import BaseOptions
 from swarmd.drivers.ros1 import Ros1Driver
 from swarmd.drivers.ros1_view import SILENCE
-from swarmd.platforms import load_platform
+from swarmd.driving.base import BaseOptions
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import DriverContract, Stage, on_stage
 from swarmd.testing.roscore import RosCore
 from swarmd.values import Twist, Value

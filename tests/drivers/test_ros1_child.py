@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.base import BaseOptions
 from swarmd.drivers import ros1, ros1_adapter, ros1_child
 from swarmd.drivers.ros1 import Ros1Driver
 from swarmd.drivers.ros1_options import read_options
+from swarmd.driving.base import BaseOptions
 from swarmd.errors import ConfigError
-from swarmd.platforms import load_platform, platform_names
+from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.testing.driver_contract import CAP, Heard
 from swarmd.testing.processes import is_running
 from swarmd.values import Value

@@ -21,7 +21,7 @@ from swarmd.drivers import ros1_wire as wire
 from swarmd.drivers.ros1 import Ros1Driver
 from swarmd.drivers.ros1_child import Link, State, Told
 from swarmd.drivers.ros1_options import read_options
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import Heard
 from swarmd.values import Twist, Value
 from tests.drivers import handclock

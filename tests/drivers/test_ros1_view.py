@@ -12,7 +12,7 @@ from swarmd.drivers import ros1_wire as wire
 from swarmd.drivers.ros1_child import Link, State
 from swarmd.drivers.ros1_options import read_options
 from swarmd.drivers.ros1_view import SILENCE, View
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.values import Scan, Value
 
 WELL = State(

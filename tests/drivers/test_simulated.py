@@ -11,15 +11,15 @@ import pytest
 import zenoh
 
 from swarmd.drivers.simulated import SILENCE, SimulatedDriver
-from swarmd.errors import ConfigError
-from swarmd.platforms import load_platform
-from swarmd.sensing import (
+from swarmd.driving.sensing import (
     CommandWire,
     encode_neighbors,
     encode_odometry,
     encode_readings,
     encode_scan,
 )
+from swarmd.errors import ConfigError
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
 from swarmd.testing.driver_contract import CAP, DriverContract, Heard, Stage, on_stage
 from swarmd.values import ZERO, Neighbor, Odometry, Pose, Scan, Twist, Value

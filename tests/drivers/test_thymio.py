@@ -11,7 +11,7 @@ import pytest
 from swarmd.clock import boottime
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.processes import DaemonProcess, unique_swarm, wait_until
 from swarmd.values import Value
 from tests.drivers.driving import ROBOT, drive, status

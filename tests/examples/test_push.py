@@ -6,11 +6,11 @@ import math
 from pathlib import Path
 from typing import Any
 
-from swarmd.behavior import Pattern
-from swarmd.loading import Finder
+from swarmd.hosts.loading import Finder
+from swarmd.kit.behavior import Pattern
+from swarmd.kit.touch import in_force
 from swarmd.plugins import find_pattern
 from swarmd.testing.pattern_contract import PatternContract
-from swarmd.touch import in_force
 from swarmd.values import TouchZone
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarmd.behavior import Pattern
-from swarmd.loading import Finder
+from swarmd.hosts.loading import Finder
+from swarmd.kit.behavior import Pattern
 from swarmd.plugins import find_pattern
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.flatland import Flatland
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of

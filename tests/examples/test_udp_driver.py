@@ -16,9 +16,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from swarmd.driver import Driver
+from swarmd.driving.driver import Driver
 from swarmd.errors import ConfigError
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import DriverContract
 from swarmd.values import Scan, Twist, Value
 

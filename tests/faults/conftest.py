@@ -20,7 +20,7 @@ from swarmd.keys import build
 from swarmd.messages import Code, Epoch, Reason, Reply, State, Status
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings, open_session
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.body import Body, Commanded
 from swarmd.testing.processes import CAP, DaemonProcess, unique_swarm, wait_until
 from swarmd.values import Twist, Value

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.clock import boottime
-from swarmd.hosting import FIRST_BACKOFF
 from swarmd.messages import Code, Reason, State
+from swarmd.robot.hosting import FIRST_BACKOFF
 from swarmd.testing.processes import is_running, wait_until
 
 if TYPE_CHECKING:

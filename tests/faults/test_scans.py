@@ -12,8 +12,8 @@ import pytest
 
 from swarmd.clock import boottime
 from swarmd.codec import encode
+from swarmd.driving.sensing import ScanWire
 from swarmd.messages import Reason, State
-from swarmd.sensing import ScanWire
 from swarmd.testing.body import Body
 from swarmd.testing.scans import trembling
 from swarmd.values import Array, Platform, Scan, ScanSpec, Twist

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.clock import boottime
-from swarmd.driver import SenderSpec
 from swarmd.drivers.simulated import SimulatedDriver
+from swarmd.driving.driver import SenderSpec
+from swarmd.driving.guarded import StopperProcess
+from swarmd.driving.stopper import AT_LEAST, name_of
 from swarmd.errors import DriverError
-from swarmd.guarded import StopperProcess
 from swarmd.messages import Code, Reason, State
-from swarmd.stopper import AT_LEAST, name_of
 from swarmd.testing.body import Commanded
 from swarmd.testing.processes import is_running, stoppers, unique_swarm, wait_until
 
@@ -193,7 +193,7 @@ def test_the_driver_refuses_to_start_without_its_stopper(bench: Bench) -> None:
 
 BROKEN = """
 import sys
-if "swarmd.stopper" in " ".join(sys.orig_argv):
+if "swarmd.driving.stopper" in " ".join(sys.orig_argv):
     from swarmd.drivers.simulated import SimulatedZeros
     from swarmd.errors import DriverError
     def refuse(self):
@@ -216,7 +216,7 @@ def test_a_zero_that_cannot_be_sent_is_followed_by_others(bench: Bench) -> None:
 
 SHAKY = """
 import sys
-if "swarmd.stopper" in " ".join(sys.orig_argv):
+if "swarmd.driving.stopper" in " ".join(sys.orig_argv):
     from swarmd.drivers.simulated import SimulatedZeros
     send, failed = SimulatedZeros.send_zero, []
     def send_later(self):

@@ -8,14 +8,14 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from swarmd.assembly import assemble
-from swarmd.behavior import Context, MovementPattern, Pattern
 from swarmd.errors import ConfigError, PluginError, unknown
+from swarmd.kit.assembly import assemble
+from swarmd.kit.behavior import Context, MovementPattern, Pattern
+from swarmd.kit.params import Params, about
+from swarmd.kit.voting import VotingParams, VotingPattern
 from swarmd.mission.mission import Mission, mission_class
-from swarmd.params import Params, about
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.values import Inputs, Outputs, Platform, Scalar, Scan, Twist, Value
-from swarmd.voting import VotingParams, VotingPattern
 
 PLATFORM = load_platform("waffle_pi")
 

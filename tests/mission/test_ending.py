@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from swarmd.frames import Load
-from swarmd.framing import decode_command, encode_command
+from swarmd.hosts.framing import decode_command, encode_command
 from swarmd.messages import Code, Reason, State
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.players import PATTERNS, Forward, standing_state
 from swarmd.testing.scans import Disc, scan_of
 from swarmd.testing.story import Story

@@ -8,9 +8,9 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from swarmd.behavior import Pattern
 from swarmd.errors import ConfigError
-from swarmd.params import Params, schema
+from swarmd.kit.behavior import Pattern
+from swarmd.kit.params import Params, schema
 from swarmd.values import Inputs, Message, Outputs, Twist
 from tests.mission.company import PLATFORM, Brief, Vote, made, mission_of, steps
 

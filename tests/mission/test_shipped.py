@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.mission.check import check_mission
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = sorted((ROOT / "config" / "missions").glob("*.yaml"))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from swarmd.patterns.attraction import Attraction
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.flatland import Course, Flatland
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_from, scan_of

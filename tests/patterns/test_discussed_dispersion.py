@@ -9,7 +9,7 @@ import pytest
 
 from swarmd.errors import ConfigError
 from swarmd.patterns.discussed_dispersion import DiscussedDispersion
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of
 from swarmd.values import Inputs, Message, Outputs, Value

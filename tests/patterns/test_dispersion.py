@@ -10,7 +10,7 @@ import pytest
 
 from swarmd.errors import ConfigError
 from swarmd.patterns.dispersion import Dispersion
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.flatland import Course, Flatland
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_from, scan_of

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from swarmd.patterns.drive import Drive
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.values import Inputs, Limits, Twist
 

@@ -9,13 +9,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarmd.assembly import assemble
-from swarmd.behavior import Pattern
 from swarmd.errors import ConfigError, PluginError
-from swarmd.formation import Sightings, bodies, place_on_line
-from swarmd.forming import FormationParams
+from swarmd.kit.assembly import assemble
+from swarmd.kit.behavior import Pattern
+from swarmd.kit.formation import Sightings, bodies, place_on_line
+from swarmd.kit.forming import FormationParams
 from swarmd.patterns.line_formation import LineFormation, LineFormationParams
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of
 from swarmd.values import Array, Inputs, Neighbor, Odometry, Platform, Pose, Scan, Twist, Value

@@ -8,9 +8,9 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from swarmd.assembly import assemble
+from swarmd.kit.assembly import assemble
 from swarmd.patterns.majority_rule import MajorityRule
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract
 from swarmd.values import Inputs, Message, Value
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.assembly import full_layers
-from swarmd.loading import Finder
-from swarmd.params import build, schema
+from swarmd.hosts.loading import Finder
+from swarmd.kit.assembly import full_layers
+from swarmd.kit.params import build, schema
 from swarmd.plugins import pattern_names
-from swarmd.settings import load_platform, platform_names
+from swarmd.settings.settings import load_platform, platform_names
 
 FOUND = {name: o for name, o in pattern_names(None).items() if o.value.startswith("swarmd.")}
 FIND = Finder({name: (origin.value, False) for name, origin in FOUND.items()})

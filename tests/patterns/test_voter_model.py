@@ -6,9 +6,9 @@ from collections import Counter
 
 import numpy as np
 
-from swarmd.assembly import assemble
+from swarmd.kit.assembly import assemble
 from swarmd.patterns.voter_model import VoterModel
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract
 from swarmd.values import Inputs, Message, Value
 

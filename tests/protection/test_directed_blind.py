@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
 from swarmd.testing.yard import Shape, Yard, box, decided, placed, pole, under_barrier
 from swarmd.values import Platform, Pose, Twist

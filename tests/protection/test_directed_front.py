@@ -7,11 +7,11 @@ import math
 import pytest
 
 from swarmd.messages import Reason
-from swarmd.platforms import load_platform
 from swarmd.protection.footprint import Sight
 from swarmd.protection.front import Protection
 from swarmd.protection.moment import Moment
 from swarmd.protection.verdict import Decision
+from swarmd.settings.platforms import load_platform
 from swarmd.values import ZERO, Odometry, Pose, Scan, TouchZone, Twist
 
 BURGER = load_platform("burger")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.yard import Yard, box, under_barrier
 from swarmd.values import Array, Platform, Pose, Scan, Twist
 

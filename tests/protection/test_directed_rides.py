@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from numpy.random import Generator
 
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.yard import (
     HERE,
     Ride,

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from swarmd.messages import Reason
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.yard import Yard, box, pole, round_corners, under_barrier
 from swarmd.values import Platform, Pose, Twist
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from swarmd.protection.moment import Permit
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.yard import Yard, box, under_barrier
 from swarmd.values import Pose, TouchZone, Twist
 

@@ -8,7 +8,7 @@ import pytest
 
 from swarmd.messages import Reason
 from swarmd.protection.moment import Permit
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.yard import Shape, Wish, Yard, box, pole, under_barrier
 from swarmd.values import ZERO, Platform, Pose, Twist
 

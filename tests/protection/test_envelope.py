@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from swarmd.protection.envelope import BOX, envelope, half_planes
 from swarmd.protection.feasible import nearest, nearest_feasible
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.values import Array, Platform
 
 PLATFORMS = [load_platform(name) for name in ("burger", "waffle_pi", "jackal")]

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.yard import (
     HERE,
     Ride,

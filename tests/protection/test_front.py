@@ -15,7 +15,7 @@ from swarmd.protection.front import Protection
 from swarmd.protection.moment import Moment
 from swarmd.protection.settings import Mode
 from swarmd.protection.verdict import Verdict
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.variants import with_mode
 from swarmd.values import ZERO, Array, Odometry, Platform, Pose, Scan, Twist
 

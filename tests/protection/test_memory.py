@@ -10,7 +10,7 @@ import pytest
 
 from swarmd.protection.footprint import Sight
 from swarmd.protection.memory import NearMemory
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
 from swarmd.values import Pose
 

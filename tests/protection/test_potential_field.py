@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from swarmd.platforms import load_platform
 from swarmd.protection.front import Protection
 from swarmd.protection.moment import Moment
 from swarmd.protection.verdict import Verdict
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.variants import with_mode
 from swarmd.values import Array, Scan, Twist
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmd.protection.pressing import pressing
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.values import Array, TouchZone
 
 BURGER = load_platform("burger").footprint

@@ -16,7 +16,7 @@ from hypothesis.extra.numpy import arrays
 from swarmd.protection.footprint import Footprint
 from swarmd.protection.front import Protection
 from swarmd.protection.moment import Moment
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import mirrored, reordered, scan_from
 from swarmd.testing.yard import decided, outline_point, under_barrier
 from swarmd.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist

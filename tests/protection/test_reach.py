@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.platforms import load_platform
 from swarmd.protection.barrier import TICK, Barrier
 from swarmd.protection.footprint import Sight
 from swarmd.protection.moment import Moment
 from swarmd.protection.reach import Reach
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
 from swarmd.testing.yard import under_barrier
 from swarmd.values import Odometry, Platform, Pose, Twist

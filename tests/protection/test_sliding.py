@@ -9,7 +9,7 @@ import pytest
 
 from swarmd.protection.barrier import CREEP, TICK
 from swarmd.protection.motion import REACTION
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
 from swarmd.testing.yard import decided, under_barrier
 from swarmd.values import Scan, Twist

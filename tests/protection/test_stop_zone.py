@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
 from swarmd.testing.variants import with_mode
 from swarmd.testing.yard import Yard, box, decided

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.platforms import load_platform
 from swarmd.protection.footprint import Footprint
 from swarmd.protection.sweep import SLOW, Braking
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.yard import outline_point, placed
 from swarmd.values import Array, Platform, Pose
 

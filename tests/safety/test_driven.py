@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.safety.driven import drives, faults
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.trace import Trace
 from swarmd.values import Array
 

@@ -11,7 +11,7 @@ import pytest
 from msgspec import structs
 
 from benchmarks.safety.hazards import THINGS, Obstacles, Rammer, room
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.state import Triple, WorldState
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.contacts import Episodes

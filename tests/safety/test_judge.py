@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.safety.judge import collisions, stuck_windows
 from benchmarks.safety.judgement import Judgement, judge
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.metrics.touches import WALLS
 from swarmd.sim.trace import ARENA, Trace
 from swarmd.values import Array

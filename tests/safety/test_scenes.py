@@ -19,7 +19,7 @@ from benchmarks.safety.scenes import (
     scenario,
 )
 from swarmd.errors import ConfigError
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep, simulate_run
 from swarmd.sim.metrics.touches import contacts_with_arena
 from swarmd.sim.trace import Trace

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swarmd.errors import ConfigError
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.trace import ARENA, VERSION, Recorder, Trace, load_trace
 
 IDS = ("a", "b")

@@ -13,7 +13,7 @@ import json
 import sys
 
 from swarmd.clock import boottime
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.body import Body
 
 

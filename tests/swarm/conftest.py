@@ -22,7 +22,7 @@ from swarmd.keys import build
 from swarmd.messages import Condition, State, Status, View
 from swarmd.network.operator import Operator
 from swarmd.network.session import MAX_WIRE, SessionSettings, open_session
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.body import Body
 from swarmd.testing.processes import CAP, DaemonProcess, unique_swarm, wait_until
 from swarmd.values import Value

@@ -13,11 +13,11 @@ import zenoh
 
 from swarmd.clock import boottime
 from swarmd.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE, encode, encode_value
+from swarmd.driving.sensing import encode_neighbors, encode_odometry, encode_readings, encode_scan
 from swarmd.keys import build
 from swarmd.messages import Condition, Epoch, Request, State
 from swarmd.network.membership import MAX_MEMBERS
 from swarmd.network.session import open_session
-from swarmd.sensing import encode_neighbors, encode_odometry, encode_readings, encode_scan
 from swarmd.testing.garbage import KINDS, Garbage
 from swarmd.testing.light import light_status
 from swarmd.testing.processes import wait_until

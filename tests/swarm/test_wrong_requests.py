@@ -15,9 +15,9 @@ from msgspec.structs import replace
 from swarmd.clock import boottime
 from swarmd.codec import Decoder, encode
 from swarmd.keys import build
-from swarmd.latches import HELD
 from swarmd.messages import Code, Latch, Reply, Request, State, Status
 from swarmd.network.session import MAX_WIRE
+from swarmd.robot.latches import HELD
 from swarmd.testing.processes import CAP, wait_until
 
 if TYPE_CHECKING:

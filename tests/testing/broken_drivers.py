@@ -14,7 +14,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from swarmd.driver import Finding, Sink
+from swarmd.driving.driver import Finding, Sink
 from swarmd.errors import CodecError
 from swarmd.values import ZERO, Odometry, Pose, Scan, Twist, Value
 from tests.testing.wire import SPEC, Good, Wire

@@ -14,10 +14,10 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 
-from swarmd.behavior import MovementPattern, Pattern
 from swarmd.errors import SwarmError
-from swarmd.params import Params, about
-from swarmd.rays import nearest
+from swarmd.kit.behavior import MovementPattern, Pattern
+from swarmd.kit.params import Params, about
+from swarmd.scans.rays import nearest
 from swarmd.testing.pattern_contract import PatternContract
 from swarmd.values import Inputs, Outputs, Twist
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.testing.yard import (
     Yard,
     as_driver,

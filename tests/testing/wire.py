@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from swarmd.driver import Driver, Finding, Sink
+from swarmd.driving.driver import Driver, Finding, Sink
+from swarmd.driving.sensing import decode_odometry, decode_scan, encode_odometry, encode_scan
 from swarmd.errors import CodecError, ConfigError, unknown
-from swarmd.platforms import load_platform
-from swarmd.sensing import decode_odometry, decode_scan, encode_odometry, encode_scan
+from swarmd.settings.platforms import load_platform
 from swarmd.values import ZERO, Odometry, Pose, Scan, Twist, Value
 
 PLATFORM = load_platform("burger")

@@ -14,7 +14,7 @@ import zenoh
 
 from swarmd.drivers import rmw_zenoh, ros2dds
 from swarmd.drivers.ros.driver import RosDriver
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.values import Scan, Twist, Value
 from tests.drivers.ros import second
 

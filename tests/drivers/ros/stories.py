@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 
-from swarmd.driver import Finding
+from swarmd.driving.driver import Finding
 from swarmd.testing.driver_contract import CAP, Heard, Stage
 from swarmd.values import Value
 from tests.drivers.ros.robots import Robot

@@ -6,7 +6,6 @@ from collections.abc import Iterable
 
 import pytest
 
-from swarmd.driver import Finding
 from swarmd.drivers.ros import messages
 from swarmd.drivers.ros.check import Report, has_enough
 from swarmd.drivers.ros.dialect import Endpoint
@@ -14,6 +13,7 @@ from swarmd.drivers.ros.hearing import Hearing
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.sense import Sense
 from swarmd.drivers.ros2dds import Ros2Dds
+from swarmd.driving.driver import Finding
 from tests.drivers.ros import robots
 
 TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"

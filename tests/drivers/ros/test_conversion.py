@@ -10,7 +10,7 @@ import pytest
 
 from swarmd.drivers.ros import cdr, conversion, messages
 from swarmd.errors import CodecError
-from swarmd.scans import ScanConditioner
+from swarmd.scans.conditioning import ScanConditioner
 from swarmd.values import Scan, Twist
 from tests.drivers.ros import robots, second
 

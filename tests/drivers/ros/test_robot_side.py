@@ -12,9 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarmd.base import BaseOptions, stops_after
-from swarmd.dialect import RobotSide
-from swarmd.driver import Driver
 from swarmd.drivers.rmw_zenoh import RmwZenoh, gid_of
 from swarmd.drivers.rmw_zenoh_robots import NodeVoice
 from swarmd.drivers.ros import cdr, messages
@@ -25,9 +22,12 @@ from swarmd.drivers.ros.saying import LaserVoice, odometry_message
 from swarmd.drivers.ros.session import open_session
 from swarmd.drivers.ros2dds import Ros2Dds
 from swarmd.drivers.ros2dds_robots import BridgedVoice
+from swarmd.driving.base import BaseOptions, stops_after
+from swarmd.driving.dialect import RobotSide
+from swarmd.driving.driver import Driver
 from swarmd.errors import ConfigError, NetworkError, PluginError
-from swarmd.platforms import load_platform
 from swarmd.plugins import load_dialect, load_driver
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import Heard
 from swarmd.testing.processes import wait_until
 from swarmd.values import Odometry, Platform, Pose, Scan, Twist

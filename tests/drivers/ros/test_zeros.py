@@ -7,9 +7,9 @@ import asyncio
 import pytest
 import zenoh
 
-from swarmd.driver import Stopping
 from swarmd.drivers import ros2dds
 from swarmd.drivers.ros.session import open_session
+from swarmd.driving.driver import Stopping
 from swarmd.testing.driver_contract import CAP, Stage
 from swarmd.testing.processes import wait_until
 from swarmd.values import Twist

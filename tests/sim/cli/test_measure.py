@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 
 from swarmd.errors import ConfigError
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.cli.exp import exp
 from swarmd.sim.trace import Recorder
 

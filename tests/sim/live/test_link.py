@@ -11,8 +11,8 @@ import zenoh
 
 from swarmd import keys
 from swarmd.codec import encode
+from swarmd.driving.sensing import CommandWire, decode_command, encode_command
 from swarmd.errors import ConfigError, NetworkError
-from swarmd.sensing import CommandWire, decode_command, encode_command
 from swarmd.sim.live.link import WorldLink, WorldView, dialling
 from swarmd.sim.live.state import WorldReply, WorldState
 from swarmd.values import Twist

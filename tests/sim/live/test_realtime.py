@@ -12,9 +12,7 @@ import numpy as np
 import pytest
 import zenoh
 
-from swarmd.errors import SwarmError
-from swarmd.platforms import load_platform
-from swarmd.sensing import (
+from swarmd.driving.sensing import (
     decode_command,
     decode_neighbors,
     decode_odometry,
@@ -22,6 +20,8 @@ from swarmd.sensing import (
     decode_scan,
     encode_command,
 )
+from swarmd.errors import SwarmError
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink, WorldView, dialling
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT, RealTimeWorld
 from swarmd.sim.live.recording import Record, RecordSettings

@@ -17,7 +17,7 @@ import pytest
 
 from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.errors import ConfigError
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.server import main, parse_robots
 from swarmd.sim.metrics.effort import path_lengths
@@ -124,7 +124,7 @@ def test_a_robot_drives_by_its_driver_and_stops_when_the_driver_falls_silent(
 _DRIVE = """
 import asyncio, sys
 from swarmd.drivers.simulated import SimulatedDriver
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import Heard
 from swarmd.values import Twist
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 import pytest
 
-from swarmd.dialect import OnCommand
-from swarmd.platforms import load_platform
+from swarmd.driving.dialect import OnCommand
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
 from swarmd.sim.live.realtime import RealTimeWorld
 from swarmd.sim.live.recording import Record, RecordSettings

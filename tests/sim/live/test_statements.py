@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from swarmd.messages import Reason, Row, State, Status
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.statements import Statements
 from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.trace import Recorder, Trace

@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.messages import Epoch, Health, Reason, State, Status, VerdictSummary
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.summary import Summary, duties, mean_duty, numbers_of, problems_of
 from swarmd.sim.trace import Recorder, Trace
 

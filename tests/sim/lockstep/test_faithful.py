@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarmd.robot import TICK
+from swarmd.robot.robot import TICK
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT
 from swarmd.sim.lockstep.lockstep import BODY_TIMEOUT, Lockstep, simulate_run
 from swarmd.sim.metrics.touches import contact_list

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.paper_exp2 import joined, judged, ranges
-from swarmd.settings import load_platform
+from swarmd.settings.settings import load_platform
 from swarmd.sim.trace import Trace
 from swarmd.values import Array
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.trace import Trace
 from swarmd.values import Array
 

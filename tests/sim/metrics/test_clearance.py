@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.metrics import clearance
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.actuation import Actuators
 from swarmd.sim.world.realism import IDEAL, Actuation
 from swarmd.values import Array

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from swarmd.errors import ConfigError
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.bodies import build_model, inertia, value
 from swarmd.sim.world.geometry import radius

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swarmd.errors import ConfigError
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.arena import Arena, parse_arena
 from swarmd.sim.world.geometry import gaps, transform
 from swarmd.sim.world.layouts import parse_layout

@@ -10,7 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena, Box, Pole, parse_arena
 from swarmd.sim.world.layouts import parse_layout

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.noise import BLOCK, NoisyLidar
 from swarmd.sim.world.realism import IDEAL, REALISTIC, LidarNoise
 from swarmd.testing.variants import with_plain_scan

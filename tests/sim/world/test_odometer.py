@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.odometer import Odometers, measurement
 from swarmd.sim.world.realism import IDEAL, REALISTIC, OdometryNoise
 from swarmd.values import Array, Platform

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swarmd.errors import ConfigError
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.arena import Arena, Box
 from swarmd.sim.world.radio import Radio, RadioSettings, check_radio, with_bearings
 from swarmd.values import Array, Neighbor

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from swarmd.platforms import load_platform, platform_names
+from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.world.rays import Rays
 from swarmd.values import Array
 

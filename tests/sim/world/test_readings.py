@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.readings import (
     Field,

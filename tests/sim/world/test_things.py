@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from swarmd.errors import ConfigError, SwarmError
-from swarmd.platforms import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.arena import Arena, Box, Pole, Segment
 from swarmd.sim.world.geometry import gaps, transform
 from swarmd.sim.world.world import World

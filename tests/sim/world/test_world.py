@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from swarmd.errors import ConfigError
-from swarmd.platforms import load_platform, platform_names
+from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.world.arena import Arena, parse_arena
 from swarmd.sim.world.realism import IDEAL, REALISTIC, Realism
 from swarmd.sim.world.world import World

@@ -1,0 +1,396 @@
+"""The daemon: the only owner of the loop. Wires driver, bus, runner and robot together.
+
+It starts in this order: pattern host (before Zenoh opens), robot and tick, network, claim of the
+id, emergency stop, the latches of its peers, `run`, and the driver: until the id is claimed the
+base may be another daemon's. Every way out commands zero.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import logging
+import secrets
+import signal
+import socket
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import msgspec
+
+from swarmd.clock import boottime
+from swarmd.codec import Decoder, decode_value, encode, encode_value
+from swarmd.daemon.heartbeat import Heartbeat
+from swarmd.daemon.latchfile import LatchFile
+from swarmd.daemon.notify import Notifier
+from swarmd.daemon.reading import HALTS, RequestReader
+from swarmd.driving.base import IdleOutput, base_options, make_driver
+from swarmd.driving.driver import Driver, check_protected
+from swarmd.errors import CodecError, SwarmError
+from swarmd.hosts.runner import ProcessRunner
+from swarmd.keys import Key
+from swarmd.messages import Code, Condition, Reply, Request, Status
+from swarmd.network.bus import ZenohBus
+from swarmd.network.claim import Claim, claim_id
+from swarmd.network.contract import Query
+from swarmd.network.opening import opened_session
+from swarmd.network.session import SessionSettings
+from swarmd.robot.actions import Actions
+from swarmd.robot.robot import Robot
+from swarmd.robot.status import RobotSettings, with_health
+from swarmd.settings.settings import DaemonSettings
+from swarmd.values import ZERO, Neighbor, Odometry, Scan, Twist
+
+log = logging.getLogger(__name__)
+
+ASK_PEERS = 0.5
+DRIVER_PAUSE = 1.0
+NEIGHBORS_EVERY = 10  # ticks
+MAX_PENDING = 64
+
+
+async def serve(settings: DaemonSettings) -> int:
+    """Run until SIGTERM, SIGINT or SIGHUP; 0 after a clean stop. Raises SwarmError."""
+    loop = asyncio.get_running_loop()
+    stop = asyncio.Event()
+    is_nohup = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    for number in (signal.SIGTERM, signal.SIGINT, *(() if is_nohup else (signal.SIGHUP,))):
+        loop.add_signal_handler(number, stop.set)
+    daemon = Daemon(settings, make_driver(settings))
+    await daemon.run(stop)
+    return 0
+
+
+class Daemon:
+    """One robot's daemon; `run` is its whole life. Also the driver's sink."""
+
+    def __init__(self, settings: DaemonSettings, driver: Driver) -> None:
+        check_protected(settings.platform, driver, settings.driver)
+        self._settings = settings
+        self._driver = driver
+        base = base_options(settings.driver_options, f"driver {settings.driver}")
+        self._idle = IdleOutput(base.idle_output)
+        self._loop = asyncio.get_running_loop()
+        self._loop.set_exception_handler(self._on_crash)
+        self._crash: BaseException | None = None
+        self._crashed = asyncio.Event()
+        self._boot = secrets.token_hex(6)
+        self._notify = Notifier()
+        self._latches = LatchFile(settings.state_dir / settings.swarm / settings.id)
+        self._runner = ProcessRunner(self._loop, settings.plugin_dir, self._on_host_events)
+        self._bus: ZenohBus | None = None
+        self._claim: Claim | None = None
+        self._pending: dict[str, Query] = {}
+        self._drops: dict[str, int] = {}
+        self._body_knows_neighbors = False
+        self._ticks = 0
+        self._read = RequestReader()
+        self._status = Decoder(Status)
+        self._robot = Robot(
+            settings.id,
+            settings.platform,
+            RobotSettings(
+                driver=settings.driver,
+                layers=settings.pattern_layers,
+                host=socket.gethostname(),
+                profile=settings.profile,
+                labels=settings.labels,
+                touch=settings.touch_zones,
+            ),
+            seed=secrets.randbits(48),
+            boot=self._boot,
+            now=boottime(),
+            latches=self._latches.read(),
+        )
+        self._heartbeat = Heartbeat(self._loop, self._on_tick)
+
+    async def run(self, stop: asyncio.Event) -> None:
+        """Serve until `stop` is set. SwarmError if there is no network or the id is held."""
+        living = asyncio.create_task(self._live())
+        ends = {living, *(asyncio.create_task(e.wait()) for e in (stop, self._crashed))}
+        try:
+            await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
+            if living.done():
+                error = living.exception()
+                if not isinstance(error, SwarmError):
+                    self._crash = self._crash or error
+                living.result()
+            if self._crash is not None:
+                raise self._crash
+        finally:
+            self._notify("STOPPING=1")
+            if self._claim is None:
+                await _end(living)  # it was still joining
+            try:
+                self._leave()
+            finally:
+                for end in ends:
+                    await _end(end)
+        if self._crash is not None:  # on the way out
+            raise self._crash
+
+    # Coming and going
+
+    async def _live(self) -> None:
+        await self._join()
+        gc.collect()
+        gc.freeze()
+        self._notify("READY=1")
+        log.info("ready in swarm %s as %s", self._settings.swarm, self._boot)
+        await self._drive()  # only now is the base ours
+
+    async def _drive(self) -> None:
+        """The driver's life; one that gives up is tried again."""
+        while True:
+            try:
+                await self._driver.run(self)
+            except SwarmError as error:
+                log.warning("driver %s: %s", self._settings.driver, error)
+                self.state(False, str(error))
+            await asyncio.sleep(DRIVER_PAUSE)
+
+    def _on_crash(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """A callback of ours raised: a guardian that cannot think must not let the body move."""
+        loop.default_exception_handler(context)
+        self._crash = self._crash or context.get("exception") or RuntimeError(context["message"])
+        self._crashed.set()
+        self._send(ZERO, -1, -1)
+
+    def _send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+        """Hand a command to the driver; one that raises ends the daemon, when all else is done."""
+        try:
+            self._driver.send(twist, scan_seq, wish_seq)
+        except Exception as error:  # a driver may raise anything
+            log.exception("driver %s: a command could not be sent", self._settings.driver)
+            self._crash = self._crash or error
+            self._crashed.set()
+
+    async def _join(self) -> None:
+        settings = self._settings
+        wanted = SessionSettings(
+            swarm=settings.swarm,
+            profile=settings.profile,
+            interface=settings.interface,
+            listen=settings.listen,
+            seeds=settings.seeds,
+            multicast=settings.multicast,
+            lease=settings.lease,
+        )
+        if settings.profile == "field":
+            log.warning("no certificates: anyone on this network can drive this robot")
+        self._session = await opened_session(wanted)
+        self._bus = bus = ZenohBus(self._session, swarm=settings.swarm, robot=settings.id)
+        self._claim = await claim_id(
+            self._session,
+            swarm=settings.swarm,
+            robot=settings.id,
+            instance=self._boot,
+            settle=wanted.settle,
+            lease=wanted.lease_seconds,
+            on_duplicate=self._on_duplicate,
+        )
+        bus.serve("safety", "estop", self._on_request("estop"))
+        for verb in ("stop", "reset", "param", "forget"):
+            bus.serve("control", verb, self._on_request(verb))
+        bus.serve_view(lambda: self._with_health(self._robot.status(boottime())), settings.roster)
+        bus.on_status(self._on_peer_status)
+        bus.listen("msg", "*/*", self._on_message)
+        bus.on_member(lambda member: self._tell_neighbors())
+        for robot, payload in await bus.ask("state", "status", timeout=ASK_PEERS):
+            self._on_answered_status(robot, payload)
+        for verb in ("run", "reload"):
+            bus.serve("control", verb, self._on_request(verb))
+        self._tell_neighbors()
+        self._publish(self._robot.status(boottime()))
+
+    def _leave(self) -> None:
+        """Zero, `left`, and out; the driver's own way out sends zero once more.
+
+        After a crash nobody is told that it left: its peers list it as failed.
+        """
+        self._heartbeat.stop()
+        self._send(ZERO, -1, -1)
+        try:
+            if self._crash is None:
+                self._carry_out(self._robot.on_leave(boottime()))
+                self._heartbeat.stop()
+                self._say_left()
+        finally:
+            self._runner.close()
+            if self._bus is not None:
+                if self._claim is not None:
+                    self._claim.release()
+                self._bus.close()
+                self._session.close()
+
+    def _say_left(self) -> None:
+        if self._bus is not None and self._claim is not None:
+            status = self._with_health(self._robot.status(boottime()))
+            left = msgspec.structs.replace(status, has_left=True)
+            self._bus.publish("state", "status", encode(left), express=True)
+
+    # What the driver hears
+
+    def scan(self, scan: Scan) -> None:
+        """A sweep as the sensor gave it."""
+        self._carry_out(self._robot.on_scan(scan, boottime()))
+
+    def odometry(self, odometry: Odometry) -> None:
+        """A measured pose and twist."""
+        self._robot.on_odometry(odometry, boottime())
+
+    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
+        """The robots within hearing, as the body knows them."""
+        self._body_knows_neighbors = True
+        self._robot.on_neighbors(neighbors, boottime())
+
+    def readings(self, values: Mapping[str, float]) -> None:
+        """Scalar sensors by name."""
+        self._robot.on_readings(values)
+
+    def state(self, is_up: bool, text: str) -> None:
+        """The base is there, or is lost and why."""
+        self._carry_out(self._robot.on_driver(is_up, text, boottime()))
+
+    def dropped(self, what: str) -> None:
+        """Count one input that could not be read."""
+        self._drops[f"driver/{what}"[:64]] = self._drops.get(f"driver/{what}"[:64], 0) + 1
+
+    # What the network says
+
+    def _on_request(self, verb: str) -> Callable[[Query], None]:
+        def on_query(query: Query) -> None:
+            try:
+                request = self._read(verb, query.payload)
+            except CodecError:
+                self._malformed(verb, query)
+                return
+            targets, is_halt = request.targets, verb in HALTS
+            is_one_too_many = not is_halt and (  # halts are always taken, and answered at once
+                request.id in self._pending or len(self._pending) >= MAX_PENDING
+            )
+            if is_one_too_many or (targets is not None and self._robot.id not in targets):
+                query.drop()
+            elif verb == "forget":
+                self._forget(request, query)
+            else:
+                self._pending[request.id] = query
+                self._carry_out(self._robot.on_request(request, boottime()))
+
+        return on_query
+
+    def _malformed(self, verb: str, query: Query) -> None:
+        if self._bus is not None:
+            plane = "safety" if verb == "estop" else "control"
+            self._bus.drop(f"{plane}/{verb}:malformed")
+        query.drop()
+
+    def _forget(self, request: Request, query: Query) -> None:
+        name = str(request.args.get("name") or "")
+        assert self._bus is not None
+        is_done = self._bus.forget(name) or name not in self._bus.members
+        code = Code.APPLIED if is_done else Code.REFUSED
+        text = f"forgot {name}" if is_done else f"{name} is alive"
+        reply = Reply(id=request.id, robot=self._robot.id, code=code, text=text[:300])
+        query.reply(encode(reply))
+
+    def _on_answered_status(self, robot: str, payload: bytes) -> None:
+        try:
+            status = self._status(payload)
+        except CodecError:
+            return  # a stranger's; the bus counts what is published
+        if status.robot == robot:
+            self._on_peer_status(status)
+
+    def _on_peer_status(self, status: Status) -> None:
+        if status.latches:
+            self._carry_out(self._robot.on_latches(status.latches, boottime()))
+
+    def _on_message(self, key: Key, payload: bytes) -> None:
+        assert self._bus is not None
+        try:
+            value = decode_value(payload)
+            is_heard = self._robot.on_message(key.robot, key.name, value, boottime())
+        except CodecError:
+            self._bus.drop("msg:malformed")
+            return
+        if not is_heard:
+            self._bus.drop("msg:not_a_neighbor")
+
+    def _on_duplicate(self, instance: str) -> None:
+        log.error("id %s is also held by instance %s", self._robot.id, instance)
+        self._carry_out(self._robot.on_duplicate(f"instance {instance}", boottime()))
+
+    def _tell_neighbors(self) -> None:
+        """Without a body that knows who is within hearing, every living member is."""
+        if self._bus is None or self._body_knows_neighbors:
+            return
+        alive = tuple(
+            Neighbor(member.robot, 0.0)
+            for member in self._bus.members.values()
+            if member.condition is Condition.ALIVE
+        )
+        self._robot.on_neighbors(alive, boottime())
+
+    # Time, and what follows
+
+    def _on_tick(self) -> None:
+        self._ticks += 1
+        self._carry_out(self._robot.tick(boottime()))
+        if self._ticks % NEIGHBORS_EVERY == 0:
+            self._tell_neighbors()
+            if self._claim is not None and not self._claim.duplicates:
+                self._carry_out(self._robot.on_duplicate(None, boottime()))
+            if self._notify.pings:
+                self._notify("WATCHDOG=1")
+
+    def _on_host_events(self) -> None:
+        for event in self._runner.events():
+            self._carry_out(self._robot.on_host(event, boottime()))
+
+    def _carry_out(self, actions: Actions) -> None:
+        if self._idle.lets(actions.twist, actions.is_idle, boottime()):
+            self._send(actions.twist, actions.verdict.scan_seq, actions.wish_seq)
+        is_kept = actions.latches is None or self._latches.write(actions.latches)
+        for command in (actions.trial, actions.host):
+            if command is not None:
+                self._runner.send(command)
+        for name, value in actions.messages.items():
+            self._say(name, value)
+        if actions.status is not None:
+            self._publish(actions.status)
+        for reply in actions.replies:
+            query = self._pending.pop(reply.id, None)
+            if query is not None:
+                query.reply(encode(reply if is_kept else _not_kept(reply)))
+        wake_at = self._robot.wake_at(boottime())
+        self._heartbeat.wake_in(None if wake_at is None else wake_at - boottime())
+
+    def _say(self, name: str, value: object) -> None:
+        if self._bus is None:
+            return
+        try:
+            self._bus.publish("msg", name, encode_value(value))
+        except CodecError as error:
+            log.debug("message on %s not sent: %s", name, error)
+            self._bus.drop(f"msg/{name}:unsendable"[:64])
+
+    def _publish(self, status: Status) -> None:
+        if self._bus is not None and self._claim is not None:
+            self._bus.publish("state", "status", encode(self._with_health(status)), express=True)
+
+    def _with_health(self, status: Status) -> Status:
+        network = {} if self._bus is None else self._bus.dropped
+        frames = {"host/frames": self._runner.dropped} if self._runner.dropped else {}
+        dropped = {**status.health.dropped, **network, **self._drops, **frames}
+        return with_health(status, self._heartbeat.p99, self._heartbeat.stalls, dropped)
+
+
+async def _end(task: asyncio.Task[Any]) -> None:
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
+
+
+def _not_kept(reply: Reply) -> Reply:
+    text = f"{reply.text}; not on disk, so a restart would forget it: see the log"
+    return msgspec.structs.replace(reply, text=text)

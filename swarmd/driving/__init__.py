@@ -1,0 +1,1 @@
+"""What all drivers have in common: their contract, the base's deadman, recordings."""

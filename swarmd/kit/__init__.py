@@ -1,0 +1,1 @@
+"""What patterns are made of; their authors import it from `swarmd.api`."""

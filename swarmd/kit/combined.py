@@ -1,0 +1,78 @@
+"""The base of patterns that are made of other patterns."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from swarmd.kit.behavior import Context, Pattern
+from swarmd.kit.params import P
+from swarmd.values import Inputs, Message, Outputs, Scalar, Value
+
+
+class CombinedPattern(Pattern[P]):
+    """Steps its parts and combines what they want; each part sees only its own channels.
+
+    `needs` and `channels` of the object (not of the class) are those of all parts together. A
+    channel of a part is called `<pattern>/<channel>` if the part shares the key of the stand-alone
+    pattern, so that both hear each other, and `<part>-<channel>` if it is private.
+    """
+
+    parts: Mapping[str, Pattern[Any]]
+
+    def __init__(self, params: P, context: Context) -> None:
+        super().__init__(params, context)
+        self.parts = self.make_parts()
+        self.needs = frozenset[str]().union(self.needs, *(p.needs for p in self.parts.values()))
+        self.channels = {
+            outer_name(part, channel): kind
+            for part in self.parts.values()
+            for channel, kind in part.channels.items()
+        }
+        self._stepped_at: dict[str, float] = {}
+
+    @abstractmethod
+    def make_parts(self) -> Mapping[str, Pattern[Any]]:
+        """The parts by name, made with `self.context.make`."""
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """Step all parts and combine."""
+        return self.combine({name: self.step_part(name, inputs) for name in self.parts}, inputs)
+
+    def combine(self, outputs: Mapping[str, Outputs], inputs: Inputs) -> Outputs:
+        """One outputs of many: the first wish there is, all messages, reports as `part.key`.
+
+        Done when all parts are. Override it to choose otherwise.
+        """
+        twists = [part.twist for part in outputs.values() if part.twist is not None]
+        reasons = [part.done for part in outputs.values() if part.done is not None]
+        messages: dict[str, Value] = {}
+        report: dict[str, Scalar] = {}
+        for name, part in outputs.items():
+            messages.update(part.messages)
+            report.update({f"{name}.{key}": value for key, value in part.report.items()})
+        done = "; ".join(reasons) if reasons and len(reasons) == len(outputs) else None
+        return Outputs(twists[0] if twists else None, messages, report, done)
+
+    def step_part(self, name: str, inputs: Inputs) -> Outputs:
+        """Step one part with its own messages and its own dt; its messages get outer names."""
+        part = self.parts[name]
+        inner = {outer_name(part, channel): channel for channel in part.channels}
+        heard = tuple(
+            Message(m.sender, inner[m.channel], m.value, m.age)
+            for m in inputs.messages
+            if m.channel in inner
+        )
+        dt = inputs.now - self._stepped_at.get(name, inputs.now)
+        self._stepped_at[name] = inputs.now
+        outputs = part.step(msgspec.structs.replace(inputs, messages=heard, dt=dt))
+        messages = {outer_name(part, channel): value for channel, value in outputs.messages.items()}
+        return msgspec.structs.replace(outputs, messages=messages)
+
+
+def outer_name(part: Pattern[Any], channel: str) -> str:
+    """What the outer pattern calls a channel of its part; shared names stay as they are."""
+    return channel if "/" in channel else part.context.channel_prefix + channel

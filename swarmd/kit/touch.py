@@ -1,0 +1,83 @@
+"""Where a pattern may touch what is near: what it asks for, as far as its robot grants it. Pure.
+
+Both are needed: a pattern declares a zone, the robot's configuration grants one, and what both
+allow is in force. Nothing that comes over the network has a say.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from swarmd.angles import difference, wrap
+from swarmd.errors import PluginError
+from swarmd.kit.grants import MAX_TOUCH_HALF_WIDTH_DEG, MAX_TOUCH_SPEED, Touch, TouchSection
+from swarmd.values import TouchZone
+
+
+def zones(touch: Touch) -> Mapping[str, TouchZone]:
+    """What is granted, by pattern."""
+    return {name: _zone(section) for name, section in touch.items() if section is not None}
+
+
+def check_zone(pattern: str, zone: object) -> None:
+    """PluginError if a pattern asks for what no configuration can grant."""
+    if zone is None:
+        return
+    if not isinstance(zone, TouchZone):
+        raise PluginError(f"pattern {pattern!r}: touches is {zone!r}; wanted a TouchZone or None")
+    limit = math.radians(MAX_TOUCH_HALF_WIDTH_DEG)
+    is_sound = (
+        math.isfinite(zone.bearing)
+        and 0.0 < zone.half_width <= limit
+        and 0.0 < zone.speed <= MAX_TOUCH_SPEED
+    )
+    if not is_sound:
+        raise PluginError(
+            f"pattern {pattern!r}: touches is {zone!r}; wanted a bearing in rad, a half_width "
+            f"above 0 and up to {limit:.3f} rad and a speed above 0 and up to "
+            f"{MAX_TOUCH_SPEED:g} m/s"
+        )
+
+
+def overlap(asked: TouchZone, granted: TouchZone) -> TouchZone | None:
+    """The directions that both have, at the lower speed; None if there are none.
+
+    Whatever is asked, it is within what is granted.
+    """
+    aside = difference(asked.bearing, granted.bearing)
+    low = max(aside - asked.half_width, -granted.half_width)
+    high = min(aside + asked.half_width, granted.half_width)
+    speed = min(asked.speed, granted.speed)
+    if not (high > low and speed > 0.0):
+        return None
+    return TouchZone(wrap(granted.bearing + 0.5 * (low + high)), 0.5 * (high - low), speed)
+
+
+def in_force(
+    pattern: str, asked: TouchZone | None, granted: TouchZone | None
+) -> tuple[TouchZone | None, str]:
+    """The zone in which a pattern may touch, and the line that tells of it; empty if none asked."""
+    if asked is None:
+        return None, ""
+    if granted is None:
+        text = f"asks to touch {in_words(asked)}, which is not granted: it is kept from that"
+        where = f"`touch: {{{pattern}: ...}}` in the robot's configuration grants it"
+        return None, f"{text}; {where}"
+    zone = overlap(asked, granted)
+    if zone is None:
+        text = f"asks to touch {in_words(asked)}, but granted is {in_words(granted)}"
+        return None, f"{text}: it is kept from both"
+    return zone, f"may touch: {in_words(zone)}"
+
+
+def in_words(zone: TouchZone) -> str:
+    """Such as `+-20 deg ahead at up to 0.10 m/s`."""
+    bearing = round(math.degrees(wrap(zone.bearing)))
+    where = {0: "ahead", 180: "behind", -180: "behind"}.get(bearing, f"around {bearing} deg")
+    return f"+-{math.degrees(zone.half_width):.0f} deg {where} at up to {zone.speed:.2f} m/s"
+
+
+def _zone(section: TouchSection) -> TouchZone:
+    bearing, half_width = math.radians(section.bearing_deg), math.radians(section.half_width_deg)
+    return TouchZone(bearing, half_width, section.speed)

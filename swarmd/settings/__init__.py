@@ -1,0 +1,1 @@
+"""What a daemon is told before it starts: swarm files, platforms, settings."""

@@ -1,0 +1,173 @@
+"""The settings of one daemon, read once: files, command line and environment into one value.
+
+Weakest to strongest: defaults, `$SWARM`, the file named by `swarm_file`, the daemon's own file,
+the command line. `provenance` says for every key which of them won.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, cast
+
+from swarmd.errors import ConfigError
+from swarmd.frames import Layers
+from swarmd.keys import check_id
+from swarmd.kit.grants import Touch
+from swarmd.kit.touch import zones
+from swarmd.settings.layered import Layered
+from swarmd.settings.platforms import load_platform, platform_names
+from swarmd.settings.swarmfile import DEFAULT, DaemonFile, ParametersSection, check, layered
+from swarmd.settings.yamlfile import shown
+from swarmd.values import Platform, TouchZone, Value
+
+__all__ = ["DaemonSettings", "load_daemon_settings", "load_platform", "platform_names"]
+
+_WORD = 64  # the longest source that a status can name
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DaemonSettings:
+    """Everything one daemon is told, checked.
+
+    `platform_name` is what was asked for: a name, or the absolute path of a file. `labels` are
+    this robot's, `label_members` everyone's. `state_dir` is shared by all daemons of a user:
+    `<state_dir>/<swarm>/<id>` is this one's.
+    `provenance`: key -> file, `--option`, `$VARIABLE`, `host name` or `default`.
+    """
+
+    id: str
+    swarm: str
+    profile: Literal["dev", "field"]
+    interface: str | None
+    listen: tuple[str, ...]
+    seeds: tuple[str, ...]
+    multicast: bool
+    lease: float | None
+    platform: Platform
+    platform_name: str
+    driver: str
+    driver_options: Mapping[str, Value]
+    labels: tuple[str, ...]
+    label_members: Mapping[str, tuple[str, ...]]
+    parameters: ParametersSection
+    touch: Touch
+    roster: tuple[str, ...]
+    state_dir: Path
+    plugin_dir: Path | None
+    die_with_parent: int | None = None
+    provenance: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def touch_zones(self) -> Mapping[str, TouchZone]:
+        """Where which pattern may touch what is near."""
+        return zones(self.touch)
+
+    def pattern_layers(self, pattern: str) -> Layers:
+        """The parameters configured for a pattern by source, weakest first; empty ones left out.
+
+        Sources: `platform`, `label <name>` in the order of the file, `robot`.
+        """
+        labelled = self.parameters.labels
+        layers = [("platform", self.platform.patterns.get(pattern, {}))]
+        layers += [
+            (f"label {name}"[:_WORD], labelled.get(name, {}).get(pattern, {}))
+            for name in self.labels
+        ]
+        layers += [("robot", self.parameters.robots.get(self.id, {}).get(pattern, {}))]
+        return tuple((source, values) for source, values in layers if values)
+
+
+def load_daemon_settings(
+    config: Path | None,
+    overrides: Mapping[str, object],
+    environ: Mapping[str, str] = os.environ,
+) -> DaemonSettings:
+    """The settings from a file (None: no file), `overrides` and the environment.
+
+    `overrides` has the keys of `DaemonFile` and `die_with_parent`; None means not given.
+    ConfigError names source, key, value, what was wanted and the nearest valid key.
+    """
+    given = {key: value for key, value in overrides.items() if value is not None}
+    parent = given.pop("die_with_parent", None)
+    layers = layered(config, given, environ)
+    file = layers.build(DaemonFile)
+    check(layers, file)
+    near = config.parent if config is not None and "platform" not in given else Path()
+    platform = load_platform(file.platform, near)
+    robot = _robot_id(layers, file)
+    return DaemonSettings(
+        id=robot,
+        swarm=file.swarm,
+        profile=file.profile,
+        interface=file.interface,
+        listen=tuple(file.listen),
+        seeds=tuple(file.seeds),
+        multicast=file.multicast,
+        lease=file.lease,
+        platform=platform,
+        platform_name=_absolute(file.platform, near),
+        driver=file.driver,
+        driver_options=_driver_options(platform, file),
+        labels=tuple(label for label, robots in file.labels.items() if robot in robots),
+        label_members={label: tuple(robots) for label, robots in file.labels.items()},
+        parameters=file.parameters,
+        touch=file.touch,
+        roster=tuple(file.roster),
+        state_dir=_path(layers, "state_dir", file.state_dir, config) or _state_dir(environ),
+        plugin_dir=_path(layers, "plugin_dir", file.plugin_dir, config),
+        die_with_parent=cast("int | None", parent),
+        provenance=_provenance(layers),
+    )
+
+
+def _robot_id(layers: Layered, file: DaemonFile) -> str:
+    if file.id is None:
+        name = socket.gethostname().partition(".")[0].lower()
+        return check_id(
+            name, "the robot's id, taken from the host name as none was given with --id,"
+        )
+    try:
+        return check_id(file.id, "id")
+    except ConfigError as error:
+        raise layers.error(("id",), str(error)) from error
+
+
+def _absolute(platform: str, near: Path) -> str:
+    is_file = platform.endswith(".yaml")
+    return str((near / Path(platform).expanduser()).absolute()) if is_file else platform
+
+
+def _driver_options(platform: Platform, file: DaemonFile) -> Mapping[str, Value]:
+    options = Layered(("", file.driver_options), ("", platform.drivers.get(file.driver, {})))
+    return options.data
+
+
+def _path(layers: Layered, key: str, value: str | None, config: Path | None) -> Path | None:
+    """The path; one from the file is relative to the file, one from the command line to here."""
+    if value is None:
+        return None
+    is_ours = config is not None and layers.source(key) == shown(config)
+    return (config.parent if is_ours and config else Path()) / Path(value).expanduser()
+
+
+def _state_dir(environ: Mapping[str, str]) -> Path:
+    base = environ.get("XDG_STATE_HOME", "")
+    if os.path.isabs(base):  # the XDG specification: relative ones are to be ignored
+        return Path(base) / "swarmd"
+    home = environ.get("HOME", "")
+    if not os.path.isabs(home):
+        raise ConfigError("state_dir: there is no $HOME to keep state in; give --state-dir")
+    return Path(home) / ".local/state/swarmd"
+
+
+def _provenance(layers: Layered) -> Mapping[str, str]:
+    derived = {"id": "host name"}
+    return {
+        key: layers.source(key) or derived.get(key, DEFAULT)
+        for key in DaemonFile.__struct_fields__
+        if key != "swarm_file"
+    }

@@ -1,0 +1,130 @@
+"""YAML files read strictly: what stands in them, or one line that names file and line.
+
+Refused are duplicate keys, keys that are not text, and anchors (so that no file can refer to
+itself). What the values mean is checked by `swarmd.settings.layered`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from swarmd.errors import ConfigError
+
+Data = dict[str, Any]
+
+
+def read(path: Path) -> Data:
+    """The mapping in a file, {} for an empty one; ConfigError with file and line otherwise."""
+    name = shown(path)
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(f"{name}: cannot be read: {error.strerror}; check the path") from error
+    try:
+        data = yaml.load(text, Loader=_StrictLoader)
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{name}{_yaml_fault(error)}") from error
+    except (ValueError, RecursionError) as error:  # an impossible date, a thousand brackets
+        raise ConfigError(f"{name}: is not YAML that can be read: {error}") from error
+    if data is None:
+        return {}
+    if not isinstance(data, dict):
+        raise ConfigError(f"{name}: holds {brief(data)}; wanted keys and values, such as `id: r1`")
+    return data
+
+
+def read_extended(path: Path, find: Callable[[str, Path], Path]) -> Iterator[tuple[Path, Data]]:
+    """A file and those it `extends`, strongest first; `find(name, folder)` says where they are.
+
+    ConfigError if a file extends itself, or one that is not there.
+    """
+    seen: list[Path] = []
+    while True:
+        if path.resolve() in seen:
+            files = " -> ".join(shown(file) for file in (*seen, path))
+            raise ConfigError(f"{shown(path)}: extends itself: {files}; take one of them out")
+        seen.append(path.resolve())
+        data = read(path)
+        yield path, data
+        base = data.get("extends")
+        if not isinstance(base, str):
+            return
+        try:
+            path = find(base, path.parent)
+        except ConfigError as error:
+            raise ConfigError(f"{shown(path)}: extends: {error}") from error
+
+
+def read_value(text: str) -> Any:
+    """What the text would be as a value in a file; ConfigError if it could not be one."""
+    try:
+        return yaml.load(text, Loader=_StrictLoader)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise ConfigError(
+            f"{brief(text)} is no value; wanted is YAML, such as 3 or [1, 2]"
+        ) from error
+
+
+def shown(path: Path) -> str:
+    """The path as errors show it: relative to where we are if it is below, else in full."""
+    real, here = path.resolve(), Path.cwd()
+    return str(real.relative_to(here)) if real.is_relative_to(here) else str(real)
+
+
+def brief(value: object) -> str:
+    """A value as errors show it, at most 60 characters."""
+    text = repr(value) if isinstance(value, str | int | float | list | dict) else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+class _StrictLoader(yaml.SafeLoader):
+    """safe_load without duplicate keys, keys that are not text, and anchors.
+
+    Of YAML 1.1's booleans only true and false are left, as in YAML 1.2: `mode: off` is text.
+    """
+
+    def compose_node(self, parent: Any, index: Any) -> Any:
+        event = self.peek_event()  # type: ignore[no-untyped-call]  # types-PyYAML leaves it out
+        if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) is not None:
+            raise yaml.MarkedYAMLError(
+                problem="& and * are not read here; write the value out",
+                problem_mark=event.start_mark,
+            )
+        return super().compose_node(parent, index)
+
+    def construct_mapping(self, node: Any, deep: bool = False) -> Any:
+        lines: dict[str, int] = {}
+        for key_node, _ in node.value:
+            key, mark = self.construct_object(key_node, deep=True), key_node.start_mark
+            if not isinstance(key, str):
+                raise yaml.MarkedYAMLError(
+                    problem=f"key {brief(key)} is not text; put it in quotes", problem_mark=mark
+                )
+            if key in lines:
+                raise yaml.MarkedYAMLError(
+                    problem=f"key {key!r} stands twice, first in line {lines[key]}; keep one",
+                    problem_mark=mark,
+                )
+            lines[key] = mark.line + 1
+        return super().construct_mapping(node, deep=deep)
+
+
+_StrictLoader.yaml_implicit_resolvers = {
+    first: [(tag, form) for tag, form in rules if first in "tTfF" or not tag.endswith(":bool")]
+    for first, rules in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+# YAML 1.1 as PyYAML reads it takes 1e-3 for text, since it has no point.
+_StrictLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
+)
+
+
+def _yaml_fault(error: yaml.YAMLError) -> str:
+    if isinstance(error, yaml.MarkedYAMLError) and error.problem_mark is not None:
+        return f":{error.problem_mark.line + 1}: {error.problem or 'is not YAML'}"
+    return f": is not YAML: {' '.join(str(error).split())}"

@@ -1,0 +1,206 @@
+"""The daemon's own wiring, with a driver that only takes notes; whole daemons: tests/faults."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from swarmd.codec import Decoder, encode
+from swarmd.daemon.daemon import Daemon
+from swarmd.daemon.latchfile import LatchFile
+from swarmd.driving.driver import Finding, Sink
+from swarmd.messages import Code, Reply, Request
+from swarmd.settings.settings import DaemonSettings, load_daemon_settings
+from swarmd.testing.processes import unique_swarm
+from swarmd.values import Twist
+
+pytestmark = pytest.mark.integration
+
+
+class Notes:
+    """A driver that keeps what it is given."""
+
+    is_simulated = True
+
+    def __init__(self) -> None:
+        self.sent: list[Twist] = []
+
+    async def run(self, sink: Sink) -> None:
+        sink.state(True, "taking notes")
+        await asyncio.Event().wait()
+
+    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+        self.sent.append(twist)
+
+    async def check(self, seconds: float) -> tuple[Finding, ...]:
+        return ()
+
+
+def settings_in(folder: Path) -> DaemonSettings:
+    values = {"id": "tb3-01", "swarm": unique_swarm(), "state_dir": str(folder)}
+    return load_daemon_settings(None, values)
+
+
+def test_zero_goes_out_twenty_times_a_second_before_anyone_asks(tmp_path: Path) -> None:
+    driver = Notes()
+
+    async def live() -> None:
+        stop = asyncio.Event()
+        daemon = Daemon(settings_in(tmp_path), driver)
+        asyncio.get_running_loop().call_later(1.0, stop.set)
+        await daemon.run(stop)
+
+    asyncio.run(live())
+    assert len(driver.sent) > 5
+    assert all(twist.is_zero for twist in driver.sent)
+
+
+class Asked:
+    """A query that takes notes."""
+
+    def __init__(self, request: Request) -> None:
+        self.payload = encode(request)
+        self.replies: list[Reply] = []
+
+    def reply(self, payload: bytes) -> None:
+        self.replies.append(Decoder(Reply)(payload))
+
+    def drop(self) -> None:
+        pass
+
+
+def test_a_halt_is_taken_however_many_requests_wait_for_their_answers(tmp_path: Path) -> None:
+    halts = {
+        verb: Asked(Request(id=f"h-{verb}", operator="alice", verb=verb))
+        for verb in ("stop", "estop")
+    }
+
+    async def live() -> None:
+        stop = asyncio.Event()
+        daemon = Daemon(settings_in(tmp_path), Notes())
+        for n in range(100):
+            waiting = Request(id=f"r{n}", operator="bob", verb="run")
+            daemon._pending[waiting.id] = Asked(waiting)
+        for verb, asked in halts.items():
+            daemon._on_request(verb)(asked)
+        stop.set()
+        await daemon.run(stop)
+
+    asyncio.run(live())
+    for asked in halts.values():
+        assert [reply.code for reply in asked.replies] == [Code.APPLIED]
+
+
+def test_a_guardian_that_raises_sends_zero_and_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    driver = Notes()
+
+    async def live() -> None:
+        daemon = Daemon(settings_in(tmp_path), driver)
+
+        def broken(now: float) -> None:
+            driver.sent.append(Twist(0.2))
+            raise ZeroDivisionError("on purpose")
+
+        loop = asyncio.get_running_loop()
+        loop.call_later(0.5, lambda: monkeypatch.setattr(daemon._robot, "tick", broken))
+        async with asyncio.timeout(30.0):
+            await daemon.run(asyncio.Event())
+
+    with pytest.raises(ZeroDivisionError, match="on purpose"):
+        asyncio.run(live())
+    assert driver.sent[-1].is_zero
+
+
+class Unplugged(Notes):
+    """One whose commands cannot be sent any more, from some time on."""
+
+    is_gone = False
+
+    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+        if self.is_gone:
+            raise OSError("unplugged")
+        super().send(twist, scan_seq, wish_seq)
+
+
+def test_an_estop_is_kept_and_answered_though_its_zero_cannot_be_sent(tmp_path: Path) -> None:
+    driver = Unplugged()
+    asked = Asked(Request(id="e1", operator="alice", verb="estop"))
+    settings = settings_in(tmp_path)
+
+    async def live() -> None:
+        daemon = Daemon(settings, driver)
+
+        def ask() -> None:
+            driver.is_gone = True
+            daemon._on_request("estop")(asked)
+
+        asyncio.get_running_loop().call_later(0.5, ask)
+        async with asyncio.timeout(30.0):
+            await daemon.run(asyncio.Event())
+
+    with pytest.raises(OSError, match="unplugged"):
+        asyncio.run(live())
+    assert [reply.code for reply in asked.replies] == [Code.APPLIED]
+    assert LatchFile(settings.state_dir / settings.swarm / settings.id).read()
+
+
+@pytest.mark.parametrize("when", ["while it runs", "when it ends"])
+def test_a_driver_that_takes_no_commands_ends_the_daemon(tmp_path: Path, when: str) -> None:
+    driver = Unplugged()
+
+    async def live() -> None:
+        stop = asyncio.Event()
+        daemon = Daemon(settings_in(tmp_path), driver)
+
+        def unplug() -> None:
+            driver.is_gone = True
+            if when == "when it ends":
+                stop.set()
+
+        asyncio.get_running_loop().call_later(0.5, unplug)
+        async with asyncio.timeout(30.0):
+            await daemon.run(stop)
+
+    with pytest.raises(OSError, match="unplugged"):
+        asyncio.run(live())
+
+
+def test_peers_are_not_told_that_it_left_when_its_driver_raised(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Broken(Notes):
+        async def run(self, sink: Sink) -> None:
+            raise ZeroDivisionError("on purpose")
+
+    told: list[str] = []
+
+    async def live() -> None:
+        daemon = Daemon(settings_in(tmp_path), Broken())
+        monkeypatch.setattr(daemon, "_say_left", lambda: told.append("left"))
+        async with asyncio.timeout(30.0):
+            await daemon.run(asyncio.Event())
+
+    with pytest.raises(ZeroDivisionError, match="on purpose"):
+        asyncio.run(live())
+    assert told == []
+
+
+def test_a_daemon_that_is_told_to_end_while_it_joins_never_serves(tmp_path: Path) -> None:
+    driver = Notes()
+    values = {"profile": "field", "interface": "lo", "listen": ["tcp/127.0.0.1:0"]}
+    slow = {"id": "tb3-01", "swarm": unique_swarm(), "state_dir": str(tmp_path), **values}
+
+    async def live() -> bool:
+        stop = asyncio.Event()
+        daemon = Daemon(load_daemon_settings(None, slow), driver)
+        asyncio.get_running_loop().call_later(0.3, stop.set)
+        async with asyncio.timeout(30.0):
+            await daemon.run(stop)
+        return daemon._claim is None
+
+    assert asyncio.run(live())
+    assert all(twist.is_zero for twist in driver.sent)

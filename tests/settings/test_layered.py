@@ -1,0 +1,127 @@
+"""Merging and typing of configuration from several sources."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import pytest
+from msgspec import Meta, Struct
+
+from swarmd.errors import ConfigError
+from swarmd.settings.layered import Layered
+
+
+class Inner(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    speed: Annotated[float, Meta(gt=0.0, le=2.0)]
+    count: Annotated[int, Meta(ge=1)] = 1
+
+
+class Outer(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    inner: Inner
+    name: str = "x"
+    mode: Literal["a", "b"] = "a"
+    flag: bool = False
+    points: list[tuple[float, float]] = []
+    groups: dict[str, Inner] = {}
+    maybe: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    perhaps: Inner | None = None
+
+
+GOOD = {"inner": {"speed": 1.0}}
+
+
+def test_the_strongest_source_wins_key_by_key_and_lists_are_replaced() -> None:
+    weak = {"inner": {"speed": 1.0, "count": 3}, "points": [[0, 0], [1, 1]]}
+    strong = {"inner": {"speed": 2}, "points": [[5, 5]]}
+    file = Layered(("strong", strong), ("weak", weak)).build(Outer)
+    assert file.inner == Inner(speed=2.0, count=3)
+    assert file.points == [(5.0, 5.0)]
+
+
+def test_knows_the_source_of_each_key() -> None:
+    layers = Layered(("strong", {"inner": {"speed": 2}}), ("weak", {"inner": {"count": 3}}))
+    assert layers.source("inner", "speed") == "strong"
+    assert layers.source("inner", "count") == "weak"
+    assert layers.source("name") is None
+
+
+def test_does_not_change_its_sources() -> None:
+    weak = {"inner": {"speed": 1.0}}
+    Layered(("strong", {"inner": {"speed": 2}}), ("weak", weak)).build(Outer)
+    assert weak == GOOD
+
+
+@pytest.mark.parametrize(
+    ("data", "fault"),
+    [
+        ({}, "inner is missing; wanted keys and values: speed, count"),
+        ({"inner": {}}, "inner.speed is missing; wanted a number above 0 and up to 2"),
+        ({"inner": {"speed": 0}}, "inner.speed is 0; wanted a number above 0 and up to 2"),
+        ({"inner": {"speed": 2.1}}, "inner.speed is 2.1; wanted a number above 0 and up to 2"),
+        (
+            {"inner": {"speed": float("nan")}},
+            "inner.speed is nan; wanted a number above 0 and up to 2",
+        ),
+        (
+            {"inner": {"speed": float("inf")}},
+            "inner.speed is inf; wanted a number above 0 and up to 2",
+        ),
+        ({"inner": {"speed": "1"}}, "inner.speed is '1'; wanted a number above 0 and up to 2"),
+        ({"inner": {"speed": True}}, "inner.speed is True; wanted a number above 0 and up to 2"),
+        ({"inner": {"speed": None}}, "inner.speed is None; wanted a number above 0 and up to 2"),
+        ({"inner": {"spede": 1}}, "inner has no key 'spede'; did you mean 'speed'?"),
+        ({"iner": {}}, "no key 'iner'; did you mean 'inner'?"),
+        ({"inner": 5}, "inner is 5; wanted keys and values: speed, count"),
+        (
+            {**GOOD, "inner": {"speed": 1, "count": 1.5}},
+            "inner.count is 1.5; wanted a whole number of at least 1",
+        ),
+        ({**GOOD, "name": False}, "name is False; wanted text (put it in quotes)"),
+        ({**GOOD, "mode": "c"}, "mode is 'c'; wanted a or b"),
+        ({**GOOD, "flag": "on"}, "flag is 'on'; wanted true or false"),
+        ({**GOOD, "points": [[0, 0], [1]]}, "points[1] is [1]; wanted [a number, a number]"),
+        ({**GOOD, "points": [[0, "x"]]}, "points[0][1] is 'x'; wanted a number"),
+        ({**GOOD, "points": {}}, "points is {}; wanted a list, each [a number, a number]"),
+        (
+            {**GOOD, "groups": {"red": {"speed": -1}}},
+            "groups.red.speed is -1; wanted a number above 0 and up to 2",
+        ),
+        ({**GOOD, "maybe": 3}, "maybe is 3; wanted a number of at least 0 and up to 1 or null"),
+        ({**GOOD, "perhaps": {"speed": -1}}, "perhaps.speed is -1; wanted a number above 0"),
+        ({**GOOD, "inner": {"speed": 10**400}}, "inner.speed is 1"),
+    ],
+)
+def test_names_source_key_value_and_what_was_wanted(data: dict[str, object], fault: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        Layered(("x.yaml", data)).build(Outer)
+    assert str(caught.value).startswith(f"x.yaml: {fault}")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_fault_names_the_source_it_stands_in() -> None:
+    layers = Layered(("a.yaml", {"name": "y"}), ("b.yaml", {"inner": {"speed": -1}}))
+    with pytest.raises(ConfigError, match=r"^b\.yaml: inner\.speed is -1"):
+        layers.build(Outer)
+
+
+def test_a_missing_key_is_missed_in_the_source_that_should_hold_it() -> None:
+    layers = Layered(("a.yaml", {"name": "y"}), ("b.yaml", {"inner": {}}))
+    with pytest.raises(ConfigError, match=r"^b\.yaml: inner\.speed is missing"):
+        layers.build(Outer)
+
+
+def test_what_no_source_has_said_is_missed_at_home() -> None:
+    sources = ("strong", {"name": "y"}), ("weak", {"flag": True})
+    with pytest.raises(ConfigError, match=r"^strong: inner is missing"):
+        Layered(*sources).build(Outer)
+    with pytest.raises(ConfigError, match=r"^weak: inner is missing"):
+        Layered(*sources, home="weak").build(Outer)
+
+
+def test_a_key_that_cannot_be_printed_leaves_the_fault_on_one_line() -> None:
+    class Named(Struct, forbid_unknown_fields=True):
+        limits: dict[str, float]
+
+    with pytest.raises(ConfigError) as raised:
+        Layered(("file", {"limits": {"a\nb é": []}})).build(Named)
+    assert str(raised.value) == r"file: limits.a\nb é is []; wanted a number"

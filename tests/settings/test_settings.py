@@ -1,0 +1,196 @@
+"""The settings of a daemon: where each comes from, and which one wins."""
+
+from __future__ import annotations
+
+import math
+import socket
+from pathlib import Path
+
+import pytest
+
+from swarmd.errors import ConfigError
+from swarmd.settings.settings import DaemonSettings, load_daemon_settings, platform_names
+from swarmd.values import TouchZone
+
+HOME = {"HOME": "/home/someone"}
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def load(text: str | None = None, **overrides: object) -> DaemonSettings:
+    """Settings from a file `r.yaml` in this folder, if there is text for it."""
+    if text is not None:
+        Path("r.yaml").write_text(text)
+    return load_daemon_settings(Path("r.yaml") if text is not None else None, overrides, HOME)
+
+
+def test_without_file_and_options_a_robot_is_named_for_its_host(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(socket, "gethostname", lambda: "TB3-07.local")
+    settings = load()
+    assert (settings.id, settings.swarm, settings.profile) == ("tb3-07", "default", "dev")
+    assert (settings.platform.name, settings.driver) == ("waffle_pi", "simulated")
+    assert settings.state_dir == Path("/home/someone/.local/state/swarmd")
+    assert settings.provenance["id"] == "host name"
+    assert settings.provenance["swarm"] == "default"
+
+
+def test_a_host_name_that_is_no_id_asks_for_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(socket, "gethostname", lambda: "my robot")
+    with pytest.raises(ConfigError, match=r"taken from the host name .* --id.* 'my robot'; wanted"):
+        load()
+
+
+def test_the_command_line_wins_over_the_file_and_the_file_over_what_it_includes(
+    folder: Path,
+) -> None:
+    (folder / "swarm.yaml").write_text("swarm: lab\nprofile: dev\nroster: [r1, r2]\nlease: 3")
+    settings = load("id: r1\nswarm_file: swarm.yaml\nplatform: burger\nlease: 4", id="r2")
+    assert (settings.id, settings.swarm, settings.lease) == ("r2", "lab", 4.0)
+    assert settings.roster == ("r1", "r2")
+    assert settings.provenance["id"] == "--id"
+    assert settings.provenance["lease"] == "r.yaml"
+    assert settings.provenance["roster"] == "swarm.yaml"
+    assert settings.provenance["seeds"] == "default"
+
+
+def test_an_included_file_may_not_say_who_a_robot_is(folder: Path) -> None:
+    (folder / "swarm.yaml").write_text("swarm: lab\nid: r1")
+    with pytest.raises(ConfigError, match=r"^swarm\.yaml: no key 'id'; there are: "):
+        load("swarm_file: swarm.yaml")
+
+
+def test_files_are_found_from_the_file_that_names_them(folder: Path) -> None:
+    (folder / "etc").mkdir()
+    (folder / "etc/swarm.yaml").write_text("swarm: lab")
+    (folder / "etc/mine.yaml").write_text("extends: burger\nlimits: {linear: 0.1}")
+    config = folder / "etc/r.yaml"
+    config.write_text(
+        "id: r1\nswarm_file: swarm.yaml\nplatform: mine.yaml\nstate_dir: state\nplugin_dir: own"
+    )
+    settings = load_daemon_settings(config, {}, HOME)
+    assert (settings.swarm, settings.platform.limits.linear) == ("lab", 0.1)
+    assert settings.platform_name == str(folder / "etc/mine.yaml")
+    assert settings.state_dir == folder / "etc/state"
+    assert settings.plugin_dir == folder / "etc/own"
+
+
+def test_folders_from_the_command_line_are_found_from_here(folder: Path) -> None:
+    (folder / "etc").mkdir()
+    config = folder / "etc/r.yaml"
+    config.write_text("id: r1\nstate_dir: state\nplugin_dir: own")
+    settings = load_daemon_settings(config, {"state_dir": "here", "plugin_dir": "p"}, HOME)
+    assert settings.state_dir == Path("here")
+    assert settings.plugin_dir == Path("p")
+
+
+def test_state_goes_where_the_desktop_wants_it() -> None:
+    settings = load_daemon_settings(None, {"id": "r1"}, {**HOME, "XDG_STATE_HOME": "/state"})
+    assert settings.state_dir == Path("/state/swarmd")
+    relative = load_daemon_settings(None, {"id": "r1"}, {**HOME, "XDG_STATE_HOME": "state"})
+    assert relative.state_dir == Path("/home/someone/.local/state/swarmd")
+
+
+def test_without_a_home_it_asks_for_a_state_dir() -> None:
+    with pytest.raises(ConfigError, match="give --state-dir"):
+        load_daemon_settings(None, {"id": "r1"}, {})
+    assert load_daemon_settings(None, {"id": "r1", "state_dir": "/x"}, {}).state_dir == Path("/x")
+
+
+def test_driver_options_add_up_from_platform_file_and_command_line(folder: Path) -> None:
+    (folder / "mine.yaml").write_text(
+        "extends: burger\ndrivers: {simulated: {endpoint: weak, a: 1, deep: {x: 1, y: 2}}}"
+    )
+    settings = load(
+        "id: r1\nplatform: mine.yaml\ndriver_options: {endpoint: file, deep: {y: 3}}",
+        driver_options={"b": 2},
+    )
+    assert settings.driver_options == {"endpoint": "file", "a": 1, "b": 2, "deep": {"x": 1, "y": 3}}
+
+
+def test_pattern_parameters_come_in_layers_weakest_first(folder: Path) -> None:
+    (folder / "mine.yaml").write_text("extends: burger\npatterns: {drive: {linear: 0.1}}")
+    settings = load(
+        "id: r1\n"
+        "platform: mine.yaml\n"
+        "labels: {red: [r1], blue: [r2], fast: [r2, r1]}\n"
+        "parameters:\n"
+        "  labels:\n"
+        "    fast: {drive: {linear: 0.2}}\n"
+        "    blue: {drive: {linear: 0.9}}\n"
+        "  robots:\n"
+        "    r1: {drive: {angular: 0.3}, attraction: {range_max: 1}}\n"
+    )
+    assert settings.labels == ("red", "fast")
+    assert settings.pattern_layers("drive") == (
+        ("platform", {"linear": 0.1}),
+        ("label fast", {"linear": 0.2}),
+        ("robot", {"angular": 0.3}),
+    )
+    assert settings.pattern_layers("attraction") == (("robot", {"range_max": 1}),)
+    assert settings.pattern_layers("dispersion") == ()
+
+
+def test_what_a_swarm_grants_a_robots_own_file_can_change_and_take_away(folder: Path) -> None:
+    (folder / "swarm.yaml").write_text(
+        "touch: {push: {half_width_deg: 20, speed: 0.1}, dock: {half_width_deg: 5, speed: 0.02}}"
+    )
+    settings = load("id: r1\nswarm_file: swarm.yaml\ntouch: {dock: null, push: {speed: 0.05}}")
+    assert settings.touch_zones == {"push": TouchZone(0.0, math.radians(20.0), 0.05)}
+    assert settings.provenance["touch"] == "r.yaml"
+
+
+def test_nothing_may_be_touched_by_default(folder: Path) -> None:
+    assert load("id: r1").touch_zones == {}
+
+
+def test_a_source_is_never_longer_than_a_status_can_name(folder: Path) -> None:
+    label = "l" * 63
+    settings = load(
+        f"id: r1\nlabels: {{{label}: [r1]}}\n"
+        f"parameters: {{labels: {{{label}: {{drive: {{linear: 0.1}}}}}}}}"
+    )
+    ((source, _),) = settings.pattern_layers("drive")
+    assert len(source) == 64
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("id: TB3", "r.yaml: id is 'TB3'; wanted are 1 to 63 of a-z"),
+        ("id: 7", "r.yaml: id is 7; wanted text or null"),
+        ("id: r1\nplatform: wafle_pi", "no platform 'wafle_pi'; did you mean 'waffle_pi'?"),
+        ("id: r1\nplattform: burger", "r.yaml: no key 'plattform'; did you mean 'platform'?"),
+        ("id: r1\nid: r2", "r.yaml:2: key 'id' stands twice, first in line 1; keep one"),
+        ("id: r1\ndriver_options: {x: .inf}", "r.yaml: driver_options.x is inf; wanted"),
+        ("id: r1\nplatform: none.yaml", "none.yaml: cannot be read: No such file"),
+    ],
+)
+@pytest.mark.usefixtures("folder")
+def test_refuses_in_one_line(text: str, fault: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load(text)
+    assert str(caught.value).startswith(fault)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_parent_to_die_with_is_no_key_of_a_file(folder: Path) -> None:
+    assert load("id: r1", die_with_parent=7).die_with_parent == 7
+    with pytest.raises(ConfigError, match="no key 'die_with_parent'"):
+        load("id: r1\ndie_with_parent: 7")
+
+
+def test_the_example_in_config_can_be_read() -> None:
+    example = Path(__file__).parents[2] / "config/swarm.yaml"
+    settings = load_daemon_settings(example, {"id": "tb3-01", "platform": "burger"}, HOME)
+    assert settings.id in settings.roster
+    assert settings.pattern_layers("attraction")
+
+
+def test_names_the_platforms_that_come_with_it() -> None:
+    assert {"burger", "jackal", "waffle_pi"} <= set(platform_names())

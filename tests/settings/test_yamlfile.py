@@ -1,0 +1,93 @@
+"""Strict reading of YAML."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from swarmd.errors import ConfigError
+from swarmd.settings.yamlfile import brief, read, read_value, shown
+
+
+@pytest.fixture
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "x.yaml"
+
+
+@pytest.mark.parametrize(
+    ("text", "data"),
+    [
+        ("", {}),
+        ("# nothing\n", {}),
+        ("a: 1\nb: {c: [x, 2.5]}", {"a": 1, "b": {"c": ["x", 2.5]}}),
+        ("a: 1e-3\nb: -2E5\nc: 1e3x", {"a": 0.001, "b": -200000.0, "c": "1e3x"}),
+        ("a: [off, no, Yes, on, y]", {"a": ["off", "no", "Yes", "on", "y"]}),
+        ("a: [true, False, TRUE]", {"a": [True, False, True]}),
+    ],
+)
+def test_reads_what_stands_there(file: Path, text: str, data: object) -> None:
+    file.write_text(text)
+    assert read(file) == data
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("a: 1\nb: 2\na: 3", "x.yaml:3: key 'a' stands twice, first in line 1; keep one"),
+        ("a:\n  b: 1\n  b: 1", "x.yaml:3: key 'b' stands twice, first in line 2; keep one"),
+        ("a: [{b: 1, b: 2}]", "x.yaml:1: key 'b' stands twice, first in line 1; keep one"),
+        ("a: &x 1\nb: *x", "x.yaml:1: & and * are not read here; write the value out"),
+        ("a: &x [*x]", "x.yaml:1: & and * are not read here; write the value out"),
+        ("true: 1", "x.yaml:1: key True is not text; put it in quotes"),
+        ("1: 1", "x.yaml:1: key 1 is not text; put it in quotes"),
+        ("[a]: 1", "x.yaml:1: key ['a'] is not text; put it in quotes"),
+        ("a:\n - b: ]", "x.yaml:2: expected the node content, but found ']'"),
+        ("a: !!python/object:os.system x", "x.yaml:1: could not determine a constructor"),
+        ("- a\n- b", "x.yaml: holds ['a', 'b']; wanted keys and values, such as `id: r1`"),
+        ("hello", "x.yaml: holds 'hello'; wanted keys and values, such as `id: r1`"),
+        ("a: 2020-99-99", "x.yaml: is not YAML that can be read: month must be in 1..12"),
+        ("a: " + "[" * 5000, "x.yaml"),
+    ],
+)
+def test_refuses_in_one_line_with_file_and_line(file: Path, text: str, fault: str) -> None:
+    file.write_text(text)
+    with pytest.raises(ConfigError) as caught:
+        read(file)
+    assert str(caught.value).startswith(fault)
+    assert "\n" not in str(caught.value)
+
+
+def test_refuses_bytes_that_are_no_text(file: Path) -> None:
+    file.write_bytes(b"a: \xff\xfe\x00")
+    with pytest.raises(ConfigError, match=r"^x\.yaml: is not YAML"):
+        read(file)
+
+
+def test_refuses_a_file_that_is_not_there(file: Path) -> None:
+    with pytest.raises(ConfigError, match=r"^x\.yaml: cannot be read: No such file"):
+        read(file)
+
+
+def test_refuses_a_folder(file: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be read: Is a directory"):
+        read(file.parent)
+
+
+def test_shows_paths_relative_to_here_and_others_in_full(file: Path) -> None:
+    assert shown(file.parent / "a" / "b.yaml") == "a/b.yaml"
+    assert shown(Path("/etc/b.yaml")) == "/etc/b.yaml"
+
+
+def test_shortens_long_values() -> None:
+    assert brief("x") == "'x'"
+    assert len(brief(["long"] * 100)) == 60
+
+
+def test_a_value_alone_is_read_as_in_a_file() -> None:
+    assert [read_value(text) for text in ("1e-3", "[1, a]", "{a: 1}", "true", "")] == [
+        *(0.001, [1, "a"], {"a": 1}, True, None)
+    ]
+    with pytest.raises(ConfigError, match=r"'\[1' is no value; wanted is YAML, such as 3 or"):
+        read_value("[1")
