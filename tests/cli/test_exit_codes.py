@@ -41,7 +41,10 @@ class Real:
     def send(self, twist, scan_seq, wish_seq):
         Path("connected").touch()
 """
-UNPROTECTED = "extends: burger\nprotection: {mode: off}\n"
+UNPROTECTED = """extends: burger
+protection: {mode: off}
+drivers: {real: {deadman: base}}
+"""
 
 
 def swarmd(folder: Path, *args: str) -> subprocess.CompletedProcess[str]:
