@@ -113,19 +113,24 @@ def bodies(scan: Scan, *, reach: float, width: float, offset: tuple[float, float
 
 
 def _whole(middles: Array, counts: Sequence[int], least: float) -> Array:
-    """The middles (k, 2) with those nearer than `least` m to each other as one.
+    """The middles (k, 2) with those nearer than `least` m to each other as one, nearest first.
 
     A robot comes in pieces where rays are lost, or old while the lidar turns. `counts` are weights.
     """
-    kept: list[tuple[Array, int]] = []
-    for middle, count in zip(middles, counts, strict=True):
-        near = [i for i, (other, _) in enumerate(kept) if math.dist(middle, other) < least]
-        if near:
-            other, more = kept[near[0]]
-            kept[near[0]] = (other + (middle - other) * count / (count + more), count + more)
-        else:
-            kept.append((middle, count))
-    return np.array([middle for middle, _ in kept]).reshape(-1, 2)
+    if len(middles) < 2:
+        return middles
+    points, weights = middles[:, 0] + 1j * middles[:, 1], np.array(counts, float)
+    apart = np.abs(points[:, None] - points)
+    np.fill_diagonal(apart, np.inf)
+    while len(points) > 1 and apart.min() < least:
+        i, j = sorted(divmod(int(apart.argmin()), len(points)))
+        points[i] += (points[j] - points[i]) * weights[j] / (weights[i] + weights[j])
+        weights[i] += weights[j]
+        points, weights = np.delete(points, j), np.delete(weights, j)
+        apart = np.delete(np.delete(apart, j, axis=0), j, axis=1)
+        apart[i] = apart[:, i] = np.abs(points - points[i])
+        apart[i, i] = np.inf
+    return np.stack((points.real, points.imag), axis=-1)
 
 
 def _hidden_sides(seen: RayClusters, index: int) -> list[float]:

@@ -140,13 +140,15 @@ class FormationPattern(MovementPattern[F]):
     def defaults(cls, platform: Platform) -> Mapping[str, Value]:
         """Speeds from the limits, distances from the protection and the lidar."""
         threshold = float(platform.protection["threshold"])
-        spacing = min(2.2 * threshold, 0.45 * platform.scan.range_max)
+        clearance = 1.06 * threshold + 1.3 * math.hypot(*platform.scan.offset)
+        in_sight = min(2.2 * threshold, 0.45 * platform.scan.range_max)
+        spacing = max(in_sight, 1.1 * _least_spacing(clearance, platform))
         return {
             "speed": min(platform.limits.linear, 0.5),
             "turn": min(platform.limits.angular, 4.0),
             "spacing": spacing,
-            "tolerance": 0.07 * spacing,
-            "clearance": 1.06 * threshold + 1.3 * math.hypot(*platform.scan.offset),
+            "tolerance": max(0.07 * spacing, 0.03),
+            "clearance": clearance,
             "brake": 0.6 * threshold,
             "object_width": 2.0 * float(np.hypot(*np.ptp(platform.footprint, axis=0))),
         }
@@ -231,17 +233,25 @@ class FormationPattern(MovementPattern[F]):
 
 def check_spacing(params: FormationParams, platform: Platform) -> None:
     """ConfigError if protection, or the pattern's own clearance, forbids the spacing."""
-    threshold = float(platform.protection["threshold"]) + math.hypot(*platform.scan.offset)
-    half = 0.5 * float(np.ptp(platform.footprint, axis=0).max())
-    if params.spacing <= max(threshold, params.clearance) + half:
+    least = _least_spacing(params.clearance, platform)
+    if params.spacing <= least:
         whose = "the clearance"
-        if threshold > params.clearance:
+        if _kept_free(platform) > params.clearance:
             whose = f"what the protection of {platform.name} keeps"
-        least = max(threshold, params.clearance) + half
         raise ConfigError(
             f"parameter spacing is {params.spacing:g} m; wanted is more than {least:.3g} m:"
             f" {whose} and half a body"
         )
+
+
+def _least_spacing(clearance: float, platform: Platform) -> float:
+    half = 0.5 * float(np.ptp(platform.footprint, axis=0).max())
+    return max(_kept_free(platform), clearance) + half
+
+
+def _kept_free(platform: Platform) -> float:
+    """Metres from the axle that protection keeps free."""
+    return float(platform.protection["threshold"]) + math.hypot(*platform.scan.offset)
 
 
 def _lacking(platform: Platform) -> str:

@@ -231,7 +231,8 @@ class PatternContract:
     def test_mirrored_scans_give_mirrored_wishes(self, subject: Subject) -> None:
         """Left and right are treated alike, if the pattern claims so with `is_symmetric`."""
         scans = busy_scans(subject.platform, 30) if subject.kind.is_symmetric else []
-        for scan in scans:
+        # Where nothing is seen, chance may decide, the same chance on both sides.
+        for scan in (scan for scan in scans if np.isfinite(scan.ranges).any()):
             here = subject.run([scan] * 3)[-1].twist
             there = subject.run([mirrored(scan)] * 3)[-1].twist
             assert (here is None) == (there is None), "a wish on one side only"
