@@ -68,7 +68,7 @@ _STOPPER = (
          "if not (is_idle and twist.is_zero):", "if not twist.is_zero:"),
     ),
     *mutants_of(
-        "swarmd/driving/base.py",
+        "swarmd/driving/making.py",
         _STOPPER_TESTS,
         ("base: silent and no deadman told", "it may be",
          'if base.idle_output == "silent":', "if False:"),

@@ -14,8 +14,9 @@ from typing import Any
 import click
 
 from swarmd.cli.catalog import Row, describe_patterns
-from swarmd.driving.base import base_options, deadman_of, make_driver
+from swarmd.driving.base import base_options, deadman_of
 from swarmd.driving.driver import Driver, Finding, check_protected
+from swarmd.driving.making import make_driver
 from swarmd.errors import SwarmError, unknown
 from swarmd.kit.touch import in_words
 from swarmd.plugins import pattern_names

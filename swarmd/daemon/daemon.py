@@ -24,8 +24,9 @@ from swarmd.daemon.heartbeat import Heartbeat
 from swarmd.daemon.latchfile import LatchFile
 from swarmd.daemon.notify import Notifier
 from swarmd.daemon.reading import HALTS, RequestReader
-from swarmd.driving.base import IdleOutput, base_options, make_driver
+from swarmd.driving.base import IdleOutput, base_options
 from swarmd.driving.driver import Driver, check_protected
+from swarmd.driving.making import make_driver
 from swarmd.errors import CodecError, SwarmError
 from swarmd.hosts.runner import ProcessRunner
 from swarmd.keys import Key

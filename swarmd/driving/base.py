@@ -1,4 +1,4 @@
-"""What is true of a base whichever driver speaks to it, and the driver made for it.
+"""What is true of a base whichever driver speaks to it: what it does when commands end.
 
 Every driver's options may hold these keys, in the platform's file under `drivers.<name>` or in
 `driver_options`; the core takes them out before the driver sees the rest.
@@ -8,19 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from swarmd.driving.driver import Driver, Stopping
-from swarmd.driving.stopper import name_of
+from swarmd.driving.driver import Driver
 from swarmd.errors import ConfigError
-from swarmd.plugins import load_driver
 from swarmd.settings.layered import Layered
 from swarmd.values import Twist, Value
-
-if TYPE_CHECKING:
-    from swarmd.settings.settings import DaemonSettings
 
 FIRST_ZEROS = 1.0
 """Seconds of zeros to a robot that has just become idle, before it is left alone."""
@@ -90,52 +85,3 @@ def stops_after(options: Mapping[str, Value], what: str) -> float:
 def deadman_of(base: BaseOptions, driver: Driver) -> float | Literal["base", "none"]:
     """The deadman in force: of a real robot none, unless its platform says otherwise."""
     return base.deadman or ("base" if driver.is_simulated else "none")
-
-
-def make_driver(settings: DaemonSettings) -> Driver:
-    """The daemon's driver, not yet connected, with what its base needs around it. SwarmError."""
-    name = settings.driver
-    base = base_options(settings.driver_options, f"driver {name}")
-    common = BaseOptions.__struct_fields__
-    factory = load_driver(name)
-    driver = factory(
-        swarm=settings.swarm,
-        robot=settings.id,
-        platform=settings.platform,
-        options={k: v for k, v in settings.driver_options.items() if k not in common},
-    )
-    return _guarded(_recorded(driver, base, settings), driver, base, settings)
-
-
-def _recorded(driver: Driver, base: BaseOptions, settings: DaemonSettings) -> Driver:
-    if base.record is None:
-        return driver
-    from swarmd.driving.recording import RecordedDriver, named_file
-
-    head = {"robot": settings.id, "platform": settings.platform.name, "driver": settings.driver}
-    path = named_file(base.record, f"driver {settings.driver}: record")
-    return RecordedDriver(driver, path, head)
-
-
-def _guarded(
-    wrapped: Driver, driver: Driver, base: BaseOptions, settings: DaemonSettings
-) -> Driver:
-    if deadman_of(base, driver) != "none":
-        return wrapped
-    if base.idle_output == "silent":
-        raise ConfigError(
-            f"driver {settings.driver}: idle_output is silent, but no deadman is told, which counts"
-            " as none; wanted is also deadman: base, or its seconds, if this base has a timeout"
-        )
-    if not isinstance(driver, Stopping):
-        raise ConfigError(
-            f"driver {settings.driver}: deadman is none, and this driver has no stopper; wanted is"
-            " deadman: base, or its seconds, if this base stops by itself when commands end"
-        )
-    spec = driver.zero_sender()
-    if spec is None:
-        return wrapped
-    from swarmd.driving.guarded import GuardedDriver
-
-    name = name_of(settings.swarm, settings.id)
-    return GuardedDriver(wrapped, spec, name=name, tie=settings.die_with_parent)

@@ -14,8 +14,8 @@ import pytest
 
 from swarmd.drivers.replay import ReplayDriver
 from swarmd.drivers.simulated import SimulatedDriver
-from swarmd.driving.base import make_driver
 from swarmd.driving.driver import Driver
+from swarmd.driving.making import make_driver
 from swarmd.driving.recording import MAGIC, RecordedDriver, Recorder, read_recording
 from swarmd.driving.sensing import decode_command, encode_odometry, encode_scan
 from swarmd.errors import ConfigError, DriverError

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.driving.base import FIRST_ZEROS, IdleOutput, base_options, deadman_of, make_driver
+from swarmd.driving.base import FIRST_ZEROS, IdleOutput, base_options, deadman_of
 from swarmd.driving.driver import Finding, Sink
 from swarmd.driving.guarded import GuardedDriver
+from swarmd.driving.making import make_driver
 from swarmd.driving.stopper import AT_LEAST, PERIOD, SILENCE, Deadman, name_of
 from swarmd.errors import ConfigError, DriverError
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
@@ -213,7 +214,7 @@ def made(
         assert given["options"] == {}, "the common keys are none of the driver's"
         return kind(is_simulated=not real)
 
-    monkeypatch.setattr("swarmd.driving.base.load_driver", lambda name: factory)
+    monkeypatch.setattr("swarmd.driving.making.load_driver", lambda name: factory)
     return make_driver(settings(folder, **options))
 
 
