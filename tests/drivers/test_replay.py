@@ -386,9 +386,9 @@ def test_each_beginning_is_commanded_zero_first_and_the_end_is_zero(tmp_path: Pa
 
     async def story() -> None:
         task = asyncio.create_task(driver.run(Heard()))
-        for _ in range(2):
+        for told in ([], [Twist()]):  # no robot yet; then the one that has gone was told to stand
             await asyncio.sleep(0.4)
-            assert not taken(), "there is no robot yet"
+            assert taken() == told
             await asyncio.sleep(0.2)
             assert taken() == [Twist(), Twist(0.1)]
             assert taken() == [Twist(0.1)] * 2
