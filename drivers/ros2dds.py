@@ -38,8 +38,8 @@ class Ros2Dds:
     hub = "zenoh-bridge-ros2dds"
     start = "start zenoh-bridge-ros2dds on the robot"
     silent = (
-        "start the robot's ROS 2, or the bridge with its ROS_DOMAIN_ID, ROS_DISTRO and localhost"
-        " settings"
+        "start the robot's ROS 2 or, if it runs, the bridge anew, with its ROS_DOMAIN_ID,"
+        " ROS_DISTRO and localhost settings"
     )
     graph = "@/*/@ros2_lv/**"
     domain: int | None = None

@@ -190,6 +190,8 @@ class RosDriver:
             self._graph[token] = end
         elif not is_there:
             self._graph.pop(token, None)
+            if not end.is_publisher and end.topic == self._cmd_vel:
+                self._owes_zero = True  # who comes in its place must not begin by moving
 
     def _others(self) -> tuple[Endpoint, ...]:
         """What is announced, but for our own tokens."""
