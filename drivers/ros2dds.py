@@ -42,6 +42,7 @@ class Ros2Dds:
         " ROS_DISTRO and localhost settings"
     )
     graph = "@/*/@ros2_lv/**"
+    nodes = "@/*/ros2/node/**"
     domain: int | None = None
 
     def listening(self, topic: str) -> str:
