@@ -55,12 +55,19 @@ def test_a_base_that_crashed_and_is_back_is_stopped_while_it_can_be() -> None:
     robot.hub.declare_queryable(f"{where}/**", on_query)
 
     async def story(stage: Stage) -> None:
+        taken: list[Twist] = []
+
+        def is_told_to_stand(*, wanted: bool) -> bool:
+            taken.extend(robot.commands())
+            return bool(taken) and taken[-1].is_zero == wanted
+
         for _ in range(2):
             stage.driver.send(Twist(0.1), 1, 1)
+        await stage.until(lambda: is_told_to_stand(wanted=False))
         known[f"{where}/02/base"] = BASE
         await stage.until(lambda: not stage.heard.is_up, speaking=True)
         assert told(stage, "/base crashed and is back", is_up=False)
-        assert (await stage.command()).is_zero
+        await stage.until(lambda: is_told_to_stand(wanted=True))
         del known[f"{where}/01/base"]
         await stage.until(lambda: stage.heard.is_up, speaking=True)
 
