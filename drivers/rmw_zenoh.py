@@ -68,6 +68,7 @@ class RmwZenoh:
     start = "start `ros2 run rmw_zenoh_cpp rmw_zenohd` on the robot"
     silent = "start the robot's nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp"
     graph = "@ros2_lv/**"
+    nodes = ""
 
     def __init__(self, domain: int, cmd_vel: str) -> None:
         """`cmd_vel`: the full name of the topic that commands go to."""

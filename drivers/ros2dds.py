@@ -38,10 +38,11 @@ class Ros2Dds:
     hub = "zenoh-bridge-ros2dds"
     start = "start zenoh-bridge-ros2dds on the robot"
     silent = (
-        "start the robot's ROS 2, or the bridge with its ROS_DOMAIN_ID, ROS_DISTRO and localhost"
-        " settings"
+        "start the robot's ROS 2 or, if it runs, the bridge anew, with its ROS_DOMAIN_ID,"
+        " ROS_DISTRO and localhost settings"
     )
     graph = "@/*/@ros2_lv/**"
+    nodes = "@/*/ros2/node/**"
     domain: int | None = None
 
     def listening(self, topic: str) -> str:

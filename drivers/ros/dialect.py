@@ -33,13 +33,15 @@ class Dialect(Protocol):
     """Keys and framing of one way of speaking ROS 2 over Zenoh.
 
     `hub` is what listens at the endpoint, `start` the step that starts it, `silent` what to look
-    at when it announces no topic at all. `graph` is the key expression of the announcements.
+    at when it announces no topic at all. `graph` is the key expression of the announcements,
+    `nodes` that of a bridge's answers about its nodes, or empty.
     """
 
     hub: str
     start: str
     silent: str
     graph: str
+    nodes: str
     domain: int | None
 
     def listening(self, topic: str) -> str:

@@ -21,6 +21,7 @@ from swarmd.drivers.ros.advice import (
     why_silent,
     why_unheard,
 )
+from swarmd.drivers.ros.census import Census
 from swarmd.drivers.ros.check import Report, has_enough, unheard
 from swarmd.drivers.ros.dialect import Dialect, Endpoint
 from swarmd.drivers.ros.hearing import Hearing
@@ -134,6 +135,7 @@ class RosDriver:
         self._tokens: list[zenoh.LivelinessToken] = []
         self._graph: dict[str, Endpoint] = {}
         self._hubs: frozenset[str] = frozenset()
+        self._census = Census(self._dialect.nodes, self._cmd_vel)
         self._is_up = self._has_sent = self._was_linked = False
         self._owes_zero = True
         self._zeros_end = -math.inf
@@ -157,6 +159,7 @@ class RosDriver:
             opened = loop.time()
             while True:
                 await asyncio.sleep(_PERIOD)
+                self._census.look(session, loop.time())
                 self._watch(sink, session, loop.time(), opened)
         finally:
             inbox.close()
@@ -200,6 +203,8 @@ class RosDriver:
             self._graph[token] = end
         elif not is_there:
             self._graph.pop(token, None)
+            if not end.is_publisher and end.topic == self._cmd_vel:
+                self._owes_zero = True  # who comes in its place must not begin by moving
 
     def _others(self) -> tuple[Endpoint, ...]:
         """What is announced, but for our own tokens."""
@@ -303,6 +308,9 @@ class RosDriver:
         """Why this base is not to be commanded although it is heard; empty if nothing is."""
         if now - self._other_at < OTHERS_LAST:
             return self._driven_by_others()
+        if self._census.twin:
+            hub = self._dialect.hub
+            return f"{self._census.twin} crashed and is back; {hub} will forget it: start that anew"
         others = self._others()
         has_taker = not others or self._has_taker()  # where nothing is announced nobody can tell
         return why_unheard(self._cmd_vel, self._command, others, self._dialect, has_taker=has_taker)

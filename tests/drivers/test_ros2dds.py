@@ -127,6 +127,27 @@ def test_someone_elses_command_is_told_and_nothing_is_commanded_meanwhile() -> N
     play(robot, story)
 
 
+def test_a_base_that_is_started_anew_in_no_time_gets_zero_first() -> None:
+    robot = BridgedRobot()
+    zid = robot.hub.zid()
+    token = f"@/{zid}/@ros2_lv/MS/cmd_vel/geometry_msgs§msg§Twist/:1::0,10"
+    base = robot.hub.liveliness().declare_token(token)
+
+    async def story(stage: Stage) -> None:
+        for _ in range(2):
+            stage.driver.send(Twist(0.1), 1, 1)
+        base.undeclare()
+        robot.announce(token)
+        await asyncio.sleep(0.3)
+        robot.speak()
+        assert stage.heard.is_up
+        robot.commands()
+        stage.driver.send(Twist(0.1), 2, 2)
+        assert (await stage.command()).is_zero
+
+    play(robot, story)
+
+
 def test_someone_elses_zeros_are_nobodys_drive() -> None:
     robot = BridgedRobot()
 
@@ -227,7 +248,7 @@ def test_check_of_a_silent_topic_goes_by_what_is_announced(
 def test_check_of_a_bridge_that_knows_nothing_points_at_the_domain() -> None:
     found = check(BridgedRobot(), seconds=0.7)
     assert "announces no topic at all" in found["scan"].text
-    assert "ROS_DOMAIN_ID, ROS_DISTRO and" in found["scan"].text
+    assert "the bridge anew, with its ROS_DOMAIN_ID, ROS_DISTRO and" in found["scan"].text
 
 
 def test_check_tells_of_somebody_without_a_name_who_may_command() -> None:

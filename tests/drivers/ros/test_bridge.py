@@ -5,7 +5,12 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-from collections.abc import Callable
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 import zenoh
@@ -110,6 +115,48 @@ def test_a_frozen_bridge_is_told_and_nothing_late_moves_the_robot() -> None:
         await moves(stage)
 
     play(robot, story)
+
+
+def test_a_base_that_crashed_and_is_back_is_stopped_before_the_bridge_forgets_it() -> None:
+    robot = DdsRobot()
+    robot.stop()
+    told_to: list[str] = []
+
+    async def story(stage: Stage) -> None:
+        def is_told(speed: str) -> bool:
+            stage.driver.send(Twist(0.1), 1, 1)
+            return told_to[-1:] == [speed]
+
+        with base_process(robot.domain, told_to):
+            await stage.until(lambda: is_told("0.1"))
+        told_to.clear()
+        with base_process(robot.domain, told_to):
+            await stage.until(lambda: is_told("0.1") or not stage.heard.is_up)
+            await stage.until(lambda: told(stage, "/base crashed and is back", is_up=False))
+            await stage.until(lambda: told_to[-1:] == ["0.0"])
+
+    play(robot, story, connected=False)
+
+
+@contextmanager
+def base_process(domain: int, told_to: list[str]) -> Iterator[None]:
+    """A base in a process of its own, which is killed in the end."""
+    command = [sys.executable, str(Path(__file__).with_name("dds_base.py")), str(domain)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as base:
+        assert base.stdout is not None
+        lines = base.stdout
+
+        def read() -> None:
+            for line in lines:
+                told_to.append(line.strip())
+
+        reading = threading.Thread(target=read)
+        reading.start()
+        try:
+            yield
+        finally:
+            base.kill()
+            reading.join()
 
 
 def test_a_base_that_leaves_while_its_lidar_stays_gets_zero_first() -> None:
