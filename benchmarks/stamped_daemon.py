@@ -24,7 +24,7 @@ import zenoh
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
 from swarmd.daemon.daemon import Daemon
-from swarmd.daemon.daemon import daemon as daemon_module
+from swarmd.daemon import daemon as daemon_module
 from swarmd.drivers import simulated
 from swarmd.drivers.inbox import Inbox
 from swarmd.frames import Command, Event, Step, Stepped

@@ -22,7 +22,7 @@ SETUPTOOLS = PROJECT["tool"]["setuptools"]
 FORBIDDEN = {
     "swarmd": ("swarmd.patterns", "swarmd.drivers", "swarmd.sim", "mujoco", "matplotlib"),
     "patterns": (
-        *("swarmd.drivers", "swarmd.sim", "swarmd.network", "swarmd.daemon.daemon", "swarmd.cli"),
+        *("swarmd.drivers", "swarmd.sim", "swarmd.network", "swarmd.daemon", "swarmd.cli"),
         *("zenoh", "asyncio", "time", "mujoco", "os", "io", "pathlib", "socket", "threading"),
         *("subprocess", "shutil", "tempfile"),
     ),
