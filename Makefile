@@ -4,13 +4,15 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 ARGS ?=
+# Test files at a time: most tests wait rather than compute. 0: one after the other, in this process.
+JOBS ?= 2
 
 .PHONY: help demo test check format bench paper safety outcomes mutants lock clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo    seven simulated robots gather; about a minute and a half"
-	@echo "make test    all tests                            (ARGS='-k scan' picks some)"
+	@echo "make test    all tests                 (ARGS='-k scan' picks some, JOBS=0 one by one)"
 	@echo "make check   format, lint, types, and the wheel tried in a fresh environment"
 	@echo "make bench   the measurements, beside their budgets (ARGS=latency picks one)"
 	@echo "make clean   removes .venv, build and caches"
@@ -20,7 +22,7 @@ demo: $(VENV)/installed
 	@$(BIN)/swarmctl demo $(ARGS)
 
 test: $(VENV)/tools
-	@$(BIN)/python -m pytest $(ARGS)
+	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(ARGS)
 
 check: $(VENV)/tools
 	$(BIN)/ruff format --check .

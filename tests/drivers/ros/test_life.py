@@ -59,6 +59,9 @@ class Session:
             declare_subscriber=lambda key, take, *, history: None, declare_token=self.tokens.append
         )
 
+    def get(self, selector: str, take: Callable[[Any], None], *, timeout: float) -> None:
+        """Nobody answers."""
+
     def close(self) -> None:
         self.is_closed = True
 
