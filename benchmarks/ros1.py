@@ -1,9 +1,10 @@
 """From a scan to the command it leads to over ROS 1: through the driver, and by a node in rospy.
 
-Both subscribe, compute a potential field over 360 rays and publish, on loopback with a real
-roscore. The third is the driver with the robot's core behind it, which does more: it conditions and
-protects. The robot asks one after the other, so that all are measured under the same load; what
-each process waits for a busy processor is measured too, unless it is run with `chrt -f 5`.
+Both subscribe, compute a potential field over 360 rays with the same lines and publish, on loopback
+with a real roscore. Two more do more behind the driver: the field that patterns use, and the
+robot's core, which conditions and protects. The robot asks one after the other, so that all are
+measured under the same load; what each process waits for a busy processor is measured too, unless
+it is run with `chrt -f 5`.
 """
 
 from __future__ import annotations
@@ -20,19 +21,20 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.plain_field import plain_field
 from benchmarks.table import Row, print_table
 from swarmd.clock import boottime
 from swarmd.drivers import ros1_wire as wire
 from swarmd.drivers.ros1 import Ros1Driver
 from swarmd.robot.robot import Robot
 from swarmd.robot.status import RobotSettings
-from swarmd.scans.fields import potential_field
+from swarmd.scans.fields import field_twist, potential_field
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import Heard
 from swarmd.testing.roscore import PYTHON, RosCore, why_no_ros1
 from swarmd.values import Scan, Twist
 
-NODES = Path(__file__).with_name("ros1_nodes.py")
+NODES = [PYTHON, "-m", "benchmarks.ros1_nodes"]
 SECONDS = 60.0
 WARM = 5.0
 DECODED = 20_000
@@ -54,6 +56,11 @@ class Answering(Heard):
 
 def field(scan: Scan) -> Twist:
     """What the plain node does."""
+    return Twist(*plain_field(scan.ranges.tolist()))
+
+
+def patterns_field(scan: Scan) -> Twist:
+    """The field that patterns use, which knows nothing of where the rays look."""
     found = potential_field(
         scan.ranges,
         scan.bearings,
@@ -62,9 +69,7 @@ def field(scan: Scan) -> Twist:
         bias=2.0,
         ray_threshold=5,
     )
-    x, y = found.vector
-    heading = math.atan2(y, x)
-    return Twist(0.1 * max(math.cos(heading), 0.0), heading)
+    return field_twist(found.vector, 0.1, 1.0)
 
 
 def core() -> Answer:
@@ -90,10 +95,10 @@ async def answer_all(master: str, answers: Mapping[str, Answer]) -> None:
 
 def measured(seconds: float) -> dict[str, list[float]]:
     """Seconds from scan to command, by namespace."""
-    found: dict[str, list[float]] = {"/plain": [], "/driver": [], "/core": []}
+    found: dict[str, list[float]] = {"/plain": [], "/driver": [], "/patterns": [], "/core": []}
     with tempfile.TemporaryDirectory() as folder, RosCore(Path(folder)) as master:
         ours = [sys.executable, "-m", "benchmarks.ros1", "--answer", master.uri]
-        commands = (ours, [PYTHON, str(NODES), "plain"], [PYTHON, str(NODES), "robot", *found])
+        commands = (ours, [*NODES, "plain"], [*NODES, "robot", *found])
         children = [
             subprocess.Popen(command, env=master.environ, stdout=subprocess.PIPE, text=True)
             for command in commands
@@ -135,6 +140,7 @@ def latencies(seconds: float) -> Iterator[Row]:
     for namespace, what in (
         ("/plain", "a node in rospy: subscribe, potential field, publish"),
         ("/driver", "through the driver, the same potential field"),
+        ("/patterns", "through the driver, the potential field of patterns"),
         ("/core", "through the driver, conditioned and protected"),
     ):
         samples = [value for value in found[namespace] if not math.isnan(value)]
@@ -165,7 +171,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--answer", metavar="MASTER", help=argparse.SUPPRESS)
     options = parser.parse_args(arguments)
     if options.answer:
-        asyncio.run(answer_all(options.answer, {"/driver": field, "/core": core()}))
+        answers = {"/driver": field, "/patterns": patterns_field, "/core": core()}
+        asyncio.run(answer_all(options.answer, answers))
         return
     print_table("ROS 1: scan to velocity", latencies(options.seconds))
     print_table("ROS 1: decoding", decoding())

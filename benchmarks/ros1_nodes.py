@@ -18,8 +18,8 @@ from geometry_msgs.msg import Twist
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import LaserScan
 
-RAYS = 360
-RANGE_MAX = 3.5
+from benchmarks.plain_field import RANGE_MAX, RAYS, plain_field
+
 PAUSE = 0.02
 PATIENCE = 1.0
 
@@ -77,16 +77,10 @@ def robot(namespaces: list[str]) -> None:
 def plain() -> None:
     """Answer each scan with the command that the potential field gives."""
     commands = rospy.Publisher("/plain/cmd_vel", Twist, queue_size=1, tcp_nodelay=True)
-    cosines = [math.cos(2.0 * math.pi * i / RAYS) for i in range(RAYS)]
-    sines = [math.sin(2.0 * math.pi * i / RAYS) for i in range(RAYS)]
 
     def on_scan(scan: Any) -> None:
-        weights = [r / RANGE_MAX - 1.0 if r < RANGE_MAX else 0.0 for r in scan.ranges]
-        x = sum(map(float.__mul__, weights, cosines)) + 2.0
-        y = sum(map(float.__mul__, weights, sines))
         command = Twist()
-        command.linear.x = 0.1 * max(math.cos(math.atan2(y, x)), 0.0)
-        command.angular.z = math.atan2(y, x)
+        command.linear.x, command.angular.z = plain_field(scan.ranges)
         commands.publish(command)
 
     rospy.Subscriber("/plain/scan", LaserScan, on_scan, queue_size=1, tcp_nodelay=True)

@@ -140,7 +140,7 @@ def _hub() -> tuple[zenoh.Session, str]:
 
 def rows() -> Iterator[Row]:
     for name in MAKERS:
-        yield Row(f"scan to velocity, {name}", answers(name), note="beside rospy: see ros1")
+        yield Row(f"scan to velocity, {name}", answers(name), BUDGET, "beside rospy: see ros1")
     lacks = why_no_bridge()
     if lacks:
         yield Row(f"scan to velocity, {BRIDGE}", [], note=lacks)
@@ -150,7 +150,7 @@ def rows() -> Iterator[Row]:
     bridged = answers(BRIDGE)
     more = np.median(bridged) / np.median(plain)
     note = f"p50 {more:.2f} x that of the node"
-    yield Row(f"scan to velocity, {BRIDGE}", bridged, BUDGET, note)
+    yield Row(f"scan to velocity, {BRIDGE}", bridged, note=note)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -23,8 +23,8 @@ import zenoh
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
-from swarmd.daemon.daemon import Daemon
 from swarmd.daemon import daemon as daemon_module
+from swarmd.daemon.daemon import Daemon
 from swarmd.drivers import simulated
 from swarmd.drivers.inbox import Inbox
 from swarmd.frames import Command, Event, Step, Stepped
