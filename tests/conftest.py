@@ -22,8 +22,13 @@ def pytest_configure() -> None:
 
 
 def pytest_unconfigure() -> None:
-    """End even if a failed test left a Zenoh session open, which keeps the interpreter for ever."""
-    faulthandler.dump_traceback_later(20.0, exit=True)
+    """End even if a failed test left a Zenoh session open, which keeps the interpreter for ever.
+
+    A worker of pytest-xdist, which is here as soon as it has nothing left to do, is ended by who
+    started it.
+    """
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        faulthandler.dump_traceback_later(20.0, exit=True)
 
 
 class Namespaces:
