@@ -178,7 +178,7 @@ class GuardedDriver:
             with contextlib.closing(StopperProcess(self._spec, name=None)) as stopper:
                 async with asyncio.timeout(seconds):
                     await stopper.start()
-            mine = Finding("stopper", True, "starts and connects; the base has no timeout")
+            mine = Finding("stopper", True, "starts; the base has no timeout")
         except (DriverError, TimeoutError) as error:
             mine = Finding("stopper", False, str(error) or f"not ready within {seconds:g} s")
         return (*await looking, mine)
