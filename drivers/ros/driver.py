@@ -273,7 +273,7 @@ class RosDriver:
         hubs, before = hubs_of(session), self._hubs
         self._hubs = hubs or before
         silent = now - self._hearing.heard_at
-        if hubs and not self._was_linked:
+        if hubs and (not self._was_linked or hubs != before):
             self._zeros_end = now + ZEROS_LAST
         self._was_linked = bool(hubs)
         if self._is_up and not hubs:
