@@ -196,8 +196,10 @@ class RosDriver:
             )
 
     def _on_token(self, token: str, is_there: bool) -> None:
+        if len(token) > _LONGEST or not token.isprintable():
+            return
         end = self._dialect.announced(token)
-        if end is None or not token.isprintable() or len(token) > _LONGEST:
+        if end is None:
             return
         if is_there and len(self._graph) < _MOST_ANNOUNCED:
             self._graph[token] = end
