@@ -15,6 +15,7 @@ from swarmd.drivers.ros.options import (
     ring_of,
     topic,
 )
+from swarmd.drivers.ros.session import open_session
 from swarmd.errors import ConfigError
 from swarmd.network.session import FIELD_PORT
 from swarmd.values import Value
@@ -81,3 +82,7 @@ def test_what_is_wrong_is_named(options: Mapping[str, Value], complaint: str) ->
         read(options)
     assert str(caught.value).startswith("driver rmw_zenoh: ")
     assert "\n" not in str(caught.value)
+
+
+def test_an_endpoint_that_zenoh_cannot_read_is_as_one_where_nothing_listens() -> None:
+    assert open_session("tcp/127.0.0.1:9?rel=x;;=", within=0.1) is None
