@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -32,17 +31,6 @@ def odometry(x: float = 0.0, speed: float = 0.1) -> Odometry:
     return Odometry(NOW, Pose(x, 0.0, 0.5), Twist(speed))
 
 
-class Played(Heard):
-    """A sink that also keeps the scalars it was told."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.spoken: list[Mapping[str, float]] = []
-
-    def readings(self, values: Mapping[str, float]) -> None:
-        self.spoken.append(values)
-
-
 class Counted(Nowhere):
     """A sink that counts what it could not be given."""
 
@@ -58,8 +46,8 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "a.rec"
 
 
-def played(path: Path) -> Played:
-    heard = Played()
+def played(path: Path) -> Heard:
+    heard = Heard()
 
     async def story() -> None:
         driver = ReplayDriver(swarm="s", robot="r", platform=PLATFORM, options={"file": str(path)})
@@ -98,7 +86,7 @@ def test_what_could_not_be_read_again_is_left_out_and_counted(path: Path) -> Non
     heard = played(path)
     assert [one.seq for one in heard.scans] == [2]
     assert heard.odometries == [odometry()]
-    assert heard.spoken == [{"battery_voltage": 12.0}]
+    assert heard.values == [{"battery_voltage": 12.0}]
 
 
 def test_a_replay_that_is_behind_leaves_the_loop_to_others(path: Path) -> None:
