@@ -75,6 +75,9 @@ def test_a_ring_of_ranges_is_by_topic() -> None:
         ({"ranges": {"a": 400.0}}, "ranges.a is 400"),
         ({"ranges": {"a": [0.0, -1.0]}}, "ranges.a is"),
         ({"ranges": {"a": [0.0]}}, "ranges"),
+        ({"namespace": "a", "imu": "/a/odom"}, "odometry and imu are both /a/odom; wanted is a to"),
+        ({"cmd_vel": "scan"}, "scan and cmd_vel are both /scan; wanted is a topic each"),
+        ({"ranges": {"ir": 0, "/ir": 90}}, "ranges.ir and ranges./ir are both /ir; wanted is"),
     ],
 )
 def test_what_is_wrong_is_named(options: Mapping[str, Value], complaint: str) -> None:
