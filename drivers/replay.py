@@ -117,9 +117,8 @@ class ReplayDriver:
         if not any(entry.kind == "state" for entry in self._recording.entries):
             self._find(sink)
         for entry in self._recording.entries:
-            delay = begin + entry.at / speed - loop.time()
-            if delay > 0.0:
-                await asyncio.sleep(delay)
+            # Also when it is late: a recording that is behind must not keep the loop to itself.
+            await asyncio.sleep(max(begin + entry.at / speed - loop.time(), 0.0))
             self._deliver(sink, entry, shift, rounds * self._after)
 
     def _deliver(self, sink: Sink, entry: Entry, shift: float, ahead: int) -> None:

@@ -92,12 +92,10 @@ class RmwZenoh:
         wanted = name_of(kind)
         if told != dds_name(wanted):
             return f"it carries {ros_name(told)}; wanted is {wanted}"
-        if hashed == NO_HASH:
-            self._is_humble = True
-            return ""
-        if hashed not in known_hashes(kind):
+        if hashed != NO_HASH and hashed not in known_hashes(kind):
             return f"its {wanted} has the type hash {hashed[:19]}, which no distribution has"
-        self._is_humble = False
+        if topic != self._cmd_vel:  # there others speak: a stopper says zero on every key
+            self._is_humble = hashed == NO_HASH
         return ""
 
     def announced(self, token: str) -> Endpoint | None:

@@ -69,8 +69,10 @@ class Adapter:
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._ends_at: Optional[float] = None  # noqa: UP045
-        # A robot that an earlier adapter drove is stopped as soon as it can be reached.
-        self._is_armed = bool(config["holds"])
+        # A robot that an earlier adapter drove is stopped as soon as it can be reached; unless the
+        # guardian wants more of it, others may have it when it has been told for long enough.
+        self._is_armed = self._holds = bool(config["holds"])
+        self._holds_until = float("inf")
         self._commanded_at = self._moved_at = self._stops_until = -SILENCE
         self._told: Any = None
 
@@ -177,6 +179,8 @@ class Adapter:
         """A base has connected, or left (None); who connects while we drive gets zero first."""
         self._master.forget()
         self._wake.set()
+        if publish_to is not None and self._holds:
+            self._is_armed, self._holds_until = True, time.monotonic() + STOPPING
         if publish_to is not None and self._publisher is not None and self._commanded_at > 0.0:
             message = self._message()
             message._buff = self._zero_bytes()
@@ -283,7 +287,7 @@ class Adapter:
         if now < self._stops_until:
             command = self._zero_bytes()
         self._publish(command)
-        self._commanded_at = now
+        self._commanded_at, self._holds = now, False
         if any(_TWIST.unpack(command[-_TWIST.size :])):
             self._is_armed, self._moved_at = True, now
         elif now - self._moved_at > _ZEROED:
@@ -296,6 +300,8 @@ class Adapter:
             now = time.monotonic()
             if self._rospy.is_shutdown() and self._is_joined:
                 self._leave()
+            if self._holds and now >= self._holds_until:
+                self._is_armed = False
             is_silent = now - self._commanded_at > SILENCE or self._ends_at is not None
             if self._is_armed and is_silent:
                 if not was_silent:

@@ -106,7 +106,12 @@ class AdapterProcess:
         self._heard = self._loop.time() + STARTS_WITHIN - PATIENCE
         self._lines: deque[str] = deque(maxlen=_KEPT_LINES)
         self._buffer = memoryview(bytearray(_LARGEST))
-        self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        except OSError as error:
+            raise DriverError(
+                f"driver ros1: no socket to an adapter: {error.strerror}; is the machine full?"
+            ) from None
         try:
             for end in (self._socket, theirs):
                 end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)

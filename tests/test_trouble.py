@@ -16,7 +16,7 @@ from swarmd.drivers.ros.hearing import Hearing
 from swarmd.drivers.ros.messages import LaserScan, Twist
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros1 import Ros1Driver
-from swarmd.drivers.ros1_child import State, Told
+from swarmd.drivers.ros1_child import Link, State, Told
 from swarmd.drivers.ros1_options import Ros1Options
 from swarmd.drivers.ros1_view import View
 from swarmd.drivers.ros2dds import Ros2Dds
@@ -97,6 +97,12 @@ def of_ros1() -> Iterator[str]:
     yield view.missing(1.0)
     view.state = State(True, publishers={scan: ["/lidar"]}, types={scan: kind})
     yield view.missing(1.0)
+    cloud = "1158d486dd51d683ce2f1be655c3c181"
+    view.on_link(Link(1, scan, "/lidar", "sensor_msgs/PointCloud2", cloud))
+    yield view.missing(1.0)
+    for at in range(5):
+        view.senses[scan].hear(5.0, ", 360 rays", 0.2 * at)
+    yield next(finding.text for finding in view.findings(1.0) if finding.subject == "scan")
     for sense in view.senses.values():
         sense.hear(1.0, "", 1.0)
     view.state = State(True)

@@ -65,8 +65,8 @@ def why_misleading(sense: Sense, graph: Collection[Endpoint], dialect: Dialect) 
     topic = sense.topic
     if not sense.advances():
         return (
-            f"{topic}: messages come, all with the stamp {sense.stamps[-1]:g}; look at the sensor,"
-            " which is frozen, or at its publisher, which fills in none"
+            f"{topic}: messages come, all with the stamp {sense.stamps[-1]:.12g}; look at the"
+            " sensor, which is frozen, or at its publisher, which fills in none"
         )
     said = _publishing(topic, graph, dialect)
     if len(said) > 1 and sense.is_needed:

@@ -100,7 +100,7 @@ class Report:
         if 0.0 < rate < _TOO_SLOW * wanted:
             return (
                 f"{sense.topic} comes at {rate:.1f} Hz; the platform's scan.rate is {wanted:g},"
-                " so the robot would stop for old scans: correct one of them"
+                " so the robot would stop for old scans now and then: correct one of them"
             )
         scan = self.hearing.scan
         return "" if scan is None else why_blind(sense, scan, self.spec)

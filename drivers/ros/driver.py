@@ -196,8 +196,10 @@ class RosDriver:
             )
 
     def _on_token(self, token: str, is_there: bool) -> None:
+        if len(token) > _LONGEST or not token.isprintable():
+            return
         end = self._dialect.announced(token)
-        if end is None or not token.isprintable() or len(token) > _LONGEST:
+        if end is None:
             return
         if is_there and len(self._graph) < _MOST_ANNOUNCED:
             self._graph[token] = end
@@ -273,7 +275,7 @@ class RosDriver:
         hubs, before = hubs_of(session), self._hubs
         self._hubs = hubs or before
         silent = now - self._hearing.heard_at
-        if hubs and not self._was_linked:
+        if hubs and (not self._was_linked or hubs != before):
             self._zeros_end = now + ZEROS_LAST
         self._was_linked = bool(hubs)
         if self._is_up and not hubs:

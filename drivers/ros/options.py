@@ -112,6 +112,22 @@ def _check(options: RosOptions, driver: str) -> None:
                 f"driver {driver}: {key} is {name!r}; wanted is a ROS name such as tb3_01 or"
                 " front/scan (letters, digits, _ and /)"
             )
+    del named["namespace"]
+    if options.ranges:
+        del named["scan"]
+    _check_topics(options, named, driver)
+
+
+def _check_topics(options: RosOptions, named: Mapping[str, str | None], driver: str) -> None:
+    """ConfigError if two of the options name one topic: what comes there is of one type."""
+    keys: dict[str, str] = {}
+    for key, name in named.items():
+        full = "" if name is None else topic(options, name)
+        if full and full in keys:
+            raise ConfigError(
+                f"driver {driver}: {keys[full]} and {key} are both {full}; wanted is a topic each"
+            )
+        keys[full] = key
 
 
 def _check_ring(options: RosOptions, driver: str) -> None:

@@ -41,6 +41,11 @@ class RosZeroSender:
         self._connecting.start()
         self._connecting.join(_AT_OPENING)
 
+    @property
+    def is_connected(self) -> bool:
+        """Whether it has found the hub; from then on the session finds it again by itself."""
+        return bool(self._publishers)
+
     def send_zero(self) -> None:
         """Command zero once, now; nothing while there is no connection."""
         for publisher in self._publishers:

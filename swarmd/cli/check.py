@@ -16,6 +16,7 @@ import click
 from swarmd.cli.catalog import Row, describe_patterns
 from swarmd.driving.base import base_options, deadman_of
 from swarmd.driving.driver import Driver, Finding, check_protected
+from swarmd.driving.guarded import GuardedDriver
 from swarmd.driving.making import make_driver
 from swarmd.errors import SwarmError, unknown
 from swarmd.kit.touch import in_words
@@ -209,7 +210,8 @@ def deadman_text(settings: DaemonSettings, driver: Driver) -> str:
     deadman = deadman_of(base, driver)
     if deadman == "none":
         source = "so its platform says" if base.deadman else "so it is taken, as none is told"
-        text = f"the base never stops by itself ({source}); a stopper says zero for a lost daemon"
+        who = "a stopper" if isinstance(driver, GuardedDriver) else "a process of its driver"
+        text = f"the base never stops by itself ({source}); {who} says zero for a lost daemon"
     else:
         after = "" if deadman == "base" else f" after {deadman:g} s"
         text = f"the base stops by itself{after} when commands end"

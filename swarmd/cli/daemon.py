@@ -53,11 +53,21 @@ Exit codes:
 @click.option("--swarm", metavar="NAME", help="The swarm's name [$SWARM, or default].")
 @click.option("--platform", metavar="NAME", help="A platform, or a .yaml file [waffle_pi].")
 @click.option("--driver", metavar="NAME", help="What talks to the base [simulated].")
-@click.option("--driver-option", "driver_options", multiple=True, metavar="KEY=VALUE")
+@click.option(
+    "--driver-option",
+    "driver_options",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="An option of the driver; may be repeated.",
+)
 @click.option("--profile", type=click.Choice(["dev", "field"]), help="This machine, or a network.")
 @click.option("--interface", metavar="NAME", help="The network interface for profile field.")
 @click.option("--seed", "seeds", multiple=True, metavar="ENDPOINT", help="A robot to dial.")
-@click.option("--state-dir", type=click.Path(file_okay=False), help="Where latches are kept.")
+@click.option(
+    "--state-dir",
+    type=click.Path(file_okay=False),
+    help="Where latches are kept [~/.local/state/swarmd].",
+)
 @click.option("--plugin-dir", type=click.Path(file_okay=False), help="Folder of own patterns.")
 @click.option("--log-level", type=click.Choice(["debug", "info", "warning"]), default="info")
 @click.option("--die-with-parent", type=int, metavar="PID", hidden=True)

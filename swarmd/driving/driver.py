@@ -73,7 +73,9 @@ class SenderSpec:
 class ZeroSender(Protocol):
     """A second connection to a base, which can say nothing but zero.
 
-    It lives in the stopper's process (`stopper.py`), with no loop.
+    It lives in the stopper's process (`stopper.py`), with no loop. One whose `open` may return
+    before there is a connection also has `is_connected`; as long as that is false the guardian
+    says zero.
     """
 
     def open(self) -> None:

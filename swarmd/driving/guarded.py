@@ -11,6 +11,7 @@ import contextlib
 import json
 import logging
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -42,6 +43,7 @@ class StopperProcess:
         self._first: asyncio.Future[bytes] = self._loop.create_future()
         self._lost: asyncio.Future[str] = self._loop.create_future()
         self._fed = self._waiting = 0.0
+        self._frozen = -1
         self.pid = 0
         self.says_zero = False
         with contextlib.ExitStack() as left:
@@ -82,7 +84,9 @@ class StopperProcess:
         self._fed = now
         if self._waiting and now - self._waiting > SILENT_AFTER:
             self._on_readable()  # its answers may have waited for this loop
-            if self._waiting and now - self._waiting > SILENT_AFTER:
+            if self._waiting and now - self._waiting > SILENT_AFTER and not self._lost.done():
+                with contextlib.suppress(OSError):  # it has not hung up, so this is its id still
+                    self._frozen = os.pidfd_open(self.pid)
                 self._lose(f"has not answered for {SILENT_AFTER:g} s")
         self._waiting = self._waiting or now
         with contextlib.suppress(OSError):  # full or gone: it does not answer
@@ -96,6 +100,14 @@ class StopperProcess:
         if self._process.poll() is None:  # it has not even begun
             self._process.kill()
             self._process.wait()
+
+    def bury(self) -> None:
+        """Kill it if its silence has cost it its post: frozen, it would keep the robot's name."""
+        if self._frozen >= 0:
+            with contextlib.suppress(ProcessLookupError):  # it was only slow
+                signal.pidfd_send_signal(self._frozen, signal.SIGKILL)
+            os.close(self._frozen)
+            self._frozen = -1
 
     def _on_readable(self) -> None:
         while self._socket.fileno() >= 0:
@@ -150,11 +162,14 @@ class GuardedDriver:
         self.is_simulated = driver.is_simulated
         self._driver, self._spec, self._name, self._tie = driver, spec, name, tie
         self._stopper: StopperProcess | None = None
+        self._before: StopperProcess | None = None
 
     async def run(self, sink: Sink) -> None:
         """Run the driver until cancelled, or until its stopper is lost: then DriverError."""
         sink.state(False, "waits for its stopper")
-        stopper = StopperProcess(self._spec, name=self._name, tie=self._tie)
+        if self._before is not None:
+            self._before.bury()
+        self._before = stopper = StopperProcess(self._spec, name=self._name, tie=self._tie)
         try:
             await stopper.start()
             log.info("stopper ready as process %d", stopper.pid)
@@ -178,7 +193,7 @@ class GuardedDriver:
             with contextlib.closing(StopperProcess(self._spec, name=None)) as stopper:
                 async with asyncio.timeout(seconds):
                     await stopper.start()
-            mine = Finding("stopper", True, "starts and connects; the base has no timeout")
+            mine = Finding("stopper", True, "starts; the base has no timeout")
         except (DriverError, TimeoutError) as error:
             mine = Finding("stopper", False, str(error) or f"not ready within {seconds:g} s")
         return (*await looking, mine)

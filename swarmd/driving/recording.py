@@ -18,6 +18,9 @@ from swarmd.clock import boottime
 from swarmd.codec import MAX_SENSE, Decoder, encode
 from swarmd.driving.driver import Driver, Finding, Sink
 from swarmd.driving.sensing import (
+    decode_neighbors,
+    decode_odometry,
+    decode_readings,
     encode_command,
     encode_neighbors,
     encode_odometry,
@@ -177,7 +180,10 @@ class Recorder:
 
 
 class RecordingSink:
-    """Hands everything on to `sink`, and writes it down."""
+    """Hands everything on to `sink`, and writes it down but for what could not be read again.
+
+    A single such value, a battery of 1e38 V, would make the whole recording a damaged one.
+    """
 
     def __init__(self, sink: Sink, recorder: Recorder) -> None:
         self._sink, self._recorder = sink, recorder
@@ -185,22 +191,26 @@ class RecordingSink:
     def scan(self, scan: Scan) -> None:
         """A sweep."""
         self._sink.scan(scan)
-        self._recorder.add("scan", encode_scan(scan))
+        payload = encode_scan(scan)
+        if len(payload) <= MAX_SENSE:
+            self._recorder.add("scan", payload)
+        else:
+            self._sink.dropped("record/scan")
 
     def odometry(self, odometry: Odometry) -> None:
         """A pose and twist."""
         self._sink.odometry(odometry)
-        self._recorder.add("odometry", encode_odometry(odometry))
+        self._add("odometry", encode_odometry(odometry), decode_odometry)
 
     def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
         """The robots within hearing."""
         self._sink.neighbors(neighbors)
-        self._recorder.add("neighbors", encode_neighbors(neighbors))
+        self._add("neighbors", encode_neighbors(neighbors), decode_neighbors)
 
     def readings(self, values: Mapping[str, float]) -> None:
         """Scalar sensors."""
         self._sink.readings(values)
-        self._recorder.add("readings", encode_readings(values))
+        self._add("readings", encode_readings(values), decode_readings)
 
     def state(self, is_up: bool, text: str) -> None:
         """How the base is."""
@@ -210,6 +220,14 @@ class RecordingSink:
     def dropped(self, what: str) -> None:
         """What could not be read is not recorded."""
         self._sink.dropped(what)
+
+    def _add(self, kind: Kind, payload: bytes, decode: Callable[[bytes], object]) -> None:
+        try:
+            decode(payload)
+        except CodecError:
+            self._sink.dropped(f"record/{kind}")
+        else:
+            self._recorder.add(kind, payload)
 
 
 class RecordedDriver:

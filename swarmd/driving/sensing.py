@@ -16,10 +16,14 @@ from msgspec import Meta, Struct
 
 from swarmd.codec import MAX_SENSE, Decoder, encode
 from swarmd.errors import CodecError
-from swarmd.messages import Count, Metres, Name, Seconds, Speed, Word
+from swarmd.messages import Count, Metres, Name, Speed, Word
 from swarmd.values import Array, Neighbor, Odometry, Pose, Scan, ScanSpec, Twist
 
 Angle = Annotated[float, Meta(ge=-100.0, le=100.0)]
+Stamp = Annotated[float, Meta(ge=-1e10, le=1e10)]
+"""Seconds on the sensor's clock: a real one counts from 1970."""
+Place = Annotated[float, Meta(ge=-1e9, le=1e9)]
+"""Metres in the odometry frame, which may be that of a map."""
 MAX_RAYS = 20_000
 
 
@@ -27,7 +31,7 @@ class ScanWire(Struct, frozen=True, array_like=True):
     """One sweep; `bearings` (first, step) in rad if regular, else float32 bytes."""
 
     seq: Count
-    stamp: Seconds
+    stamp: Stamp
     ranges: bytes
     bearings: tuple[Angle, Angle] | bytes
 
@@ -35,9 +39,9 @@ class ScanWire(Struct, frozen=True, array_like=True):
 class OdometryWire(Struct, frozen=True, array_like=True):
     """Pose in the odometry frame and measured twist."""
 
-    stamp: Seconds
-    x: Metres
-    y: Metres
+    stamp: Stamp
+    x: Place
+    y: Place
     yaw: Metres
     linear: Speed
     angular: Speed

@@ -41,7 +41,10 @@ PERIOD = 0.05
 TICK, FAREWELL = b"t", b"f"
 READY, FAULT = b"r", b"e"
 ZEROS = b"z"
-"""The answer to a tick, and what is said unasked, while zeros are sent; else a tick itself."""
+"""The answer to a tick, and what is said unasked, while zeros are sent; else a tick itself.
+
+Also the answer while no zero could be sent: what cannot be stopped must not move.
+"""
 _RELIEF = b"relief"
 _CLAIM_WITHIN = 5.0
 
@@ -127,6 +130,7 @@ class Stopper:
         self._name = None if name is None else _claimed(name)
         self._tie = -1 if tie is None else _pidfd(tie)
         self._is_sending = False
+        self._was_connected = True
         self._next = 0.0
         self._faults = 0
         self._is_asked = False
@@ -156,7 +160,7 @@ class Stopper:
                     say(f"a zero could not be sent: {error}")
         if is_sending != self._is_sending:
             self._is_sending = is_sending
-            self._answer(ZEROS if is_sending else TICK)
+            self._answer(TICK if self._may_move() else ZEROS)
             gone = "ended" if self._deadman.has_left else "is silent"
             say(f"the guardian {gone}: sending zeros" if is_sending else "no more zeros")
 
@@ -187,11 +191,18 @@ class Stopper:
                 frame = b""
             if frame == TICK:
                 self._deadman.tick(boottime())
-                self._answer(ZEROS if self._is_sending else TICK)
+                self._answer(TICK if self._may_move() else ZEROS)
                 continue
             self._deadman.leave(boottime())
             self._is_asked |= frame == FAREWELL
             return
+
+    def _may_move(self) -> bool:
+        is_connected = bool(getattr(self._sender, "is_connected", True))
+        if is_connected != self._was_connected:
+            self._was_connected = is_connected
+            say("connected" if is_connected else "not connected yet: until then it is zero")
+        return is_connected and not self._is_sending
 
     def _on_relief(self, name: socket.socket) -> None:
         with contextlib.suppress(OSError):

@@ -147,9 +147,9 @@ def open_session(settings: SessionSettings) -> zenoh.Session:
 def open_with(options: Mapping[str, object], what: str) -> zenoh.Session:
     """A session from Zenoh's own option paths; NetworkError names `what` it was for."""
     config = zenoh.Config()
-    for path, value in options.items():
-        config.insert_json5(path, json.dumps(value))
     try:
+        for path, value in options.items():
+            config.insert_json5(path, json.dumps(value))
         return zenoh.open(config)
     except zenoh.ZError as error:
         raise NetworkError(f"no session for {what}: {_explain(str(error), options)}") from error

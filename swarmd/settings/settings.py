@@ -120,7 +120,7 @@ def load_daemon_settings(
         state_dir=_path(layers, "state_dir", file.state_dir, config) or _state_dir(environ),
         plugin_dir=_path(layers, "plugin_dir", file.plugin_dir, config),
         die_with_parent=cast("int | None", parent),
-        provenance=_provenance(layers),
+        provenance=_provenance(layers, file, platform),
     )
 
 
@@ -164,10 +164,14 @@ def _state_dir(environ: Mapping[str, str]) -> Path:
     return Path(home) / ".local/state/swarmd"
 
 
-def _provenance(layers: Layered) -> Mapping[str, str]:
+def _provenance(layers: Layered, file: DaemonFile, platform: Platform) -> Mapping[str, str]:
     derived = {"id": "host name"}
-    return {
+    found = {
         key: layers.source(key) or derived.get(key, DEFAULT)
         for key in DaemonFile.__struct_fields__
         if key != "swarm_file"
     }
+    if platform.drivers.get(file.driver):
+        given = [found["driver_options"]] if file.driver_options else []
+        found["driver_options"] = ", ".join([*given, f"platform {platform.name}"])
+    return found

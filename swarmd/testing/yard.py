@@ -135,10 +135,6 @@ class Ride:
         """The smallest distance in m between outlines; 0 once they touched."""
         return 0.0 if self.touch is not None else min(self.gaps)
 
-    def twist_at(self, time: float) -> Twist:
-        """The twist of the base at that time."""
-        return self.twists[round((time - self.times[0]) / DT)]
-
 
 class Yard:
     """One robot of a platform among shapes.

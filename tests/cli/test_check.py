@@ -71,6 +71,15 @@ def test_how_the_base_stops_is_said(
     assert deadman_text(settings, make_driver(settings)) == text
 
 
+def test_a_base_whose_driver_is_its_own_stopper_is_said_to_have_none(tmp_path: Path) -> None:
+    values = {"id": "r", "state_dir": str(tmp_path), "platform": "burger", "driver": "ros1"}
+    settings = load_daemon_settings(None, values)
+    assert deadman_text(settings, make_driver(settings)) == (
+        "the base never stops by itself (so its platform says); a process of its driver says zero"
+        " for a lost daemon"
+    )
+
+
 def test_the_driver_has_what_is_left_of_five_seconds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

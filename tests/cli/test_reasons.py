@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.cli.reasons import obstacles, why
-from swarmd.messages import Condition, Member, Reason, Row, State, VerdictSummary
+from swarmd.messages import Condition, Health, Member, Reason, Row, State, VerdictSummary
 
 MakeMember = Callable[..., Member]
 
@@ -24,6 +24,17 @@ def test_there_is_a_sentence_for_every_reason(make_member: MakeMember, reason: R
 
 def test_a_moving_robot_is_said_to_move(make_member: MakeMember) -> None:
     assert why(make_member()) == "running drive, and moves"
+
+
+@pytest.mark.parametrize(
+    "reason", [Reason.NO_SCAN, Reason.STALE_SCAN, Reason.STALE_ODOMETRY, Reason.DRIVER_LOST]
+)
+def test_a_sense_that_is_missing_is_told_in_the_words_of_the_driver(
+    make_member: MakeMember, reason: Reason
+) -> None:
+    said = "/scan is announced but silent; look at the sensor: ros2 topic hz /scan"
+    text = why(make_member(reason=reason, health=Health(driver=said)))
+    assert f"({said})" in text
 
 
 def test_an_emergency_stop_names_its_issuer_and_the_way_out(estopped: Member) -> None:

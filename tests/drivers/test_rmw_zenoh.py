@@ -73,6 +73,27 @@ def test_it_is_a_node_of_the_graph_while_it_runs(is_humble: bool) -> None:
     play(robot, story)
 
 
+def test_a_token_that_is_none_ends_nothing() -> None:
+    robot = ZenohRobot()
+
+    async def story(stage: Stage) -> None:
+        crashes: list[object] = []
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(lambda _, context: crashes.append(context))
+        await stage.connect()
+        heard = len(stage.heard.scans)
+        await stage.until(lambda: len(stage.heard.scans) > heard + 2, speaking=True)
+        assert not crashes
+
+    declare = robot.hub.liveliness().declare_token
+    said = [
+        declare(f"@ros2_lv/{domain}/aa/0/1/MP/%/%/node/%scan/T/H/q")
+        for domain in ("9" * 5000, "x", "-1")
+    ]
+    play(robot, story, connected=False)
+    assert said, "as long as it ran"
+
+
 def test_who_only_looks_is_no_node() -> None:
     robot = ZenohRobot()
     seen: list[str] = []

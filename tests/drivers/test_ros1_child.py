@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import itertools
+import os
+import signal
+import socket
 import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -114,6 +118,21 @@ def test_an_interpreter_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPat
         await until(lambda: any("/no/python3 cannot be started" in text for text in texts(heard)))
 
     play(monkeypatch, "dies", story, python="/no/python3")
+
+
+def test_a_machine_that_is_full_ends_no_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    async def story(driver: Ros1Driver, heard: Heard) -> None:
+        await until(lambda: driver.adapter_pid is not None)
+        with monkeypatch.context() as full:
+            full.setattr(socket, "socketpair", refuse)
+            os.kill(driver.adapter_pid or 0, signal.SIGKILL)
+            await until(lambda: any("is the machine full?" in text for text in texts(heard)))
+        await until(lambda: driver.adapter_pid is not None)
+
+    play(monkeypatch, "mute", story)
 
 
 def test_check_says_why_there_is_no_adapter(monkeypatch: pytest.MonkeyPatch) -> None:

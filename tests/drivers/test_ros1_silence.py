@@ -163,6 +163,23 @@ def test_a_robot_that_an_earlier_adapter_drove_gets_zeros_at_once(
     assert Scene(monkeypatch, holds=True).pass_time(1.0)[0] == 0.0
 
 
+def test_a_robot_that_an_earlier_adapter_drove_is_left_alone_2_s_after_it_has_connected(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = Scene(monkeypatch, holds=True)
+
+    def connect() -> None:
+        scene.adapter._on_base(lambda message: None)
+
+    zeros = scene.pass_time(10.0, {1.0: connect})
+    assert zeros[-1] == pytest.approx(3.0, abs=0.06), "whoever else drives may have it"
+    zeros = scene.pass_time(10.0, {1.0: connect})
+    assert zeros[0] == pytest.approx(1.0, abs=0.06), "one that comes later may still drive too"
+    assert zeros[-1] == pytest.approx(3.0, abs=0.06)
+    scene.command(MOVING)
+    assert scene.pass_time(10.0, {1.0: connect})[-1] > 9.9, "as of any guardian's silence"
+
+
 def test_one_zero_does_not_make_silence_harmless(scene: Scene) -> None:
     scene.command(MOVING)
     scene.command(ZERO)

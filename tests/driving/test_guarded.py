@@ -16,7 +16,7 @@ import pytest
 from swarmd.driving import guarded, stopper
 from swarmd.driving.driver import Finding, SenderSpec, Sink
 from swarmd.driving.guarded import GuardedDriver, StopperProcess
-from swarmd.driving.stopper import FAREWELL, FAULT, READY, TICK, Stopper
+from swarmd.driving.stopper import FAREWELL, FAULT, READY, TICK, ZEROS, Stopper
 from swarmd.errors import DriverError
 from swarmd.testing.driver_contract import CAP, Heard
 from swarmd.values import Twist
@@ -136,6 +136,7 @@ class Sender:
     """Counts the zeros; raises at the first if told to."""
 
     def __init__(self, clock: Clock, faults: int = 0) -> None:
+        self.is_connected = True
         self.at: list[float] = []
         self._clock, self._faults = clock, faults
 
@@ -217,6 +218,18 @@ def test_a_farewell_is_2_s_of_zeros_and_the_end_of_file_is_zeros_for_ever(
         assert sender.at[-1] > 9.9
 
 
+def test_as_long_as_it_is_not_connected_the_guardian_is_to_say_zero(
+    clock: Clock, guardian: tuple[socket.socket, socket.socket]
+) -> None:
+    sender = Sender(clock)
+    mine = Stopper(guardian[1], sender, None, None)
+    for is_connected, answer in ((False, ZEROS), (True, TICK), (True, TICK)):
+        sender.is_connected = is_connected
+        guardian[0].send(TICK)
+        mine._hear()
+        assert received(guardian[0]) == [answer]
+
+
 def test_only_one_whose_guardian_is_silent_is_relieved(
     clock: Clock, guardian: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -288,6 +301,9 @@ class Process:
 
     def close(self) -> None:
         self.story.append("farewell")
+
+    def bury(self) -> None:
+        self.story.append("buried")
 
 
 def test_the_driver_lives_within_its_stopper_and_each_command_feeds_it(

@@ -59,6 +59,21 @@ def test_the_command_line_wins_over_the_file_and_the_file_over_what_it_includes(
     assert settings.provenance["seeds"] == "default"
 
 
+def test_options_of_a_driver_that_the_platform_gives_are_said_to_be_its(
+    folder: Path,
+) -> None:
+    def source(text: str = "", **overrides: object) -> str:
+        given = {"id": "r1", "platform": "burger", "driver": "ros2dds", **overrides}
+        return load(text, **given).provenance["driver_options"]
+
+    assert source() == "platform burger"
+    assert source("driver_options: {scan: front}") == "r.yaml, platform burger"
+    own = {"scan": "front"}
+    assert source(driver_options=own) == "--driver-option, platform burger"
+    assert source(driver="simulated") == "default"
+    assert source(driver="replay", driver_options=own) == "--driver-option"
+
+
 def test_an_included_file_may_not_say_who_a_robot_is(folder: Path) -> None:
     (folder / "swarm.yaml").write_text("swarm: lab\nid: r1")
     with pytest.raises(ConfigError, match=r"^swarm\.yaml: no key 'id'; there are: "):

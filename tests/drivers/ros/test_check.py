@@ -63,7 +63,8 @@ def test_all_is_well_where_all_is_there() -> None:
 @pytest.mark.parametrize(
     ("scans", "said"),
     [
-        ([(0.2 * i, 5.0) for i in range(6)], "all with the stamp 5"),
+        ([(0.2 * i, 5.0) for i in range(6)], "all with the stamp 5;"),
+        ([(0.2 * i, 1763711479.5) for i in range(6)], "all with the stamp 1763711479.5;"),
         ([(0.5 * i, 0.5 * i) for i in range(6)], "comes at 2.0 Hz; the platform's scan.rate is 5"),
         ([], "announces no topic at all"),
     ],

@@ -131,6 +131,14 @@ def test_commands_go_out_as_the_robots_distribution_names_them() -> None:
     }
 
 
+def test_what_others_command_says_nothing_of_the_robots_distribution() -> None:
+    ours = dialect()
+    mine = ours.command_key("/cmd_vel", messages.Twist)
+    for key in ours.command_keys("/cmd_vel", messages.Twist):  # a stopper's zeros go out on each
+        assert ours.fault(key, "/cmd_vel", messages.Twist) == ""
+        assert ours.command_key("/cmd_vel", messages.Twist) == mine
+
+
 def test_the_bridges_keys_are_topics_without_their_first_slash() -> None:
     ours = Ros2Dds()
     assert ours.listening("/bot1/scan") == "bot1/scan"

@@ -31,6 +31,7 @@ class Session:
 
     def __init__(self) -> None:
         self.is_linked = True
+        self.hub = "hub"
         self.is_closed = False
         self.said: list[tuple[str, Twist]] = []
         self.origins: list[object] = []
@@ -38,7 +39,7 @@ class Session:
         self._heard: dict[str, Callable[[Any], None]] = {}
         self.info = SimpleNamespace(
             zid=lambda: "ab",
-            routers_zid=lambda: ["hub"] if self.is_linked else [],
+            routers_zid=lambda: [self.hub] if self.is_linked else [],
             peers_zid=lambda: [],
         )
 
@@ -188,6 +189,22 @@ def test_a_link_that_is_cut_is_a_lost_base_at_once(monkeypatch: pytest.MonkeyPat
         lost = [text for is_up, text in scene.heard.states if not is_up]
         assert lost[-1].startswith("nothing answers at tcp/")
         assert scene.session.taken()[0] == Twist()
+
+    play(monkeypatch, story)
+
+
+def test_a_hub_that_is_started_anew_in_no_time_is_told_zero_for_2_s(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        await scene.pass_time(3.0, moving=True)
+        scene.command()
+        scene.session.hub = "another"  # which may know the base only in a while
+        await scene.pass_time(1.9)
+        told = scene.session.taken()
+        assert not scene.is_up
+        assert len(told) > 15
+        assert all(twist.is_zero for twist in told)
 
     play(monkeypatch, story)
 

@@ -15,6 +15,7 @@ from swarmd.drivers.ros.options import (
     ring_of,
     topic,
 )
+from swarmd.drivers.ros.session import open_session
 from swarmd.errors import ConfigError
 from swarmd.network.session import FIELD_PORT
 from swarmd.values import Value
@@ -74,6 +75,9 @@ def test_a_ring_of_ranges_is_by_topic() -> None:
         ({"ranges": {"a": 400.0}}, "ranges.a is 400"),
         ({"ranges": {"a": [0.0, -1.0]}}, "ranges.a is"),
         ({"ranges": {"a": [0.0]}}, "ranges"),
+        ({"namespace": "a", "imu": "/a/odom"}, "odometry and imu are both /a/odom; wanted is a to"),
+        ({"cmd_vel": "scan"}, "scan and cmd_vel are both /scan; wanted is a topic each"),
+        ({"ranges": {"ir": 0, "/ir": 90}}, "ranges.ir and ranges./ir are both /ir; wanted is"),
     ],
 )
 def test_what_is_wrong_is_named(options: Mapping[str, Value], complaint: str) -> None:
@@ -81,3 +85,7 @@ def test_what_is_wrong_is_named(options: Mapping[str, Value], complaint: str) ->
         read(options)
     assert str(caught.value).startswith("driver rmw_zenoh: ")
     assert "\n" not in str(caught.value)
+
+
+def test_an_endpoint_that_zenoh_cannot_read_is_as_one_where_nothing_listens() -> None:
+    assert open_session("tcp/127.0.0.1:9?rel=x;;=", within=0.1) is None

@@ -70,6 +70,7 @@ def test_a_hub_that_is_not_there_is_tried_again(hub: Hub) -> None:
     sender = ros2dds.make_zero_sender(robot="r", given={})
     sender.open()
     sender.send_zero()
+    assert not sender.is_connected
     hub.is_there = True
 
     def is_said() -> bool:
@@ -77,6 +78,7 @@ def test_a_hub_that_is_not_there_is_tried_again(hub: Hub) -> None:
         return bool(hub.said)
 
     wait_until(is_said, "it has found the hub", cap=10.0)
+    assert sender.is_connected
     sender.close()
 
 
