@@ -10,7 +10,8 @@ from typing import Annotated, Literal, TypeVar
 import msgspec
 from msgspec import Meta, Struct
 
-from swarmd.errors import ConfigError, unknown
+from swarmd.errors import ConfigError
+from swarmd.settings.layered import Layered
 from swarmd.values import Value
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -59,13 +60,7 @@ O = TypeVar("O", bound=RosOptions)  # noqa: E741
 
 def read_options(kind: type[O], options: Mapping[str, Value], driver: str, robot: str) -> O:
     """The options, `{robot}` filled in; ConfigError names the one that is wrong."""
-    for name in options:
-        if name not in kind.__struct_fields__:
-            raise ConfigError(f"driver {driver}: {unknown('option', name, kind.__struct_fields__)}")
-    try:
-        read = msgspec.convert(dict(options), kind)
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"driver {driver}: driver_options: {_said(str(error))}") from None
+    read = Layered((f"driver {driver}", options)).build(kind)
     filled = msgspec.structs.replace(
         read, namespace=read.namespace.replace(_ROBOT, robot.replace("-", "_"))
     )
@@ -138,9 +133,3 @@ def _check_ring(options: RosOptions, driver: str) -> None:
                 f"driver {driver}: ranges.{name} is {place}; wanted is a bearing in degrees, or"
                 f" [bearing, distance] with 0 to {_REACH:g} m"
             )
-
-
-def _said(text: str) -> str:
-    """msgspec's complaint with the option first: `Expected ... - at `$.domain``."""
-    what, _, where = text.partition(" - at `$.")
-    return f"{where.rstrip('`')}: {what}" if where else what
