@@ -21,6 +21,8 @@ from swarmd.values import Platform, Scan, ScanSpec
 SILENCE = 2.5
 """Seconds without a message after which a sense counts as lost; scans may come at 1 Hz."""
 
+_TOO_SLOW = 2.0  # of the platform's period: its scans would be held as too old now and then
+
 
 @dataclass(slots=True)
 class Sense:
@@ -159,9 +161,9 @@ class View:
                 sense.name, False, f"{text}; its stamps stand still: look at the sensor's node"
             )
         spec = self.platform.scan
-        if sense.name in ("scan", "range") and sense.period > spec.stale_after:
-            slow = f"its scans count as stale after {spec.stale_after:g} s; correct scan.rate"
-            return Finding(sense.name, False, f"{text}; {slow} ({spec.rate:g}) or the sensor")
+        if sense.name in ("scan", "range") and sense.period > _TOO_SLOW / spec.rate:
+            slow = f"scan.rate of the platform is {spec.rate:g}, so the robot would stop for old"
+            return Finding(sense.name, False, f"{text}; {slow} scans now and then: correct one")
         if sense.scan is not None and _leaves_gaps(sense.scan, spec):
             gaps = "too wide a sector is unseen; look at the sensor, or correct the platform's scan"
             return Finding(sense.name, False, f"{text}; {gaps}")

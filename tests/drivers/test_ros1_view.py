@@ -109,8 +109,19 @@ def test_stamps_that_stand_still_and_slow_scans_are_found() -> None:
     assert not found["odometry"].is_well
     assert "stamps stand still" in found["odometry"].text
     assert not found["scan"].is_well
-    assert "0.5 Hz; its scans count as stale" in found["scan"].text
+    assert "0.5 Hz; scan.rate of the platform is 5, so" in found["scan"].text
     assert math.isclose(made.senses["/scan"].period, 2.0)
+
+
+@pytest.mark.parametrize(("period", "is_well"), [(0.38, True), (0.42, False)])
+def test_scans_at_less_than_half_the_rate_of_the_platform_are_too_slow(
+    period: float, is_well: bool
+) -> None:
+    made = view(heard=False)
+    for now in (10.0, 10.0 + period, 10.0 + 2.0 * period):
+        made.senses["/scan"].hear(now, "", now)
+    found = {finding.subject: finding for finding in made.findings(10.0 + 2.0 * period)}
+    assert found["scan"].is_well is is_well
 
 
 def test_what_is_not_needed_and_not_heard_is_no_fault_but_said() -> None:
