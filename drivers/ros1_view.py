@@ -21,8 +21,6 @@ from swarmd.values import Platform, Scan, ScanSpec
 SILENCE = 2.5
 """Seconds without a message after which a sense counts as lost; scans may come at 1 Hz."""
 
-_TOO_SLOW = 2.0  # of the platform's period: its scans would be held as too old now and then
-
 
 @dataclass(slots=True)
 class Sense:
@@ -161,7 +159,7 @@ class View:
                 sense.name, False, f"{text}; its stamps stand still: look at the sensor's node"
             )
         spec = self.platform.scan
-        if sense.name in ("scan", "range") and sense.period > _TOO_SLOW / spec.rate:
+        if sense.name in ("scan", "range") and sense.period > spec.slowest_period:
             slow = f"scan.rate of the platform is {spec.rate:g}, so the robot would stop for old"
             return Finding(sense.name, False, f"{text}; {slow} scans now and then: correct one")
         if sense.scan is not None and _leaves_gaps(sense.scan, spec):

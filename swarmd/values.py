@@ -174,6 +174,11 @@ class ScanSpec:
         """Seconds after which a scan is too old: 3.5 nominal periods within 0.35 to 1.0 s."""
         return min(max(3.5 / self.rate, 0.35), 1.0)
 
+    @property
+    def slowest_period(self) -> float:
+        """Seconds between scans beyond which `rate` is not this sensor's."""
+        return min(2.0 / self.rate, self.stale_after)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Platform:

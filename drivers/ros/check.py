@@ -22,7 +22,6 @@ from swarmd.values import ScanSpec
 
 ENOUGH = 5
 AT_LEAST = 1.0
-_TOO_SLOW = 0.5  # of the platform's rate: its scans would be held as too old now and then
 
 
 def has_enough(hearing: Hearing, elapsed: float) -> bool:
@@ -97,7 +96,7 @@ class Report:
 
     def _scan_fault(self, sense: Sense) -> str:
         rate, wanted = sense.rate(), self.spec.rate
-        if 0.0 < rate < _TOO_SLOW * wanted:
+        if 0.0 < rate * self.spec.slowest_period < 1.0:
             return (
                 f"{sense.topic} comes at {rate:.1f} Hz; the platform's scan.rate is {wanted:g},"
                 " so the robot would stop for old scans now and then: correct one of them"

@@ -133,6 +133,9 @@ def test_nodes_that_are_peers_of_the_router_are_heard_and_commanded() -> None:
         play(robot, story, connected=False)
     finally:
         node.close()
+    first, second, *_ = (robots.twist(s.payload.to_bytes(), is_stamped=False) for s in taken)
+    assert first.is_zero
+    assert second == Twist(0.1)
 
 
 @pytest.mark.parametrize(

@@ -109,6 +109,7 @@ def test_an_adapter_that_says_nothing_is_killed(monkeypatch: pytest.MonkeyPatch)
 def test_an_adapter_that_does_not_leave_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     async def story(driver: Ros1Driver, heard: Heard) -> None:
         await until(lambda: any("an impostor" in text for text in texts(heard)))
+        assert driver.adapter_pid is not None  # `play` sees that it has ended
 
     play(monkeypatch, "deaf", story)
 

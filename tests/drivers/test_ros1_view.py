@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -111,6 +112,13 @@ def test_stamps_that_stand_still_and_slow_scans_are_found() -> None:
     assert not found["scan"].is_well
     assert "0.5 Hz; scan.rate of the platform is 5, so" in found["scan"].text
     assert math.isclose(made.senses["/scan"].period, 2.0)
+
+
+@pytest.mark.parametrize(("rate", "wanted"), [(10.0, 0.2), (5.0, 0.4), (1.0, 1.0)])
+def test_the_slowest_period_is_twice_the_nominal_one_unless_scans_would_be_stale(
+    rate: float, wanted: float
+) -> None:
+    assert dataclasses.replace(load_platform("burger").scan, rate=rate).slowest_period == wanted
 
 
 @pytest.mark.parametrize(("period", "is_well"), [(0.38, True), (0.42, False)])

@@ -47,6 +47,7 @@ def test_a_stopper_finds_a_base_that_comes_later() -> None:
     while not taken:
         sender.send_zero()
         taken.extend(robot.commands())
+    assert all(twist.is_zero for twist in taken)
     sender.close()
     robot.close()
 
