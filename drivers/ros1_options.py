@@ -11,13 +11,13 @@ import msgspec
 from msgspec import Meta, Struct
 
 from swarmd.drivers import ros1_wire as wire
+from swarmd.drivers.ros.options import check_ring, check_topics
 from swarmd.errors import ConfigError
 from swarmd.settings.layered import Layered
 from swarmd.values import Value
 
 DEFAULT_MASTER = "http://127.0.0.1:11311"
 _NAME = re.compile(r"/?[A-Za-z][A-Za-z0-9_]*(/[A-Za-z0-9_]+)*")
-_TURN, _REACH = 360.0, 10.0
 
 Name = Annotated[str, Meta(min_length=1, max_length=200)]
 
@@ -99,7 +99,9 @@ def read_options(options: Mapping[str, Value], robot: str) -> Ros1Options:
             raise ConfigError(
                 f"driver ros1: {key} is {name!r}; wanted a topic's name, such as /robot1/scan"
             )
-    _check_topics(found, names)
+    if found.ranges:
+        del names["scan"]
+    check_topics({key: found.topic(n) for key, n in names.items() if n is not None}, "ros1")
     if namespace.rstrip("/") and not _NAME.fullmatch(namespace.rstrip("/")):
         raise ConfigError(
             f"driver ros1: namespace is {found.namespace!r}; wanted is such as /robot1"
@@ -109,24 +111,5 @@ def read_options(options: Mapping[str, Value], robot: str) -> Ros1Options:
             f"driver ros1: master is {found.master_uri!r}; wanted is such as {DEFAULT_MASTER}"
             " (without it, $ROS_MASTER_URI counts)"
         )
-    for name, (degrees, distance) in found.placed.items():
-        if not (abs(degrees) <= _TURN and 0.0 <= distance <= _REACH):
-            raise ConfigError(
-                f"driver ros1: ranges.{name} is {found.ranges[name]}; wanted is a bearing in"
-                f" degrees, or [bearing, distance] with 0 to {_REACH:g} m"
-            )
+    check_ring(found.ranges, "ros1")
     return found
-
-
-def _check_topics(options: Ros1Options, names: Mapping[str, str | None]) -> None:
-    """ConfigError if two of the options name one topic: what comes there is of one type."""
-    keys: dict[str, str] = {}
-    for key, name in names.items():
-        if name is None or (key == "scan" and options.ranges):
-            continue
-        topic = options.topic(name)
-        if topic in keys:
-            raise ConfigError(
-                f"driver ros1: {keys[topic]} and {key} are both {topic}; wanted is a topic each"
-            )
-        keys[topic] = key

@@ -91,7 +91,7 @@ def _check(options: RosOptions, driver: str) -> None:
             f"driver {driver}: endpoint is {options.endpoint!r}; wanted is such as"
             f" {DEFAULT_ENDPOINT}"
         )
-    _check_ring(options, driver)
+    check_ring(options.ranges, driver)
     named = {
         "namespace": options.namespace.strip("/") or None,
         "scan": options.scan,
@@ -110,23 +110,26 @@ def _check(options: RosOptions, driver: str) -> None:
     del named["namespace"]
     if options.ranges:
         del named["scan"]
-    _check_topics(options, named, driver)
+    check_topics({key: topic(options, n) for key, n in named.items() if n is not None}, driver)
 
 
-def _check_topics(options: RosOptions, named: Mapping[str, str | None], driver: str) -> None:
-    """ConfigError if two of the options name one topic: what comes there is of one type."""
+def check_topics(topics: Mapping[str, str], driver: str) -> None:
+    """ConfigError if two of the options name one topic: what comes there is of one type.
+
+    `topics`: the full names by option.
+    """
     keys: dict[str, str] = {}
-    for key, name in named.items():
-        full = "" if name is None else topic(options, name)
-        if full and full in keys:
+    for key, full in topics.items():
+        if full in keys:
             raise ConfigError(
                 f"driver {driver}: {keys[full]} and {key} are both {full}; wanted is a topic each"
             )
         keys[full] = key
 
 
-def _check_ring(options: RosOptions, driver: str) -> None:
-    for name, place in options.ranges.items():
+def check_ring(ranges: Mapping[str, float | tuple[float, float]], driver: str) -> None:
+    """ConfigError unless each has a bearing in degrees and a distance in m that can be."""
+    for name, place in ranges.items():
         degrees, distance = place if isinstance(place, tuple) else (place, 0.0)
         if not (abs(degrees) <= _TURN and 0.0 <= distance <= _REACH):
             raise ConfigError(
