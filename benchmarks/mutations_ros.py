@@ -67,8 +67,8 @@ _CHECK = (
     *mutants_of(
         "drivers/ros/check.py",
         "tests/drivers/ros/test_check.py",
-        ("scans that are too slow", "they are well", "if 0.0 < rate < _TOO_SLOW * wanted:",
-         "if False:"),
+        ("scans that are too slow", "they are well",
+         "if 0.0 < rate * self.spec.slowest_period < 1.0:", "if False:"),
         ("who else commands", "nobody is told of", "if self.others:", "if False:"),
     ),
 )  # fmt: skip
