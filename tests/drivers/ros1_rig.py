@@ -46,15 +46,14 @@ class RosRobot:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
         )
-        self._thread = threading.Thread(target=self._read, args=(self._process,), daemon=True)
+        ready = threading.Event()  # commands of a life before may still wait among the lines
+        self._thread = threading.Thread(target=self._read, args=(self._process, ready), daemon=True)
         self._thread.start()
         try:
-            wait_until(lambda: bool(self._lines), "the robot's nodes are registered")
+            wait_until(ready.is_set, "the robot's nodes are registered")
         except AssertionError:
             self.close()
             raise
-        with self._lock:
-            del self._lines[:1]
 
     @property
     def options(self) -> dict[str, Value]:
@@ -116,9 +115,12 @@ class RosRobot:
                 except BrokenPipeError:
                     continue
 
-    def _read(self, process: subprocess.Popen[bytes]) -> None:
+    def _read(self, process: subprocess.Popen[bytes], ready: threading.Event) -> None:
         assert process.stdout is not None
         for line in process.stdout:
+            if line == b"ready\n":
+                ready.set()
+                continue
             with self._lock:
                 self._lines.append(line.decode())
 
