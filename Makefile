@@ -7,7 +7,7 @@ ARGS ?=
 # Test files at a time: most tests wait rather than compute. 0: one after the other, in this process.
 JOBS ?= 2
 
-.PHONY: help demo test check format bench paper safety outcomes mutants lock clean
+.PHONY: help demo test check format bench paper safety outcomes lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -44,10 +44,6 @@ paper: $(VENV)/tools
 # What each pattern brings about, over twenty seeds; tests/outcomes ask the same of a few.
 outcomes: $(VENV)/tools
 	@$(BIN)/python -m benchmarks.outcomes $(ARGS)
-
-# The tables of docs/safety.md and docs/patterns: which tests fail without which mechanism; a quarter of an hour on two cores.
-mutants: $(VENV)/tools
-	@$(BIN)/python -m benchmarks.mutants $(ARGS)
 
 # Robot-hours and progress under protection, kept in build/safety; hours on two cores. With
 # ARGS="--robot-hours 30" a tenth of it.

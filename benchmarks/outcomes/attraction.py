@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from benchmarks.mutations import Mutant
 from benchmarks.outcomes.outcome import Outcome, at_least, at_most
 from swarmd.sim.experiments.simulate import simulate
 
@@ -41,46 +40,5 @@ def _outcome(what: str, wanted: str, values: tuple[float, ...], is_reached: bool
     return Outcome(NAME, what, wanted, values, is_reached, _PAPER)
 
 
-_PATH, _TESTS = "patterns/attraction.py", "tests/outcomes/test_attraction.py"
 # What packs a group shows in a swarm only after minutes, and then by some centimetres.
 _UNITS = "tests/patterns/test_attraction.py"
-
-
-def _mutant(mechanism: str, change: str, old: str, new: str, tests: str = _TESTS) -> Mutant:
-    return Mutant(f"attraction: {mechanism}", change, _PATH, old, new, tests=tests)
-
-
-MUTANTS = (
-    _mutant(
-        "pull",
-        "the sign is wrong: it is pushed",
-        "x = float(weights @ np.cos(robots[:, 1]))",
-        "x = -float(weights @ np.cos(robots[:, 1]))",
-    ),
-    _mutant(
-        "left and right",
-        "they are swapped",
-        "y = float(weights @ np.sin(robots[:, 1]))",
-        "y = -float(weights @ np.sin(robots[:, 1]))",
-    ),
-    _mutant(
-        "spacing",
-        "it is ignored: they are drawn as near as protection lets them",
-        '"spacing": 1.06 * threshold + 1.3 * math.hypot(*platform.scan.offset)',
-        '"spacing": 0.1',
-    ),
-    _mutant(
-        "rolling",
-        "who has come to rest stays",
-        'is_bored = is_going == "settled" and not is_woken',
-        "is_bored = False and not is_woken",
-        _UNITS,
-    ),
-    _mutant(
-        "rest",
-        "it is never settled",
-        'return "gather" if is_woken else "settled"',
-        'return "roll"',
-        _UNITS,
-    ),
-)

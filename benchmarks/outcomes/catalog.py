@@ -1,4 +1,4 @@
-"""The modules of outcomes by the pattern's name: each has `outcomes(seeds, jobs)` and `MUTANTS`."""
+"""The modules of outcomes by the pattern's name: each has `outcomes(seeds, jobs)`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from benchmarks.mutations import Mutant
 
 _OWN = ("__init__", "__main__", "catalog", "outcome")
 
@@ -19,5 +18,3 @@ def _modules() -> Mapping[str, Any]:
 
 MODULES = _modules()
 """Every file of this folder that is about a pattern."""
-MUTANTS: tuple[Mutant, ...] = tuple(m for one in MODULES.values() for m in one.MUTANTS)
-"""Wrong implementations that the outcomes must notice."""

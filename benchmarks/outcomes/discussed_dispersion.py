@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from benchmarks.mutations import Mutant
 from benchmarks.outcomes.outcome import Outcome, at_least, at_most
 from benchmarks.paper_exp2 import (
     LARGER,
@@ -126,51 +125,3 @@ def _of_joinings(late: Sequence[Joining]) -> list[Outcome]:
             "ours: it is one of six neighbours who are counted",
         ),
     ]
-
-
-_PATH = "patterns/discussed_dispersion.py"
-_TESTS = "tests/outcomes/test_discussed_dispersion.py"
-
-
-def _mutant(mechanism: str, change: str, old: str, new: str) -> Mutant:
-    return Mutant(f"{_NAME}: {mechanism}", change, _PATH, old, new, tests=_TESTS)
-
-
-MUTANTS: tuple[Mutant, ...] = (
-    _mutant(
-        "f",
-        "an opinion stands for the distance of the next one",
-        "return self.base + self.step * opinion",
-        "return self.base + self.step * (opinion + 1)",
-    ),
-    _mutant(
-        "f",
-        "the lowest opinion stands for the largest distance",
-        "return self.base + self.step * opinion",
-        "return self.base + self.step * (self.opinions - 1 - opinion)",
-    ),
-    _mutant(
-        "opinion to distance",
-        "the distance never follows the opinion",
-        "if distance != self._distance:",
-        "if distance != distance:",
-    ),
-    _mutant(
-        "discussion",
-        "the robots move before they have discussed",
-        "if inputs.now - self._started_at < self.params.discuss - 1e-9:",
-        "if inputs.now - self._started_at < 0.9 * self.params.discuss:",
-    ),
-    _mutant(
-        "discussion",
-        "the robots never begin to move",
-        "if inputs.now - self._started_at < self.params.discuss - 1e-9:",
-        "if inputs.now - self._started_at < 9.0 * self.params.discuss:",
-    ),
-    _mutant(
-        "voting goes on",
-        "who disperses no longer says what it is for",
-        "return Outputs(move.twist, {**vote.messages, **move.messages}, report)",
-        "return Outputs(move.twist, move.messages, report)",
-    ),
-)

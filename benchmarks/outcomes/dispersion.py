@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.mutations import Mutant
 from benchmarks.outcomes.outcome import Outcome, at_least, at_most, number
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.metrics.catalog import measure
@@ -74,38 +73,3 @@ def late_ranges(trace: Trace, seconds: float = 10.0) -> tuple[float, float]:
     walls = half - np.abs(lidars[:, :, 0]).max(axis=-1)
     ranges = np.minimum(ranges, walls)
     return float(ranges.min()), float(np.median(ranges))
-
-
-_PATH, _TESTS = "patterns/dispersion.py", "tests/outcomes/test_dispersion.py"
-
-
-def _mutant(mechanism: str, change: str, old: str, new: str) -> Mutant:
-    return Mutant(f"dispersion: {mechanism}", change, _PATH, old, new, tests=_TESTS)
-
-
-MUTANTS = (
-    _mutant(
-        "push",
-        "the sign is wrong: it is drawn",
-        "x = -float(weights @ np.cos(points[:, 1]))",
-        "x = float(weights @ np.cos(points[:, 1]))",
-    ),
-    _mutant(
-        "left and right",
-        "they are swapped",
-        "y = -float(weights @ np.sin(points[:, 1]))",
-        "y = float(weights @ np.sin(points[:, 1]))",
-    ),
-    _mutant(
-        "distance",
-        "it spreads twice as far",
-        "distance = params.distance + math.hypot(*offset) + _WAKE * params.ramp",
-        "distance = 2.0 * params.distance",
-    ),
-    _mutant(
-        "distance is kept",
-        "it stands a tenth too near",
-        "distance = params.distance + math.hypot(*offset) + _WAKE * params.ramp",
-        "distance = 0.9 * params.distance",
-    ),
-)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.mutations import Mutant
 from benchmarks.outcomes.outcome import Outcome, at_least, at_most
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.metrics.clearance import clearance
@@ -93,39 +92,4 @@ def _way(trace: Trace, name: str) -> Array:
     )
 
 
-_PATH, _TESTS = "patterns/drive.py", "tests/outcomes/test_drive.py"
 _COMMAND = "return Twist(linear=self.params.speed, angular=self.params.turn)"
-MUTANTS = (
-    Mutant(
-        "drive: forwards",
-        "the sign of the speed is wrong",
-        _PATH,
-        _COMMAND,
-        "return Twist(linear=-self.params.speed, angular=self.params.turn)",
-        tests=_TESTS,
-    ),
-    Mutant(
-        "drive: left and right",
-        "they are swapped",
-        _PATH,
-        _COMMAND,
-        "return Twist(linear=self.params.speed, angular=-self.params.turn)",
-        tests=_TESTS,
-    ),
-    Mutant(
-        "drive: straight",
-        "it veers by 2 degrees a second",
-        _PATH,
-        _COMMAND,
-        "return Twist(linear=self.params.speed, angular=self.params.turn + 0.035)",
-        tests=_TESTS,
-    ),
-    Mutant(
-        "drive: its speed",
-        "it follows that of a Burger on each platform",
-        _PATH,
-        'return {"speed": min(platform.limits.linear, 0.5)}',
-        'return {"speed": min(platform.limits.linear, 0.22)}',
-        tests=_TESTS,
-    ),
-)

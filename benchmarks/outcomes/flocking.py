@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.mutations import Mutant
 from benchmarks.outcomes.outcome import Outcome, at_least, at_most, number
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.metrics.aggregation import cluster_counts
@@ -75,45 +74,3 @@ def together(trace: Trace) -> float:
     if own == 0.0:
         return 0.0
     return float(np.hypot(centre[:, 0], centre[:, 1]).sum() * place.shape[1] / own)
-
-
-_PATH, _TESTS = "patterns/flocking.py", "tests/outcomes/test_flocking.py"
-
-
-def _mutant(mechanism: str, change: str, old: str, new: str) -> Mutant:
-    return Mutant(f"flocking: {mechanism}", change, _PATH, old, new, tests=_TESTS)
-
-
-MUTANTS = (
-    _mutant(
-        "springs draw",
-        "they push whoever is far",
-        "return _sum(force, nearest[:, 1])",
-        "return _sum(-np.abs(force), nearest[:, 1])",
-    ),
-    _mutant(
-        "springs push",
-        "whoever is near is drawn nearer",
-        "return _sum(force, nearest[:, 1])",
-        "return _sum(np.abs(force), nearest[:, 1])",
-    ),
-    _mutant(
-        "left and right",
-        "they are swapped",
-        "turn = params.swing * float(force[1])",
-        "turn = -params.swing * float(force[1])",
-    ),
-    _mutant(
-        "speed along the heading",
-        "whoever is drawn back is faster",
-        "params.cruise + params.surge * float(force[0])",
-        "params.cruise - params.surge * float(force[0])",
-    ),
-    _mutant(
-        "aligning",
-        "it turns against where the others move",
-        "+ params.align * min(max(aside",
-        "- params.align * min(max(aside",
-    ),
-    _mutant("cruise", "it stands unless it is drawn", "(params.cruise + ", "(0.0 + "),
-)

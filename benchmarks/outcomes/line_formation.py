@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.mutations import Mutant
 from benchmarks.outcomes.outcome import Outcome, at_least, at_most
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.metrics.formation import line_errors
@@ -28,7 +27,6 @@ _MOVING, _FEW = 0.05, 0.25
 _HELD = 10.0
 _PROJECT = "bound: the project's, a tenth of the spacing; error: after Fredslund and Mataric 2002"
 _FORMATION, _FORMING = "swarmd/kit/formation.py", "swarmd/kit/forming.py"
-_TESTS = "tests/outcomes/test_line_formation.py"
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,75 +112,3 @@ def _moving(part: Trace) -> float:
     """The share of the robots that are there whose way is longer than that of one that rests."""
     step = np.diff(part.pose[:, presence(part).all(axis=0), :2], axis=0)
     return float(np.mean(np.hypot(step[..., 0], step[..., 1]).sum(axis=0) > _MOVING))
-
-
-def mutant(what: str, change: str, path: str, old: str, new: str) -> Mutant:
-    """A wrong line formation."""
-    return Mutant(f"line formation: {what}", change, path, old, new, tests=_TESTS)
-
-
-MUTANTS = (
-    mutant(
-        "towards the line",
-        "it goes away from the line",
-        _FORMATION,
-        "place: Array = middle + along * ahead",
-        "place: Array = -(middle - (middle @ ahead) * ahead) + (middle @ ahead + along) * ahead",
-    ),
-    mutant(
-        "along the line",
-        "the line is the one that fits worst",
-        _FORMATION,
-        "ahead = np.array([math.cos(angle), math.sin(angle)])",
-        "ahead = np.array([-math.sin(angle), math.cos(angle)])",
-    ),
-    mutant(
-        "spacing",
-        "it stays where it is along the line",
-        _FORMATION,
-        "place: Array = middle + along * ahead",
-        "place: Array = middle - (middle @ ahead) * ahead + 0.0 * along",
-    ),
-    mutant(
-        "order",
-        "it takes its place from the other end",
-        _FORMATION,
-        "along = (rank - 0.5 * (len(points) - 1)) * spacing",
-        "along = (0.5 * (len(points) - 1) - rank) * spacing",
-    ),
-    mutant(
-        "count",
-        "it does not count itself",
-        _FORMATION,
-        "along = (rank - 0.5 * (len(points) - 1)) * spacing",
-        "along = (rank - 0.5 * len(points)) * spacing",
-    ),
-    mutant(
-        "left and right",
-        "what is sensed to the left is taken to be on the right",
-        _FORMATION,
-        "place = here + heading * cmath.rect(distance, bearing)",
-        "place = here + heading * cmath.rect(distance, -bearing)",
-    ),
-    mutant(
-        "rest",
-        "it never rests",
-        _FORMING,
-        "return ZERO if self._is_settled else self._follow(way, length)",
-        "return self._follow(way, length)",
-    ),
-    mutant(
-        "forgetting",
-        "who is no longer sensed still counts",
-        _FORMATION,
-        "        known, found = self._known, []\n        self._known = {}\n"
-        "        here, heading = complex(pose.x, pose.y), cmath.rect(1.0, pose.yaw)\n",
-        "        here, heading = complex(pose.x, pose.y), cmath.rect(1.0, pose.yaw)\n"
-        "        known, found = self._known, [\n"
-        "            (one.place - here) * heading.conjugate()\n"
-        "            for name, one in self._known.items()\n"
-        "            if name not in {n.id for n in neighbors}\n"
-        "        ]\n"
-        "        self._known = dict(known)\n",
-    ),
-)

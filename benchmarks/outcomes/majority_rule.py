@@ -16,7 +16,6 @@ from benchmarks.debates import (
     hold_all,
     most_frequent,
 )
-from benchmarks.mutations import Mutant
 from benchmarks.outcomes.outcome import Outcome, at_least, at_most
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.voting import consensus_time
@@ -144,122 +143,6 @@ def _outcome(what: str, wanted: str, value: float, is_reached: bool, source: str
     return Outcome(NAME, what, wanted, (value,), is_reached, source)
 
 
-_TESTS = "tests/outcomes/test_majority_rule.py"
 _UNITS, _SHARED = "tests/kit/test_votes.py", "tests/kit/test_voting.py"
 _VOTES = "swarmd/kit/votes.py"
 _VOTING = "swarmd/kit/voting.py"
-
-MUTANTS: tuple[Mutant, ...] = (
-    Mutant(
-        "majority_rule: windows",
-        "a window ends one period late",
-        _VOTES,
-        "self._end = _next(self._end, self.length, now)",
-        "self._end = _next(self._end, self.length, now) + self.length",
-        tests="tests/outcomes/test_voter_model.py",
-    ),
-    Mutant(
-        "majority_rule: most frequent",
-        "adopts the least frequent",
-        _VOTES,
-        "most = max(counts.values())",
-        "most = min(counts.values())",
-        tests=_TESTS,
-    ),
-    Mutant(
-        "majority_rule: ties",
-        "the lowest wins whatever was asked for",
-        _VOTES,
-        'if len(leaders) == 1 or ties == "lowest":',
-        "if leaders:",
-        tests=_TESTS,
-    ),
-    Mutant(
-        "majority_rule: ties",
-        "keeps its opinion whatever was asked for",
-        _VOTES,
-        'return current if ties == "keep" else',
-        'return current if ties != "lowest" else',
-        tests=_TESTS,
-    ),
-    Mutant(
-        "majority_rule: own opinion",
-        "it counts though nobody asked for it",
-        _VOTING,
-        "if self.params.count_own:",
-        "if not self.params.count_own:",
-        tests=_TESTS,
-    ),
-    Mutant(
-        "majority_rule: staggered windows",
-        "all windows end in step",
-        _VOTING,
-        "if params.staggered else 1.0",
-        "if not params.staggered else 1.0",
-        tests=_TESTS,
-    ),
-    Mutant(
-        "majority_rule: latest vote",
-        "the first vote of a sender counts",
-        _VOTES,
-        "if known is None or heard_at >= known[1]:\n            self._votes",
-        "if known is None:\n            self._votes",
-        tests=_TESTS,
-    ),
-    Mutant(
-        "majority_rule: windows",
-        "votes of the former window count again",
-        _VOTES,
-        "votes = self._since(max(self._opened, now - self.expiry))",
-        "votes = self._since(now - self.expiry)",
-        tests=_UNITS,
-    ),
-    Mutant(
-        "majority_rule: windows",
-        "the first one lasts twice as long",
-        _VOTES,
-        "self._end = now + first * length",
-        "self._end = now + (first + 1.0) * length",
-        tests=_TESTS,
-    ),
-    Mutant(
-        "majority_rule: expiry",
-        "votes never expire",
-        _VOTES,
-        "max(self._opened, now - self.expiry)",
-        "self._opened",
-        tests=_UNITS,
-    ),
-    Mutant(
-        "majority_rule: sliding window",
-        "votes are as old as they like",
-        _VOTES,
-        "self._since(now - min(self.length, self.expiry))",
-        "self._since(now - self.expiry)",
-        tests=_UNITS,
-    ),
-    Mutant(
-        "majority_rule: gone robots",
-        "the vote of one that has left counts",
-        _VOTING,
-        "                window.forget(neighbor.id)",
-        "                pass",
-        tests=_SHARED,
-    ),
-    Mutant(
-        "majority_rule: own opinion",
-        "its own words count when they come back",
-        _VOTING,
-        "if message.sender != self.context.robot:",
-        "if message.sender:",
-        tests=_SHARED,
-    ),
-    Mutant(
-        "majority_rule: late messages",
-        "a message is as old as its reading",
-        _VOTING,
-        "self._take(window, message, inputs.now - message.age)",
-        "self._take(window, message, inputs.now)",
-        tests=_SHARED,
-    ),
-)

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks.mutations import Mutant
 from benchmarks.outcomes.outcome import Outcome, at_least, at_most, number
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.metrics.area import COVER, covered_area
@@ -76,38 +75,3 @@ def one_sidedness(traces: Sequence[Trace]) -> float:
     """How much further all robots turned to one side than to the other, of all that they turned."""
     turns = np.concatenate([np.diff(trace.pose[..., 2], axis=0).ravel() for trace in traces])
     return float(abs(turns.sum()) / np.abs(turns).sum())
-
-
-_PATH, _TESTS = "patterns/random_walk.py", "tests/outcomes/test_random_walk.py"
-
-
-def _mutant(mechanism: str, change: str, old: str, new: str) -> Mutant:
-    return Mutant(f"random_walk: {mechanism}", change, _PATH, old, new, tests=_TESTS)
-
-
-MUTANTS = (
-    _mutant(
-        "turns",
-        "it never turns",
-        "return Twist(angular=self._rate)",
-        "return Twist(linear=self.params.speed)",
-    ),
-    _mutant(
-        "turns both ways",
-        "always to the left",
-        "self._rate = sign * ",
-        "self._rate = ",
-    ),
-    _mutant(
-        "what is ahead",
-        "it is overlooked",
-        "ray.range < self.params.clearance else None",
-        "ray.range < 0.0 else None",
-    ),
-    _mutant(
-        "straights end",
-        "a turn is never over",
-        "goes_straight = self._is_turning or self._until is None",
-        "goes_straight = self._until is None",
-    ),
-)

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from benchmarks.debates import IN_STEP, Counts, Motion, Result, agreed_by, any_of, hold_all
-from benchmarks.mutations import Mutant
 from benchmarks.outcomes.outcome import Outcome, at_most
 from swarmd.patterns.voter_model import VoterModelParams
 from swarmd.testing.parliament import Air
@@ -120,92 +119,8 @@ def _outcome(what: str, wanted: str, value: float, is_reached: bool, source: str
     return Outcome(NAME, what, wanted, (value,), is_reached, source)
 
 
-_TESTS = "tests/outcomes/test_voter_model.py"
 _UNITS = "tests/kit/test_votes.py"
 _VOTER = "patterns/voter_model.py"
 _VOTES = "swarmd/kit/votes.py"
 _VOTING = "swarmd/kit/voting.py"
 _PICK = "return opinions[int(self.context.rng.integers(len(opinions)))]"
-
-MUTANTS: tuple[Mutant, ...] = (
-    Mutant(
-        "voter_model: random neighbour",
-        "the first one heard",
-        _VOTER,
-        _PICK,
-        "return opinions[0]",
-        tests=_TESTS,
-    ),
-    Mutant(
-        "voter_model: random neighbour",
-        "the most frequent opinion",
-        _VOTER,
-        _PICK,
-        "return max(opinions, key=opinions.count)",
-        tests=_TESTS,
-    ),
-    Mutant(
-        "voter_model: random neighbour",
-        "each opinion as likely, however many hold it",
-        _VOTER,
-        "opinions = list(heard.values())",
-        "opinions = sorted(set(heard.values()))",
-        tests=_TESTS,
-    ),
-    Mutant(
-        "voter_model: random neighbour",
-        "never the last one heard",
-        _VOTER,
-        _PICK,
-        "return opinions[int(self.context.rng.integers(max(len(opinions) - 1, 1)))]",
-        tests="tests/patterns/test_voter_model.py",
-    ),
-    Mutant(
-        "voter_model: own opinion",
-        "it counts though nobody asked for it",
-        _VOTING,
-        "if self.params.count_own:",
-        "if not self.params.count_own:",
-        tests=_TESTS,
-    ),
-    Mutant(
-        "voter_model: rounds",
-        "the vote of the round before is taken from those ahead for that of this one",
-        _VOTES,
-        "ballot.opinion if lead == 0 else ballot.previous",
-        "ballot.previous",
-        tests=_TESTS,
-    ),
-    Mutant(
-        "voter_model: rounds",
-        "nobody is waited for",
-        _VOTES,
-        "is_waiting = not votes or (bool(leads) and leads[0] < 0)",
-        "is_waiting = not votes",
-        tests=_UNITS,
-    ),
-    Mutant(
-        "voter_model: rounds",
-        "those that are ahead are waited for",
-        _VOTES,
-        "is_waiting = not votes or (bool(leads) and leads[0] < 0)",
-        "is_waiting = not votes or any(leads)",
-        tests=_UNITS,
-    ),
-    Mutant(
-        "voter_model: rounds",
-        "whoever names a later round is followed",
-        _VOTES,
-        "median = leads[(len(leads) - 1) // 2] if leads else 0",
-        "median = leads[-1] if leads else 0",
-        tests=_UNITS,
-    ),
-    Mutant(
-        "voter_model: rounds",
-        "late ballots replace later ones",
-        _VOTES,
-        "if lead < 0 or (lead == 0 and heard_at < known[1]):",
-        "if lead == 0 and heard_at < known[1]:",
-        tests=_UNITS,
-    ),
-)
