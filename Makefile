@@ -39,17 +39,17 @@ bench: $(VENV)/tools
 
 # The tables and figures of docs/paper.md, in build/paper: 640 runs, half an hour on two cores.
 paper: $(VENV)/tools
-	@$(BIN)/python -m benchmarks.paper $(ARGS)
+	@$(BIN)/python -m studies.paper $(ARGS)
 
 # What each pattern brings about, over twenty seeds; tests/outcomes ask the same of a few.
 outcomes: $(VENV)/tools
-	@$(BIN)/python -m benchmarks.outcomes $(ARGS)
+	@$(BIN)/python -m studies.outcomes $(ARGS)
 
 # Robot-hours and progress under protection, kept in build/safety; hours on two cores. With
 # ARGS="--robot-hours 30" a tenth of it.
 safety: $(VENV)/tools
-	@$(BIN)/python -m benchmarks.safety hours $(ARGS)
-	@$(BIN)/python -m benchmarks.safety progress
+	@$(BIN)/python -m studies.safety hours $(ARGS)
+	@$(BIN)/python -m studies.safety progress
 
 $(VENV)/made:
 	@command -v $(PYTHON) >/dev/null || { echo \

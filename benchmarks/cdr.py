@@ -14,9 +14,10 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from benchmarks.table import Row, print_table
-from swarmd.drivers.ros import cdr, conversion, messages
+from swarmd.core.values import Twist
+from swarmd.drivers.ros import cdr, messages
+from swarmd.drivers.ros import from_ros as conversion
 from swarmd.settings.platforms import load_platform
-from swarmd.values import Twist
 
 RAYS = 360
 ROUNDS = 300

@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.swarm import Swarm
 from benchmarks.table import Row, print_table
-from swarmd.messages import State
+from swarmd.core.messages import State
 
 ROBOTS = 7
 SECONDS = 62.0  # 5 Hz: over 300 scans of each robot

@@ -20,7 +20,7 @@ from benchmarks.table import Row, print_table
 from swarmd.network.claim import claim_id
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings, open_session
-from swarmd.testing.light import LightDaemon
+from tests.support.fake_daemon import LightDaemon
 
 RUNS = 50
 FLOOD = 300_000
@@ -30,7 +30,7 @@ TICK = 0.01
 @contextmanager
 def daemons(settings: SessionSettings, count: int) -> Iterator[None]:
     """`count` processes with one light daemon each; they end with their standard input."""
-    command = [sys.executable, "-m", "swarmd.testing.light", "--swarm", settings.swarm]
+    command = [sys.executable, "-m", "tests.support.fake_daemon", "--swarm", settings.swarm]
     processes = [
         subprocess.Popen(
             [*command, f"tb3-{number:02d}"],

@@ -19,20 +19,20 @@ import numpy as np
 
 from benchmarks.steps import in_an_arena, loop_field, measure
 from benchmarks.table import Row, print_table
-from swarmd.driving.sensing import decode_scan, encode_scan
-from swarmd.frames import Ready, Step, Stepped
-from swarmd.hosts.framing import decode_command, encode_command
-from swarmd.messages import Epoch, Request
-from swarmd.protection.front import Protection
-from swarmd.protection.moment import Moment
+from swarmd.core.host_messages import Ready, Step, Stepped
+from swarmd.core.messages import Epoch, Request
+from swarmd.core.values import Inputs, Odometry, Outputs, Platform, Pose, Scan, Twist
+from swarmd.driver_api.hw_codec import decode_scan, encode_scan
+from swarmd.pattern_host.wire import decode_command, encode_command
+from swarmd.protection.arbiter import Protection
+from swarmd.protection.decision import Moment
 from swarmd.protection.settings import Mode
 from swarmd.robot.robot import Robot
 from swarmd.robot.status import RobotSettings
-from swarmd.scans.conditioning import ScanConditioner
+from swarmd.sensing.conditioning import ScanConditioner
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import Disc, scan_of
-from swarmd.testing.variants import with_mode
-from swarmd.values import Inputs, Odometry, Outputs, Platform, Pose, Scan, Twist
+from tests.support.platforms import with_mode
 
 MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone")
 WISH = Twist(0.2, 0.1)

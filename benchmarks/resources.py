@@ -14,7 +14,7 @@ from pathlib import Path
 
 from benchmarks.swarm import Swarm
 from benchmarks.table import Row, print_table
-from swarmd.testing.processes import children
+from tests.support.processes import children
 
 ROBOTS = 7
 SECONDS = 25.0

@@ -23,16 +23,16 @@ import numpy as np
 
 from benchmarks.plain_field import plain_field
 from benchmarks.table import Row, print_table
-from swarmd.clock import boottime
-from swarmd.drivers import ros1_wire as wire
-from swarmd.drivers.ros1 import Ros1Driver
+from swarmd.core.clock import boottime
+from swarmd.core.values import Scan, Twist
+from swarmd.drivers.ros1 import wire
+from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.robot.robot import Robot
 from swarmd.robot.status import RobotSettings
-from swarmd.scans.fields import field_twist, potential_field
+from swarmd.sensing.potential_field import field_twist, potential_field
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import Heard
-from swarmd.testing.roscore import PYTHON, RosCore, why_no_ros1
-from swarmd.values import Scan, Twist
+from tests.support.roscore import PYTHON, RosCore, why_no_ros1
 
 NODES = [PYTHON, "-m", "benchmarks.ros1_nodes"]
 SECONDS = 60.0

@@ -25,13 +25,14 @@ from benchmarks import ros2_dds
 from benchmarks.cdr import scan
 from benchmarks.ros1 import field
 from benchmarks.table import Row, print_table
-from swarmd.drivers import rmw_zenoh, ros2dds
+from swarmd.core.values import Scan
 from swarmd.drivers.ros import cdr, messages
-from swarmd.drivers.ros.driver import RosDriver
+from swarmd.drivers.ros2 import dds_bridge as ros2dds
+from swarmd.drivers.ros2 import rmw_zenoh
+from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import Heard
-from swarmd.testing.ros2_bridge import why_no_bridge
-from swarmd.values import Scan
+from tests.support.ros2_bridge import why_no_bridge
 
 SECONDS = 15.0
 WARM = 2.0

@@ -19,10 +19,11 @@ from cyclonedds.domain import Domain
 
 from benchmarks.cdr import scan
 from benchmarks.ros1 import PLATFORM, field
-from swarmd.drivers.ros import cdr, conversion
-from swarmd.testing import dds_types
-from swarmd.testing.dds_node import DdsNode
-from swarmd.testing.ros2_bridge import LOOPBACK, Bridge, free_domain
+from swarmd.drivers.ros import cdr
+from swarmd.drivers.ros import from_ros as conversion
+from tests.support import dds_types
+from tests.support.dds_node import DdsNode
+from tests.support.ros2_bridge import LOOPBACK, Bridge, free_domain
 
 SCAN = {"/scan": dds_types.LaserScan}
 COMMAND = {"/cmd_vel": dds_types.Twist}

@@ -23,15 +23,15 @@ import zenoh
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
+from swarmd.core.host_messages import Command, Event, Step, Stepped
+from swarmd.core.processes import die_with_parent
+from swarmd.core.values import Scan, Twist
 from swarmd.daemon import daemon as daemon_module
 from swarmd.daemon.daemon import Daemon
 from swarmd.drivers import simulated
-from swarmd.drivers.inbox import Inbox
-from swarmd.frames import Command, Event, Step, Stepped
-from swarmd.hosts.runner import ProcessRunner
-from swarmd.processes import die_with_parent
+from swarmd.drivers.latest_samples import Inbox
+from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.settings.settings import load_daemon_settings
-from swarmd.values import Scan, Twist
 
 
 class Stamps:

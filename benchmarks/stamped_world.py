@@ -16,8 +16,8 @@ from time import monotonic_ns
 import numpy as np
 import zenoh
 
-from swarmd import keys
-from swarmd.driving.sensing import decode_command, decode_scan
+from swarmd.core import keys
+from swarmd.driver_api.hw_codec import decode_command, decode_scan
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live import server
 from swarmd.sim.live.link import WorldLink

@@ -17,13 +17,7 @@ from statistics import median
 import numpy as np
 
 from benchmarks.table import Row, print_table
-from swarmd.hosts.loading import Finder
-from swarmd.plugins import pattern_names
-from swarmd.scans.fields import potential_field
-from swarmd.settings.settings import load_platform
-from swarmd.testing.pattern_contract import Subject
-from swarmd.testing.scans import Disc, scan_from, scan_of
-from swarmd.values import (
+from swarmd.core.values import (
     Inputs,
     Message,
     Neighbor,
@@ -33,6 +27,12 @@ from swarmd.values import (
     Scan,
     Twist,
 )
+from swarmd.pattern_host.loader import Finder
+from swarmd.plugins import pattern_names
+from swarmd.sensing.potential_field import potential_field
+from swarmd.settings.settings import load_platform
+from swarmd.testing.pattern_contract import Subject
+from swarmd.testing.scans import Disc, scan_from, scan_of
 
 BUDGET = "p50 100 us"
 CALLS = 5000

@@ -17,9 +17,9 @@ from typing import Any, Self
 
 import yaml
 
-from swarmd.messages import State, Status
+from swarmd.core.messages import State, Status
 from swarmd.network.operator import Operator
-from swarmd.network.requests import Outcome
+from swarmd.network.outcome import Outcome
 from swarmd.network.session import SessionSettings
 
 HERE = Path(__file__).parent

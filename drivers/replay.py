@@ -14,12 +14,17 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from swarmd.driving.driver import Finding, Sink
-from swarmd.driving.recording import Entry, Recording, named_file, read_recording
-from swarmd.driving.sensing import decode_neighbors, decode_odometry, decode_readings, decode_scan
-from swarmd.errors import CodecError, ConfigError
+from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
+from swarmd.driver_api.driver import Finding, Sink
+from swarmd.driver_api.hw_codec import (
+    decode_neighbors,
+    decode_odometry,
+    decode_readings,
+    decode_scan,
+)
+from swarmd.driver_api.recording import Entry, Recording, named_file, read_recording
 from swarmd.settings.layered import Layered
-from swarmd.values import ZERO, Odometry, Platform, Scan, Twist, Value
 
 log = logging.getLogger(__name__)
 

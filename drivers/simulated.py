@@ -10,21 +10,19 @@ from functools import partial
 
 import zenoh
 
-from swarmd import keys
-from swarmd.drivers.inbox import Inbox
-from swarmd.drivers.nowhere import Nowhere
-from swarmd.drivers.opening import opened
-from swarmd.driving.driver import Finding, SenderSpec, Sink
-from swarmd.driving.sensing import (
+from swarmd.core import keys
+from swarmd.core.errors import CodecError, ConfigError, unknown
+from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
+from swarmd.driver_api.driver import Finding, Nowhere, SenderSpec, Sink
+from swarmd.driver_api.hw_codec import (
     decode_neighbors,
     decode_odometry,
     decode_readings,
     decode_scan,
     encode_command,
 )
-from swarmd.errors import CodecError, ConfigError, unknown
-from swarmd.network.session import open_with
-from swarmd.values import ZERO, Odometry, Platform, Scan, Twist, Value
+from swarmd.drivers.latest_samples import Inbox
+from swarmd.network.session import open_with, opened
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7790"
 SILENCE = 1.0

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.errors import ConfigError
-from swarmd.values import Array, Platform
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array, Platform
 
 ARENA = -1
 """The index that stands for walls, boxes and poles in a contact."""

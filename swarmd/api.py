@@ -4,28 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from swarmd.angles import difference, wrap
-from swarmd.errors import ConfigError, PluginError
-from swarmd.kit.behavior import Context, Make, MovementPattern, Pattern
-from swarmd.kit.combined import CombinedPattern
-from swarmd.kit.formation import place_on_circle, place_on_line, radius_of
-from swarmd.kit.forming import FormationParams, FormationPattern
-from swarmd.kit.params import P, Params, TopSpeed, TopTurn, Unstick, about
-from swarmd.kit.steering import from_base, keep_clear, steer
-from swarmd.kit.votes import Ties, VoteWindow, majority, tally
-from swarmd.kit.voting import Initial, Opinions, TieRule, VotingParams, VotingPattern, WindowLength
-from swarmd.scans.fields import FieldKind, FieldResult, field_twist, potential_field
-from swarmd.scans.rays import (
-    Gap,
-    Ray,
-    RayClusters,
-    closest_points,
-    clusters,
-    gaps,
-    nearest,
-    sectors,
-)
-from swarmd.values import (
+from swarmd.core.angles import difference, wrap
+from swarmd.core.errors import ConfigError, PluginError
+from swarmd.core.values import (
     ZERO,
     Array,
     Inputs,
@@ -40,6 +21,32 @@ from swarmd.values import (
     TouchZone,
     Twist,
     Value,
+)
+from swarmd.kit.behavior import Context, Make, MovementPattern, Pattern
+from swarmd.kit.combined import CombinedPattern
+from swarmd.kit.formation_geometry import place_on_circle, place_on_line, radius_of
+from swarmd.kit.formation_pattern import FormationParams, FormationPattern
+from swarmd.kit.params import P, Params, TopSpeed, TopTurn, Unstick, about
+from swarmd.kit.steering import from_base, keep_clear, steer
+from swarmd.kit.vote_windows import Ties, VoteWindow, majority, tally
+from swarmd.kit.voting_pattern import (
+    Initial,
+    Opinions,
+    TieRule,
+    VotingParams,
+    VotingPattern,
+    WindowLength,
+)
+from swarmd.sensing.potential_field import FieldKind, FieldResult, field_twist, potential_field
+from swarmd.sensing.rays import (
+    Gap,
+    Ray,
+    RayClusters,
+    closest_points,
+    clusters,
+    gaps,
+    nearest,
+    sectors,
 )
 
 __all__ = [

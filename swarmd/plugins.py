@@ -1,6 +1,6 @@
 """Which patterns, drivers and verbs are installed: names only, nothing of a pattern is imported.
 
-Found by entry-point group (`swarmd.patterns`, `swarmd.drivers`, `swarmd.dialects`,
+Found by entry-point group (`swarmd.patterns`, `swarmd.drivers`, `swarmd.emulators`,
 `swarmd.commands`) and, for patterns, as `<plugin_dir>/<name>.py` holding exactly one Pattern;
 `test_*.py` are tests. Missions are patterns too: a `<plugin_dir>/<name>.yaml` with a line
 `mission: ...`, or one that comes with swarmd. Reading the metadata of all installed packages takes
@@ -18,19 +18,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import swarmd.config
-from swarmd.errors import ConfigError, PluginError, unknown
-from swarmd.keys import check_id, is_id
+from swarmd.core.errors import ConfigError, PluginError, unknown
+from swarmd.core.keys import check_id, is_id
 
 if TYPE_CHECKING:
     import click
 
-    from swarmd.driving.dialect import RobotSideFactory
-    from swarmd.driving.driver import DriverFactory
+    from swarmd.driver_api.driver import DriverFactory
+    from swarmd.driver_api.emulator import RobotSideFactory
 
 PATTERNS = "swarmd.patterns"
 DRIVERS = "swarmd.drivers"
 COMMANDS = "swarmd.commands"
-DIALECTS = "swarmd.dialects"
+DIALECTS = "swarmd.emulators"
 MISSION = ".yaml"
 LARGEST_MISSION = 1 << 20
 _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)

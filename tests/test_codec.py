@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec import Struct
 
-from swarmd.codec import MAX_DEPTH, MAX_MESSAGE, Decoder, decode_value, encode, encode_value
-from swarmd.errors import CodecError
-from swarmd.messages import Epoch, Request, Row, VerdictSummary
+from swarmd.core.codec import MAX_DEPTH, MAX_MESSAGE, Decoder, decode_value, encode, encode_value
+from swarmd.core.errors import CodecError
+from swarmd.core.messages import Epoch, Request, Row, VerdictSummary
 
 OPEN = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text(),

@@ -1,4 +1,4 @@
-"""The shape of the house: where imports point, what is mapped and linked, how long things are."""
+"""The layout: the direction of imports, the layers of `swarmd/`, and the packaging."""
 
 from __future__ import annotations
 
@@ -34,12 +34,25 @@ FORBIDDEN = {
 EXCEPTIONS: dict[tuple[str, str], str] = {
     ("sim/live/link.py", "zenoh"): "the world's own session, for the bodies of real-time mode",
 }
-# Files over 400 lines and functions over 50, with the reason.
-LONG_FILES: dict[str, str] = {}
-LONG_FUNCTIONS: dict[str, str] = {}
-_BENCH, _TESTS = ("benchmarks",), ("tests",)
-MAX_FILE_LINES = 400
-MAX_FUNCTION_LINES = 50
+# Layers of `swarmd/`, from the ground up. A module imports its own package and lower layers only.
+LAYERS: tuple[tuple[str, ...], ...] = (
+    ("config",),
+    ("core",),
+    ("sensing", "driver_api", "network"),
+    ("plugins",),
+    ("kit", "protection"),
+    ("api",),
+    ("settings", "robot"),
+    ("mission",),
+    ("pattern_host",),
+    ("daemon",),
+    ("cli",),
+    ("testing",),
+)
+LAYER_EXCEPTIONS: dict[tuple[str, str], str] = {
+    ("pattern_host", "testing"): "`plugin check` runs the pattern contract in its child process",
+}
+_MEASURES, _TESTS = ("benchmarks", "studies"), ("tests",)
 
 
 def sources(*folders: str) -> list[Path]:
@@ -100,14 +113,33 @@ def test_an_import_the_wrong_way_is_found() -> None:
     assert any(is_within(module, "zenoh") for module in modules)
 
 
+def test_packages_of_swarmd_keep_their_layers() -> None:
+    height = {name: n for n, layer in enumerate(LAYERS) for name in layer}
+    upward = []
+    for path in sources("swarmd"):
+        package = path.relative_to(ROOT / "swarmd").parts[0].removesuffix(".py")
+        if package == "__init__":
+            continue
+        for line, module in imports(tree_of(path)):
+            parts = module.split(".")
+            if parts[0] != "swarmd" or len(parts) < 2 or parts[1] in (package, *LINKED):
+                continue
+            if height[parts[1]] >= height[package] and (package, parts[1]) not in LAYER_EXCEPTIONS:
+                upward.append(f"{name_of(path)}:{line} imports {module}")
+    assert upward == []
+
+
 def test_one_file_has_one_import_name() -> None:
-    everything = sources(*CODE, "tests", "benchmarks", "examples")
+    everything = sources(*CODE, "tests", *_MEASURES, "examples")
     found = [line for path in everything for line in offences(path, (*LINKED, "examples"))]
-    # Benchmarks are run as modules, from the root, and share their table; those that are evidence
-    # are tested. Tests name the types of their fixtures, for type checkers alone.
-    found += [line for p in sources(*CODE, "examples") for line in offences(p, _BENCH)]
+    shipped = sources(*CODE, "examples")
+    found += [line for path in shipped for line in offences(path, (*_MEASURES, *_TESTS))]
+    # Benchmarks and studies use the rigs of the tests, and nothing else of them.
     found += [
-        line for p in sources(*CODE, "benchmarks", "examples") for line in offences(p, _TESTS)
+        line
+        for path in sources(*_MEASURES)
+        for line in offences(path, _TESTS)
+        if "imports tests.support" not in line
     ]
     relative = [
         f"{name_of(path)}:{line}"
@@ -181,26 +213,6 @@ def test_entry_points_lead_to_files() -> None:
             if attribute not in _names_defined(module):
                 missing.append(f"{group}: {name} = {value}")
     assert missing == []
-
-
-def test_files_are_short() -> None:
-    long = {
-        name_of(path)
-        for path in sources(*CODE, "tests", "benchmarks", "examples")
-        if len(path.read_text().splitlines()) > MAX_FILE_LINES
-    }
-    assert long == set(LONG_FILES)
-
-
-def test_functions_are_short() -> None:
-    long = {
-        f"{name_of(path)}:{node.name}"
-        for path in sources(*CODE, "tests", "benchmarks", "examples")
-        for node in ast.walk(tree_of(path))
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)
-        and (node.end_lineno or 0) - node.lineno + 1 > MAX_FUNCTION_LINES
-    }
-    assert long == set(LONG_FUNCTIONS)
 
 
 def _folder(package: str) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from swarmd import plugins
-from swarmd.errors import PluginError
+from swarmd.core.errors import PluginError
 
 
 @pytest.fixture

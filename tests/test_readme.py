@@ -22,7 +22,7 @@ PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
 EXAMPLE = "udp"  # the driver in examples/
 NAME = re.compile(r"`(swarmd(?:\.\w+)+)`")
-GROUPS = ("swarmd.patterns", "swarmd.drivers", "swarmd.dialects", "swarmd.commands")
+GROUPS = ("swarmd.patterns", "swarmd.drivers", "swarmd.emulators", "swarmd.commands")
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 

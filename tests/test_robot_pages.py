@@ -10,13 +10,13 @@ import msgspec
 import pytest
 import yaml
 
+from swarmd.driver_api.driver import Driver, Sink, Stopping
 from swarmd.drivers.replay import ReplayOptions
 from swarmd.drivers.ros.options import RmwOptions
-from swarmd.drivers.ros1_options import Ros1Options
-from swarmd.driving.base import BaseOptions
-from swarmd.driving.driver import Driver, Sink, Stopping
+from swarmd.drivers.ros1.options import Ros1Options
+from swarmd.settings.driver_options import BaseOptions
 from swarmd.settings.platforms import load_platform, platform_names
-from swarmd.testing.driver_stage import Mortal, Rig, Speaker
+from swarmd.testing.driver_rig import Mortal, Rig, Speaker
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ROOT / "docs" / "robots"

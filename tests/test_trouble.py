@@ -8,20 +8,19 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.drivers.rmw_zenoh import RmwZenoh
-from swarmd.drivers.ros.advice import why_silent
-from swarmd.drivers.ros.check import Report, unheard
-from swarmd.drivers.ros.dialect import Dialect, Endpoint
-from swarmd.drivers.ros.hearing import Hearing
+from swarmd.core.errors import ConfigError
+from swarmd.drivers.ros.diagnosis import Report, unheard, why_silent
 from swarmd.drivers.ros.messages import LaserScan, Twist
 from swarmd.drivers.ros.options import RosOptions
-from swarmd.drivers.ros1 import Ros1Driver
-from swarmd.drivers.ros1_child import Link, State, Told
-from swarmd.drivers.ros1_options import Ros1Options
-from swarmd.drivers.ros1_view import View
-from swarmd.drivers.ros2dds import Ros2Dds
-from swarmd.driving.base import base_options
-from swarmd.errors import ConfigError
+from swarmd.drivers.ros1.adapter import Link, State, Told
+from swarmd.drivers.ros1.driver import Ros1Driver
+from swarmd.drivers.ros1.options import Ros1Options
+from swarmd.drivers.ros1.view import View
+from swarmd.drivers.ros2.dds_bridge import Ros2Dds
+from swarmd.drivers.ros2.key_scheme import Dialect, Endpoint
+from swarmd.drivers.ros2.rmw_zenoh import RmwZenoh
+from swarmd.drivers.ros2.subscriptions import Hearing
+from swarmd.settings.driver_options import base_options
 from swarmd.settings.platforms import load_platform
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "robots" / "trouble.md").read_text()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from swarmd.api import MovementPattern, Params, Twist
-from swarmd.values import Inputs
+from swarmd.core.values import Inputs
 
 
 class EndlessParams(Params, frozen=True):

@@ -8,7 +8,7 @@ from time import monotonic_ns
 from typing import Any
 
 from swarmd.api import Context, Scalar
-from swarmd.frames import Step, Stepped
+from swarmd.core.host_messages import Step, Stepped
 from swarmd.patterns.attraction import Attraction, AttractionParams
 
 

@@ -13,8 +13,8 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
+from swarmd.core.errors import CodecError
 from swarmd.drivers.ros.messages import OlderRange, Range
-from swarmd.errors import CodecError
 
 MAX_PAYLOAD = 256 * 1024
 DISTROS = (Stores.ROS2_HUMBLE, Stores.ROS2_IRON, Stores.ROS2_JAZZY, Stores.ROS2_KILTED,

@@ -10,9 +10,9 @@ from typing import Annotated, Literal, TypeVar
 import msgspec
 from msgspec import Meta, Struct
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Value
 from swarmd.settings.layered import Layered
-from swarmd.values import Value
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 

@@ -17,9 +17,19 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from swarmd.driving.driver import Finding, SenderSpec, Sink
-from swarmd.errors import ConfigError, unknown
-from swarmd.values import ZERO, Neighbor, Odometry, Platform, Pose, Scan, ScanSpec, Twist, Value
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.values import (
+    ZERO,
+    Neighbor,
+    Odometry,
+    Platform,
+    Pose,
+    Scan,
+    ScanSpec,
+    Twist,
+    Value,
+)
+from swarmd.driver_api.driver import Finding, SenderSpec, Sink
 
 SILENCE = 1.0
 HELLO = 0.2

@@ -15,9 +15,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from swarmd.cli.arguments import Duration, read_assignments
-from swarmd.cli.console import Console
+from swarmd.cli.options import Console
 from swarmd.cli.output import print_json, print_section, warn
-from swarmd.errors import ConfigError, SwarmError
+from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.options import WorldOptions, fleet_for, fleet_options, need
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from swarmd.cli.console import Console
+from swarmd.cli.options import Console
 from swarmd.cli.output import print_json, print_table, warn
-from swarmd.errors import ConfigError, SwarmError
+from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.measure import measure
 from swarmd.sim.cli.options import chosen_metrics, need
 
@@ -214,7 +214,7 @@ def plot(folder: Path, out: Path | None, metrics: str | None, seeds: str | None)
     """Draw the experiment in DIR: trajectories, start and end, metrics over time."""
     need("matplotlib")
     from swarmd.sim.experiments.words import read_seeds
-    from swarmd.sim.plots.experiment import draw_experiment
+    from swarmd.sim.plots.figures import draw_experiment
 
     one_or_more = f"{seeds}-{seeds}" if seeds and seeds.isdecimal() else seeds
     chosen = None if one_or_more is None else read_seeds(one_or_more)

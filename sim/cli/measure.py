@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from swarmd.cli.console import Console
+from swarmd.cli.options import Console
 from swarmd.cli.output import print_json, print_table
 from swarmd.sim.cli.options import chosen_metrics
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from swarmd.errors import ConfigError, PluginError
-from swarmd.keys import is_id
+from swarmd.core.errors import ConfigError, PluginError
+from swarmd.core.keys import is_id
 
 if TYPE_CHECKING:
+    from swarmd.core.values import Platform
     from swarmd.sim.live.fleet import FleetSpec
-    from swarmd.values import Platform
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

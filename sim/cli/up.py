@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from swarmd.cli.console import DEFAULT_SWARM, Console
+from swarmd.cli.options import DEFAULT_SWARM, Console
 from swarmd.cli.output import print_section, warn
-from swarmd.errors import ConfigError, SwarmError
+from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.options import WorldOptions, fleet_for, fleet_options, need
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def up(
     The robots come up idle. Work them from another terminal with the ordinary verbs of swarmctl.
     """
     need("mujoco")
-    from swarmd.keys import check_id
+    from swarmd.core.keys import check_id
 
     given = swarm or (ctx.find_object(Console) or Console()).swarm
     name = check_id(given or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")

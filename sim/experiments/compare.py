@@ -10,11 +10,11 @@ from typing import Any, Literal
 
 import numpy as np
 
-from swarmd.errors import ConfigError, unknown
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.values import Array
 from swarmd.sim.experiments.results import Results, load_results, unit_of
 from swarmd.sim.experiments.statistics import LEVEL, Interval, difference_interval, mean_interval
 from swarmd.sim.metrics.catalog import METRICS
-from swarmd.values import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from typing import Any
 import msgspec
 
 import swarmd
-from swarmd.errors import ConfigError, SwarmError
+from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.plan import Plan, Variant, check_seeds
 from swarmd.sim.experiments.provenance import GitState, digests_of_plugins, git_state, made_with
 

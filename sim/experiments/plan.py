@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from numbers import Integral
 from typing import Any
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 
 MAX_RUNS = 100_000
 MAX_SEED = 2**32 - 1

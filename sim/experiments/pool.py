@@ -1,4 +1,14 @@
-"""Many jobs in several processes: what kills or hangs one process costs one run."""
+"""One run as a job: what it takes, what comes of it, and the doing itself.
+
+Many jobs in several processes: what kills or hangs one process costs one run.
+
+A process that does one job after another: `python -m swarmd.sim.experiments.pool FD PARENT`.
+
+Jobs come and outcomes go by the connection of descriptor FD; on the way to an outcome it says now
+and then which share has been simulated. It is a program of its own rather than a multiprocessing
+child, so that a script needs no `if __name__ == "__main__"`. Each job is done by a fork of it: what
+one run does to its process, no other run sees.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +19,83 @@ import sys
 import tempfile
 import time
 from collections import deque
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import suppress
+from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
+from pathlib import Path
+from typing import Any
 
-from swarmd.processes import how_it_ended
-from swarmd.sim.experiments.job import Job, Outcome, one_line, remove_partial
+from swarmd.core.errors import SwarmError
+from swarmd.core.processes import die_with_parent, how_it_ended
+from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.sim.metrics.catalog import measure
+from swarmd.sim.scenarios.scenariofile import scenario_of
 
-WORKER = "swarmd.sim.experiments.worker"
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """A run to be done: a whole scenario in plain values, a seed, and where its trace goes."""
+
+    run: str
+    effective: Mapping[str, Any]
+    seed: int
+    trace: Path | None
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What came of a job: `metrics` by name, or None and the reason in one line.
+
+    `obstacle` is set where the trace could not be written: no other run's could be either. `wall`
+    is in s.
+    """
+
+    run: str
+    metrics: Mapping[str, float | None] | None = None
+    wall: float = 0.0
+    reason: str = ""
+    obstacle: str = ""
+
+
+def perform(job: Job, on_progress: Callable[[float], None] | None = None) -> Outcome:
+    """Simulate, measure, and write the trace down, in this process.
+
+    Nothing is raised for what goes wrong in the run: patterns and metrics may be anyone's.
+    `on_progress` is told after each step which share has been simulated.
+    """
+    begin = time.perf_counter()
+    try:
+        trace = simulate_run(scenario_of(job.effective), job.seed, on_progress)
+        metrics = measure(trace)
+    except SwarmError as error:
+        return Outcome(job.run, reason=one_line(str(error)))
+    except Exception as error:
+        return Outcome(job.run, reason=one_line(f"{type(error).__name__}: {error}"))
+    if job.trace is not None:
+        try:
+            job.trace.parent.stat()  # a folder that was taken away is not made anew
+            trace.save(job.trace)
+        except OSError as error:
+            remove_partial(job.trace)
+            return Outcome(job.run, obstacle=f"{job.trace.parent}: {error.strerror or error}")
+    return Outcome(job.run, metrics, time.perf_counter() - begin)
+
+
+def remove_partial(trace: Path) -> None:
+    """Remove what is left of a trace that was not written to its end, if it can be."""
+    with suppress(OSError):
+        trace.with_name(f".{trace.name}.partial").unlink(missing_ok=True)
+
+
+def one_line(text: str) -> str:
+    """The text on one line of at most 300 characters."""
+    line = "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
+    return line if len(line) <= 300 else f"{line[:297]}..."
+
+
+WORKER = "swarmd.sim.experiments.pool"
 GRACE = 2.0  # s in which a worker without work ends by itself
 TIMEOUT = 60.0  # s on the clock for one step of a simulation, or for setting it up
 _LOOK = 0.5  # s between two looks at workers that say nothing
@@ -82,7 +160,7 @@ class _Worker:
                     sys.executable,
                     "-P",
                     "-m",
-                    "swarmd.sim.experiments.worker",
+                    "swarmd.sim.experiments.pool",
                     *self._arguments(theirs),
                 ],
                 pass_fds=(theirs.fileno(),),
@@ -170,3 +248,68 @@ class _Worker:
         lines = self._log.read().decode(errors="replace").split("\n")
         said = [line for line in lines if line.strip()]
         return f": {one_line(said[-1])}" if said else ""
+
+
+BEAT = 0.25  # s between two words of progress
+
+
+def main(descriptor: int, parent: int) -> None:
+    """Do jobs until there are no more."""
+    die_with_parent(parent)
+    import swarmd.sim.experiments.pool  # noqa: F401  # once, for all the forks
+
+    with Connection(descriptor) as connection:
+        while True:
+            try:
+                job = connection.recv()
+            except EOFError:
+                return
+            _do_apart(job, connection)
+
+
+def _do_apart(job: Job, connection: Connection) -> None:
+    """Do the job in a fork; if that ends before it has an outcome, end in the same way."""
+    ours, theirs = os.pipe()
+    worker = os.getpid()
+    child = os.fork()
+    if child == 0:
+        die_with_parent(worker)
+        os.register_at_fork(after_in_child=connection.close)  # a pattern's fork has no say
+        _do(job, connection)
+        os.write(theirs, b"1")
+        os._exit(0)  # whatever a pattern has left to be waited for
+    os.close(theirs)
+    _, status = os.waitpid(child, 0)
+    os.set_blocking(ours, False)
+    with suppress(BlockingIOError):  # what the pattern forked has the other end still
+        if os.read(ours, 1):
+            os.close(ours)
+            return
+    _end_with(os.waitstatus_to_exitcode(status))
+
+
+def _do(job: Job, connection: Connection) -> None:
+    from swarmd.sim.experiments.pool import perform
+
+    next_beat = 0.0
+
+    def tell(share: float) -> None:
+        nonlocal next_beat
+        now = time.monotonic()
+        if now >= next_beat or share == 1.0:
+            next_beat = now + BEAT
+            connection.send(share)
+
+    connection.send(perform(job, tell))
+
+
+def _end_with(code: int) -> None:
+    if code < 0:
+        with suppress(OSError, ValueError):  # SIGKILL knows no handler
+            signal.signal(-code, signal.SIG_DFL)
+        os.kill(os.getpid(), -code)
+    os._exit(code)
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]), int(sys.argv[2]))

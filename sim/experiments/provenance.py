@@ -13,7 +13,7 @@ from pathlib import Path
 import msgspec
 
 import swarmd
-from swarmd.errors import SwarmError
+from swarmd.core.errors import SwarmError
 from swarmd.plugins import mission_files
 
 NOT_IN_RUNS = frozenset({"__pycache__", "cli", "live", "network", "plots", "testing"})

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from swarmd.errors import ConfigError, SwarmError
+from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import manifest_of, read_manifest, software_differences
 from swarmd.sim.experiments.pool import TIMEOUT
 from swarmd.sim.experiments.results import Results, load_results

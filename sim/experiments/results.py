@@ -9,16 +9,15 @@ from typing import Any, overload
 
 import numpy as np
 
-from swarmd.errors import ConfigError, SwarmError, unknown
+from swarmd.core.errors import ConfigError, SwarmError, unknown
+from swarmd.core.values import Array
 from swarmd.sim.experiments.manifest import read_manifest
 from swarmd.sim.experiments.plan import Plan, Run
 from swarmd.sim.experiments.report import summary_lines
 from swarmd.sim.experiments.statistics import LEVEL, METHOD, Summary, summarize
-from swarmd.sim.experiments.store import read_failures, trace_path
-from swarmd.sim.experiments.table import Row, read_table
+from swarmd.sim.experiments.store import Row, read_failures, read_table, trace_path
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.trace import Trace, load_trace
-from swarmd.values import Array
 
 YES_OR_NO = "0 or 1"
 """The unit of metrics that are true or false of a run."""

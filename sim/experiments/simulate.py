@@ -20,11 +20,10 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any, cast
 
-from swarmd.errors import ConfigError, SwarmError
-from swarmd.sim.experiments.job import Job, Outcome, perform
+from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
 from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan
-from swarmd.sim.experiments.pool import TIMEOUT, outcomes
+from swarmd.sim.experiments.pool import TIMEOUT, Job, Outcome, outcomes, perform
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.store import Store, gone, open_store
 from swarmd.sim.metrics.catalog import METRICS

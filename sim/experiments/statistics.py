@@ -19,7 +19,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from swarmd.values import Array
+from swarmd.core.values import Array
 
 LEVEL = 0.95
 RESAMPLES = 5000

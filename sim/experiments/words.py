@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 from typing import Any
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 from swarmd.sim.experiments.plan import MAX_RUNS, check_seeds
 from swarmd.sim.scenarios.overrides import SWEPT, parse_override
 

@@ -24,8 +24,8 @@ from typing import IO, Any
 import msgspec
 import yaml
 
-from swarmd.errors import NetworkError, SwarmError
-from swarmd.processes import how_it_ended
+from swarmd.core.errors import NetworkError, SwarmError
+from swarmd.core.processes import how_it_ended
 
 WORLD = "world"
 GRACE = 2.0  # s between TERM and KILL
@@ -186,7 +186,7 @@ def _from_anywhere(platform: str) -> str:
 
 
 def started_at() -> float:
-    """When this process was started, on the clock of `swarmd.clock` (to 10 ms)."""
+    """When this process was started, on the clock of `swarmd.core.clock` (to 10 ms)."""
     fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
     return int(fields[19]) / os.sysconf("SC_CLK_TCK")
 

@@ -15,13 +15,11 @@ from types import TracebackType
 
 import zenoh
 
-from swarmd import keys
-from swarmd.codec import MAX_CONTROL, encode
-from swarmd.driving.sensing import CommandWire, decode_command
-from swarmd.errors import CodecError, NetworkError, SwarmError
-from swarmd.network.listening import open_listening
-from swarmd.network.session import open_with
-from swarmd.network.sockets import tune_sockets
+from swarmd.core import keys
+from swarmd.core.codec import MAX_CONTROL, encode
+from swarmd.core.errors import CodecError, NetworkError, SwarmError
+from swarmd.driver_api.hw_codec import CommandWire, decode_command
+from swarmd.network.session import open_listening, open_with, tune_sockets
 from swarmd.sim.live.state import (
     Action,
     Triple,

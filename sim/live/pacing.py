@@ -6,8 +6,8 @@ from collections import deque
 
 import numpy as np
 
-from swarmd.sim.world.lidar import Indices
-from swarmd.values import Array
+from swarmd.core.values import Array
+from swarmd.sim.world.geometry import Indices
 
 HOPELESS = 0.25
 """Seconds behind beyond which lost time is given up instead of caught up."""

@@ -12,18 +12,18 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from swarmd.errors import CodecError, SwarmError
+from swarmd.core.errors import CodecError, SwarmError
+from swarmd.core.values import Array, Scan
+from swarmd.sim.live.body_transport import HwSpeech, Speech
 from swarmd.sim.live.link import Question, WorldLink
 from swarmd.sim.live.pacing import Pacer, Staggered
 from swarmd.sim.live.recording import Record
-from swarmd.sim.live.speech import HwSpeech, Speech
 from swarmd.sim.live.state import Triple, WorldReply, WorldRequest, WorldState, decode_request
-from swarmd.sim.world.delays import Held
+from swarmd.sim.world.delay_queue import Held
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.radio import Radio
 from swarmd.sim.world.rates import HEARING_RATE, ODOMETRY_RATE
 from swarmd.sim.world.world import World
-from swarmd.values import Array, Scan
 
 COMMAND_TIMEOUT = 0.5
 """Real seconds without a command after which a body that speaks no dialect stops by itself."""

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
+from swarmd.core.values import Array
 from swarmd.sim.live.pacing import Staggered
 from swarmd.sim.trace import Recorder
 from swarmd.sim.world.contacts import Episodes
 from swarmd.sim.world.world import World
-from swarmd.values import Array
 
 _log = logging.getLogger(__name__)
 

@@ -21,23 +21,23 @@ from types import FrameType
 from msgspec import to_builtins
 from msgspec.structs import replace
 
-from swarmd.driving.base import stops_after
-from swarmd.errors import ConfigError, SwarmError
-from swarmd.keys import check_id
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.keys import check_id
+from swarmd.core.processes import die_with_parent
+from swarmd.core.values import Platform, Value
 from swarmd.plugins import load_dialect
-from swarmd.processes import die_with_parent
+from swarmd.settings.driver_options import stops_after
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import load_platform
+from swarmd.sim.live.body_transport import DRIVER, DialectSpeech, HwSpeech, Speech
 from swarmd.sim.live.link import WorldLink
 from swarmd.sim.live.realtime import RealTimeWorld
 from swarmd.sim.live.recording import Record, RecordSettings
-from swarmd.sim.live.speech import DRIVER, DialectSpeech, HwSpeech, Speech
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.layouts import parse_layout
 from swarmd.sim.world.radio import Radio, RadioSettings
 from swarmd.sim.world.realism import REALISMS, Realism
 from swarmd.sim.world.world import World
-from swarmd.values import Platform, Value
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

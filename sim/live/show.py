@@ -13,18 +13,18 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from swarmd.clock import boottime
-from swarmd.errors import ConfigError, NetworkError, SwarmError
-from swarmd.messages import Condition, Status
+from swarmd.core.clock import boottime
+from swarmd.core.errors import ConfigError, NetworkError, SwarmError
+from swarmd.core.messages import Condition, Status
+from swarmd.network.discovery import MembersView
 from swarmd.network.operator import Operator
-from swarmd.network.requests import Outcome
-from swarmd.network.views import MembersView
+from swarmd.network.outcome import Outcome
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.state import WorldState
-from swarmd.sim.live.statements import Statements
 from swarmd.sim.live.summary import Summary, duties, mean_duty, numbers_of, problems_of
+from swarmd.sim.live.trace_from_statuses import Statements
 from swarmd.sim.live.view import Scene
 from swarmd.sim.trace import load_trace
 

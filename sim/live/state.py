@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from swarmd.codec import MAX_SENSE, Decoder
-from swarmd.messages import Count, Line, Metres, Name, Rate, Seconds, Word
+from swarmd.core.codec import MAX_SENSE, Decoder
+from swarmd.core.messages import Count, Line, Metres, Name, Rate, Seconds, Word
 
 Action = Literal["start", "finish", "poses", "place", "remove"]
 Triple = tuple[Metres, Metres, Metres]

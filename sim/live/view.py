@@ -10,7 +10,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from swarmd.messages import State, Status
+from swarmd.core.messages import State, Status
 
 ARROWS = "→↗↑↖←↙↓↘"
 COLOURS = {

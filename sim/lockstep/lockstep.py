@@ -14,28 +14,28 @@ from typing import Any
 
 import numpy as np
 
-from swarmd.codec import decode_value, encode_value
-from swarmd.errors import CodecError
-from swarmd.hosts.loading import Finder
-from swarmd.messages import Latch, Status
+from swarmd.core.codec import decode_value, encode_value
+from swarmd.core.errors import CodecError
+from swarmd.core.messages import Latch, Status
+from swarmd.core.values import Array, Platform, Scan, Twist, Value
+from swarmd.pattern_host.loader import Finder
 from swarmd.plugins import pattern_names
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import TICK, Robot
 from swarmd.robot.status import RobotSettings
-from swarmd.sim.lockstep.logbook import Logbook
-from swarmd.sim.lockstep.rhythm import Rhythm, Wakes
+from swarmd.sim.lockstep.recorder import Logbook
+from swarmd.sim.lockstep.schedules import Rhythm, Wakes
 from swarmd.sim.lockstep.shell import Shell
 from swarmd.sim.lockstep.timeline import Timeline
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.trace import Trace
-from swarmd.sim.world.delays import Held
+from swarmd.sim.world.delay_queue import Held
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.radio import Radio
 from swarmd.sim.world.rates import HEARING_RATE, ODOMETRY_RATE, READINGS_RATE
 from swarmd.sim.world.realism import Realism
 from swarmd.sim.world.seeding import generator
 from swarmd.sim.world.world import World
-from swarmd.values import Array, Platform, Scan, Twist, Value
 
 BODY_TIMEOUT = 0.5
 """Seconds after which a base whose daemon is gone stops by itself."""

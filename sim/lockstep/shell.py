@@ -8,15 +8,15 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from swarmd.frames import Command
-from swarmd.hosts.runner import InlineRunner
-from swarmd.hosts.stage import Stage
-from swarmd.kit.assembly import Find
-from swarmd.messages import Reply, Request, Status
+from swarmd.core.host_messages import Command
+from swarmd.core.messages import Reply, Request, Status
+from swarmd.core.values import Neighbor, Odometry, Scan, Twist, Value
+from swarmd.kit.factory import Find
+from swarmd.pattern_host.executor import Stage
+from swarmd.pattern_host.runner import InlineRunner
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
-from swarmd.values import Neighbor, Odometry, Scan, Twist, Value
 
 
 class Outside(Protocol):

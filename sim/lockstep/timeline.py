@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
-from swarmd.errors import SwarmError
-from swarmd.messages import Code, Request
+from swarmd.core.errors import SwarmError
+from swarmd.core.messages import Code, Request
 from swarmd.sim.lockstep.shell import Shell
 from swarmd.sim.scenarios.scenario import Event
 from swarmd.sim.world.world import World

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.metric import Metric, Series, Value, at_end, at_start, late_mean, peak
 from swarmd.sim.metrics.window import LATE, by_platform, late, presence, row_means
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 LINKS = 2.0
 """Robots are of one cluster within so many protection thresholds."""

@@ -7,12 +7,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array
 from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.metrics.window import last, presence
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
-from swarmd.values import Array
 
 COVER = 0.5
 """A robot covers the floor within so many m of its axle."""

@@ -11,7 +11,8 @@ import math
 from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 
-from swarmd.errors import ConfigError, unknown
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.values import Array
 from swarmd.sim.metrics import (
     aggregation,
     area,
@@ -27,7 +28,6 @@ from swarmd.sim.metrics import (
 )
 from swarmd.sim.metrics.metric import Better, Metric
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 __all__ = ["METRICS", "Better", "Metric", "measure", "metric_of", "series", "table"]
 

@@ -12,13 +12,13 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import Arena, Pole, parse_arena
 from swarmd.sim.world.geometry import apart, gaps, radius, transform
-from swarmd.values import Array
 
 Measure: TypeAlias = Callable[[Array, NDArray[np.int64]], Array]
 """The distances of outlines (p, k, 2) at instants (p,) from one obstacle."""

@@ -8,10 +8,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.metrics.window import LATE, by_platform, late, presence, row_means
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 
 def path_lengths(trace: Trace) -> Array:

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics.metric import Metric, late_mean
 from swarmd.sim.metrics.window import presence, row_means
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 STANDING = 0.01
 """A robot slower than so many m/s stands."""

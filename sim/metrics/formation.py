@@ -13,10 +13,10 @@ from collections.abc import Callable
 
 import numpy as np
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics.metric import Metric, late_mean
 from swarmd.sim.metrics.window import presence
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 
 def line_offsets(trace: Trace) -> Array:

@@ -8,12 +8,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.metrics.pairs import Pairs
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import gaps, transform
-from swarmd.values import Array
 
 _BLOCK = 2048  # footprints compared at once
 _ROUNDING = 1e-12

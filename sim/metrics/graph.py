@@ -10,7 +10,8 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.metric import Metric, at_end
 from swarmd.sim.metrics.pairs import Pairs
@@ -18,8 +19,7 @@ from swarmd.sim.metrics.window import cut, last, mean, presence
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.geometry import transform
-from swarmd.sim.world.hearing import Sight
-from swarmd.values import Array
+from swarmd.sim.world.radio_visibility import Sight
 
 _DECIMALS = 8
 

@@ -8,9 +8,9 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics import window
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 Value: TypeAlias = Callable[[Trace], float | None]
 Series: TypeAlias = Callable[[Trace], Array | None]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.values import Array
+from swarmd.core.values import Array
 
 Ints = NDArray[np.int64]
 FEW = 40

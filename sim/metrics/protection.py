@@ -8,11 +8,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.messages import Reason, State
+from swarmd.core.messages import Reason, State
+from swarmd.core.values import Array
 from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.metrics.window import by_platform, late, mean, presence, row_means
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 HOLDS = (
     Reason.NO_SCAN,

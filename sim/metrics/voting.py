@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import numpy as np
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.metrics.window import presence
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 OPINION = "opinion"
 """What voting patterns call their opinion in what they report."""

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmd.core.values import Array
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 LATE = 60.0
 """The last seconds of a run, in which a swarm is taken to have settled."""

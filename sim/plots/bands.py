@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmd.errors import SwarmError
-from swarmd.sim.plots.canvas import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
+from swarmd.core.errors import SwarmError
 from swarmd.sim.plots.spread import (
     MANY_RUNS,
     Bands,
@@ -17,6 +16,7 @@ from swarmd.sim.plots.spread import (
     shares_of,
     smoothed,
 )
+from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

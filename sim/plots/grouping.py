@@ -12,7 +12,7 @@ import numpy as np
 from swarmd.sim.metrics.aggregation import clusters
 from swarmd.sim.metrics.voting import OPINION
 from swarmd.sim.metrics.window import presence
-from swarmd.sim.plots.canvas import ROBOT_COLOURS
+from swarmd.sim.plots.theme import ROBOT_COLOURS
 from swarmd.sim.trace import Trace
 
 NO_COLOUR = "white"

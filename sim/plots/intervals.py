@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.errors import SwarmError
+from swarmd.core.errors import SwarmError
+from swarmd.core.values import Array
 from swarmd.sim.experiments.statistics import mean_interval, wilson
-from swarmd.sim.plots.canvas import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
-from swarmd.values import Array
+from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

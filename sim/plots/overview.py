@@ -7,10 +7,10 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from swarmd.errors import SwarmError
-from swarmd.sim.plots.canvas import GUIDE_COLOUR, save
+from swarmd.core.errors import SwarmError
 from swarmd.sim.plots.scene import Extent, check_drawable, extent_of, prepare
 from swarmd.sim.plots.sheet import Layout, Sheet
+from swarmd.sim.plots.theme import GUIDE_COLOUR, save
 from swarmd.sim.plots.trajectories import paint_run
 from swarmd.sim.trace import Trace
 

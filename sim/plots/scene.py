@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.errors import ConfigError, SwarmError
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.values import Array
 from swarmd.sim.metrics.window import presence
-from swarmd.sim.plots.canvas import ROBOT_COLOURS
+from swarmd.sim.plots.theme import ROBOT_COLOURS
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import Arena, parse_arena
 from swarmd.sim.world.geometry import radius, transform
-from swarmd.values import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from swarmd.sim.plots.canvas import GUIDE_COLOUR, new_figure
+from swarmd.sim.plots.theme import GUIDE_COLOUR, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

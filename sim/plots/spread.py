@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from swarmd.core.values import Array
 from swarmd.sim.experiments.statistics import wilson
-from swarmd.values import Array
 
 Series = tuple[Array, Array]
 """Of one run: instants (T,) in s, increasing, and values (T,); NaN where there is none."""

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.aggregation import cluster_link
 from swarmd.sim.metrics.window import first, last, presence
-from swarmd.sim.plots.canvas import save
 from swarmd.sim.plots.grouping import by_cluster, by_opinion, key_of, opinions_of
 from swarmd.sim.plots.scene import (
     check_drawable,
@@ -21,6 +20,7 @@ from swarmd.sim.plots.scene import (
     prepare,
 )
 from swarmd.sim.plots.sheet import Layout, Sheet
+from swarmd.sim.plots.theme import save
 from swarmd.sim.trace import Trace
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmd.sim.metrics.touches import contact_list
-from swarmd.sim.plots.canvas import TOUCH_COLOUR
 from swarmd.sim.plots.scene import robot_colour
+from swarmd.sim.plots.theme import TOUCH_COLOUR
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import radius
 

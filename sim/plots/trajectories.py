@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.graph import radio_range
 from swarmd.sim.metrics.window import last, presence
-from swarmd.sim.plots.canvas import TOUCH_COLOUR, save
 from swarmd.sim.plots.scene import (
     LINK_COLOUR,
     THING_COLOUR,
@@ -28,9 +28,9 @@ from swarmd.sim.plots.scene import (
     robot_style,
 )
 from swarmd.sim.plots.sheet import Layout, Sheet, legend_height, legend_width
+from swarmd.sim.plots.theme import TOUCH_COLOUR, save
 from swarmd.sim.plots.touches import BOTH, MARKERS, NONE, ONE, marks_of, paint_touches
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

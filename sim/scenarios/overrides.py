@@ -6,7 +6,7 @@ from collections.abc import Mapping, MutableMapping, Sequence
 from copy import deepcopy
 from typing import Any
 
-from swarmd.errors import ConfigError, unknown
+from swarmd.core.errors import ConfigError, unknown
 from swarmd.settings.yamlfile import brief, read_value
 
 SOURCE = "--set"

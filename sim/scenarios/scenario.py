@@ -7,13 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from swarmd.frames import Layers
+from swarmd.core.host_messages import Layers
+from swarmd.core.values import Array, Platform, Scalar, TouchZone
 from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.lidar import Visibility
 from swarmd.sim.world.radio import RadioSettings
-from swarmd.sim.world.ranging import Visibility
-from swarmd.sim.world.readings import Field
 from swarmd.sim.world.realism import Realism
-from swarmd.values import Array, Platform, Scalar, TouchZone
+from swarmd.sim.world.scalar_fields import Field
 
 Action = Literal[
     "run", "stop", "estop", "reset", "join", "leave", "kill", "place", "remove", "param"

@@ -14,21 +14,21 @@ from typing import Any
 from msgspec import json
 
 import swarmd.config
-from swarmd.errors import ConfigError, unknown
+from swarmd.core.errors import ConfigError, unknown
 from swarmd.kit.touch import zones
 from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import Data, read_extended, shown
-from swarmd.sim.scenarios.cast import Cast, cast_of, platform_name
+from swarmd.sim.scenarios.environment import arena_of, check_air, fields_of
+from swarmd.sim.scenarios.groups import Cast, cast_of, platform_name
 from swarmd.sim.scenarios.overrides import SOURCE, nested, parse_override
-from swarmd.sim.scenarios.rehearsal import ConfiguredParameters, rehearse
+from swarmd.sim.scenarios.preflight import ConfiguredParameters, rehearse
 from swarmd.sim.scenarios.scenario import Scenario
-from swarmd.sim.scenarios.scenery import arena_of, check_air, fields_of
+from swarmd.sim.scenarios.schedule import script_of
 from swarmd.sim.scenarios.schema import ScenarioFile
-from swarmd.sim.scenarios.script import script_of
-from swarmd.sim.scenarios.starts import Starts, part_of, without_stale
+from swarmd.sim.scenarios.start_poses import Starts, part_of, without_stale
 from swarmd.sim.world.arena import Arena
-from swarmd.sim.world.readings import Field
 from swarmd.sim.world.realism import realism_of
+from swarmd.sim.world.scalar_fields import Field
 
 __all__ = ["load_scenario", "parse_override", "scenario_names", "scenario_of"]
 

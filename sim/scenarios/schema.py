@@ -6,8 +6,8 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, field
 
-from swarmd.kit.grants import Touch
-from swarmd.messages import Scalar
+from swarmd.core.messages import Scalar
+from swarmd.kit.touch_config import Touch
 from swarmd.sim.world.radio import RadioSettings
 
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]

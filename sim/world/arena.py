@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from swarmd.errors import ConfigError
-from swarmd.keys import check_id
+from swarmd.core.errors import ConfigError
+from swarmd.core.keys import check_id
+from swarmd.core.values import Array
 from swarmd.sim.world.geometry import transform
-from swarmd.values import Array
 
 MIN_MASS, MAX_MASS = 0.001, 1e6
 """Of a movable box, in kg; the largest one stands like a wall."""

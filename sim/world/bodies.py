@@ -14,9 +14,9 @@ from collections.abc import Mapping
 import mujoco
 import numpy as np
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array, Platform
 from swarmd.sim.world.arena import Arena, Box
-from swarmd.values import Array, Platform
 
 COLLISION, BODY, HOUSING, FIXED = range(4)
 """Groups of geoms: what collides; what is seen at its true height, twice; the arena."""

@@ -1,6 +1,19 @@
-"""Touches counted as people count them: once each, however many steps they last."""
+"""Touches counted as people count them: once each, however many steps they last.
+
+Touches of bodies as the physics sees them: who, and how fast each surface came.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from msgspec import Struct
+from numpy.typing import NDArray
+
+from swarmd.core.values import Array
 
 EPISODE_GAP = 0.5
 """Seconds apart after which the same two touch anew."""
@@ -27,3 +40,86 @@ class Episodes:
             return False
         self._counts[pair] = self._counts.get(pair, 0) + 1
         return True
+
+
+class Contact(Struct, frozen=True):
+    """Two that touch: a robot `a`, and a robot or `wall/east`, `box/0`, `pole/0`, `segment/0`.
+
+    `speed_a` and `speed_b` in m/s: how fast each one's surface moves towards the other.
+    """
+
+    a: str
+    b: str
+    speed_a: float
+    speed_b: float
+
+    @property
+    def closing_speed(self) -> float:
+        """The speed of approach in m/s, negative while they separate."""
+        return self.speed_a + self.speed_b
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Touch:
+    """The touching points of one step: geoms (c, 2), robots first, and speeds (c, 2)."""
+
+    geoms: NDArray[np.intp]
+    speeds: Array
+
+
+class Touches:
+    """Reads the touching pairs of planar bodies out of a model's contacts: those of robots."""
+
+    def __init__(self, model: mujoco.MjModel, robots: int) -> None:
+        """Of the bodies, the first so many are `robots`."""
+        # Body 0 is the arena; row i is body i + 1. The arena's row is the last: it comes last in a
+        # pair, and stands still.
+        row = np.array(model.geom_bodyid, dtype=np.intp) - 1
+        self._rows = np.where(row < 0, model.nbody - 1, row)
+        self._robots = robots
+        self._names = [model.geom(geom).name for geom in range(model.ngeom)]
+
+    def after_step(self, data: mujoco.MjData, qpos: Array, qvel: Array) -> Touch:
+        """The points in touch in the step that was just made.
+
+        `qpos` and `qvel` are those before the step: MuJoCo finds contacts there, and the solver
+        has not yet stopped what was about to collide.
+        """
+        found = data.contact
+        geoms = np.asarray(found.geom, dtype=np.intp)
+        rows = self._rows.take(geoms)
+        touching = ((found.dist <= 0.0) & (rows.min(axis=1) < self._robots)).nonzero()[0]
+        geoms, rows = geoms.take(touching, axis=0), rows.take(touching, axis=0)
+        place, normal = found.pos.take(touching, axis=0), found.frame.take(touching, axis=0)
+        standing = np.zeros((1, 3))
+        poses = np.concatenate((qpos.reshape(-1, 3), standing)).take(rows, axis=0)
+        twists = np.concatenate((qvel.reshape(-1, 3), standing)).take(rows, axis=0)
+        angular = twists[..., 2]
+        vx = twists[..., 0] - angular * (place[:, 1:2] - poses[..., 1])
+        vy = twists[..., 1] + angular * (place[:, 0:1] - poses[..., 0])
+        speeds = vx * normal[:, 0:1] + vy * normal[:, 1:2]
+        speeds[:, 1] *= -1.0
+        turned = (rows[:, 1] < rows[:, 0]).nonzero()[0]
+        if len(turned):
+            geoms[turned] = geoms[turned, ::-1]
+            speeds[turned] = speeds[turned, ::-1]
+        return Touch(geoms, speeds)
+
+    def contacts(self, steps: Sequence[Touch]) -> list[Contact]:
+        """Each pair once, with its fastest approach in any of the steps; robots in order."""
+        if not steps:
+            return []
+        geoms = np.concatenate([step.geoms for step in steps])
+        speeds = np.concatenate([step.speeds for step in steps])
+        pair = geoms[:, 0] * len(self._names) + geoms[:, 1]
+        order = np.lexsort((-speeds.sum(axis=1), pair))
+        pair = pair.take(order)
+        is_first = np.ones(len(pair), dtype=np.bool_)
+        np.not_equal(pair[1:], pair[:-1], out=is_first[1:])
+        chosen = order[is_first]
+        return [
+            Contact(self._names[a], self._names[b], speed_a, speed_b)
+            for (a, b), (speed_a, speed_b) in zip(
+                geoms[chosen].tolist(), speeds[chosen].tolist(), strict=True
+            )
+        ]

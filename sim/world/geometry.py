@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.values import Array
+from swarmd.core.values import Array
+
+Indices = NDArray[np.intp]
 
 
 def transform(points: Array, poses: Array) -> Array:

@@ -8,10 +8,10 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import numpy as np
 from numpy.random import Generator
 
-from swarmd.errors import ConfigError, unknown
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.values import Array
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.geometry import gaps, radius, transform
-from swarmd.values import Array
 
 NAMES = ("row", "paper", "grid", "ring", "random", "list")
 _TRIES = 2000

@@ -1,4 +1,6 @@
-"""An exact 2-D range sensor: rays against the flat and round things that its plane meets.
+"""The rays of one kind of range sensor: which of them fall into an interval of bearings.
+
+An exact 2-D range sensor: rays against the flat and round things that its plane meets.
 
 Source of the idea: each thing covers one interval of bearings as seen from the sensor, so its
 distance is computed for the rays within that interval alone, and a sweep costs the things near it,
@@ -6,44 +8,77 @@ not rays times things. Exact: the tests hold it against MuJoCo's own ray caster 
 
 All is computed with one array for each coordinate, and as one over the distance, which along a
 surface is a sum of a cosine and a sine: both are several times faster.
+
+The range sensors of a whole swarm: one caster for each kind of platform.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.sim.world.rays import Rays
-from swarmd.values import Array, ScanSpec
+from swarmd.core.values import Array, Platform, ScanSpec
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.bodies import value
+from swarmd.sim.world.geometry import Indices
+from swarmd.sim.world.scan_plane import Shapes, shapes_of
 
-Indices = NDArray[np.intp]
+Places = NDArray[np.intp]
+
+_TURNS = 2.0 * np.pi * np.array([-2.0, -1.0, 0.0, 1.0])
+# Widens each interval, so that no ray slips between two surfaces that share a corner.
+_SEAM = 1e-12
+# What rays may differ from equal steps for their places to be worked out instead of searched.
+_EVEN = 1e-13
+
+
+class Rays:
+    """Rays in order of bearing, four turns long, so that no interval is cut in two.
+
+    By place in that order: `number` in the sweep, `cos` and `sin` of the bearing.
+    """
+
+    def __init__(self, bearings: Array) -> None:
+        """`bearings` (n,) rad of a sweep, in any order."""
+        wrapped = np.mod(bearings + np.pi, 2.0 * np.pi) - np.pi
+        order = np.argsort(wrapped, kind="stable")
+        self.number = np.tile(order, len(_TURNS))
+        self.cos = np.tile(np.cos(bearings[order]), len(_TURNS))
+        self.sin = np.tile(np.sin(bearings[order]), len(_TURNS))
+        self._bearings = np.add.outer(_TURNS, wrapped[order]).ravel()
+        self._step = 2.0 * np.pi / max(len(order), 1)
+        even = self._bearings[:1] + self._step * np.arange(len(self._bearings))
+        self._is_even = np.allclose(even, self._bearings, rtol=0.0, atol=_EVEN)
+
+    def within(self, low: Array, high: Array) -> tuple[Places, Places]:
+        """The places of the rays in each interval (k,) of bearings, and how many it has (k,).
+
+        The intervals one after another, each within -5 pi and 3 pi.
+        """
+        first = self._place(low - _SEAM)
+        counts = self._place(high + _SEAM) - first
+        end = counts.cumsum()
+        places = (first - end + counts).repeat(counts)
+        places += np.arange(len(places))
+        return places, counts
+
+    def _place(self, bearing: Array) -> Places:
+        """How many rays have lesser bearings."""
+        if not self._is_even:
+            return np.searchsorted(self._bearings, bearing)
+        place: Array = np.ceil((bearing - self._bearings[0]) / self._step)
+        return place.astype(np.intp)
+
 
 # m2: nearer to a surface's line than this over its length it is seen edge-on, so not at all.
 _EDGE_ON = 1e-10
 # m by which more is taken for near than is, since that is computed with single precision.
 _ROUNDING = 0.01
 _AT_ONCE = 50  # so that the arrays of a step of the arithmetic stay within a processor's cache
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Shapes:
-    """What one kind of sensor can meet; lengths in m.
-
-    Fixed, in the world frame: `walls` (w, 2, 2), flat surfaces by start and end with the solid on
-    their left, seen from the right alone; `poles` (p, 3) x, y, radius. Carried by bodies, in their
-    frames: `polygons` (b, k, 2), convex and counter-clockwise, those of fewer corners with
-    the last one repeated, and `discs` (d, 3) x, y, radius; `polygon_owners` (b,) and `disc_owners`
-    (d,) say by which: robots, then whatever else moves. No robot sees its own.
-    """
-
-    walls: Array
-    poles: Array
-    polygons: Array
-    polygon_owners: Indices
-    discs: Array
-    disc_owners: Indices
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,3 +264,32 @@ def _placed(vectors: Array, poses: Array) -> Array:
     placed[1::2] = sin * x + cos * y
     placed[:2] += poses[:, :2].T[..., None]
     return placed
+
+
+Visibility = Literal["body", "real"]
+
+
+class RangeSensors:
+    """Casts for any set of robots at once, platform by platform."""
+
+    def __init__(self, platforms: Sequence[Platform], arena: Arena, visibility: Visibility) -> None:
+        """`platforms` (n,) in the order of rows; `visibility` as `World` explains it."""
+        kinds = {platform.name: platform for platform in platforms}
+        names = list(kinds)
+        self._kinds = np.array([names.index(p.name) for p in platforms], dtype=np.intp)
+        self._lidars = []
+        for platform in kinds.values():
+            plane = value(platform, "scan_height") if visibility == "real" else None
+            shapes = shapes_of(arena, platforms, plane=plane)
+            self._lidars.append(Lidar(platform.scan, shapes))
+
+    def cast(self, poses: Array, robots: Indices) -> list[Array]:
+        """Ranges (rays,) for each of `robots` (m,) with all robots at base `poses` (n, 3)."""
+        if len(self._lidars) == 1:
+            return list(self._lidars[0].cast(poses, robots))
+        rows: dict[int, Array] = {}
+        for kind in np.unique(self._kinds[robots]):
+            observers = robots[self._kinds[robots] == kind]
+            ranges = self._lidars[kind].cast(poses, observers)
+            rows.update(zip(observers.tolist(), ranges, strict=True))
+        return [rows[robot] for robot in robots.tolist()]

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.sim.world.lidar import Indices
+from swarmd.core.values import Array, Platform, ScanSpec
+from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.realism import LidarNoise
 from swarmd.sim.world.seeding import generator
-from swarmd.values import Array, Platform, ScanSpec
 
 BLOCK = 6
 """Rays in one packet of an LDS: what its driver loses, it loses together."""

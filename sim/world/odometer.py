@@ -12,11 +12,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from swarmd.core.values import Array, Platform
 from swarmd.sim.world.bodies import value
-from swarmd.sim.world.lidar import Indices
+from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.realism import OdometryNoise
 from swarmd.sim.world.seeding import generator
-from swarmd.values import Array, Platform
 
 
 class Odometers:

@@ -11,13 +11,13 @@ from typing import Annotated, Literal
 import numpy as np
 from msgspec import Meta, Struct
 
-from swarmd.angles import wrap
-from swarmd.errors import ConfigError
+from swarmd.core.angles import wrap
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array, Neighbor, Platform, Value
 from swarmd.sim.world.arena import Arena
-from swarmd.sim.world.hearing import Sight, all_pairs, near_pairs
-from swarmd.sim.world.lidar import Indices
+from swarmd.sim.world.geometry import Indices
+from swarmd.sim.world.radio_visibility import Sight, all_pairs, near_pairs
 from swarmd.sim.world.seeding import generator
-from swarmd.values import Array, Neighbor, Platform, Value
 
 Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
 Arrival = tuple[int, int, str, Value]

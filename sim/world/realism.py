@@ -13,7 +13,7 @@ from typing import Annotated, Any
 
 from msgspec import Meta, Struct, to_builtins
 
-from swarmd.errors import ConfigError, unknown
+from swarmd.core.errors import ConfigError, unknown
 from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import brief
 

@@ -12,21 +12,19 @@ from collections.abc import Mapping, Sequence
 import mujoco
 import numpy as np
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, Twist
 from swarmd.sim.world import bodies
-from swarmd.sim.world.actuation import Actuators
 from swarmd.sim.world.arena import Arena
-from swarmd.sim.world.drives import Drives
-from swarmd.sim.world.geometry import radius, transform
-from swarmd.sim.world.lidar import Indices
+from swarmd.sim.world.base_dynamics import Actuators, Drives
+from swarmd.sim.world.contacts import Contact, Touch, Touches
+from swarmd.sim.world.geometry import Indices, radius, transform
+from swarmd.sim.world.lidar import RangeSensors, Visibility
+from swarmd.sim.world.movable_boxes import Things
 from swarmd.sim.world.noise import NoisyLidar
 from swarmd.sim.world.odometer import Odometers
-from swarmd.sim.world.ranging import RangeSensors, Visibility
-from swarmd.sim.world.readings import Field, readings_at
 from swarmd.sim.world.realism import IDEAL, Realism
-from swarmd.sim.world.things import Things
-from swarmd.sim.world.touch import Contact, Touch, Touches
-from swarmd.values import Array, Odometry, Platform, Pose, Scan, Twist
+from swarmd.sim.world.scalar_fields import Field, readings_at
 
 
 class World:

@@ -14,8 +14,8 @@ from typing import Any, NoReturn, cast
 
 import click
 
-from swarmd.cli.console import root_options
-from swarmd.errors import ConfigError, NetworkError, PluginError, SwarmError, unknown
+from swarmd.cli.options import root_options
+from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError, unknown
 
 # Verb -> where it is, and the line for --help, which is to import none of them.
 VERBS = {

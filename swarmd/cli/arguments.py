@@ -1,17 +1,21 @@
-"""What the command line says in its own small languages: `key=value`, `60s`, `tb3-*`."""
+"""What the command line says in its own small languages: `key=value`, `60s`, `tb3-*`.
+
+The words that name robots, shared by all verbs that act on them.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from typing import Any, TypeVar
 
 import click
 
-from swarmd.errors import unknown
-from swarmd.keys import is_id
+from swarmd.core.errors import unknown
+from swarmd.core.keys import is_id
 
 Value = bool | int | float | str | None
 
@@ -160,3 +164,21 @@ def _number(text: str) -> int | float | str:
             return text
         return number if math.isfinite(number) else text
     return text
+
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+_OPTIONS = (
+    click.argument("names", nargs=-1, metavar="[TARGET]..."),
+    click.option("--all", "is_all", is_flag=True, help="Every robot of the swarm."),
+    click.option(
+        "--exclude", multiple=True, metavar="GLOB", help="Leave these out; may be repeated."
+    ),
+)
+
+
+def target_options(function: Function) -> Function:
+    """Give a verb `names`, `is_all` and `exclude`."""
+    for option in reversed(_OPTIONS):
+        function = option(function)
+    return function

@@ -14,8 +14,8 @@ import click
 
 from swarmd.cli import run_cli
 from swarmd.cli.arguments import Value, read_assignments
-from swarmd.errors import DriverError, IdHeldError, NetworkError, SwarmError
-from swarmd.processes import die_with_parent as tie_to
+from swarmd.core.errors import DriverError, IdHeldError, NetworkError, SwarmError
+from swarmd.core.processes import die_with_parent as tie_to
 
 if TYPE_CHECKING:
     from swarmd.settings.settings import DaemonSettings
@@ -108,11 +108,11 @@ def swarmd(
         format=f"%(asctime)s {settings.id} %(levelname)s %(name)s: %(message)s",
     )
     if print_effective_config:
-        from swarmd.cli.effective import effective_config
+        from swarmd.cli.effective_config import effective_config
 
         click.echo(effective_config(settings), nl=False)
     elif check:
-        from swarmd.cli.check import check_daemon
+        from swarmd.cli.preflight import check_daemon
 
         click.get_current_context().exit(check_daemon(settings))
     else:

@@ -6,11 +6,11 @@ import click
 from msgspec import to_builtins
 
 from swarmd.cli.arguments import check_name
-from swarmd.cli.asking import meet
-from swarmd.cli.console import Console, common
+from swarmd.cli.explain import activity, obstacles, why
+from swarmd.cli.options import Console, common
 from swarmd.cli.output import NOTHING, number, print_json, print_section, printable, seconds
-from swarmd.cli.reasons import activity, obstacles, why
-from swarmd.messages import Condition, Member, Status
+from swarmd.cli.send import meet
+from swarmd.core.messages import Condition, Member, Status
 
 
 @click.command()

@@ -8,18 +8,18 @@ from typing import TYPE_CHECKING
 import click
 from msgspec import to_builtins
 
-from swarmd.cli.answer import finish
 from swarmd.cli.arguments import check_name
-from swarmd.cli.asking import meet
-from swarmd.cli.console import Console, common
+from swarmd.cli.explain import activity
+from swarmd.cli.options import Console, common
 from swarmd.cli.output import NOTHING, number, print_json, print_table, printable, seconds
-from swarmd.cli.reasons import activity
-from swarmd.messages import Condition, Member
-from swarmd.network.requests import REFUSED
+from swarmd.cli.report import finish
+from swarmd.cli.send import meet
+from swarmd.core.messages import Condition, Member
+from swarmd.network.outcome import REFUSED
 
 if TYPE_CHECKING:
-    from swarmd.network.views import MembersView
-    from swarmd.values import Scalar
+    from swarmd.core.values import Scalar
+    from swarmd.network.discovery import MembersView
 
 HEADER = (
     *("NAME", "STATE", "REASON", "PATTERN", "GEN", "PROTECTION", "SCAN", "LOOP99", "SEEN"),

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import click
 
-from swarmd.cli.console import Console, common
+from swarmd.cli.options import Console, common
 from swarmd.cli.output import print_json, warn
-from swarmd.errors import PluginError
-from swarmd.processes import how_it_ended
+from swarmd.core.errors import PluginError
+from swarmd.core.processes import how_it_ended
 
 _PATIENCE = 30.0  # s: it imports every pattern that the mission names
 
@@ -55,7 +55,7 @@ def check(console: Console, file: Path, platform: str, plugin_dir: Path | None) 
 def _ask(file: Path, platform: str, plugin_dir: Path) -> list[str]:
     """The faults, from a process of its own: swarmctl imports no plugin code."""
     # -P: a random.py where this is called is not to shadow a module.
-    command = [sys.executable, "-P", "-m", "swarmd.mission.check", str(file)]
+    command = [sys.executable, "-P", "-m", "swarmd.pattern_host.inspect_mission", str(file)]
     command += ["--platform", platform, "--plugin-dir", str(plugin_dir)]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
     try:

@@ -6,14 +6,13 @@ from collections.abc import Mapping
 
 import click
 
-from swarmd.cli.answer import finish
-from swarmd.cli.arguments import read_assignments, read_targets
-from swarmd.cli.asking import ask, choose, meet
-from swarmd.cli.console import Console, common
+from swarmd.cli.arguments import read_assignments, read_targets, target_options
+from swarmd.cli.options import Console, common
 from swarmd.cli.output import NOTHING, number, print_json, print_table
-from swarmd.cli.targets import target_options
-from swarmd.errors import unknown
-from swarmd.messages import Member
+from swarmd.cli.report import finish
+from swarmd.cli.send import ask, choose, meet
+from swarmd.core.errors import unknown
+from swarmd.core.messages import Member
 
 
 @click.group()

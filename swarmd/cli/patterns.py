@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from swarmd.cli.catalog import Row, describe_patterns
-from swarmd.cli.console import Console, common
+from swarmd.cli.inspect import Row, describe_patterns
+from swarmd.cli.options import Console, common
 from swarmd.cli.output import NOTHING, number, print_json, print_section, print_table, printable
 
 _plugin_dir = click.option(

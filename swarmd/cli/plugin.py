@@ -6,13 +6,12 @@ from pathlib import Path
 
 import click
 
-from swarmd.cli.answer import finish
-from swarmd.cli.arguments import read_targets
-from swarmd.cli.asking import ask, choose, meet
-from swarmd.cli.console import Console, common
+from swarmd.cli.arguments import read_targets, target_options
+from swarmd.cli.options import Console, common
 from swarmd.cli.output import print_json, printable
-from swarmd.cli.targets import target_options
-from swarmd.keys import is_id
+from swarmd.cli.report import finish
+from swarmd.cli.send import ask, choose, meet
+from swarmd.core.keys import is_id
 
 # A trial on a robot may take 10 s, and loading anew 3 s more.
 RELOADING = 15.0
@@ -42,7 +41,7 @@ def plugin() -> None:
 @common
 def new(console: Console, name: str, folder: Path, kind: str) -> None:
     """Write a pattern, NAME.py, and its test, test_NAME.py: both pass as they are."""
-    from swarmd.cli.newplugin import write_plugin
+    from swarmd.cli.plugin_template import write_plugin
 
     written = write_plugin(name, folder, kind)
     steps = [
@@ -69,7 +68,7 @@ def check(console: Console, file: Path) -> None:
 
     The file is imported in a process of its own. `--timeout` is for each point [30s].
     """
-    from swarmd.cli.plugincheck import check_file
+    from swarmd.cli.inspect import check_file
 
     if file.suffix != ".py":
         raise click.UsageError(

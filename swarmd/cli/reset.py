@@ -7,13 +7,12 @@ from collections.abc import Iterable
 
 import click
 
-from swarmd.cli.answer import finish
-from swarmd.cli.arguments import read_targets
-from swarmd.cli.asking import ask, choose, meet
-from swarmd.cli.console import Console, common
+from swarmd.cli.arguments import read_targets, target_options
+from swarmd.cli.options import Console, common
 from swarmd.cli.output import warn
-from swarmd.cli.targets import target_options
-from swarmd.messages import Latch, Member
+from swarmd.cli.report import finish
+from swarmd.cli.send import ask, choose, meet
+from swarmd.core.messages import Latch, Member
 
 
 @click.command()

@@ -6,12 +6,11 @@ from typing import Any
 
 import click
 
-from swarmd.cli.answer import finish
-from swarmd.cli.arguments import Duration, read_assignments, read_targets
-from swarmd.cli.asking import ask, choose, meet
-from swarmd.cli.console import Console, common
-from swarmd.cli.targets import target_options
-from swarmd.keys import is_id
+from swarmd.cli.arguments import Duration, read_assignments, read_targets, target_options
+from swarmd.cli.options import Console, common
+from swarmd.cli.report import finish
+from swarmd.cli.send import ask, choose, meet
+from swarmd.core.keys import is_id
 
 
 @click.command()
@@ -51,7 +50,7 @@ def run(
     if duration is not None:
         args["seconds"] = duration
     if until:
-        from swarmd.mission.conditions import parse_conditions
+        from swarmd.kit.conditions import parse_conditions
 
         parse_conditions(until)
         args["until"] = list(until)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import click
 
-from swarmd.cli.answer import finish
-from swarmd.cli.arguments import read_targets
-from swarmd.cli.asking import halt
-from swarmd.cli.console import Console, common
-from swarmd.cli.targets import target_options
+from swarmd.cli.arguments import read_targets, target_options
+from swarmd.cli.options import Console, common
+from swarmd.cli.report import finish
+from swarmd.cli.send import halt
 
 
 @click.command()

@@ -18,29 +18,27 @@ from typing import Any
 
 import msgspec
 
-from swarmd.clock import boottime
-from swarmd.codec import Decoder, decode_value, encode, encode_value
-from swarmd.daemon.heartbeat import Heartbeat
+from swarmd.core.clock import boottime
+from swarmd.core.codec import Decoder, decode_value, encode, encode_value
+from swarmd.core.errors import CodecError, SwarmError
+from swarmd.core.keys import Key
+from swarmd.core.messages import Code, Condition, Reply, Request, Status
+from swarmd.core.values import ZERO, Neighbor, Odometry, Scan, Twist
+from swarmd.daemon.driver_factory import make_driver
 from swarmd.daemon.latchfile import LatchFile
-from swarmd.daemon.notify import Notifier
 from swarmd.daemon.reading import HALTS, RequestReader
-from swarmd.driving.base import IdleOutput, base_options
-from swarmd.driving.driver import Driver, check_protected
-from swarmd.driving.making import make_driver
-from swarmd.errors import CodecError, SwarmError
-from swarmd.hosts.runner import ProcessRunner
-from swarmd.keys import Key
-from swarmd.messages import Code, Condition, Reply, Request, Status
-from swarmd.network.bus import ZenohBus
+from swarmd.daemon.systemd import Notifier
+from swarmd.daemon.tick_timer import Heartbeat
+from swarmd.driver_api.driver import Driver, check_protected
+from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.claim import Claim, claim_id
-from swarmd.network.contract import Query
-from swarmd.network.opening import opened_session
-from swarmd.network.session import SessionSettings
+from swarmd.network.session import SessionSettings, opened_session
+from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from swarmd.robot.status import RobotSettings, with_health
+from swarmd.settings.driver_options import IdleOutput, base_options
 from swarmd.settings.settings import DaemonSettings
-from swarmd.values import ZERO, Neighbor, Odometry, Scan, Twist
 
 log = logging.getLogger(__name__)
 

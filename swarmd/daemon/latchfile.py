@@ -6,9 +6,9 @@ import logging
 import os
 from pathlib import Path
 
-from swarmd.codec import Decoder, encode
-from swarmd.errors import CodecError
-from swarmd.messages import Latch
+from swarmd.core.codec import Decoder, encode
+from swarmd.core.errors import CodecError
+from swarmd.core.messages import Latch
 from swarmd.robot.latches import LatchRecord
 
 log = logging.getLogger(__name__)

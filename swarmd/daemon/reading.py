@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from swarmd.codec import Decoder
-from swarmd.errors import CodecError
-from swarmd.messages import Halt, Request
+from swarmd.core.codec import Decoder
+from swarmd.core.errors import CodecError
+from swarmd.core.messages import Halt, Request
 
 HALTS = frozenset({"stop", "estop"})
 ID = 63

@@ -13,9 +13,9 @@ from typing import Any, ClassVar, Generic, Protocol
 
 from numpy.random import Generator
 
-from swarmd.errors import PluginError
+from swarmd.core.errors import PluginError
+from swarmd.core.values import Inputs, Outputs, Platform, Scalar, TouchZone, Twist, Value
 from swarmd.kit.params import P, Params
-from swarmd.values import Inputs, Outputs, Platform, Scalar, TouchZone, Twist, Value
 
 
 class Make(Protocol):

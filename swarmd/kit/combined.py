@@ -8,9 +8,9 @@ from typing import Any
 
 import msgspec
 
+from swarmd.core.values import Inputs, Message, Outputs, Scalar, Value
 from swarmd.kit.behavior import Context, Pattern
 from swarmd.kit.params import P
-from swarmd.values import Inputs, Message, Outputs, Scalar, Value
 
 
 class CombinedPattern(Pattern[P]):

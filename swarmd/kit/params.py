@@ -17,9 +17,9 @@ from typing import get_type_hints as type_hints
 import msgspec
 from msgspec import NODEFAULT, Meta, Struct
 
-from swarmd.errors import ConfigError, PluginError, unknown
-from swarmd.frames import Layers
-from swarmd.values import Scalar, Value
+from swarmd.core.errors import ConfigError, PluginError, unknown
+from swarmd.core.host_messages import Layers
+from swarmd.core.values import Scalar, Value
 
 _TYPES: Mapping[object, str] = {float: "float", int: "int", bool: "bool", str: "str"}
 

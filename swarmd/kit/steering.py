@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from swarmd.values import ZERO, Array, Twist
+from swarmd.core.values import ZERO, Array, Twist
 
 # Shorter vectors are rounding noise: their direction means nothing.
 _NO_DIRECTION = 1e-9

@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from swarmd.angles import difference, wrap
-from swarmd.errors import PluginError
-from swarmd.kit.grants import MAX_TOUCH_HALF_WIDTH_DEG, MAX_TOUCH_SPEED, Touch, TouchSection
-from swarmd.values import TouchZone
+from swarmd.core.angles import difference, wrap
+from swarmd.core.errors import PluginError
+from swarmd.core.values import TouchZone
+from swarmd.kit.touch_config import MAX_TOUCH_HALF_WIDTH_DEG, MAX_TOUCH_SPEED, Touch, TouchSection
 
 
 def zones(touch: Touch) -> Mapping[str, TouchZone]:

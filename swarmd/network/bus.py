@@ -1,4 +1,10 @@
-"""The bus over Zenoh: one robot's ear and mouth, used by the daemon on its loop.
+"""What a bus is: how one robot speaks with the others, whatever carries it.
+
+`ZenohBus` (`bus.py`) is one. No Zenoh here.
+
+What every bus goes by, whatever carries it: sizes, names, and what a view says of a member.
+
+The bus over Zenoh: one robot's ear and mouth, used by the daemon on its loop.
 
 Order of use in a daemon::
 
@@ -23,28 +29,129 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, Protocol
 
 import zenoh
 from zenoh.handlers import Callback
 
-from swarmd.clock import Clock, boottime
-from swarmd.codec import MAX_CONTROL, Decoder, encode
-from swarmd.errors import CodecError
-from swarmd.keys import ANY, Key, build, parse
-from swarmd.messages import Member, Request, Status, View
-from swarmd.network.contract import (
-    SAFETY,
-    Listener,
-    MemberListener,
-    Query,
-    Server,
-    StatusListener,
-)
-from swarmd.network.intake import Drops, Lane
+from swarmd.core.clock import Clock, boottime
+from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE, Decoder, encode
+from swarmd.core.errors import CodecError
+from swarmd.core.keys import ANY, Key, build, parse
+from swarmd.core.messages import Condition, Member, Request, Status, View
+from swarmd.network.inbound_queue import Drops, Lane
 from swarmd.network.membership import Membership
-from swarmd.network.rules import limit_of, matches, members_to_tell
 from swarmd.network.session import undeclare
+
+# The planes whose puts reach a robot at its own key; all others are heard from other robots.
+SAFETY = "safety"
+
+
+class Query(Protocol):
+    """A question or order put to this robot, on its own key."""
+
+    payload: bytes
+
+    def reply(self, payload: bytes) -> None:
+        """Answer it, at most once, now or later, on the loop; never blocks, never raises."""
+
+    def drop(self) -> None:
+        """Do not answer: the asker is told that nothing more comes. Harmless after `reply`."""
+
+
+Listener = Callable[[Key, bytes], None]
+Server = Callable[[Query], None]
+MemberListener = Callable[[Member], None]
+StatusListener = Callable[[Status], None]
+
+
+class Bus(Protocol):
+    """One robot's ear and mouth. All handlers run on the loop's thread.
+
+    Samples and queries whose key is not a concrete key that was asked for are dropped and
+    counted in `dropped`, by kind; so is what exceeds the queue between network and loop.
+    """
+
+    robot: str
+
+    @property
+    def dropped(self) -> Mapping[str, int]:
+        """What was dropped so far, by kind, such as `control/run:key`."""
+
+    @property
+    def members(self) -> Mapping[str, Member]:
+        """The other robots that were ever seen and not forgotten, by id."""
+
+    def publish(self, plane: str, name: str, payload: bytes, *, express: bool = False) -> None:
+        """Say something on this robot's own key; dropped where a link is congested."""
+
+    def listen(self, plane: str, name: str, handler: Listener) -> None:
+        """Hear other robots' keys `<plane>/<name>`; each chunk of `name` may be `*`."""
+
+    def serve(self, plane: str, name: str, handler: Server) -> None:
+        """Answer queries on this robot's own key; in plane `safety` also take plain puts."""
+
+    def serve_view(self, status: Callable[[], Status], roster: tuple[str, ...] = ()) -> None:
+        """Answer `state/status` and `control/members` from `status()` and the membership."""
+
+    def view(self, status: Status, roster: tuple[str, ...] = ()) -> View:
+        """What `control/members` answers: `status` is this robot's own."""
+
+    def on_member(self, callback: MemberListener) -> None:
+        """Be told of each member that came, went, left, or was replaced by a new instance."""
+
+    def on_status(self, callback: StatusListener) -> None:
+        """Be told of each status that another robot publishes on its own key."""
+
+    def forget(self, robot: str) -> bool:
+        """Take a robot that is not alive off the list; False if there is none such."""
+
+    async def ask(
+        self, plane: str, name: str, payload: bytes = b"", *, timeout: float = 1.0
+    ) -> list[tuple[str, bytes]]:
+        """Other robots' answers as (robot, payload): all that come within `timeout` s."""
+
+    def drop(self, kind: str, count: int = 1) -> None:
+        """Count something that could not be read, such as `control/run:malformed`."""
+
+    def close(self) -> None:
+        """Fall silent at once. Publish `left` before; handlers are not called afterwards."""
+
+
+_LIMITS = {"msg": MAX_MESSAGE, "sense": MAX_SENSE, "hw": MAX_SENSE}
+
+
+def limit_of(plane: str) -> int:
+    """The most bytes that are read from a sample of this plane."""
+    return _LIMITS.get(plane, MAX_CONTROL)
+
+
+def matches(name: str, wanted: str) -> bool:
+    """True if each chunk of `name` is that of `wanted`, or `*` stands there."""
+    chunks, wants = name.split("/"), wanted.split("/")
+    return len(chunks) == len(wants) and all(
+        want in (ANY, chunk) for chunk, want in zip(chunks, wants, strict=True)
+    )
+
+
+def members_to_tell(membership: Membership, now: float) -> tuple[Member, ...]:
+    """All members as a view tells of them: each living instance, which answers for itself."""
+    told = [_brief(member) for member in membership.members(now).values()]
+    for robot, instances in membership.duplicates.items():
+        told += [_alive(robot, instance) for instance in instances]
+    once = {(member.robot, member.instance): member for member in reversed(told)}
+    return tuple(once[key] for key in sorted(once))
+
+
+def _brief(member: Member) -> Member:
+    if member.condition is not Condition.ALIVE:
+        return member
+    return _alive(member.robot, member.instance, member.age)
+
+
+def _alive(robot: str, instance: str, age: float = 0.0) -> Member:
+    return Member(robot=robot, instance=instance, condition=Condition.ALIVE, age=age)
+
 
 # Tokens and emergency stops are not to be lost in a crowd: a longer lane, without breath.
 WIDE = 4096

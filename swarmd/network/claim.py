@@ -27,10 +27,10 @@ from typing import Literal
 
 import zenoh
 
-from swarmd.clock import Clock, boottime
-from swarmd.errors import IdHeldError
-from swarmd.keys import ANY, build, parse
-from swarmd.network.intake import Drops, Lane
+from swarmd.core.clock import Clock, boottime
+from swarmd.core.errors import IdHeldError
+from swarmd.core.keys import ANY, build, parse
+from swarmd.network.inbound_queue import Drops, Lane
 from swarmd.network.session import undeclare
 
 MAX_RIVALS = 64

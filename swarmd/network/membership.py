@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from swarmd.messages import Condition, Member, Status
+from swarmd.core.messages import Condition, Member, Status
 
 # Each of which may hold a status of 64 kB.
 MAX_MEMBERS = 256

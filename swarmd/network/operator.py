@@ -28,15 +28,15 @@ from typing import Any, Literal, Self
 import zenoh
 from zenoh.handlers import Callback
 
-from swarmd.codec import MAX_CONTROL, Decoder, encode
-from swarmd.errors import CodecError
-from swarmd.keys import ANY, Key, build, parse
-from swarmd.messages import Epoch, Reply, Request, View
-from swarmd.network.halting import Halting, Select
-from swarmd.network.requests import Acks, Outcome
+from swarmd.core.codec import MAX_CONTROL, Decoder, encode
+from swarmd.core.errors import CodecError
+from swarmd.core.keys import ANY, Key, build, parse
+from swarmd.core.messages import Epoch, Reply, Request, View
+from swarmd.network.discovery import Gathering, MembersView
+from swarmd.network.outcome import Acks, Outcome
 from swarmd.network.scouting import swarms_in_reach
 from swarmd.network.session import MAX_WIRE, SessionSettings, open_session, undeclare
-from swarmd.network.views import Gathering, MembersView
+from swarmd.network.stop_request import Halting, Select
 
 GATHER = 1.0
 HALT = 3.0

@@ -13,8 +13,8 @@ from contextlib import suppress
 
 import zenoh
 
-from swarmd.errors import NetworkError
-from swarmd.keys import ANY, build, parse
+from swarmd.core.errors import NetworkError
+from swarmd.core.keys import ANY, build, parse
 from swarmd.network.session import (
     FIRST_PORT,
     MULTICAST_ADDRESS,

@@ -1,4 +1,7 @@
-"""What every protection mode implements, and how a mode is made from a platform."""
+"""What every protection mode implements, and how a mode is made from a platform.
+
+The fail-safe front: the one way from a wish to a driver's command, whatever the mode.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +9,17 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Protocol
 
-from swarmd.errors import ConfigError, unknown
+import numpy as np
+from msgspec.structs import replace
+
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.messages import Reason
+from swarmd.core.values import ZERO, Array, Platform, Scan, TouchZone, Twist
 from swarmd.protection.barrier import Barrier
-from swarmd.protection.footprint import Sight
-from swarmd.protection.moment import Moment
-from swarmd.protection.off import Off
-from swarmd.protection.potential_field import PotentialField
-from swarmd.protection.stop_zone import StopZone
-from swarmd.protection.unstick import Berth
-from swarmd.protection.verdict import Decision
-from swarmd.values import Platform, Scan, TouchZone, Twist
+from swarmd.protection.decision import NO_PERMIT, Decision, Moment, Permit, Verdict
+from swarmd.protection.footprint import Footprint, Sight
+from swarmd.protection.modes import Off, PotentialField, StopZone
+from swarmd.protection.recovery import Berth, Unstick
 
 
 class Arbiter(Protocol):
@@ -55,3 +59,100 @@ def make_arbiter(platform: Platform) -> Arbiter:
     if mode not in MODES:
         raise ConfigError(f"platform {platform.name}: {unknown('protection mode', mode, MODES)}")
     return MODES[mode](platform)
+
+
+_EASE = 0.95  # of the top speed is what a way must allow to be led along it
+_STAND = Decision(ZERO, is_active=False)
+_NOTHING = 1e-9  # m/s or rad/s: what rounding leaves of a command to stand
+
+
+class Protection:
+    """Decides on every scan, every wish and every tick; never off, pure but for what it has seen.
+
+    `seed` decides to which sides it leads around what is in the way.
+    """
+
+    def __init__(self, platform: Platform, seed: str = "") -> None:
+        self._platform = platform
+        self._arbiter = make_arbiter(platform)
+        self._footprint = Footprint(platform.footprint)
+        self._sight = Sight(platform.scan)
+        self._scan_seq = -1
+        self._min_gap: float | None = None
+        self._scan: Scan | None = None
+        self._safe = ZERO
+        berth = self._arbiter.berth(_EASE * platform.limits.linear)
+        self._unstick = None if berth is None else Unstick(berth, platform.limits, seed)
+
+    @property
+    def mode(self) -> str:
+        """The mode's name."""
+        return self._arbiter.mode
+
+    def observe(self, scan: Scan, moment: Moment) -> None:
+        """Take in a conditioned scan: its geometry is computed here, once."""
+        self._scan_seq, self._scan = scan.seq, scan
+        self._min_gap = self._footprint.min_gap(scan, self._sight)
+        self._arbiter.observe(scan, self._sight, moment)
+
+    def decide(
+        self,
+        wish: Twist | None,
+        moment: Moment,
+        *,
+        is_running: bool,
+        hold: Reason | None,
+        permit: Permit = NO_PERMIT,
+    ) -> Verdict:
+        """The safe command for a wish (None: stands), with its grounds.
+
+        Exactly zero outside `running`, under any hold and before the first scan. The limits are
+        applied to the wish, so that an arbiter can rely on them, and to what it gives back.
+        """
+        limits = self._platform.limits
+        wanted = limits.clip(wish) if wish is not None and wish.is_finite else ZERO
+        if is_running and hold is None and moment.scan_age is None:
+            hold = Reason.NO_SCAN
+        if not is_running or hold is not None:
+            if self._unstick is not None:
+                self._unstick.reset()
+            return self._verdict(wanted, _STAND, hold, moment)
+        asked = wanted
+        if self._unstick is not None and permit.may_unstick:
+            asked = limits.clip(self._unstick.instead(wanted, self._safe, moment, self._points))
+        decision = self._arbiter.decide(asked, moment, command=self._safe, touch=permit.touch)
+        if decision.twist is not wanted and not decision.twist.is_finite:
+            decision = Decision(ZERO, is_active=True, rows=decision.rows)
+        elif asked is not wanted:
+            decision = replace(decision, is_active=True)
+        reason = None
+        if _stands(decision.twist):
+            reason = Reason.PROTECTION if decision.is_active else Reason.NO_WISH
+        return self._verdict(wanted, decision, reason, moment)
+
+    def _points(self) -> Array:
+        """(k, 2) what the last scan shows of the ways around, in the base frame in m."""
+        if self._scan is None or self._unstick is None:
+            return np.empty((0, 2))
+        return self._sight.points(self._scan, self._unstick.sight)
+
+    def _verdict(
+        self, wish: Twist, decision: Decision, reason: Reason | None, moment: Moment
+    ) -> Verdict:
+        self._safe = self._platform.limits.clip(decision.twist)
+        return Verdict(
+            mode=self._arbiter.mode,
+            wish=wish,
+            safe=self._safe,
+            reason=reason,
+            is_active=decision.is_active,
+            rows=decision.rows,
+            min_gap=self._min_gap,
+            scan_age=moment.scan_age,
+            scan_seq=self._scan_seq,
+            is_unsticking=self._unstick is not None and self._unstick.is_leading,
+        )
+
+
+def _stands(twist: Twist) -> bool:
+    return max(abs(twist.linear), abs(twist.angular), abs(twist.lateral)) <= _NOTHING

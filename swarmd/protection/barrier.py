@@ -21,23 +21,33 @@ from typing import NamedTuple, TypeAlias
 import msgspec
 import numpy as np
 
-from swarmd.errors import ConfigError
-from swarmd.protection.caps import passive_caps, reciprocal_caps
-from swarmd.protection.envelope import BOX, envelope, half_planes
-from swarmd.protection.feasible import Point, nearest_feasible
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import ZERO, Array, Platform, Pose, Scan, ScanSpec, TouchZone, Twist
+from swarmd.protection.blind_zone import NearMemory, near_memory
+from swarmd.protection.constraints import (
+    BOX,
+    Reach,
+    Rows,
+    bounding,
+    covered,
+    envelope,
+    half_planes,
+    joined,
+    most,
+    passive_caps,
+    placed,
+    pressing,
+    reciprocal_caps,
+    sliding,
+    split,
+)
+from swarmd.protection.dead_reckoning import REACTION, TRUSTED, Motion, relative
+from swarmd.protection.decision import Decision, Moment
 from swarmd.protection.footprint import Facing, Footprint, Sight
-from swarmd.protection.memory import NearMemory, near_memory
-from swarmd.protection.moment import Moment
-from swarmd.protection.motion import REACTION, TRUSTED, Motion, relative
-from swarmd.protection.pressing import covered, pressing
-from swarmd.protection.reach import Reach
-from swarmd.protection.rows import Rows, bounding, joined, most, placed, split
+from swarmd.protection.projection import Point, nearest_feasible
+from swarmd.protection.recovery import Berth
 from swarmd.protection.settings import BarrierSettings
-from swarmd.protection.sliding import sliding
-from swarmd.protection.sweep import Braking
-from swarmd.protection.unstick import Berth
-from swarmd.protection.verdict import Decision
-from swarmd.values import ZERO, Array, Platform, Pose, Scan, ScanSpec, TouchZone, Twist
+from swarmd.protection.stopping import Braking
 
 TICK = 0.05
 """Seconds until the next decision, at the latest."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.values import Array, Scan, ScanSpec
+from swarmd.core.values import Array, Scan, ScanSpec
 
 
 class Facing(NamedTuple):

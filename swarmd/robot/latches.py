@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 import msgspec
 from msgspec import Struct
 
-from swarmd.messages import Latch, Name
+from swarmd.core.messages import Latch, Name
 
 REMEMBERED = 256
 HELD = 32

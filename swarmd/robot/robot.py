@@ -9,19 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from swarmd.frames import Event as HostEvent
-from swarmd.frames import Step, Tried
-from swarmd.messages import Epoch, Latch, Reason, Request, State, Status
-from swarmd.protection.front import Protection
-from swarmd.protection.verdict import Verdict
+from swarmd.core.host_messages import Event as HostEvent
+from swarmd.core.host_messages import Step, Tried
+from swarmd.core.messages import Epoch, Latch, Reason, Request, State, Status
+from swarmd.core.values import Neighbor, Odometry, Platform, Scalar, Scan, Value
+from swarmd.protection.arbiter import Protection
+from swarmd.protection.decision import Verdict
 from swarmd.robot.actions import Actions
-from swarmd.robot.conduct import HOLD_LASTS, Conduct, Identity, Turn
 from swarmd.robot.latches import LatchRecord
-from swarmd.robot.senses import Senses
+from swarmd.robot.lifecycle import HOLD_LASTS, Conduct, Identity, Turn
+from swarmd.robot.requests import Verbs
+from swarmd.robot.sensors import Senses
+from swarmd.robot.state_machine import Event as Change
 from swarmd.robot.status import Duty, RobotSettings, make_status, standing_reason
-from swarmd.robot.supervisor import Event as Change
-from swarmd.robot.verbs import Verbs
-from swarmd.values import Neighbor, Odometry, Platform, Scalar, Scan, Value
 
 TICK = 0.05
 STALLED_AFTER = 1.0

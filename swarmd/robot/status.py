@@ -8,13 +8,13 @@ from typing import Any
 
 import msgspec
 
-from swarmd.frames import Layers
-from swarmd.messages import Health, Param, Reason, Status, VerdictSummary
-from swarmd.messages import Scalar as BoundedScalar
-from swarmd.protection.verdict import Verdict
-from swarmd.robot.conduct import Conduct
-from swarmd.robot.senses import Senses
-from swarmd.values import Platform, Scalar, TouchZone
+from swarmd.core.host_messages import Layers
+from swarmd.core.messages import Health, Param, Reason, Status, VerdictSummary
+from swarmd.core.messages import Scalar as BoundedScalar
+from swarmd.core.values import Platform, Scalar, TouchZone
+from swarmd.protection.decision import Verdict
+from swarmd.robot.lifecycle import Conduct
+from swarmd.robot.sensors import Senses
 
 REPORTED = 16
 ROWS = 4

@@ -13,7 +13,7 @@ from typing import Any, TypeVar, Union, get_args, get_origin
 import msgspec
 from msgspec import inspect
 
-from swarmd.errors import ConfigError, unknown
+from swarmd.core.errors import ConfigError, unknown
 from swarmd.settings.yamlfile import Data, brief
 
 Keys = tuple[str | int, ...]

@@ -11,9 +11,9 @@ import numpy as np
 from msgspec import Meta, Struct, to_builtins
 
 import swarmd.config
-from swarmd.angles import wrap
-from swarmd.driving.base import base_options
-from swarmd.errors import ConfigError, unknown
+from swarmd.core.angles import wrap
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.values import Array, Limits, Platform, ScanSpec, Value
 from swarmd.protection.footprint import Footprint
 from swarmd.protection.settings import (
     BarrierSettings,
@@ -21,10 +21,10 @@ from swarmd.protection.settings import (
     PotentialFieldSettings,
     StopZoneSettings,
 )
+from swarmd.settings.driver_options import base_options
 from swarmd.settings.layered import Layered
 from swarmd.settings.swarmfile import Options, Parameters
 from swarmd.settings.yamlfile import Data, read_extended, shown
-from swarmd.values import Array, Limits, Platform, ScanSpec, Value
 
 Coordinate = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Point = tuple[Coordinate, Coordinate]

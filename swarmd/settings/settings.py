@@ -13,16 +13,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, cast
 
-from swarmd.errors import ConfigError
-from swarmd.frames import Layers
-from swarmd.keys import check_id
-from swarmd.kit.grants import Touch
+from swarmd.core.errors import ConfigError
+from swarmd.core.host_messages import Layers
+from swarmd.core.keys import check_id
+from swarmd.core.values import Platform, TouchZone, Value
 from swarmd.kit.touch import zones
+from swarmd.kit.touch_config import Touch
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.settings.swarmfile import DEFAULT, DaemonFile, ParametersSection, check, layered
 from swarmd.settings.yamlfile import shown
-from swarmd.values import Platform, TouchZone, Value
 
 __all__ = ["DaemonSettings", "load_daemon_settings", "load_platform", "platform_names"]
 

@@ -12,10 +12,10 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
-from swarmd.errors import ConfigError, unknown
-from swarmd.keys import check_id
-from swarmd.kit.grants import Touch
-from swarmd.messages import Scalar
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.keys import check_id
+from swarmd.core.messages import Scalar
+from swarmd.kit.touch_config import Touch
 from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import Data, read, shown
 

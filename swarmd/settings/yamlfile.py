@@ -13,7 +13,7 @@ from typing import Any
 
 import yaml
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 
 Data = dict[str, Any]
 

@@ -26,16 +26,8 @@ from typing import Any, ClassVar
 import msgspec
 import numpy as np
 
-from swarmd.codec import encode_value
-from swarmd.hosts.loading import Finder
-from swarmd.kit.assembly import assemble, full_layers
-from swarmd.kit.behavior import Pattern
-from swarmd.kit.params import build, schema
-from swarmd.plugins import pattern_names
-from swarmd.settings.settings import load_platform, platform_names
-from swarmd.testing.doors import closed
-from swarmd.testing.scans import busy_scans, mirrored, odd_scans, read_only, reordered
-from swarmd.values import (
+from swarmd.core.codec import encode_value
+from swarmd.core.values import (
     Inputs,
     Message,
     Neighbor,
@@ -47,6 +39,14 @@ from swarmd.values import (
     Twist,
     Value,
 )
+from swarmd.kit.behavior import Pattern
+from swarmd.kit.factory import assemble, full_layers
+from swarmd.kit.params import build, schema
+from swarmd.pattern_host.loader import Finder
+from swarmd.plugins import pattern_names
+from swarmd.settings.settings import load_platform, platform_names
+from swarmd.testing.no_side_effects import closed
+from swarmd.testing.scans import busy_scans, mirrored, odd_scans, read_only, reordered
 
 _NAME = "pattern under contract"
 # Sums over the rays in another order differ by rounding.

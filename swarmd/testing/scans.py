@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.random import Generator
 
-from swarmd.values import Array, Platform, Pose, Scan
+from swarmd.core.values import Array, Platform, Pose, Scan
 
 ORIGIN = Pose()
 

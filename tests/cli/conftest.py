@@ -7,7 +7,7 @@ from collections.abc import Callable
 import pytest
 from msgspec.structs import replace
 
-from swarmd.messages import (
+from swarmd.core.messages import (
     Condition,
     Epoch,
     Event,

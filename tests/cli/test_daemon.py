@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from swarmd.settings.settings import load_daemon_settings, load_platform
-from swarmd.testing.body import Body
-from swarmd.testing.processes import unique_swarm
+from tests.support.fake_body import Body
+from tests.support.processes import unique_swarm
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 

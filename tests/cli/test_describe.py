@@ -8,7 +8,7 @@ from collections.abc import Callable
 import msgspec
 
 from swarmd.cli.describe import sections
-from swarmd.messages import Member, Reason, Row, Status, VerdictSummary
+from swarmd.core.messages import Member, Reason, Row, Status, VerdictSummary
 
 MakeMember = Callable[..., Member]
 

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.testing.processes import DaemonProcess, unique_swarm
+from tests.support.processes import DaemonProcess, unique_swarm
 
 DRIVER = """
 from pathlib import Path
 
-from swarmd.errors import DriverError
+from swarmd.core.errors import DriverError
 
 
 def unusable(**options):

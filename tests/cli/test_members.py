@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from swarmd.cli.members import HEADER, health, row
-from swarmd.messages import Condition, Health, Member, Reason, State, VerdictSummary
-from swarmd.network.views import MembersView
+from swarmd.core.messages import Condition, Health, Member, Reason, State, VerdictSummary
+from swarmd.network.discovery import MembersView
 
 MakeMember = Callable[..., Member]
 

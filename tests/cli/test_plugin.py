@@ -11,11 +11,10 @@ from pathlib import Path
 import pytest
 
 from swarmd.cli import cli, run_cli
-from swarmd.cli.catalog import describe_patterns
-from swarmd.cli.plugincheck import LEAVES, PRINTS, Point, check_file
-from swarmd.errors import PluginError, SwarmError
+from swarmd.cli.inspect import LEAVES, PRINTS, Point, check_file, describe_patterns
+from swarmd.core.errors import PluginError, SwarmError
+from swarmd.pattern_host.inspect_plugin import LOADING, MIRRORED
 from swarmd.plugins import pattern_names
-from swarmd.testing.checking import LOADING, MIRRORED
 from swarmd.testing.pattern_contract import PatternContract
 
 pytestmark = pytest.mark.integration

@@ -12,9 +12,9 @@ import click
 import pytest
 
 from swarmd.cli import VERBS, run_cli
-from swarmd.cli.catalog import describe_patterns
-from swarmd.errors import ConfigError, NetworkError, SwarmError
-from swarmd.testing.processes import unique_swarm
+from swarmd.cli.inspect import describe_patterns
+from swarmd.core.errors import ConfigError, NetworkError, SwarmError
+from tests.support.processes import unique_swarm
 
 LOADED = """
 import json, sys

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from swarmd.testing.processes import DaemonProcess, unique_swarm, wait_until
+from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 
 pytestmark = pytest.mark.integration
 

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.codec import Decoder, encode
+from swarmd.core.codec import Decoder, encode
+from swarmd.core.messages import Code, Reply, Request
+from swarmd.core.values import Twist
 from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.latchfile import LatchFile
-from swarmd.driving.driver import Finding, Sink
-from swarmd.messages import Code, Reply, Request
+from swarmd.driver_api.driver import Finding, Sink
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
-from swarmd.testing.processes import unique_swarm
-from swarmd.values import Twist
+from tests.support.processes import unique_swarm
 
 pytestmark = pytest.mark.integration
 

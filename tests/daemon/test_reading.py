@@ -3,10 +3,10 @@ from __future__ import annotations
 import msgpack
 import pytest
 
-from swarmd.codec import encode
+from swarmd.core.codec import encode
+from swarmd.core.errors import CodecError
+from swarmd.core.messages import Epoch, Request
 from swarmd.daemon.reading import RequestReader
-from swarmd.errors import CodecError
-from swarmd.messages import Epoch, Request
 
 EPOCH = Epoch("boot", 1)
 

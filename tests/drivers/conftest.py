@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from swarmd.testing.roscore import RosCore, why_no_ros1
+from tests.support.roscore import RosCore, why_no_ros1
 
 
 @pytest.fixture(scope="session")

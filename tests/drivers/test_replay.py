@@ -12,19 +12,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swarmd.core.errors import ConfigError, DriverError
+from swarmd.core.values import Odometry, Pose, Scan, Twist, Value
+from swarmd.daemon.driver_factory import make_driver
+from swarmd.driver_api.driver import Driver
+from swarmd.driver_api.hw_codec import decode_command, encode_odometry, encode_scan
+from swarmd.driver_api.recording import MAGIC, RecordedDriver, Recorder, read_recording
 from swarmd.drivers.replay import ReplayDriver
 from swarmd.drivers.simulated import SimulatedDriver
-from swarmd.driving.driver import Driver
-from swarmd.driving.making import make_driver
-from swarmd.driving.recording import MAGIC, RecordedDriver, Recorder, read_recording
-from swarmd.driving.sensing import decode_command, encode_odometry, encode_scan
-from swarmd.errors import ConfigError, DriverError
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.settings import load_daemon_settings
 from swarmd.sim.live.link import WorldLink
 from swarmd.testing.driver_contract import CAP, DriverContract, Heard, on_stage
-from swarmd.values import Odometry, Pose, Scan, Twist, Value
-from tests.drivers import handclock
+from tests.support import hand_clock as handclock
 
 PLATFORM = load_platform("burger")
 SPEC = PLATFORM.scan

@@ -6,15 +6,15 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.driving.recording import read_recording
-from swarmd.driving.sensing import decode_command
+from swarmd.core.values import Value
+from swarmd.driver_api.hw_codec import decode_command
+from swarmd.driver_api.recording import read_recording
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings
 from swarmd.settings.settings import load_platform
-from swarmd.testing.body import Body
-from swarmd.testing.processes import DaemonProcess, unique_swarm, wait_until
-from swarmd.values import Value
-from tests.drivers.driving import ROBOT, drive, is_running
+from tests.support.drive_daemon import ROBOT, drive, is_running
+from tests.support.fake_body import Body
+from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 
 pytestmark = pytest.mark.integration
 

@@ -10,19 +10,19 @@ import numpy as np
 import pytest
 import zenoh
 
-from swarmd.drivers.simulated import SILENCE, SimulatedDriver
-from swarmd.driving.sensing import (
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import ZERO, Neighbor, Odometry, Pose, Scan, Twist, Value
+from swarmd.driver_api.hw_codec import (
     CommandWire,
     encode_neighbors,
     encode_odometry,
     encode_readings,
     encode_scan,
 )
-from swarmd.errors import ConfigError
+from swarmd.drivers.simulated import SILENCE, SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
 from swarmd.testing.driver_contract import CAP, DriverContract, Heard, Stage, on_stage
-from swarmd.values import ZERO, Neighbor, Odometry, Pose, Scan, Twist, Value
 
 PLATFORM = load_platform("burger")
 SPEC = PLATFORM.scan

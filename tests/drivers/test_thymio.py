@@ -8,16 +8,16 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.clock import boottime
+from swarmd.core.clock import boottime
+from swarmd.core.values import Value
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings
 from swarmd.settings.platforms import load_platform
-from swarmd.testing.processes import DaemonProcess, unique_swarm, wait_until
-from swarmd.values import Value
-from tests.drivers.driving import ROBOT, drive, status
-from tests.drivers.ros import second
-from tests.drivers.ros.robots import BridgedRobot, odometry
-from tests.drivers.test_stoppers import Course
+from tests.driver_api.test_watchdog_drivers import Course
+from tests.drivers.ros2.robots import BridgedRobot, odometry
+from tests.support import second_codec as second
+from tests.support.drive_daemon import ROBOT, drive, status
+from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 
 pytestmark = pytest.mark.integration
 

@@ -6,12 +6,12 @@ import math
 from pathlib import Path
 from typing import Any
 
-from swarmd.hosts.loading import Finder
+from swarmd.core.values import TouchZone
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.touch import in_force
+from swarmd.pattern_host.loader import Finder
 from swarmd.plugins import find_pattern
 from swarmd.testing.pattern_contract import PatternContract
-from swarmd.values import TouchZone
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 

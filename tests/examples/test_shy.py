@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarmd.hosts.loading import Finder
+from swarmd.core.values import Inputs, Twist
 from swarmd.kit.behavior import Pattern
+from swarmd.pattern_host.loader import Finder
 from swarmd.plugins import find_pattern
 from swarmd.settings.settings import load_platform
-from swarmd.testing.flatland import Flatland
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of
-from swarmd.values import Inputs, Twist
+from tests.support.flatland import Flatland
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 BURGER = load_platform("burger")

@@ -16,11 +16,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from swarmd.driving.driver import Driver
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Scan, Twist, Value
+from swarmd.driver_api.driver import Driver
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import DriverContract
-from swarmd.values import Scan, Twist, Value
 
 FOLDER = Path(__file__).resolve().parents[2] / "examples" / "udp_driver"
 

@@ -14,16 +14,16 @@ from typing import Any, Literal
 import pytest
 import zenoh
 
-from swarmd.clock import boottime
-from swarmd.codec import Decoder
-from swarmd.keys import build
-from swarmd.messages import Code, Epoch, Reason, Reply, State, Status
+from swarmd.core.clock import boottime
+from swarmd.core.codec import Decoder
+from swarmd.core.keys import build
+from swarmd.core.messages import Code, Epoch, Reason, Reply, State, Status
+from swarmd.core.values import Twist, Value
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings, open_session
 from swarmd.settings.settings import load_platform
-from swarmd.testing.body import Body, Commanded
-from swarmd.testing.processes import CAP, DaemonProcess, unique_swarm, wait_until
-from swarmd.values import Twist, Value
+from tests.support.fake_body import Body, Commanded
+from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
 
 ROBOT = "tb3-01"
 ATTEMPTS = 4

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Literal
 
 import pytest
 
-from swarmd.clock import boottime
-from swarmd.messages import Code, Reason, State
+from swarmd.core.clock import boottime
+from swarmd.core.messages import Code, Reason, State
 
 if TYPE_CHECKING:
     from tests.faults.conftest import Bench

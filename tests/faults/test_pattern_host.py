@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from swarmd.clock import boottime
-from swarmd.messages import Code, Reason, State
-from swarmd.robot.hosting import FIRST_BACKOFF
-from swarmd.testing.processes import is_running, wait_until
+from swarmd.core.clock import boottime
+from swarmd.core.messages import Code, Reason, State
+from swarmd.robot.pattern_run import FIRST_BACKOFF
+from swarmd.testing.driver_rig import is_running
+from tests.support.processes import wait_until
 
 if TYPE_CHECKING:
     from tests.faults.conftest import Bench

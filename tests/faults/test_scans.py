@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from swarmd.clock import boottime
-from swarmd.codec import encode
-from swarmd.driving.sensing import ScanWire
-from swarmd.messages import Reason, State
-from swarmd.testing.body import Body
+from swarmd.core.clock import boottime
+from swarmd.core.codec import encode
+from swarmd.core.messages import Reason, State
+from swarmd.core.values import Array, Platform, Scan, ScanSpec, Twist
+from swarmd.driver_api.hw_codec import ScanWire
 from swarmd.testing.scans import trembling
-from swarmd.values import Array, Platform, Scan, ScanSpec, Twist
+from tests.support.fake_body import Body
 
 if TYPE_CHECKING:
     from tests.faults.conftest import Bench

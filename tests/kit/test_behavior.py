@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarmd.errors import PluginError
+from swarmd.core.errors import PluginError
+from swarmd.core.values import Inputs, Outputs, Twist
 from swarmd.kit.behavior import Context, MovementPattern
 from swarmd.kit.params import Params
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_of
-from swarmd.values import Inputs, Outputs, Twist
 
 PLATFORM = load_platform("burger")
 

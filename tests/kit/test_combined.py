@@ -9,13 +9,13 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 
-from swarmd.errors import ConfigError, PluginError, unknown
-from swarmd.kit.assembly import Assembled, assemble
+from swarmd.core.errors import ConfigError, PluginError, unknown
+from swarmd.core.values import Inputs, Message, Outputs, Platform, Twist, Value
 from swarmd.kit.behavior import MovementPattern, Pattern
 from swarmd.kit.combined import CombinedPattern
+from swarmd.kit.factory import Assembled, assemble
 from swarmd.kit.params import Params, about
 from swarmd.settings.settings import load_platform
-from swarmd.values import Inputs, Message, Outputs, Platform, Twist, Value
 
 PLATFORM = load_platform("burger")
 

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 import pytest
 
-from swarmd.errors import ConfigError, PluginError
+from swarmd.core.errors import ConfigError, PluginError
+from swarmd.core.values import Value
 from swarmd.kit.params import Params, ParamSpec, about, build, schema
-from swarmd.values import Value
 
 
 class Swirl(Params, frozen=True):

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from swarmd.core.values import Array, Twist
 from swarmd.kit.steering import from_base, keep_clear, steer
-from swarmd.values import Array, Twist
 
 NOTHING = np.empty((0, 2))
 UNIT = st.floats(-1.0, 1.0)

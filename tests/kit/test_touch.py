@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.angles import difference
-from swarmd.errors import PluginError
-from swarmd.kit.grants import TouchSection
+from swarmd.core.angles import difference
+from swarmd.core.errors import PluginError
+from swarmd.core.values import TouchZone
 from swarmd.kit.touch import check_zone, in_force, in_words, overlap, zones
-from swarmd.values import TouchZone
+from swarmd.kit.touch_config import TouchSection
 
 NARROW = TouchZone(0.0, math.radians(20.0), 0.1)
 ANGLES = st.floats(-10.0, 10.0)

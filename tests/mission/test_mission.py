@@ -8,11 +8,11 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Inputs, Message, Outputs, Twist
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.params import Params, schema
-from swarmd.values import Inputs, Message, Outputs, Twist
-from tests.mission.company import PLATFORM, Brief, Vote, made, mission_of, steps
+from tests.support.mission_parts import PLATFORM, Brief, Vote, made, mission_of, steps
 
 PARTS = """
 mission: Tried out

@@ -14,10 +14,10 @@ import json
 import sys
 import time
 
-from swarmd.keys import Key
-from swarmd.messages import Member
+from swarmd.core.keys import Key
+from swarmd.core.messages import Member
 from swarmd.network.session import SessionSettings
-from swarmd.testing.light import LightDaemon
+from tests.support.fake_daemon import LightDaemon
 
 PERIOD = 0.05
 

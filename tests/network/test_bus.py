@@ -12,13 +12,12 @@ from typing import Any
 import pytest
 import zenoh
 
-from swarmd.codec import MAX_CONTROL, MAX_MESSAGE, Decoder, encode
-from swarmd.keys import Key
-from swarmd.messages import Condition, Member, Status, View
-from swarmd.network.bus import ZenohBus
-from swarmd.network.contract import Query
+from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, Decoder, encode
+from swarmd.core.keys import Key
+from swarmd.core.messages import Condition, Member, Status, View
+from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.session import SessionSettings, open_session
-from swarmd.testing.light import LightDaemon, light_status
+from tests.support.fake_daemon import LightDaemon, light_status
 
 Until = Callable[[Callable[[], bool]], Awaitable[None]]
 

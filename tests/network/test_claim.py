@@ -9,7 +9,7 @@ from collections.abc import Awaitable, Callable, Iterator
 import pytest
 import zenoh
 
-from swarmd.errors import NetworkError
+from swarmd.core.errors import NetworkError
 from swarmd.network.claim import MAX_RIVALS, Claim, Rivals, claim_id
 from swarmd.network.session import SessionSettings, open_session
 

@@ -10,14 +10,13 @@ from dataclasses import replace
 import pytest
 import zenoh
 
-from swarmd.codec import Decoder, encode
-from swarmd.errors import CodecError
-from swarmd.keys import Key
-from swarmd.messages import Request
-from swarmd.network.bus import ZenohBus
-from swarmd.network.contract import Query
+from swarmd.core.codec import Decoder, encode
+from swarmd.core.errors import CodecError
+from swarmd.core.keys import Key
+from swarmd.core.messages import Request
+from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.session import SessionSettings, open_session
-from swarmd.testing.light import light_status
+from tests.support.fake_daemon import light_status
 
 Until = Callable[[Callable[[], bool]], Awaitable[None]]
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.messages import Condition, Status
+from swarmd.core.messages import Condition, Status
 from swarmd.network.membership import MAX_INSTANCES, MAX_MEMBERS, Membership
-from swarmd.testing.light import light_status
+from tests.support.fake_daemon import light_status
 
 ALIVE, LEFT, FAILED = Condition.ALIVE, Condition.LEFT, Condition.FAILED
 

@@ -13,12 +13,12 @@ from typing import Any
 import pytest
 import zenoh
 
-from swarmd.codec import Decoder
-from swarmd.messages import Code, Condition, Epoch, Request
+from swarmd.core.codec import Decoder
+from swarmd.core.messages import Code, Condition, Epoch, Request
 from swarmd.network.operator import Operator, operator_name
-from swarmd.network.requests import NO_TARGET, PARTIAL, REFUSED
+from swarmd.network.outcome import NO_TARGET, PARTIAL, REFUSED
 from swarmd.network.session import SessionSettings, open_session
-from swarmd.testing.light import LightSwarm
+from tests.support.fake_daemon import LightSwarm
 
 Robots = Callable[..., LightSwarm]
 
@@ -280,7 +280,7 @@ def test_twenty_daemons_ack_each_of_fifty_cold_operators(settings: SessionSettin
 def start_process(settings: SessionSettings, names: list[str]) -> subprocess.Popen[str]:
     """Ends with its standard input."""
     return subprocess.Popen(
-        [sys.executable, "-m", "swarmd.testing.light", "--swarm", settings.swarm, *names],
+        [sys.executable, "-m", "tests.support.fake_daemon", "--swarm", settings.swarm, *names],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,

@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 import zenoh
 
-from swarmd.errors import ConfigError, NetworkError
+from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.network.session import (
     FIRST_PORT,
     PORTS,

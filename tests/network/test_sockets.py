@@ -12,8 +12,7 @@ from collections.abc import Iterator
 import pytest
 import zenoh
 
-from swarmd.network.session import SessionSettings, open_session
-from swarmd.network.sockets import connected_sockets, tune_link
+from swarmd.network.session import SessionSettings, connected_sockets, open_session, tune_link
 
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="sockets are found in /proc/self/fd"

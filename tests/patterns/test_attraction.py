@@ -10,12 +10,12 @@ from types import MappingProxyType
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array, Inputs, Neighbor, Scalar, Scan, Twist, Value
 from swarmd.patterns.attraction import Attraction
 from swarmd.settings.settings import load_platform
-from swarmd.testing.flatland import Course, Flatland
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_from, scan_of
-from swarmd.values import Array, Inputs, Neighbor, Scalar, Scan, Twist, Value
+from tests.support.flatland import Course, Flatland
 
 WAFFLE = load_platform("waffle_pi")
 BESIDE = Disc(0.72, 0.0)

@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from swarmd.errors import ConfigError
-from swarmd.kit.formation import place_on_circle, radius_of
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array, Inputs, Odometry, Pose, Scan, Twist, Value
+from swarmd.kit.formation_geometry import place_on_circle, radius_of
 from swarmd.patterns.circle_formation import CircleFormation
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of
-from swarmd.values import Array, Inputs, Odometry, Pose, Scan, Twist, Value
 
 BURGER = load_platform("burger")
 

@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import pytest
 
-from swarmd.hosts.loading import Finder
+from swarmd.pattern_host.loader import Finder
 from swarmd.plugins import installed_patterns
 from swarmd.testing.pattern_contract import PatternContract
 

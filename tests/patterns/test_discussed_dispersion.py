@@ -7,12 +7,12 @@ import math
 import msgspec
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Inputs, Message, Outputs, Value
 from swarmd.patterns.discussed_dispersion import DiscussedDispersion
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of
-from swarmd.values import Inputs, Message, Outputs, Value
 
 WAFFLE = load_platform("waffle_pi")
 

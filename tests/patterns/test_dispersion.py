@@ -8,13 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Inputs, Scan, Twist, Value
 from swarmd.patterns.dispersion import Dispersion
 from swarmd.settings.settings import load_platform
-from swarmd.testing.flatland import Course, Flatland
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_from, scan_of
-from swarmd.values import Inputs, Scan, Twist, Value
+from tests.support.flatland import Course, Flatland
 
 WAFFLE = load_platform("waffle_pi")
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from swarmd.core.values import Inputs, Limits, Twist
 from swarmd.patterns.drive import Drive
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
-from swarmd.values import Inputs, Limits, Twist
 
 
 class TestDrive(PatternContract):

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array, Inputs, Odometry, Pose, Scan, Twist, Value
 from swarmd.patterns.flocking import Flocking
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, mirrored, scan_from, scan_of
-from swarmd.values import Array, Inputs, Odometry, Pose, Scan, Twist, Value
 
 BURGER = load_platform("burger")
 # The spacing is to a surface, these discs have a radius of 0.1 m.

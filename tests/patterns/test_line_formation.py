@@ -9,16 +9,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarmd.errors import ConfigError, PluginError
-from swarmd.kit.assembly import assemble
+from swarmd.core.errors import ConfigError, PluginError
+from swarmd.core.values import Array, Inputs, Neighbor, Odometry, Platform, Pose, Scan, Twist, Value
 from swarmd.kit.behavior import Pattern
-from swarmd.kit.formation import Sightings, bodies, place_on_line
-from swarmd.kit.forming import FormationParams
+from swarmd.kit.factory import assemble
+from swarmd.kit.formation_geometry import Sightings, bodies, place_on_line
+from swarmd.kit.formation_pattern import FormationParams
 from swarmd.patterns.line_formation import LineFormation, LineFormationParams
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of
-from swarmd.values import Array, Inputs, Neighbor, Odometry, Platform, Pose, Scan, Twist, Value
 
 BURGER = load_platform("burger")
 HEARING = frozenset({"neighbors", "neighbors.distance", "neighbors.bearing"})

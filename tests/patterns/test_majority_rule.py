@@ -8,11 +8,11 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from swarmd.kit.assembly import assemble
+from swarmd.core.values import Inputs, Message, Value
+from swarmd.kit.factory import assemble
 from swarmd.patterns.majority_rule import MajorityRule
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract
-from swarmd.values import Inputs, Message, Value
 
 PERIOD = 0.1
 

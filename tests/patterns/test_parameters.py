@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.hosts.loading import Finder
-from swarmd.kit.assembly import full_layers
+from swarmd.kit.factory import full_layers
 from swarmd.kit.params import build, schema
+from swarmd.pattern_host.loader import Finder
 from swarmd.plugins import pattern_names
 from swarmd.settings.settings import load_platform, platform_names
 

@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Inputs, Scan, Twist, Value
 from swarmd.patterns.random_walk import RandomWalk
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of
-from swarmd.values import Inputs, Scan, Twist, Value
 
 PLATFORM = load_platform("waffle_pi")
 FREE = scan_of(PLATFORM)

@@ -6,11 +6,11 @@ from collections import Counter
 
 import numpy as np
 
-from swarmd.kit.assembly import assemble
+from swarmd.core.values import Inputs, Message, Value
+from swarmd.kit.factory import assemble
 from swarmd.patterns.voter_model import VoterModel
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract
-from swarmd.values import Inputs, Message, Value
 
 
 class TestVoterModel(PatternContract):

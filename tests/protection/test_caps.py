@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.protection.caps import passive_caps, reciprocal_caps
-from swarmd.values import Array
+from swarmd.core.values import Array
+from swarmd.protection.constraints import passive_caps, reciprocal_caps
 
 ROOM = st.floats(-0.5, 5.0)
 BRAKING = st.floats(0.02, 5.0)

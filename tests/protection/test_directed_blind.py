@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarmd.core.values import Platform, Pose, Twist
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
-from swarmd.testing.yard import Shape, Yard, box, decided, placed, pole, under_barrier
-from swarmd.values import Platform, Pose, Twist
+from tests.support.filter_sim import Shape, Yard, box, decided, placed, pole, under_barrier
 
 BURGER, JACKAL = under_barrier(load_platform("burger")), under_barrier(load_platform("jackal"))
 BLIND = JACKAL.scan.range_min

@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array, Platform, Pose, Scan, Twist
 from swarmd.settings.settings import load_platform
-from swarmd.testing.yard import Yard, box, under_barrier
-from swarmd.values import Array, Platform, Pose, Scan, Twist
+from tests.support.filter_sim import Yard, box, under_barrier
 
 PLATFORMS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")]
 

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from numpy.random import Generator
 
+from swarmd.core.values import Platform, Pose, Twist
 from swarmd.settings.settings import load_platform
-from swarmd.testing.yard import (
+from tests.support.filter_sim import (
     HERE,
     Ride,
     Shape,
@@ -24,7 +25,6 @@ from swarmd.testing.yard import (
     separation,
     under_barrier,
 )
-from swarmd.values import Platform, Pose, Twist
 
 KINDS = {name: under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")}
 NO_FAULT = 0.02

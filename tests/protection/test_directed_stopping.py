@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarmd.messages import Reason
+from swarmd.core.messages import Reason
+from swarmd.core.values import Platform, Pose, Twist
 from swarmd.settings.settings import load_platform
-from swarmd.testing.yard import Yard, box, pole, round_corners, under_barrier
-from swarmd.values import Platform, Pose, Twist
+from tests.support.filter_sim import Yard, box, pole, round_corners, under_barrier
 
 BURGER, WAFFLE = under_barrier(load_platform("burger")), under_barrier(load_platform("waffle_pi"))
 MARGIN = 0.03

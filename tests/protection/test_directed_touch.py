@@ -6,10 +6,10 @@ import math
 
 import pytest
 
-from swarmd.protection.moment import Permit
+from swarmd.core.values import Pose, TouchZone, Twist
+from swarmd.protection.decision import Permit
 from swarmd.settings.settings import load_platform
-from swarmd.testing.yard import Yard, box, under_barrier
-from swarmd.values import Pose, TouchZone, Twist
+from tests.support.filter_sim import Yard, box, under_barrier
 
 BURGER = under_barrier(load_platform("burger"))
 SLOW = 0.05

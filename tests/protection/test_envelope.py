@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.protection.envelope import BOX, envelope, half_planes
-from swarmd.protection.feasible import nearest, nearest_feasible
+from swarmd.core.values import Array, Platform
+from swarmd.protection.constraints import BOX, envelope, half_planes
+from swarmd.protection.projection import nearest, nearest_feasible
 from swarmd.settings.settings import load_platform
-from swarmd.values import Array, Platform
 
 PLATFORMS = [load_platform(name) for name in ("burger", "waffle_pi", "jackal")]
 PLATFORM = st.sampled_from(PLATFORMS)

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from swarmd.core.values import Array, Scan, ScanSpec
 from swarmd.protection.footprint import Footprint, Sight
-from swarmd.values import Array, Scan, ScanSpec
 
 BOX = Footprint(np.array([[-0.2, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.2, 0.1]]))
 

@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarmd.core.values import ZERO, Odometry, Platform, Pose, Scan, Twist
 from swarmd.settings.settings import load_platform
-from swarmd.testing.yard import (
+from tests.support.filter_sim import (
     HERE,
     Ride,
     Yard,
@@ -23,7 +24,6 @@ from swarmd.testing.yard import (
     separation,
     under_barrier,
 )
-from swarmd.values import ZERO, Odometry, Platform, Pose, Scan, Twist
 
 KINDS = {name: under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")}
 MARGIN = 0.03

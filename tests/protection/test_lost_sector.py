@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarmd.protection.front import Protection
-from swarmd.protection.moment import Moment
-from swarmd.protection.verdict import Verdict
+from swarmd.core.values import Odometry, Platform, Pose, Scan, Twist
+from swarmd.protection.arbiter import Protection
+from swarmd.protection.decision import Moment, Verdict
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import empty_scan
-from swarmd.testing.variants import with_mode
-from swarmd.values import Odometry, Platform, Pose, Scan, Twist
+from tests.support.platforms import with_mode
 
 SPEED = 0.2
 AHEAD = Twist(SPEED)

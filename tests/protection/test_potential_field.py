@@ -7,12 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from swarmd.protection.front import Protection
-from swarmd.protection.moment import Moment
-from swarmd.protection.verdict import Verdict
+from swarmd.core.values import Array, Scan, Twist
+from swarmd.protection.arbiter import Protection
+from swarmd.protection.decision import Moment, Verdict
 from swarmd.settings.platforms import load_platform
-from swarmd.testing.variants import with_mode
-from swarmd.values import Array, Scan, Twist
+from tests.support.platforms import with_mode
 
 WAFFLE = with_mode(load_platform("waffle_pi"), "potential_field")
 WISH = Twist(0.2, 0.3)

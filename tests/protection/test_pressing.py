@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.protection.pressing import pressing
+from swarmd.core.values import Array, TouchZone
+from swarmd.protection.constraints import pressing
 from swarmd.settings.settings import load_platform
-from swarmd.values import Array, TouchZone
 
 BURGER = load_platform("burger").footprint
 SPEED = st.floats(-2.0, 2.0)

@@ -13,13 +13,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
+from swarmd.protection.arbiter import Protection
+from swarmd.protection.decision import Moment
 from swarmd.protection.footprint import Footprint
-from swarmd.protection.front import Protection
-from swarmd.protection.moment import Moment
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import mirrored, reordered, scan_from
-from swarmd.testing.yard import decided, outline_point, under_barrier
-from swarmd.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
+from tests.support.filter_sim import decided, outline_point, under_barrier
 
 TICK = 0.05
 PLATFORMS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")]

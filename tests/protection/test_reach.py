@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from swarmd.core.values import Odometry, Platform, Pose, Twist
 from swarmd.protection.barrier import TICK, Barrier
+from swarmd.protection.constraints import Reach
+from swarmd.protection.decision import Moment
 from swarmd.protection.footprint import Sight
-from swarmd.protection.moment import Moment
-from swarmd.protection.reach import Reach
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
-from swarmd.testing.yard import under_barrier
-from swarmd.values import Odometry, Platform, Pose, Twist
+from tests.support.filter_sim import under_barrier
 
 KINDS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")]
 KINDS += [under_barrier(KINDS[0], unseen_extent=0.0), under_barrier(KINDS[2], others_speed=0.4)]

@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from swarmd.protection.rows import most
-from swarmd.values import Limits
+from swarmd.core.values import Limits
+from swarmd.protection.constraints import most
 
 
 @pytest.mark.parametrize(

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
+from swarmd.core.values import Scan, Twist
 from swarmd.protection.barrier import CREEP, TICK
-from swarmd.protection.motion import REACTION
+from swarmd.protection.dead_reckoning import REACTION
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
-from swarmd.testing.yard import decided, under_barrier
-from swarmd.values import Scan, Twist
+from tests.support.filter_sim import decided, under_barrier
 
 WAFFLE = under_barrier(load_platform("waffle_pi"), unseen_extent=0.0)
 HALF_WIDTH = float(WAFFLE.footprint[:, 1].max())

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from swarmd.core.values import ZERO, Platform, Pose, Scan, Twist
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
-from swarmd.testing.variants import with_mode
-from swarmd.testing.yard import Yard, box, decided
-from swarmd.values import ZERO, Platform, Pose, Scan, Twist
+from tests.support.filter_sim import Yard, box, decided
+from tests.support.platforms import with_mode
 
 BURGER = with_mode(load_platform("burger"), "stop_zone")
 WISH = Twist(0.2, 0.3)

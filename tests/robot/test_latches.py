@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from swarmd.core.messages import Latch
 from swarmd.daemon.latchfile import LatchFile
-from swarmd.messages import Latch
 from swarmd.robot.latches import HELD, OVERFLOW, REMEMBERED, Latches, LatchRecord
 
 SWARM = Latch(issuer="alice", scope="swarm")

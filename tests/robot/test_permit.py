@@ -18,12 +18,11 @@ from swarmd.api import (
     Twist,
     Unstick,
 )
-from swarmd.frames import Failed, Ready
-from swarmd.messages import Code, State
-from swarmd.protection.front import Protection
-from swarmd.protection.moment import NO_PERMIT, Permit
-from swarmd.protection.verdict import Verdict
-from swarmd.testing.story import Story
+from swarmd.core.host_messages import Failed, Ready
+from swarmd.core.messages import Code, State
+from swarmd.protection.arbiter import Protection
+from swarmd.protection.decision import NO_PERMIT, Permit, Verdict
+from tests.support.robot_harness import Story
 
 ZONE = TouchZone(0.0, math.radians(20.0), 0.1)
 LESS = TouchZone(0.0, math.radians(10.0), 0.05)

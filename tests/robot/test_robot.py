@@ -7,13 +7,13 @@ from itertools import pairwise
 import pytest
 
 from swarmd.api import Inputs, MovementPattern, Outputs, Params, Twist
-from swarmd.codec import Decoder, encode
-from swarmd.frames import Died, Kill, Load, Ready, Step, Stepped
-from swarmd.hosts.framing import MAX_FRAME, encode_command
-from swarmd.messages import Code, Reason, State, Status
-from swarmd.testing.players import PATTERNS, standing_state, started
-from swarmd.testing.story import Story
-from swarmd.values import Neighbor, Scalar
+from swarmd.core.codec import Decoder, encode
+from swarmd.core.host_messages import Died, Kill, Load, Ready, Step, Stepped
+from swarmd.core.messages import Code, Reason, State, Status
+from swarmd.core.values import Neighbor, Scalar
+from swarmd.pattern_host.wire import MAX_FRAME, encode_command
+from tests.support.robot_harness import Story
+from tests.support.stub_patterns import PATTERNS, standing_state, started
 
 
 def test_never_moves_before_it_is_asked() -> None:

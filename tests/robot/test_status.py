@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarmd.codec import Decoder, encode
-from swarmd.messages import Reason, Status, VerdictSummary
+from swarmd.core.codec import Decoder, encode
+from swarmd.core.messages import Reason, Status, VerdictSummary
+from swarmd.core.values import Scan
 from swarmd.robot.status import ROWS
-from swarmd.testing.players import PATTERNS
 from swarmd.testing.scans import empty_scan
-from swarmd.testing.story import Story
-from swarmd.values import Scan
+from tests.support.robot_harness import Story
+from tests.support.stub_patterns import PATTERNS
 
 decode = Decoder(Status)
 BARRIER = "extends: waffle_pi\nprotection: {mode: barrier}\n"

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 import pytest
 from msgspec import Meta, Struct
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 from swarmd.settings.layered import Layered
 
 

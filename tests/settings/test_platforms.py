@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 import yaml
 
-from swarmd.driving.base import BaseOptions, base_options
-from swarmd.driving.driver import Stopping
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.driver_api.driver import Stopping
 from swarmd.plugins import driver_names, load_driver
+from swarmd.settings.driver_options import BaseOptions, base_options
 from swarmd.settings.platforms import load_platform, platform_names
 
 GOOD: dict[str, Any] = {

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import TouchZone
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings, platform_names
-from swarmd.values import TouchZone
 
 HOME = {"HOME": "/home/someone"}
 

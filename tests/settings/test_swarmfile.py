@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 from swarmd.settings.swarmfile import load_swarm
 
 

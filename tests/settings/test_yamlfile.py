@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 from swarmd.settings.yamlfile import brief, read, read_value, shown
 
 

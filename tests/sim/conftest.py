@@ -64,7 +64,7 @@ class Moody(MovementPattern[MoodyParams]):
         return Twist(linear=self.params.speed)
 '''
 
-MAIN = "from swarmd.entry import swarmctl; swarmctl()"
+MAIN = "from swarmd.cli.entry import swarmctl; swarmctl()"
 
 Swarmctl = Callable[..., "subprocess.CompletedProcess[str]"]
 

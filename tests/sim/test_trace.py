@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.trace import ARENA, VERSION, Recorder, Trace, load_trace
 

@@ -12,9 +12,9 @@ import contextlib
 import json
 import sys
 
-from swarmd.clock import boottime
+from swarmd.core.clock import boottime
 from swarmd.settings.settings import load_platform
-from swarmd.testing.body import Body
+from tests.support.fake_body import Body
 
 
 def say(**event: object) -> None:

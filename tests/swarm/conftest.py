@@ -17,15 +17,15 @@ import msgspec
 import pytest
 import zenoh
 
-from swarmd.codec import Decoder
-from swarmd.keys import build
-from swarmd.messages import Condition, State, Status, View
+from swarmd.core.codec import Decoder
+from swarmd.core.keys import build
+from swarmd.core.messages import Condition, State, Status, View
+from swarmd.core.values import Value
 from swarmd.network.operator import Operator
 from swarmd.network.session import MAX_WIRE, SessionSettings, open_session
 from swarmd.settings.settings import load_platform
-from swarmd.testing.body import Body
-from swarmd.testing.processes import CAP, DaemonProcess, unique_swarm, wait_until
-from swarmd.values import Value
+from tests.support.fake_body import Body
+from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
 
 SWARMCTL = (sys.executable, "-c", "from swarmd.cli import main; main()")
 

@@ -10,8 +10,8 @@ import json
 import sys
 from pathlib import Path
 
-from swarmd.cli.console import Console
-from swarmd.messages import Epoch
+from swarmd.cli.options import Console
+from swarmd.core.messages import Epoch
 from swarmd.network.operator import Operator
 
 

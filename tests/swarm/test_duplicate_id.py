@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from swarmd.clock import boottime
-from swarmd.messages import Condition, Reason, State, Status
-from swarmd.testing.processes import CAP, DaemonProcess, wait_until
+from swarmd.core.clock import boottime
+from swarmd.core.messages import Condition, Reason, State, Status
+from tests.support.processes import CAP, DaemonProcess, wait_until
 
 if TYPE_CHECKING:
-    from swarmd.testing.body import Body
+    from tests.support.fake_body import Body
     from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from swarmd.clock import boottime
-from swarmd.messages import Code, State
+from swarmd.core.clock import boottime
+from swarmd.core.messages import Code, State
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm

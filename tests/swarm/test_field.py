@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 import yaml
 
-from swarmd.testing.processes import CAP, DaemonProcess, unique_swarm, wait_until
-from swarmd.values import Value
+from swarmd.core.values import Value
+from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
 
 if TYPE_CHECKING:
     from tests.conftest import Namespaces

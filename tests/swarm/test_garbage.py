@@ -11,20 +11,25 @@ from typing import TYPE_CHECKING
 import pytest
 import zenoh
 
-from swarmd.clock import boottime
-from swarmd.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE, encode, encode_value
-from swarmd.driving.sensing import encode_neighbors, encode_odometry, encode_readings, encode_scan
-from swarmd.keys import build
-from swarmd.messages import Condition, Epoch, Request, State
+from swarmd.core.clock import boottime
+from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE, encode, encode_value
+from swarmd.core.keys import build
+from swarmd.core.messages import Condition, Epoch, Request, State
+from swarmd.core.values import Neighbor, Odometry, Pose, Twist
+from swarmd.driver_api.hw_codec import (
+    encode_neighbors,
+    encode_odometry,
+    encode_readings,
+    encode_scan,
+)
 from swarmd.network.membership import MAX_MEMBERS
 from swarmd.network.session import open_session
-from swarmd.testing.garbage import KINDS, Garbage
-from swarmd.testing.light import light_status
-from swarmd.testing.processes import wait_until
-from swarmd.values import Neighbor, Odometry, Pose, Twist
+from tests.support.fake_daemon import light_status
+from tests.support.garbage import KINDS, Garbage
+from tests.support.processes import wait_until
 
 if TYPE_CHECKING:
-    from swarmd.testing.body import Body
+    from tests.support.fake_body import Body
     from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration

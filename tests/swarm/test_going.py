@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from swarmd.clock import boottime
-from swarmd.messages import Condition, Reason, State
-from swarmd.testing.processes import CAP
+from swarmd.core.clock import boottime
+from swarmd.core.messages import Condition, Reason, State
+from tests.support.processes import CAP
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from swarmd.clock import boottime
-from swarmd.messages import Code, Reason, Status
-from swarmd.messages import State as S
-from swarmd.testing.processes import DaemonProcess, children, is_running, wait_until
+from swarmd.core.clock import boottime
+from swarmd.core.messages import Code, Reason, Status
+from swarmd.core.messages import State as S
+from swarmd.testing.driver_rig import is_running
+from tests.support.processes import DaemonProcess, children, wait_until
 
 if TYPE_CHECKING:
-    from swarmd.testing.body import Body
+    from tests.support.fake_body import Body
     from tests.swarm.conftest import Finished, Swarm
 
 pytestmark = pytest.mark.integration

@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from swarmd.clock import boottime
+from swarmd.core.clock import boottime
 
 if TYPE_CHECKING:
-    from swarmd.testing.body import Body, ScanScript
-    from swarmd.values import Scan, Value
+    from swarmd.core.values import Scan, Value
+    from tests.support.fake_body import Body, ScanScript
     from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration

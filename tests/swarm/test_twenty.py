@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from swarmd.messages import State
-from swarmd.testing.processes import wait_until
+from swarmd.core.messages import State
+from tests.support.processes import wait_until
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm

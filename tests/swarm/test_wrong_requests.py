@@ -12,13 +12,13 @@ import pytest
 import zenoh
 from msgspec.structs import replace
 
-from swarmd.clock import boottime
-from swarmd.codec import Decoder, encode
-from swarmd.keys import build
-from swarmd.messages import Code, Latch, Reply, Request, State, Status
+from swarmd.core.clock import boottime
+from swarmd.core.codec import Decoder, encode
+from swarmd.core.keys import build
+from swarmd.core.messages import Code, Latch, Reply, Request, State, Status
 from swarmd.network.session import MAX_WIRE
 from swarmd.robot.latches import HELD
-from swarmd.testing.processes import CAP, wait_until
+from tests.support.processes import CAP, wait_until
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.testing import driver_contract, driver_stage
+from swarmd.testing import driver_contract
+from swarmd.testing import driver_rig as driver_stage
 from swarmd.testing.driver_contract import DriverContract
-from tests.testing import broken_drivers as broken
-from tests.testing.wire import Good, Wire
+from tests.support import broken_drivers as broken
+from tests.support.wire import Good, Wire
 
 QUICK_CAP = 2.5
 

@@ -14,12 +14,12 @@ from typing import Annotated, Any
 import numpy as np
 import pytest
 
-from swarmd.errors import SwarmError
+from swarmd.core.errors import SwarmError
+from swarmd.core.values import Inputs, Outputs, Twist
 from swarmd.kit.behavior import MovementPattern, Pattern
 from swarmd.kit.params import Params, about
-from swarmd.scans.rays import nearest
+from swarmd.sensing.rays import nearest
 from swarmd.testing.pattern_contract import PatternContract
-from swarmd.values import Inputs, Outputs, Twist
 
 pytest_plugins = ["pytester"]
 

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from swarmd.core.errors import CodecError
 from swarmd.drivers.ros import cdr, messages
-from swarmd.errors import CodecError
-from tests.drivers.ros import second
+from tests.support import second_codec as second
 
 doubles = st.floats(width=64)
 singles = st.floats(width=32)

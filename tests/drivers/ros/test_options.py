@@ -7,6 +7,8 @@ from collections.abc import Mapping
 
 import pytest
 
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Value
 from swarmd.drivers.ros.options import (
     DEFAULT_ENDPOINT,
     RmwOptions,
@@ -15,10 +17,8 @@ from swarmd.drivers.ros.options import (
     ring_of,
     topic,
 )
-from swarmd.drivers.ros.session import open_session
-from swarmd.errors import ConfigError
+from swarmd.drivers.ros2.session import open_session
 from swarmd.network.session import FIELD_PORT
-from swarmd.values import Value
 
 
 def read(options: Mapping[str, Value], robot: str = "tb3-01") -> RmwOptions:

@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 
 from swarmd.cli import cli, exit_code_of, run_cli
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 from swarmd.sim.cli.exp import new_folder
-from swarmd.testing.processes import children, wait_until
+from tests.support.processes import children, wait_until
 
 Swarmctl = Callable[..., "subprocess.CompletedProcess[str]"]
 HEAVY = {"numpy", "mujoco", "matplotlib", "rich", "yaml", "swarmd.patterns"}
@@ -41,7 +41,12 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 def started(*words: object, cwd: Path) -> subprocess.Popen[str]:
     return subprocess.Popen(
-        [sys.executable, "-c", "from swarmd.entry import swarmctl; swarmctl()", *map(str, words)],
+        [
+            sys.executable,
+            "-c",
+            "from swarmd.cli.entry import swarmctl; swarmctl()",
+            *map(str, words),
+        ],
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.cli.exp import exp
 from swarmd.sim.trace import Recorder

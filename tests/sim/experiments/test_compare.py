@@ -7,15 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array
 from swarmd.sim.experiments.compare import Difference, Side, by_chance, compare, document, sides
 from swarmd.sim.experiments.manifest import manifest_of
 from swarmd.sim.experiments.plan import Plan, Variant
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import plan_of
-from swarmd.sim.experiments.store import open_store
-from swarmd.sim.experiments.table import Row
-from swarmd.values import Array
+from swarmd.sim.experiments.store import Row, open_store
 
 TRIALS = 200
 SPEED = "groups.all.parameters.speed"

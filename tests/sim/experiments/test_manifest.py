@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from swarmd.errors import ConfigError, SwarmError
+from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import (
     NAME,
     Manifest,

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 from swarmd.sim.experiments.plan import Plan, make_plan
 
 

@@ -10,11 +10,10 @@ from typing import Any
 
 import pytest
 
-from swarmd.sim.experiments.job import Job, Outcome, perform
-from swarmd.sim.experiments.pool import outcomes
+from swarmd.sim.experiments.pool import Job, Outcome, outcomes, perform
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.sim.trace import load_trace
-from swarmd.testing.processes import children
+from tests.support.processes import children
 
 END = "groups.all.parameters.end"
 

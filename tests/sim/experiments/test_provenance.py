@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import swarmd
-from swarmd.errors import SwarmError
+from swarmd.core.errors import SwarmError
 from swarmd.sim.experiments.provenance import (
     NOT_IN_RUNS,
     digest_of_code,
@@ -58,7 +58,9 @@ def test_the_arithmetic_that_the_environment_chooses_is_told(
 
 
 def test_no_run_reads_what_the_digest_leaves_out() -> None:
-    code = "import sys, swarmd.sim.experiments.job, swarmd.patterns.attraction; print(*sys.modules)"
+    code = (
+        "import sys, swarmd.sim.experiments.pool, swarmd.patterns.attraction; print(*sys.modules)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     loaded = [name for name in done.stdout.split() if name.partition(".")[0] == "swarmd"]
     assert not [name for name in loaded if NOT_IN_RUNS & set(name.split("."))]

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 from swarmd.sim.experiments.rerun import rerun, trace_differences, warnings
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import simulate

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarmd.errors import ConfigError, SwarmError
+from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import plan_of, simulate
 from swarmd.sim.scenarios.scenariofile import load_scenario

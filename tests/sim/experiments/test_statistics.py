@@ -7,6 +7,7 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array
 from swarmd.sim.experiments import statistics
 from swarmd.sim.experiments.statistics import (
     Interval,
@@ -16,7 +17,6 @@ from swarmd.sim.experiments.statistics import (
     summarize,
     wilson,
 )
-from swarmd.values import Array
 
 NORMAL = NormalDist()
 TRIALS = 400

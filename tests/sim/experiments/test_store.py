@@ -8,11 +8,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from swarmd.errors import ConfigError, SwarmError
+from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import Manifest, manifest_of
 from swarmd.sim.experiments.simulate import plan_of
-from swarmd.sim.experiments.store import open_store, read_failures
-from swarmd.sim.experiments.table import read_table
+from swarmd.sim.experiments.store import open_store, read_failures, read_table
 
 METRICS = ("gap", "time")
 VALUES = {"gap": 0.5, "time": None}

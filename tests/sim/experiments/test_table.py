@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 from swarmd.sim.experiments.plan import Plan, Variant
-from swarmd.sim.experiments.table import NAME, Row, header, line_of, lines, read_table
+from swarmd.sim.experiments.store import NAME, Row, header, line_of, lines, read_table
 
 PLAN = Plan(
     "duo", (4, 2), (Variant('law="a,b"', {"x.law": "a,b"}), Variant("law=1.5", {"x.law": 1.5})),

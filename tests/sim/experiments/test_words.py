@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 from swarmd.sim.experiments.words import read_seeds, read_sets, read_sweeps, split_values
 
 

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.errors import SwarmError
+from swarmd.core.errors import SwarmError
 from swarmd.sim.cli.demo import finish, new_folder
 from swarmd.sim.live.summary import Numbers, Summary
-from swarmd.testing.processes import unique_swarm, wait_until
+from tests.support.processes import unique_swarm, wait_until
 
 SWARMCTL = str(Path(sys.executable).with_name("swarmctl"))
 RAISES = '''

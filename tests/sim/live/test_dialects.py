@@ -11,14 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_command
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.show import Watch, statuses_of
 from swarmd.sim.live.state import WorldState
-from swarmd.testing.processes import children, is_running, stoppers, unique_swarm, wait_until
-from swarmd.values import Array
+from swarmd.testing.driver_rig import is_running
+from tests.support.processes import children, stoppers, unique_swarm, wait_until
 
 SEVEN = robot_ids("burger", 7)
 LINKED = 0.8

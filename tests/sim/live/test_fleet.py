@@ -12,13 +12,13 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.errors import SwarmError
-from swarmd.messages import State
+from swarmd.core.errors import SwarmError
+from swarmd.core.messages import State
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_command
 from swarmd.sim.live.show import await_up, statuses_of
-from swarmd.testing.processes import children, unique_swarm, wait_until
+from tests.support.processes import children, unique_swarm, wait_until
 
 READY = Ready("tcp/127.0.0.1:1", "simulated", {"endpoint": "tcp/127.0.0.1:1"})
 ROBOTS = {"tb3-01": "burger", "tb3-02": "waffle_pi"}

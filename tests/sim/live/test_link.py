@@ -9,13 +9,13 @@ from collections.abc import Callable, Iterator
 import pytest
 import zenoh
 
-from swarmd import keys
-from swarmd.codec import encode
-from swarmd.driving.sensing import CommandWire, decode_command, encode_command
-from swarmd.errors import ConfigError, NetworkError
+from swarmd.core import keys
+from swarmd.core.codec import encode
+from swarmd.core.errors import ConfigError, NetworkError
+from swarmd.core.values import Twist
+from swarmd.driver_api.hw_codec import CommandWire, decode_command, encode_command
 from swarmd.sim.live.link import WorldLink, WorldView, dialling
 from swarmd.sim.live.state import WorldReply, WorldState
-from swarmd.values import Twist
 
 CAP = 20.0
 ANY_PORT = "tcp/127.0.0.1:0"

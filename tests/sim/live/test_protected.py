@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.safety.live import Course, is_ram
+from studies.safety.live import Course, is_ram
 
 SECONDS = 60.0  # of simulation, at most: it ends as soon as enough has come in their way
 GRAZE = 0.05

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 import zenoh
 
-from swarmd.driving.sensing import (
+from swarmd.core.errors import SwarmError
+from swarmd.core.values import Twist
+from swarmd.driver_api.hw_codec import (
     decode_command,
     decode_neighbors,
     decode_odometry,
@@ -20,7 +22,6 @@ from swarmd.driving.sensing import (
     decode_scan,
     encode_command,
 )
-from swarmd.errors import SwarmError
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink, WorldView, dialling
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT, RealTimeWorld
@@ -29,10 +30,9 @@ from swarmd.sim.live.state import WorldState
 from swarmd.sim.trace import load_trace
 from swarmd.sim.world.arena import Arena, Box
 from swarmd.sim.world.radio import Radio, RadioSettings
-from swarmd.sim.world.readings import Field, UniformField
 from swarmd.sim.world.realism import IDEAL, Actuation, LidarNoise, Realism
+from swarmd.sim.world.scalar_fields import Field, UniformField
 from swarmd.sim.world.world import World
-from swarmd.values import Twist
 
 CAP = 20.0
 IDS = ("a", "b")

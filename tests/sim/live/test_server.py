@@ -15,14 +15,14 @@ from pathlib import Path
 
 import pytest
 
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Neighbor, Odometry, Scan, Twist
 from swarmd.drivers.simulated import SimulatedDriver
-from swarmd.errors import ConfigError
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.server import main, parse_robots
 from swarmd.sim.metrics.effort import path_lengths
 from swarmd.sim.trace import load_trace
-from swarmd.values import Neighbor, Odometry, Scan, Twist
 
 CAP = 30.0
 COMMAND = (sys.executable, "-m", "swarmd.sim.live.server", "--swarm", "s")
@@ -126,7 +126,7 @@ import asyncio, sys
 from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import Heard
-from swarmd.values import Twist
+from swarmd.core.values import Twist
 
 async def drive():
     driver = SimulatedDriver(swarm="s", robot="a", platform=load_platform("waffle_pi"),

@@ -7,7 +7,7 @@ from typing import cast
 
 import pytest
 
-from swarmd.errors import NetworkError
+from swarmd.core.errors import NetworkError
 from swarmd.sim.live import show
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.show import Watch

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from swarmd.messages import Epoch, Health, Reason, State, Status, VerdictSummary
+from swarmd.core.messages import Epoch, Health, Reason, State, Status, VerdictSummary
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.summary import Summary, duties, mean_duty, numbers_of, problems_of
 from swarmd.sim.trace import Recorder, Trace

@@ -8,7 +8,7 @@ import math
 import pytest
 from rich.console import Console
 
-from swarmd.messages import (
+from swarmd.core.messages import (
     Epoch,
     Health,
     Reason,

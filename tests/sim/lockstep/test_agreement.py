@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings
 from swarmd.sim.live.fleet import Fleet, FleetSpec
@@ -18,8 +19,7 @@ from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.voting import consensus_time
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace, load_trace
-from swarmd.testing.processes import wait_until
-from swarmd.values import Array
+from tests.support.processes import wait_until
 
 SECONDS = 5.0
 WITHIN = 0.05

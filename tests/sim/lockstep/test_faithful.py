@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array
 from swarmd.robot.robot import TICK
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT
 from swarmd.sim.lockstep.lockstep import BODY_TIMEOUT, Lockstep, simulate_run
@@ -15,7 +16,6 @@ from swarmd.sim.metrics.touches import contact_list
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 PROBE = """
 from swarmd.api import Outputs, Params, Pattern, Twist

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarmd.errors import SwarmError
+from swarmd.core.errors import SwarmError
 from swarmd.sim.lockstep.lockstep import BODY_TIMEOUT, Lockstep, simulate_run
 from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.scenarios.scenario import Scenario

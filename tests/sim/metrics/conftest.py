@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 PLATFORMS = {name: load_platform(name) for name in ("burger", "jackal", "waffle_pi")}
 META = {

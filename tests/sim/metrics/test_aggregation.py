@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics import aggregation, pairs
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 Run = Callable[..., Trace]
 Line = Callable[..., Array]

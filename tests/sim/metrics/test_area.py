@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics import area
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 Run = Callable[..., Trace]
 Line = Callable[..., Array]

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 from swarmd.sim.metrics import (
     aggregation,
     area,

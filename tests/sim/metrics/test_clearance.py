@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from swarmd.core.values import Array
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.metrics import clearance
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.geometry import gaps, transform
-from swarmd.values import Array
 
 Run = Callable[..., Trace]
 HALF, SIDE = 0.254, 0.215  # of a Jackal

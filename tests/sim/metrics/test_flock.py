@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics import flock
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 Run = Callable[..., Trace]
 SECONDS = 0.1 * np.arange(21)

@@ -8,10 +8,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics import formation
 from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 Run = Callable[..., Trace]
 

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics import gap, pairs
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import gaps, transform
-from swarmd.values import Array
 
 Run = Callable[..., Trace]
 Line = Callable[..., Array]

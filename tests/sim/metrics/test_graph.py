@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics import graph, pairs
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.radio import Radio, RadioSettings
-from swarmd.values import Array
 
 Run = Callable[..., Trace]
 Line = Callable[..., Array]

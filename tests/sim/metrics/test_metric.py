@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics.metric import Value, at_end, at_start, late_mean, peak
 from swarmd.sim.trace import Trace
-from swarmd.values import Array
 
 Run = Callable[..., Trace]
 

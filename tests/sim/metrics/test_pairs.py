@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
-from swarmd.values import Array
 
 EVERY = 1e9
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from swarmd.sim.plots.canvas import ROBOT_COLOURS
 from swarmd.sim.plots.grouping import (
     NO_COLOUR,
     SMALL_COLOUR,
@@ -16,6 +15,7 @@ from swarmd.sim.plots.grouping import (
     key_of,
     opinions_of,
 )
+from swarmd.sim.plots.theme import ROBOT_COLOURS
 
 if TYPE_CHECKING:
     from tests.sim.plots.conftest import Walk

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from swarmd.errors import SwarmError
+from swarmd.core.errors import SwarmError
 from swarmd.sim.experiments.statistics import mean_interval, wilson
 from swarmd.sim.plots.intervals import Panel, draw_intervals, intervals_figure
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from swarmd.errors import SwarmError
+from swarmd.core.errors import SwarmError
 from swarmd.sim.plots.overview import MOST_RUNS, draw_overview, overview_figure
 
 if TYPE_CHECKING:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from swarmd.errors import SwarmError
-from swarmd.sim.plots.canvas import new_figure
+from swarmd.core.errors import SwarmError
 from swarmd.sim.plots.scene import (
     Extent,
     check_drawable,
@@ -24,6 +23,7 @@ from swarmd.sim.plots.scene import (
     robot_colour,
     robot_style,
 )
+from swarmd.sim.plots.theme import new_figure
 from swarmd.sim.trace import Trace
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from swarmd.errors import SwarmError
+from swarmd.core.errors import SwarmError
 from swarmd.sim.plots.start_and_end import draw_start_and_end, start_and_end_figure
 from swarmd.sim.trace import Trace
 

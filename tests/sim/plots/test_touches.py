@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from swarmd.sim.plots.canvas import TOUCH_COLOUR, new_figure
 from swarmd.sim.plots.scene import robot_colour
+from swarmd.sim.plots.theme import TOUCH_COLOUR, new_figure
 from swarmd.sim.plots.touches import BOTH, NONE, ONE, OTHER, face_of, marks_of, paint_touches
 from swarmd.sim.trace import Trace
 

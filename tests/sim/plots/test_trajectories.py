@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from swarmd.errors import SwarmError
+from swarmd.core.errors import SwarmError
 from swarmd.sim.plots.trajectories import draw_trajectories, trajectories_figure
 from swarmd.sim.trace import Trace
 

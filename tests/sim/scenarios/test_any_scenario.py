@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from swarmd.errors import SwarmError
+from swarmd.core.errors import SwarmError
 from swarmd.sim.scenarios.scenariofile import scenario_of
 
 if TYPE_CHECKING:

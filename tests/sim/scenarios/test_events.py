@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from tests.sim.scenarios.conftest import Load

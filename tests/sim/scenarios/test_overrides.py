@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 from swarmd.sim.scenarios.overrides import nested, parse_override
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 from swarmd.sim.world.arena import Arena, Box, Pole, Segment, parse_arena
 
 

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Platform
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.bodies import build_model, inertia, value
 from swarmd.sim.world.geometry import radius
-from swarmd.values import Platform
 
 NAMES = ("burger", "waffle_pi", "jackal")
 

@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array
 from swarmd.sim.world.geometry import apart, crossings, gaps, overlaps, radius, transform
-from swarmd.values import Array
 
 SQUARE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 TRIANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])

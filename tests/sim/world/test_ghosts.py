@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Platform
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.arena import Arena, parse_arena
 from swarmd.sim.world.world import World
-from swarmd.values import Platform
 
 FACING = np.array([[-0.3, 0.0, 0.0], [0.3, 0.0, math.pi]])
 

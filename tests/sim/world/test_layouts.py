@@ -8,12 +8,12 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.arena import Arena, parse_arena
 from swarmd.sim.world.geometry import gaps, transform
 from swarmd.sim.world.layouts import parse_layout
-from swarmd.values import Array
 
 BURGER = load_platform("burger").footprint
 WAFFLE = load_platform("waffle_pi").footprint

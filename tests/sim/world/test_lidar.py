@@ -10,16 +10,15 @@ import mujoco
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array, Platform, ScanSpec
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena, Box, Pole, parse_arena
 from swarmd.sim.world.layouts import parse_layout
-from swarmd.sim.world.lidar import Lidar
-from swarmd.sim.world.ranging import Visibility
-from swarmd.sim.world.visibility import shapes_of
+from swarmd.sim.world.lidar import Lidar, Visibility
+from swarmd.sim.world.scan_plane import shapes_of
 from swarmd.sim.world.world import World
-from swarmd.testing.variants import with_plain_scan
-from swarmd.values import Array, Platform, ScanSpec
+from tests.support.platforms import with_plain_scan
 
 OBSTACLES = "7x6,box:1:1:0.5:0.3:30,box:-2:-1:0.2:1.5:-75,pole:-2:2:0.1,pole:2:-2:0.3,pole:0:0:0.02"
 TIGHT = "4x4"

@@ -11,11 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array, Platform
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.noise import BLOCK, NoisyLidar
 from swarmd.sim.world.realism import IDEAL, REALISTIC, LidarNoise
-from swarmd.testing.variants import with_plain_scan
-from swarmd.values import Array, Platform
+from tests.support.platforms import with_plain_scan
 
 BURGER = load_platform("burger")
 JACKAL = load_platform("jackal")

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array, Platform
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.odometer import Odometers, measurement
 from swarmd.sim.world.realism import IDEAL, REALISTIC, OdometryNoise
-from swarmd.values import Array, Platform
 
 BURGER = load_platform("burger")
 BASE = BURGER.body["wheel_separation"]

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array, Neighbor
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.arena import Arena, Box
 from swarmd.sim.world.radio import Radio, RadioSettings, check_radio, with_bearings
-from swarmd.values import Array, Neighbor
 
 ARENA = Arena(40.0, 40.0)
 ROW = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [5.0, 0.0, 0.0]])

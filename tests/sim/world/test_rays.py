@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from swarmd.core.values import Array
 from swarmd.settings.platforms import load_platform, platform_names
-from swarmd.sim.world.rays import Rays
-from swarmd.values import Array
+from swarmd.sim.world.lidar import Rays
 
 EVEN = np.radians(np.arange(360.0))
 SHIFTED = np.radians(np.arange(7.0, -353.0, -1.0))

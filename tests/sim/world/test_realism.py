@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from msgspec import to_builtins
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
 from swarmd.sim.world.realism import IDEAL, REALISMS, REALISTIC, realism_of
 
 

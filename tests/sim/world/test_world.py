@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from swarmd.errors import ConfigError
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array, Platform
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.world.arena import Arena, parse_arena
 from swarmd.sim.world.realism import IDEAL, REALISTIC, Realism
 from swarmd.sim.world.world import World
-from swarmd.values import Array, Platform
 
 FIELD = Arena(40.0, 40.0)
 PLATFORMS = ("burger", "waffle_pi", "jackal")

@@ -1,0 +1,77 @@
+"""The newest sample of each sense, handed from Zenoh's threads to the loop."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections import Counter
+from collections.abc import Callable
+
+import zenoh
+
+from swarmd.core.threads import hand_over
+
+
+class Inbox:
+    """Calls `take(name, payload)` on the loop with the newest sample of each name.
+
+    Only the newest: after a stall of the loop the older ones would be history, and a queue of
+    them would delay what is true now. `dropped(what)` is called once for each that was left out:
+    `<name>:overtaken` by a newer one, or said on another key, `<name>:key`.
+    """
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        take: Callable[[str, bytes], None],
+        dropped: Callable[[str], None] = lambda what: None,
+    ) -> None:
+        self._loop, self._take, self._dropped = loop, take, dropped
+        self._lock = threading.Lock()
+        self._waiting: dict[str, bytes] = {}
+        self._left_out: Counter[str] = Counter()
+        self._is_closed = False
+
+    def close(self) -> None:
+        """Deliver nothing from now on, not even what is on its way."""
+        self._is_closed = True
+
+    def receiver(self, name: str, key: str) -> Callable[[zenoh.Sample], None]:
+        """A Zenoh callback for one name; samples on other keys than `key` are left out."""
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            if str(sample.key_expr) == key:
+                self.put(name, sample.payload.to_bytes())
+            else:
+                self._leave_out(f"{name}:key")
+
+        return on_sample
+
+    def put(self, name: str, payload: bytes) -> None:
+        """Take in a sample, on any thread."""
+        with self._lock:
+            is_first = name not in self._waiting
+            self._waiting[name] = payload
+        if is_first:
+            hand_over(self._loop, self._deliver, name)
+        else:
+            self._leave_out(f"{name}:overtaken")
+
+    def _deliver(self, name: str) -> None:
+        with self._lock:
+            payload = self._waiting.pop(name)
+        if not self._is_closed:
+            self._take(name, payload)
+
+    def _leave_out(self, what: str) -> None:
+        with self._lock:
+            is_first = not self._left_out
+            self._left_out[what] += 1
+        if is_first:
+            hand_over(self._loop, self._report)
+
+    def _report(self) -> None:
+        with self._lock:
+            left_out, self._left_out = self._left_out, Counter()
+        for what in left_out.elements():
+            self._dropped(what)

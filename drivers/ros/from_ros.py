@@ -1,0 +1,170 @@
+"""ROS messages as the core's values, and safe commands as ROS messages.
+
+Nothing is conditioned here: zeros, infinities and NaN pass as the sensor gave them, and the limits
+of the range come from the platform's file (`swarmd.sensing.conditioning`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from swarmd.core.errors import CodecError
+from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
+from swarmd.driver_api.hw_codec import MAX_RAYS
+from swarmd.drivers.ros import messages as ros
+
+_WIDEST = 1.1 * 2.0 * math.pi  # of a sweep: some sensors repeat their first rays at the end
+_FARTHEST = 4.0 * math.pi
+_PER_CENT = 100.0  # TurtleBot3 gives its battery's percentage in per cent, not as a share of 1
+
+
+def stamp_of(stamp: ros.Time) -> float:
+    """Seconds on the sender's clock, of which only the progress means something."""
+    return stamp.sec + 1e-9 * stamp.nanosec
+
+
+def scan_of(
+    message: ros.LaserScan,
+    seq: int,
+    spec: ScanSpec,
+    yaw: float = 0.0,
+    *,
+    is_upside_down: bool = False,
+) -> Scan:
+    """The sweep in the base frame's directions, of a sensor whose zero looks to `yaw` rad.
+
+    One that is upside down turns the other way round. CodecError if its angles are none.
+    """
+    count, first, step = len(message.ranges), message.angle_min, message.angle_increment
+    sweep = step * max(count - 1, 0)
+    if count > MAX_RAYS:
+        raise CodecError(f"{count} rays; wanted are at most {MAX_RAYS}")
+    if not (abs(first) <= _FARTHEST and abs(sweep) <= _WIDEST):  # false for NaN too
+        raise CodecError(f"rays from {first:g} rad over {sweep:g} rad; wanted is one turn at most")
+    side = -1.0 if is_upside_down else 1.0
+    return Scan(
+        seq,
+        stamp_of(message.header.stamp),
+        message.ranges.astype(np.float64),
+        _bearings(yaw + side * first, side * step, count),
+        spec.range_min,
+        spec.range_max,
+    )
+
+
+def odometry_of(message: ros.Odometry) -> Odometry:
+    """Pose and twist; CodecError if they are not finite or the orientation is none."""
+    position, orientation = message.pose.pose.position, message.pose.pose.orientation
+    linear, angular = message.twist.twist.linear, message.twist.twist.angular
+    pose = Pose(position.x, position.y, yaw_of(orientation))
+    twist = Twist(linear.x, angular.z, linear.y)
+    if not (pose.is_finite and twist.is_finite):
+        raise CodecError("pose or twist is not finite")
+    return Odometry(stamp_of(message.header.stamp), pose, twist)
+
+
+def yaw_of(q: ros.Quaternion) -> float:
+    """The turn about the vertical axis in rad; CodecError if this is no unit quaternion."""
+    square = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
+    if not 0.8 < square < 1.2:  # false for NaN too
+        raise CodecError("the orientation is no unit quaternion")
+    return math.atan2(2.0 * (q.w * q.z + q.x * q.y), q.w * q.w + q.x * q.x - q.y * q.y - q.z * q.z)
+
+
+def imu_readings(message: ros.Imu) -> dict[str, float]:
+    """`yaw` in rad, as far as the sensor knows it (REP 145: covariance -1 where it does not)."""
+    if message.orientation_covariance[0] == -1.0:
+        return {}
+    return {"yaw": yaw_of(message.orientation)}
+
+
+def battery_readings(message: ros.BatteryState) -> dict[str, float]:
+    """`battery` as a share of 1 and `battery_voltage` in V; what is not measured is left out."""
+    share = message.percentage
+    if 1.0 < share < math.inf:
+        share = min(share / _PER_CENT, 1.0)
+    values = {"battery": share, "battery_voltage": message.voltage}
+    return {name: value for name, value in values.items() if 0.0 <= value < math.inf}
+
+
+def twist_message(twist: Twist) -> ros.Twist:
+    """A command as a Twist."""
+    return ros.Twist(
+        linear=ros.Vector3(x=twist.linear, y=twist.lateral, z=0.0),
+        angular=ros.Vector3(x=0.0, y=0.0, z=twist.angular),
+    )
+
+
+def stamped_message(twist: Twist, frame: str) -> ros.TwistStamped:
+    """A command as a TwistStamped, in that frame.
+
+    The stamp is zero, which ros2_control takes for "now": it refuses commands that are old on its
+    own clock, and the clocks of two machines need not agree.
+    """
+    return ros.TwistStamped(
+        header=ros.Header(stamp=ros.Time(sec=0, nanosec=0), frame_id=frame),
+        twist=twist_message(twist),
+    )
+
+
+def twist_of(message: ros.Twist) -> Twist:
+    """The command that a Twist asks for."""
+    return Twist(message.linear.x, message.angular.z, message.linear.y)
+
+
+class RangeRing:
+    """Several range sensors, each with its own topic, as one scan.
+
+    A scan is complete when each has spoken since the last one, or when one speaks for the second
+    time: those that did not are NaN, unknown. One whose stamp stands still has not spoken.
+    `bearings` (n,) rad; `distances` (n,) m from the scan's origin to each sensor are added to what
+    it measures.
+    """
+
+    def __init__(
+        self, bearings: Sequence[float], distances: Sequence[float], spec: ScanSpec
+    ) -> None:
+        self._bearings = _wrapped(np.array(bearings, dtype=np.float64))
+        self._bearings.flags.writeable = False
+        self._distances, self._spec = tuple(distances), spec
+        self._round: dict[int, ros.Range] = {}
+        self._stamps: dict[int, float] = {}
+        self._seq = 0
+
+    def take(self, index: int, message: ros.Range) -> Scan | None:
+        """One sensor's value; the scan that it completes, if it does."""
+        stamp = stamp_of(message.header.stamp)
+        if self._stamps.get(index) == stamp:
+            return None
+        self._stamps[index] = stamp
+        is_again = index in self._round
+        scan = self._close() if is_again else None
+        self._round[index] = message
+        return self._close() if len(self._round) == len(self._bearings) else scan
+
+    def _close(self) -> Scan:
+        ranges = np.full(len(self._bearings), np.nan)
+        for index, message in self._round.items():
+            value = message.range
+            ranges[index] = value if value == 0.0 else value + self._distances[index]
+        stamp = max(stamp_of(message.header.stamp) for message in self._round.values())
+        self._round = {}
+        self._seq += 1
+        spec = self._spec
+        return Scan(self._seq, stamp, ranges, self._bearings, spec.range_min, spec.range_max)
+
+
+@lru_cache(maxsize=8)
+def _bearings(first: float, step: float, count: int) -> Array:
+    """Within [-pi, pi); one array for all scans alike, so that much is computed only once."""
+    bearings = _wrapped(first + step * np.arange(count, dtype=np.float64))
+    bearings.flags.writeable = False
+    return bearings
+
+
+def _wrapped(angles: Array) -> Array:
+    return (angles + math.pi) % (2.0 * math.pi) - math.pi

@@ -1,0 +1,141 @@
+"""What a robot's own ROS nodes say: the core's values as messages of its sensors and its base.
+
+The other direction of `conversion`, for robots that are none. Ranges pass as the sensor gave them,
+zeros, infinities and NaN too.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from swarmd.core.angles import wrap
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, ScanSpec
+from swarmd.drivers.ros import messages as ros
+from swarmd.drivers.ros.from_ros import twist_message
+from swarmd.drivers.ros.options import RosOptions, ring_of, topic
+
+_EVEN = 1e-4  # rad: how far a bearing may be from its place among evenly spread ones
+_APART = math.radians(0.5)
+_NEAREST = 0.001
+_NO_INTENSITIES = np.empty(0, dtype=np.float32)
+_UNKNOWN = np.zeros(36)
+
+
+class LaserVoice:
+    """Says sweeps as a LaserScan: angle_min of the first ray, and one increment."""
+
+    def __init__(self, options: RosOptions, platform: Platform) -> None:
+        """ConfigError if the platform's rays are not evenly spread."""
+        self._spec = platform.scan
+        self.topics = ((topic(options, options.scan), ros.LaserScan),)
+        first, step = _evenly(platform)
+        side = -1.0 if options.scan_upside_down else 1.0
+        self._first, self._step = side * (first - math.radians(options.scan_yaw_deg)), side * step
+
+    def say(self, scan: Scan) -> tuple[object, ...]:
+        """The message, for the one topic."""
+        count, spec = len(scan.ranges), self._spec
+        message = ros.LaserScan(
+            header=header(scan.stamp, "base_scan"),
+            angle_min=self._first,
+            angle_max=self._first + self._step * max(count - 1, 0),
+            angle_increment=self._step,
+            time_increment=0.0,
+            scan_time=1.0 / spec.rate,
+            range_min=spec.range_min,
+            range_max=spec.range_max,
+            ranges=scan.ranges.astype(np.float32),
+            intensities=_NO_INTENSITIES,
+        )
+        return (message,)
+
+
+class RingVoice:
+    """Says sweeps of a few rays as one Range a ray, each with a topic of its own."""
+
+    def __init__(self, options: RosOptions, platform: Platform) -> None:
+        """ConfigError if a sensor of `ranges` looks where the platform has no ray."""
+        ring = ring_of(options)
+        self._spec = platform.scan
+        self.topics = tuple((topic(options, name), ros.Range) for name, _, _ in ring)
+        self._rays = tuple(
+            (_ray_at(platform, name, bearing), distance) for name, bearing, distance in ring
+        )
+
+    def say(self, scan: Scan) -> tuple[object, ...]:
+        """A message for each topic, in their order."""
+        return tuple(self._range(scan, ray, distance) for ray, distance in self._rays)
+
+    def _range(self, scan: Scan, ray: int, distance: float) -> ros.Range:
+        value = float(scan.ranges[ray])
+        if 0.0 < value < math.inf:
+            value = max(value - distance, _NEAREST)
+        return ros.Range(
+            header=header(scan.stamp, "base_scan"),
+            radiation_type=ros.Range.INFRARED,
+            field_of_view=0.0,
+            min_range=max(self._spec.range_min - distance, 0.0),
+            max_range=self._spec.range_max - distance,
+            range=value,
+            variance=0.0,
+        )
+
+
+def scan_voice(options: RosOptions, platform: Platform) -> LaserVoice | RingVoice:
+    """How a robot with these options says what it sees."""
+    return (RingVoice if options.ranges else LaserVoice)(options, platform)
+
+
+def odometry_message(odometry: Odometry, child: str = "base_footprint") -> ros.Odometry:
+    """Pose in frame `odom` and twist in that of the base."""
+    pose, twist = odometry.pose, odometry.twist
+    return ros.Odometry(
+        header=header(odometry.stamp, "odom"),
+        child_frame_id=child,
+        pose=ros.PoseWithCovariance(pose=_pose_message(pose), covariance=_UNKNOWN),
+        twist=ros.TwistWithCovariance(twist=twist_message(twist), covariance=_UNKNOWN),
+    )
+
+
+def header(stamp: float, frame: str) -> ros.Header:
+    """The header with a stamp in s."""
+    seconds, rest = divmod(round(stamp * 1e9), 10**9)
+    return ros.Header(stamp=ros.Time(sec=seconds, nanosec=rest), frame_id=frame)
+
+
+def _pose_message(pose: Pose) -> ros.Pose:
+    return ros.Pose(
+        position=ros.Point(x=pose.x, y=pose.y, z=0.0),
+        orientation=ros.Quaternion(
+            x=0.0, y=0.0, z=math.sin(0.5 * pose.yaw), w=math.cos(0.5 * pose.yaw)
+        ),
+    )
+
+
+def _evenly(platform: Platform) -> tuple[float, float]:
+    """The first bearing and the step, in rad."""
+    bearings = np.unwrap(platform.scan.bearings)
+    first, count = float(bearings[0]), len(bearings)
+    step = (float(bearings[-1]) - first) / (count - 1) if count > 1 else 0.0
+    off: Array = np.abs(bearings - (first + step * np.arange(count)))
+    if off.max() > _EVEN:
+        raise ConfigError(
+            f"platform {platform.name}: the rays of its scan are not evenly spread, as those of a"
+            " LaserScan are; wanted is `ranges` among the driver's options, a topic for each ray"
+        )
+    return first, step
+
+
+def _ray_at(platform: Platform, name: str, bearing: float) -> int:
+    spec: ScanSpec = platform.scan
+    apart = [abs(wrap(float(ray) - bearing)) for ray in spec.bearings]
+    ray = int(np.argmin(apart))
+    if apart[ray] > _APART:
+        raise ConfigError(
+            f"platform {platform.name}: ranges.{name} looks to {math.degrees(bearing):g} degrees,"
+            " where its scan has no ray; wanted is one of scan.bearings_deg"
+        )
+    return ray

@@ -1,0 +1,253 @@
+"""The adapter of driver `ros1` as a child process, and the socket to it."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+import os
+import socket
+import subprocess
+import time
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import msgspec
+from msgspec import Struct
+
+from swarmd.core.errors import DriverError
+from swarmd.core.processes import how_it_ended
+from swarmd.drivers.ros1.adapter_process import (
+    ALIVE,
+    BYE,
+    COMMAND,
+    COMMAND_HEAD,
+    DATA,
+    DATA_HEAD,
+    EVENT,
+)
+
+PATIENCE = 1.0
+"""Seconds without a sign of life after which an adapter is killed."""
+STARTS_WITHIN = 20.0
+"""Seconds until the first sign of life; importing rospy takes a second on a small machine."""
+OLD = 0.5
+"""Seconds after which a message that waited in the socket tells nothing any more."""
+
+_BUFFER = 1 << 20
+_LARGEST = 1 << 19
+_LEAVES_WITHIN = 2.5
+_ENDS_WITHIN = 1.0
+_KEPT_LINES = 20
+
+
+class State(Struct, frozen=True, tag_field="event", tag="state"):
+    """What the master knows: nothing, and why in `text`, or who publishes and listens to what.
+
+    By topic: the nodes that publish it, its type. `candidates`: topics with a publisher by type.
+    `others` publish commands, `listeners` take them, `connected` of these have a connection;
+    `wants`: the type each has subscribed to, told if some have not connected.
+    """
+
+    master: bool
+    text: str = ""
+    publishers: dict[str, list[str]] = {}
+    types: dict[str, str] = {}
+    candidates: dict[str, list[str]] = {}
+    others: list[str] = []
+    listeners: list[str] = []
+    connected: int = 0
+    wants: dict[str, str] = {}
+
+
+class Link(Struct, frozen=True, tag_field="event", tag="link"):
+    """Messages with this `link` come from `node`, which says what `topic` carries."""
+
+    link: int
+    topic: str
+    node: str
+    type: str
+    md5sum: str
+
+
+class Told(Struct, frozen=True, tag_field="event", tag="told"):
+    """Why the adapter ends: `fatal` if it cannot work, `restart` with the master, else `end`."""
+
+    kind: str
+    text: str
+
+
+Event = State | Link | Told
+
+_events: msgspec.json.Decoder[Event] = msgspec.json.Decoder(Event)
+
+
+class Listener(Protocol):
+    """Who hears the adapter; called on the loop's thread."""
+
+    def on_event(self, event: Event) -> None:
+        """The adapter tells something."""
+
+    def on_message(self, link: int, data: bytes) -> None:
+        """The newest message of one publisher on one topic."""
+
+    def on_dropped(self, what: str) -> None:
+        """Count one packet that was left out."""
+
+
+class AdapterProcess:
+    """One life of the adapter. It is not killed with its guardian: it has zeros to send then."""
+
+    def __init__(
+        self,
+        script: str,
+        python: str,
+        config: Mapping[str, Any],
+        environ: Mapping[str, str],
+        listener: Listener,
+    ) -> None:
+        """Start it; DriverError if the interpreter is not there. Needs a running loop."""
+        self._listener = listener
+        self._loop = asyncio.get_running_loop()
+        self._ended = asyncio.Event()
+        self._heard = self._loop.time() + STARTS_WITHIN - PATIENCE
+        self._lines: deque[str] = deque(maxlen=_KEPT_LINES)
+        self._buffer = memoryview(bytearray(_LARGEST))
+        try:
+            self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        except OSError as error:
+            raise DriverError(
+                f"driver ros1: no socket to an adapter: {error.strerror}; is the machine full?"
+            ) from None
+        try:
+            for end in (self._socket, theirs):
+                end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _BUFFER)
+            self._process = subprocess.Popen(
+                [python, script, json.dumps(config)],
+                stdin=theirs.fileno(),
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                env=environ,
+                cwd="/",
+                start_new_session=True,  # a terminal's interrupt is not for it
+            )
+        except OSError as error:
+            self._socket.close()
+            raise DriverError(
+                f"driver ros1: {python} cannot be started ({error.strerror}); set"
+                " driver_options.python to a Python that has rospy"
+            ) from None
+        finally:
+            theirs.close()
+        assert self._process.stderr is not None
+        self._errors = self._process.stderr.fileno()
+        os.set_blocking(self._errors, False)
+        self._socket.setblocking(False)
+        self._loop.add_reader(self._socket, self._on_readable)
+        self._loop.add_reader(self._errors, self._on_error_output)
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        pid: int = self._process.pid
+        return pid
+
+    def send(self, command: bytes) -> None:
+        """Hand over a serialised command: never blocks; dropped if the adapter does not read."""
+        with contextlib.suppress(OSError):
+            self._socket.send(COMMAND_HEAD.pack(COMMAND, time.monotonic()) + command)
+
+    async def until_end(self, seconds: float) -> bool:
+        """Wait that long at most; True once it has ended, or was killed because it was silent."""
+        try:
+            async with asyncio.timeout(seconds):
+                await self._ended.wait()
+        except TimeoutError:
+            self._on_readable()  # what waited while this process was stopped
+            if self._loop.time() - self._heard > PATIENCE and not self._ended.is_set():
+                self._lines.append(f"did not answer for {PATIENCE:g} s")
+                self._process.kill()
+                self._hang_up()
+        return self._ended.is_set()
+
+    async def close(self, *, politely: bool) -> str:
+        """Let it send its zero and leave, or kill it; how it ended."""
+        try:
+            if politely and not self._ended.is_set():
+                with contextlib.suppress(OSError):
+                    self._socket.send(BYE)
+                await self._wait(_LEAVES_WITHIN)
+            elif politely:
+                await self._wait(_ENDS_WITHIN)
+        finally:
+            self._hang_up()
+            if self._process.poll() is None:
+                self._process.kill()
+                self._process.wait()
+            self._on_error_output()
+            self._loop.remove_reader(self._errors)
+            assert self._process.stderr is not None
+            self._process.stderr.close()
+        last = self._lines[-1] if self._lines else ""
+        return how_it_ended(self._process.returncode) + (f": {last}" if last else "")
+
+    async def _wait(self, seconds: float) -> None:
+        deadline = self._loop.time() + seconds
+        while self._process.poll() is None and self._loop.time() < deadline:
+            await asyncio.sleep(0.01)
+
+    def _on_readable(self) -> None:
+        """Read all that waits; of the messages of one link only the newest is handed on."""
+        newest: dict[int, bytes] = {}
+        while not self._ended.is_set():
+            try:
+                size = self._socket.recv_into(self._buffer)
+            except BlockingIOError:
+                break
+            except OSError:
+                size = 0
+            if not size:
+                self._hang_up()
+                break
+            self._take(bytes(self._buffer[:size]), newest)
+        for link, data in newest.items():
+            self._listener.on_message(link, data)
+
+    def _take(self, frame: bytes, newest: dict[int, bytes]) -> None:
+        kind = frame[:1]
+        if kind == DATA and len(frame) >= DATA_HEAD.size:
+            _, link, arrival = DATA_HEAD.unpack_from(frame)
+            is_old = not abs(time.monotonic() - arrival) < OLD
+            if is_old or link in newest:
+                self._listener.on_dropped("overtaken")
+            if not is_old:
+                newest[link] = frame[DATA_HEAD.size :]
+        elif kind == EVENT:
+            try:
+                event = _events.decode(frame[1:])
+            except (msgspec.DecodeError, UnicodeDecodeError):
+                self._listener.on_dropped("garbage")
+                return
+            self._listener.on_event(event)
+        elif frame != ALIVE:
+            self._listener.on_dropped("garbage")
+            return
+        self._heard = self._loop.time()
+
+    def _on_error_output(self) -> None:
+        try:
+            text = os.read(self._errors, 65536)
+        except BlockingIOError:
+            return
+        if not text:
+            self._loop.remove_reader(self._errors)
+        for line in text.decode(errors="replace").splitlines():
+            if line.strip():
+                self._lines.append(line.strip()[:300])
+
+    def _hang_up(self) -> None:
+        if not self._ended.is_set():
+            self._ended.set()
+            self._loop.remove_reader(self._socket)
+            self._socket.close()

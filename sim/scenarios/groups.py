@@ -1,0 +1,159 @@
+"""Who takes part: robots by group, each with its platform as a scenario wants it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from msgspec import json
+
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.keys import check_id
+from swarmd.core.values import Platform
+from swarmd.settings.layered import Keys, Layered, dotted
+from swarmd.settings.platforms import PlatformFile, platform_names, platform_of, platform_sources
+from swarmd.settings.yamlfile import Data
+from swarmd.sim.scenarios.schema import GroupSection, ScenarioFile
+from swarmd.sim.world.radio import with_bearings
+from swarmd.sim.world.scalar_fields import Field, with_readings
+
+ALL = "all"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cast:
+    """The robots in order. `platform_files`: what each platform is made of, complete, by name."""
+
+    robots: Mapping[str, Platform]
+    groups: Mapping[str, tuple[str, ...]]
+    group_of: Mapping[str, str]
+    platform_files: Mapping[str, Data]
+
+    def named(self, who: str) -> tuple[str, ...]:
+        """The robots that a group, a robot's id or `all` stands for; none if it is unknown."""
+        if who == ALL:
+            return tuple(self.robots)
+        return self.groups.get(who) or ((who,) if who in self.robots else ())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All that `named` knows."""
+        return (ALL, *self.groups, *self.robots)
+
+
+def cast_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> Cast:
+    """The robots of all groups; ConfigError for ids, groups and platforms that cannot be."""
+    groups = {name: _ids(layers, name, group) for name, group in file.groups.items()}
+    group_of: dict[str, str] = {}
+    for name, ids in groups.items():
+        for robot in ids:
+            _check_robot(layers, name, robot, groups, group_of)
+            group_of[robot] = name
+    if not groups:
+        raise layers.error(("groups",), "groups is empty; wanted one group of robots at least")
+    if ALL in groups and len(groups) > 1:
+        text = "groups.all does not hold all robots, which events call `all`; name it otherwise"
+        raise layers.error(("groups", ALL), text)
+    platforms = _platforms(layers, file)
+    sensing = {name: _sensing(item, file, fields) for name, (item, _) in platforms.items()}
+    robots = {
+        robot: sensing[platform_name(file.groups[group].platform)]
+        for robot, group in group_of.items()
+    }
+    return Cast(robots, groups, group_of, {name: data for name, (_, data) in platforms.items()})
+
+
+def platform_name(text: str) -> str:
+    """What a platform is called that a group names by name or by path."""
+    return Path(text).stem if text.endswith(".yaml") else text
+
+
+def _ids(layers: Layered, name: str, group: GroupSection) -> tuple[str, ...]:
+    keys = ("groups", name)
+    _check_id(layers, keys, name, "a group's name")
+    if group.robots is not None and group.count is not None:
+        text = f"groups.{name} has both count and robots; keep one (null takes the other away)"
+        raise layers.error((*keys, "count"), text)
+    if group.robots is not None:
+        if not group.robots:
+            raise layers.error((*keys, "robots"), f"groups.{name}.robots is empty; name one")
+        return tuple(group.robots)
+    if group.count is None:
+        text = f"groups.{name} has no robots; give count, or robots: [ids]"
+        raise layers.error(keys, text)
+    prefix = group.prefix or name
+    digits = max(2, len(str(group.count)))
+    return tuple(f"{prefix}-{number:0{digits}}" for number in range(1, group.count + 1))
+
+
+def _check_robot(
+    layers: Layered,
+    group: str,
+    robot: str,
+    groups: Mapping[str, Iterable[str]],
+    group_of: Mapping[str, str],
+) -> None:
+    keys = ("groups", group)
+    _check_id(layers, keys, robot, f"groups.{group}: a robot's id")
+    if robot in group_of:
+        text = f"groups.{group}: robot {robot!r} is in group {group_of[robot]!r} already"
+        raise layers.error(keys, f"{text}; name it once, or give another prefix")
+    if robot in groups or robot == ALL:
+        text = f"groups.{group}: robot {robot!r} has the name of a group; rename one"
+        raise layers.error(keys, text)
+
+
+def _check_id(layers: Layered, keys: Keys, value: str, what: str) -> None:
+    try:
+        check_id(value, what)
+    except ConfigError as error:
+        raise layers.error(keys, str(error)) from error
+
+
+def _sensing(platform: Platform, file: ScenarioFile, fields: Sequence[Field]) -> Platform:
+    """The platform with what the scenario lets it sense."""
+    heard = replace(platform, provides=platform.provides | {"neighbors"})
+    if file.radio.range_and_bearing:
+        heard = with_bearings(heard)
+    return with_readings(heard, fields)
+
+
+def _platforms(layers: Layered, file: ScenarioFile) -> dict[str, tuple[Platform, Data]]:
+    """Every platform that a group has, by name, with its complete content."""
+    wanted: dict[str, str] = {}
+    for group, section in file.groups.items():
+        name, keys = platform_name(section.platform), ("groups", group, "platform")
+        known = (*platform_names(), *file.platforms)
+        if name == section.platform and name not in known:
+            raise layers.error(keys, f"{dotted(keys)}: {unknown('platform', name, known)}")
+        if wanted.setdefault(name, section.platform) != section.platform:
+            text = f"{dotted(keys)} is {section.platform}, but another group has {wanted[name]}"
+            raise layers.error(keys, f"{text}; give one of the two another name")
+    found = {name: _platform(layers, file, text) for name, text in wanted.items()}
+    for name in file.platforms:
+        if name not in found:
+            _platform(layers, file, name)
+    return found
+
+
+def _platform(layers: Layered, file: ScenarioFile, wanted: str) -> tuple[Platform, Data]:
+    name = platform_name(wanted)
+    keys: Keys = ("platforms", name)
+    sources: list[tuple[str, Data]] = []
+    base: object = wanted
+    if name in file.platforms:
+        own = file.platforms[name]
+        sources = [(str(layers.error(keys, dotted(keys))), own)]
+        base = own.get("extends", wanted)
+    try:
+        sources += platform_sources(base) if isinstance(base, str) else ()
+    except ConfigError as error:
+        if name not in file.platforms:
+            group = next(g for g, section in file.groups.items() if section.platform == wanted)
+            keys = ("groups", group, "platform")
+        raise layers.error(keys, f"{dotted(keys)}: {error}") from error
+    whole = Layered(*sources)
+    platform = platform_of(name, whole)
+    plain = json.decode(json.encode(whole.build(PlatformFile)))
+    return platform, {**plain, "extends": None}

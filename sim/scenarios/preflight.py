@@ -1,0 +1,113 @@
+"""Loads every pattern of a script once, so that a wrong parameter is found before any run."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from swarmd.core.errors import PluginError, unknown
+from swarmd.core.host_messages import Layers, Load, Refused
+from swarmd.core.values import Value
+from swarmd.pattern_host.executor import Stage
+from swarmd.pattern_host.loader import Finder
+from swarmd.plugins import Origin, check_single, pattern_names
+from swarmd.settings.layered import Keys, Layered, dotted
+from swarmd.sim.scenarios.groups import Cast
+from swarmd.sim.scenarios.schedule import Rehearsal, Script
+from swarmd.sim.scenarios.schema import ScenarioFile
+
+_WORD = 64  # the longest source that a status can name
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConfiguredParameters:
+    """Called with robot and pattern: layers "platform", "scenario" and "group <name>"."""
+
+    file: ScenarioFile
+    cast: Cast
+
+    def __call__(self, robot: str, pattern: str) -> Layers:
+        """The layers that hold anything, weakest first."""
+        name = self.cast.group_of[robot]
+        group = self.file.groups[name]
+        layers: list[tuple[str, Mapping[str, Value]]] = [
+            ("platform", self.cast.robots[robot].patterns.get(pattern, {})),
+            ("scenario", {**self.file.parameters.get(pattern, {})}),
+            (f"group {name}"[:_WORD], {**group.parameters} if group.pattern == pattern else {}),
+        ]
+        return tuple((source, values) for source, values in layers if values)
+
+
+def rehearse(
+    layers: Layered,
+    script: Script,
+    cast: Cast,
+    configured: ConfiguredParameters,
+    plugin_dir: Path | None,
+) -> None:
+    """ConfigError for the first pattern that is not there, or that a robot would refuse to run."""
+    try:
+        origins = pattern_names(plugin_dir)
+    except PluginError as error:
+        raise layers.error(("plugin_dir",), str(error)) from error
+    for pattern in configured.file.parameters:
+        if pattern not in origins:
+            text = f"parameters: {unknown('pattern', pattern, origins)}"
+            raise layers.error(("parameters", pattern), text)
+    for group, section in configured.file.groups.items():
+        for pattern in section.touch:
+            _check_name(layers, ("groups", group, "touch", pattern), pattern, origins)
+    stage = Stage(Finder({name: (o.value, o.is_file) for name, o in origins.items()}))
+    done: set[str] = set()
+    for rehearsal in script.rehearsals:
+        _check_name(layers, rehearsal.keys, rehearsal.pattern, origins)
+        load = _load(rehearsal, cast, configured)
+        # Robots of one kind with the same parameters all do alike.
+        what = repr((load.pattern, load.platform.name, load.layers))
+        if what in done:
+            continue
+        done.add(what)
+        try:
+            event = stage.handle(load)
+        except SystemExit:  # else it would end the command, and in silence
+            event = Refused(load.generation, f"{rehearsal.pattern} calls sys.exit; leave that out")
+        if isinstance(event, Refused):
+            keys = _culprit(layers, rehearsal, cast, event.text)
+            raise layers.error(keys, f"{dotted(keys)}: {event.text}")
+
+
+def _culprit(layers: Layered, rehearsal: Rehearsal, cast: Cast, text: str) -> Keys:
+    """Where the parameter stands that `text` speaks of; else where the pattern does."""
+    match = re.match(r"(?:no )?parameter '?([^' ]+)", text)
+    name = match[1] if match else ""
+    places: tuple[Keys, ...] = (
+        (*rehearsal.keys, name),
+        (*rehearsal.keys[:-1], "parameters", name),
+        ("groups", cast.group_of[rehearsal.robot], "parameters", name),
+        ("parameters", rehearsal.pattern, name),
+    )
+    return next((keys for keys in places if layers.source(*keys)), rehearsal.keys)
+
+
+def _check_name(layers: Layered, keys: Keys, pattern: str, origins: Mapping[str, Origin]) -> None:
+    if pattern not in origins:
+        text = f"{dotted(keys)}: {unknown('pattern', pattern, origins)}"
+        raise layers.error(keys, text)
+    try:
+        check_single(pattern, origins[pattern])
+    except PluginError as error:
+        raise layers.error(keys, f"{dotted(keys)}: {error}") from error
+
+
+def _load(rehearsal: Rehearsal, cast: Cast, configured: ConfiguredParameters) -> Load:
+    robot, pattern = rehearsal.robot, rehearsal.pattern
+    return Load(
+        generation=1,
+        pattern=pattern,
+        layers=(*configured(robot, pattern), ("runtime", {**rehearsal.parameters})),
+        robot=robot,
+        platform=cast.robots[robot],
+        seed=0,
+    )

@@ -1,0 +1,277 @@
+"""What the events of a file mean, each by itself.
+
+The time line: events in order, checked against who is there and what they are doing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.kit.conditions import parse_conditions
+from swarmd.settings.layered import Keys, Layered
+from swarmd.sim.scenarios.environment import check_inside
+from swarmd.sim.scenarios.groups import ALL, Cast
+from swarmd.sim.scenarios.scenario import Action, Event
+from swarmd.sim.scenarios.schema import EventSection, ScenarioFile, Values
+
+OF_ROBOTS: tuple[Action, ...] = ("stop", "estop", "reset", "join", "leave", "kill")
+"""Actions whose value is who they happen to."""
+
+ACTIONS: tuple[Action, ...] = ("run", "param", *OF_ROBOTS, "place", "remove")
+_BESIDES = {"run": ("who", "parameters", "for", "until"), "param": ("who",), "place": ("pose",)}
+
+
+def read_event(layers: Layered, file: ScenarioFile, cast: Cast, index: int) -> Event:
+    """The event of that index; ConfigError if it cannot be, whatever else happens."""
+    section, keys = file.events[index], ("events", index)
+    action = _action(layers, section, keys)
+    if section.at >= file.duration:
+        text = f"events[{index}].at is {section.at:g}; wanted before the end"
+        raise layers.error((*keys, "at"), f"{text} (duration is {file.duration:g})")
+    things = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
+    is_robot = action == "remove" and bool(cast.named(section.remove or ""))
+    if action == "place" or (action == "remove" and (section.remove in things or not is_robot)):
+        return _of_thing(layers, file, section, (*keys, action), things)
+    key = action if action in OF_ROBOTS or is_robot else "who"
+    values = section.param if action == "param" else section.parameters
+    return Event(
+        at=section.at,
+        action=action,
+        robots=_robots(layers, cast, (*keys, key), words_of(section, action)),
+        pattern=section.run or "",
+        parameters=values or {},
+        seconds=section.seconds,
+        until=_until(layers, section, (*keys, "until")),
+    )
+
+
+def _until(layers: Layered, section: EventSection, keys: Keys) -> tuple[str, ...]:
+    """The conditions of which any ends the run, each checked."""
+    if section.until is None:
+        return ()
+    try:
+        parse_conditions(section.until)
+    except ConfigError as error:
+        raise layers.error(keys, f"events[{keys[1]}].until: {error}") from error
+    return tuple(section.until)
+
+
+def words_of(section: EventSection, action: Action) -> Sequence[str]:
+    """Who an event is for, as it is written; all if nothing is."""
+    who = getattr(section, action) if action in (*OF_ROBOTS, "remove") else section.who
+    return (ALL,) if who is None else (who,) if isinstance(who, str) else who
+
+
+def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
+    name = f"events[{keys[1]}]"
+    given = [action for action in ACTIONS if getattr(section, action) is not None]
+    if len(given) != 1:
+        text = f"{name} says {' and '.join(given) or 'nothing'} at {section.at:g}"
+        raise layers.error(keys, f"{text}; wanted one of {', '.join(ACTIONS)}")
+    besides = {
+        "who": section.who,
+        "parameters": section.parameters,
+        "for": section.seconds,
+        "until": section.until,
+        "pose": section.pose,
+    }
+    for key, value in besides.items():
+        if value is not None and key not in _BESIDES.get(given[0], ()):
+            text = f"{name}.{key} means nothing beside {given[0]}; leave it out"
+            raise layers.error((*keys, key), text)
+    if given[0] == "param" and not section.param:
+        text = f"{name}.param is empty; wanted values by name, such as {{speed: 0.1}}"
+        raise layers.error((*keys, "param"), text)
+    return given[0]
+
+
+def _of_thing(
+    layers: Layered, file: ScenarioFile, section: EventSection, keys: Keys, movable: Sequence[str]
+) -> Event:
+    name = f"events[{keys[1]}]"
+    thing = section.place or section.remove or ""
+    if thing not in movable:
+        fault = unknown("box with a name and a mass", thing, movable)
+        raise layers.error(keys, f"{name}.{keys[2]}: {fault}")
+    if section.remove is not None:
+        return Event(at=section.at, action="remove", thing=thing)
+    if section.pose is None:
+        raise layers.error(keys, f"{name}.pose is missing; wanted [x, y, degrees]")
+    x, y, degrees = section.pose
+    check_inside(layers, file.arena, ("events", keys[1], "pose"), (x, y))
+    return Event(at=section.at, action="place", thing=thing, pose=(x, y, math.radians(degrees)))
+
+
+def _robots(layers: Layered, cast: Cast, keys: Keys, words: Sequence[str]) -> tuple[str, ...]:
+    """Those meant, in the order of the scenario."""
+    meant: dict[str, None] = {}
+    name = f"events[{keys[1]}].{keys[2]}"
+    for word in words:
+        robots = cast.named(word)
+        if not robots:
+            raise layers.error(keys, f"{name}: {unknown('robot or group', word, cast.names)}")
+        meant.update(dict.fromkeys(robots))
+    if not meant:
+        raise layers.error(keys, f"{name} is empty; wanted a robot, a group or all")
+    return tuple(robot for robot in cast.robots if robot in meant)
+
+
+_MEMBERSHIP = ("join", "leave", "kill")
+
+
+@dataclass(frozen=True, slots=True)
+class Rehearsal:
+    """A pattern that a robot is to run with these parameters; `keys` is where that is said."""
+
+    keys: Keys
+    robot: str
+    pattern: str
+    parameters: Values
+
+
+@dataclass(frozen=True, slots=True)
+class Script:
+    """Events in order of time, who joins only later, and what there is to rehearse."""
+
+    events: tuple[Event, ...]
+    absent: frozenset[str]
+    rehearsals: tuple[Rehearsal, ...]
+
+
+def script_of(layers: Layered, file: ScenarioFile, cast: Cast) -> Script:
+    """The script of a file; ConfigError names the first event that cannot be.
+
+    Events of one instant keep the order of the file; groups begin their patterns before any.
+    """
+    read = [read_event(layers, file, cast, index) for index in range(len(file.events))]
+    order = sorted(range(len(read)), key=lambda index: read[index].at)
+    absent = _absent([read[index] for index in order])
+    walk = _Walk(layers, file, cast, absent)
+    begun = list(_beginnings(file, cast, absent))
+    for keys, event in begun:
+        walk.run(keys, event)
+    for index in order:
+        walk.go(("events", index, read[index].action), read[index])
+    events = (*(event for _, event in begun), *(read[index] for index in order))
+    return Script(events, absent, tuple(walk.rehearsals))
+
+
+def _beginnings(
+    file: ScenarioFile, cast: Cast, absent: frozenset[str]
+) -> Iterator[tuple[Keys, Event]]:
+    for name, group in file.groups.items():
+        robots = tuple(robot for robot in cast.groups[name] if robot not in absent)
+        if group.pattern is not None and robots:
+            event = Event(at=0.0, action="run", robots=robots, pattern=group.pattern)
+            yield ("groups", name, "pattern"), event
+
+
+def _absent(events: Sequence[Event]) -> frozenset[str]:
+    """Those who come before they go."""
+    first: dict[str, str] = {}
+    for event in events:
+        if event.action in _MEMBERSHIP:
+            for robot in event.robots:
+                first.setdefault(robot, event.action)
+    return frozenset(robot for robot, action in first.items() if action == "join")
+
+
+@dataclass(slots=True)
+class _Robot:
+    """What is known of a robot at a time. `until`: when what it runs ends."""
+
+    is_there: bool
+    is_out: bool = False
+    is_estopped: bool = False
+    pattern: str = ""
+    parameters: Values = field(default_factory=dict)
+    until: float = math.inf
+
+
+class _Walk:
+    """Goes through the events in order of time and knows what each robot is doing."""
+
+    def __init__(
+        self, layers: Layered, file: ScenarioFile, cast: Cast, absent: frozenset[str]
+    ) -> None:
+        self._layers, self._sections = layers, file.events
+        self._things = {box.name: box.at is not None for box in file.arena.boxes}
+        self._robots = {robot: _Robot(is_there=robot not in absent) for robot in cast.robots}
+        self.rehearsals: list[Rehearsal] = []
+
+    def go(self, keys: Keys, event: Event) -> None:
+        """The event happens; ConfigError if it cannot."""
+        if event.thing:
+            self._put_or_take(keys, event)
+        elif event.action == "remove":
+            self._take_out(keys, event)
+        elif event.action in _MEMBERSHIP:
+            self._come_or_go(keys, event)
+        else:
+            self._check_there(keys, event)
+            act = {"run": self.run, "param": self._set}.get(event.action, self._halt)
+            act(keys, event)
+
+    def run(self, keys: Keys, event: Event) -> None:
+        """The event's robots begin to run its pattern."""
+        for robot, state in self._there(event):
+            if state.is_estopped:
+                raise self._error(keys, f"{robot} is estopped at {event.at:g} s; reset it before")
+            state.pattern, state.parameters = event.pattern, dict(event.parameters)
+            state.until = event.at + (event.seconds or math.inf)
+            self.rehearsals.append(Rehearsal(keys, robot, event.pattern, state.parameters))
+
+    def _set(self, keys: Keys, event: Event) -> None:
+        for robot, state in self._there(event):
+            if not state.pattern or event.at >= state.until:
+                raise self._error(keys, f"{robot} runs nothing at {event.at:g} s; run a pattern")
+            state.parameters = {**state.parameters, **event.parameters}
+            self.rehearsals.append(Rehearsal(keys, robot, state.pattern, state.parameters))
+
+    def _halt(self, keys: Keys, event: Event) -> None:
+        for _, state in self._there(event):
+            if event.action in ("estop", "reset"):
+                state.is_estopped = event.action == "estop"
+            if event.action != "reset":
+                state.pattern = ""
+
+    def _put_or_take(self, keys: Keys, event: Event) -> None:
+        if event.action == "remove" and not self._things[event.thing]:
+            raise self._error(keys, f"{event.thing} is not in the arena at {event.at:g} s")
+        self._things[event.thing] = event.action == "place"
+
+    def _take_out(self, keys: Keys, event: Event) -> None:
+        for robot in event.robots:
+            state = self._robots[robot]
+            if state.is_out:
+                raise self._error(keys, f"{robot} is not in the arena at {event.at:g} s")
+            state.is_there, state.is_out, state.pattern = False, True, ""
+
+    def _come_or_go(self, keys: Keys, event: Event) -> None:
+        is_joining = event.action == "join"
+        for robot in event.robots:
+            state = self._robots[robot]
+            if state.is_out:
+                raise self._error(keys, f"{robot} is not in the arena at {event.at:g} s")
+            if state.is_there == is_joining:
+                there = "there already" if is_joining else "not there"
+                raise self._error(keys, f"{robot} is {there} at {event.at:g} s")
+            state.is_there, state.pattern = is_joining, ""
+
+    def _there(self, event: Event) -> Iterator[tuple[str, _Robot]]:
+        robots = ((robot, self._robots[robot]) for robot in event.robots)
+        return ((robot, state) for robot, state in robots if state.is_there)
+
+    def _check_there(self, keys: Keys, event: Event) -> None:
+        """A group may have members who are not there; robots that are named may not be away."""
+        words = words_of(self._sections[int(keys[1])], event.action)
+        away = [robot for robot in event.robots if not self._robots[robot].is_there]
+        missing = away if len(away) == len(event.robots) else [r for r in away if r in words]
+        if missing:
+            raise self._error(keys, f"{missing[0]} is not there at {event.at:g} s")
+
+    def _error(self, keys: Keys, text: str) -> ConfigError:
+        return self._layers.error(keys, f"events[{keys[1]}].{keys[2]}: {text}")

@@ -1,0 +1,165 @@
+"""Start poses of all groups, for any seed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.random import Generator
+
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.values import Array
+from swarmd.settings.layered import Keys, Layered, dotted
+from swarmd.settings.yamlfile import Data
+from swarmd.sim.scenarios.schema import StartSection
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.layouts import REGULAR, Floor, chain, moved, scatter
+from swarmd.sim.world.seeding import generator
+
+_TURNABLE = ("center", "heading_deg")
+KEYS: Mapping[str, tuple[str, ...]] = {
+    "row": ("spacing", *_TURNABLE),
+    "paper": ("spacing", *_TURNABLE),
+    "grid": ("spacing", *_TURNABLE),
+    "ring": ("radius", *_TURNABLE),
+    "random": ("clearance", "size", *_TURNABLE),
+    "chain": ("near", "far", *_TURNABLE),
+    "list": ("poses",),
+}
+"""What means something, by layout."""
+
+_SEEDED = ("random", "chain")
+_SPACING, _RADIUS, _CLEARANCE = 1.0, 1.5, 0.2  # m, where a file does not say
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Robots (rows) that start together. `where` names file and key, `key` the key alone."""
+
+    where: str
+    key: str
+    rows: Sequence[int]
+    start: StartSection
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Starts:
+    """Called with a seed: start poses (n, 3), or ConfigError."""
+
+    names: Sequence[str]
+    footprints: Sequence[Array]
+    arena: Arena
+    parts: Sequence[Part]
+
+    def __call__(self, seed: int) -> Array:
+        """Poses (n, 3) x, y in m and yaw in rad; those that the seed decides come last."""
+        floor = Floor(self.names, self.footprints, self.arena)
+        for part in sorted(self.parts, key=lambda part: layout_of(part.start) in _SEEDED):
+            _place(floor, part, seed)
+        return floor.poses
+
+    def check(self) -> None:
+        """ConfigError if robots that start in the same place for all seeds cannot stand there."""
+        floor = Floor(self.names, self.footprints, self.arena)
+        for part in self.parts:
+            if layout_of(part.start) not in _SEEDED:
+                _place(floor, part, 0)
+
+
+def layout_of(start: StartSection) -> str:
+    """The layout, or what it is for want of a word."""
+    return start.layout or ("grid" if start.poses is None else "list")
+
+
+def without_stale(sources: Iterable[tuple[str, Data]]) -> list[tuple[str, Data]]:
+    """The sources, strongest first, each without keys that a stronger one's layout has no use for.
+
+    So a file can change the layout of one it extends and need not take back what that had.
+    """
+    kept: list[tuple[str, Data]] = []
+    layouts: dict[str, str] = {}
+    for source, data in sources:
+        data = deepcopy(data)
+        for key, start in _sections(data):
+            if key in layouts:
+                wanted = KEYS.get(layouts[key], tuple(start))
+                for name in [name for name in start if name not in wanted]:
+                    del start[name]
+            elif start.get("layout") is not None or start.get("poses") is not None:
+                layouts[key] = str(start.get("layout") or "list")
+        kept.append((source, data))
+    return kept
+
+
+def _sections(data: Data) -> Iterator[tuple[str, Data]]:
+    """Whatever stands under `start`, by group; that for the whole swarm by an empty name."""
+    groups = data.get("groups")
+    holders = [("", data), *(groups.items() if isinstance(groups, dict) else ())]
+    for name, holder in holders:
+        if isinstance(holder, dict) and isinstance(holder.get("start"), dict):
+            yield name, holder["start"]
+
+
+def part_of(layers: Layered, keys: Keys, start: StartSection, rows: Sequence[int]) -> Part:
+    """A checked part; ConfigError for unknown layouts and for keys that do not fit theirs."""
+    layout, key = layout_of(start), dotted(keys)
+    if layout not in KEYS:
+        text = f"{key}.layout: {unknown('layout', layout, KEYS)}"
+        raise layers.error((*keys, "layout"), text)
+    for name in StartSection.__struct_fields__[1:]:
+        if getattr(start, name) is not None and name not in KEYS[layout]:
+            wanted = ", ".join(KEYS[layout])
+            text = f"{key}.{name} means nothing with layout {layout}; wanted there: {wanted}"
+            raise layers.error((*keys, name), text)
+    fault = _misfit(layout, start, len(rows))
+    if fault:
+        raise layers.error(keys, f"{key} {fault}")
+    return Part(str(layers.error(keys, key)), key, tuple(rows), start)
+
+
+def _misfit(layout: str, start: StartSection, n: int) -> str:
+    if layout == "chain":
+        if start.near is None or start.far is None:
+            return "needs near and far: how far in m each robot is from the nearest before it"
+        if start.near > start.far:
+            return f"has near {start.near:g} above far {start.far:g}; wanted near up to far"
+    if layout == "list" and len(start.poses or ()) != n:
+        return f"has {len(start.poses or ())} poses; wanted are {n}, one a robot"
+    if layout == "random" and start.center is not None and start.size is None:
+        return "has a center and no size; give size, such as [2, 2], or leave center out"
+    return ""
+
+
+def _place(floor: Floor, part: Part, seed: int) -> None:
+    try:
+        if layout_of(part.start) in _SEEDED:
+            _place_seeded(floor, part, generator(seed, "starts", part.key))
+        else:
+            floor.place_all(part.rows, _fixed(part.start, len(part.rows)))
+    except ConfigError as error:
+        raise ConfigError(f"{part.where}: {error}") from error
+
+
+def _place_seeded(floor: Floor, part: Part, rng: Generator) -> None:
+    start, rows = part.start, part.rows
+    center = start.center or (0.0, 0.0)
+    heading = None if start.heading_deg is None else math.radians(start.heading_deg)
+    if start.near is not None and start.far is not None:
+        chain(floor, rows, rng, near=start.near, far=start.far, center=center, heading=heading)
+        return
+    apart = _CLEARANCE if start.clearance is None else start.clearance
+    scatter(floor, rows, rng, clearance=apart, center=center, size=start.size, heading=heading)
+
+
+def _fixed(start: StartSection, n: int) -> Array:
+    layout = layout_of(start)
+    if layout == "list":
+        poses = np.array(start.poses, dtype=np.float64)
+        poses[:, 2] = np.radians(poses[:, 2])
+        return poses
+    size = start.radius or _RADIUS if layout == "ring" else start.spacing or _SPACING
+    heading = math.radians(start.heading_deg or 0.0)
+    return moved(REGULAR[layout](n, size), start.center or (0.0, 0.0), heading)

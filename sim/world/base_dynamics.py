@@ -1,0 +1,114 @@
+"""How bases follow commands: limits, ramps, and a velocity servo that can lose its grip.
+
+How late and how slowly bases follow: a delay line, then caps on acceleration.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from swarmd.core.values import Array, Platform
+from swarmd.sim.world.bodies import inertia, value
+from swarmd.sim.world.realism import Actuation
+
+_GRAVITY = 9.81
+_FRICTION = 0.8
+
+
+class Drives:
+    """The drives of n planar bases; row i of every array is platform i."""
+
+    def __init__(self, platforms: Sequence[Platform], dt: float) -> None:
+        n = len(platforms)
+        self._dt = dt
+        self._limits = np.array([_limits(p) for p in platforms]).reshape(n, 3)
+        self._gains = np.array([_accelerations(p) for p in platforms]).reshape(n, 3) * dt
+        mass = np.array([value(p, "mass") for p in platforms])
+        self._inert = np.stack((mass, mass, [inertia(p) for p in platforms]), axis=-1)
+        self._grip = _FRICTION * _GRAVITY * mass
+        self._spin = self._grip * [value(p, "wheel_separation") / 2.0 for p in platforms]
+        self._wanted, self._driven = np.zeros((n, 3)), np.zeros((n, 3))
+
+    def set(self, twists: Array) -> None:
+        """What to do from now on: (n, 3) linear, angular, lateral in each base frame.
+
+        Held within each platform's limits, as a base's firmware would; what is not finite is 0.
+        """
+        finite = np.where(np.isfinite(twists), twists, 0.0)
+        self._wanted = np.minimum(np.maximum(finite, -self._limits), self._limits)
+
+    def forces(self, pose: Array, velocity: Array) -> Array:
+        """Forces and torques (n, 3) for the next step, with poses and world velocities (n, 3).
+
+        The force that reaches the wanted velocity within the one step, as far as the tyres hold
+        (Coulomb, the same in all directions). MuJoCo's own velocity actuators are not used: a
+        stiff one with a force limit chatters by 0.04 m/s at rest, a soft one lags.
+        """
+        gain = np.minimum(self._wanted - self._driven, self._gains)
+        self._driven += np.maximum(gain, -self._gains, out=gain)
+        linear, angular, lateral = self._driven.T
+        # Half a step ahead, the heading at which this step's displacement is a chord of the arc.
+        yaw = pose[:, 2] + angular * (self._dt / 2.0)
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        force = np.empty_like(pose)
+        force[:, 0] = cos * linear - sin * lateral
+        force[:, 1] = sin * linear + cos * lateral
+        force[:, 2] = angular
+        force -= velocity
+        force *= self._inert
+        force /= self._dt
+        size = np.hypot(force[:, 0], force[:, 1])
+        force[:, :2] *= np.minimum(1.0, self._grip / np.maximum(size, 1e-12))[:, None]
+        force[:, 2] = np.minimum(np.maximum(force[:, 2], -self._spin), self._spin)
+        return force
+
+
+def _limits(platform: Platform) -> tuple[float, float, float]:
+    limits = platform.limits
+    return limits.linear, limits.angular, limits.lateral
+
+
+def _accelerations(platform: Platform) -> tuple[float, float, float]:
+    linear = value(platform, "linear_acceleration")
+    return linear, value(platform, "angular_acceleration"), linear
+
+
+class Actuators:
+    """What n bases are driven with: what they were told, late and within the accelerations.
+
+    The bodies' own limits and ramps come after it, in `Drives`; these only tighten them. Ideal
+    actuation passes on what it is told, whatever it is.
+    """
+
+    def __init__(self, actuation: Actuation, platforms: Sequence[Platform], dt: float) -> None:
+        """`platforms` (n,) in the order of rows; the delay is rounded to whole steps of `dt` s."""
+        n = len(platforms)
+        self.delay_steps = round(actuation.delay / dt)
+        self._line = [np.zeros((n, 3))] * (self.delay_steps + 1)
+        self._step = 0
+        linear, angular = actuation.linear_acceleration, actuation.angular_acceleration
+        self._is_capped = linear is not None or angular is not None
+        caps = [np.inf if cap is None else cap * dt for cap in (linear, angular, linear)]
+        self._gains = np.array(caps)
+        limits = [(p.limits.linear, p.limits.angular, p.limits.lateral) for p in platforms]
+        self._limits = np.array(limits).reshape(n, 3)
+        self._told, self._driven = np.zeros((n, 3)), np.zeros((n, 3))
+
+    def put(self, commands: Array) -> None:
+        """What the bases are told from now on: (n, 3) linear, angular, lateral."""
+        self._told = commands.copy()
+
+    def now(self) -> Array:
+        """What drives the bases in this step (n, 3); ask once a step."""
+        length = len(self._line)
+        self._line[self._step % length] = self._told
+        self._step += 1
+        late = self._line[self._step % length]  # the oldest: what was told `delay_steps` ago
+        if not self._is_capped:
+            return late
+        # A ramp towards what the base can never reach would lag behind once it turns around.
+        wanted = np.clip(np.where(np.isfinite(late), late, 0.0), -self._limits, self._limits)
+        self._driven = self._driven + np.clip(wanted - self._driven, -self._gains, self._gains)
+        return self._driven

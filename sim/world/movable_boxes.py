@@ -1,0 +1,141 @@
+"""Movable boxes: they slide on the floor with dry friction, come into the arena and leave it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import mujoco
+import numpy as np
+
+from swarmd.core.errors import ConfigError, SwarmError, unknown
+from swarmd.core.values import Array
+from swarmd.sim.world.arena import Arena, Box
+from swarmd.sim.world.bodies import SOLID, THING, moment
+from swarmd.sim.world.geometry import overlaps, transform
+
+_GRAVITY = 9.81
+_FRICTION = 0.4
+
+
+class Things:
+    """The movable boxes of a model; row i of every array is box `names[i]`."""
+
+    def __init__(
+        self, arena: Arena, model: mujoco.MjModel, data: mujoco.MjData, robots: int
+    ) -> None:
+        """They are the bodies after the `robots` of the model, and are put where they start.
+
+        ConfigError if a box would start outside the walls or where something else stands.
+        """
+        boxes = [box for _, box in arena.things]
+        m = len(boxes)
+        self._arena, self._model, self._data = arena, model, data
+        self._dofs = slice(3 * robots, 3 * (robots + m))
+        self.names = tuple(name for name, _ in arena.things)
+        self.shapes = np.array([box.shape for box in boxes]).reshape(m, 4, 2)
+        self.is_there = np.zeros(m, dtype=np.bool_)
+        self._geoms = [model.geom(f"box/{name}").id for name in self.names]
+        lever = np.array([_lever(box) for box in boxes])
+        self._grip = np.array([_FRICTION * _GRAVITY * (box.mass or 0.0) for box in boxes])
+        self._lever = np.stack((np.ones(m), np.ones(m), lever), axis=-1).reshape(m, 3)
+        self._inert = np.array([(b.mass, b.mass, moment(b)) for b in boxes]).reshape(m, 3)
+        starts = np.array([(box.x, box.y, box.yaw) for box in boxes]).reshape(m, 3)
+        for row, box in enumerate(boxes):
+            self._put(row, starts[row], is_there=box.is_placed)
+        for row in np.flatnonzero(self.is_there).tolist():
+            fault = self._fault(row, starts[row], ())
+            if fault:
+                where = f"box {self.names[row]} starts at ({starts[row, 0]:g}, {starts[row, 1]:g})"
+                raise ConfigError(f"{where}: {fault}")
+
+    def poses(self) -> Array:
+        """(m, 3) x, y in m and yaw in rad, world frame; NaN while one is not in the arena."""
+        poses = np.array(self._data.qpos[self._dofs], dtype=np.float64).reshape(-1, 3)
+        poses[~self.is_there] = np.nan
+        return poses
+
+    def place(self, name: str, pose: Array, robots: Iterable[tuple[str, Array]]) -> None:
+        """Put a box at rest at `pose` (3,); `robots` are the outlines (k, 2) where they stand now.
+
+        SwarmError if something else stands there; ConfigError if there is no such box.
+        """
+        row = self._row(name)
+        fault = self._fault(row, pose, robots)
+        if fault:
+            raise SwarmError(f"box {name} cannot be placed at ({pose[0]:g}, {pose[1]:g}): {fault}")
+        self._put(row, pose, is_there=True)
+
+    def remove(self, name: str) -> None:
+        """Take a box out of the arena; SwarmError if it is not in it, ConfigError for no box."""
+        row = self._row(name)
+        if not self.is_there[row]:
+            raise SwarmError(f"box {name} cannot be removed: it is not in the arena")
+        self._put(row, self._data.qpos[self._dofs][3 * row : 3 * row + 3], is_there=False)
+
+    def rub(self) -> None:
+        """Turn the friction of the floor against motion, the same in all directions.
+
+        MuJoCo holds each coordinate of a body back by a force of its own. Their sizes are set so
+        that together they are the floor's: one point of an ellipsoid of force and torque (Howe and
+        Cutkosky 1996), whose half axes are friction's force and that times a lever.
+        """
+        if not self.is_there.any():
+            return
+        # The force that would end all motion within the step; it is cut down to what holds.
+        momentum = self._data.qvel[self._dofs].reshape(-1, 3) * self._inert
+        against = (momentum / self._model.opt.timestep + self._pushes()) / self._lever
+        size = np.sqrt((against * against).sum(axis=1))[:, None]
+        share = np.where(size > 0.0, np.abs(against) / np.maximum(size, 1e-300), 3.0**-0.5)
+        # Never none at all, or the solver would see one friction more or less at every step.
+        force = self._grip[:, None] * self._lever * np.maximum(share, 1e-3)
+        self._model.dof_frictionloss[self._dofs] = force.ravel()
+
+    def _pushes(self) -> Array:
+        """The forces (m, 3) of all that touched them in the last step."""
+        data = self._data
+        force = np.array(data.qfrc_constraint)
+        friction = slice(data.ne, data.ne + data.nf)
+        force[data.efc_id[friction]] -= data.efc_force[friction]
+        pushes: Array = force[self._dofs].reshape(-1, 3)
+        return pushes
+
+    def _fault(self, row: int, pose: Array, robots: Iterable[tuple[str, Array]]) -> str:
+        """What keeps box `row` from standing at a pose; empty if nothing."""
+        if not np.isfinite(pose).all():
+            return "wanted are finite numbers"
+        corners = transform(self.shapes[row], pose)
+        if (np.abs(corners) > np.array([self._arena.length, self._arena.width]) / 2.0).any():
+            return "that is not inside the walls"
+        for other, outline in (*robots, *self._standing(row)):
+            if overlaps(corners, outline):
+                return f"{other} stands there"
+        return ""
+
+    def _standing(self, row: int) -> list[tuple[str, Array]]:
+        """All but the outer walls and box `row` itself, by name and outline."""
+        arena, poses = self._arena, self.poses()
+        fixed = [(name, box.corners) for name, box in arena.fixed]
+        fixed += [(f"pole/{index}", pole.corners) for index, pole in enumerate(arena.poles)]
+        others = [i for i in range(len(self.names)) if i != row and self.is_there[i]]
+        return fixed + [
+            (f"box/{self.names[i]}", transform(self.shapes[i], poses[i])) for i in others
+        ]
+
+    def _put(self, row: int, pose: Array, *, is_there: bool) -> None:
+        """At rest at a pose, there to be touched and seen or not."""
+        self.is_there[row] = is_there
+        self._data.qpos[self._dofs][3 * row : 3 * row + 3] = pose
+        self._data.qvel[self._dofs][3 * row : 3 * row + 3] = 0.0
+        self._model.geom_contype[self._geoms[row]] = THING if is_there else 0
+        self._model.geom_conaffinity[self._geoms[row]] = SOLID if is_there else 0
+
+    def _row(self, name: str) -> int:
+        if name not in self.names:
+            raise ConfigError(unknown("movable box", name, self.names))
+        return self.names.index(name)
+
+
+def _lever(box: Box) -> float:
+    """The mean distance in m of a box's floor from its centre: where friction acts on turning."""
+    share = (np.arange(64) + 0.5) / 64.0 - 0.5
+    return float(np.hypot(share[:, None] * box.length, share * box.width).mean())

@@ -1,0 +1,96 @@
+"""Scalar fields in the plane, such as light, that robots sample where they stand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Annotated, TypeAlias
+
+import numpy as np
+from msgspec import Meta, Struct
+
+from swarmd.core.values import Array, Platform
+
+Name = Annotated[str, Meta(pattern="^[A-Za-z_][A-Za-z0-9_]*$", max_length=63)]
+Level = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
+Point = tuple[Coordinate, Coordinate]
+
+_MOST = 1e6
+
+
+class GaussianField(
+    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="gaussian"
+):
+    """A bell: `peak` at `center` (m), `floor` far away, `sigma` m its standard deviation."""
+
+    name: Name
+    center: Point = (0.0, 0.0)
+    sigma: Annotated[float, Meta(ge=0.001, le=10_000.0)]
+    peak: Level = 1.0
+    floor: Level = 0.0
+
+    def at(self, places: Array) -> Array:
+        """The values (k,) at `places` (k, 2) in m."""
+        squared = ((places - self.center) ** 2).sum(axis=-1)
+        bell: Array = np.exp(squared / (-2.0 * self.sigma**2))
+        return self.floor + (self.peak - self.floor) * bell
+
+
+class LinearField(
+    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="linear"
+):
+    """A slope: `base` at `origin` (m), `slope` more with every metre along `direction_deg`."""
+
+    name: Name
+    origin: Point = (0.0, 0.0)
+    direction_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
+    slope: Level
+    base: Level = 0.0
+
+    def at(self, places: Array) -> Array:
+        """The values (k,) at `places` (k, 2) in m."""
+        heading = math.radians(self.direction_deg)
+        ahead = (places - self.origin) * (math.cos(heading), math.sin(heading))
+        distance: Array = ahead.sum(axis=-1)
+        return self.base + self.slope * distance
+
+
+class UniformField(
+    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="uniform"
+):
+    """The same `value` everywhere."""
+
+    name: Name
+    value: Level
+
+    def at(self, places: Array) -> Array:
+        """The values (k,) at `places` (k, 2) in m."""
+        return np.full(len(places), self.value)
+
+
+Field: TypeAlias = GaussianField | LinearField | UniformField
+"""Configured as `{kind: gaussian | linear | uniform, name: ..., ...}`; one name adds up."""
+
+
+def sample(fields: Sequence[Field], places: Array) -> dict[str, Array]:
+    """The value (k,) of each name at `places` (k, 2) in m; fields of one name add up.
+
+    Held within +-1e6, which is the most that a reading can be on its way to a daemon.
+    """
+    values: dict[str, Array] = {}
+    for field in fields:
+        values[field.name] = values.get(field.name, 0.0) + field.at(places)
+    return {name: np.clip(value, -_MOST, _MOST) for name, value in values.items()}
+
+
+def with_readings(platform: Platform, fields: Sequence[Field]) -> Platform:
+    """The platform with a sensor for each of the fields: it provides `reading:<name>`."""
+    words = {f"reading:{field.name}" for field in fields}
+    return replace(platform, provides=platform.provides | words)
+
+
+def readings_at(fields: Sequence[Field], place: Array) -> Mapping[str, float]:
+    """What a sensor at `place` (2,) reads, by name."""
+    return {name: float(values[0]) for name, values in sample(fields, place[None]).items()}

@@ -1,0 +1,70 @@
+"""What a scan plane meets: whole bodies, or what really stands at the plane's height."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from swarmd.core.values import Array, Platform
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.bodies import value
+from swarmd.sim.world.geometry import Indices
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shapes:
+    """What one kind of sensor can meet; lengths in m.
+
+    Fixed, in the world frame: `walls` (w, 2, 2), flat surfaces by start and end with the solid on
+    their left, seen from the right alone; `poles` (p, 3) x, y, radius. Carried by bodies, in their
+    frames: `polygons` (b, k, 2), convex and counter-clockwise, those of fewer corners with
+    the last one repeated, and `discs` (d, 3) x, y, radius; `polygon_owners` (b,) and `disc_owners`
+    (d,) say by which: robots, then whatever else moves. No robot sees its own.
+    """
+
+    walls: Array
+    poles: Array
+    polygons: Array
+    polygon_owners: Indices
+    discs: Array
+    disc_owners: Indices
+
+
+def shapes_of(arena: Arena, platforms: Sequence[Platform], *, plane: float | None) -> Shapes:
+    """All that one kind of sensor can meet; row i is the robot of `platforms[i]`.
+
+    The arena's movable boxes are the rows after the robots.
+
+    `plane`: the height in m at which it looks; None: it sees every body whole. At a plane within
+    a body's height its footprint is seen, above that only the housing of its lidar, above that
+    nothing. Walls, boxes and poles reach any plane.
+    """
+    whole = [i for i, p in enumerate(platforms) if plane is None or plane <= value(p, "height")]
+    housed = [
+        i
+        for i, p in enumerate(platforms)
+        if i not in whole and plane is not None and plane <= value(p, "target_top")
+    ]
+    things = range(len(platforms), len(platforms) + len(arena.things))
+    outlines = [platforms[i].footprint for i in whole] + [box.shape for _, box in arena.things]
+    discs = [(*platforms[i].scan.offset, value(platforms[i], "target_radius")) for i in housed]
+    return Shapes(
+        walls=arena.surfaces,
+        poles=arena.circles,
+        polygons=_padded(outlines),
+        polygon_owners=np.array([*whole, *things], dtype=np.intp),
+        discs=np.array(discs, dtype=np.float64).reshape(-1, 3),
+        disc_owners=np.array(housed, dtype=np.intp),
+    )
+
+
+def _padded(polygons: Sequence[Array]) -> Array:
+    """(b, k, 2) with the last corner of those of fewer than k repeated."""
+    most = max((len(polygon) for polygon in polygons), default=0)
+    padded = [
+        np.concatenate((polygon, np.repeat(polygon[-1:], most - len(polygon), axis=0)))
+        for polygon in polygons
+    ]
+    return np.array(padded, dtype=np.float64).reshape(len(polygons), most, 2)

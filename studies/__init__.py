@@ -1,0 +1,1 @@
+"""Evidence: long, reproducible measurements of behaviour, safety and the paper."""

@@ -1,0 +1,146 @@
+"""Thousands of debates of a voting pattern, and what theory gives for synchronous updates.
+
+The expected numbers come from the exact Markov chain of the counts: all robots decide at once, each
+from the opinions of all others. `tests.support.voting_sim` holds the debates.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+from multiprocessing import get_context
+from typing import TypeAlias
+
+import numpy as np
+
+from swarmd.core.values import Value
+from tests.support.voting_sim import Air, Debate, Parliament
+
+Counts: TypeAlias = tuple[int, ...]
+Choice: TypeAlias = Callable[[Counts], Sequence[float]]
+"""From what one robot hears, by opinion, to how likely it adopts each."""
+
+IN_STEP: Mapping[str, Value] = {
+    "windows": "rounds",
+    "window": 2.0,
+    "share_period": 0.3,
+    "expiry": 1.0,
+}
+"""Rounds that last some 0.4 s."""
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A debate to hold; see `Parliament`. It ends `settled` s after all agreed."""
+
+    pattern: str
+    count: int
+    seed: int
+    seconds: float
+    params: Mapping[str, Value] = field(default_factory=dict)
+    held: tuple[int, ...] | None = None
+    air: Air = field(default_factory=Air)
+    settled: float = 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """When all agreed in s (inf: never), on what, after how many rounds, and what was said."""
+
+    agreed_at: float
+    winner: int | None
+    rounds: float
+    said: int
+
+
+def hold(motion: Motion) -> Result:
+    """One debate."""
+    m = motion
+    house = Parliament(m.pattern, m.count, seed=m.seed, params=m.params, held=m.held, air=m.air)
+    debate = house.run(m.seconds, until_agreed=m.settled)
+    return Result(debate.agreed_at, debate.winner, rounds_of(debate), debate.said)
+
+
+def hold_all(motions: Iterable[Motion], jobs: int = 1) -> list[Result]:
+    """All of them in their order, in as many processes."""
+    if jobs == 1:
+        return [hold(motion) for motion in motions]
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        return list(pool.map(hold, motions, chunksize=16))
+
+
+def rounds_of(debate: Debate) -> float:
+    """The first round in which all robots held one opinion; inf if there is none."""
+    for number in range(int(debate.rounds.min(axis=1).max()) + 1):
+        is_then = debate.rounds == number
+        if not is_then.any(axis=0).all():
+            continue
+        first = is_then.argmax(axis=0)
+        if np.ptp(debate.opinions[first, np.arange(len(first))]) == 0:
+            return float(number)
+    return math.inf
+
+
+def most_frequent(heard: Counts) -> Sequence[float]:
+    """The majority rule's choice: any of the most frequent, each as likely."""
+    leaders = [count == max(heard) for count in heard]
+    return [is_leader / sum(leaders) for is_leader in leaders]
+
+
+def any_of(heard: Counts) -> Sequence[float]:
+    """The voter model's choice: that of any robot, each as likely."""
+    return [count / sum(heard) for count in heard]
+
+
+def agreed_by(start: Mapping[Counts, float], choice: Choice, rounds: int) -> list[float]:
+    """The chance that all agree after 0, 1 ... `rounds` synchronous updates."""
+    chances, steps = dict(start), {state: _step(state, choice) for state in _reachable(start)}
+    shares = [_agreed(chances)]
+    for _ in range(rounds):
+        after: dict[Counts, float] = {}
+        for state, chance in chances.items():
+            for new, part in steps[state].items():
+                after[new] = after.get(new, 0.0) + chance * part
+        chances = after
+        shares.append(_agreed(chances))
+    return shares
+
+
+def at_random(count: int, opinions: int) -> Mapping[Counts, float]:
+    """The chance of each state if all robots draw their opinions."""
+    states: dict[Counts, float] = {(0,) * opinions: 1.0}
+    for _ in range(count):
+        states = _add_one(states, [1.0 / opinions] * opinions)
+    return states
+
+
+def _step(state: Counts, choice: Choice) -> Mapping[Counts, float]:
+    """The chance of each next state."""
+    after: dict[Counts, float] = {(0,) * len(state): 1.0}
+    for opinion, count in enumerate(state):
+        heard = tuple(n - (k == opinion) for k, n in enumerate(state))
+        for _ in range(count):
+            after = _add_one(after, choice(heard))
+    return after
+
+
+def _add_one(states: Mapping[Counts, float], chances: Sequence[float]) -> dict[Counts, float]:
+    after: dict[Counts, float] = {}
+    for state, chance in states.items():
+        for opinion, part in enumerate(chances):
+            if part > 0.0:
+                new = (*state[:opinion], state[opinion] + 1, *state[opinion + 1 :])
+                after[new] = after.get(new, 0.0) + chance * part
+    return after
+
+
+def _reachable(start: Mapping[Counts, float]) -> Iterable[Counts]:
+    """All states of as many robots and opinions."""
+    some = next(iter(start))
+    return at_random(sum(some), len(some))
+
+
+def _agreed(chances: Mapping[Counts, float]) -> float:
+    return sum(chance for state, chance in chances.items() if max(state) == sum(state))

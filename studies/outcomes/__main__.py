@@ -1,0 +1,52 @@
+"""Every pattern's outcomes over many seeds: `python -m studies.outcomes [PATTERN ...]`.
+
+Prints a table; ends with 1 if one is not reached. The tests in tests/outcomes ask the same of a
+few seeds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+
+from studies.outcomes.catalog import MODULES
+from studies.outcomes.outcome import Outcome
+from swarmd.core.errors import SwarmError, unknown
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m studies.outcomes", description=__doc__)
+    parser.add_argument("patterns", nargs="*", metavar="PATTERN", help="default: all")
+    parser.add_argument("--seeds", type=int, default=20, help="runs of each setting [20]")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="at a time")
+    options = parser.parse_args(arguments)
+    for name in options.patterns:
+        if name not in MODULES:
+            raise SwarmError(unknown("pattern with outcomes", name, MODULES))
+    if options.seeds < 1:
+        raise SwarmError(f"--seeds is {options.seeds}; wanted is 1 or more")
+    print("| pattern | what | wanted | least / median / most | runs | reached | from |")
+    print("|---|---|---|---|---|---|---|")
+    missed = 0
+    for name in options.patterns or MODULES:
+        for outcome in MODULES[name].outcomes(range(options.seeds), options.jobs):
+            print(row(outcome), flush=True)
+            missed += not outcome.is_reached
+    return 1 if missed else 0
+
+
+def row(outcome: Outcome) -> str:
+    """A line of the table."""
+    reached = "yes" if outcome.is_reached else "**no**"
+    cells = (outcome.pattern, outcome.what, outcome.wanted, outcome.shown)
+    return f"| {' | '.join(cells)} | {len(outcome.values)} | {reached} | {outcome.source} |"
+
+
+if __name__ == "__main__":
+    try:
+        raise SystemExit(main())
+    except SwarmError as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(2) from error

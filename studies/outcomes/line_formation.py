@@ -1,0 +1,114 @@
+"""Line formation: robots from anywhere form a line, rest in it, and close it when one is removed.
+
+The error and its bound, a tenth of the spacing, are the project's own; its parts, distance from the
+best line and spacing, are what Fredslund and Mataric 2002 ask of a formation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from studies.outcomes.outcome import Outcome, at_least, at_most
+from swarmd.core.values import Array
+from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.metrics.formation import line_errors
+from swarmd.sim.metrics.window import cut, presence
+from swarmd.sim.trace import Trace
+
+SPACING = 1.1
+"""That of TurtleBots, 2.2 times their protection threshold."""
+REMOVED, END = 30.0, 60.0
+_BOUND = 0.1
+_MOVING, _FEW = 0.05, 0.25
+_HELD = 10.0
+_PROJECT = "bound: the project's, a tenth of the spacing; error: after Fredslund and Mataric 2002"
+_FORMATION, _FORMING = "swarmd/kit/formation_geometry.py", "swarmd/kit/formation_pattern.py"
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """A kind of swarm that is to form it; `changes` are of the scenario."""
+
+    name: str
+    changes: Mapping[str, Any] = field(default_factory=dict)
+
+
+SHORT = Setting("Burgers, range and bearing")
+SETTINGS = (
+    SHORT,
+    Setting("Waffle Pis, range and bearing", {"groups.tb3.platform": "waffle_pi"}),
+)
+BY_LIDAR = Setting("Burgers, lidar", {"radio.range_and_bearing": False})
+Errors = Callable[[Trace, float], Array]
+
+
+def outcomes(
+    seeds: Sequence[int], jobs: int = 1, settings: Sequence[Setting] = SETTINGS
+) -> list[Outcome]:
+    """What 5 to 8 robots, by the seed, make of it in each setting."""
+    return formed("line_formation", line_errors, seeds, jobs, settings)
+
+
+def formed(
+    pattern: str, errors: Errors, seeds: Sequence[int], jobs: int, settings: Sequence[Setting]
+) -> list[Outcome]:
+    """The outcomes of a formation with that error, a share of the spacing."""
+    found = []
+    for setting in settings:
+        runs = [
+            trace
+            for count in sorted({_count(seed) for seed in seeds})
+            for trace in _traces(pattern, setting, count, seeds, jobs)
+        ]
+        found += _judged(pattern, setting.name, errors, runs)
+    return found
+
+
+def _count(seed: int) -> int:
+    return 5 + seed % 4
+
+
+def _traces(
+    pattern: str, setting: Setting, count: int, seeds: Sequence[int], jobs: int
+) -> list[Trace]:
+    own = [seed for seed in seeds if _count(seed) == count]
+    changes = {**setting.changes, "groups.tb3.count": count}
+    results = simulate(pattern, own, set=changes, jobs=jobs)
+    return list(results.traces)
+
+
+def _judged(pattern: str, name: str, errors: Errors, runs: Sequence[Trace]) -> list[Outcome]:
+    before = [_largest(errors, _span(run, REMOVED - _HELD, REMOVED - 0.1)) for run in runs]
+    broken = [_largest(errors, _span(run, REMOVED, REMOVED + 1.0)) for run in runs]
+    after = [_largest(errors, _span(run, END - _HELD, END)) for run in runs]
+    moved = [_moving(_span(run, END - _HELD, END)) for run in runs]
+    share = sum(error > _BOUND for error in broken) / len(broken)
+    return [
+        Outcome(pattern, f"{name}: largest error, 20 to 30 s", "at most 0.1", tuple(before),
+                at_most(_BOUND, before), _PROJECT),
+        Outcome(pattern, f"{name}: runs in which a removal breaks it", "at least half", (share,),
+                at_least(0.5, [share]), "or the next line says nothing"),
+        Outcome(pattern, f"{name}: largest error, 20 to 30 s after a removal", "at most 0.1",
+                tuple(after), at_most(_BOUND, after), _PROJECT),
+        Outcome(pattern, f"{name}: share that moves 5 cm in these 10 s", "at most 0.25",
+                tuple(moved), at_most(_FEW, moved), "ours: noise wakes one now and then"),
+    ]  # fmt: skip
+
+
+def _span(run: Trace, since: float, until: float) -> Trace:
+    start, stop = np.searchsorted(run.t, (since - 1e-6, until + 1e-6)).tolist()
+    return cut(run, start, stop)
+
+
+def _largest(errors: Errors, part: Trace) -> float:
+    return float(errors(part, SPACING).max(initial=0.0))
+
+
+def _moving(part: Trace) -> float:
+    """The share of the robots that are there whose way is longer than that of one that rests."""
+    step = np.diff(part.pose[:, presence(part).all(axis=0), :2], axis=0)
+    return float(np.mean(np.hypot(step[..., 0], step[..., 1]).sum(axis=0) > _MOVING))

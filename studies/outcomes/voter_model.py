@@ -1,0 +1,126 @@
+"""The voter model: an opinion wins as often as its share at first, as late as theory has it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from studies.debates import IN_STEP, Counts, Motion, Result, agreed_by, any_of, hold_all
+from studies.outcomes.outcome import Outcome, at_most
+from swarmd.core.values import Value
+from swarmd.patterns.voter_model import VoterModelParams
+from tests.support.voting_sim import Air
+
+NAME = "voter_model"
+RUNS = 50
+"""Debates a seed and setting: 1,000 with 20 seeds."""
+ROBOTS = 10
+FIRST = (2, 5, 8)
+"""How many of the ten hold opinion 1 at first."""
+WITHIN = 300.0
+SHORT: Mapping[str, Value] = {"opinions": 2, "window": 0.5, "share_period": 0.25, "expiry": 1.0}
+"""What wins does not depend on how long a window is."""
+LOSSY = Air(delay=0.02, jitter=0.01, loss=0.1, twice=0.1)
+# Of chi-squared with 3 degrees of freedom once in 1,000, of a standard normal once in 2,000.
+CHI2_MAX, Z_MAX = 16.3, 3.5
+RATIO = (0.8, 1.25)
+"""Words take time, and a robot's first window may be too short to hear anyone."""
+TWO: Mapping[str, Value] = {"opinions": 2}
+_LONGEST = 200
+_SIMULATED = 3000
+_LINEAR = "voter model on a complete graph: Sood and Redner, PRL 94, 2005"
+_IN_TURN = "the model itself, 3,000 runs: ten robots in turn, without time for words"
+_CHAIN = "exact Markov chain of synchronous updates"
+
+
+def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
+    """All of them; `RUNS` debates a seed of each kind."""
+    return [exits(seeds, jobs), in_step(seeds, jobs), in_turn(seeds, jobs)]
+
+
+def exits(seeds: Sequence[int], jobs: int = 1) -> Outcome:
+    """Tumbling windows and a radio that loses: who wins, by the share at first."""
+    won = {first: shares(debates(seeds, jobs, first, SHORT, LOSSY)) for first in FIRST}
+    off = 0.0
+    for first, wins in won.items():
+        expected = first / ROBOTS
+        spread = expected * (1.0 - expected) / len(wins)
+        off += (float(np.mean(wins)) - expected) ** 2 / spread
+    what = "chi-squared of the share won by opinion 1, at first held by 2, 5 and 8 of 10"
+    return _outcome(what, f"<= {CHI2_MAX}", off, at_most(CHI2_MAX, [off]), _LINEAR)
+
+
+def in_step(seeds: Sequence[int], jobs: int = 1) -> Outcome:
+    """Rounds: how far the mean number until all agree is from theory, in standard errors."""
+    results = debates(seeds, jobs, 5, {**IN_STEP, "opinions": 2}, Air(twice=0.1))
+    mean, spread = expected_rounds(ROBOTS, 5)
+    off = abs(float(np.mean([r.rounds for r in results])) - mean) * math.sqrt(len(results)) / spread
+    what = "rounds: mean number until 10 robots agree, off by standard errors"
+    return _outcome(what, f"<= {Z_MAX}", off, at_most(Z_MAX, [off]), _CHAIN)
+
+
+def in_turn(seeds: Sequence[int], jobs: int = 1) -> Outcome:
+    """Tumbling windows: the mean time until all agree, as a multiple of that of `simulated`."""
+    results = debates(seeds, jobs, 5, TWO, Air())
+    length = VoterModelParams().window
+    ratio = float(np.mean([result.agreed_at for result in results])) / length / simulated(ROBOTS, 5)
+    low, high = RATIO
+    what = "tumbling: mean time until 10 robots agree, as a multiple of the model's"
+    return _outcome(what, f"{low} to {high}", ratio, low <= ratio <= high, _IN_TURN)
+
+
+def debates(
+    seeds: Sequence[int], jobs: int, first: int, params: Mapping[str, Value], air: Air
+) -> list[Result]:
+    """`RUNS` debates a seed, in which `first` of the robots hold 1 at first and the others 0."""
+    motions = []
+    for seed in seeds:
+        for run in range(RUNS):
+            number = RUNS * seed + run
+            held = np.random.default_rng(number).permutation([1] * first + [0] * (ROBOTS - first))
+            opinions = tuple(int(opinion) for opinion in held)
+            motions.append(Motion(NAME, ROBOTS, number, WITHIN, params, opinions, air, 3.0))
+    return hold_all(motions, jobs)
+
+
+def shares(results: Sequence[Result]) -> list[float]:
+    """1 where opinion 1 won, 0 where 0 did, NaN where they did not agree."""
+    return [math.nan if result.winner is None else float(result.winner) for result in results]
+
+
+def expected_rounds(count: int, first: int) -> tuple[float, float]:
+    """Mean and standard deviation of the rounds until all agree."""
+    start: Mapping[Counts, float] = {(count - first, first): 1.0}
+    late = 1.0 - np.array(agreed_by(start, any_of, _LONGEST))
+    mean = float(late.sum())
+    square = float(((2.0 * np.arange(len(late)) + 1.0) * late).sum())
+    return mean, math.sqrt(square - mean**2)
+
+
+def simulated(count: int, first: int) -> float:
+    """Mean windows until all agree if each robot in turn adopts that of another, at once."""
+    rng = np.random.default_rng(0)
+    taken = []
+    for _ in range(_SIMULATED):
+        held = rng.permutation([1] * first + [0] * (count - first)).tolist()
+        ends = np.sort(rng.random(count)).tolist()
+        turn = 0
+        while 0 < sum(held) < count:
+            robot = turn % count
+            held[robot] = held[(robot + int(rng.integers(1, count))) % count]
+            turn += 1
+        taken.append((turn - 1) // count + ends[(turn - 1) % count])
+    return float(np.mean(taken))
+
+
+def _outcome(what: str, wanted: str, value: float, is_reached: bool, source: str) -> Outcome:
+    return Outcome(NAME, what, wanted, (value,), is_reached, source)
+
+
+_UNITS = "tests/kit/test_vote_windows.py"
+_VOTER = "patterns/voter_model.py"
+_VOTES = "swarmd/kit/vote_windows.py"
+_VOTING = "swarmd/kit/voting_pattern.py"
+_PICK = "return opinions[int(self.context.rng.integers(len(opinions)))]"

@@ -1,0 +1,276 @@
+"""Experiment 1 of Kaiser et al., ICRA 2022: `python -m studies.paper [OUT]`, or `make paper`.
+
+Experiment 2 is `python -m studies.paper exp2 [OUT]`.
+
+Runs every scenario with the original equations and with ours, with both visibilities, under the
+barrier, and once more as it was published: the original equations under the original protection.
+Writes the tables and figures of docs/paper.md to OUT. What OUT has already is not run again; with
+`--draw` nothing is run at all.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from studies import paper_exp2
+from swarmd.core.errors import SwarmError
+from swarmd.core.values import Array
+from swarmd.sim.experiments.results import Results, load_results
+from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.experiments.statistics import median_interval, wilson
+from swarmd.sim.metrics import aggregation
+from swarmd.sim.plots.bands import draw_series
+from swarmd.sim.plots.select import typical_first
+from swarmd.sim.plots.spread import Series
+from swarmd.sim.plots.trajectories import draw_trajectories
+from swarmd.sim.trace import Trace
+
+SCENARIOS = ("burger", "waffle_pi", "jackal", "hardware")
+TURTLEBOTS = SCENARIOS[:2]
+VISIBILITIES = ("body", "real")
+ORIGINAL = "original"
+"""Law `paper` under protection mode `potential_field`."""
+DRAWN = ("settling", ORIGINAL)
+
+SEEDS = range(20)
+FRESH = range(500, 520)
+"""Seeds that no parameter was chosen with."""
+
+PLAN = (
+    ("settling", SEEDS, TURTLEBOTS),
+    ("paper", SEEDS, TURTLEBOTS),
+    ("settling", SEEDS, SCENARIOS[2:]),
+    ("settling", FRESH, TURTLEBOTS),
+    ("paper", SEEDS, SCENARIOS[2:]),
+    ("settling", FRESH, SCENARIOS[2:]),
+    (ORIGINAL, SEEDS, SCENARIOS),
+)
+MDC_SOON = 0.86
+MDC_LATE = {"burger": 0.65, "waffle_pi": 0.75}
+"""What a mean distance to the centroid should not exceed, in m, after 30 s and in the end."""
+
+Column = tuple[str, Callable[[Results, str, str], str]]
+
+
+def folder_of(out: Path, name: str, law: str, seeds: Sequence[int]) -> Path:
+    """Where the runs of a scenario and law lie; both visibilities are in it."""
+    return out / f"{name}-{law}{'-fresh' if seeds is FRESH else ''}"
+
+
+def experiment(out: Path, name: str, law: str, seeds: Sequence[int]) -> Results:
+    """The runs of one scenario with one law, both visibilities."""
+    return simulate(
+        f"paper_exp1_{name}",
+        seeds,
+        set=changes(name, law),
+        sweep={"lidar_visibility": list(VISIBILITIES)},
+        out=folder_of(out, name, law, seeds),
+        jobs=os.cpu_count() or 1,
+    )
+
+
+def changes(name: str, law: str) -> Mapping[str, str]:
+    """What makes the scenario one of that law."""
+    if law != ORIGINAL:
+        return {"groups.all.parameters.law": law}
+    platform = "waffle_pi" if name == "hardware" else name
+    mode = {f"platforms.{platform}.protection.mode": "potential_field"}
+    return {"groups.all.parameters.law": "paper", **mode}
+
+
+def variant_of(visibility: str) -> str:
+    """The name of a variant of those experiments."""
+    return f"lidar_visibility={visibility}"
+
+
+def share(values: NDArray[np.bool_]) -> str:
+    """How many of (n,) are true, as a share with Wilson's interval."""
+    count, n = int(values.sum()), len(values)
+    around = wilson(count, n)
+    return f"{count}/{n} ({around.low:.2f}-{around.high:.2f})"
+
+
+def median(values: Array) -> str:
+    """The median of (n,) with its interval, and the largest."""
+    around = median_interval(values)
+    text = f"{np.median(values):.2f}"
+    return f"{text} ({around.low:.2f}-{around.high:.2f})" if around else text
+
+
+def _median(metric: str) -> Callable[[Results, str, str], str]:
+    return lambda results, variant, _: median(results.metric(metric, variant))
+
+
+def _share(
+    metric: str, is_met: Callable[[Array], NDArray[np.bool_]]
+) -> Callable[[Results, str, str], str]:
+    return lambda results, variant, _: share(is_met(results.metric(metric, variant)))
+
+
+def _met(results: Results, variant: str, name: str, when: str, bound: float) -> str:
+    """For TurtleBots; Jackals stand too close in the row and have to spread."""
+    values = results.metric(f"mean_distance_to_centroid_{when}", variant)
+    return share(values <= bound) if name in TURTLEBOTS else "-"
+
+
+def _touches(results: Results, variant: str, _: str) -> str:
+    values = results.metric("robot_contacts", variant) + results.metric("arena_contacts", variant)
+    return f"{int(values.sum())} in {np.count_nonzero(values)}"
+
+
+CLUSTER: tuple[Column, ...] = (
+    ("one cluster at end", _share("one_cluster_at_end", lambda v: v == 1.0)),
+    ("for 90 % of last 60 s", _share("time_in_one_cluster_late", lambda v: v >= 0.9)),
+    ("MDC at 30 s [m]", _median("mean_distance_to_centroid_30s")),
+    ("<= 0.86", lambda r, v, n: _met(r, v, n, "30s", MDC_SOON)),
+    ("late MDC [m]", _median("mean_distance_to_centroid_late")),
+    ("within bound", lambda r, v, n: _met(r, v, n, "late", MDC_LATE.get(n, 0.0))),
+)
+CONDUCT: tuple[Column, ...] = (
+    ("contacts", _touches),
+    ("late speed / v_max", _median("mean_speed_late_share")),
+    ("late protection duty", _median("protection_duty_late")),
+    ("nearest neighbour [m]", _median("nearest_neighbor_median_late")),
+    ("half MDC after [s]", lambda r, v, n: _some(r.metric("gather_time", v))),
+)
+
+
+def _some(values: Array) -> str:
+    known = values[~np.isnan(values)]
+    never = len(values) - len(known)
+    return (median(known) if len(known) else "-") + (f", {never} never" if never else "")
+
+
+def groups_of_three(trace: Trace, link: float, by: float = 10.0) -> bool:
+    """Whether before `by` s all but one robot are in groups of three or more."""
+    labels = aggregation.clusters(trace, link)[trace.t - trace.t[0] <= by + 1e-9]
+    sizes = (labels[:, :, None] == labels[:, None, :]).sum(axis=2)
+    return bool(((sizes >= 3).sum(axis=1) >= len(trace.ids) - 1).any())
+
+
+def hardware_rows(results: Results) -> Iterator[tuple[str, list[str]]]:
+    """What the paper tells of its hardware experiment, with links of 1.0 m and of 0.8 m."""
+    for visibility in VISIBILITIES:
+        runs = [run for run in results.runs if run.variant.name == variant_of(visibility)]
+        traces = [results.traces[run.id] for run in runs]
+        for link in (1.0, 0.8):
+            largest = [aggregation.largest_cluster(trace, link) for trace in traces]
+            since = [trace.t - trace.t[0] > 10.0 for trace in traces]
+            late = [trace.t >= trace.t[-1] - 60.0 for trace in traces]
+            yield (
+                f"{visibility}, {link:g} m",
+                [
+                    share(np.array([groups_of_three(trace, link) for trace in traces])),
+                    share(
+                        np.array(
+                            [one[far].max() >= 6 for one, far in zip(largest, since, strict=True)]
+                        )
+                    ),
+                    share(np.array([one[-1] >= 6 for one in largest])),
+                    median(
+                        np.array([one[end].mean() for one, end in zip(largest, late, strict=True)])
+                    ),
+                    _touches(results, variant_of(visibility), ""),
+                ],
+            )
+
+
+HARDWARE = ("groups of three by 10 s", "six together after 10 s", "at most one lost at 120 s",
+            "late largest group", "contacts")  # fmt: skip
+
+
+def table(head: Sequence[str], rows: Mapping[str, Sequence[str]]) -> str:
+    """Markdown."""
+    lines = ["| " + " | ".join(("", *head)) + " |", "|---" * (len(head) + 1) + "|"]
+    lines += ["| " + " | ".join((name, *row)) + " |" for name, row in rows.items()]
+    return "\n".join(lines)
+
+
+def tables(found: Mapping[tuple[str, str, bool], Results]) -> str:
+    """All tables, of what there is."""
+    parts = []
+    for title, columns, names in (
+        ("Gathering", CLUSTER, SCENARIOS[:3]),
+        ("Conduct", CONDUCT, SCENARIOS),
+    ):
+        rows = {
+            f"{name}, {visibility}, {law}{', fresh' if is_fresh else ''}": [
+                cell(results, variant_of(visibility), name) for _, cell in columns
+            ]
+            for (name, law, is_fresh), results in found.items()
+            if name in names
+            for visibility in VISIBILITIES
+            if results.seeds(variant_of(visibility))
+        }
+        parts += [f"## {title}", table([head for head, _ in columns], rows)]
+    rows = {
+        f"{row}, {law}{', fresh' if is_fresh else ''}": cells
+        for (name, law, is_fresh), results in found.items()
+        if name == "hardware"
+        for row, cells in hardware_rows(results)
+    }
+    return "\n\n".join([*parts, "## Hardware", table(HARDWARE, rows)]) + "\n"
+
+
+def draw(found: Mapping[tuple[str, str, bool], Results], out: Path) -> None:
+    """The figures: the distance to the centroid over time, and a typical run of each law."""
+    out.mkdir(parents=True, exist_ok=True)
+    for name in TURTLEBOTS:
+        groups: dict[str, list[Series]] = {}
+        for law in DRAWN:
+            results = found.get((name, law, False))
+            for run in results.runs if results else ():
+                trace = results.traces[run.id] if results else None
+                if trace is not None:
+                    away = aggregation.distance_to_centroid(trace)
+                    label = f"{law}, {run.variant.values['lidar_visibility']}"
+                    groups.setdefault(label, []).append((trace.t - trace.t[0], away))
+        if groups:
+            draw_series(groups, out / f"paper_{name}_mdc.png", label="mean distance to centroid",
+                        unit="m", title=f"paper_exp1_{name}", target=MDC_LATE[name])  # fmt: skip
+    for law in DRAWN:
+        results = found.get(("waffle_pi", law, False))
+        if results is not None:
+            variant = variant_of("real")
+            values = results.metric("mean_distance_to_centroid_late", variant)
+            runs = [run for run in results.runs if run.variant.name == variant]
+            run = runs[typical_first(values)[0]]
+            title = f"law {law}, real visibility, seed {run.seed}"
+            draw_trajectories(results.traces[run.id], out / f"paper_waffle_pi_{law}.png", title)
+
+
+def main(arguments: Sequence[str]) -> None:
+    """All runs, in the order in which they matter, then tables and figures."""
+    is_drawing = "--draw" in arguments
+    places = [one for one in arguments if not one.startswith("-")]
+    out = Path(places[0] if places else "build/paper")
+    found: dict[tuple[str, str, bool], Results] = {}
+    for law, seeds, names in PLAN:
+        for name in names:
+            folder = folder_of(out, name, law, seeds)
+            if is_drawing and not (folder / "runs.csv").exists():
+                continue
+            results = load_results(folder) if is_drawing else experiment(out, name, law, seeds)
+            found[name, law, seeds is FRESH] = results
+            print(f"{folder}: {len(results.runs)} runs", file=sys.stderr, flush=True)
+    (out / "tables.md").write_text(tables(found))
+    draw(found, out / "figures")
+
+
+if __name__ == "__main__":
+    unknown = [one for one in sys.argv[1:] if one.startswith("-") and one != "--draw"]
+    try:
+        if unknown:  # such as --help
+            print(__doc__)
+        elif sys.argv[1:2] == ["exp2"]:
+            paper_exp2.main(sys.argv[2:])
+        else:
+            main(sys.argv[1:])
+    except SwarmError as error:
+        raise SystemExit(f"error: {error}") from error

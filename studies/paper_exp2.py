@@ -1,0 +1,272 @@
+"""Experiment 2 of Kaiser et al., ICRA 2022: `python -m studies.paper exp2 [OUT]`.
+
+Seven Waffle Pis agree on a distance and disperse to it: in the paper's arena, in one 1.4 times as
+long and wide, and with an eighth robot that joins late. Writes the table and the figures of
+docs/paper.md, section "Experiment 2", to OUT. What OUT has already is not run again; with `--draw`
+nothing is run at all.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from swarmd.core.values import Array
+from swarmd.settings.settings import load_platform
+from swarmd.sim.experiments.results import Results, load_results
+from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.plots.bands import draw_series
+from swarmd.sim.plots.spread import Series
+from swarmd.sim.plots.trajectories import draw_trajectories
+from swarmd.sim.trace import Trace
+from swarmd.sim.world.arena import parse_arena
+from swarmd.sim.world.geometry import apart, transform
+
+SEEDS = range(20)
+DISCUSS = 20.0
+SPREAD_BY = 40.0
+KEPT_FOR = 30.0
+TOLERANCE = 0.03
+"""Three standard deviations of the lidar's noise, in m."""
+STRAYED, MOVING, STILL = 0.1, 0.05, 0.01
+"""Robots stand if none strays further, in m, or moves for a larger share of the time; slower than
+the last, in m/s, is standing still."""
+JOINED = 50.0
+LARGER = (9.24, 6.72)
+"""1.4 times the paper's arena along both sides."""
+
+PLAN: tuple[tuple[str, str, Mapping[str, Any]], ...] = (
+    ("paper", "paper_exp2", {}),
+    ("larger", "paper_exp2", {"arena.size": list(LARGER), "groups.first.parameters.initial": 2}),
+    ("late", "paper_exp2_late", {}),
+)
+WORDS = {"paper": "6.6 x 4.8 m", "larger": "9.24 x 6.72 m", "late": "one joins at 50 s"}
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """What one run made of it. Times in s from the start, lengths in m.
+
+    `opinion`: what all hold from 20 s on, -1: not one. `moved`: how far anyone got before 20 s.
+    `wanted`: f(opinion). `kept_since`: from when on every range stayed at least that less the
+    tolerance until 70 s; inf: not. `least`: the least range from 40 to 70 s; `strayed`: how far
+    anyone got then from where it was at 40 s, `moving`: the share of that time in which a robot
+    moved, in the mean. `touches`: instants in contact.
+    """
+
+    opinion: int
+    moved: float
+    wanted: float
+    kept_since: float
+    least: float
+    strayed: float
+    moving: float
+    touches: int
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether every range was kept from 40 s to 70 s."""
+        return self.kept_since <= SPREAD_BY
+
+    @property
+    def is_standing(self) -> bool:
+        """Whether the robots stood then, but for small corrections."""
+        return self.strayed <= STRAYED and self.moving <= MOVING
+
+
+def judged(trace: Trace, base: float = 0.6, step: float = 0.4) -> Course:
+    """The course of a trace of experiment 2; f is what the paper says, not what is reported."""
+    time = trace.t - trace.t[0]
+    opinion = trace.report["opinion"]
+    since, until = time >= DISCUSS - 1e-6, time <= SPREAD_BY + KEPT_FOR + 1e-6
+    late = (time >= SPREAD_BY - 1e-6) & until
+    agreed = int(opinion[since][0, 0]) if len(np.unique(opinion[since])) == 1 else -1
+    places = trace.pose[..., :2]
+    least = ranges(trace).min(axis=1)
+    wanted = base + step * float(agreed if agreed >= 0 else np.max(opinion[-1]))
+    return Course(
+        opinion=agreed,
+        moved=float(away(places[~since]).max()),
+        wanted=wanted,
+        kept_since=_since(time[until], least[until] >= wanted - TOLERANCE),
+        least=float(least[late].min()),
+        strayed=float(away(places[late]).max()),
+        moving=float((speeds(trace)[late[1:]] > STILL).mean()),
+        touches=len(trace.contact_t),
+    )
+
+
+def away(places: Array) -> Array:
+    """(T, n) m of places (T, n, 2) from the first of them."""
+    distance: Array = np.hypot(*np.moveaxis(places - places[0], -1, 0))
+    return distance
+
+
+def speeds(trace: Trace) -> Array:
+    """(T - 1, n) m/s at which robots really moved."""
+    way = np.hypot(*np.moveaxis(np.diff(trace.pose[..., :2], axis=0), -1, 0))
+    speed: Array = way / np.diff(trace.t)[:, None]
+    return speed
+
+
+def ranges(trace: Trace) -> Array:
+    """(T, n) m from each lidar to the nearest outline of another or wall. Truth."""
+    arena = parse_arena(str(trace.meta["arena"]))
+    half = np.array([arena.length, arena.width]) / 2.0
+    offsets = {name: np.array([load_platform(name).scan.offset]) for name in trace.platforms}
+    robots = range(len(trace.ids))
+    lidars = [transform(offsets[trace.platforms[i]], trace.pose[:, i])[:, 0] for i in robots]
+    outlines = [transform(trace.footprint(i), trace.pose[:, i]) for i in robots]
+    nearest = np.stack([(half - np.abs(lidar)).min(axis=1) for lidar in lidars], axis=1)
+    for i in robots:
+        for j in robots:
+            if i != j:
+                start, end = outlines[j], np.roll(outlines[j], -1, axis=1)
+                away = apart(lidars[i][:, None], start, end).min(axis=1)
+                nearest[:, i] = np.minimum(nearest[:, i], away)
+    return nearest
+
+
+def _since(time: Array, is_kept: Any) -> float:
+    """From which of the times on it holds to the last of them; inf: not even then."""
+    broken = np.flatnonzero(~is_kept)
+    index = int(broken[-1]) + 1 if len(broken) else 0
+    return float(time[index]) if index < len(time) else float("inf")
+
+
+@dataclass(frozen=True, slots=True)
+class Joining:
+    """What an eighth robot that joined late, with another opinion, made of a run.
+
+    `adopted`: after how many s it held what the seven did; `is_swayed`: whether one of these ever
+    changed its mind. `stirred`: how far the farthest of them went after it had joined, m. `least`:
+    the least range in the last 20 s, m. `touches`: instants in contact.
+    """
+
+    adopted: float
+    is_swayed: bool
+    stirred: float
+    least: float
+    touches: int
+
+
+def joined(trace: Trace, at: float = JOINED) -> Joining:
+    """What became of the last robot of a trace of `paper_exp2_late`, and of the others.
+
+    `at`: when it joined, s.
+    """
+    time, opinion = trace.t - trace.t[0], trace.report["opinion"]
+    there = time >= at + 0.5
+    others = opinion[there][:, :-1]
+    held = np.flatnonzero(opinion[there][:, -1] == others[0, 0])
+    return Joining(
+        adopted=float(time[there][held[0]] - at) if len(held) else float("inf"),
+        is_swayed=len(np.unique(others)) > 1,
+        stirred=float(away(trace.pose[there][:, :-1, :2]).max()),
+        least=float(ranges(trace)[time >= time[-1] - 20.0].min()),
+        touches=len(trace.contact_t),
+    )
+
+
+HEAD = (
+    *("runs", "all agree from 20 s on", "moved before 20 s [m]", "every range kept from 40 s on"),
+    *("kept since [s]", "least range 40 to 70 s [m]", "standing 40 to 70 s", "strayed [m]"),
+    "contacts",
+)
+
+
+def row(courses: Sequence[Course]) -> list[str]:
+    """One line of the table, of runs with one opinion."""
+    n = len(courses)
+
+    def count(flags: Sequence[bool]) -> str:
+        return f"{sum(flags)}/{n}"
+
+    def spread(values: Sequence[float], digits: int) -> str:
+        some = sorted(values)
+        return f"{some[n // 2]:.{digits}f} ({some[0]:.{digits}f}-{some[-1]:.{digits}f})"
+
+    return [
+        str(n),
+        count([c.opinion >= 0 for c in courses]),
+        f"{max(c.moved for c in courses):.3f}",
+        count([c.is_kept for c in courses]),
+        spread([c.kept_since for c in courses], 1),
+        spread([c.least for c in courses], 2),
+        count([c.is_standing for c in courses]),
+        spread([c.strayed for c in courses], 3),
+        str(sum(c.touches for c in courses)),
+    ]
+
+
+def tables(found: Mapping[str, Results]) -> str:
+    """All tables, of what there is."""
+    rows: dict[str, list[str]] = {}
+    for name in ("paper", "larger"):
+        courses = [judged(trace) for trace in traces_of(found.get(name))]
+        for opinion in sorted({course.opinion for course in courses}):
+            some = [course for course in courses if course.opinion == opinion]
+            rows[f"{WORDS[name]}, f({opinion}) = {some[0].wanted:.1f} m"] = row(some)
+    lines = [table(HEAD, rows)]
+    if "late" in found:
+        lines += [str(joined(trace)) for trace in traces_of(found["late"])]
+    return "\n\n".join(lines) + "\n"
+
+
+def traces_of(results: Results | None) -> list[Trace]:
+    """The traces in the order of the seeds."""
+    return [] if results is None else [results.traces[run.id] for run in results.runs]
+
+
+def draw(found: Mapping[str, Results], out: Path) -> None:
+    """The least range of each run over time, by opinion, and a typical run."""
+    out.mkdir(parents=True, exist_ok=True)
+    for name in ("paper", "larger"):
+        groups: dict[str, list[Series]] = {}
+        for trace in traces_of(found.get(name)):
+            course = judged(trace)
+            label = f"opinion {course.opinion}: {course.wanted:.1f} m wanted"
+            series = (trace.t - trace.t[0], ranges(trace).min(axis=1))
+            groups.setdefault(label, []).append(series)
+        if groups:
+            title = f"experiment 2, {WORDS[name]}"
+            ordered = {label: groups[label] for label in sorted(groups)}
+            path = out / f"paper_exp2_{name}.png"
+            draw_series(ordered, path, label="least range of all", unit="m", title=title)
+    for trace in traces_of(found.get("paper")):
+        if judged(trace).opinion == 1:
+            draw_trajectories(trace, out / "paper_exp2_run.png", "experiment 2, opinion 1: 1.0 m")
+            break
+
+
+def main(arguments: Sequence[str]) -> None:
+    """All runs, then tables and figures."""
+    is_drawing = "--draw" in arguments
+    places = [one for one in arguments if not one.startswith("-")]
+    out = Path(places[0] if places else "build/paper_exp2")
+    found: dict[str, Results] = {}
+    for name, scenario, changes in PLAN:
+        folder = out / name
+        if is_drawing and not (folder / "runs.csv").exists():
+            continue
+        if is_drawing:
+            found[name] = load_results(folder)
+        else:
+            jobs = os.cpu_count() or 1
+            found[name] = simulate(scenario, SEEDS, set=changes, out=folder, jobs=jobs)
+        print(f"{folder}: {len(found[name].runs)} runs", file=sys.stderr, flush=True)
+    (out / "tables.md").write_text(tables(found))
+    draw(found, out / "figures")
+
+
+def table(head: Sequence[str], rows: Mapping[str, Sequence[str]]) -> str:
+    """Markdown."""
+    lines = ["| " + " | ".join(("", *head)) + " |", "|---" * (len(head) + 1) + "|"]
+    lines += ["| " + " | ".join((name, *row)) + " |" for name, row in rows.items()]
+    return "\n".join(lines)

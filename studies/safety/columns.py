@@ -1,0 +1,73 @@
+"""Judgements as cells of tables: rates with their upper bounds, shares, goals a minute."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+from studies.safety.judgement import Judgement
+from studies.safety.runs import Record, total
+
+HOUR = 3600.0
+
+
+def upper_bound(count: int, hours: float) -> float:
+    """What a rate per hour is below, with 95 % confidence, after `count` events.
+
+    Poisson, by Wilson and Hilferty's approximation (1931), within 1 %; for none the rule of three.
+    """
+    k = count + 1.0
+    return float(k * (1.0 - 1.0 / (9.0 * k) + 1.645 / (3.0 * k**0.5)) ** 3 / hours)
+
+
+def rate(count: int, seconds: float) -> str:
+    """Such as `3 (0.3, < 0.77)`: how many, how many an hour, and what that is below at 95 %."""
+    hours = seconds / HOUR
+    measured = f"{count / hours:.2g}, " if count else ""
+    return f"{count} ({measured}< {upper_bound(count, hours):.2g})"
+
+
+def goals_a_minute(found: Judgement) -> float | None:
+    """Of one robot; None where there were none to reach."""
+    return 60.0 * found.goals / found.goal_seconds if found.goal_seconds else None
+
+
+def _faults(count: int, seconds: float, worst: float) -> str:
+    return rate(count, seconds) + (f", {100.0 * worst:.1f} cm/s" if count else "")
+
+
+def _share(part: float, whole: float) -> str:
+    return f"{part / whole:.3f}" if whole else "-"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
+
+
+COLUMNS: Mapping[str, Callable[[Judgement], str]] = {
+    "robot-h": lambda f: f"{f.seconds / HOUR:.1f}",
+    "collisions (a robot-h)": lambda f: rate(f.collisions, f.seconds),
+    "at fault": lambda f: _faults(f.faults, f.seconds, f.worst),
+    "of these, ran into it": lambda f: _faults(f.hits, f.seconds, f.worst_hit),
+    "walls, at fault": lambda f: _faults(f.touch_faults, f.seconds, f.worst_touch),
+    "pushed": lambda f: str(f.pushed),
+    "min gap [m]": lambda f: f"{f.min_gap:.3f}",
+    "goals/min": lambda f: _number(goals_a_minute(f)),
+    "stuck": lambda f: _share(f.stuck, f.windows),
+    "altered": lambda f: _share(f.altered, f.seconds),
+}
+SPEED = "robot-h a CPU-h"
+
+
+def rows(
+    groups: Mapping[str, Iterable[Record]], more: Mapping[str, Callable[[Judgement], str]]
+) -> list[Sequence[str]]:
+    """Head and one row a group that has records; `more` are columns after the common ones."""
+    columns = {**COLUMNS, **more}
+    found: list[Sequence[str]] = [("", *columns, SPEED)]
+    for name, group in groups.items():
+        records = list(group)
+        if records:
+            whole = total(record.found for record in records)
+            speed = whole.seconds / sum(record.cpu for record in records)
+            found.append((name, *(cell(whole) for cell in columns.values()), f"{speed:.0f}"))
+    return found

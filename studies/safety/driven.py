@@ -1,0 +1,124 @@
+"""Whether a robot drove into what it touched, or was pushed: by what its own drives can have done.
+
+Who is rammed beside its middle is turned, and its corner then comes towards the rammer; who backs
+away from a rammer may be thrown against it; who is pushed may be pushed into a third. While nothing
+touches a robot, it moves by its own drives. From a touch on, they move it no faster than they did,
+less what it has braked since, or than it is told to, and towards the other no faster than that
+brings its outline there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+
+import numpy as np
+from msgspec import structs
+from numpy.typing import NDArray
+
+from studies.safety.judge import FAULT, ONCE, Collision, collisions
+from studies.safety.meeting import meeting
+from swarmd.core.values import Array
+from swarmd.sim.metrics.touches import WALLS
+from swarmd.sim.trace import ARENA, Trace
+from swarmd.sim.world.geometry import transform
+from swarmd.sim.world.realism import REALISTIC
+
+BRAKING = np.array([1.0, 3.0, 1.0])
+"""m/s2, rad/s2, m/s2: the least that the bases do."""
+
+_THROWN = 0.3  # s after a touch in which a robot may still move by it
+_ROUNDING = 1e-9
+
+
+def faults(trace: Trace, unprotected: Collection[str] = ()) -> Iterator[Collision]:
+    """The judge's faults in which the robot drove, each with the `own_speed` of its drives.
+
+    The trace's commands must be dense: 20 or more instants a second.
+    """
+    able: dict[str, Array] = {}
+    for one in collisions(trace, unprotected):
+        if not one.is_fault:
+            continue
+        if one.who not in able:
+            able[one.who] = drives(trace, trace.ids.index(one.who))
+        if (speed := _own_drive(trace, one, able[one.who])) > FAULT:
+            yield structs.replace(one, own_speed=speed)
+
+
+def drives(trace: Trace, robot: int) -> Array:
+    """(T, 2, 3) the least and the most that the drives of a robot can do at each instant.
+
+    Ahead in m/s, turning in rad/s, aside in m/s; in the base frame.
+    """
+    t, told = trace.t, trace.safe[:, robot]
+    moved, is_thrown = _moved(trace, robot), _is_thrown(trace, robot)
+    able = np.stack((moved, moved), axis=1)
+    for row in np.flatnonzero(is_thrown).tolist():
+        late = int(np.searchsorted(t, t[row] - REALISTIC.actuation.delay - _ROUNDING))
+        lost = BRAKING * (t[row] - t[row - 1]) if row else np.inf
+        before = able[row - 1]
+        before = np.sign(before) * np.maximum(np.abs(before) - lost, 0.0)
+        able[row, 0] = np.minimum(told[late : row + 1].min(axis=0), before[0])
+        able[row, 1] = np.maximum(told[late : row + 1].max(axis=0), before[1])
+    return able
+
+
+def _moved(trace: Trace, robot: int) -> Array:
+    """(T, 3) how fast it moved ahead, turned and moved aside up to each instant: truth."""
+    pose = trace.pose[:, robot]
+    rates = np.diff(pose, axis=0) / np.diff(trace.t)[:, None]
+    yaw = (pose[1:, 2] + pose[:-1, 2]) / 2.0
+    ahead = np.cos(yaw) * rates[:, 0] + np.sin(yaw) * rates[:, 1]
+    aside = np.cos(yaw) * rates[:, 1] - np.sin(yaw) * rates[:, 0]
+    moved = np.stack((ahead, rates[:, 2], aside), axis=-1)
+    return np.concatenate((np.zeros((1, 3)), moved))
+
+
+def _is_thrown(trace: Trace, robot: int) -> NDArray[np.bool_]:
+    """(T,) whether something touches it, or has so recently that it may still move by it."""
+    touched = np.sort(trace.contact_t[(trace.contact_pair == robot).any(axis=1)])
+    touched = np.concatenate(([-np.inf], touched))
+    last = touched[np.searchsorted(touched, trace.t + _ROUNDING) - 1]
+    return np.asarray(trace.t - last < _THROWN)
+
+
+def _own_drive(trace: Trace, one: Collision, able: Array) -> float:
+    """The fastest that who is at fault in a count closed by its own drives, (T, 2, 3), in m/s."""
+    robot = trace.ids.index(one.who)
+    other = _index(trace, one.b if one.who == one.a else one.a)
+    is_own = trace.contact_pair == robot
+    of = is_own.any(axis=1) & (trace.contact_pair == other).any(axis=1)
+    since = trace.contact_t - one.time
+    of &= (since >= -_ROUNDING) & (since < ONCE - _ROUNDING)
+    after = np.minimum(np.searchsorted(trace.t, trace.contact_t[of]), len(able) - 1)
+    closing = trace.contact_speed[is_own & of[:, None]]
+    speeds = [
+        min(speed, max(_closing(trace, robot, other, at, able[at]) for at in (row - 1, row)))
+        for row, speed in zip(after.tolist(), closing.tolist(), strict=True)
+        if speed > FAULT
+    ]
+    return max(speeds, default=0.0)
+
+
+def _closing(trace: Trace, robot: int, other: int, row: int, able: Array) -> float:
+    """How fast drives that are able to so much (2, 3) bring the outline to the other, in m/s."""
+    outline = trace.footprint(robot)
+    if other < 0:  # walls and boxes: wherever they are
+        ways = np.linspace(-np.pi, np.pi, 73)
+        towards = np.stack((np.cos(ways), np.sin(ways)), axis=1)
+        at, to = np.tile(outline, (len(ways), 1)), np.repeat(towards, len(outline), axis=0)
+    else:
+        pose = trace.pose[row, robot]
+        there = transform(trace.footprint(other), trace.pose[row, other])
+        at, way = meeting(transform(outline, pose), there)
+        cos, sin = np.cos(pose[2]), np.sin(pose[2])
+        to_base = np.array([[cos, sin], [-sin, cos]])
+        at, to = (at - pose[:2]) @ to_base.T, np.tile(to_base @ way, (len(at), 1))
+    rates = np.stack((to[:, 0], at[:, 0] * to[:, 1] - at[:, 1] * to[:, 0], to[:, 1]), axis=1)
+    return float(np.maximum(rates * able[0], rates * able[1]).sum(axis=1).max())
+
+
+def _index(trace: Trace, name: str) -> int:
+    if name == WALLS:
+        return ARENA
+    return trace.ids.index(name) if name in trace.ids else ARENA - 1 - trace.things.index(name)

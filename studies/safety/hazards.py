@@ -1,0 +1,137 @@
+"""What a live course puts in robots' way: a rammer, and things that appear ahead of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from itertools import cycle
+
+import numpy as np
+
+from swarmd.core.values import Array, Platform, Twist
+from swarmd.sim.live.state import Triple, WorldState
+from swarmd.sim.world.arena import Box
+from swarmd.sim.world.geometry import gaps, transform
+
+MASS = 1e6  # kg: such a box stands like a wall
+THINGS: Mapping[str, Box] = {
+    name: Box(0.0, 0.0, *size, name=name, mass=MASS, is_placed=False)
+    for name, size in {
+        "wall-1": (1.0, 0.05),
+        "pole-1": (0.06, 0.06),
+        "wall-2": (1.0, 0.05),
+        "pole-2": (0.1, 0.1),
+        "pole-3": (0.04, 0.04),
+    }.items()
+}
+
+_REACTION = 0.1  # s from a sweep's arrival to wheels that brake: a tick, network, actuators
+_BRAKING = 1.0  # m/s2, the least that the bases do
+_STALE = 0.15  # s, at most so old is the state by which a thing is placed
+_SLACK = 0.4  # m, at most so much further away than it must be
+_PAUSE = 1.0  # s between two things
+_TURN = 0.6  # of its speed the rammer spends on turning at most
+_EAGER = 2.0  # rad/s for each rad it is off its target
+_CHASE = 20.0  # s, then another
+_RETREAT = 1.0  # s
+
+
+class Rammer:
+    """Drives into one robot after the other; no point of its surface exceeds `speed` in m/s.
+
+    `reach` is the distance of its farthest corner from its axle in m. What turning takes of the
+    speed, driving must do without: as long as the body still turns, not only while it is told to.
+    What it was told a moment ago counts too: a state may be older than that.
+    """
+
+    def __init__(self, speed: float, reach: float) -> None:
+        self._speed, self._reach = speed, reach
+        self._told = 0.0
+        self._target = -1
+        self._chases_until = self._retreats_until = -math.inf
+        self._touches = 0
+
+    def command(self, state: WorldState, row: int) -> Twist:
+        """What robot `row`, which is the rammer, is to do now.
+
+        It chases the nearest of those that it was not after last; once it has touched, or in vain,
+        it backs away and takes another.
+        """
+        if state.contacts > self._touches or state.time >= self._chases_until:
+            self._touches = state.contacts
+            self._retreats_until = state.time + _RETREAT
+            self._chases_until = self._retreats_until + _CHASE
+            self._target = _nearest(state.poses, row, but=self._target)
+        spin = state.twists[row][1]
+        if state.time < self._retreats_until:
+            return self._twist(0.0, spin, -1.0)
+        (x, y, yaw), target = state.poses[row], state.poses[self._target]
+        bearing = math.remainder(math.atan2(target[1] - y, target[0] - x) - yaw, math.tau)
+        most = _TURN * self._speed / self._reach
+        wanted = min(max(_EAGER * bearing, -most), most)
+        return self._twist(wanted, spin, max(0.0, math.cos(bearing)))
+
+    def _twist(self, wanted: float, spin: float, share: float) -> Twist:
+        turning = max(abs(wanted), self._told, abs(spin))
+        self._told = max(abs(wanted), self._told / 2.0)
+        left = max(0.0, self._speed - turning * self._reach)
+        return Twist(linear=share * left, angular=wanted)
+
+
+class Obstacles:
+    """Has things appear ahead of robots under way, at a distance that is fair."""
+
+    def __init__(self, platform: Platform, robots: int, seed: int) -> None:
+        """The first `robots` of a state are those whose way is blocked."""
+        self._platform, self._robots = platform, robots
+        self._rng = np.random.default_rng(seed)
+        self._names = cycle(THINGS)
+        self._next = -math.inf
+        self._room = room(platform) + _STALE * platform.limits.linear
+
+    def next(self, state: WorldState) -> tuple[str, Triple] | None:
+        """The thing that is to appear now, and where; None if none is, or there is no room."""
+        moving = [
+            row
+            for row in range(self._robots)
+            if state.twists[row][0] > self._platform.limits.linear / 2.0
+        ]
+        if state.time < self._next or not moving:
+            return None
+        name = next(self._names)
+        pose = self._ahead(state.poses[int(self._rng.choice(moving))])
+        if self._gap(name, pose, state.poses) < self._room:
+            return None
+        self._next = state.time + _PAUSE
+        return name, pose
+
+    def _ahead(self, pose: Triple) -> Triple:
+        """Somewhere in the way of a robot at `pose`, and across it."""
+        gap = self._room + float(self._rng.uniform(0.1, _SLACK))
+        x, y, yaw = pose
+        distance = float(self._platform.footprint[:, 0].max()) + gap
+        aside = yaw + float(self._rng.uniform(-0.2, 0.2))
+        across = yaw + math.pi / 2.0 + float(self._rng.uniform(-0.8, 0.8))
+        return x + distance * math.cos(aside), y + distance * math.sin(aside), across
+
+    def _gap(self, name: str, pose: Triple, others: Sequence[Triple]) -> float:
+        """The least distance in m of a thing from any body's outline."""
+        outlines: Array = transform(self._platform.footprint, np.array(others))
+        return float(gaps(transform(THINGS[name].shape, np.array(pose)), outlines).min())
+
+
+def room(platform: Platform) -> float:
+    """How far in m from every robot a thing may appear so that none is asked for the impossible.
+
+    The blind zone, what the fastest robot drives until the next sweep has come and is acted on,
+    what it then brakes, and what others' bodies reach beyond what is seen.
+    """
+    barrier, speed = platform.protection["barrier"], platform.limits.linear
+    wait = 1.0 / platform.scan.rate + 2.0 * platform.scan.latency + _REACTION
+    stop = speed * wait + speed * speed / (2.0 * _BRAKING)
+    return float(platform.scan.range_min + stop + barrier["margin"] + barrier["unseen_extent"])
+
+
+def _nearest(poses: Sequence[Triple], row: int, *, but: int) -> int:
+    others = [index for index in range(len(poses)) if index not in (row, but)]
+    return min(others, key=lambda index: math.dist(poses[index][:2], poses[row][:2]))

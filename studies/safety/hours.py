@@ -1,0 +1,74 @@
+"""Robot-hours of whole swarms under protection, and among rammers, over all scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+
+from benchmarks.table import markdown
+from studies.safety.columns import HOUR, rows
+from studies.safety.runs import Record, Task
+from studies.safety.scenes import FAMILIES, OWN, RAM, Scene
+
+
+def cells(
+    families: Iterable[str],
+    platforms: Iterable[str],
+    visibilities: Iterable[str],
+    mode: str,
+    duration: float,
+) -> list[Scene]:
+    """All scenes of these; a mixed swarm in visibility body alone."""
+    places = [(p, v) for p in platforms for v in visibilities if (p, v) != ("mixed", "real")]
+    return [Scene(f, p, v, mode, duration=duration) for f in families for p, v in places]
+
+
+def plan(robot_hours: float, scenes: Sequence[Scene], seeds: Iterable[int]) -> list[Task]:
+    """Rounds of all scenes, each with a new seed, until there are so many robot-hours.
+
+    The project's own patterns take part in every other round: they seek no trouble.
+    """
+    tasks: list[Task] = []
+    planned = 0.0
+    for number, seed in enumerate(seeds):
+        for scene in scenes:
+            if scene.family in OWN and number % 2:
+                continue
+            if planned >= robot_hours:
+                return tasks
+            tasks.append(Task(scene, seed))
+            planned += scene.protected * scene.duration / HOUR
+    return tasks
+
+
+def tables(records: Sequence[Record]) -> str:
+    """Markdown: by family and platform, both visibilities together, and what it comes to."""
+    parts = []
+    for title, is_ram in (("Everybody is protected", False), ("A third rams the others", True)):
+        groups: dict[str, list[Record]] = {}
+        for name_of in (_family_and_platform, _platform_and_visibility, _all):
+            for one in records:
+                if (one.task.scene.family == RAM) == is_ram:
+                    groups.setdefault(name_of(one.task.scene), []).append(one)
+        if groups:
+            parts.append(f"### {title}\n\n{markdown(rows(_ordered(groups), {}))}")
+    return "\n\n".join(parts)
+
+
+_ORDER = {name: number for number, name in enumerate(FAMILIES)}
+
+
+def _ordered(groups: dict[str, list[Record]]) -> dict[str, list[Record]]:
+    """By family where a name begins with one; then the rest as it came."""
+    return dict(sorted(groups.items(), key=lambda item: _ORDER.get(item[0].partition(",")[0], 99)))
+
+
+def _family_and_platform(scene: Scene) -> str:
+    return f"{scene.family}, {scene.platform}"
+
+
+def _platform_and_visibility(scene: Scene) -> str:
+    return f"all, {scene.platform}, {scene.visibility}"
+
+
+def _all(scene: Scene) -> str:
+    return "all"

@@ -1,0 +1,154 @@
+"""Who ran into whom, of a trace: MuJoCo's contacts, never the arbiter's word.
+
+A collision is a touch of two robots, at least one of them protected; it counts once for each second
+that it lasts. It is at fault if the own surface of a protected one moved towards the other
+at more than 2 cm/s: a robot that stands and is rammed is at no fault. Nor is one that has been told
+to stand for half a second and moves all the same: it is pushed. Such collisions are counted apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+
+import numpy as np
+from msgspec import Struct
+
+from swarmd.core.values import Array
+from swarmd.sim.metrics.touches import WALLS
+from swarmd.sim.trace import ARENA, Trace
+
+FAULT = 0.02
+"""m/s: how fast a protected surface may at most close on what it touches."""
+ONCE = 1.0
+"""Seconds of touch that count as one collision."""
+WINDOW = 10.0
+STUCK = 0.05
+"""A robot is stuck in a window of so many s in which it gets no farther than this from its start,
+in m."""
+
+_STANDS = 0.5  # s within which every base here comes to rest, late as it is told
+_APART = 0.5  # s without touch after which two that started in touch are judged like any others
+_START = 0.1  # s: what touches by then has been put there
+_ROUNDING = 1e-9
+
+
+class Collision(Struct, frozen=True):
+    """One count of a touch.
+
+    `a` is a robot's id, `b` another's, the name of a movable box or WALLS. `own_speed` m/s: the
+    fastest that a protected one's own surface moved towards the other by itself; `pushed_speed`
+    the same of one that was told to stand. `who` that was. `first_speed` m/s: the same as
+    `own_speed` at the first step of a touch, before anything can have been pushed; 0 in a count
+    that a touch goes on in.
+    """
+
+    time: float
+    a: str
+    b: str
+    own_speed: float
+    pushed_speed: float
+    first_speed: float
+    who: str
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether a protected robot drove into the other."""
+        return self.own_speed > FAULT
+
+    @property
+    def is_hit(self) -> bool:
+        """Whether the touch began with a protected robot driving into the other."""
+        return self.first_speed > FAULT
+
+    @property
+    def is_pushed(self) -> bool:
+        """Whether one came only because it was pushed."""
+        return self.own_speed <= FAULT < self.pushed_speed
+
+
+def collisions(trace: Trace, unprotected: Collection[str] = ()) -> list[Collision]:
+    """All counts of touches that a protected robot took part in, in order of time."""
+    is_protected = np.array([robot not in unprotected for robot in trace.ids], dtype=bool)
+    first, second = trace.contact_pair.T
+    # What is not protected, arena and boxes included, has no speed of its own to answer for.
+    answers = np.stack((is_protected[first], (second >= 0) & is_protected[second]), axis=1)
+    own = np.where(answers, trace.contact_speed, -np.inf)
+    is_told = _is_told_to_move(trace)
+    # By itself, and pushed.
+    own = np.stack((np.where(is_told, own, -np.inf), np.where(is_told, -np.inf, own)), axis=-1)
+    found = []
+    pairs = np.unique(np.sort(trace.contact_pair[answers.any(axis=1)], axis=1), axis=0)
+    for low, high in pairs.tolist():
+        of = np.flatnonzero(
+            ((first == low) & (second == high)) | ((first == high) & (second == low))
+        )
+        of = of[np.argsort(trace.contact_t[of], kind="stable")]
+        for part in _counts(trace.contact_t[of], float(trace.t[0])):
+            is_new = part.start == 0 or np.diff(trace.contact_t[of])[part.start - 1] > _APART
+            found.append(_collision(trace, of[part], own, is_new=bool(is_new)))
+    return sorted(found, key=lambda one: one.time)
+
+
+def stuck_windows(trace: Trace, rows: np.ndarray) -> tuple[int, int]:
+    """How many whole windows the robots `rows` had, and in how many of them they were stuck."""
+    starts = np.arange(trace.t[0], trace.t[-1] - WINDOW + _ROUNDING, WINDOW)
+    stuck = 0
+    for start in starts:
+        is_in = (trace.t >= start - _ROUNDING) & (trace.t <= start + WINDOW + _ROUNDING)
+        place = trace.pose[is_in][:, rows, :2]
+        away = place - place[0]
+        stuck += int((np.hypot(away[..., 0], away[..., 1]).max(axis=0) < STUCK).sum())
+    return len(starts) * len(rows), stuck
+
+
+def _counts(times: Array, begin: float) -> Iterator[slice]:
+    """The parts of a pair's times of touch (k,), in order, that count once each."""
+    start = 0
+    if times[0] <= begin + _START:  # they were put there in touch
+        gaps = np.flatnonzero(np.diff(times) > _APART)
+        start = int(gaps[0]) + 1 if len(gaps) else len(times)
+    while start < len(times):
+        stop = int(np.searchsorted(times, times[start] + ONCE - _ROUNDING))
+        yield slice(start, stop)
+        start = stop
+
+
+def _is_told_to_move(trace: Trace) -> np.ndarray:
+    """(c, 2) whether the command in force shortly before a touch moved a point of the outline."""
+    commanded = np.zeros(trace.safe.shape[:2])
+    for row in range(len(trace.ids)):
+        linear, angular, lateral = trace.safe[:, row].T
+        for x, y in trace.footprint(row):
+            speed = np.hypot(linear - angular * y, lateral + angular * x)
+            np.maximum(commanded[:, row], speed, out=commanded[:, row])
+    since = np.searchsorted(trace.t, trace.contact_t - _STANDS)
+    until = np.searchsorted(trace.t, trace.contact_t + _ROUNDING)
+    is_told = np.zeros(trace.contact_pair.shape, dtype=bool)
+    for touch, (first, stop) in enumerate(zip(since, np.maximum(until, since + 1), strict=True)):
+        most = commanded[first:stop].max(axis=0)
+        is_told[touch] = most[trace.contact_pair[touch]] > FAULT
+    return is_told
+
+
+def _collision(trace: Trace, rows: np.ndarray, own: Array, *, is_new: bool) -> Collision:
+    """The rows of one count; `own` (c, 2, 2) are the speeds that somebody answers for."""
+    by_itself, pushed = own[rows, :, 0], own[rows, :, 1]
+    told = by_itself if by_itself.max() > FAULT or not pushed.max() > FAULT else pushed
+    row, side = divmod(int(told.argmax()), 2)
+    pair = trace.contact_pair[rows[row]].tolist()
+    a, b = pair if pair[1] < 0 or pair[0] <= pair[1] else pair[::-1]
+    return Collision(
+        time=float(trace.contact_t[rows[0]]),
+        a=trace.ids[a],
+        b=_name(trace, b),
+        own_speed=max(float(by_itself.max()), 0.0),
+        pushed_speed=max(float(pushed.max()), 0.0),
+        first_speed=max(float(by_itself[0].max()), 0.0) if is_new else 0.0,
+        who=trace.ids[pair[side]],
+    )
+
+
+def _name(trace: Trace, index: int) -> str:
+    if index >= 0:
+        return trace.ids[index]
+    return WALLS if index == ARENA else trace.things[ARENA - 1 - index]

@@ -1,0 +1,272 @@
+"""Seven live daemons, things that appear in their way as they drive, and a body that rams them.
+
+Walls and poles appear ahead of robots under way, never nearer to any than what it needs to see and
+to stop (`hazards.room`). One more body, without a daemon, drives into one robot after the other as
+fast as protection assumes that others may. MuJoCo's contacts alone judge, by the world's trace.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import math
+import tempfile
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+import yaml
+import zenoh
+
+from benchmarks.latency import Stamps, between, read_stamps, row
+from benchmarks.swarm import Swarm
+from benchmarks.table import Row, print_table
+from studies.safety.driven import faults
+from studies.safety.hazards import THINGS, Obstacles, Rammer, room
+from studies.safety.judge import FAULT, Collision, collisions
+from studies.safety.scenes import KINDS, VISIBILITIES
+from swarmd.core import keys
+from swarmd.core.errors import SwarmError
+from swarmd.core.values import Platform
+from swarmd.driver_api.hw_codec import encode_command
+from swarmd.network.session import open_with
+from swarmd.settings.platforms import load_platform
+from swarmd.sim.live.link import WorldView, dialling
+from swarmd.sim.live.show import Watch
+from swarmd.sim.live.state import WorldState
+from swarmd.sim.trace import Trace, load_trace
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.geometry import gaps, radius, transform
+
+ROBOTS = 7
+SECONDS = 120.0  # of simulation
+RAMMER = "rammer"
+
+_NEWEST = 2**52  # commands that rest on no sweep and are never overtaken by one
+_WALK = {"clearance": 0.0, "straight_min": 3.0, "straight_max": 8.0}  # only protection looks
+_THROWN, _INSTANT = 0.3, 0.02  # s after a touch, and between two instants of a trace
+_OFTEN = 5  # of so many instants one is enough to look for gaps
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What came of a course: what appeared, the trace, stamps, and when it was under way, in ns."""
+
+    robots: tuple[str, ...]
+    appeared: int
+    trace: Trace
+    stamps: Stamps
+    span: tuple[int, int]
+
+    def touches(self) -> list[Collision]:
+        """Every touch of a robot that has a daemon, with how fast its own surface closed."""
+        return collisions(self.trace, unprotected=(RAMMER,))
+
+    def faults(self) -> list[Collision]:
+        """The touches at which such a robot drove into the other, and was not pushed into it."""
+        return list(faults(self.trace, unprotected=(RAMMER,)))
+
+    def ram_speeds(self) -> list[float]:
+        """The speed of the rammer's fastest corner at instants without a touch, in m/s: truth.
+
+        A touch can throw it around; so it can until it has come to rest again.
+        """
+        trace = self.trace
+        robot = trace.ids.index(RAMMER)
+        corners = transform(trace.footprint(robot), trace.pose[:, robot])
+        moved = np.linalg.norm(np.diff(corners, axis=0), axis=-1).max(axis=1)
+        touched = trace.contact_t[(trace.contact_pair == robot).any(axis=1)]
+        since = trace.t[1:, None] - touched
+        is_thrown = ((since > -_INSTANT) & (since < _THROWN)).any(axis=1)
+        speeds = moved / np.diff(trace.t)
+        return [float(speed) for speed in speeds[~is_thrown]]
+
+    def nearest(self) -> float:
+        """The least distance in m between robots that have a daemon and what appeared."""
+        trace = self.trace
+        if trace.thing_pose is None or trace.thing_shapes is None:
+            return math.inf
+        poses = trace.pose[::_OFTEN, : len(self.robots), None]
+        robots = transform(trace.footprint(0), poses)
+        things = transform(trace.thing_shapes, trace.thing_pose[::_OFTEN, None])
+        is_there = np.isfinite(things[:, 0, :, 0, 0])
+        apart = [gaps(robots[:, :, 0], things[:, :, thing]) for thing in range(len(trace.things))]
+        found = [some[is_there[:, thing]] for thing, some in enumerate(apart)]
+        return min((float(some.min()) for some in found if some.size), default=math.inf)
+
+
+def is_ram(touch: Collision) -> bool:
+    """Whether the rammer was one of those two."""
+    return RAMMER in (touch.a, touch.b)
+
+
+class Course:
+    """Robots that walk at random on a course; a context manager. `run` it once."""
+
+    def __init__(
+        self,
+        platform: str,
+        mode: str,
+        *,
+        robots: int = ROBOTS,
+        visibility: str = "body",
+        seed: int = 1,
+    ) -> None:
+        """`platform` by name, `mode` of its protection."""
+        self._left = contextlib.ExitStack()
+        folder = Path(self._left.enter_context(tempfile.TemporaryDirectory()))
+        protected = _variant(folder / f"{platform}.yaml", platform, protection={"mode": mode})
+        body = load_platform(protected)
+        self.others_speed = float(body.protection["barrier"]["others_speed"])
+        self._rammer = Rammer(self.others_speed, radius(body.footprint))
+        self._obstacles = Obstacles(body, robots, seed)
+        self._trace = folder / "trace.npz"
+        options = ["--seed", str(seed), "--realism", "realistic", "--trace", str(self._trace)]
+        options += ["--lidar-visibility", visibility, *_space(body, robots + 1)]
+        fast = {"linear": self.others_speed}
+        bodies = {RAMMER: _variant(folder / f"{RAMMER}.yaml", platform, limits=fast)}
+        self.swarm = Swarm(robots, protected, bodies=bodies, world=options)
+
+    def __enter__(self) -> Self:
+        try:
+            self._left.enter_context(self.swarm)
+            endpoint = self.swarm.endpoint
+            self._world = self._left.enter_context(WorldView(self.swarm.name, endpoint))
+            self._watch = Watch(self._world)
+            self._steering = self._left.enter_context(_steering(endpoint))
+        except BaseException:
+            self._left.close()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._left.close()
+
+    def run(self, seconds: float, *, appeared: float = math.inf, touches: int = 0) -> Outcome:
+        """Let them walk, with all that comes in their way, for so long (of simulation) at most.
+
+        It ends before as soon as so many things have `appeared` and robots met in `touches`.
+        """
+        self.swarm.run("random_walk", **_WALK)
+        state = self._world.ask("start").state
+        began, end = time.monotonic_ns(), state.time + seconds
+        count = 0
+        while state.time < end and (count < appeared or state.contacts < touches):
+            state = self._watch.wait(since=state.time)
+            self._ram(state)
+            count += self._block(state)
+        span = began, time.monotonic_ns() - 100_000_000
+        self._world.ask("finish")
+        self.swarm.close()
+        return Outcome(
+            robots=self.swarm.robots,
+            appeared=count,
+            trace=load_trace(self._trace),
+            stamps=_of(self.swarm.robots, read_stamps(self.swarm)),
+            span=span,
+        )
+
+    def _ram(self, state: WorldState) -> None:
+        twist = self._rammer.command(state, state.ids.index(RAMMER))
+        key = keys.build(self.swarm.name, RAMMER, "hw", "cmd_vel")
+        self._steering.put(key, encode_command(twist, _NEWEST, _NEWEST))
+
+    def _block(self, state: WorldState) -> bool:
+        """Whether a thing has appeared."""
+        chosen = self._obstacles.next(state)
+        if chosen is None:
+            return False
+        try:
+            self._world.place(*chosen)
+        except SwarmError:  # a wall or another thing stands there
+            return False
+        return True
+
+
+@contextlib.contextmanager
+def _steering(endpoint: str) -> Iterator[zenoh.Session]:
+    """A session that reaches the bodies of a world."""
+    options: dict[str, object] = {"mode": "peer", "scouting/multicast/enabled": False}
+    session = open_with({**options, **dialling(endpoint)}, what=f"the world at {endpoint}")
+    try:
+        yield session
+    finally:
+        session.close()
+
+
+def _variant(path: Path, platform: str, **sections: Mapping[str, str | float]) -> str:
+    """The path of a platform's file, once it says that it is as `platform` but for `sections`."""
+    path.write_text(yaml.safe_dump({"extends": platform, **sections}))
+    return str(path)
+
+
+def _space(platform: Platform, count: int) -> list[str]:
+    """The world's options: an arena with enough room for `count` robots, and for things."""
+    grid = 2.0 * room(platform) + radius(platform.footprint)
+    side = math.ceil(grid * math.sqrt(count) + 1.0)
+    things = tuple(THINGS.values())
+    return ["--arena", Arena(side, side, things).text, "--layout", f"grid:{grid:.2f}"]
+
+
+def _of(robots: Sequence[str], stamps: Stamps) -> Stamps:
+    """The stamps without those of bodies that have no daemon."""
+    put = {key: at for key, at in stamps.put.items() if key[0] in robots}
+    return Stamps(put, stamps.safe_back, stamps.wish_back)
+
+
+def rows(platform: str, options: argparse.Namespace) -> Iterator[Row]:
+    """One platform's course: how fast robots drove into something, and latency meanwhile."""
+    course = Course(platform, options.mode, visibility=options.visibility, seed=options.seed)
+    with course:
+        outcome = course.run(options.seconds)
+    if options.traces is not None:
+        outcome.trace.save(options.traces / f"{platform}-{options.visibility}-{options.seed}.npz")
+    for fault in outcome.faults():
+        print(fault)
+    note = f"in {outcome.trace.duration * ROBOTS / 60.0:.0f} robot-minutes"
+    yield _speeds(f"{platform}: own speed when rammed", outcome, True, note)
+    note = f"of {outcome.appeared} things none nearer than {outcome.nearest():.2f} m"
+    yield _speeds(f"{platform}: own speed at other touches", outcome, False, note)
+    most = f"{course.others_speed:g} m/s"
+    yield Row(f"{platform}: rammer's fastest corner", outcome.ram_speeds(), most, unit="m/s")
+    stamps, span = outcome.stamps, outcome.span
+    reflex = between(stamps.put, stamps.safe_back, span)
+    yield row(f"{platform}: reflex, {ROBOTS} live daemons", "p50 1.5 ms, p99 5 ms", reflex)
+    full = between(stamps.put, stamps.wish_back, span)
+    yield row(f"{platform}: full, {ROBOTS} live daemons", "p50 2 ms, p99 8 ms", full)
+
+
+def _speeds(what: str, outcome: Outcome, is_by_rammer: bool, note: str) -> Row:
+    touches = [one for one in outcome.touches() if is_ram(one) is is_by_rammer]
+    driven = [one for one in outcome.faults() if is_ram(one) is is_by_rammer]
+    hits = sum(one.is_hit for one in driven)
+    thrown = sum(one.is_fault for one in touches) - len(driven)
+    note = f"{len(driven)} at fault, {hits} from the first; {thrown} only thrown; {note}"
+    return Row(what, [one.own_speed for one in touches], f"{FAULT:g} m/s", note, unit="m/s")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("platforms", nargs="*", default=KINDS)
+    parser.add_argument("--seconds", type=float, default=SECONDS)
+    parser.add_argument("--mode", default="barrier")
+    parser.add_argument("--visibility", choices=VISIBILITIES, default="body")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--traces", type=Path, metavar="DIR", help="where traces are kept")
+    options = parser.parse_args(arguments)
+    for platform in options.platforms:
+        title = f"{platform} live, mode {options.mode}, lidar visibility {options.visibility}"
+        print_table(title, rows(platform, options))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,144 @@
+"""Runs of scenes in processes of their own, each kept as a line of a file: so one can go on."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import reduce
+from multiprocessing import get_context
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+import swarmd
+import swarmd.config
+from studies.safety.judgement import Judgement, judge
+from studies.safety.scenes import RAMMERS, Scene, scenario
+from swarmd.core.errors import ConfigError
+from swarmd.sim.experiments.provenance import digest_of_code
+from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.sim.trace import Trace
+
+
+class Task(Struct, frozen=True, order=True):
+    """A run to be done."""
+
+    scene: Scene
+    seed: int
+
+
+class Record(Struct, frozen=True, kw_only=True):
+    """A run that was done; `code` says with which sources, `cpu` in s of processor time."""
+
+    task: Task
+    code: str
+    cpu: float
+    found: Judgement
+
+
+def fingerprint() -> str:
+    """A digest of all that decides on a run's bits here: sources, platforms and scenes."""
+    digest = hashlib.sha256(digest_of_code(Path(swarmd.__file__).parent).encode())
+    digest.update(digest_of_code(Path(__file__).parent).encode())
+    for path in sorted((Path(swarmd.config.__path__[0]) / "platforms").glob("*.yaml")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def rammers(trace: Trace) -> frozenset[str]:
+    """The ids of those that ram."""
+    groups = trace.meta["groups"].items()
+    return frozenset(robot for name, ids in groups if name.startswith(RAMMERS) for robot in ids)
+
+
+def perform(task: Task, code: str) -> Record:
+    """Simulate and judge, in this process."""
+    begin = time.process_time()
+    trace = simulate_run(scenario(task.scene), task.seed)
+    cpu = time.process_time() - begin
+    return Record(task=task, code=code, cpu=cpu, found=judge(trace, rammers(trace)))
+
+
+def carry_out(tasks: Sequence[Task], file: Path, jobs: int) -> list[Record]:
+    """The records of all tasks, in their order; those that `file` has are not done again.
+
+    Only what was done with these very sources counts. Each is written down when it is done, by
+    one line to stderr too.
+    """
+    for scene in dict.fromkeys(task.scene for task in tasks):
+        scenario(scene)  # a mistake is told before hours have passed
+    code = fingerprint()
+    known = {one.task: one for one in read(file) if one.code == code}
+    missing = [task for task in tasks if task not in known]
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with file.open("ab") as out:
+        for record in _done(missing, code, jobs):
+            known[record.task] = record
+            out.write(msgspec.json.encode(record) + b"\n")
+            out.flush()
+            done = sum(task in known for task in tasks)
+            print(f"{done}/{len(tasks)} {_line(record)}", file=sys.stderr, flush=True)
+    return [known[task] for task in tasks]
+
+
+def read(file: Path) -> list[Record]:
+    """What a file holds; ConfigError for a line that is no record."""
+    if not file.exists():
+        return []
+    try:
+        return [msgspec.json.decode(line, type=Record) for line in file.read_bytes().splitlines()]
+    except msgspec.DecodeError as error:
+        raise ConfigError(f"{file}: {error}; take the line out, or remove the file") from error
+
+
+def total(found: Iterable[Judgement]) -> Judgement:
+    """The numbers of several runs together."""
+    return reduce(_sum, found)
+
+
+def _done(tasks: Sequence[Task], code: str, jobs: int) -> Iterator[Record]:
+    if jobs == 1:
+        yield from (perform(task, code) for task in tasks)
+        return
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # else two processes would want four processors
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        try:
+            for future in as_completed([pool.submit(perform, task, code) for task in tasks]):
+                yield future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _sum(a: Judgement, b: Judgement) -> Judgement:
+    return Judgement(
+        seconds=a.seconds + b.seconds,
+        collisions=a.collisions + b.collisions,
+        faults=a.faults + b.faults,
+        worst=max(a.worst, b.worst),
+        hits=a.hits + b.hits,
+        worst_hit=max(a.worst_hit, b.worst_hit),
+        touches=a.touches + b.touches,
+        touch_faults=a.touch_faults + b.touch_faults,
+        worst_touch=max(a.worst_touch, b.worst_touch),
+        pushed=a.pushed + b.pushed,
+        goals=a.goals + b.goals,
+        goal_seconds=a.goal_seconds + b.goal_seconds,
+        windows=a.windows + b.windows,
+        stuck=a.stuck + b.stuck,
+        altered=a.altered + b.altered,
+        min_gap=min(a.min_gap, b.min_gap),
+    )
+
+
+def _line(record: Record) -> str:
+    found = record.found
+    return (
+        f"{record.task.scene.name} seed {record.task.seed}: {found.collisions} collisions,"
+        f" {found.faults} at fault, {found.touch_faults} with the arena,"
+        f" {found.pushed} pushed, {record.cpu:.0f} s"
+    )

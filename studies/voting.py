@@ -1,0 +1,149 @@
+"""How voting takes with more robots: `python -m studies.voting [OUT]`, some ten minutes.
+
+Draws `pattern_majority_rule.png` and `pattern_voter_model.png` into OUT, by default docs/figures,
+and prints their numbers.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from studies.debates import IN_STEP, Motion, Result, hold_all
+from studies.outcomes import voter_model
+from studies.outcomes.majority_rule import LOSSY
+from swarmd.core.values import Value
+from swarmd.sim.experiments.statistics import wilson
+from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
+
+K = TypeVar("K")
+
+KINDS = ("tumbling", "sliding", "rounds")
+SIZES = (3, 5, 7, 11, 15, 21)
+VOTERS = (3, 5, 7, 10, 15)
+RUNS = 30
+FIRST = 10_000
+"""The first seed: none of those of the outcomes."""
+
+
+def motions(
+    pattern: str, count: int, params: Mapping[str, Value], held: Sequence[int] | None = None
+) -> list[Motion]:
+    """`RUNS` of them; those told what is held first hold it in a random order."""
+    made = []
+    for seed in range(FIRST, FIRST + RUNS):
+        order = None
+        if held is not None:
+            order = tuple(int(one) for one in np.random.default_rng(seed).permutation(held))
+        settled = 2.0 * float(str(params.get("window", 5.0)))
+        made.append(Motion(pattern, count, seed, 600.0, params, order, LOSSY, settled))
+    return made
+
+
+def hold(groups: Mapping[K, list[Motion]]) -> dict[K, list[Result]]:
+    """All debates of all groups, in as many processes as there are processors."""
+    results = iter(
+        hold_all([one for group in groups.values() for one in group], os.cpu_count() or 1)
+    )
+    return {key: [next(results) for _ in group] for key, group in groups.items()}
+
+
+def majority_rule(out: Path) -> None:
+    """Time to agree against the number of robots, and over runs of seven."""
+    figure = new_figure(8.0, 3.2)
+    left, right = figure.subplots(1, 2)
+    groups = {
+        (kind, n): motions("majority_rule", n, {"windows": kind}) for kind in KINDS for n in SIZES
+    }
+    every = hold(groups)
+    for kind, colour in zip(KINDS, VARIANT_COLOURS, strict=False):
+        found = {n: every[kind, n] for n in SIZES}
+        low, middle, high = _spread(found)
+        bars = (middle - low, high - middle)
+        left.errorbar(SIZES, middle, bars, color=colour, marker="o", ms=4, capsize=2, label=kind)
+        times = np.sort([result.agreed_at for result in found[7]])
+        right.step(times, np.arange(1, len(times) + 1) / len(times), color=colour, where="post")
+        for n, a, b, c in zip(SIZES, low, middle, high, strict=True):
+            print(f"majority_rule {kind} {n} robots: {a:.1f} / {b:.1f} / {c:.1f} s", flush=True)
+    left.set(xlabel="robots", ylabel="time until all agree, s", ylim=(0.0, None))
+    left.legend(frameon=False, fontsize=9)
+    right.axvline(20.0, color=GUIDE_COLOUR, linestyle=":", linewidth=1.0)
+    right.set(xlabel="time, s (dotted: 20 s)", ylabel="share of swarms of 7 that agree")
+    right.set(xlim=(0.0, 21.0), ylim=(0.0, 1.02))
+    _keep(figure, (left, right), out / "pattern_majority_rule.png")
+
+
+def voters(out: Path) -> None:
+    """Who wins by the share at first, and windows or rounds until all agree."""
+    figure = new_figure(8.0, 3.2)
+    left, right = figure.subplots(1, 2)
+    firsts = range(1, 10)
+    groups = {
+        first: motions("voter_model", 10, voter_model.SHORT, [1] * first + [0] * (10 - first))
+        for first in firsts
+    }
+    for first, results in hold(groups).items():
+        wins = sum(result.winner == 1 for result in results)
+        within = wilson(wins, len(results))
+        share = wins / len(results)
+        left.errorbar(
+            first / 10,
+            share,
+            ([share - within.low], [within.high - share]),
+            **{"color": VARIANT_COLOURS[0], "marker": "o", "ms": 4, "capsize": 2},
+        )
+        print(f"voter_model {first} of 10: won {wins} of {len(results)}", flush=True)
+    left.plot((0.0, 1.0), (0.0, 1.0), color=GUIDE_COLOUR, linestyle=":")
+    left.set(xlabel="share of opinion 1 at first", ylabel="share of debates it wins")
+    _voting_times(right)
+    _keep(figure, (left, right), out / "pattern_voter_model.png")
+
+
+def _voting_times(axes: Any) -> None:
+    """Means over runs that begin with two halves, as even as can be, and what theory gives."""
+    length = float(str(voter_model.SHORT["window"]))
+    settings = {"tumbling": voter_model.SHORT, "rounds": {**IN_STEP, "opinions": 2}}
+    groups = {
+        (kind, n): motions("voter_model", n, params, [1] * (n // 2) + [0] * (n - n // 2))
+        for kind, params in settings.items()
+        for n in VOTERS
+    }
+    every = hold(groups)
+    for kind, colour in zip(settings, VARIANT_COLOURS, strict=False):
+        means, errors = [], []
+        for n in VOTERS:
+            results = every[kind, n]
+            taken = [r.agreed_at / length if kind == "tumbling" else r.rounds for r in results]
+            means.append(float(np.mean(taken)))
+            errors.append(1.96 * float(np.std(taken, ddof=1)) / len(taken) ** 0.5)
+            print(f"voter_model {kind} {n} robots: {means[-1]:.1f} +- {errors[-1]:.1f}", flush=True)
+        axes.errorbar(
+            VOTERS, means, errors, color=colour, marker="o", ms=4, capsize=2, ls="", label=kind
+        )
+    theory = [voter_model.expected_rounds(n, n // 2)[0] for n in VOTERS]
+    axes.plot(VOTERS, theory, color=GUIDE_COLOUR, linestyle=":", label="theory of rounds")
+    axes.set(xlabel="robots", ylabel="windows or rounds until all agree", ylim=(0.0, None))
+    axes.legend(frameon=False, fontsize=9)
+
+
+def _spread(found: Mapping[int, Sequence[Result]]) -> Any:
+    """(3, sizes) the 5 %, 50 % and 95 % of times; those that never agree are the longest."""
+    times = [[min(result.agreed_at, 600.0) for result in results] for results in found.values()]
+    return np.array([np.quantile(some, (0.05, 0.5, 0.95)) for some in times]).T
+
+
+def _keep(figure: Any, axes: Sequence[Any], path: Path) -> None:
+    for one in axes:
+        tidy(one)
+    print(save(figure, path))
+
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path("docs/figures")
+    majority_rule(folder)
+    voters(folder)

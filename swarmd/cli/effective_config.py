@@ -1,0 +1,87 @@
+"""`swarmd --print-effective-config`: every setting, and which source gave it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import yaml
+from msgspec import to_builtins
+
+from swarmd.core.values import Platform
+from swarmd.settings.settings import DaemonSettings
+
+_COLUMN = 40
+
+
+def effective_config(settings: DaemonSettings) -> str:
+    """YAML that `--config` reads back to the same settings; the platform follows as comments."""
+    keys = {
+        "id": settings.id,
+        "swarm": settings.swarm,
+        "profile": settings.profile,
+        "interface": settings.interface,
+        "listen": list(settings.listen),
+        "seeds": list(settings.seeds),
+        "multicast": settings.multicast,
+        "lease": settings.lease,
+        "platform": settings.platform_name,
+        "driver": settings.driver,
+        "driver_options": dict(settings.driver_options),
+        "roster": list(settings.roster),
+        "labels": {label: list(robots) for label, robots in settings.label_members.items()},
+        "parameters": to_builtins(settings.parameters),
+        "touch": to_builtins(settings.touch),
+        "state_dir": str(settings.state_dir.absolute()),
+        "plugin_dir": str(settings.plugin_dir.absolute()) if settings.plugin_dir else None,
+    }
+    lines = [
+        _line(f"{key}: {_flow(value)}", settings.provenance[key]) for key, value in keys.items()
+    ]
+    lines += ["", f"# platform {settings.platform.name}"]
+    lines += [f"#   {name}: {_flow(value)}" for name, value in _flat(_platform(settings.platform))]
+    return "\n".join(lines) + "\n"
+
+
+def _line(text: str, source: str) -> str:
+    return f"{text.ljust(_COLUMN)}  # {source}"
+
+
+def _flow(value: object) -> str:
+    text = yaml.safe_dump(value, default_flow_style=True, width=math.inf, sort_keys=False)
+    return text.removesuffix("\n").removesuffix("\n...")
+
+
+def _platform(platform: Platform) -> Mapping[str, Any]:
+    scan = platform.scan
+    return {
+        "limits": {
+            "linear": platform.limits.linear,
+            "angular": platform.limits.angular,
+            "lateral": platform.limits.lateral,
+        },
+        "footprint": platform.footprint.tolist(),
+        "scan": {
+            "rays": len(scan.bearings),
+            "rate": scan.rate,
+            "range_min": scan.range_min,
+            "range_max": scan.range_max,
+            "offset": list(scan.offset),
+            "max_gap_deg": round(math.degrees(scan.max_gap), 6),
+            "zero": scan.zero,
+            "noisy": scan.is_noisy,
+        },
+        "provides": sorted(platform.provides),
+        "protection": dict(platform.protection),
+        "patterns": platform.patterns,
+        "body": dict(platform.body),
+    }
+
+
+def _flat(data: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in data.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}", value

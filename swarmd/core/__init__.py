@@ -1,0 +1,1 @@
+"""What flows everywhere: values, messages, codec, keys, errors, clock, threads, processes."""

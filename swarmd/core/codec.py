@@ -1,0 +1,87 @@
+"""Bytes on the wire: one version byte, then MessagePack, within a size limit.
+
+What comes from the network is decoded into typed structs, whose bounds also refuse NaN and
+infinity; `CodecError` is the only error a reader must expect. No numpy here: swarmctl imports it.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Generic, TypeVar
+
+import msgpack
+import msgspec
+
+from swarmd.core.errors import CodecError
+
+VERSION = 1
+MAX_CONTROL = 64 * 1024
+MAX_SENSE = 128 * 1024
+MAX_MESSAGE = 1024
+MAX_DEPTH = 16
+
+_PREFIX = bytes([VERSION])
+_encoder = msgspec.msgpack.Encoder()
+
+T = TypeVar("T")
+
+
+def encode(message: msgspec.Struct) -> bytes:
+    """The bytes of a struct."""
+    return _PREFIX + _encoder.encode(message)
+
+
+class Decoder(Generic[T]):
+    """Reads one type of struct; build it once, since building is the slow part."""
+
+    def __init__(self, kind: type[T], limit: int = MAX_CONTROL) -> None:
+        self._decoder = msgspec.msgpack.Decoder(kind)
+        self._limit = limit
+
+    def __call__(self, payload: bytes) -> T:
+        """The struct; CodecError if it is too large, of another version or not of this type."""
+        body = _body(payload, self._limit)
+        try:
+            return self._decoder.decode(body)
+        except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+            raise CodecError(str(error)) from error
+
+
+def encode_value(value: Any) -> bytes:
+    """The bytes of an open value that a pattern says; CodecError if it cannot be sent."""
+    try:
+        payload: bytes = _PREFIX + msgpack.packb(value, use_bin_type=True)
+    except (TypeError, ValueError, OverflowError, RecursionError) as error:
+        raise CodecError(f"a message must be made of MessagePack's types: {error}") from error
+    if _is_deeper(value, MAX_DEPTH):
+        raise CodecError(f"a message nests deeper than {MAX_DEPTH}")
+    if len(payload) > MAX_MESSAGE:
+        raise CodecError(f"a message is {len(payload)} bytes; at most {MAX_MESSAGE} are sent")
+    return payload
+
+
+def decode_value(payload: bytes) -> Any:
+    """An open value; CodecError if it is too large, of another version or no MessagePack."""
+    body = _body(payload, MAX_MESSAGE)
+    try:
+        value = msgpack.unpackb(body, raw=False, strict_map_key=True)
+    except (ValueError, TypeError, RecursionError, msgpack.UnpackException) as error:
+        raise CodecError(f"not MessagePack: {error!r}") from error
+    if _is_deeper(value, MAX_DEPTH):
+        raise CodecError(f"a message nests deeper than {MAX_DEPTH}")
+    return value
+
+
+def _is_deeper(value: Any, depth: int) -> bool:
+    if isinstance(value, dict):
+        value = list(value.values())
+    if not isinstance(value, list | tuple):
+        return False
+    return depth == 0 or any(_is_deeper(inner, depth - 1) for inner in value)
+
+
+def _body(payload: bytes, limit: int) -> memoryview:
+    if len(payload) > limit:
+        raise CodecError(f"{len(payload)} bytes; at most {limit} are read")
+    if payload[:1] != _PREFIX:
+        raise CodecError(f"wire version {payload[:1].hex() or 'none'}; this is version {VERSION}")
+    return memoryview(payload)[1:]

@@ -1,0 +1,59 @@
+"""The driver that a daemon's settings name, with what its base needs around it."""
+
+from __future__ import annotations
+
+from swarmd.core.errors import ConfigError
+from swarmd.driver_api.driver import Driver, Stopping
+from swarmd.driver_api.watchdog import name_of
+from swarmd.plugins import load_driver
+from swarmd.settings.driver_options import BaseOptions, base_options, deadman_of
+from swarmd.settings.settings import DaemonSettings
+
+
+def make_driver(settings: DaemonSettings) -> Driver:
+    """The daemon's driver, not yet connected, with what its base needs around it. SwarmError."""
+    name = settings.driver
+    base = base_options(settings.driver_options, f"driver {name}")
+    common = BaseOptions.__struct_fields__
+    factory = load_driver(name)
+    driver = factory(
+        swarm=settings.swarm,
+        robot=settings.id,
+        platform=settings.platform,
+        options={k: v for k, v in settings.driver_options.items() if k not in common},
+    )
+    return _guarded(_recorded(driver, base, settings), driver, base, settings)
+
+
+def _recorded(driver: Driver, base: BaseOptions, settings: DaemonSettings) -> Driver:
+    if base.record is None:
+        return driver
+    from swarmd.driver_api.recording import RecordedDriver, named_file
+
+    head = {"robot": settings.id, "platform": settings.platform.name, "driver": settings.driver}
+    path = named_file(base.record, f"driver {settings.driver}: record")
+    return RecordedDriver(driver, path, head)
+
+
+def _guarded(
+    wrapped: Driver, driver: Driver, base: BaseOptions, settings: DaemonSettings
+) -> Driver:
+    if deadman_of(base, driver) != "none":
+        return wrapped
+    if base.idle_output == "silent":
+        raise ConfigError(
+            f"driver {settings.driver}: idle_output is silent, but no deadman is told, which counts"
+            " as none; wanted is also deadman: base, or its seconds, if this base has a timeout"
+        )
+    if not isinstance(driver, Stopping):
+        raise ConfigError(
+            f"driver {settings.driver}: deadman is none, and this driver has no stopper; wanted is"
+            " deadman: base, or its seconds, if this base stops by itself when commands end"
+        )
+    spec = driver.zero_sender()
+    if spec is None:
+        return wrapped
+    from swarmd.driver_api.watchdog_client import GuardedDriver
+
+    name = name_of(settings.swarm, settings.id)
+    return GuardedDriver(wrapped, spec, name=name, tie=settings.die_with_parent)

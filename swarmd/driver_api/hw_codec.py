@@ -1,0 +1,177 @@
+"""The wire between a simulated body and its daemon: scan, odometry, neighbours, readings, command.
+
+The body is any process that publishes `hw/*` and listens to `hw/cmd_vel`. Arrays travel as
+little-endian float32; regular bearings as (first, step). `range_min` and `range_max` come from the
+platform file, not from the message.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta, Struct
+
+from swarmd.core.codec import MAX_SENSE, Decoder, encode
+from swarmd.core.errors import CodecError
+from swarmd.core.messages import Count, Metres, Name, Speed, Word
+from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, ScanSpec, Twist
+
+Angle = Annotated[float, Meta(ge=-100.0, le=100.0)]
+Stamp = Annotated[float, Meta(ge=-1e10, le=1e10)]
+"""Seconds on the sensor's clock: a real one counts from 1970."""
+Place = Annotated[float, Meta(ge=-1e9, le=1e9)]
+"""Metres in the odometry frame, which may be that of a map."""
+MAX_RAYS = 20_000
+
+
+class ScanWire(Struct, frozen=True, array_like=True):
+    """One sweep; `bearings` (first, step) in rad if regular, else float32 bytes."""
+
+    seq: Count
+    stamp: Stamp
+    ranges: bytes
+    bearings: tuple[Angle, Angle] | bytes
+
+
+class OdometryWire(Struct, frozen=True, array_like=True):
+    """Pose in the odometry frame and measured twist."""
+
+    stamp: Stamp
+    x: Place
+    y: Place
+    yaw: Metres
+    linear: Speed
+    angular: Speed
+    lateral: Speed = 0.0
+
+
+class NeighborWire(Struct, frozen=True, array_like=True):
+    """One robot within hearing; None: not sensed."""
+
+    id: Name
+    distance: Metres | None = None
+    bearing: Angle | None = None
+    heading: Angle | None = None
+
+
+class NeighborsWire(Struct, frozen=True, array_like=True):
+    """All robots within hearing."""
+
+    neighbors: tuple[NeighborWire, ...]
+
+
+class ReadingsWire(Struct, frozen=True, array_like=True):
+    """Scalar sensors by name."""
+
+    values: dict[Word, Metres]
+
+
+class CommandWire(Struct, frozen=True, array_like=True):
+    """The safe command, the scan its verdict used and the scan its wish used (-1: none)."""
+
+    linear: Speed
+    angular: Speed
+    lateral: Speed
+    scan_seq: Annotated[int, Meta(ge=-1, le=2**53)]
+    wish_seq: Annotated[int, Meta(ge=-1, le=2**53)]
+
+
+_scan = Decoder(ScanWire, MAX_SENSE)
+_odometry = Decoder(OdometryWire)
+_neighbors = Decoder(NeighborsWire)
+_readings = Decoder(ReadingsWire)
+_command = Decoder(CommandWire)
+
+
+def encode_scan(scan: Scan) -> bytes:
+    """The bytes of a scan."""
+    bearings = scan.bearings
+    regular: tuple[float, float] | bytes
+    step = float(bearings[1] - bearings[0]) if len(bearings) > 1 else 0.0
+    first = float(bearings[0]) if len(bearings) else 0.0
+    if np.allclose(bearings, first + step * np.arange(len(bearings)), rtol=0.0, atol=1e-9):
+        regular = (first, step)
+    else:
+        regular = bearings.astype("<f4").tobytes()
+    return encode(ScanWire(scan.seq, scan.stamp, scan.ranges.astype("<f4").tobytes(), regular))
+
+
+def decode_scan(payload: bytes, spec: ScanSpec) -> Scan:
+    """A scan as the sensor gave it, not yet conditioned: even its lengths may disagree."""
+    wire = _scan(payload)
+    ranges = _floats(wire.ranges)
+    if isinstance(wire.bearings, bytes):
+        bearings = _floats(wire.bearings)
+    else:
+        bearings = _regular(*wire.bearings, len(ranges))
+    return Scan(wire.seq, wire.stamp, ranges, bearings, spec.range_min, spec.range_max)
+
+
+def encode_odometry(odometry: Odometry) -> bytes:
+    """The bytes of an odometry value."""
+    pose, twist = odometry.pose, odometry.twist
+    return encode(
+        OdometryWire(
+            odometry.stamp, pose.x, pose.y, pose.yaw, twist.linear, twist.angular, twist.lateral
+        )
+    )
+
+
+def decode_odometry(payload: bytes) -> Odometry:
+    """Pose and twist as measured."""
+    wire = _odometry(payload)
+    return Odometry(
+        wire.stamp, Pose(wire.x, wire.y, wire.yaw), Twist(wire.linear, wire.angular, wire.lateral)
+    )
+
+
+def encode_neighbors(neighbors: tuple[Neighbor, ...]) -> bytes:
+    """The bytes of the list of robots within hearing."""
+    return encode(
+        NeighborsWire(
+            tuple(NeighborWire(n.id, n.distance, n.bearing, n.heading) for n in neighbors)
+        )
+    )
+
+
+def decode_neighbors(payload: bytes) -> tuple[Neighbor, ...]:
+    """The robots within hearing; their age is 0, counted from arrival."""
+    wire = _neighbors(payload)
+    return tuple(Neighbor(n.id, 0.0, n.distance, n.bearing, n.heading) for n in wire.neighbors)
+
+
+def encode_readings(values: Mapping[str, float]) -> bytes:
+    """The bytes of scalar readings."""
+    return encode(ReadingsWire(dict(values)))
+
+
+def decode_readings(payload: bytes) -> Mapping[str, float]:
+    """Scalar readings by name."""
+    return _readings(payload).values
+
+
+def encode_command(twist: Twist, scan_seq: int, wish_seq: int) -> bytes:
+    """The bytes of a safe command."""
+    return encode(CommandWire(twist.linear, twist.angular, twist.lateral, scan_seq, wish_seq))
+
+
+def decode_command(payload: bytes) -> CommandWire:
+    """A safe command and the scans it rests on."""
+    return _command(payload)
+
+
+@lru_cache(maxsize=8)
+def _regular(first: float, step: float, count: int) -> Array:
+    """Evenly spread bearings: one array for all scans alike, so that much is computed only once."""
+    bearings = first + step * np.arange(count, dtype=np.float64)
+    bearings.flags.writeable = False
+    return bearings
+
+
+def _floats(data: bytes) -> Array:
+    if len(data) % 4 or len(data) > 4 * MAX_RAYS:
+        raise CodecError(f"an array of {len(data)} bytes; wanted are at most {MAX_RAYS} float32")
+    return np.frombuffer(data, dtype="<f4").astype(np.float64)

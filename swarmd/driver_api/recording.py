@@ -1,0 +1,272 @@
+"""Recordings: what a driver heard and was told, in order and with its times, in one file.
+
+A line of text, then frames: four bytes of length (little-endian) and a struct on the wire's own
+terms. The first frame is the head. A recording that is cut off keeps what came before the cut.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Annotated, Literal, TypeVar
+
+from msgspec import Meta, Struct
+
+from swarmd.core.clock import boottime
+from swarmd.core.codec import MAX_SENSE, Decoder, encode
+from swarmd.core.errors import CodecError, ConfigError, DriverError
+from swarmd.core.values import Neighbor, Odometry, Scan, Twist
+from swarmd.driver_api.driver import Driver, Finding, Sink
+from swarmd.driver_api.hw_codec import (
+    decode_neighbors,
+    decode_odometry,
+    decode_readings,
+    encode_command,
+    encode_neighbors,
+    encode_odometry,
+    encode_readings,
+    encode_scan,
+)
+
+log = logging.getLogger(__name__)
+
+MAGIC = b"swarmd recording 1\n"
+MAX_FRAME = MAX_SENSE + 1024
+T = TypeVar("T")
+Kind = Literal["scan", "odometry", "neighbors", "readings", "state", "command"]
+
+
+class Head(Struct, frozen=True, kw_only=True):
+    """What was recorded: by which driver, of which robot and platform."""
+
+    robot: str = ""
+    platform: str = ""
+    driver: str = ""
+
+
+class Entry(Struct, frozen=True, array_like=True):
+    """One thing heard, or commanded, `at` s after the recording began; `payload`: see `kind`.
+
+    As in `sensing.py`; of `state` it is `1` or `0`, then the text.
+    """
+
+    at: Annotated[float, Meta(ge=0.0, le=1e9)]
+    kind: Kind
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """A whole recording. `cut` says where it was cut off; empty if it is whole."""
+
+    head: Head
+    entries: tuple[Entry, ...]
+    cut: str
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the beginning to the last entry."""
+        return self.entries[-1].at if self.entries else 0.0
+
+
+def named_file(name: str, what: str) -> Path:
+    """The file that an option names; ConfigError, after `what`, if no file can be called so."""
+    try:
+        path = Path(name).expanduser()
+    except RuntimeError:
+        raise ConfigError(f"{what} is {name!r}: there is no such user; wanted is a file") from None
+    if not path.name or "\0" in name:
+        raise ConfigError(f"{what} is {name!r}; wanted is a file")
+    return path
+
+
+_head = Decoder(Head)
+_entry = Decoder(Entry, MAX_FRAME)
+
+
+def read_recording(path: Path) -> Recording:
+    """The recording of a file; ConfigError if it cannot be read, is none, or is damaged."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: cannot be read: {error.strerror}; wanted a recording, as option record of a"
+            " driver writes it"
+        ) from error
+    if not data.startswith(MAGIC):
+        raise ConfigError(f"{path}: not a recording; wanted a file that option record wrote")
+    frames, at = [], len(MAGIC)
+    while at + 4 <= len(data):
+        size = int.from_bytes(data[at : at + 4], "little")
+        if size > MAX_FRAME:
+            raise _damaged(path, at, f"a frame of {size} bytes")
+        if at + 4 + size > len(data):
+            break
+        frames.append((at, data[at + 4 : at + 4 + size]))
+        at += 4 + size
+    if not frames:
+        raise ConfigError(f"{path}: cut off before its first frame; record it again")
+    entries = tuple(_entries(path, frames[1:]))
+    cut = ""
+    if at < len(data):
+        last = entries[-1].at if entries else 0.0
+        cut = f"cut off at byte {at} of {len(data)}, {last:.1f} s after it began"
+    return Recording(_decoded(path, _head, *frames[0]), entries, cut)
+
+
+def _entries(path: Path, frames: list[tuple[int, bytes]]) -> Iterator[Entry]:
+    before = 0.0
+    for at, frame in frames:
+        entry = _decoded(path, _entry, at, frame)
+        if entry.at < before:
+            raise _damaged(path, at, "times that go back")
+        before = entry.at
+        yield entry
+
+
+def _decoded(path: Path, decode: Callable[[bytes], T], at: int, frame: bytes) -> T:
+    try:
+        return decode(frame)
+    except CodecError as error:
+        raise _damaged(path, at, str(error)) from error
+
+
+def _damaged(path: Path, at: int, what: str) -> ConfigError:
+    return ConfigError(f"{path}: damaged at byte {at}: {what}; record it again")
+
+
+class Recorder:
+    """Appends to a new file, frame by frame; once that fails it logs so and records no more."""
+
+    def __init__(self, path: Path, head: Mapping[str, str]) -> None:
+        """DriverError if the file cannot be made. An earlier recording of that name is kept."""
+        try:
+            self._path = _unused(path)
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            self._file: IO[bytes] | None = self._path.open("xb", buffering=0)
+        except OSError as error:
+            raise DriverError(
+                f"record: {path} cannot be written: {error.strerror}; give another file"
+            ) from error
+        self._begin = boottime()
+        self._write(MAGIC, _framed(Head(**head)))
+        log.info("recording to %s", self._path)
+
+    def add(self, kind: Kind, payload: bytes, at: float | None = None) -> None:
+        """One entry: now, or `at` s after the beginning."""
+        since = boottime() - self._begin if at is None else at
+        self._write(_framed(Entry(since, kind, payload)))
+
+    def close(self) -> None:
+        """End it."""
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+
+    def _write(self, *parts: bytes) -> None:
+        if self._file is None:
+            return
+        data = b"".join(parts)
+        try:
+            is_whole = self._file.write(data) == len(data)
+            fault = "" if is_whole else "no space left"
+        except OSError as error:
+            fault = str(error.strerror)
+        if fault:
+            log.error("recording to %s ends here: %s", self._path, fault)
+            self.close()
+
+
+class RecordingSink:
+    """Hands everything on to `sink`, and writes it down but for what could not be read again.
+
+    A single such value, a battery of 1e38 V, would make the whole recording a damaged one.
+    """
+
+    def __init__(self, sink: Sink, recorder: Recorder) -> None:
+        self._sink, self._recorder = sink, recorder
+
+    def scan(self, scan: Scan) -> None:
+        """A sweep."""
+        self._sink.scan(scan)
+        payload = encode_scan(scan)
+        if len(payload) <= MAX_SENSE:
+            self._recorder.add("scan", payload)
+        else:
+            self._sink.dropped("record/scan")
+
+    def odometry(self, odometry: Odometry) -> None:
+        """A pose and twist."""
+        self._sink.odometry(odometry)
+        self._add("odometry", encode_odometry(odometry), decode_odometry)
+
+    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
+        """The robots within hearing."""
+        self._sink.neighbors(neighbors)
+        self._add("neighbors", encode_neighbors(neighbors), decode_neighbors)
+
+    def readings(self, values: Mapping[str, float]) -> None:
+        """Scalar sensors."""
+        self._sink.readings(values)
+        self._add("readings", encode_readings(values), decode_readings)
+
+    def state(self, is_up: bool, text: str) -> None:
+        """How the base is."""
+        self._sink.state(is_up, text)
+        self._recorder.add("state", f"{int(is_up)}{text}".encode()[:1000])
+
+    def dropped(self, what: str) -> None:
+        """What could not be read is not recorded."""
+        self._sink.dropped(what)
+
+    def _add(self, kind: Kind, payload: bytes, decode: Callable[[bytes], object]) -> None:
+        try:
+            decode(payload)
+        except CodecError:
+            self._sink.dropped(f"record/{kind}")
+        else:
+            self._recorder.add(kind, payload)
+
+
+class RecordedDriver:
+    """A driver whose inputs and commands are written to a file while it runs."""
+
+    def __init__(self, driver: Driver, path: Path, head: Mapping[str, str]) -> None:
+        self.is_simulated = driver.is_simulated
+        self._driver, self._path, self._head = driver, path, head
+        self._recorder: Recorder | None = None
+
+    async def run(self, sink: Sink) -> None:
+        """Run the driver, recording."""
+        self._recorder = Recorder(self._path, self._head)
+        try:
+            await self._driver.run(RecordingSink(sink, self._recorder))
+        finally:
+            self._recorder.close()
+            self._recorder = None
+
+    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+        """Hand a command on, and write it down."""
+        self._driver.send(twist, scan_seq, wish_seq)
+        if self._recorder is not None:
+            self._recorder.add("command", encode_command(twist, scan_seq, wish_seq))
+
+    async def check(self, seconds: float) -> tuple[Finding, ...]:
+        """The driver's findings; records nothing."""
+        return await self._driver.check(seconds)
+
+
+def _framed(message: Struct) -> bytes:
+    frame = encode(message)
+    return len(frame).to_bytes(4, "little") + frame
+
+
+def _unused(path: Path) -> Path:
+    """The path, or the first of `<stem>-2`, `<stem>-3` ... that is not there yet."""
+    candidate, number = path, 1
+    while candidate.exists():
+        number += 1
+        candidate = path.with_name(f"{path.stem}-{number}{path.suffix}")
+    return candidate

@@ -1,0 +1,89 @@
+"""Makes a pattern object with its parameters, and its parts the same way."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from numpy.random import Generator
+
+from swarmd.core.errors import PluginError
+from swarmd.core.host_messages import Layers
+from swarmd.core.keys import check_id
+from swarmd.core.values import Platform, Scalar, Value
+from swarmd.kit.behavior import Context, Pattern
+from swarmd.kit.params import build
+from swarmd.kit.touch import check_zone
+
+# From a pattern's name to its class; PluginError if there is none.
+Find: TypeAlias = Callable[[str], type[Pattern[Any]]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Assembled:
+    """A pattern ready to be stepped. `params`: name -> (value, source)."""
+
+    pattern: Pattern[Any]
+    params: Mapping[str, tuple[Scalar | None, str]]
+
+
+def full_layers(kind: type[Pattern[Any]], platform: Platform, layers: Layers) -> Layers:
+    """The layers with, as the weakest, what derives from the platform (source "derived")."""
+    return (("derived", kind.defaults(platform)), *layers)
+
+
+def assemble(
+    name: str,
+    layers: Layers,
+    *,
+    find: Find,
+    robot: str,
+    platform: Platform,
+    rng: Generator,
+    channel_prefix: str = "",
+) -> Assembled:
+    """The pattern called `name` for one robot.
+
+    PluginError if there is no such pattern or the robot lacks something that it needs; ConfigError
+    if a parameter is wrong.
+    """
+    kind = find(name)
+    _check_needs(name, kind.needs, platform)
+    built, sources = build(kind.params_type, full_layers(kind, platform, layers))
+
+    def make(
+        inner: str, /, *, part: str = "", private: bool = False, **params: Value
+    ) -> Pattern[Any]:
+        prefix = f"{part or inner}-" if private else f"{inner}/"
+        part_layers = (("platform", platform.patterns.get(inner, {})), (name, params))
+        return assemble(
+            inner,
+            part_layers,
+            find=find,
+            robot=robot,
+            platform=platform,
+            rng=rng.spawn(1)[0],
+            channel_prefix=prefix,
+        ).pattern
+
+    context = Context(robot, platform, rng, make, channel_prefix)
+    pattern = kind(built, context)
+    _check_needs(name, pattern.needs, platform)
+    _check_channels(name, pattern.channels)
+    check_zone(name, pattern.touches)
+    return Assembled(pattern, sources)
+
+
+def _check_channels(name: str, channels: Mapping[str, type]) -> None:
+    for channel in channels:
+        for chunk in channel.split("/"):
+            check_id(chunk, f"a channel of pattern {name!r}")
+
+
+def _check_needs(name: str, needs: frozenset[str], platform: Platform) -> None:
+    missing = sorted(needs - platform.provides)
+    if missing:
+        raise PluginError(
+            f"pattern {name!r} needs {', '.join(missing)}, which {platform.name} does not provide"
+        )

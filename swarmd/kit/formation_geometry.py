@@ -1,0 +1,216 @@
+"""Places in a formation, from what one robot senses of the others; no positions, no leader.
+
+Points are x, y in m in the base frame of a robot, which is itself at the origin. Each place is the
+robot's own of the formation that fits best to all that it sees and to itself, so that the robots
+agree as far as they see the same, and a formation is left as it is by every one of them.
+
+Line: to the closest point of the line that fits best by least squares (Yun, Alptekin and Albayrak,
+"Line and circle formation of distributed physical mobile robots", J. Robotic Systems 14(2), 1997;
+the task is Sugihara and Suzuki's, J. Robotic Systems 13(3), 1996). Spacing along it, and the
+places on a circle, are ours: those of the evenly spaced row or polygon that fits best. Of a robot
+that sees one neighbour on each side that is the middle between them, as in Defago and Souissi,
+"Non-uniform circle formation algorithm for oblivious mobile robots with convergence toward
+uniformity", Theor. Comput. Sci. 396, 2008.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import median
+
+import numpy as np
+
+from swarmd.core.values import Array, Neighbor, Pose, Scan
+from swarmd.kit.steering import from_base
+from swarmd.sensing.rays import RayClusters, clusters
+
+# A lidar sees what is farther than this share of its reach in pieces, with what is beside it.
+_SURE = 0.95
+# Rays between two objects, at most, of which one hides a part of the other.
+_ADJOINING = math.radians(3.0)
+# Middles nearer to each other than this share of the widest robot are those of one.
+_PIECES = 0.45
+# A place is the mean of what was sensed of it last, of so many at most, until a robot is sensed
+# farther from it than so many m, and than so much of its distance: then it has moved.
+_MEMORY = 20
+_MOVED, _MOVED_SHARE = 0.06, 0.08
+# s for which one that is heard and no longer sensed is taken to stay where it was.
+_PATIENCE = 2.0
+
+
+def place_on_line(others: Array, spacing: float) -> Array:
+    """Where (2,) a robot at the origin belongs in a line with `others` (k, 2).
+
+    The line is the one of least squares of the distances from it (total least squares); along it
+    the robots keep their order and have `spacing` m between them.
+    """
+    points = _with_itself(others)
+    middle = points.sum(axis=0) / len(points)
+    x, y = (points - middle).T
+    angle = 0.5 * math.atan2(2.0 * float(x @ y), float(x @ x) - float(y @ y))
+    ahead = np.array([math.cos(angle), math.sin(angle)])
+    rank = _rank(x * ahead[0] + y * ahead[1])
+    along = (rank - 0.5 * (len(points) - 1)) * spacing
+    place: Array = middle + along * ahead
+    return place
+
+
+def place_on_circle(others: Array, radius: float) -> Array:
+    """Where (2,) a robot at the origin belongs on a circle of `radius` m with `others` (k, 2).
+
+    The middle is the mean of all positions; around it the robots keep their order and stand at
+    equal angles.
+    """
+    points = _with_itself(others)
+    count = len(points)
+    middle: Array = points.sum(axis=0) / count
+    if count < 2:
+        return middle
+    x, y = (points - middle).T
+    angles = np.arctan2(y, x)
+    order = np.argsort(angles, kind="stable")
+    off = angles[order] - 2.0 * math.pi / count * np.arange(count)
+    first = math.atan2(float(np.sin(off).sum()), float(np.cos(off).sum()))
+    own = first + 2.0 * math.pi / count * _rank(angles)
+    place: Array = middle + radius * np.array([math.cos(own), math.sin(own)])
+    return place
+
+
+def radius_of(spacing: float, count: int) -> float:
+    """The radius in m of the circle on which `count` robots have `spacing` m between them."""
+    return spacing / (2.0 * math.sin(math.pi / count)) if count > 1 else 0.0
+
+
+def bodies(scan: Scan, *, reach: float, width: float, offset: tuple[float, float]) -> Array:
+    """The middles (k, 2) of what may be robots: objects up to `reach` m and no wider than `width`.
+
+    `offset` is the lidar's from the axle. Each is taken for as deep as it is seen wide; one that
+    something nearer hides on one side for as wide as the others, from the side that is seen. What
+    is hidden on both sides may be anything, as a wall behind two robots, and is left out.
+    """
+    seen = clusters(scan, within=reach)
+    halves, bearings = 0.5 * seen.widths, seen.bearings.copy()
+    is_chosen = (seen.widths <= width) & (seen.ranges <= _SURE * reach)
+    is_whole = is_chosen & seen.is_free
+    usual = median(halves[is_whole].tolist()) if is_whole.any() else 0.0
+    for index in (is_chosen & ~seen.is_free).nonzero()[0].tolist():
+        sides = _hidden_sides(seen, index)
+        if len(sides) > 1:
+            is_chosen[index] = False
+        elif sides:
+            half = max(float(halves[index]), usual)
+            shown = float(halves[index] / max(seen.ranges[index], 1e-3))
+            whole = math.asin(half / (float(seen.ranges[index]) + half))
+            bearings[index] += sides[0] * max(whole - shown, 0.0)
+            halves[index] = half
+    found = np.array((seen.ranges[is_chosen] + halves[is_chosen], bearings[is_chosen])).T
+    found = from_base(found, offset)
+    middles = found[:, :1] * np.stack((np.cos(found[:, 1]), np.sin(found[:, 1])), axis=-1)
+    return _whole(middles, seen.counts[is_chosen].tolist(), _PIECES * width)
+
+
+def _whole(middles: Array, counts: Sequence[int], least: float) -> Array:
+    """The middles (k, 2) with those nearer than `least` m to each other as one, nearest first.
+
+    A robot comes in pieces where rays are lost, or old while the lidar turns. `counts` are weights.
+    """
+    if len(middles) < 2:
+        return middles
+    points, weights = middles[:, 0] + 1j * middles[:, 1], np.array(counts, float)
+    apart = np.abs(points[:, None] - points)
+    np.fill_diagonal(apart, np.inf)
+    while len(points) > 1 and apart.min() < least:
+        i, j = sorted(divmod(int(apart.argmin()), len(points)))
+        points[i] += (points[j] - points[i]) * weights[j] / (weights[i] + weights[j])
+        weights[i] += weights[j]
+        points, weights = np.delete(points, j), np.delete(weights, j)
+        apart = np.delete(np.delete(apart, j, axis=0), j, axis=1)
+        apart[i] = apart[:, i] = np.abs(points - points[i])
+        apart[i, i] = np.inf
+    return np.stack((points.real, points.imag), axis=-1)
+
+
+def _hidden_sides(seen: RayClusters, index: int) -> list[float]:
+    """On which sides of an object nearer ones adjoin it: 1 left, -1 right."""
+    away = (seen.bearings - seen.bearings[index] + math.pi) % (2.0 * math.pi) - math.pi
+    spreads = 0.5 * seen.widths / np.maximum(seen.ranges, 1e-3)
+    room = np.abs(away) - spreads - spreads[index]
+    is_before = (seen.ranges < seen.ranges[index]) & (room < _ADJOINING)
+    return [side for side in (1.0, -1.0) if (is_before & (side * away > 0.0)).any()]
+
+
+def to_base(point: Array, pose: Pose) -> Array:
+    """A point (2,) of the odometry frame as seen from a base at `pose`."""
+    cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+    x, y = float(point[0]) - pose.x, float(point[1]) - pose.y
+    return np.array([cos * x + sin * y, cos * y - sin * x])
+
+
+def from_pose(point: Array, pose: Pose) -> Array:
+    """A point (2,) seen from a base at `pose`, in the odometry frame."""
+    cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+    x, y = float(point[0]), float(point[1])
+    return np.array([pose.x + cos * x - sin * y, pose.y + sin * x + cos * y])
+
+
+@dataclass(slots=True)
+class _Sighting:
+    """What was sensed of a neighbour last, when, and where it is by what counts of it, x + iy."""
+
+    sensed: tuple[float, float]
+    place: complex
+    at: float
+    count: int = 1
+
+
+class Sightings:
+    """Where neighbours are that are sensed seldom and with noise, while the robot moves.
+
+    Each new range and bearing is put into the odometry frame as it comes; what is sensed again and
+    again in one place is averaged. Who is heard but not sensed now and then stays where it was.
+    """
+
+    def __init__(self) -> None:
+        self._known: dict[str, _Sighting] = {}
+
+    def update(self, neighbors: Sequence[Neighbor], pose: Pose, reach: float, now: float) -> Array:
+        """The neighbours' positions (k, 2), of those within `reach` m, as seen from `pose` now."""
+        known, found = self._known, []
+        self._known = {}
+        here, heading = complex(pose.x, pose.y), cmath.rect(1.0, pose.yaw)
+        for neighbor in neighbors:
+            distance, bearing = neighbor.distance, neighbor.bearing
+            sighting = known.get(neighbor.id)
+            if distance is not None and bearing is not None and math.isfinite(distance + bearing):
+                if not 0.0 <= distance <= reach:
+                    continue
+                if sighting is None or sighting.sensed != (distance, bearing):
+                    place = here + heading * cmath.rect(distance, bearing)
+                    sighting = _again(sighting, (distance, bearing), place, now)
+                sighting.at = now
+            elif sighting is None or now - sighting.at > _PATIENCE:
+                continue
+            self._known[neighbor.id] = sighting
+            found.append((sighting.place - here) * heading.conjugate())
+        return np.array(found, dtype=np.complex128).view(np.float64).reshape(-1, 2)
+
+
+def _again(
+    old: _Sighting | None, sensed: tuple[float, float], place: complex, now: float
+) -> _Sighting:
+    if old is None or abs(old.place - place) > _MOVED + _MOVED_SHARE * sensed[0]:
+        return _Sighting(sensed, place, now)
+    count = min(old.count + 1, _MEMORY)
+    return _Sighting(sensed, old.place + (place - old.place) / count, now, count)
+
+
+def _with_itself(others: Array) -> Array:
+    return np.concatenate((np.zeros((1, 2)), others.reshape(-1, 2)))
+
+
+def _rank(values: Array) -> int:
+    """How many of the values come before the first one, in order."""
+    return int(np.argsort(values, kind="stable").argmin())

@@ -1,0 +1,263 @@
+"""The base of patterns that form a shape: it senses the others and drives; a pattern only places.
+
+With range-and-bearing hardware a robot knows its neighbours one by one; without, it takes for
+robots what its lidar sees of narrow objects. It keeps its place in the odometry frame, drives there
+slower the nearer it is, and rests until the place is farther off than `tolerance`.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Literal, TypeVar
+
+import numpy as np
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import ZERO, Array, Inputs, Platform, Pose, Scalar, Scan, Twist, Value
+from swarmd.kit.behavior import Context, MovementPattern
+from swarmd.kit.formation_geometry import Sightings, bodies, from_pose, to_base
+from swarmd.kit.params import Params, TopSpeed, TopTurn, Unstick, about
+from swarmd.kit.steering import from_base, keep_clear, steer
+from swarmd.sensing.rays import closest_points
+
+_BEARINGS = frozenset({"neighbors.distance", "neighbors.bearing"})
+# Where it arrives: within so much of `tolerance`.
+_ARRIVED = 0.4
+# s: over which its place is averaged.
+_SMOOTH = 0.6
+# Slower than this share of full speed it does not creep to its place.
+_SLOWEST = 0.15
+
+
+class FormationParams(Params, frozen=True, kw_only=True):
+    """What every pattern that forms a shape can be told."""
+
+    sensing: Annotated[
+        Literal["auto", "neighbors", "lidar"],
+        about(
+            "how others are sensed: by range and bearing, or as narrow objects of the scan; auto: "
+            "by range and bearing where the platform provides both",
+            source="ours",
+        ),
+    ] = "auto"
+    speed: TopSpeed = 0.2
+    turn: TopTurn = 1.82
+    spacing: Annotated[
+        float,
+        about(
+            "distance from one robot's axle to the next one's",
+            ge=0.05,
+            le=100.0,
+            unit="m",
+            source="ours: 2.2 times the protection threshold, and less than half of what the lidar "
+            "reaches, so that it sees two in a row",
+        ),
+    ] = 1.1
+    range: Annotated[
+        float,
+        about(
+            "who is farther away does not count; by lidar at most what it reaches",
+            ge=0.1,
+            le=1000.0,
+            unit="m",
+            source="ours: all that are sensed",
+        ),
+    ] = 100.0
+    tolerance: Annotated[
+        float,
+        about(
+            "a robot that rests moves once its place among the others is farther off",
+            ge=0.03,
+            le=10.0,
+            unit="m",
+            source="ours: 0.07 times the spacing; what is less than noise lets nobody rest",
+        ),
+    ] = 0.077
+    clearance: Annotated[
+        float,
+        about(
+            "distance from the axle that no motion may lead below",
+            ge=0.05,
+            le=20.0,
+            unit="m",
+            source="as attraction: 1.06 times the protection threshold plus 1.3 times the lidar's "
+            "offset",
+        ),
+    ] = 0.6
+    brake: Annotated[
+        float,
+        about(
+            "distance over which speed falls to zero towards its place and towards what is near",
+            ge=0.05,
+            le=20.0,
+            unit="m",
+            source="as dispersion: 0.6 times the protection threshold",
+        ),
+    ] = 0.3
+    object_width: Annotated[
+        float,
+        about(
+            "by lidar: what is wider is no robot",
+            ge=0.05,
+            le=10.0,
+            unit="m",
+            source="as attraction: twice the footprint's diagonal",
+        ),
+    ] = 0.8
+    unstick: Unstick = False
+
+
+F = TypeVar("F", bound=FormationParams)
+
+
+class FormationPattern(MovementPattern[F]):
+    """Drives to its place among those that it sees and stands there.
+
+    Its object `needs` what its sensing takes. Alone it stands.
+    """
+
+    params_type: ClassVar[type[Params]] = FormationParams
+    needs = frozenset({"scan", "odometry"})
+    is_symmetric = True
+
+    def __init__(self, params: F, context: Context) -> None:
+        check_spacing(params, context.platform)
+        super().__init__(params, context)
+        self._by_lidar = _is_by_lidar(params, context.platform)
+        if not self._by_lidar:
+            self.needs = self.needs | _BEARINGS
+        self._sightings = Sightings()
+        self._scan: Scan | None = None
+        self._points = np.empty((0, 2))
+        self._goal: Array | None = None
+        self._aimed_at = -math.inf
+        self._seen = 0
+        self._is_settled = False
+
+    @classmethod
+    def defaults(cls, platform: Platform) -> Mapping[str, Value]:
+        """Speeds from the limits, distances from the protection and the lidar."""
+        threshold = float(platform.protection["threshold"])
+        clearance = 1.06 * threshold + 1.3 * math.hypot(*platform.scan.offset)
+        in_sight = min(2.2 * threshold, 0.45 * platform.scan.range_max)
+        spacing = max(in_sight, 1.1 * _least_spacing(clearance, platform))
+        return {
+            "speed": min(platform.limits.linear, 0.5),
+            "turn": min(platform.limits.angular, 4.0),
+            "spacing": spacing,
+            "tolerance": max(0.07 * spacing, 0.03),
+            "clearance": clearance,
+            "brake": 0.6 * threshold,
+            "object_width": 2.0 * float(np.hypot(*np.ptp(platform.footprint, axis=0))),
+        }
+
+    def update(self, params: F) -> None:
+        """Take over changed parameters; ConfigError if they cannot be."""
+        check_spacing(params, self.context.platform)
+        by_lidar = _is_by_lidar(params, self.context.platform)
+        lacking = _lacking(self.context.platform)
+        if not by_lidar and lacking:
+            name = self.context.platform.name
+            raise ConfigError(
+                f"parameter sensing is neighbors, which needs {lacking}; {name} lacks that"
+            )
+        self._by_lidar, self._scan, self._goal = by_lidar, None, None
+        super().update(params)
+
+    def report(self) -> Mapping[str, Scalar]:
+        """What it is doing: alone, form or settled; and how many others it sees."""
+        doing = "settled" if self._is_settled else "form"
+        return {"state": doing if self._seen else "alone", "seen": self._seen}
+
+    @abstractmethod
+    def place(self, others: Array) -> Array:
+        """Where (2,) it belongs with `others` (k, 2), k > 0, all as seen from the robot."""
+
+    def drive(self, inputs: Inputs) -> Twist:
+        """One command towards its place."""
+        if inputs.scan is None or inputs.odometry is None:
+            return ZERO
+        pose = inputs.odometry.pose
+        self._look(inputs, inputs.scan, pose)
+        if self._goal is None or not pose.is_finite:
+            return ZERO
+        way = to_base(self._goal, pose)
+        length = math.hypot(*way)
+        # Of the others alone: each place is a mean in which its own position counts too.
+        off = length * (self._seen + 1) / max(self._seen, 1)
+        limit = self.params.tolerance
+        self._is_settled = off <= (limit if self._is_settled else _ARRIVED * limit)
+        return ZERO if self._is_settled else self._follow(way, length)
+
+    def _look(self, inputs: Inputs, scan: Scan, pose: Pose) -> None:
+        params = self.params
+        offset = self.context.platform.scan.offset
+        is_new = scan is not self._scan
+        if is_new:
+            self._scan = scan
+            reach = params.clearance + params.brake + math.hypot(*offset)
+            self._points = from_base(closest_points(scan, within=reach), offset)
+        if not self._by_lidar:
+            others = self._sightings.update(inputs.neighbors, pose, params.range, inputs.now)
+        elif is_new:
+            reach = min(params.range, scan.range_max)
+            others = bodies(scan, reach=reach, width=params.object_width, offset=offset)
+        else:
+            return
+        self._seen = len(others)
+        if not len(others):
+            self._goal = None
+            return
+        goal = from_pose(self.place(others), pose)
+        passed = max(inputs.now - self._aimed_at, 0.0)
+        share = 1.0 if self._goal is None else 1.0 - math.exp(-passed / _SMOOTH)
+        self._goal = goal if self._goal is None else self._goal + share * (goal - self._goal)
+        self._aimed_at = inputs.now
+
+    def _follow(self, way: Array, length: float) -> Twist:
+        params = self.params
+        vector = way / length * min(max(length / params.brake, _SLOWEST), 1.0)
+        vector = keep_clear(vector, self._points, spacing=params.clearance, brake=params.brake)
+        return steer(
+            vector,
+            params.speed,
+            params.turn,
+            points=self._points,
+            spacing=params.clearance,
+            brake=params.brake,
+            may_back=True,
+        )
+
+
+def check_spacing(params: FormationParams, platform: Platform) -> None:
+    """ConfigError if protection, or the pattern's own clearance, forbids the spacing."""
+    least = _least_spacing(params.clearance, platform)
+    if params.spacing <= least:
+        whose = "the clearance"
+        if _kept_free(platform) > params.clearance:
+            whose = f"what the protection of {platform.name} keeps"
+        raise ConfigError(
+            f"parameter spacing is {params.spacing:g} m; wanted is more than {least:.3g} m:"
+            f" {whose} and half a body"
+        )
+
+
+def _least_spacing(clearance: float, platform: Platform) -> float:
+    half = 0.5 * float(np.ptp(platform.footprint, axis=0).max())
+    return max(_kept_free(platform), clearance) + half
+
+
+def _kept_free(platform: Platform) -> float:
+    """Metres from the axle that protection keeps free."""
+    return float(platform.protection["threshold"]) + math.hypot(*platform.scan.offset)
+
+
+def _lacking(platform: Platform) -> str:
+    return ", ".join(sorted(_BEARINGS - platform.provides))
+
+
+def _is_by_lidar(params: FormationParams, platform: Platform) -> bool:
+    kind: Any = params.sensing
+    return kind == "lidar" or (kind == "auto" and bool(_lacking(platform)))

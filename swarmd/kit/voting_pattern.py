@@ -1,0 +1,221 @@
+"""The base of voting patterns: it owns windows, expiry and sharing; a pattern only decides."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, TypeVar
+
+from swarmd.core.values import Inputs, Message, Neighbor, Outputs, Value
+from swarmd.kit.behavior import Context, Pattern
+from swarmd.kit.params import Params, Unstick, about
+from swarmd.kit.vote_windows import (
+    Rounds,
+    SlidingWindow,
+    Ties,
+    VoteWindow,
+    Windows,
+    read_ballot,
+    read_opinion,
+)
+
+OPINION = "opinion"
+BALLOT = "ballot"
+"""What is said instead under rounds: [round, opinion, opinion of the round before]."""
+
+
+Opinions = Annotated[
+    int,
+    about("number of opinions; they are 0, 1, 2 ...", ge=1, le=1000, source="paper, experiment 2"),
+]
+Initial = Annotated[
+    int, about("opinion to start with; none: a random one", ge=0, le=999, source="paper")
+]
+WindowLength = Annotated[
+    float, about("length of the voting window", ge=0.1, le=600.0, unit="s", source="ROS2swarm")
+]
+TieRule = Annotated[
+    Ties,
+    about(
+        "between equals: a random one of them, keep the own opinion, or the lowest",
+        source="ROS2swarm",
+    ),
+]
+
+
+class VotingParams(Params, frozen=True, kw_only=True):
+    """What every voting pattern can be told."""
+
+    opinions: Opinions = 3
+    initial: Initial | None = None
+    windows: Annotated[
+        Windows,
+        about(
+            "tumbling: one after the other; sliding: the last `window` s, every share_period; "
+            "rounds: all together, once all have voted or `window` s have passed",
+            source="paper: tumbling, the others as variants",
+        ),
+    ] = "tumbling"
+    window: WindowLength = 5.0
+    share_period: Annotated[
+        float,
+        about(
+            "time between two repetitions of the own opinion; at most half a window",
+            ge=0.1,
+            le=600.0,
+            unit="s",
+            source="ours: a lost message, or one that crosses the end of a window, costs no vote",
+        ),
+    ] = 1.0
+    expiry: Annotated[
+        float,
+        about(
+            "a vote not repeated for so long does not count",
+            ge=0.1,
+            le=600.0,
+            unit="s",
+            source="ours: a robot that has gone must not vote",
+        ),
+    ] = 3.0
+    count_own: Annotated[
+        bool,
+        about("whether the own opinion is a vote among the others", source="ROS2swarm: it is not"),
+    ] = False
+    staggered: Annotated[
+        bool,
+        about(
+            "whether the first window ends after a random part of its length; not under rounds",
+            source="ROS2swarm: its timers are not in step. In step, two halves that differ swap "
+            "opinions for ever",
+        ),
+    ] = True
+    unstick: Unstick = False
+
+    @property
+    def period(self) -> float:
+        """Seconds between two repetitions of the own opinion."""
+        return min(self.share_period, 0.5 * self.window)
+
+    def __post_init__(self) -> None:
+        """Check what bounds of single fields cannot."""
+        if self.initial is not None and self.initial >= self.opinions:
+            raise ValueError(f"initial is {self.initial}, opinions end at {self.opinions - 1}")
+        if self.expiry < self.period:
+            raise ValueError(f"expiry is {self.expiry:g} s, less than share_period")
+
+
+V = TypeVar("V", bound=VotingParams)
+
+
+class VotingPattern(Pattern[V]):
+    """Holds an opinion, tells it to the neighbours and changes its mind when a window ends.
+
+    The robot stands. Source: Kaiser et al., ICRA 2022: each robot shares its opinion after every
+    update. Ours: it also repeats it, and votes that are not repeated expire, as do those of a
+    robot that is no longer a neighbour.
+    """
+
+    params_type: ClassVar[type[Params]] = VotingParams
+    needs = frozenset[str]()
+    channels = {OPINION: int, BALLOT: list}  # noqa: RUF012 - a Mapping, as in the base
+
+    def __init__(self, params: V, context: Context) -> None:
+        super().__init__(params, context)
+        initial = params.initial
+        self.opinion = int(context.rng.integers(params.opinions)) if initial is None else initial
+        self._previous = self.opinion
+        self._window: VoteWindow | Rounds | None = None
+        self._neighbors: tuple[Neighbor, ...] = ()
+        self._share_at = 0.0
+        self._heard = 0
+
+    @abstractmethod
+    def decide(self, heard: Mapping[str, int]) -> int:
+        """The new opinion from the latest one of each neighbour in the window.
+
+        There is always at least one; with `count_own` this robot's own is among them.
+        """
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """Count what was heard; when a window ends decide; share when it is time."""
+        if self._window is None:
+            self._window = self._open(inputs.now)
+            self._share_at = inputs.now
+        window = self._window
+        for message in inputs.messages:
+            if message.sender != self.context.robot:
+                self._take(window, message, inputs.now - message.age)
+        self._forget_gone(window, inputs.neighbors)
+        heard = window.close(inputs.now)
+        if heard is not None:
+            self._conclude({s: o for s, o in heard.items() if o < self.params.opinions})
+            self._share_at = inputs.now
+        report = {"opinion": self.opinion, "heard": self._heard}
+        if isinstance(window, Rounds):
+            report["round"] = window.round
+        return Outputs(messages=self._share(window, inputs.now), report=report)
+
+    def update(self, params: V) -> None:
+        """Take over changed parameters; an opinion that no longer exists is drawn anew.
+
+        A changed length holds from the next window on; other `windows` start afresh.
+        """
+        if params.windows != self.params.windows:
+            self._window = None
+        super().update(params)
+        if self._window is not None:
+            self._window.length, self._window.expiry = params.window, params.expiry
+        if isinstance(self._window, SlidingWindow | Rounds):
+            self._window.period = params.period
+        if self.opinion >= params.opinions:
+            self.opinion = int(self.context.rng.integers(params.opinions))
+            self._share_at = 0.0
+        self._previous = min(self._previous, params.opinions - 1)
+
+    def _open(self, now: float) -> VoteWindow | Rounds:
+        params = self.params
+        length, period, expiry = params.window, params.period, params.expiry
+        if params.windows == "rounds":
+            return Rounds(length, period, now=now, expiry=expiry)
+        first = 1.0 - float(self.context.rng.random()) if params.staggered else 1.0
+        if params.windows == "sliding":
+            return SlidingWindow(length, period, now=now, expiry=expiry, first=first)
+        return VoteWindow(length, now=now, expiry=expiry, first=first)
+
+    def _take(self, window: VoteWindow | Rounds, message: Message, heard_at: float) -> None:
+        """Count what a message says; what is neither an opinion nor a ballot is nothing."""
+        count = self.params.opinions
+        if message.channel == OPINION:
+            opinion = read_opinion(message.value, count)
+            if opinion is not None:
+                window.add(message.sender, opinion, heard_at)
+        elif message.channel == BALLOT:
+            ballot = read_ballot(message.value, count)
+            if ballot is not None:
+                window.add_ballot(message.sender, ballot, heard_at)
+
+    def _forget_gone(self, window: VoteWindow | Rounds, neighbors: tuple[Neighbor, ...]) -> None:
+        """The votes of those that were neighbours, and are none now, count no longer."""
+        if neighbors is self._neighbors:
+            return
+        here = {neighbor.id for neighbor in neighbors}
+        for neighbor in self._neighbors:
+            if neighbor.id not in here:
+                window.forget(neighbor.id)
+        self._neighbors = neighbors
+
+    def _conclude(self, heard: dict[str, int]) -> None:
+        self._previous, self._heard = self.opinion, len(heard)
+        if not heard:
+            return
+        if self.params.count_own:
+            heard[self.context.robot] = self.opinion
+        self.opinion = self.decide(heard)
+
+    def _share(self, window: VoteWindow | Rounds, now: float) -> Mapping[str, Value]:
+        if now < self._share_at:
+            return {}
+        self._share_at = now + self.params.period
+        if isinstance(window, Rounds):
+            return {BALLOT: [window.round, self.opinion, self._previous]}
+        return {OPINION: self.opinion}

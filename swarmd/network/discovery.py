@@ -1,0 +1,223 @@
+"""Which robots there are, put together from what each daemon says: pure.
+
+A fresh session's links are not complete when it opens: of 20 daemons one answers at once, all
+after 20 to 40 ms. So `Gathering` collects views and tokens until every robot that anyone calls
+alive has answered for itself, and all agree on who is there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from swarmd.core.messages import Condition, Epoch, Member, Status, View
+
+# With one answer, or answers that do not agree yet, this long must pass without news, in s.
+QUIET = 0.1
+MAX_ROBOTS = 1024
+
+_RANK = {Condition.ALIVE: 0, Condition.LEFT: 1, Condition.FAILED: 2}
+
+
+@dataclass(frozen=True, slots=True)
+class MembersView:
+    """The swarm as one operator sees it.
+
+    `members`: all robots by id; those in `answered` with their own status. `silent` are alive,
+    by token or by others' word, and did not answer. `absent` are on the roster and nowhere else.
+    `duplicates`: ids that two living daemons hold, with their instances. `is_complete` is False
+    when the time was up first.
+    """
+
+    members: Mapping[str, Member]
+    answered: frozenset[str] = frozenset()
+    roster: frozenset[str] = frozenset()
+    duplicates: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    is_complete: bool = True
+    seconds: float = 0.0
+
+    @property
+    def alive(self) -> tuple[str, ...]:
+        """The names of those that are there."""
+        return self._in(Condition.ALIVE)
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """The names of those that went without a word."""
+        return self._in(Condition.FAILED)
+
+    @property
+    def silent(self) -> tuple[str, ...]:
+        """Alive, and no answer from them."""
+        return tuple(name for name in self.alive if name not in self.answered)
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """On the roster, and seen by nobody."""
+        return tuple(sorted(self.roster - self.members.keys()))
+
+    def epochs(self, names: Iterable[str]) -> dict[str, Epoch | None]:
+        """What was seen of each, for a request to quote; None for those that did not answer."""
+        return {name: self._epoch(name) for name in names}
+
+    def _epoch(self, name: str) -> Epoch | None:
+        member = self.members.get(name)
+        return member.status.epoch if member is not None and member.status is not None else None
+
+    def _in(self, condition: Condition) -> tuple[str, ...]:
+        return tuple(name for name, one in self.members.items() if one.condition is condition)
+
+
+class Gathering:
+    """Collects views; `tokens` (robot -> instances) is what the own links show from the start."""
+
+    def __init__(self, now: float, roster: Iterable[str] = ()) -> None:
+        self._started = now
+        self._news = now
+        self._views: dict[str, dict[str, View]] = {}
+        self._tokens: dict[str, set[str]] = {}
+        self._gone: set[tuple[str, str]] = set()
+        self._roster = set(roster)
+
+    def on_token(self, robot: str, instance: str, is_there: bool, now: float) -> None:
+        """The own session saw a token come or go."""
+        if robot not in self._tokens and len(self._tokens) >= MAX_ROBOTS:
+            return
+        instances = self._tokens.setdefault(robot, set())
+        if is_there:
+            instances.add(instance)
+            self._gone.discard((robot, instance))
+        else:
+            instances.discard(instance)
+            self._gone.add((robot, instance))
+            self._views.get(robot, {}).pop(instance, None)
+        self._news = now
+
+    def on_link(self, now: float) -> None:
+        """The own session got a link: more may follow."""
+        self._news = now
+
+    def on_view(self, view: View, now: float) -> None:
+        """A daemon answered; only what is new counts as news."""
+        known = self._views.setdefault(view.robot, {})
+        if view.status.instance not in known:
+            self._news = now
+        known[view.status.instance] = view
+        self._roster.update(view.roster)
+
+    def holders(self, robot: str) -> frozenset[str]:
+        """The instances whose tokens for this id the own links show now."""
+        return frozenset(self._tokens.get(robot, ()))
+
+    @property
+    def answered(self) -> frozenset[str]:
+        """Who has answered for itself."""
+        return frozenset(robot for robot, views in self._views.items() if views)
+
+    @property
+    def settled(self) -> frozenset[str]:
+        """Who has answered with every living instance: with two, if two hold one id."""
+        alive = self._alive()
+        return frozenset(
+            robot for robot in self.answered if alive[robot] <= self._views[robot].keys()
+        )
+
+    @property
+    def known(self) -> frozenset[str]:
+        """Every name that a token, a daemon or the roster mentions, whatever became of it."""
+        said = {member.robot for view in self._all() for member in view.members}
+        return frozenset(said | self._tokens.keys() | self.answered | self._roster)
+
+    @property
+    def alive(self) -> frozenset[str]:
+        """Everyone that a token, a daemon or its own answer shows to be there."""
+        return frozenset(self._alive())
+
+    def is_complete(self, now: float) -> bool:
+        """True once everyone alive has answered, and they agree or there was no more news."""
+        settled = self.settled
+        if not settled or not self.alive <= settled:
+            return False
+        return self._agree(settled) or now - self._news >= QUIET
+
+    def result(self, now: float) -> MembersView:
+        """All that is known by now."""
+        members: dict[str, Member] = {}
+        for view in self._all():
+            for member in view.members:
+                known = members.get(member.robot)
+                members[member.robot] = member if known is None else _truer(known, member)
+        for robot in self.alive:
+            members[robot] = self._alive_member(robot, members.get(robot))
+        for robot, member in list(members.items()):
+            if member.condition is Condition.ALIVE and robot not in self.alive:
+                members[robot] = _failed(member)
+        return MembersView(
+            members=dict(sorted(members.items())),
+            answered=self.answered,
+            roster=frozenset(self._roster),
+            duplicates=self._duplicates(),
+            is_complete=self.is_complete(now),
+            seconds=now - self._started,
+        )
+
+    def _alive(self) -> dict[str, set[str]]:
+        """The living instances of each robot, by tokens, others' words and own answers."""
+        found: dict[str, set[str]] = {}
+        for robot, instances in self._tokens.items():
+            if instances:
+                found.setdefault(robot, set()).update(instances)
+        for view in self._all():
+            found.setdefault(view.robot, set()).add(view.status.instance)
+            for member in view.members:
+                is_gone = (member.robot, member.instance) in self._gone
+                if member.condition is Condition.ALIVE and not is_gone:
+                    found.setdefault(member.robot, set()).add(member.instance)
+        return found
+
+    def _duplicates(self) -> dict[str, tuple[str, ...]]:
+        alive = sorted(self._alive().items())
+        return {robot: tuple(sorted(some)) for robot, some in alive if len(some) > 1}
+
+    def _all(self) -> list[View]:
+        return [view for views in self._views.values() for view in views.values()]
+
+    def _agree(self, answered: frozenset[str]) -> bool:
+        if len(answered) < 2:
+            return False
+        return all(answered <= _seen_alive(view) | {view.robot} for view in self._all())
+
+    def _alive_member(self, robot: str, known: Member | None) -> Member:
+        views = self._views.get(robot)
+        if views:
+            status = next(reversed(views.values())).status
+            return _alive(robot, status.instance, status, known.age if known else 0.0)
+        tokens = sorted(self._tokens.get(robot, ()))
+        if known is not None and known.condition is Condition.ALIVE:
+            return known
+        return _alive(robot, tokens[0] if tokens else "unknown", None, 0.0)
+
+
+def _seen_alive(view: View) -> frozenset[str]:
+    return frozenset(member.robot for member in view.members if member.condition is Condition.ALIVE)
+
+
+def _truer(one: Member, other: Member) -> Member:
+    """Of two peers' words on a robot: alive first, then `left` of the same instance, then newer."""
+    if Condition.ALIVE in (one.condition, other.condition) or one.instance == other.instance:
+        return min(one, other, key=lambda member: (_RANK[member.condition], member.age))
+    return min(one, other, key=lambda member: member.age)
+
+
+def _alive(robot: str, instance: str, status: Status | None, age: float) -> Member:
+    return Member(robot=robot, instance=instance, condition=Condition.ALIVE, age=age, status=status)
+
+
+def _failed(member: Member) -> Member:
+    return Member(
+        robot=member.robot,
+        instance=member.instance,
+        condition=Condition.FAILED,
+        age=0.0,
+        status=member.status,
+    )

@@ -1,0 +1,115 @@
+"""The bounded way in: what Zenoh's threads hear, handed to the loop a few items at a time.
+
+A flood must cost its sender's messages and nothing else. So each kind of message has a lane of
+its own; a full lane drops the newest and counts it, at the price of a comparison; the loop takes
+a small batch and then breathes, so that its timers stay on time.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from swarmd.core.threads import hand_over
+
+CAPACITY = 256
+BATCH = 8
+BREATH = 0.001
+_LONGEST_KIND = 64
+_MOST_KINDS = 256
+
+
+class Drops:
+    """Counts what was dropped, by kind; safe from every thread."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._counts: dict[str, int] = {}
+
+    def add(self, kind: str, count: int = 1) -> None:
+        """Count it. Of very many kinds the later ones are counted together as `other`."""
+        kind = kind[:_LONGEST_KIND]
+        with self._lock:
+            if kind not in self._counts and len(self._counts) >= _MOST_KINDS:
+                kind = "other"
+            self._counts[kind] = self._counts.get(kind, 0) + count
+
+    def counts(self) -> dict[str, int]:
+        """The counts so far, as a copy."""
+        with self._lock:
+            return dict(self._counts)
+
+
+class Lane:
+    """One kind's queue. `breath`: seconds between batches while more is waiting."""
+
+    def __init__(
+        self,
+        loop: asyncio.AbstractEventLoop,
+        drops: Drops,
+        kind: str,
+        *,
+        capacity: int = CAPACITY,
+        breath: float = BREATH,
+    ) -> None:
+        self.kind = kind
+        self._loop = loop
+        self._drops = drops
+        self._full = f"{kind[: _LONGEST_KIND - 5]}:full"
+        self._capacity = capacity
+        self._breath = breath
+        self._lock = threading.Lock()
+        self._items: deque[tuple[Callable[..., object], tuple[Any, ...]]] = deque()
+        self._is_scheduled = False
+        self._is_closed = False
+
+    def is_full(self) -> bool:
+        """True, and counted as dropped, if nothing more fits: ask before any other work."""
+        if len(self._items) < self._capacity:
+            return False
+        self._drops.add(self._full)
+        return True
+
+    def offer(self, function: Callable[..., object], *args: Any) -> bool:
+        """Have `function(*args)` called on the loop; False if the lane is full or closed."""
+        if self.is_full():
+            return False
+        with self._lock:
+            if self._is_closed:
+                return False
+            self._items.append((function, args))
+            if self._is_scheduled:
+                return True
+            self._is_scheduled = True
+        hand_over(self._loop, self._drain)
+        return True
+
+    def close(self) -> None:
+        """Forget what is queued and take nothing more."""
+        with self._lock:
+            self._is_closed = True
+            self._items.clear()
+
+    def _drain(self) -> None:
+        try:
+            for _ in range(BATCH):
+                with self._lock:
+                    if not self._items:
+                        return
+                    function, args = self._items.popleft()
+                function(*args)
+        finally:
+            self._continue()
+
+    def _continue(self) -> None:
+        with self._lock:
+            self._is_scheduled = bool(self._items)
+            if not self._is_scheduled:
+                return
+        if self._breath:
+            self._loop.call_later(self._breath, self._drain)
+        else:
+            self._loop.call_soon(self._drain)

@@ -1,0 +1,207 @@
+"""What became of a request: pure bookkeeping of who was meant, who answered, and how.
+
+An empty list of acks is never success. The exit codes of swarmctl:
+
+====  ==========================================================================
+0     every robot that was meant has applied it
+1     every one failed
+2     usage (decided before anything is sent)
+3     partial: some applied it and some did not, or refusals, failures and silence mixed
+4     no robot was meant
+5     nobody answered in time
+6     no daemon could be reached (decided before anything is sent)
+7     every one refused
+====  ==========================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+
+from swarmd.core.messages import Code, Condition, Member, Reply
+
+APPLIED, FAILED, USAGE, PARTIAL, NO_TARGET, TIMEOUT, UNREACHABLE, REFUSED = range(8)
+# A robot that failed this recently was meant by whoever said `--all`, in s.
+RECENT = 60.0
+
+_SEVERITY = {Code.APPLIED: 0, Code.REFUSED: 1, Code.FAILED: 2}
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """Whom a request is for: `asked` are sent it, `absent` count as silent from the start.
+
+    `warnings` are lines for the operator about robots that are not counted.
+    """
+
+    asked: tuple[str, ...]
+    absent: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How a request ended: `replies` by robot, and the `missing` who did not answer."""
+
+    replies: Mapping[str, Reply]
+    missing: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    seconds: float = 0.0
+    duplicates: tuple[str, ...] = field(default=())
+
+    @property
+    def targeted(self) -> int:
+        """How many robots were meant."""
+        return len(self.replies) + len(self.missing)
+
+    @property
+    def applied(self) -> tuple[str, ...]:
+        """Those that did it."""
+        return self._with(Code.APPLIED)
+
+    @property
+    def refused(self) -> tuple[str, ...]:
+        """Those that would not."""
+        return self._with(Code.REFUSED)
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Those that could not."""
+        return self._with(Code.FAILED)
+
+    @property
+    def line(self) -> str:
+        """Such as `7 targeted, 6 applied, 1 no answer (tb3-03)`."""
+        parts = [f"{self.targeted} targeted", f"{len(self.applied)} applied"]
+        for what, names in (
+            ("refused", self.refused),
+            ("failed", self.failed),
+            ("no answer", self.missing),
+        ):
+            if names:
+                parts.append(f"{len(names)} {what} ({', '.join(names)})")
+        return ", ".join(parts)
+
+    @property
+    def exit_code(self) -> int:
+        """The exit code of swarmctl for this outcome."""
+        if not self.targeted:
+            return NO_TARGET
+        groups = (
+            (len(self.applied), APPLIED),
+            (len(self.refused), REFUSED),
+            (len(self.failed), FAILED),
+            (len(self.missing), TIMEOUT),
+        )
+        for count, code in groups:
+            if count == self.targeted:
+                return code
+        return PARTIAL
+
+    def _with(self, code: Code) -> tuple[str, ...]:
+        return tuple(sorted(name for name, reply in self.replies.items() if reply.code is code))
+
+
+class Acks:
+    """Collects the answers to one request.
+
+    Two answers under one name come from two daemons that hold one id: the worse one counts, and
+    the name is among the outcome's `duplicates`.
+    """
+
+    def __init__(self, request_id: str) -> None:
+        self._request_id = request_id
+        self._replies: dict[str, dict[str, Reply]] = {}
+        self.strange = 0
+
+    def on_reply(self, robot: str, reply: Reply) -> bool:
+        """Take the answer heard on `robot`'s key; False if it answers something else."""
+        if reply.robot != robot or reply.id != self._request_id:
+            self.strange += 1
+            return False
+        boot = reply.epoch.boot if reply.epoch is not None else ""
+        self._replies.setdefault(robot, {})[boot] = reply
+        return True
+
+    @property
+    def answered(self) -> frozenset[str]:
+        """The robots that have answered so far."""
+        return frozenset(self._replies)
+
+    def lacks(self, robot: str, instances: Collection[str]) -> bool:
+        """True unless the robot has answered, with each of these daemons if more than one."""
+        boots = self._replies.get(robot, {}).keys()
+        return not boots or (len(instances) > 1 and not set(instances) <= boots)
+
+    def missing(self, expected: Iterable[str]) -> tuple[str, ...]:
+        """Who of `expected` has not answered, in the order of names."""
+        return tuple(sorted(set(expected) - self._replies.keys()))
+
+    def outcome(
+        self,
+        expected: Iterable[str],
+        *,
+        silent: Collection[str] = (),
+        warnings: tuple[str, ...] = (),
+        seconds: float = 0.0,
+    ) -> Outcome:
+        """How it ended; a robot that answered without being expected counts as meant.
+
+        Those in `silent` count as missing even if one daemon has answered in their name.
+        """
+        answered = sorted(self._replies.keys() - set(silent))
+        return Outcome(
+            replies={name: _worst(self._replies[name].values()) for name in answered},
+            missing=tuple(sorted({*self.missing(expected), *silent})),
+            warnings=warnings,
+            seconds=seconds,
+            duplicates=tuple(
+                sorted(name for name, found in self._replies.items() if len(found) > 1)
+            ),
+        )
+
+
+def _worst(replies: Iterable[Reply]) -> Reply:
+    return max(replies, key=lambda reply: _SEVERITY[reply.code])
+
+
+def expected_to_run(
+    members: Mapping[str, Member], roster: Collection[str], selected: Collection[str]
+) -> Expected:
+    """Whom `run`, `reset` and `param` are for, of the robots the operator `selected`.
+
+    Alive ones are asked. One that failed within the last minute, or that the roster names, is
+    absent, so that the outcome is partial; other failed ones only warn; those that left do not
+    count unless the roster names them.
+    """
+    asked, absent, warnings = [], [], []
+    for name in sorted(set(selected)):
+        member = members.get(name)
+        if member is not None and member.condition is Condition.ALIVE:
+            asked.append(name)
+        elif name in roster or (
+            member is not None and member.condition is Condition.FAILED and member.age <= RECENT
+        ):
+            absent.append(name)
+        elif member is not None and member.condition is Condition.FAILED:
+            warnings.append(
+                f"{name} failed {member.age:.0f} s ago and is not counted;"
+                f" `swarmctl members forget {name}` removes it"
+            )
+    return Expected(tuple(asked), tuple(absent), tuple(warnings))
+
+
+def expected_to_stop(
+    members: Mapping[str, Member], roster: Collection[str], selected: Collection[str]
+) -> frozenset[str]:
+    """Who must ack `stop` and `estop`, of the robots `selected`: all but those that left.
+
+    Failed ones always count, and so does the whole roster: a robot that cannot be reached may
+    be moving.
+    """
+    return frozenset(
+        name
+        for name in selected
+        if name in roster or (name in members and members[name].condition is not Condition.LEFT)
+    )

@@ -1,0 +1,235 @@
+"""Runners carry a robot's commands to its pattern: inline, or in a child process."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from swarmd.core.errors import CodecError, PluginError, unknown
+from swarmd.core.host_messages import (
+    Cancel,
+    Command,
+    Died,
+    Event,
+    Failed,
+    Kill,
+    Load,
+    Refused,
+    Tried,
+    Try,
+)
+from swarmd.pattern_host.process import HostProcess, Trial, outcome, why_it_ended
+from swarmd.pattern_host.wire import decode_event, encode_command
+from swarmd.plugins import check_single, installed_patterns, pattern_names
+
+if TYPE_CHECKING:
+    from swarmd.pattern_host.executor import (
+        Stage,  # for patterns: 7 MB of numpy.random that a guardian can spare
+    )
+
+log = logging.getLogger(__name__)
+
+FIRST_RESPAWN = 0.05
+LAST_RESPAWN = 5.0
+
+
+class Runner(Protocol):
+    """Carries commands to a pattern and its answers back."""
+
+    def send(self, command: Command) -> None:
+        """Hand a command over; never blocks. The robot keeps at most one step in flight."""
+
+    def events(self) -> Iterable[Event]:
+        """The answers since the last call, in order."""
+
+
+class InlineRunner:
+    """Runs the pattern in this process, at once: for lockstep and tests."""
+
+    def __init__(self, stage: Callable[[], Stage]) -> None:
+        self._make = stage
+        self._stage = stage()
+        self._events: deque[Event] = deque()
+
+    def send(self, command: Command) -> None:
+        """Carry the command out now; its answer waits in `events`."""
+        if isinstance(command, Try | Cancel):
+            if isinstance(command, Try):
+                answer = self._make().handle(command.load)
+                self._events.append(Tried(command.load.generation, outcome(answer)))
+            return
+        if isinstance(command, Kill):
+            self._stage = self._make()
+            return
+        if isinstance(command, Load) and command.is_fresh:
+            self._stage = self._make()
+        event = self._stage.handle(command)
+        if event is not None:
+            self._events.append(event)
+
+    def events(self) -> Iterable[Event]:
+        """The answers since the last call, in order."""
+        while self._events:
+            yield self._events.popleft()
+
+
+class ProcessRunner:
+    """Keeps one warm pattern host; must live on the loop's thread, from before Zenoh is opened.
+
+    `wake` is called when there are events. A host that ends by itself is replaced, after a pause
+    that grows if it keeps ending before it said anything.
+    """
+
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, plugin_dir: Path | None, wake: Callable[[], None]
+    ) -> None:
+        self._loop = loop
+        self._plugin_dir = plugin_dir
+        self._installed = installed_patterns()
+        self._wake = wake
+        self._events: deque[Event] = deque()
+        self._generation = 0
+        self._pause = FIRST_RESPAWN
+        self._respawn: asyncio.TimerHandle | None = None
+        self._is_closed = False
+        self._dying: list[HostProcess] = []
+        self._trial: Trial | None = None
+        self.dropped = 0
+        self._host: HostProcess | None = HostProcess(loop, self)
+
+    @property
+    def pid(self) -> int | None:
+        """The present host's process id; None between two hosts."""
+        return None if self._host is None else self._host.process.pid
+
+    def send(self, command: Command) -> None:
+        """Hand a command over; never blocks. What a stopped host cannot take is dropped."""
+        if isinstance(command, Try | Cancel):
+            self._end_trial()
+            if isinstance(command, Try):
+                self._try(command.load)
+            return
+        if isinstance(command, Kill):
+            self._replace()
+            return
+        if isinstance(command, Load):
+            log.info("loading %s", command.pattern)
+            if command.is_fresh:
+                self._replace()
+        self._generation = command.generation
+        try:
+            frame = encode_command(command, self._origins(command))
+        except (PluginError, CodecError) as error:
+            kind = Refused if isinstance(command, Load) else Failed
+            self._events.append(kind(command.generation, str(error)))
+            self._loop.call_soon(self._wake)
+            return
+        host = self._host or self._start()
+        try:
+            host.socket.send(frame)
+        except OSError:  # full, or just ended: silence and the pidfd are watched
+            self.dropped += 1
+
+    def events(self) -> Iterable[Event]:
+        """The answers since the last call, in order."""
+        while self._events:
+            yield self._events.popleft()
+
+    def close(self) -> None:
+        """End the host."""
+        self._is_closed = True
+        if self._respawn is not None:
+            self._respawn.cancel()
+        self._end_trial()
+        self._kill()
+        for host in list(self._dying):
+            host.reap()
+
+    def buried(self, host: HostProcess) -> None:
+        """A host's process has been waited for."""
+        if host in self._dying:
+            self._dying.remove(host)
+
+    def on_frame(self, host: HostProcess, frame: bytes) -> None:
+        """A host said something."""
+        if host is not self._host:
+            return
+        self._pause = FIRST_RESPAWN
+        try:
+            event = decode_event(frame)
+        except CodecError as error:
+            event = Failed(self._generation, str(error))
+        self._events.append(event)
+        self._wake()
+
+    def on_end(self, host: HostProcess, code: int) -> None:
+        """A host ended by itself."""
+        if host is not self._host:
+            return
+        self._host = None
+        self._events.append(Died(self._generation, why_it_ended(code)))
+        if not self._is_closed:
+            self._respawn = self._loop.call_later(self._pause, self._start_again)
+            self._pause = min(2.0 * self._pause, LAST_RESPAWN)
+        self._wake()
+
+    def _origins(self, command: Command) -> Mapping[str, tuple[str, bool]]:
+        if not isinstance(command, Load):
+            return {}
+        found = pattern_names(self._plugin_dir, self._installed)
+        if command.pattern not in found:  # perhaps installed meanwhile; reading that takes 2 ms
+            self._installed = installed_patterns()
+            found = pattern_names(self._plugin_dir, self._installed)
+        if command.pattern not in found:
+            raise PluginError(unknown("pattern", command.pattern, found))
+        check_single(command.pattern, found[command.pattern])
+        return {name: (origin.value, origin.is_file) for name, origin in found.items()}
+
+    def _try(self, load: Load) -> None:
+        log.info("trying new code of %s", load.pattern)
+        self._installed = installed_patterns()  # a new version may have it elsewhere
+        number = load.generation
+        try:
+            frame = encode_command(load, self._origins(load))
+            self._trial = Trial(self._loop, number, frame, self._on_tried, self.buried)
+        except (PluginError, CodecError, OSError) as error:
+            self._events.append(Tried(number, str(error)))
+            self._loop.call_soon(self._wake)
+
+    def _on_tried(self, tried: Tried) -> None:
+        if tried.text:
+            self._end_trial()
+        self._events.append(tried)
+        self._wake()
+
+    def _end_trial(self) -> None:
+        if self._trial is not None:
+            self._dying.extend(self._trial.end())
+            self._trial = None
+
+    def _replace(self) -> None:
+        self._kill()
+        if self._trial is not None:  # the code that a fresh host is wanted for is loaded there
+            self._host = self._trial.hand_over(self)
+        self._start_again()
+
+    def _kill(self) -> None:
+        if self._host is not None:
+            self._host.kill()
+            self._dying.append(self._host)
+            self._host = None
+
+    def _start_again(self) -> None:
+        if self._host is None and not self._is_closed:
+            self._start()
+
+    def _start(self) -> HostProcess:
+        if self._respawn is not None:
+            self._respawn.cancel()
+            self._respawn = None
+        self._host = HostProcess(self._loop, self)
+        return self._host

@@ -1,0 +1,85 @@
+"""The command nearest to a wish that keeps within half-planes: exact, for two variables.
+
+All is in a plane whose axes are the two speeds, each divided by its limit, so that "nearest" weighs
+them alike. A polygon is a list of its corners, counter-clockwise; all contain the origin, which is
+to stand still.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from swarmd.core.values import Array
+
+Point = tuple[float, float]
+
+EXACT = 1e-12
+"""By how much a row may be overstepped for the sake of rounding."""
+
+
+def nearest_feasible(
+    wish: Point, polygon: Sequence[Point], normals: Array, caps: Array
+) -> tuple[Point, list[int]]:
+    """The point of the polygon nearest to `wish` with normals @ point <= caps, and tight rows.
+
+    `normals` (k, 2), `caps` (k,) none below 0, so that the origin always is feasible. Rows are
+    taken in one by one, the one most violated first: what is nearest within some of the rows and
+    violates no other is nearest within all. Rows are tight that the point lies on.
+    """
+    point = nearest(polygon, wish)
+    for _ in range(len(caps)):
+        excess = normals @ point - caps
+        worst = int(excess.argmax())
+        if excess[worst] <= EXACT:
+            break
+        a, b = normals[worst]
+        polygon = clipped(polygon, float(a), float(b), float(caps[worst]))
+        point = nearest(polygon, wish)
+    if not len(caps):
+        return point, []
+    tight = np.flatnonzero(normals @ point - caps >= -1e-9)
+    return point, tight.tolist()
+
+
+def clipped(polygon: Sequence[Point], a: float, b: float, cap: float) -> list[Point]:
+    """The part of a convex polygon where a x + b y <= cap (Sutherland and Hodgman 1974)."""
+    kept: list[Point] = []
+    x0, y0 = polygon[-1]
+    over0 = a * x0 + b * y0 - cap
+    for x1, y1 in polygon:
+        over1 = a * x1 + b * y1 - cap
+        if (over0 > 0.0) != (over1 > 0.0):
+            share = over0 / (over0 - over1)
+            kept.append((x0 + share * (x1 - x0), y0 + share * (y1 - y0)))
+        if over1 <= 0.0:
+            kept.append((x1, y1))
+        x0, y0, over0 = x1, y1, over1
+    return kept or [(0.0, 0.0)]
+
+
+def nearest(polygon: Sequence[Point], wish: Point) -> Point:
+    """The point of a convex polygon that is nearest to `wish`: that itself if it is inside.
+
+    A polygon may be as thin as a line or a point, which have no inside.
+    """
+    x, y = wish
+    best, best_square = (0.0, 0.0), math.inf
+    is_inside = True
+    x0, y0 = polygon[-1]
+    for x1, y1 in polygon:
+        dx, dy = x1 - x0, y1 - y0
+        px, py = x - x0, y - y0
+        if dx * py - dy * px <= 0.0:
+            is_inside = False
+        square = dx * dx + dy * dy
+        share = (px * dx + py * dy) / square if square > 0.0 else 0.0
+        share = min(max(share, 0.0), 1.0)
+        on = (x0 + share * dx, y0 + share * dy)
+        away = (x - on[0]) ** 2 + (y - on[1]) ** 2
+        if away < best_square:
+            best, best_square = on, away
+        x0, y0 = x1, y1
+    return wish if is_inside or best_square <= EXACT * EXACT else best

@@ -1,0 +1,236 @@
+"""The robot's side of its pattern: loading, stepping, wishes and their expiry, faults. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from msgspec import Struct
+
+from swarmd.core.host_messages import Ready, Stepped
+from swarmd.core.messages import Request
+from swarmd.core.values import Scalar, TouchZone, Twist
+
+LOAD_TIMEOUT = 3.0
+SILENT_AFTER = 1.0
+MIN_EXPIRY = 0.3
+FAULT_WINDOW = 60.0
+FAULTS_BEFORE_QUARANTINE = 4
+FIRST_BACKOFF = 0.1
+ROUNDING = 1e-6  # a deadline is kept, not missed by the last bit of a float
+
+
+class Wish(Struct, frozen=True):
+    """What the pattern wants, since when, and from which scan (-1: none)."""
+
+    twist: Twist | None
+    at: float
+    scan_seq: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loading:
+    """A pattern on its way in. `request` None: a restart after a fault.
+
+    `until`: conditions of which any ends the run.
+    """
+
+    generation: int
+    pattern: str
+    params: Mapping[str, Scalar | None]
+    seconds: float | None
+    since: float
+    request: Request | None
+    until: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trying:
+    """New code that is being tried, since when, and who asked for it."""
+
+    generation: int
+    pattern: str
+    since: float
+    request: Request
+
+
+@dataclass(slots=True, eq=False)
+class Running:
+    """The pattern in force. `touch`: where it may touch what is near."""
+
+    generation: int
+    pattern: str
+    params: Mapping[str, Scalar | None]
+    finish_at: float | None
+    rate: float
+    channels: frozenset[str]
+    values: Mapping[str, tuple[Scalar | None, str]]
+    wish: Wish
+    until: tuple[str, ...] = ()
+    touch: TouchZone | None = None
+
+    def channel(self, name: str) -> str | None:
+        """What the pattern itself calls `<pattern>/<channel>`; None if it does not listen to it."""
+        if name in self.channels:
+            return name
+        pattern, _, channel = name.partition("/")
+        return channel if pattern == self.pattern and channel in self.channels else None
+
+    def full_name(self, channel: str) -> str:
+        """The `<pattern>/<channel>` of one of its channels, as all robots know it."""
+        return channel if "/" in channel else f"{self.pattern}/{channel}"
+
+    @property
+    def expiry(self) -> float:
+        """Seconds for which a wish holds: three steps, at least 0.3 s."""
+        return max(MIN_EXPIRY, 3.0 / self.rate)
+
+
+class Hosting:
+    """What is loaded, what is awaited from the host, and how often it has failed."""
+
+    def __init__(self) -> None:
+        self.generation = 0
+        self.running: Running | None = None
+        self.loading: Loading | None = None
+        self.restart_at: float | None = None
+        self.awaiting_since: float | None = None
+        self.stepped_generation = 0
+        self.last_step = -1.0
+        self.is_due = False
+        self.is_outdated = False  # its host may hold code that was replaced meanwhile
+        self.restarts = 0
+        self._faults: deque[float] = deque()
+
+    def begin(
+        self,
+        pattern: str,
+        params: Mapping[str, Scalar | None],
+        seconds: float | None,
+        request: Request | None,
+        now: float,
+        until: tuple[str, ...] = (),
+    ) -> Loading:
+        """A new generation is to be loaded; until then the one in force stays, unstepped."""
+        self.generation += 1
+        self.loading = Loading(self.generation, pattern, params, seconds, now, request, until)
+        self.restart_at = None
+        return self.loading
+
+    def ready(self, event: Ready, now: float) -> Loading:
+        """Put the loaded pattern in force, without any wish yet."""
+        loading, self.loading = self.loading, None
+        assert loading is not None
+        finish_at = None if loading.seconds is None else now + loading.seconds
+        if loading.request is None and self.running is not None:
+            finish_at = self.running.finish_at
+        else:
+            self._faults.clear()
+        self.running = Running(
+            loading.generation,
+            loading.pattern,
+            loading.params,
+            finish_at,
+            event.rate,
+            event.channels,
+            event.params,
+            Wish(None, now, -1),
+            loading.until,
+        )
+        self.awaiting_since = None
+        self.last_step = -1.0
+        return loading
+
+    def stepped(self, event: Stepped, now: float) -> None:
+        """Take the outputs' wish as the newest; its age counts from when its step was asked for."""
+        assert self.running is not None
+        asked_at = now if self.awaiting_since is None else self.awaiting_since
+        self.awaiting_since = None
+        self.running.wish = Wish(event.outputs.twist, asked_at, event.scan_seq)
+
+    def is_expired(self, now: float) -> bool:
+        """True if the last wish is too old, or there is no pattern."""
+        running = self.running
+        return running is None or now >= running.wish.at + running.expiry - ROUNDING
+
+    def may_step(self, now: float, is_new_scan: bool) -> bool:
+        """True if a step is wanted now and the host is free; else it is remembered as due."""
+        running = self.running
+        if running is None or self.restart_at is not None or self.loading is not None:
+            return False
+        period = 1.0 / running.rate
+        if not (is_new_scan or self.is_due or now - self.last_step >= period - 1e-3):
+            return False
+        if self.awaiting_since is not None:
+            self.is_due = True
+            return False
+        return True
+
+    def stepping(self, now: float) -> float:
+        """A step goes out; the time since the one before (0 at the first)."""
+        assert self.running is not None
+        self.stepped_generation = self.running.generation
+        dt = 0.0 if self.last_step < 0.0 else now - self.last_step
+        self.last_step = now
+        self.awaiting_since = now
+        self.is_due = False
+        return dt
+
+    @property
+    def is_restarting(self) -> bool:
+        """True while a pattern that failed waits to be loaded again, or is being loaded."""
+        is_reloading = self.loading is not None and self.loading.request is None
+        return self.restart_at is not None or is_reloading
+
+    @property
+    def faults(self) -> int:
+        """How often the pattern failed within the last minute."""
+        return len(self._faults)
+
+    def fault(self, now: float) -> bool:
+        """Count a fault; True if the pattern is to be quarantined, else its restart is due."""
+        self.awaiting_since = None
+        self.loading = None
+        self.restarts += 1
+        self._faults.append(now)
+        while self._faults and now - self._faults[0] > FAULT_WINDOW:
+            self._faults.popleft()
+        if len(self._faults) >= FAULTS_BEFORE_QUARANTINE:
+            self.restart_at = None
+            return True
+        self.restart_at = now + FIRST_BACKOFF * 2.0 ** (len(self._faults) - 1)
+        return False
+
+    def end(self) -> None:
+        """Nothing is loaded any more that may be stepped; a step on its way is still awaited."""
+        self.end_running()
+        self.loading = None
+
+    def end_running(self) -> None:
+        """As `end`, but what is being loaded stays wanted."""
+        self.running = None
+        self.restart_at = None
+        self.is_due = False
+
+    def next_deadline(self, now: float) -> float:
+        """The next time after `now` at which something must be looked at; inf if there is none."""
+        running, soonest = self.running, math.inf
+        if running is not None:
+            if self.awaiting_since is None and self.loading is None:
+                soonest = _sooner(self.last_step + 1.0 / running.rate, soonest, now)
+            soonest = _sooner(running.wish.at + running.expiry, soonest, now)
+            if running.finish_at is not None:
+                soonest = _sooner(running.finish_at, soonest, now)
+        if self.loading is not None:
+            soonest = _sooner(self.loading.since + LOAD_TIMEOUT, soonest, now)
+        if self.awaiting_since is not None:
+            soonest = _sooner(self.awaiting_since + SILENT_AFTER, soonest, now)
+        if self.restart_at is not None:
+            soonest = _sooner(self.restart_at, soonest, now)
+        return soonest
+
+
+def _sooner(at: float, soonest: float, now: float) -> float:
+    return at if now < at < soonest else soonest

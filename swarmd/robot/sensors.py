@@ -1,0 +1,194 @@
+"""What one robot has heard lately, and whether it is fresh enough to move on."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from swarmd.core.codec import encode_value
+from swarmd.core.messages import Reason
+from swarmd.core.values import Inputs, Message, Neighbor, Odometry, Platform, Scan, Value
+from swarmd.protection.decision import Moment
+from swarmd.sensing.conditioning import ScanConditioner
+
+ODOMETRY_STALE_AFTER = 0.5
+NEIGHBOR_FORGOTTEN_AFTER = 3.0
+AGES_EVERY = 0.5  # ages of neighbours are renewed so often: a thousand of them take a while
+OVERHEAD = 200  # bytes of sender, channel and age in a frame
+INBOX_BYTES = 100_000  # of messages kept between two steps; older ones give way
+
+
+@dataclass(frozen=True, slots=True)
+class _Heard:
+    message: Message
+    at: float
+    size: int
+
+
+class Senses:
+    """Scan, odometry, neighbours, readings, messages and the driver's state, with their ages.
+
+    All times are in s on the robot's monotonic clock and handed in.
+    """
+
+    def __init__(self, platform: Platform) -> None:
+        self._stale_after = platform.scan.stale_after
+        self._needs_odometry = "odometry" in platform.provides
+        # The barrier remembers what comes too near by itself, and better.
+        guesses_near = platform.protection.get("mode") != "barrier"
+        self._conditioner = ScanConditioner(platform.scan, guesses_near=guesses_near)
+        self._scan_at: float | None = None
+        self._problem: Reason | None = None
+        self._odometry_at: float | None = None
+        self._scan_times: deque[float] = deque(maxlen=12)
+        self._is_new_scan = False
+        self._neighbors: tuple[Neighbor, ...] = ()
+        self._neighbor_ids: frozenset[str] = frozenset()
+        self._aged: tuple[Neighbor, ...] = ()
+        self._renewals = 0.0
+        self._neighbors_at = 0.0
+        self._inbox: deque[_Heard] = deque()
+        self._inbox_bytes = 0
+        self.overflowed = 0
+        self.scan: Scan | None = None
+        self.odometry: Odometry | None = None
+        self.readings: Mapping[str, float] = {}
+        self.is_driver_up = False
+        self.driver_text = "not connected yet"
+
+    def on_scan(self, scan: Scan, now: float) -> bool:
+        """Take in a driver's scan; True if it is a new, valid one."""
+        at = self._odometry_at
+        is_told = at is not None and now - at <= ODOMETRY_STALE_AFTER
+        conditioned = self._conditioner.take(scan, self.odometry if is_told else None, now)
+        if isinstance(conditioned, Reason):
+            self._problem = conditioned
+            return False
+        self._scan_at = self._conditioner.known_at
+        self._problem = None if self._scan_at == now else Reason.INVALID_SCAN
+        self._scan_times.append(now)
+        self._is_new_scan = True
+        self.scan = conditioned
+        return True
+
+    def on_odometry(self, odometry: Odometry, now: float) -> None:
+        """Take in a measured pose and twist; one whose stamp stands still does not count.
+
+        One that is not finite never came.
+        """
+        if not (odometry.pose.is_finite and odometry.twist.is_finite):
+            return
+        if self.odometry is None or odometry.stamp != self.odometry.stamp:
+            self._odometry_at = now
+        self.odometry = odometry
+
+    def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
+        """Take in who is near now."""
+        if neighbors is not self._neighbors:
+            self._neighbors = neighbors
+            self._neighbor_ids = frozenset(neighbor.id for neighbor in neighbors)
+        self._neighbors_at = now
+        self._aged, self._renewals = neighbors, 0.0
+
+    def on_message(self, sender: str, channel: str, value: Value, now: float) -> bool:
+        """Keep what a neighbour said for the next step; False if its sender is none.
+
+        CodecError if it is too large once it is written out again.
+        """
+        is_near = sender in self._neighbor_ids and self._knows_neighbors(now)
+        if not is_near:
+            return False
+        size = OVERHEAD + len(encode_value(value))
+        self._inbox.append(_Heard(Message(sender, channel, value, 0.0), now, size))
+        self._inbox_bytes += size
+        while self._inbox_bytes > INBOX_BYTES:
+            self._inbox_bytes -= self._inbox.popleft().size
+            self.overflowed += 1
+        return True
+
+    def on_driver(self, is_up: bool, text: str) -> None:
+        """The base is there, or lost and why."""
+        self.is_driver_up = is_up
+        self.driver_text = text
+
+    def neighbors(self, now: float) -> tuple[Neighbor, ...]:
+        """Who is near, with ages to within 0.5 s; nobody once that has not been heard for 3 s."""
+        if not self._knows_neighbors(now):
+            return ()
+        renewals = (now - self._neighbors_at) // AGES_EVERY
+        if renewals != self._renewals:
+            self._renewals, passed = renewals, renewals * AGES_EVERY
+            self._aged = tuple(
+                Neighbor(n.id, n.age + passed, n.distance, n.bearing, n.heading)
+                for n in self._neighbors
+            )
+        return self._aged
+
+    def _knows_neighbors(self, now: float) -> bool:
+        return now - self._neighbors_at <= NEIGHBOR_FORGOTTEN_AFTER
+
+    def scan_age(self, now: float) -> float | None:
+        """Seconds since what the last valid scan holds was known; None before the first.
+
+        That is since it arrived, unless it lacks a sector and is only as new as what is
+        remembered of that.
+        """
+        return None if self._scan_at is None else now - self._scan_at
+
+    def moment(self, now: float) -> Moment:
+        """What a decision at `now` rests on."""
+        odometry_age = None if self._odometry_at is None else now - self._odometry_at
+        return Moment(now, self.scan_age(now), self.odometry, odometry_age)
+
+    def scan_rate(self, now: float) -> float:
+        """Valid scans a second over the last few; 0 once they have stopped."""
+        times = self._scan_times
+        if len(times) < 2 or now - times[-1] > 2.0 * self._stale_after:
+            return 0.0
+        return (len(times) - 1) / max(times[-1] - times[0], 1e-6)
+
+    def hold(self, now: float) -> Reason | None:
+        """Why the robot must not move on what it senses; None if nothing forbids it."""
+        if not self.is_driver_up:
+            return Reason.DRIVER_LOST
+        age = self.scan_age(now)
+        if age is None:
+            return self._problem or Reason.NO_SCAN
+        if age > self._stale_after:
+            return self._problem or Reason.STALE_SCAN
+        if self._needs_odometry and (
+            self._odometry_at is None or now - self._odometry_at > ODOMETRY_STALE_AFTER
+        ):
+            return Reason.STALE_ODOMETRY
+        return None
+
+    def stale_at(self) -> float | None:
+        """When the present scan will be too old; None before the first."""
+        return None if self._scan_at is None else self._scan_at + self._stale_after
+
+    def inputs(self, now: float, dt: float) -> Inputs:
+        """All for one step; messages and the new-scan mark are handed out once."""
+        inputs = Inputs(
+            now=now,
+            dt=dt,
+            scan=self.scan,
+            is_new_scan=self._is_new_scan,
+            odometry=self.odometry,
+            neighbors=self.neighbors(now),
+            messages=tuple(_aged(heard, now) for heard in self._inbox),
+            readings=self.readings,
+        )
+        self.forget_messages()
+        self._is_new_scan = False
+        return inputs
+
+    def forget_messages(self) -> None:
+        """Drop what was said to an earlier pattern."""
+        self._inbox.clear()
+        self._inbox_bytes = 0
+
+
+def _aged(heard: _Heard, now: float) -> Message:
+    message = heard.message
+    return Message(message.sender, message.channel, message.value, now - heard.at)

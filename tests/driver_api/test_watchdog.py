@@ -1,0 +1,261 @@
+"""When a stopper says zero, decided with time handed in; its processes: tests/faults."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from swarmd.core.errors import ConfigError, DriverError
+from swarmd.core.values import ZERO, Twist, Value
+from swarmd.daemon.driver_factory import make_driver
+from swarmd.driver_api.driver import Finding, Sink
+from swarmd.driver_api.watchdog import AT_LEAST, PERIOD, SILENCE, Deadman, name_of
+from swarmd.driver_api.watchdog_client import GuardedDriver
+from swarmd.settings.driver_options import FIRST_ZEROS, IdleOutput, base_options, deadman_of
+from swarmd.settings.settings import DaemonSettings, load_daemon_settings
+from swarmd.testing.driver_rig import Heard
+
+
+def sending(deadman: Deadman, *times: float) -> list[bool]:
+    return [deadman.is_sending(time) for time in times]
+
+
+def fed(until: float = 0.0) -> Deadman:
+    deadman = Deadman()
+    deadman.tick(until)
+    return deadman
+
+
+def test_the_numbers_are_those_promised() -> None:
+    assert (SILENCE, AT_LEAST, PERIOD) == (0.4, 2.0, 0.05)
+
+
+def test_begins_after_exactly_0_4_s_of_silence() -> None:
+    assert sending(fed(), 0.0, 0.1, 0.3999999, 0.4, 0.5) == [False, False, False, True, True]
+
+
+def test_each_tick_begins_the_wait_anew() -> None:
+    deadman = fed()
+    for i in range(1, 100):
+        assert not deadman.is_sending(0.39 * i)
+        deadman.tick(0.39 * i)
+
+
+def test_sends_for_2_s_although_the_guardian_is_back_at_once() -> None:
+    deadman = fed()
+    assert deadman.is_sending(0.4)
+    for i in range(41, 240):
+        deadman.tick(0.01 * i)
+        assert deadman.is_sending(0.01 * i)
+    deadman.tick(2.4)
+    assert not deadman.is_sending(2.4)
+
+
+def test_sends_until_the_guardian_is_back_however_long_that_takes() -> None:
+    deadman = fed()
+    assert all(sending(deadman, 0.4, 2.4, 10.0, 3600.0))
+    assert not deadman.is_done(3600.0)
+    deadman.tick(3600.05)
+    assert not deadman.is_sending(3600.05)
+
+
+def test_a_second_silence_is_as_good_as_the_first() -> None:
+    deadman = fed()
+    deadman.is_sending(0.4)
+    deadman.tick(3.0)
+    assert sending(deadman, 3.0, 3.25, 3.5, 5.25) == [False, False, True, True]
+    deadman.tick(5.25)
+    assert sending(deadman, 5.375, 5.5) == [True, False]
+
+
+def test_end_of_file_is_acted_on_at_once_and_lasts_until_relieved() -> None:
+    deadman = fed()
+    deadman.leave(0.01)
+    assert all(sending(deadman, 0.01, 1.0, 100.0))
+    assert not deadman.is_done(100.0)
+    deadman.relieve()
+    assert deadman.is_done(100.0)
+
+
+def test_relieved_early_it_still_sends_for_2_s() -> None:
+    deadman = fed()
+    deadman.leave(1.0)
+    deadman.relieve()
+    assert sending(deadman, 1.0, 2.9) == [True, True]
+    assert not deadman.is_done(2.9)
+    assert deadman.is_done(3.0)
+    assert not deadman.is_sending(3.0)
+
+
+def test_before_the_first_tick_it_never_sends() -> None:
+    deadman = Deadman()
+    assert sending(deadman, 0.0, 10.0) == [False, False]
+    deadman.leave(11.0)
+    assert not deadman.is_sending(11.0)
+    assert deadman.is_done(11.0)
+
+
+def test_relieved_of_a_frozen_guardian_it_ends_its_zeros_but_watches_on() -> None:
+    deadman = fed()
+    assert deadman.is_sending(0.4)
+    deadman.relieve()
+    assert sending(deadman, 2.3, 2.5, 9.0) == [True, False, False]
+    assert not deadman.is_done(9.0)
+    deadman.tick(9.1)  # the thaw
+    assert sending(deadman, 9.2, 9.5) == [False, True]
+
+
+def test_a_relieved_guardian_that_is_killed_while_frozen_disturbs_nobody() -> None:
+    deadman = fed()
+    deadman.is_sending(0.4)
+    deadman.relieve()
+    deadman.is_sending(2.5)
+    deadman.leave(5.0)
+    assert not deadman.is_sending(5.0)
+    assert deadman.is_done(5.0)
+
+
+def test_wakes_when_the_silence_is_long_enough_and_then_every_tick() -> None:
+    deadman = fed(1.0)
+    assert deadman.wait(1.1) == pytest.approx(0.3)
+    assert deadman.wait(2.0) == 0.0
+    deadman.is_sending(2.0)
+    assert deadman.wait(2.0) == PERIOD
+
+
+def test_names_differ_by_robot_and_swarm_and_fit_into_a_socket_address() -> None:
+    names = {name_of(swarm, robot) for swarm in ("a", "b" * 63) for robot in ("r", "s" * 63)}
+    assert len(names) == 4
+    assert all(len(name) < 100 for name in names)
+
+
+# Idle output
+
+
+def test_zeros_are_always_let_through_unless_silent() -> None:
+    idle = IdleOutput("zeros")
+    assert all(idle.lets(ZERO, True, 0.05 * i) for i in range(200))
+
+
+def test_silent_lets_the_first_zeros_through_and_then_none() -> None:
+    idle = IdleOutput("silent")
+    told = [idle.lets(ZERO, True, 0.125 * i) for i in range(100)]
+    assert told == [0.125 * i < FIRST_ZEROS for i in range(100)]
+
+
+def test_silent_is_only_who_is_idle() -> None:
+    idle = IdleOutput("silent")
+    assert all(idle.lets(ZERO, False, 0.1 * i) for i in range(100)), "stopped, estopped, held"
+    assert all(idle.lets(Twist(0.1), False, 10.0 + 0.1 * i) for i in range(100))
+    assert idle.lets(ZERO, True, 20.0), "its zeros begin when it becomes idle"
+    assert not idle.lets(ZERO, True, 21.0)
+    assert idle.lets(Twist(0.1), True, 21.0), "what moves is never withheld"
+
+
+# What the files say
+
+
+@pytest.mark.parametrize("deadman", ["base", "none", 0.25, 0.5])
+def test_takes_every_kind_of_deadman(deadman: Value) -> None:
+    assert base_options({"deadman": deadman, "endpoint": "x"}, "here").deadman == deadman
+
+
+@pytest.mark.parametrize(
+    ("options", "fault"),
+    [
+        ({"deadman": "never"}, "here: deadman is 'never'; wanted "),
+        ({"deadman": 5.0}, "here: deadman is 5.0; wanted a number of at least 0.1 and up to 2"),
+        ({"deadman": True}, "here: deadman is True; wanted "),
+        ({"idle_output": "off"}, "here: idle_output is 'off'; wanted "),
+        ({"deadman": "none", "idle_output": "silent"}, "here: idle_output is silent, but deadman"),
+    ],
+)
+def test_refuses(options: Mapping[str, Value], fault: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        base_options(options, "here")
+    assert str(caught.value).startswith(fault)
+    assert "\n" not in str(caught.value)
+
+
+class Bare:
+    """A driver that knows nothing of stoppers."""
+
+    def __init__(self, *, is_simulated: bool, **_: object) -> None:
+        self.is_simulated = is_simulated
+
+    async def run(self, sink: Sink) -> None: ...
+
+    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None: ...
+
+    async def check(self, seconds: float) -> tuple[Finding, ...]:
+        return ()
+
+
+class Own(Bare):
+    """A driver that brings a process of its own."""
+
+    def zero_sender(self) -> None:
+        return None
+
+
+def settings(folder: Path, **options: Value) -> DaemonSettings:
+    values = {"id": "r", "state_dir": str(folder), "driver_options": options}
+    return load_daemon_settings(None, values)
+
+
+def made(
+    monkeypatch: pytest.MonkeyPatch, folder: Path, kind: type[Bare], real: bool, **options: Value
+) -> object:
+    def factory(**given: object) -> Bare:
+        assert given["options"] == {}, "the common keys are none of the driver's"
+        return kind(is_simulated=not real)
+
+    monkeypatch.setattr("swarmd.daemon.driver_factory.load_driver", lambda name: factory)
+    return make_driver(settings(folder, **options))
+
+
+def test_a_real_robot_without_a_word_has_no_deadman() -> None:
+    assert deadman_of(base_options({}, ""), Bare(is_simulated=False)) == "none"
+    assert deadman_of(base_options({}, ""), Bare(is_simulated=True)) == "base"
+
+
+def test_a_driver_without_a_stopper_is_refused_where_one_is_needed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for options in ({}, {"deadman": "none"}):
+        with pytest.raises(ConfigError, match=r"^driver simulated: deadman is none, and this dri"):
+            made(monkeypatch, tmp_path, Bare, True, **options)
+    assert isinstance(made(monkeypatch, tmp_path, Bare, True, deadman="base"), Bare)
+    assert isinstance(made(monkeypatch, tmp_path, Bare, True, deadman=0.5), Bare)
+    assert isinstance(made(monkeypatch, tmp_path, Own, True, deadman="none"), Own)
+
+
+def test_silent_needs_a_timeout_that_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(ConfigError, match="idle_output is silent, but no deadman is told"):
+        made(monkeypatch, tmp_path, Own, True, idle_output="silent")
+    made(monkeypatch, tmp_path, Own, True, idle_output="silent", deadman=0.25)
+
+
+def test_the_simulated_driver_can_be_guarded_and_is_not_unless_told(tmp_path: Path) -> None:
+    assert isinstance(make_driver(settings(tmp_path, deadman="none")), GuardedDriver)
+    assert not isinstance(make_driver(settings(tmp_path)), GuardedDriver)
+
+
+def test_a_machine_without_room_for_a_stopper_is_no_crash(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*args: object, **options: object) -> None:
+        raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
+
+    driver = make_driver(settings(tmp_path, deadman="none"))
+    monkeypatch.setattr("swarmd.driver_api.watchdog_client.subprocess.Popen", full)
+    with pytest.raises(DriverError, match=r"^no stopper: Resource temporarily unavailable"):
+        asyncio.run(driver.run(Heard()))
+    (finding,) = [one for one in asyncio.run(driver.check(0.1)) if one.subject == "stopper"]
+    assert not finding.is_well

@@ -1,0 +1,357 @@
+"""A guarded driver and its stopper's two ends, with time handed in; as processes: tests/faults."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import secrets
+import signal
+import socket
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from swarmd.core.errors import DriverError
+from swarmd.core.values import Twist
+from swarmd.driver_api import watchdog as stopper
+from swarmd.driver_api import watchdog_client as guarded
+from swarmd.driver_api.driver import Finding, SenderSpec, Sink
+from swarmd.driver_api.watchdog import FAREWELL, FAULT, READY, TICK, ZEROS, Stopper
+from swarmd.driver_api.watchdog_client import GuardedDriver, StopperProcess
+from swarmd.testing.driver_contract import CAP, Heard
+
+SPEC = SenderSpec("nowhere:nothing", {})
+
+
+class Clock:
+    """Seconds since boot, as the test says."""
+
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    made = Clock()
+    monkeypatch.setattr(guarded, "boottime", made)
+    monkeypatch.setattr(stopper, "boottime", made)
+    return made
+
+
+@pytest.fixture
+def far(monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
+    """The stopper's end of what a guardian opens; no process is started."""
+    far_end, near_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    far_end.setblocking(False)
+    handed_on = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    sockets = SimpleNamespace(
+        socketpair=lambda *_: (near_end, handed_on),
+        AF_UNIX=socket.AF_UNIX,
+        SOCK_SEQPACKET=socket.SOCK_SEQPACKET,
+    )
+    process = SimpleNamespace(poll=lambda: 0, wait=lambda: 0)
+    monkeypatch.setattr("swarmd.driver_api.watchdog_client.socket", sockets)
+    monkeypatch.setattr("subprocess.Popen", lambda *_, **__: process)
+    with far_end, near_end, handed_on:
+        yield far_end
+
+
+def received(end: socket.socket) -> list[bytes]:
+    found: list[bytes] = []
+    while True:
+        try:
+            frame = end.recv(1024)
+        except BlockingIOError:
+            return found
+        if not frame:
+            return [*found, b"end"]
+        found.append(frame)
+
+
+# The guardian's end
+
+
+def test_it_is_fed_a_tick_but_not_more_often_than_needed(clock: Clock, far: socket.socket) -> None:
+    async def run() -> None:
+        mine = StopperProcess(SPEC, name=None)
+        fed = []
+        for _ in range(5):
+            mine.feed()
+            fed.append(received(far))
+            clock.now += 0.025
+        assert fed == [[TICK], [], [TICK], [], [TICK]]
+        mine.close()
+        assert received(far) == [FAREWELL, b"end"]
+
+    asyncio.run(asyncio.wait_for(run(), CAP))
+
+
+def test_it_is_lost_once_it_has_not_answered_for_a_second(clock: Clock, far: socket.socket) -> None:
+    async def run() -> None:
+        mine = StopperProcess(SPEC, name=None)
+        losing = asyncio.create_task(mine.lost())
+        mine.feed()
+        clock.now += 1.0
+        mine.feed()
+        far.send(TICK)
+        clock.now += 1.0
+        mine.feed()  # the answer had only waited for this loop
+        await asyncio.sleep(0.0)
+        assert not losing.done()
+        clock.now += 1.001
+        mine.feed()
+        assert await losing == "has not answered for 1 s"
+        mine.close()
+
+    asyncio.run(asyncio.wait_for(run(), CAP))
+
+
+@pytest.mark.parametrize(
+    ("said", "why"), [(FAULT + b"no base there", "no base there"), (b"", "see the log")]
+)
+def test_one_that_cannot_be_ready_is_an_error(
+    clock: Clock, far: socket.socket, said: bytes, why: str
+) -> None:
+    async def run() -> None:
+        mine = StopperProcess(SPEC, name=None)
+        if said:
+            far.send(said)
+        else:
+            far.shutdown(socket.SHUT_RDWR)
+        with pytest.raises(DriverError, match=f"no stopper: {why}"):
+            await mine.start()
+        mine.close()
+
+    asyncio.run(asyncio.wait_for(run(), CAP))
+
+
+# The stopper's end
+
+
+class Sender:
+    """Counts the zeros; raises at the first if told to."""
+
+    def __init__(self, clock: Clock, faults: int = 0) -> None:
+        self.is_connected = True
+        self.at: list[float] = []
+        self._clock, self._faults = clock, faults
+
+    def open(self) -> None: ...
+
+    def send_zero(self) -> None:
+        self.at.append(round(self._clock.now - 1000.0, 3))
+        if self._faults:
+            self._faults -= 1
+            raise OSError("no route to the robot")
+
+    def close(self) -> None: ...
+
+
+@pytest.fixture
+def guardian() -> Iterator[tuple[socket.socket, socket.socket]]:
+    usual = signal.getsignal(signal.SIGTERM)
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    near.setblocking(False)
+    with near, far:
+        yield near, far
+    signal.signal(signal.SIGTERM, usual)
+
+
+def serve(clock: Clock, monkeypatch: pytest.MonkeyPatch, mine: Stopper, until: float) -> None:
+    """Let it serve until it is done, or that many seconds have passed, in steps of 10 ms."""
+
+    class Over(Exception):
+        pass
+
+    def poll(seconds: float) -> None:
+        if clock.now > 1000.0 + until:
+            raise Over
+        mine._hear()
+        clock.now = round(clock.now + 0.01, 3)
+
+    monkeypatch.setattr(mine, "_poll", poll)
+    try:
+        mine.serve()
+    except Over:
+        return
+
+
+@pytest.mark.parametrize("faults", [0, 3])
+def test_zeros_go_out_20_times_a_second_although_some_cannot_be_sent(
+    clock: Clock,
+    guardian: tuple[socket.socket, socket.socket],
+    monkeypatch: pytest.MonkeyPatch,
+    faults: int,
+) -> None:
+    sender = Sender(clock, faults)
+    mine = Stopper(guardian[1], sender, None, None)
+    guardian[0].send(TICK)
+    serve(clock, monkeypatch, mine, 3.0)
+    assert received(guardian[0])[:2] == [READY + str(os.getpid()).encode(), TICK]
+    assert sender.at[0] == pytest.approx(0.4, abs=0.011)
+    assert 45 <= len(sender.at) <= 53
+    assert sender.at[-1] > 2.9, "until the guardian is back"
+
+
+@pytest.mark.parametrize("word", [FAREWELL, b""])
+def test_a_farewell_is_2_s_of_zeros_and_the_end_of_file_is_zeros_for_ever(
+    clock: Clock,
+    guardian: tuple[socket.socket, socket.socket],
+    monkeypatch: pytest.MonkeyPatch,
+    word: bytes,
+) -> None:
+    sender = Sender(clock)
+    mine = Stopper(guardian[1], sender, None, None)
+    guardian[0].send(TICK)
+    if word:
+        guardian[0].send(word)
+    guardian[0].close()
+    serve(clock, monkeypatch, mine, 10.0)
+    assert sender.at[0] < 0.011
+    if word:
+        assert sender.at[-1] == pytest.approx(2.0, abs=0.06)
+    else:
+        assert sender.at[-1] > 9.9
+
+
+def test_as_long_as_it_is_not_connected_the_guardian_is_to_say_zero(
+    clock: Clock, guardian: tuple[socket.socket, socket.socket]
+) -> None:
+    sender = Sender(clock)
+    mine = Stopper(guardian[1], sender, None, None)
+    for is_connected, answer in ((False, ZEROS), (True, TICK), (True, TICK)):
+        sender.is_connected = is_connected
+        guardian[0].send(TICK)
+        mine._hear()
+        assert received(guardian[0]) == [answer]
+
+
+def test_only_one_whose_guardian_is_silent_is_relieved(
+    clock: Clock, guardian: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = f"swarmd/test/{secrets.token_hex(8)}"
+    sender = Sender(clock)
+    mine = Stopper(guardian[1], sender, name, None)
+    guardian[0].send(TICK)
+    mine._hear()
+    monkeypatch.setattr(stopper, "_CLAIM_WITHIN", 0.0)
+    reliefs: list[float] = []
+    monkeypatch.setattr(mine._deadman, "relieve", lambda: reliefs.append(clock.now))
+    for after, is_relieved in ((0.0, False), (0.39, False), (0.41, True)):
+        clock.now = 1000.0 + after
+        with pytest.raises(DriverError, match="another daemon on this machine drives this robot"):
+            Stopper(guardian[1], sender, name, None)
+        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+            other.sendto(b"relief", f"\0{name}")
+        assert mine._name is not None
+        mine._on_relief(mine._name)
+        assert bool(reliefs) == is_relieved
+    if mine._name is not None:
+        mine._name.close()
+
+
+# The driver between them
+
+
+class Inner:
+    """A driver that keeps what it is given, and how its life went."""
+
+    is_simulated = False
+
+    def __init__(self) -> None:
+        self.story: list[str] = []
+
+    async def run(self, sink: Sink) -> None:
+        self.story.append("runs")
+        try:
+            await asyncio.Event().wait()
+        finally:
+            self.story.append("ends")
+
+    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+        self.story.append(f"sends {twist.linear:g}")
+
+    async def check(self, seconds: float) -> tuple[Finding, ...]:
+        return ()
+
+
+class Process:
+    """A stopper's process that is ready when the test says so."""
+
+    pid = 7
+    says_zero = False
+
+    def __init__(self, story: list[str], **_: object) -> None:
+        self.story = story
+        self.ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self.end: asyncio.Future[str] = asyncio.get_running_loop().create_future()
+
+    async def start(self) -> None:
+        await self.ready
+
+    async def lost(self) -> str:
+        return await self.end
+
+    def feed(self) -> None:
+        self.story.append("fed")
+
+    def close(self) -> None:
+        self.story.append("farewell")
+
+    def bury(self) -> None:
+        self.story.append("buried")
+
+
+def test_the_driver_lives_within_its_stopper_and_each_command_feeds_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def run() -> None:
+        inner, made = Inner(), list[Process]()
+
+        def start(spec: SenderSpec, **keywords: Any) -> Process:
+            made.append(Process(inner.story, **keywords))
+            return made[-1]
+
+        monkeypatch.setattr(guarded, "StopperProcess", start)
+        driver, heard = GuardedDriver(inner, SPEC, name="n"), Heard()
+        task = asyncio.create_task(driver.run(heard))
+        await asyncio.sleep(0.01)
+        driver.send(Twist(0.1), 1, 1)
+        assert inner.story == []
+        assert heard.states == [(False, "waits for its stopper")]
+        made[0].ready.set_result(None)
+        await asyncio.sleep(0.01)
+        driver.send(Twist(0.1), 1, 1)
+        driver.send(Twist(), 2, 2)
+        assert inner.story[0] == "runs"
+        assert sorted(inner.story[1:]) == ["fed", "fed", "sends 0", "sends 0.1"]
+        made[0].end.set_result("has ended")
+        with pytest.raises(DriverError, match="the stopper has ended; it is started anew"):
+            await task
+        assert inner.story[5:] == ["ends", "farewell"]
+        driver.send(Twist(0.1), 3, 3)
+        assert inner.story[7:] == []
+
+    asyncio.run(asyncio.wait_for(run(), CAP))
+
+
+def test_without_a_stopper_the_driver_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def run() -> None:
+        inner, made = Inner(), list[Process]()
+
+        def start(spec: SenderSpec, **keywords: Any) -> Process:
+            made.append(Process(inner.story, **keywords))
+            made[-1].ready.set_exception(DriverError("no stopper: see the log"))
+            return made[-1]
+
+        monkeypatch.setattr(guarded, "StopperProcess", start)
+        with pytest.raises(DriverError, match="no stopper"):
+            await GuardedDriver(inner, SPEC, name="n").run(Heard())
+        assert inner.story == ["farewell"]
+
+    asyncio.run(asyncio.wait_for(run(), CAP))

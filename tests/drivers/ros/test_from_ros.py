@@ -1,0 +1,269 @@
+"""ROS messages as the core's values: what passes unchanged, what is turned, what is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.core.errors import CodecError
+from swarmd.core.values import Scan, Twist
+from swarmd.drivers.ros import cdr, messages
+from swarmd.drivers.ros import from_ros as conversion
+from swarmd.sensing.conditioning import ScanConditioner
+from tests.drivers.ros2 import robots
+from tests.support import second_codec as second
+
+SPEC = robots.PLATFORM.scan
+
+
+def read(kind: Any, message: Any) -> Any:
+    return cdr.decode(kind, message.serialize())
+
+
+def swept(message: second.LaserScan, yaw: float = 0.0) -> Scan:
+    return conversion.scan_of(read(messages.LaserScan, message), 7, SPEC, yaw)
+
+
+def test_ranges_pass_as_the_sensor_gave_them() -> None:
+    given = [0.0, 0.05, 1.25, math.inf, -math.inf, math.nan, 100.0]
+    scan = swept(robots.scan(12.25, given))
+    np.testing.assert_array_equal(scan.ranges, np.array(given, dtype=np.float32))
+    assert (scan.seq, scan.stamp) == (7, 12.25)
+    assert scan.ranges.dtype == scan.bearings.dtype == np.float64
+
+
+def test_range_limits_are_the_platforms() -> None:
+    scan = swept(robots.scan(1.0, [1.0], angle_increment=0.1))
+    assert (scan.range_min, scan.range_max) == (SPEC.range_min, SPEC.range_max)
+
+
+@pytest.mark.parametrize(
+    ("first", "step", "yaw", "wanted"),
+    [
+        (0.0, 0.5, 0.0, [0.0, 0.5, 1.0, 1.5]),
+        (-3.0, 0.5, 0.0, [-3.0, -2.5, -2.0, -1.5]),
+        (math.pi - 0.75, 0.5, 0.0, [2.3916, 2.8916, -2.8916, -2.3916]),
+        (1.0, -0.5, 0.0, [1.0, 0.5, 0.0, -0.5]),
+        (0.0, 0.5, math.pi / 2.0, [1.5708, 2.0708, 2.5708, 3.0708]),
+        (0.0, 0.5, -math.pi / 2.0, [-1.5708, -1.0708, -0.5708, -0.0708]),
+    ],
+)
+def test_bearings_are_those_of_the_base(
+    first: float, step: float, yaw: float, wanted: list[float]
+) -> None:
+    message = robots.scan(1.0, [1.0] * 4, angle_min=first, angle_increment=step)
+    np.testing.assert_allclose(swept(message, yaw).bearings, wanted, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("first", "step", "yaw", "wanted"),
+    [
+        (0.0, 0.5, 0.0, [0.0, -0.5, -1.0, -1.5]),
+        (1.0, -0.5, 0.0, [-1.0, -0.5, 0.0, 0.5]),
+        (0.0, 0.5, math.pi / 2.0, [1.5708, 1.0708, 0.5708, 0.0708]),
+        (-math.pi, 0.5, math.pi / 2.0, [-1.5708, -2.0708, -2.5708, -3.0708]),
+    ],
+)
+def test_a_sensor_that_hangs_turns_the_other_way_round(
+    first: float, step: float, yaw: float, wanted: list[float]
+) -> None:
+    message = robots.scan(1.0, [1.0] * 4, angle_min=first, angle_increment=step)
+    told = read(messages.LaserScan, message)
+    hanging = conversion.scan_of(told, 7, SPEC, yaw, is_upside_down=True)
+    # What the transform of a base does with such a frame: a roll of half a turn, then the yaw.
+    angles = first + step * np.arange(4)
+    x, y = np.cos(angles), -np.sin(angles)
+    turned = np.arctan2(
+        math.sin(yaw) * x + math.cos(yaw) * y, math.cos(yaw) * x - math.sin(yaw) * y
+    )
+    np.testing.assert_allclose(hanging.bearings, wanted, atol=1e-4)
+    np.testing.assert_allclose(hanging.bearings, turned, atol=1e-4)
+
+
+@pytest.mark.parametrize("turn", [1.0, -1.0])
+def test_a_wall_ahead_is_ahead_whichever_way_the_sensor_turns(turn: float) -> None:
+    n = 360
+    message = robots.scan(
+        1.0,
+        [0.5 if i < 5 or i > n - 5 else 3.0 for i in range(n)],
+        angle_increment=turn * 2.0 * math.pi / n,
+    )
+    taken = ScanConditioner(SPEC).take(swept(message), None, 0.0)
+    assert isinstance(taken, Scan)
+    near = taken.bearings[taken.ranges < 1.0]
+    assert np.abs(near).max() < math.radians(6.0)
+
+
+def test_scans_alike_share_their_bearings() -> None:
+    assert swept(robots.scan(1.0)).bearings is swept(robots.scan(2.0)).bearings
+
+
+@pytest.mark.parametrize(
+    "angles",
+    [
+        {"angle_min": math.nan},
+        {"angle_min": math.inf},
+        {"angle_increment": math.nan},
+        {"angle_increment": 1.0},
+        {"angle_min": 1e30},
+    ],
+)
+def test_angles_that_are_none_are_refused(angles: dict[str, float]) -> None:
+    with pytest.raises(CodecError, match="one turn at most"):
+        swept(robots.scan(1.0, [1.0] * 360, **angles))
+
+
+def test_too_many_rays_are_refused() -> None:
+    message = robots.scan(1.0, [1.0] * 20_001, angle_increment=1e-4)
+    with pytest.raises(CodecError, match="at most 20000"):
+        swept(message)
+
+
+def test_an_empty_scan_passes_for_the_core_to_refuse() -> None:
+    assert len(swept(robots.scan(1.0, [])).ranges) == 0
+
+
+def test_odometry_has_pose_yaw_and_twist_of_the_base() -> None:
+    message = read(messages.Odometry, robots.odometry(3.5, x=1.5, yaw=-2.0, speed=0.2))
+    odometry = conversion.odometry_of(message)
+    assert odometry.stamp == 3.5
+    assert odometry.pose.x == 1.5
+    assert odometry.pose.yaw == pytest.approx(-2.0)
+    assert odometry.twist == Twist(0.2, 0.3, 0.02)
+
+
+@pytest.mark.parametrize("yaw", [-3.0, -0.1, 0.0, 1.0, 3.1])
+def test_yaw_is_told_also_of_a_base_that_leans(yaw: float) -> None:
+    roll = 0.2
+    cr, sr, cy, sy = math.cos(roll / 2), math.sin(roll / 2), math.cos(yaw / 2), math.sin(yaw / 2)
+    leaning = messages.Quaternion(x=sr * cy, y=sr * sy, z=cr * sy, w=cr * cy)
+    assert conversion.yaw_of(leaning) == pytest.approx(yaw)
+
+
+@pytest.mark.parametrize("x", [math.nan, math.inf])
+def test_odometry_that_is_not_finite_is_refused(x: float) -> None:
+    with pytest.raises(CodecError, match="not finite"):
+        conversion.odometry_of(read(messages.Odometry, robots.odometry(1.0, x=x)))
+
+
+def test_an_orientation_that_is_none_is_refused() -> None:
+    with pytest.raises(CodecError, match="unit quaternion"):
+        conversion.yaw_of(messages.Quaternion(x=0.0, y=0.0, z=0.0, w=0.0))
+
+
+def test_imu_tells_yaw_unless_it_knows_no_orientation() -> None:
+    message = second.Imu(orientation=second.Quaternion(z=math.sin(0.25), w=math.cos(0.25)))
+    assert conversion.imu_readings(read(messages.Imu, message)) == {"yaw": pytest.approx(0.5)}
+    message.orientation_covariance[0] = -1.0
+    assert conversion.imu_readings(read(messages.Imu, message)) == {}
+
+
+@pytest.mark.parametrize(
+    ("percentage", "wanted"), [(0.75, 0.75), (75.0, 0.75), (1.0, 1.0), (113.0, 1.0)]
+)
+def test_battery_is_a_share_of_one(percentage: float, wanted: float) -> None:
+    message = second.BatteryState(voltage=11.5, percentage=percentage)
+    values = conversion.battery_readings(read(messages.BatteryState, message))
+    assert values == {"battery": pytest.approx(wanted), "battery_voltage": pytest.approx(11.5)}
+
+
+def test_what_a_battery_does_not_measure_is_left_out() -> None:
+    for unknown in (math.nan, math.inf, -1.0):
+        message = second.BatteryState(voltage=unknown, percentage=unknown)
+        assert conversion.battery_readings(read(messages.BatteryState, message)) == {}
+
+
+def test_commands_are_those_of_the_second_library() -> None:
+    twist = Twist(0.1, -0.2, 0.05)
+    wanted = second.Twist(second.Vector3(0.1, 0.05, 0.0), second.Vector3(0.0, 0.0, -0.2))
+    assert cdr.encode(conversion.twist_message(twist)) == wanted.serialize()
+    stamped = second.TwistStamped(second.stamped(0.0, "base_link"), wanted)
+    assert cdr.encode(conversion.stamped_message(twist, "base_link")) == stamped.serialize()
+    assert conversion.twist_of(conversion.twist_message(twist)) == twist
+
+
+class TestRangeRing:
+    bearings = tuple(np.radians([-40.0, -20.0, 0.0, 20.0, 40.0, 150.0, -150.0]))
+
+    def ring(self, distance: float = 0.0) -> conversion.RangeRing:
+        return conversion.RangeRing(self.bearings, [distance] * 7, SPEC)
+
+    def value(self, stamp: float, metres: float) -> messages.Range:
+        message = second.Range(header=second.stamped(stamp), range=metres)
+        value: messages.Range = read(messages.Range, message)
+        return value
+
+    def test_seven_sensors_make_one_scan(self) -> None:
+        ring = self.ring()
+        given = [ring.take(i, self.value(1.0 + 0.01 * i, 0.1 + 0.1 * i)) for i in range(7)]
+        assert given[:6] == [None] * 6
+        scan = given[6]
+        assert scan is not None
+        np.testing.assert_allclose(scan.ranges, 0.1 + 0.1 * np.arange(7), rtol=1e-6)
+        np.testing.assert_allclose(scan.bearings, self.bearings)
+        assert scan.stamp == pytest.approx(1.06)
+
+    def test_the_next_round_is_the_next_scan(self) -> None:
+        ring = self.ring()
+        scans = [ring.take(i % 7, self.value(1.0 + 0.01 * i, 0.1)) for i in range(21)]
+        made = [scan for scan in scans if scan is not None]
+        assert [scan.seq for scan in made] == [1, 2, 3]
+        assert made[0].stamp < made[1].stamp < made[2].stamp
+
+    def test_a_silent_sensor_is_unknown(self) -> None:
+        ring = self.ring()
+        for i in range(6):
+            assert ring.take(i, self.value(1.0, 0.2)) is None
+        scan = ring.take(0, self.value(1.1, 0.3))
+        assert scan is not None
+        assert np.isnan(scan.ranges[6])
+        np.testing.assert_allclose(scan.ranges[:6], 0.2, rtol=1e-6)
+
+    def test_the_distance_from_the_origin_is_added_but_not_to_what_means_something_else(
+        self,
+    ) -> None:
+        ring = self.ring(0.08)
+        given = [0.1, 0.0, math.inf, -math.inf, math.nan, 0.2, 0.3]
+        scan = None
+        for i, metres in enumerate(given):
+            scan = ring.take(i, self.value(1.0, metres))
+        assert scan is not None
+        wanted = [0.18, 0.0, math.inf, -math.inf, math.nan, 0.28, 0.38]
+        np.testing.assert_allclose(scan.ranges, wanted, rtol=1e-6)
+
+    def test_a_sensor_whose_stamp_stands_still_is_unknown(self) -> None:
+        ring = self.ring()
+        scans = []
+        for count in range(6):
+            for i in range(7):
+                stamp = 1.0 if i == 2 else 1.0 + 0.1 * count
+                scans.append(ring.take(i, self.value(stamp, 0.2)))
+        made = [scan for scan in scans if scan is not None]
+        assert len(made) > 3
+        assert not np.isnan(made[0].ranges).any()
+        assert all(np.flatnonzero(np.isnan(scan.ranges)).tolist() == [2] for scan in made[1:])
+
+    def test_sensors_that_begin_anew_are_heard_again(self) -> None:
+        ring = self.ring()
+        scans = [ring.take(i % 7, self.value(9.0 - i // 7, 0.2)) for i in range(21)]
+        assert len([scan for scan in scans if scan is not None]) == 3
+
+    def test_a_single_sensor_is_a_scan_each_time(self) -> None:
+        ring = conversion.RangeRing([0.0], [0.0], SPEC)
+        scans = [ring.take(0, self.value(1.0 + i, 0.2)) for i in range(3)]
+        assert [scan.seq for scan in scans if scan is not None] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("field", ["linear", "angular"])
+def test_a_twist_that_is_not_finite_is_refused(field: str) -> None:
+    message = robots.odometry(1.0)
+    setattr(message.twist.twist, field, second.Vector3(math.nan, 0.0, math.inf))
+    with pytest.raises(CodecError, match="not finite"):
+        conversion.odometry_of(read(messages.Odometry, message))
+
+
+def test_stamps_are_seconds_and_billionths() -> None:
+    assert conversion.stamp_of(messages.Time(sec=12, nanosec=250_000_000)) == 12.25

@@ -1,0 +1,141 @@
+"""A robot in rospy as a test's rig, and drivers for it."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import os
+import random
+import subprocess
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from swarmd.core.values import Scan, Twist, Value
+from swarmd.drivers.ros1.driver import Ros1Driver
+from swarmd.settings.platforms import load_platform
+from tests.support.processes import CAP, wait_until
+from tests.support.roscore import PYTHON, RosCore
+
+SCRIPT = Path(__file__).with_name("ros1_robot.py")
+PLATFORM = load_platform("burger")
+
+_numbers = itertools.count(1)
+
+
+class RosRobot:
+    """One robot's nodes in a namespace of their own, as a child process."""
+
+    platform = PLATFORM
+
+    def __init__(self, core: RosCore, *words: str, namespace: str = "") -> None:
+        self.core, self._words = core, words
+        self.namespace = namespace or f"/r{os.getpid()}_{next(_numbers)}"
+        self._lines: list[str] = []
+        self._lock = threading.Lock()
+        self.rise()
+
+    def rise(self) -> None:
+        """Start its nodes, also anew, and wait until they are registered."""
+        self._process = subprocess.Popen(
+            [PYTHON, str(SCRIPT), *self._words],
+            env={**self.core.environ, "ROS_NAMESPACE": self.namespace},
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+        )
+        ready = threading.Event()  # commands of a life before may still wait among the lines
+        self._thread = threading.Thread(target=self._read, args=(self._process, ready), daemon=True)
+        self._thread.start()
+        try:
+            wait_until(ready.is_set, "the robot's nodes are registered")
+        except AssertionError:
+            self.close()
+            raise
+
+    @property
+    def options(self) -> dict[str, Value]:
+        """What a driver needs to find this robot."""
+        return {"master": self.core.uri, "ip": "127.0.0.1", "namespace": self.namespace}
+
+    def make(self, options: Mapping[str, Value]) -> Ros1Driver:
+        """A driver for this robot."""
+        return Ros1Driver(
+            swarm="s", robot="r-1", platform=PLATFORM, options={**self.options, **options}
+        )
+
+    def do(self, what: str, **more: object) -> None:
+        """Have it do something."""
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps({"do": what, **more}).encode() + b"\n")
+            self._process.stdin.flush()
+        except BrokenPipeError:
+            return
+
+    def speak(self) -> None:
+        """Send a scan and an odometry."""
+        self.do("speak")
+
+    def commands(self) -> Sequence[Twist]:
+        """What has come since the last call."""
+        with self._lock:
+            lines, self._lines = self._lines, []
+        return [_twist(line) for line in lines]
+
+    def say(self, scan: Scan) -> None:
+        """Send this sweep."""
+        first, ranges = float(scan.bearings[0]), scan.ranges.tolist()
+        self.do("say", stamp=scan.stamp, first=first, ranges=ranges)
+
+    def move(self) -> None:
+        """Send an odometry."""
+        self.do("move")
+
+    def garble(self) -> None:
+        """Send bytes that no LaserScan has, each time others."""
+        size = random.randrange(200)
+        self.do("garble", bytes=(b"\xff" * 16 + random.randbytes(size)).hex())
+
+    def die(self) -> None:
+        """Kill its nodes; the master does not know."""
+        self.close()
+
+    def close(self) -> None:
+        """Kill it."""
+        self._process.kill()
+        self._process.wait(CAP)
+        self._thread.join(CAP)
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                try:
+                    pipe.close()
+                except BrokenPipeError:
+                    continue
+
+    def _read(self, process: subprocess.Popen[bytes], ready: threading.Event) -> None:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if line == b"ready\n":
+                ready.set()
+                continue
+            with self._lock:
+                self._lines.append(line.decode())
+
+
+@contextmanager
+def robot(core: RosCore, *words: str, namespace: str = "") -> Iterator[RosRobot]:
+    """A robot that is gone afterwards."""
+    made = RosRobot(core, *words, namespace=namespace)
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def _twist(line: str) -> Twist:
+    linear, angular, lateral = map(float, line.split())
+    assert math.isfinite(linear + angular + lateral)
+    return Twist(linear, angular, lateral)

@@ -1,0 +1,199 @@
+"""Driver `ros1` and an adapter that is none: needs no ROS."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import itertools
+import os
+import signal
+import socket
+import sys
+from collections.abc import Awaitable, Callable
+from pathlib import Path
+
+import pytest
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Value
+from swarmd.drivers.ros1 import adapter as ros1_child
+from swarmd.drivers.ros1 import adapter_process as ros1_adapter
+from swarmd.drivers.ros1 import driver as ros1
+from swarmd.drivers.ros1.driver import Ros1Driver
+from swarmd.drivers.ros1.options import read_options
+from swarmd.settings.driver_options import BaseOptions
+from swarmd.settings.platforms import load_platform, platform_names
+from swarmd.testing.driver_contract import CAP, Heard
+from swarmd.testing.driver_rig import is_running
+
+IMPOSTOR = Path(__file__).with_name("ros1_impostor.py")
+PLATFORM = load_platform("burger")
+
+
+def make(**options: Value) -> Ros1Driver:
+    return Ros1Driver(swarm="s", robot="r", platform=PLATFORM, options=options)
+
+
+def play(
+    monkeypatch: pytest.MonkeyPatch,
+    kind: str,
+    story: Callable[[Ros1Driver, Heard], Awaitable[None]],
+    **options: Value,
+) -> None:
+    monkeypatch.setattr(ros1_adapter, "__file__", str(IMPOSTOR))
+    monkeypatch.setenv("IMPOSTOR", kind)
+
+    async def run() -> None:
+        driver, heard = make(**{"python": sys.executable, **options}), Heard()
+        task = asyncio.create_task(driver.run(heard))
+        try:
+            async with asyncio.timeout(CAP):
+                await story(driver, heard)
+        finally:
+            pid = driver.adapter_pid
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+            assert pid is None or not is_running(pid)
+
+    asyncio.run(run())
+
+
+async def until(condition: Callable[[], bool]) -> None:
+    while not condition():
+        await asyncio.sleep(0.01)
+
+
+def texts(heard: Heard) -> list[str]:
+    return [text for _, text in heard.states]
+
+
+def test_garbage_is_counted_and_what_follows_is_understood(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(driver: Ros1Driver, heard: Heard) -> None:
+        await until(lambda: any("an impostor" in text for text in texts(heard)))
+        assert heard.lost.count("ros1/garbage") >= 60
+        assert not heard.is_up
+        assert not heard.scans
+
+    play(monkeypatch, "garbage", story)
+
+
+def test_an_adapter_that_keeps_dying_is_started_at_growing_intervals(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(driver: Ros1Driver, heard: Heard) -> None:
+        loop, starts = asyncio.get_running_loop(), dict[int, float]()
+
+        def has_started_often() -> bool:
+            if driver.adapter_pid is not None:
+                starts.setdefault(driver.adapter_pid, loop.time())
+            return len(starts) >= 5
+
+        await until(has_started_often)
+        pauses = [after - before for before, after in itertools.pairwise(starts.values())]
+        assert pauses[-1] > 4.0 * ros1.FIRST_PAUSE
+        assert any("it cannot go on" in text for text in texts(heard))
+
+    play(monkeypatch, "dies", story)
+
+
+def test_an_adapter_that_says_nothing_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ros1_child, "STARTS_WITHIN", 0.3)
+
+    async def story(driver: Ros1Driver, heard: Heard) -> None:
+        await until(lambda: any("SIGKILL" in text for text in texts(heard)))
+        assert any("did not answer" in text for text in texts(heard))
+
+    play(monkeypatch, "mute", story)
+
+
+def test_an_adapter_that_does_not_leave_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def story(driver: Ros1Driver, heard: Heard) -> None:
+        await until(lambda: any("an impostor" in text for text in texts(heard)))
+        assert driver.adapter_pid is not None  # `play` sees that it has ended
+
+    play(monkeypatch, "deaf", story)
+
+
+def test_an_interpreter_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def story(driver: Ros1Driver, heard: Heard) -> None:
+        await until(lambda: any("/no/python3 cannot be started" in text for text in texts(heard)))
+
+    play(monkeypatch, "dies", story, python="/no/python3")
+
+
+def test_a_machine_that_is_full_ends_no_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    async def story(driver: Ros1Driver, heard: Heard) -> None:
+        await until(lambda: driver.adapter_pid is not None)
+        with monkeypatch.context() as full:
+            full.setattr(socket, "socketpair", refuse)
+            os.kill(driver.adapter_pid or 0, signal.SIGKILL)
+            await until(lambda: any("is the machine full?" in text for text in texts(heard)))
+        await until(lambda: driver.adapter_pid is not None)
+
+    play(monkeypatch, "mute", story)
+
+
+def test_check_says_why_there_is_no_adapter(monkeypatch: pytest.MonkeyPatch) -> None:
+    findings = asyncio.run(make(python="/no/python3").check(5.0))
+    assert [finding.is_well for finding in findings] == [False]
+    assert "set driver_options.python" in findings[0].text
+
+
+def test_an_interpreter_without_rospy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PYTHONPATH", "/nowhere")
+    findings = asyncio.run(make(python=sys.executable).check(CAP))
+    assert [finding.is_well for finding in findings] == [False]
+    assert "install python3-rospy" in findings[0].text
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ({"mastre": "http://127.0.0.1:1"}, "did you mean 'master'"),
+        ({"master": "127.0.0.1:11311"}, "wanted is such as http://"),
+        ({"scan": "front scan"}, "scan is 'front scan'; wanted a topic's name"),
+        ({"namespace": "robot-1"}, "namespace is 'robot-1'"),
+        ({"ranges": {"left": 400}}, "ranges.left is 400"),
+        ({"ranges": {"left": [20, 0.1], "a b": 3}}, "ranges.a b is 'a b'"),
+        ({"ranges": {"left": "far"}}, "ranges.left"),
+        ({"cmd_vel_type": "Velocity"}, "cmd_vel_type"),
+        ({"scan": "odom"}, "scan and odometry are both /odom; wanted is a topic each"),
+        ({"ranges": {"a": 1, "/a": 2}}, "ranges.a and ranges./a are both /a"),
+        ({"namespace": "r", "imu": "/r/cmd_vel"}, "cmd_vel and imu are both /r/cmd_vel"),
+    ],
+)
+def test_options_it_cannot_use_are_refused(options: dict[str, Value], complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        make(**options)
+
+
+@pytest.mark.parametrize(
+    ("namespace", "name", "topic"),
+    [
+        ("", "scan", "/scan"),
+        ("robot1", "scan", "/robot1/scan"),
+        ("/robot1/", "front/scan", "/robot1/front/scan"),
+        ("/robot1", "/scan", "/scan"),
+        ("/", "scan", "/scan"),
+        ("{robot}", "scan", "/tb3_01/scan"),
+    ],
+)
+def test_names_are_within_the_namespace_unless_they_begin_with_a_slash(
+    namespace: str, name: str, topic: str
+) -> None:
+    options = read_options({"namespace": namespace, "scan": name}, "tb3-01")
+    assert options.topic(options.scan) == topic
+
+
+@pytest.mark.parametrize("name", platform_names())
+def test_what_platforms_say_of_ros_1_is_understood(name: str) -> None:
+    said = load_platform(name).drivers["ros1"]
+    own = {key: said[key] for key in said.keys() - BaseOptions.__struct_fields__}
+    options = read_options(own, "tb3-01")
+    assert said["deadman"]
+    assert options.cmd_vel_type == "twist"

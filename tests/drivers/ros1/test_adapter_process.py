@@ -1,0 +1,203 @@
+"""The adapter of driver `ros1` without ROS: with a rospy and a master that are none."""
+
+from __future__ import annotations
+
+import json
+import select
+import socket
+import struct
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import IO, Any
+from xmlrpc.server import SimpleXMLRPCServer
+
+import pytest
+
+from swarmd.drivers.ros1.adapter_process import (
+    COMMAND,
+    COMMAND_HEAD,
+    DATA,
+    DATA_HEAD,
+    EVENT,
+    Adapter,
+)
+from tests.support.processes import CAP, wait_until
+
+COMMANDS = {"topic": "/cmd_vel", "type": "geometry_msgs/Twist", "md5sum": "0", "full_text": ""}
+CONFIG = {
+    "master": "http://127.0.0.1:9",
+    "name": "r",
+    "topics": ["/scan"],
+    "kinds": ["sensor_msgs/LaserScan"],
+    "command_topic": "/cmd_vel",
+    "command": {**COMMANDS, "frame_id": ""},
+    "holds": False,
+}
+SCRIPT = Path(sys.modules[Adapter.__module__].__file__ or "")
+ROSPY = '''
+"""A rospy whose commands cannot be sent."""
+import sys
+from types import SimpleNamespace
+
+class AnyMsg:
+    pass
+
+class Publisher:
+    def __init__(self, *args, **kwargs):
+        self.impl = SimpleNamespace(set_queue_size=lambda size: None)
+    def get_num_connections(self):
+        return 1
+    def publish(self, message):
+        raise OSError("its topics are closed")
+
+def init_node(*args, **kwargs): pass
+def Subscriber(*args, **kwargs): pass
+def on_shutdown(call): pass
+def signal_shutdown(why): pass
+def is_shutdown(): return False
+def get_name(): return "/r_1"
+
+server = SimpleNamespace(inbound_handler=None)
+impl = SimpleNamespace(tcpros_base=SimpleNamespace(
+    start_tcpros_server=lambda: None, _tcpros_server=SimpleNamespace(tcp_ros_server=server)))
+'''
+
+
+@pytest.fixture
+def ends() -> Iterator[tuple[Adapter, socket.socket]]:
+    """An adapter that is not served, and the driver's end of its socket."""
+    mine, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with mine, theirs:
+        mine.setblocking(False)
+        theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 8192)
+        yield Adapter(CONFIG, theirs, SimpleNamespace(), SimpleNamespace()), mine
+
+
+def message(node: str) -> Any:
+    header = {"callerid": node, "type": "sensor_msgs/LaserScan", "md5sum": "1"}
+    return SimpleNamespace(_connection_header=header, _buff=b"\x00" * 1000)
+
+
+def taken(sock: socket.socket) -> list[bytes]:
+    """All that waits."""
+    found = []
+    while True:
+        try:
+            found.append(sock.recv(65536))
+        except BlockingIOError:
+            return found
+
+
+def test_what_a_frozen_guardian_could_not_be_told_is_told_when_it_reads_again(
+    ends: tuple[Adapter, socket.socket],
+) -> None:
+    adapter, mine = ends
+    for _ in range(100):
+        adapter._on_message(message("/lidar"), "/scan")
+    state = {"event": "state", "master": True, "others": ["/teleop" * 200]}
+    adapter._tell(state)
+    adapter._on_message(message("/second" * 200), "/scan")
+    assert len(taken(mine)) < 100
+    adapter._tell(state)
+    adapter._on_message(message("/second" * 200), "/scan")
+    frames = taken(mine)
+    events = [json.loads(frame[1:])["event"] for frame in frames if frame[:1] == EVENT]
+    assert events == ["state", "link"]
+    assert frames[-1][:1] == DATA
+
+
+def test_each_of_many_publishers_keeps_a_link_of_its_own(
+    ends: tuple[Adapter, socket.socket],
+) -> None:
+    adapter, mine = ends
+    links = []
+    for number in (*range(600), 0):
+        adapter._on_message(message(f"/node_{number}"), "/scan")
+        links.append(DATA_HEAD.unpack_from(taken(mine)[-1])[1])
+    assert len(set(links[:-1])) == 600
+    assert links[-1] == links[0]
+
+
+@pytest.mark.parametrize(("linear", "arms"), [(0.0, False), (-0.0, False), (0.1, True)])
+def test_zero_of_either_sign_does_not_move_a_base(
+    ends: tuple[Adapter, socket.socket], linear: float, arms: bool
+) -> None:
+    adapter, _ = ends
+    adapter._pass_on(struct.pack("<6d", linear, 0.0, 0.0, 0.0, 0.0, 0.0), time.monotonic())
+    assert adapter._is_armed is arms
+
+
+@pytest.fixture
+def master() -> Iterator[str]:
+    """The address of a master that knows nobody."""
+    with SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False) as server:
+        known = {
+            "getUri": "",
+            "getSystemState": [[], [["/scan", ["/r_1"]]], []],
+            "getTopicTypes": [],
+        }
+        for name, value in known.items():
+            server.register_function(lambda caller, value=value: [1, "", value], name)
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield f"http://127.0.0.1:{server.server_address[1]}"
+        server.shutdown()
+        thread.join(CAP)
+
+
+def test_an_adapter_that_nobody_reads_the_errors_of_still_leaves(
+    tmp_path: Path, master: str
+) -> None:
+    (tmp_path / "rospy.py").write_text(ROSPY)
+    mine, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with mine, theirs:
+        process = subprocess.Popen(
+            [sys.executable, str(SCRIPT), json.dumps({**CONFIG, "master": master})],
+            stdin=theirs.fileno(),
+            stderr=subprocess.PIPE,
+            env={"PYTHONPATH": str(tmp_path)},
+        )
+        assert process.stderr is not None
+        moving = struct.pack("<6d", 0.1, 0.0, 0.0, 0.0, 0.0, 0.0)
+        line = b""
+        while b"its topics are closed" not in line:
+            mine.send(COMMAND_HEAD.pack(COMMAND, time.monotonic()) + moving)
+            mine.recv(65536)
+            line = process.stderr.readline() if _waits(process.stderr) else b""
+        process.stderr.close()
+    try:
+        wait_until(lambda: process.poll() is not None, "it has left")
+    finally:
+        process.kill()
+        process.wait(CAP)
+    assert process.returncode == 0
+
+
+def test_an_adapter_that_could_join_only_in_part_ends_and_says_why(
+    tmp_path: Path, master: str
+) -> None:
+    half = ROSPY + '\ndef Subscriber(*args, **kwargs): raise ConnectionRefusedError("gone")\n'
+    (tmp_path / "rospy.py").write_text(half)
+    mine, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with mine, theirs:
+        subprocess.run(
+            [sys.executable, str(SCRIPT), json.dumps({**CONFIG, "master": master})],
+            stdin=theirs.fileno(),
+            stderr=subprocess.DEVNULL,
+            env={"PYTHONPATH": str(tmp_path)},
+            timeout=CAP,
+            check=False,
+        )
+        mine.setblocking(False)
+        frames = taken(mine)
+    (said,) = (json.loads(frame[1:]) for frame in frames if frame[:1] == EVENT)
+    assert "it could not join the master: gone" in said["text"]
+
+
+def _waits(pipe: IO[bytes]) -> bool:
+    return bool(select.select([pipe], [], [], 0.0)[0])

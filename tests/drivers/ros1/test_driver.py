@@ -1,0 +1,289 @@
+"""Driver `ros1` against a real roscore and nodes in rospy."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Awaitable, Callable, Mapping
+
+import numpy as np
+import pytest
+
+from swarmd.core.values import Twist, Value
+from swarmd.drivers.ros1.driver import Ros1Driver
+from swarmd.drivers.ros1.view import SILENCE
+from swarmd.settings.driver_options import BaseOptions
+from swarmd.settings.platforms import load_platform
+from swarmd.testing.driver_contract import DriverContract, Stage, on_stage
+from tests.drivers.ros1.rig import PLATFORM, RosRobot, robot
+from tests.support.roscore import RosCore
+
+Story = Callable[[Stage, RosRobot], Awaitable[None]]
+
+
+class TestContract(DriverContract):
+    @pytest.fixture(autouse=True)
+    def _use(self, roscore: RosCore) -> None:
+        self.core = roscore
+
+    def rig(self) -> RosRobot:
+        return RosRobot(self.core)
+
+
+class Wanting(RosRobot):
+    """A robot whose driver is made with further options."""
+
+    def __init__(self, core: RosCore, more: dict[str, Value], *words: str) -> None:
+        super().__init__(core, *words)
+        self._more = more
+
+    @property
+    def options(self) -> dict[str, Value]:
+        return {**super().options, **self._more}
+
+
+def play(rig: RosRobot, story: Story, *, connected: bool = True) -> None:
+    async def run() -> None:
+        async with on_stage(rig) as stage:
+            if connected:
+                await stage.connect()
+            await story(stage, rig)
+
+    asyncio.run(run())
+
+
+async def says(stage: Stage, *words: str, speaking: bool = True) -> str:
+    """Wait until the driver has said all of the words of its base; what it said."""
+
+    def has_said() -> bool:
+        return any(all(word in text for word in words) for _, text in stage.heard.states)
+
+    await stage.until(has_said, speaking=speaking)
+    texts = [text for _, text in stage.heard.states]
+    return next(text for text in texts if all(word in text for word in words))
+
+
+def check(rig: RosRobot, seconds: float = 20.0) -> dict[str, tuple[bool, str]]:
+    async def run() -> dict[str, tuple[bool, str]]:
+        findings = await rig.make({}).check(seconds)
+        return {finding.subject: (finding.is_well, finding.text) for finding in findings}
+
+    return asyncio.run(run())
+
+
+def test_is_a_real_robot_and_brings_its_own_stopper(roscore: RosCore) -> None:
+    driver = Ros1Driver(swarm="s", robot="r", platform=PLATFORM, options={})
+    assert not driver.is_simulated
+    assert driver.zero_sender() is None
+
+
+@pytest.mark.parametrize("hangs", [False, True])
+def test_all_senses_arrive_as_they_were_sent(roscore: RosCore, hangs: bool) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        heard = stage.heard
+        sent = [0.5, math.inf, -math.inf, math.nan, 0.0, *(3.0 for _ in range(355))]
+        body.do("scan", ranges=sent)
+        await stage.until(lambda: bool(heard.scans) and math.isinf(heard.scans[-1].ranges[1]))
+        scan = heard.scans[-1]
+        np.testing.assert_array_equal(scan.ranges, np.array(sent, np.float32))
+        np.testing.assert_allclose(
+            np.exp(1j * scan.bearings),
+            np.exp(1j * np.radians(90.0 + (-1 if hangs else 1) * np.arange(360))),
+            atol=1e-5,
+        )
+        assert heard.odometries[-1].pose.yaw == pytest.approx(0.6)
+        assert heard.odometries[-1].twist == Twist(0.1, -0.2)
+
+        def is_read() -> bool:
+            body.do("extras")
+            return bool(heard.values) and len(heard.values[-1]) == 3
+
+        await stage.until(is_read)
+        wanted = {"yaw": 0.5, "battery": 0.75, "battery_voltage": 12.0}
+        assert heard.values[-1] == pytest.approx(wanted)
+        assert heard.lost.count("ros1/scan") == 0
+
+    more: dict[str, Value] = {"imu": "imu", "battery": "battery", "scan_yaw_deg": 90.0}
+    more["scan_upside_down"] = hangs
+    play(Wanting(roscore, more), story)
+
+
+def test_the_number_of_rays_may_change_and_be_none(roscore: RosCore) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        for count in (225, 0, 228, 1):
+            stage.heard.scans.clear()
+            body.do("scan", ranges=[1.0] * count)
+            await stage.until(lambda: bool(stage.heard.scans))
+            assert stage.heard.scans[-1].bearings.shape == (count,)
+
+    play(RosRobot(roscore), story)
+
+
+def test_several_range_sensors_are_one_scan(roscore: RosCore) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        heard = stage.heard
+
+        def is_whole() -> bool:
+            body.do("extras")
+            return bool(heard.scans) and bool(np.isfinite(heard.scans[-1].ranges).all())
+
+        await stage.until(is_whole, speaking=True)
+        assert heard.scans[-1].ranges.tolist() == pytest.approx([0.6, 1.5, 2.5])
+        assert heard.scans[-1].bearings.tolist() == pytest.approx([math.pi / 2.0, 0.0, -0.5])
+
+    ring: dict[str, Value] = {"ir/0": [90.0, 0.1], "ir/1": 0.0, "ir/2": math.degrees(-0.5)}
+    play(Wanting(roscore, {"ranges": ring}), story, connected=False)
+
+
+class Thymio(RosRobot):
+    """Seven range sensors in place of a lidar, called and placed as its platform's file says."""
+
+    platform = load_platform("thymio")
+
+    def __init__(self, core: RosCore) -> None:
+        options = self.platform.drivers["ros1"]
+        self._given = {key: options[key] for key in options.keys() - BaseOptions.__struct_fields__}
+        ring = self._given["ranges"]
+        assert isinstance(ring, Mapping)
+        super().__init__(core, "--ranges", *ring, namespace="/thymio_01")
+
+    def make(self, options: Mapping[str, Value]) -> Ros1Driver:
+        where = {"master": self.core.uri, "ip": "127.0.0.1"}
+        return Ros1Driver(
+            swarm="s",
+            robot="thymio-01",
+            platform=self.platform,
+            options={**self._given, **where, **options},
+        )
+
+
+def test_a_thymio_sees_with_its_seven_sensors_by_its_file_alone(roscore: RosCore) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        heard = stage.heard
+
+        def is_whole() -> bool:
+            body.do("extras")
+            return bool(heard.scans) and bool(np.isfinite(heard.scans[-1].ranges).all())
+
+        await stage.until(is_whole, speaking=True)
+        scan = heard.scans[-1]
+        off = scan.bearings - body.platform.scan.bearings
+        assert np.cos(off) == pytest.approx(np.ones(7))
+        wanted = [0.58, 1.58, 2.58, 3.58, 4.58, 5.535, 6.535]  # 0.5 m, 1.5 m ... from each sensor
+        assert scan.ranges.tolist() == pytest.approx(wanted)
+        stage.driver.send(Twist(0.1), 1, 1)
+        assert (await stage.command()).is_zero
+
+    play(Thymio(roscore), story, connected=False)
+
+
+@pytest.mark.parametrize("hz", [1, 50])
+def test_scans_of_any_rate_keep_the_base_up(roscore: RosCore, hz: int) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        body.do("rate", hz=hz)
+        wanted = len(stage.heard.scans) + max(5, hz)
+        await stage.until(lambda: len(stage.heard.scans) >= wanted)
+        assert all(is_up for is_up, _ in stage.heard.states[-1:])
+        assert [is_up for is_up, _ in stage.heard.states].count(True) == 1
+
+    assert SILENCE > 2.0
+    play(RosRobot(roscore), story)
+
+
+def test_commands_are_stamped_where_the_base_wants_it(roscore: RosCore) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        stage.driver.send(Twist(0.1), 1, 1)
+        assert (await stage.command()).is_zero
+        stage.driver.send(Twist(0.1, 0.2, 0.3), 1, 1)
+        assert await stage.command() == Twist(0.1, 0.2, 0.3)
+        assert (await stage.command()).is_zero  # the adapter's own, after a silence
+
+    more: dict[str, Value] = {"cmd_vel_type": "twist_stamped"}
+    play(Wanting(roscore, more, "--command-type", "TwistStamped"), story)
+
+
+def test_a_base_that_wants_another_type_of_command_is_named(roscore: RosCore) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        text = await says(stage, "wants geometry_msgs/TwistStamped")
+        assert "correct cmd_vel_type" in text
+        assert not stage.heard.is_up
+
+    play(RosRobot(roscore, "--command-type", "TwistStamped"), story, connected=False)
+
+
+def test_a_scan_of_another_type_is_named_and_nothing_moves(roscore: RosCore) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        text = await says(stage, "sensor_msgs/Range", "md5")
+        assert "wanted is sensor_msgs/LaserScan" in text
+        assert "ros1/type" in stage.heard.lost
+        assert not stage.heard.is_up
+        assert not stage.heard.scans
+
+    play(RosRobot(roscore, "--scan-type", "Range"), story, connected=False)
+
+
+def test_a_robot_without_a_base_is_not_driven(roscore: RosCore) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        assert "start the base's node" in await says(stage, "nobody listens")
+        assert not stage.heard.is_up
+
+    play(RosRobot(roscore, "--no-base"), story, connected=False)
+
+
+def test_a_topic_without_data_is_told_from_one_without_a_publisher(roscore: RosCore) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        topic = f"{body.namespace}/scan"
+        assert body.namespace in await says(stage, topic, "nothing comes", speaking=False)
+
+    async def elsewhere(stage: Stage, body: RosRobot) -> None:
+        text = await says(stage, f"nobody publishes {body.namespace}/front/scan", speaking=False)
+        assert f"sensor_msgs/LaserScan is on {body.namespace}/scan" in text
+
+    play(RosRobot(roscore), story, connected=False)
+    play(Wanting(roscore, {"scan": "front/scan"}), elsewhere, connected=False)
+
+
+def test_someone_else_on_cmd_vel_is_named_and_nothing_moves_until_he_leaves(
+    roscore: RosCore,
+) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        other, heard = body.make({}), stage.heard
+        second = asyncio.create_task(other.run(heard_too := type(heard)()))
+        text = await says(stage, "someone else", f"{body.namespace}/cmd_vel is also published by")
+        assert "/swarmd_r_1_" in text
+        stage.driver.send(Twist(0.1), 1, 1)
+        assert all(twist.is_zero for twist in body.commands())
+        await stage.until(lambda: bool(heard_too.states) and not heard_too.is_up, speaking=True)
+        second.cancel()
+        await asyncio.gather(second, return_exceptions=True)
+        await stage.until(lambda: heard.is_up, speaking=True)
+
+    play(RosRobot(roscore), story)
+
+
+def test_check_says_what_is_there_and_moves_nothing(roscore: RosCore) -> None:
+    with robot(roscore) as body:
+        body.do("rate", hz=10)
+        found = check(body)
+        assert not body.commands()
+    assert all(is_well for is_well, _ in found.values()), found
+    assert list(found) == ["master", "scan", "odometry", "cmd_vel"]
+    said = f"{body.namespace}/scan (sensor_msgs/LaserScan) from {body.namespace}/robot: "
+    assert said in found["scan"][1]
+    assert "360 rays, stamps went on" in found["scan"][1]
+    rate = float(found["scan"][1].partition("robot: ")[2].partition(" Hz")[0])
+    assert rate == pytest.approx(10.0, rel=0.3)
+
+
+def test_check_of_half_a_robot_says_what_is_missing(roscore: RosCore) -> None:
+    with robot(roscore, "--no-base", "--scan-type", "Range") as body:
+        body.do("rate", hz=10)
+        found = check(body, 5.0)
+    assert {subject: is_well for subject, (is_well, _) in found.items()} == {
+        "master": True,
+        "scan": False,
+        "odometry": True,
+        "cmd_vel": False,
+    }
+    assert "wanted is sensor_msgs/LaserScan" in found["scan"][1]
+    assert "nobody listens" in found["cmd_vel"][1]

@@ -1,0 +1,290 @@
+"""When driver `ros1` commands, and what first: exactly, with an adapter that is none.
+
+With a real one: `test_ros1_child.py` and, with ROS, `test_ros1.py`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import struct
+from collections.abc import Awaitable, Callable
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+from swarmd.core.values import Twist, Value
+from swarmd.drivers.ros1 import adapter as ros1_child
+from swarmd.drivers.ros1 import adapter_process as ros1_adapter
+from swarmd.drivers.ros1 import driver as ros1
+from swarmd.drivers.ros1 import wire
+from swarmd.drivers.ros1.adapter import Link, State, Told
+from swarmd.drivers.ros1.driver import Ros1Driver
+from swarmd.drivers.ros1.options import read_options
+from swarmd.settings.platforms import load_platform
+from swarmd.testing.driver_contract import Heard
+from tests.support import hand_clock as handclock
+
+MOVING = Twist(0.1, -0.2)
+FIRST = [wire.encode_twist(Twist()), wire.encode_twist(MOVING)]
+WELL = State(
+    master=True,
+    publishers={"/scan": ["/lidar"], "/odom": ["/base"]},
+    listeners=["/base"],
+    connected=1,
+)
+HEADER = struct.pack("<4I", 1, 5, 250_000_000, 0)
+
+
+def scan(*ranges: float) -> bytes:
+    angles = struct.pack("<7f", 0.0, 3.0, 1.0, 0.0, 0.0, 0.1, 3.5)
+    floats = struct.pack(f"<I{len(ranges)}fI", len(ranges), *ranges, 0)
+    return HEADER + angles + floats
+
+
+def odometry(x: float = 0.5) -> bytes:
+    pose = struct.pack("<7d", x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+    return HEADER + bytes(4) + pose + bytes(288) + struct.pack("<6d", *[0.1] * 6) + bytes(288)
+
+
+class Adapter:
+    """Tells what the test says, and keeps what it is to send."""
+
+    def __init__(self, *given: Any) -> None:
+        self.config, self.listener = given[2], given[4]
+        self.pid = 1
+        self.sent: list[bytes] = []
+        self.is_closed_politely: bool | None = None
+        self.is_dead = False
+
+    def send(self, command: bytes) -> None:
+        self.sent.append(command)
+
+    async def until_end(self, seconds: float) -> bool:
+        await asyncio.sleep(seconds)
+        return self.is_dead
+
+    async def close(self, *, politely: bool) -> str:
+        self.is_closed_politely = politely
+        return "died"
+
+
+class Scene:
+    """A driver that runs, and the adapters that it has started."""
+
+    def __init__(self, driver: Ros1Driver, started: list[Adapter]) -> None:
+        self.driver, self.started, self.heard = driver, started, Heard()
+        self.task = asyncio.create_task(driver.run(self.heard))
+
+    @property
+    def adapter(self) -> Adapter:
+        return self.started[-1]
+
+    def tell(self, state: State = WELL) -> None:
+        self.adapter.listener.on_event(state)
+
+    def rise(self) -> None:
+        """All that is needed is there."""
+        self.tell()
+        for link, (topic, kind, data) in enumerate(
+            (("/scan", wire.LASER_SCAN, scan(1.0)), ("/odom", wire.ODOMETRY, odometry()))
+        ):
+            self.adapter.listener.on_event(Link(link, topic, "/node", kind.name, kind.md5sum))
+            self.adapter.listener.on_message(link, data)
+
+    def is_moved(self) -> bool:
+        """Whether two commands to move make it move."""
+        return any(data != FIRST[0] for data in self.command())
+
+    def command(self) -> list[bytes]:
+        """What reaches the adapter of two commands."""
+        self.adapter.sent.clear()
+        for _ in range(2):
+            self.driver.send(MOVING, 1, 1)
+        return self.adapter.sent
+
+
+def play(
+    monkeypatch: pytest.MonkeyPatch, story: Callable[[Scene], Awaitable[None]], **options: Value
+) -> None:
+    started: list[Adapter] = []
+
+    def start(*given: Any) -> Adapter:
+        started.append(Adapter(*given))
+        return started[-1]
+
+    monkeypatch.setattr(ros1, "AdapterProcess", start)
+
+    async def run() -> None:
+        given = {"master": "http://127.0.0.1:9", **options}
+        driver = Ros1Driver(swarm="s", robot="r", platform=load_platform("burger"), options=given)
+        scene = Scene(driver, started)
+        await asyncio.sleep(0.01)
+        try:
+            await story(scene)
+        finally:
+            scene.task.cancel()
+            await asyncio.gather(scene.task, return_exceptions=True)
+        assert scene.adapter.is_closed_politely, "it sends its zero on the way out"
+
+    handclock.run(run())
+
+
+def test_it_commands_only_a_base_that_is_there_and_zero_first(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        assert not scene.command()
+        scene.rise()
+        assert scene.heard.is_up
+        assert scene.command() == FIRST
+        assert scene.command() == [FIRST[1]] * 2
+
+    play(monkeypatch, story)
+
+
+@pytest.mark.parametrize(
+    "lost",
+    [
+        State(master=False, text="refused"),
+        replace(WELL, others=["/teleop"]),
+        replace(WELL, listeners=[], connected=0),
+        Told("end", "ROS has shut it down"),
+    ],
+    ids=["master", "someone else", "no base", "the end"],
+)
+def test_what_takes_the_base_away_ends_commands_at_once(
+    monkeypatch: pytest.MonkeyPatch, lost: Any
+) -> None:
+    async def story(scene: Scene) -> None:
+        scene.rise()
+        scene.command()
+        scene.tell(lost)
+        assert not scene.heard.is_up
+        assert not scene.is_moved()
+        if isinstance(lost, State):
+            scene.tell()
+            assert scene.command() == FIRST
+
+    play(monkeypatch, story)
+
+
+def test_a_silent_sense_takes_it_away_after_2_and_a_half_s(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def story(scene: Scene) -> None:
+        scene.rise()
+        await asyncio.sleep(2.45)
+        assert scene.heard.is_up
+        scene.adapter.listener.on_message(0, scan(1.0))
+        await asyncio.sleep(0.2)
+        assert not scene.heard.is_up, "scans come, odometry does not"
+        assert not scene.is_moved()
+
+    play(monkeypatch, story)
+
+
+def test_a_new_adapter_is_begun_with_zero_and_told_what_the_one_before_has_left(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        assert not scene.adapter.config["holds"]
+        scene.rise()
+        scene.command()
+        scene.adapter.is_dead = True
+        await asyncio.sleep(0.11)
+        assert not scene.heard.is_up
+        scene.driver.send(MOVING, 1, 1)
+        await asyncio.sleep(0.2)
+        assert len(scene.started) == 2
+        assert scene.adapter.config["holds"]
+        assert not scene.is_moved()
+        scene.rise()
+        assert scene.command() == FIRST
+
+    play(monkeypatch, story)
+
+
+def test_what_cannot_be_read_or_is_of_another_type_is_counted_and_no_sign_of_life(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        scene.tell()
+        listener = scene.adapter.listener
+        listener.on_event(Link(0, "/scan", "/lidar", wire.LASER_SCAN.name, wire.LASER_SCAN.md5sum))
+        listener.on_event(Link(1, "/odom", "/base", wire.ODOMETRY.name, "0" * 32))
+        listener.on_message(0, scan(1.0)[:-1])
+        listener.on_message(1, odometry())
+        listener.on_message(2, odometry())
+        assert scene.heard.lost == ["ros1/scan", "ros1/type", "ros1/garbage"]
+        assert not scene.heard.is_up
+
+    play(monkeypatch, story)
+
+
+def test_a_scan_is_turned_as_the_lidar_is_mounted(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def story(scene: Scene) -> None:
+        scene.rise()
+        scene.adapter.listener.on_message(0, scan(1.0, 2.0, 3.0))
+        sweep = scene.heard.scans[-1]
+        assert sweep.ranges.tolist() == [1.0, 2.0, 3.0]
+        assert sweep.bearings.tolist() == pytest.approx([0.5, 1.5, 2.5])
+        assert (sweep.stamp, sweep.range_min, sweep.range_max) == (5.25, 0.12, 3.5)
+
+    play(monkeypatch, story, scan_yaw_deg=28.64788975654116)
+
+
+def test_stamped_commands_are_numbered_and_in_the_frame_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        scene.rise()
+        for count, data in enumerate(scene.command(), 1):
+            assert struct.unpack_from("<I", data)[0] == count
+            assert data[12:20] == b"\x04\0\0\0base"
+
+    play(monkeypatch, story, cmd_vel_type="twist_stamped", cmd_vel_frame="base")
+
+
+def test_of_what_waited_only_the_newest_of_each_link_is_news_and_nothing_old(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = 1000.0
+    heard: list[tuple[int, bytes]] = []
+    dropped: list[str] = []
+    listener = SimpleNamespace(
+        on_message=lambda link, data: heard.append((link, data)),
+        on_dropped=dropped.append,
+        on_event=lambda event: None,
+    )
+
+    async def run() -> None:
+        child = ros1_child.AdapterProcess("-", "/bin/cat", {}, os.environ, listener)
+        monkeypatch.setattr(ros1_child, "time", SimpleNamespace(monotonic=lambda: now))
+        near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        near.setblocking(False)
+        for link, age, data in (
+            (1, 0.3, b"first"), (1, 0.1, b"newest"), (2, 0.49, b"late"), (3, 0.5, b"history"),
+            (4, -0.5, b"of a clock to come"),
+        ):  # fmt: skip
+            far.send(ros1_adapter.DATA_HEAD.pack(ros1_adapter.DATA, link, now - age) + data)
+        with near, far:
+            child._socket, own = near, child._socket
+            child._on_readable()
+            child._socket = own
+        await child.close(politely=False)
+
+    asyncio.run(run())
+    assert heard == [(1, b"newest"), (2, b"late")]
+    assert dropped == ["overtaken"] * 3
+
+
+def test_the_adapters_environment_is_that_of_the_options(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("ROS_MASTER_URI", "http://robot:11311")
+    monkeypatch.setenv("ROS_HOSTNAME", "desk")
+    usual = read_options({}, "r")
+    assert (usual.master_uri, usual.environ["ROS_HOSTNAME"]) == ("http://robot:11311", "desk")
+    told = read_options({"master": "http://127.0.0.1:9", "ip": "10.0.0.7"}, "r").environ
+    assert (told["ROS_MASTER_URI"], told["ROS_IP"]) == ("http://127.0.0.1:9", "10.0.0.7")
+    assert "ROS_HOSTNAME" not in told, "it would win"

@@ -1,0 +1,253 @@
+"""What others do to driver `ros1`, and what it says of them: against a real roscore."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import socket
+import threading
+import time
+import xmlrpc.client
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+from xmlrpc.server import SimpleXMLRPCServer
+
+import pytest
+
+from swarmd.core.values import Twist
+from swarmd.drivers.ros1 import driver as ros1
+from swarmd.drivers.ros1 import wire
+from swarmd.drivers.ros1.adapter_process import SILENCE, STOPPING
+from swarmd.drivers.ros1.driver import STANDS
+from swarmd.testing.driver_contract import Heard, Stage
+from swarmd.testing.driver_rig import is_running
+from tests.drivers.ros1.rig import RosRobot, robot
+from tests.drivers.ros1.test_life import adapter, drive, guarded, play
+from tests.support.processes import CAP, children, wait_until
+from tests.support.roscore import RosCore
+
+
+async def moving(stage: Stage, seconds: float, condition: Callable[[], bool]) -> list[Twist]:
+    """Command a velocity 20 times a second until the condition holds, and for seconds more."""
+    taken: list[Twist] = []
+
+    def has_come() -> bool:
+        stage.driver.send(Twist(0.1), 1, 1)
+        assert isinstance(stage.rig, RosRobot)
+        taken.extend(stage.rig.commands())
+        return condition()
+
+    await stage.until(has_come)
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        has_come()
+        await asyncio.sleep(0.05)
+    return taken
+
+
+def test_who_else_drives_is_left_alone_after_zeros_and_named_once_in_the_log(
+    roscore: RosCore, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        await drive(stage, body)
+        other = body.make({})
+        second = asyncio.create_task(other.run(Heard()))
+        await moving(stage, 0.0, lambda: not stage.heard.is_up)
+        told = await moving(stage, STANDS + SILENCE, lambda: True)
+        while not told[0].is_zero:  # sent before
+            del told[0]
+        assert len(told) > 10
+        assert all(twist.is_zero for twist in told)
+        assert not await moving(stage, 3.0 * SILENCE, lambda: not body.commands())
+        second.cancel()
+        await asyncio.gather(second, return_exceptions=True)
+        await stage.until(lambda: stage.heard.is_up)
+
+    with caplog.at_level("INFO", "swarmd.drivers.ros1.driver"):
+        play(RosRobot(roscore), story)
+    lines = [record.getMessage() for record in caplog.records]
+    named = [line for line in lines if "someone else" in line and "end that daemon" in line]
+    assert 1 <= len(named) <= 2  # by each of the two
+    assert lines[-1].startswith("driver ros1: drives on ")
+
+
+def test_a_guardian_that_was_silent_is_not_obeyed_before_enough_zeros(roscore: RosCore) -> None:
+    with robot(roscore) as body, guarded(body) as (guardian, _):
+        body.commands()
+        guardian.send_signal(signal.SIGSTOP)
+        wait_until(lambda: any(twist.is_zero for twist in body.commands()), "it is told to stand")
+        begin = time.monotonic()
+        guardian.send_signal(signal.SIGCONT)
+        wait_until(lambda: any(not twist.is_zero for twist in body.commands()), "it drives again")
+        assert time.monotonic() - begin > 0.75 * STOPPING
+
+
+def test_a_base_is_not_left_alone_for_longer_the_oftener_its_adapter_dies(
+    roscore: RosCore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ros1, "FIRST_PAUSE", 0.5)
+    monkeypatch.setattr(ros1, "LONGEST_PAUSE", 100.0)
+
+    async def story(stage: Stage, body: RosRobot) -> None:
+        for _ in range(7):
+            await drive(stage, body)
+            os.kill(adapter(stage.driver), signal.SIGKILL)
+            await stage.until(lambda: not stage.heard.is_up)
+            body.commands()
+            assert (await stage.command()).is_zero
+            await stage.until(lambda: stage.heard.is_up)
+
+    play(RosRobot(roscore), story)
+
+
+def test_who_connects_and_says_nothing_keeps_no_base_away(roscore: RosCore) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        topic = f"{body.namespace}/cmd_vel"
+        port = _port_of(roscore, topic)
+        with (
+            socket.create_connection(("127.0.0.1", port)),
+            socket.create_connection(("127.0.0.1", port)) as noisy,
+        ):
+            noisy.send(b"\xff" * 2000)
+            body.die()
+            await moving(stage, 0.0, lambda: not stage.heard.is_up)
+            await asyncio.to_thread(body.rise)
+            body.do("rate", hz=10)
+            await stage.until(lambda: stage.heard.is_up)
+            stage.driver.send(Twist(0.1), 1, 1)
+            assert (await stage.command()).is_zero
+
+    play(RosRobot(roscore), story)
+
+
+class Liar(threading.Thread):
+    """Who publishes one message without an end on a topic, until he is hung up on."""
+
+    def __init__(self, core: RosCore, topic: str) -> None:
+        super().__init__(daemon=True)
+        self._server = socket.create_server(("127.0.0.1", 0))
+        port = self._server.getsockname()[1]
+        self._api = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
+        where = [1, "", ["TCPROS", "127.0.0.1", port]]
+        self._api.register_function(lambda *asked: where, "requestTopic")
+        self._talk = threading.Thread(target=self._api.serve_forever)
+        self._talk.start()
+        self.start()
+        uri = f"http://127.0.0.1:{self._api.server_address[1]}"
+        with _master_of(core) as master:
+            master.registerPublisher("/liar", topic, wire.LASER_SCAN.name, uri)
+
+    def run(self) -> None:
+        with self._server, self._server.accept()[0] as reader:
+            reader.recv(4096)
+            says = {"type": wire.LASER_SCAN.name, "md5sum": wire.LASER_SCAN.md5sum}
+            head = b"".join(_sized(f"{key}={value}") for key, value in says.items())
+            try:
+                reader.sendall(len(head).to_bytes(4, "little") + head + b"\xff\xff\xff\xff")
+                for _ in range(4096):
+                    reader.sendall(bytes(1 << 20))
+            except OSError:
+                return
+
+    def close(self) -> None:
+        self.join(CAP)
+        self._api.shutdown()
+        self._api.server_close()
+        self._talk.join(CAP)
+
+
+def _sized(text: str) -> bytes:
+    return len(text).to_bytes(4, "little") + text.encode()
+
+
+def test_a_master_that_hangs_stops_the_robot_until_it_answers(
+    roscore: RosCore, tmp_path: Path
+) -> None:
+    with RosCore(tmp_path, is_whole=False) as core:
+
+        async def story(stage: Stage, body: RosRobot) -> None:
+            await drive(stage, body)
+            first = adapter(stage.driver)
+            core.send(signal.SIGSTOP)
+            try:
+                taken = await moving(stage, 1.0, lambda: not stage.heard.is_up)
+                assert taken[-1].is_zero
+                said = stage.heard.states[-1][1]
+                assert f"no ROS master at {core.uri} (timed out); start roscore" in said
+            finally:
+                core.send(signal.SIGCONT)
+            await stage.until(lambda: stage.heard.is_up)
+            body.commands()
+            stage.driver.send(Twist(0.1), 1, 1)
+            assert (await stage.command()).is_zero
+            assert adapter(stage.driver) == first
+            core.send(signal.SIGSTOP)
+            await stage.end()
+            assert not is_running(first)
+            core.send(signal.SIGCONT)
+
+        play(RosRobot(core), story)
+
+
+def test_a_message_without_an_end_fills_no_memory(roscore: RosCore) -> None:
+    async def story(stage: Stage, body: RosRobot) -> None:
+        await drive(stage, body)
+        with contextlib.closing(Liar(roscore, f"{body.namespace}/scan")) as liar:
+            await stage.until(lambda: not liar.is_alive())
+        status = Path(f"/proc/{adapter(stage.driver)}/status").read_text()
+        peak = int(status.partition("VmHWM:")[2].split()[0])  # kB
+        assert peak < 1 << 20
+        known = len(stage.heard.scans)
+        await stage.until(lambda: stage.heard.is_up and len(stage.heard.scans) > known)
+
+    play(RosRobot(roscore), story)
+
+
+def test_an_address_that_is_a_nodes_and_no_masters_is_said(roscore: RosCore) -> None:
+    with robot(roscore) as body:
+        with _master_of(roscore) as master:
+            node = str(_value(master.lookupNode("/test", f"{body.namespace}/robot")))
+        driver = body.make({"master": node.rstrip("/")})
+        findings = asyncio.run(driver.check(10.0))
+    assert [finding.is_well for finding in findings] == [False]
+    assert f"no ROS master at {node.rstrip('/')} (" in findings[0].text
+    assert "correct driver_options.master" in findings[0].text
+
+
+def test_a_roscore_that_does_not_answer_leaves_nothing_behind(
+    roscore: RosCore, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    core, seen = RosCore(tmp_path, is_whole=False), list[int]()
+
+    def lose_patience(condition: Callable[[], bool], what: str) -> None:
+        wait_until(condition, what)
+        seen.extend(children(os.getpid()))
+        raise AssertionError(what)
+
+    before = children(os.getpid())
+    monkeypatch.setattr("tests.support.roscore.wait_until", lose_patience)
+    with pytest.raises(AssertionError, match="answers"):
+        core.start()
+    started = set(seen) - set(before)
+    assert started
+    assert not any(is_running(pid) for pid in started)
+
+
+def _master_of(core: RosCore) -> xmlrpc.client.ServerProxy:
+    return xmlrpc.client.ServerProxy(core.uri)
+
+
+def _port_of(core: RosCore, topic: str) -> int:
+    """Where the first publisher of a topic waits for who listens."""
+    with _master_of(core) as master:
+        uri = str(_value(master.lookupNode("/test", core.topics()[topic][0])))
+    with xmlrpc.client.ServerProxy(uri) as node:
+        return int(_value(node.requestTopic("/test", topic, [["TCPROS"]]))[2])
+
+
+def _value(answer: object) -> Any:
+    assert isinstance(answer, list)
+    return answer[2]

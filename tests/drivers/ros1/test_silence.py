@@ -1,0 +1,257 @@
+"""When the adapter of driver `ros1` sends zeros by itself: exactly, without ROS or a second thread.
+
+What stands in for rospy keeps what is published, and the clock is in the test's hand; with a real
+roscore: `test_ros1_life.py`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import struct
+from collections.abc import Callable, Mapping
+from inspect import signature
+from itertools import pairwise
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from swarmd.core.values import Twist
+from swarmd.drivers.ros1 import adapter_process as ros1_adapter
+from swarmd.drivers.ros1 import wire as ros1_wire
+from swarmd.drivers.ros1.adapter_process import (
+    BYE,
+    COMMAND,
+    COMMAND_HEAD,
+    SILENCE,
+    STOPPING,
+    Adapter,
+)
+
+BEGIN = 1000.0
+MOVING = ros1_wire.encode_twist(Twist(0.1, -0.2))
+TURNING = ros1_wire.encode_twist(Twist(0.0, 0.1))
+ZERO = bytes(48)
+STAMPED = {"type": "geometry_msgs/TwistStamped", "frame_id": "base"}
+
+
+class NoMore(Exception):
+    """Nothing else is on its way, or the process has ended."""
+
+
+class Scene:
+    """An adapter, what it publishes and when, and the packets that its guardian sends."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, **config: Any) -> None:
+        self.now = BEGIN
+        self.published: list[tuple[float, bytes]] = []
+        self.told: list[dict[str, str]] = []
+        self.left_at: float | None = None
+        self._frames: list[bytes] = []
+        self._until = BEGIN
+        self._to_do: dict[float, Callable[[], None]] = {}
+        clock = SimpleNamespace(
+            monotonic=lambda: self.now, sleep=self._sleep, time_ns=lambda: 5_000_000_007
+        )
+        monkeypatch.setattr(ros1_adapter, "time", clock)
+        kinds = {"topic": "/cmd_vel", "type": "geometry_msgs/Twist", "md5sum": "", "full_text": ""}
+        command = {**kinds, "frame_id": "", **config.pop("command", {})}
+        given = {"master": "http://127.0.0.1:9", "name": "swarmd_r", "topics": [], "kinds": [],
+                 "command_topic": "/cmd_vel", "holds": False, **config}  # fmt: skip
+        sock: Any = self
+        offered = {
+            "config": {**given, "command": command},
+            "sock": sock,
+            "rospy": self._rospy(),
+            "master": SimpleNamespace(caller="", forget=lambda: None),
+        }
+        wanted = signature(Adapter).parameters
+        self.adapter = Adapter(**{name: offered[name] for name in wanted})
+        monkeypatch.setattr(self.adapter, "_leave", self._leave)
+        self.adapter._join()
+
+    def _rospy(self) -> Any:
+        impl = SimpleNamespace(
+            set_queue_size=lambda size: None, acquire=lambda: None, release=lambda: None
+        )
+        publisher = SimpleNamespace(publish=self._publish, impl=impl)
+        server = SimpleNamespace(tcp_ros_server=SimpleNamespace(inbound_handler=None))
+        tcpros = SimpleNamespace(start_tcpros_server=lambda: None, _tcpros_server=server)
+        return SimpleNamespace(
+            AnyMsg=object,
+            init_node=lambda *_, **__: None,
+            get_name=lambda: "/swarmd_r_1",
+            on_shutdown=lambda hook: None,
+            is_shutdown=lambda: False,
+            Publisher=lambda *_, **__: publisher,
+            impl=SimpleNamespace(tcpros_base=tcpros),
+        )
+
+    def _publish(self, message: Any) -> None:
+        self.published.append((self.now, message._buff))
+
+    def _leave(self) -> None:
+        self.left_at = self.now
+        raise NoMore
+
+    def _sleep(self, seconds: float) -> None:
+        self.now = round(self.now + seconds, 6)
+        for moment in [moment for moment in self._to_do if moment <= self.now]:
+            self._to_do.pop(moment)()
+        if self.now > self._until:
+            raise NoMore
+
+    # The socket to the guardian
+
+    def recv(self, size: int) -> bytes:
+        if not self._frames:
+            raise NoMore
+        return self._frames.pop(0)
+
+    def sendmsg(self, parts: tuple[bytes, ...], *_: object) -> None:
+        frame = b"".join(parts)
+        if frame[:1] == ros1_adapter.EVENT:
+            self.told.append(json.loads(frame[1:]))
+
+    def hear(self, *frames: bytes) -> None:
+        """The guardian's packets come now."""
+        self._frames = list(frames)
+        with contextlib.suppress(NoMore):
+            self.adapter._read()
+
+    def command(self, payload: bytes, age: float = 0.0) -> None:
+        self.hear(COMMAND_HEAD.pack(COMMAND, self.now - age) + payload)
+
+    def pass_time(
+        self, seconds: float, to_do: Mapping[float, Callable[[], None]] | None = None
+    ) -> list[float]:
+        """Let it beat for so long; after how many s it said zero. `to_do`: at that many s."""
+        begun, self.published = self.now, []
+        self._until = begun + seconds
+        self._to_do = {begun + after: action for after, action in (to_do or {}).items()}
+        with contextlib.suppress(NoMore):
+            self.adapter._beat()
+        return [round(at - begun, 3) for at, payload in self.published if payload[-48:] == ZERO]
+
+
+@pytest.fixture
+def scene(monkeypatch: pytest.MonkeyPatch) -> Scene:
+    return Scene(monkeypatch)
+
+
+def test_the_numbers_are_those_promised() -> None:
+    assert (SILENCE, STOPPING) == (0.4, 2.0)
+
+
+@pytest.mark.parametrize("payload", [MOVING, TURNING])
+def test_zeros_begin_after_0_4_s_of_silence_and_go_on(scene: Scene, payload: bytes) -> None:
+    scene.command(payload)
+    assert [payload for _, payload in scene.published] == [payload]
+    zeros = scene.pass_time(10.0)
+    assert 0.4 <= zeros[0] <= 0.45
+    assert zeros[-1] > 9.9
+    assert all(later - sooner < 0.051 for sooner, later in pairwise(zeros))
+    assert scene.left_at is None, "it watches on: the guardian may be back"
+
+
+def test_a_guardian_that_is_back_is_listened_to(scene: Scene) -> None:
+    scene.command(MOVING)
+    zeros = scene.pass_time(4.0, {1.0 + 0.1 * i: lambda: scene.command(MOVING) for i in range(40)})
+    assert all(0.4 <= zero <= 2.5 for zero in zeros), "it may send them for 2 s"
+
+
+def test_before_the_first_command_it_says_nothing(scene: Scene) -> None:
+    assert scene.pass_time(10.0) == []
+
+
+def test_a_robot_that_an_earlier_adapter_drove_gets_zeros_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    assert Scene(monkeypatch, holds=True).pass_time(1.0)[0] == 0.0
+
+
+def test_a_robot_that_an_earlier_adapter_drove_is_left_alone_2_s_after_it_has_connected(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scene = Scene(monkeypatch, holds=True)
+
+    def connect() -> None:
+        scene.adapter._on_base(lambda message: None)
+
+    zeros = scene.pass_time(10.0, {1.0: connect})
+    assert zeros[-1] == pytest.approx(3.0, abs=0.06), "whoever else drives may have it"
+    zeros = scene.pass_time(10.0, {1.0: connect})
+    assert zeros[0] == pytest.approx(1.0, abs=0.06), "one that comes later may still drive too"
+    assert zeros[-1] == pytest.approx(3.0, abs=0.06)
+    scene.command(MOVING)
+    assert scene.pass_time(10.0, {1.0: connect})[-1] > 9.9, "as of any guardian's silence"
+
+
+def test_one_zero_does_not_make_silence_harmless(scene: Scene) -> None:
+    scene.command(MOVING)
+    scene.command(ZERO)
+    assert scene.pass_time(1.0), "that zero may have been lost"
+
+
+def test_half_a_second_of_zeros_makes_silence_harmless(scene: Scene) -> None:
+    scene.command(MOVING)
+    idle = {0.1 * i: lambda: scene.command(ZERO) for i in range(1, 8)}
+    assert len(scene.pass_time(5.0, idle)) == len(idle), "who is idle may be silent"
+
+
+def test_a_command_that_waited_for_0_2_s_is_dropped(scene: Scene) -> None:
+    scene.command(MOVING, age=0.19)
+    assert len(scene.published) == 1
+    scene.command(MOVING, age=0.2)
+    scene.hear(COMMAND_HEAD.pack(COMMAND, scene.now), b"?")
+    assert len(scene.published) == 1
+
+
+def test_the_end_of_the_guardian_is_2_s_of_zeros_at_once_and_then_it_leaves(scene: Scene) -> None:
+    scene.command(MOVING)
+    scene.hear(b"")
+    zeros = scene.pass_time(10.0)
+    assert zeros[0] == 0.0
+    assert scene.left_at == pytest.approx(BEGIN + 2.0, abs=0.051)
+    assert len(zeros) >= 40
+
+
+def test_bye_is_a_zero_and_it_leaves(scene: Scene) -> None:
+    scene.command(MOVING)
+    scene.hear(BYE)
+    assert scene.pass_time(10.0) == [0.0]
+    assert scene.left_at == BEGIN
+
+
+def test_who_never_drove_leaves_without_a_zero(scene: Scene) -> None:
+    scene.hear(b"")
+    assert scene.pass_time(10.0) == []
+    assert scene.left_at == BEGIN
+
+
+def test_once_it_is_to_end_no_command_is_passed_on(scene: Scene) -> None:
+    scene.command(MOVING)
+    scene.adapter.end(STOPPING, "somebody ended the adapter")
+    scene.published.clear()
+    scene.command(MOVING)
+    assert not scene.published
+    assert scene.told[-1] == {"event": "told", "kind": "end", "text": "somebody ended the adapter"}
+
+
+def test_zeros_of_its_own_are_of_the_bases_type(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(monkeypatch, command=STAMPED)
+    scene.command(struct.pack("<4I", 0, 1, 2, 0) + MOVING)
+    scene.pass_time(0.5)
+    assert scene.published[0][1] == ros1_wire.encode_twist_stamped(
+        Twist(), 0, 5_000_000_007, "base"
+    )
+
+
+def test_a_base_that_connects_while_it_is_driven_gets_zero_first(scene: Scene) -> None:
+    given: list[bytes] = []
+    scene.adapter._on_base(lambda message: given.append(message._buff))
+    assert not given, "nobody has driven yet: a joystick may"
+    scene.command(MOVING)
+    scene.adapter._on_base(lambda message: given.append(message._buff))
+    assert given == [ZERO]

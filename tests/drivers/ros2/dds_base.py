@@ -1,0 +1,37 @@
+"""A base in a process of its own, to be killed: it says scans and prints commands that change.
+
+python dds_base.py DOMAIN
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import sys
+import time
+
+from cyclonedds.domain import Domain
+
+from tests.support import dds_types
+from tests.support.dds_node import DdsNode
+from tests.support.ros2_bridge import LOOPBACK
+
+
+def main(number: int) -> None:
+    domain = Domain(number, LOOPBACK)
+    node = DdsNode(number, "base", {"/scan": dds_types.LaserScan}, {"/cmd_vel": dds_types.Twist})
+    last: float | None = None
+    for count in itertools.count(100):
+        header = dds_types.Header(dds_types.Time(count, 0), "base_scan")
+        ranges, step = [2.0] * 360, 2.0 * math.pi / 360
+        node.say("/scan", dds_types.LaserScan(header, angle_increment=step, ranges=ranges))
+        for command in node.heard("/cmd_vel"):
+            if command.linear.x != last:
+                last = command.linear.x
+                print(last, flush=True)
+        time.sleep(0.05)
+    del domain
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]))

@@ -1,0 +1,103 @@
+"""A ROS 2 robot on DDS behind the real zenoh-bridge-ros2dds, in a test's hand."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cyclonedds.domain import Domain
+
+from swarmd.core.values import Twist, Value
+from tests.drivers.ros2.robots import BridgedRobot, open_session
+from tests.support import dds_types
+from tests.support.dds_node import DdsNode
+from tests.support.ros2_bridge import LOOPBACK, Bridge, free_domain
+
+SENSES: Mapping[str, Any] = {"scan": dds_types.LaserScan, "odom": dds_types.Odometry}
+
+
+class DdsRobot(BridgedRobot):
+    """A node that says scans and odometry and takes velocities, and a bridge of its own.
+
+    `namespace`, such as `/front`, is the node's, `at` likewise the bridge's, which stands before
+    it. `says`: the type of each topic. `distro` is what the bridge takes the robot for, which is of
+    Jazzy; `is_elsewhere`: the bridge is in another domain. The node leaves with `stop`, the bridge
+    with `die`.
+    """
+
+    def __init__(
+        self,
+        *,
+        namespace: str = "",
+        at: str = "",
+        is_stamped: bool = False,
+        says: Mapping[str, Any] = SENSES,
+        distro: str = "jazzy",
+        is_elsewhere: bool = False,
+    ) -> None:
+        self.namespace, self.at = namespace, at
+        self._says = says
+        self._command = dds_types.TwistStamped if is_stamped else dds_types.Twist
+        self._folder = tempfile.TemporaryDirectory()
+        self.domain = free_domain()
+        self._held = Domain(self.domain, LOOPBACK)  # ends, with all in it, when it is deleted
+        folder, domain = Path(self._folder.name), free_domain() if is_elsewhere else self.domain
+        self.bridge = Bridge(folder, domain, namespace=at or "/", distro=distro)
+        self.node: DdsNode | None = None
+        super().__init__(is_stamped=is_stamped)
+        self.endpoint = self.bridge.endpoint
+        self.start()
+
+    def name(self, topic: str) -> str:
+        """Its full name on DDS."""
+        return f"{self.namespace}/{topic}"
+
+    def start(self) -> None:
+        """The node is there."""
+        says = {self.name(topic): kind for topic, kind in self._says.items()}
+        hears = {self.name("cmd_vel"): self._command}
+        self.node = DdsNode(self.domain, "base", says, hears)
+
+    def stop(self) -> None:
+        """The node has left, and said so; the bridge stays."""
+        if self.node is not None:
+            self.node.close()
+            self.node = None
+
+    def rise(self) -> None:
+        self.bridge.start()
+
+    def die(self) -> None:
+        self.bridge.kill()
+
+    def put(self, topic: str, message: Any) -> None:
+        """Over DDS; bytes, which no DDS node would write, at the bridge."""
+        if isinstance(message, bytes):
+            key = f"{self.at}{self.name(topic)}".removeprefix("/")
+            session = open_session("client", "connect/endpoints", self.endpoint)
+            with contextlib.closing(session):
+                session.put(key, message)
+        elif self.node is not None and topic in self._says:
+            kind = self._says[topic]
+            is_usual = kind is SENSES[topic]
+            said = kind.deserialize(message.serialize()) if is_usual else kind()
+            self.node.say(self.name(topic), said)
+
+    def commands(self) -> Sequence[Twist]:
+        heard = [] if self.node is None else self.node.heard(self.name("cmd_vel"))
+        twists = [message.twist if self.is_stamped else message for message in heard]
+        return [Twist(one.linear.x, one.angular.z, one.linear.y) for one in twists]
+
+    def options(self, given: Mapping[str, Value]) -> Mapping[str, Value]:
+        whole = f"{self.at}{self.namespace}"
+        told: dict[str, Value] = {"namespace": whole} if whole else {}
+        return super().options({**told, **given})
+
+    def close(self) -> None:
+        self.bridge.kill()
+        self.stop()
+        del self._held
+        self._folder.cleanup()

@@ -1,0 +1,219 @@
+"""A robot in a test's hand: a Zenoh session that speaks a ROS 2 dialect through a second codec."""
+
+from __future__ import annotations
+
+import json
+import math
+import socket
+import struct
+import threading
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import zenoh
+
+from swarmd.core.values import Scan, Twist, Value
+from swarmd.drivers.ros2 import dds_bridge as ros2dds
+from swarmd.drivers.ros2 import rmw_zenoh
+from swarmd.drivers.ros2.driver import RosDriver
+from swarmd.settings.platforms import load_platform
+from tests.support import second_codec as second
+
+PLATFORM = load_platform("burger")
+RAYS = 360
+
+
+def free_endpoint() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+
+
+def open_session(mode: str, path: str, endpoint: str) -> zenoh.Session:
+    """`router`, as zenoh-bridge-ros2dds and rmw_zenohd are, or `peer`, as a node of rmw_zenoh."""
+    config = zenoh.Config()
+    for key, value in {
+        "mode": mode,
+        "listen/endpoints": [] if mode == "router" else ["tcp/127.0.0.1:0"],
+        path: [endpoint],
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "transport/shared_memory/enabled": False,
+    }.items():
+        config.insert_json5(key, json.dumps(value))
+    return zenoh.open(config)
+
+
+class Robot:
+    """A hub with one robot at it; silent at first."""
+
+    platform = PLATFORM
+
+    def __init__(self, *, is_stamped: bool = False) -> None:
+        self.endpoint = free_endpoint()
+        self.is_stamped = is_stamped
+        self._lock = threading.Lock()
+        self._commands: list[zenoh.Sample] = []
+        self._spoken = 0
+        self.rise()
+
+    def make(self, options: Mapping[str, Value]) -> RosDriver:
+        raise NotImplementedError
+
+    def command_key(self) -> str:
+        raise NotImplementedError
+
+    def put(self, topic: str, message: Any) -> None:
+        raise NotImplementedError
+
+    def rise(self) -> None:
+        self.hub = open_session("router", "listen/endpoints", self.endpoint)
+        self._tokens: list[zenoh.LivelinessToken] = []
+        self.hub.declare_subscriber(self.command_key(), self._on_command)
+
+    def die(self) -> None:
+        self.hub.close()
+
+    def speak(self) -> None:
+        self.put("scan", scan(self._stamp()))
+        self.put("odom", odometry(self._stamp()))
+
+    def say(self, given: Scan) -> None:
+        n = len(given.ranges)
+        first, step = float(given.bearings[0]), 2.0 * math.pi / n
+        told = {"angle_min": first, "angle_increment": step, "angle_max": first + (n - 1) * step}
+        self.put("scan", scan(given.stamp + 1000.0, given.ranges.tolist(), **told))
+
+    def move(self) -> None:
+        self.put("odom", odometry(self._stamp()))
+
+    def garble(self) -> None:
+        whole = scan(self._stamp()).serialize()
+        for topic, valid in (("scan", whole), ("odom", odometry(1.0).serialize())):
+            for payload in (b"", b"\xff" * 80, valid[: len(valid) // 2], valid + bytes(99)):
+                self.put(topic, payload)
+
+    def announce(self, token: str) -> None:
+        self._tokens.append(self.hub.liveliness().declare_token(token))
+
+    def samples(self) -> list[zenoh.Sample]:
+        with self._lock:
+            taken, self._commands = self._commands, []
+        return taken
+
+    def commands(self) -> Sequence[Twist]:
+        return [twist(sample.payload.to_bytes(), self.is_stamped) for sample in self.samples()]
+
+    def close(self) -> None:
+        self.hub.close()
+
+    def options(self, given: Mapping[str, Value]) -> Mapping[str, Value]:
+        stamped: dict[str, Value] = {"cmd_vel_type": "twist_stamped"} if self.is_stamped else {}
+        return {"endpoint": self.endpoint, **stamped, **given}
+
+    def _stamp(self) -> float:
+        self._spoken += 1
+        return 100.0 + 0.1 * self._spoken
+
+    def _on_command(self, sample: zenoh.Sample) -> None:
+        with self._lock:
+            self._commands.append(sample)
+
+
+class BridgedRobot(Robot):
+    """Through zenoh-bridge-ros2dds: raw CDR on the topic's name."""
+
+    def make(self, options: Mapping[str, Value]) -> RosDriver:
+        return ros2dds.make_driver(
+            swarm="s", robot="r", platform=self.platform, options=self.options(options)
+        )
+
+    def command_key(self) -> str:
+        return "cmd_vel"
+
+    def put(self, topic: str, message: Any) -> None:
+        payload = message if isinstance(message, bytes) else message.serialize()
+        self.hub.put(topic, payload)
+
+
+HASHES = {
+    "LaserScan": "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
+    "Twist": "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
+    "TwistStamped": "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
+    "Odometry": "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
+}
+PACKAGES = {"Odometry": "nav_msgs", "Twist": "geometry_msgs", "TwistStamped": "geometry_msgs"}
+
+
+class ZenohRobot(Robot):
+    """Through rmw_zenoh: a node is a peer of the router; type and hash stand in the key."""
+
+    def __init__(
+        self, *, domain: int = 0, is_humble: bool = False, is_stamped: bool = False
+    ) -> None:
+        self.domain, self.is_humble = domain, is_humble
+        self._said = 0
+        super().__init__(is_stamped=is_stamped)
+
+    def make(self, options: Mapping[str, Value]) -> RosDriver:
+        return rmw_zenoh.make_driver(
+            swarm="s",
+            robot="r",
+            platform=self.platform,
+            options={"domain": self.domain, **self.options(options)},
+        )
+
+    def key(self, topic: str, kind: str) -> str:
+        package = PACKAGES.get(kind, "sensor_msgs")
+        hashed = "TypeHashNotSupported" if self.is_humble else HASHES[kind]
+        return f"{self.domain}/{topic}/{package}::msg::dds_::{kind}_/{hashed}"
+
+    def command_key(self) -> str:
+        return self.key("cmd_vel", "TwistStamped" if self.is_stamped else "Twist")
+
+    def put(self, topic: str, message: Any) -> None:
+        if isinstance(message, bytes):
+            kind = {"scan": "LaserScan", "odom": "Odometry", "cmd_vel": "Twist"}[topic]
+            self.put_on(self.key(topic, kind), message)
+        else:
+            self.put_on(self.key(topic, type(message).__name__), message.serialize())
+
+    def put_on(self, key: str, payload: bytes) -> None:
+        self._said += 1
+        self.hub.put(key, payload, attachment=struct.pack("<qqB16s", self._said, 1, 16, b"g" * 16))
+
+
+def scan(stamp: float, ranges: Sequence[float] | None = None, **angles: float) -> second.LaserScan:
+    values = [2.0] * RAYS if ranges is None else list(ranges)
+    step = 2.0 * math.pi / max(len(values), 1)
+    told = {"angle_min": 0.0, "angle_max": 2.0 * math.pi, "angle_increment": step, **angles}
+    return second.LaserScan(
+        header=second.stamped(stamp, "base_scan"), range_max=100.0, ranges=values, **told
+    )
+
+
+def odometry(stamp: float, x: float = 0.5, yaw: float = 0.0, speed: float = 0.1) -> second.Odometry:
+    pose = second.Pose(
+        second.Vector3(x=x),
+        second.Quaternion(z=math.sin(0.5 * yaw), w=math.cos(0.5 * yaw)),
+    )
+    moving = second.Twist(second.Vector3(x=speed, y=0.02), second.Vector3(z=0.3))
+    return second.Odometry(
+        second.stamped(stamp, "odom"),
+        "base_footprint",
+        second.PoseWithCovariance(pose),
+        second.TwistWithCovariance(moving),
+    )
+
+
+def twist(payload: bytes, is_stamped: bool) -> Twist:
+    message = (
+        second.TwistStamped.deserialize(payload).twist
+        if is_stamped
+        else second.Twist.deserialize(payload)
+    )
+    return Twist(message.linear.x, message.angular.z, message.linear.y)
+
+
+def command(linear: float) -> second.Twist:
+    return second.Twist(linear=second.Vector3(x=linear))

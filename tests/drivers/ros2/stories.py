@@ -1,0 +1,64 @@
+"""A driver played against a robot in the test's hand."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping
+
+from swarmd.core.values import Value
+from swarmd.driver_api.driver import Finding
+from swarmd.testing.driver_contract import CAP, Heard, Stage
+from tests.drivers.ros2.robots import Robot
+
+PACE = 0.01
+
+
+def play(
+    robot: Robot,
+    story: Callable[[Stage], Awaitable[None]],
+    *,
+    connected: bool = True,
+    **options: Value,
+) -> None:
+    """Run a story with a driver that has found its robot (or not yet)."""
+
+    async def run() -> None:
+        driver, heard = robot.make(options), Heard()
+        stage = Stage(robot, driver, heard, asyncio.create_task(driver.run(heard)))
+        try:
+            if connected:
+                await stage.connect()
+            await story(stage)
+        finally:
+            await stage.end()
+            robot.close()
+
+    asyncio.run(run())
+
+
+def check(
+    robot: Robot,
+    speak: Callable[[], None] = lambda: None,
+    *,
+    seconds: float = 3.0,
+    **options: Value,
+) -> Mapping[str, Finding]:
+    """What `check` finds, by subject, while the robot does `speak` again and again."""
+
+    async def run() -> tuple[Finding, ...]:
+        checking = asyncio.create_task(robot.make(options).check(seconds))
+        async with asyncio.timeout(CAP):
+            while not checking.done():
+                speak()
+                await asyncio.sleep(PACE)
+        return checking.result()
+
+    try:
+        return {finding.subject: finding for finding in asyncio.run(run())}
+    finally:
+        robot.close()
+
+
+def told(stage: Stage, words: str, *, is_up: bool | None = None) -> bool:
+    """Whether the driver has said that of its base."""
+    return any(words in text and is_up in (None, up) for up, text in stage.heard.states)

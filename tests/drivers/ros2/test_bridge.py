@@ -1,0 +1,351 @@
+"""Driver `ros2dds` at a real zenoh-bridge-ros2dds, the robot a ROS 2 node on DDS."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import math
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+import zenoh
+
+from swarmd.core.values import Twist
+from swarmd.drivers.ros import cdr, messages
+from swarmd.drivers.ros2.dds_bridge_emulator import BridgedVoice
+from swarmd.drivers.ros2.emulator import End
+from swarmd.testing.driver_contract import CAP, DriverContract, Stage
+from tests.drivers.ros2.dds_rig import DdsRobot
+from tests.drivers.ros2.robots import open_session
+from tests.drivers.ros2.stories import check, play, told
+from tests.support import dds_types
+from tests.support.dds_node import DdsNode
+from tests.support.processes import wait_until
+from tests.support.ros2_bridge import why_no_bridge
+
+pytestmark = [
+    pytest.mark.integration,
+    pytest.mark.skipif(bool(why_no_bridge()), reason=why_no_bridge()),
+]
+
+
+class TestContract(DriverContract):
+    def rig(self) -> DdsRobot:
+        return DdsRobot()
+
+
+async def moves(stage: Stage) -> None:
+    """Until the base is told to move."""
+    taken: list[Twist] = []
+
+    def is_moving() -> bool:
+        stage.driver.send(Twist(0.1, -0.2), 1, 1)
+        taken.extend(stage.rig.commands())
+        return bool(taken) and taken[-1] == Twist(0.1, -0.2)
+
+    await stage.until(is_moving, speaking=True)
+    assert taken[0].is_zero
+
+
+async def tells(stage: Stage, words: str) -> None:
+    """Until the driver says that of a base that is lost."""
+    await stage.until(lambda: told(stage, words, is_up=False), speaking=True)
+
+
+@pytest.mark.parametrize(
+    ("namespace", "at"), [("/tb3_01", ""), ("", "/tb3_01"), ("/front", "/tb3_01")]
+)
+def test_a_namespace_is_the_robots_or_the_bridges(namespace: str, at: str) -> None:
+    play(DdsRobot(namespace=namespace, at=at), moves)
+
+
+def test_a_base_may_want_stamped_commands() -> None:
+    play(DdsRobot(is_stamped=True), moves)
+
+
+def test_a_robot_that_leaves_and_returns_gets_zero_first() -> None:
+    robot = DdsRobot()
+
+    async def story(stage: Stage) -> None:
+        await moves(stage)
+        robot.stop()
+        await stage.until(lambda: not stage.heard.is_up)
+        await tells(stage, "no /scan")
+        stage.driver.send(Twist(0.1), 1, 1)
+        robot.start()
+        await moves(stage)
+
+    play(robot, story)
+
+
+def test_after_a_bridge_that_is_restarted_at_once_the_first_command_is_zero() -> None:
+    robot = DdsRobot()
+
+    async def story(stage: Stage) -> None:
+        for _ in range(3):
+            await moves(stage)
+            robot.die()
+            robot.commands()
+            robot.rise()
+
+    play(robot, story)
+
+
+def test_a_frozen_bridge_is_told_and_nothing_late_moves_the_robot() -> None:
+    robot = DdsRobot()
+
+    async def story(stage: Stage) -> None:
+        await moves(stage)
+        robot.bridge.freeze()
+        for _ in range(20):
+            stage.driver.send(Twist(0.1), 1, 1)
+            await asyncio.sleep(0.05)
+        await stage.until(lambda: not stage.heard.is_up, speaking=True)
+        robot.commands()
+        robot.bridge.thaw()
+        assert (await stage.command()).is_zero
+        await asyncio.sleep(1.0)
+        assert all(twist.is_zero for twist in robot.commands())
+        await stage.connect()
+        await moves(stage)
+
+    play(robot, story)
+
+
+def test_a_base_that_crashed_and_is_back_is_stopped_before_the_bridge_forgets_it() -> None:
+    robot = DdsRobot()
+    robot.stop()
+    told_to: list[str] = []
+
+    async def story(stage: Stage) -> None:
+        def is_told(speed: str) -> bool:
+            stage.driver.send(Twist(0.1), 1, 1)
+            return told_to[-1:] == [speed]
+
+        with base_process(robot.domain, told_to):
+            await stage.until(lambda: is_told("0.1"))
+        told_to.clear()
+        with base_process(robot.domain, told_to):
+            await stage.until(lambda: is_told("0.1") or not stage.heard.is_up)
+            await stage.until(lambda: told(stage, "/base crashed and is back", is_up=False))
+            await stage.until(lambda: told_to[-1:] == ["0.0"])
+
+    play(robot, story, connected=False)
+
+
+@contextmanager
+def base_process(domain: int, told_to: list[str]) -> Iterator[None]:
+    """A base in a process of its own, which is killed in the end."""
+    command = [sys.executable, str(Path(__file__).with_name("dds_base.py")), str(domain)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as base:
+        assert base.stdout is not None
+        lines = base.stdout
+
+        def read() -> None:
+            for line in lines:
+                told_to.append(line.strip())
+
+        reading = threading.Thread(target=read)
+        reading.start()
+        try:
+            yield
+        finally:
+            base.kill()
+            reading.join()
+
+
+def test_a_base_that_leaves_while_its_lidar_stays_gets_zero_first() -> None:
+    robot = DdsRobot(says={})
+    lidar = DdsNode(robot.domain, "lidar", {"/scan": dds_types.LaserScan})
+
+    async def story(stage: Stage) -> None:
+        stop_speaking = asyncio.create_task(_spin(lidar))
+        await moves(stage)
+        robot.stop()
+        await tells(stage, "nobody subscribes to /cmd_vel")
+        stage.driver.send(Twist(0.1), 1, 1)
+        robot.start()
+        await moves(stage)
+        stop_speaking.cancel()
+
+    play(robot, story, connected=False)
+    lidar.close()
+
+
+async def _spin(lidar: DdsNode) -> None:
+    """The sweeps of a lidar that is a node of its own."""
+    for count in itertools.count(100):
+        stamp = dds_types.Time(count, 0)
+        step = 2.0 * math.pi / 360
+        header = dds_types.Header(stamp, "base_scan")
+        lidar.say(
+            "/scan",
+            dds_types.LaserScan(header=header, angle_increment=step, ranges=[2.0] * 360),
+        )
+        await asyncio.sleep(0.02)
+
+
+@pytest.mark.parametrize("is_stamped", [False, True])
+def test_a_base_that_wants_another_type_is_told_nothing(is_stamped: bool) -> None:
+    """The bridge hands on bytes as they are: a base would take a stamped twist for 1e180 m/s."""
+    robot = DdsRobot(is_stamped=is_stamped)
+
+    async def story(stage: Stage) -> None:
+        await tells(stage, "/cmd_vel wants geometry_msgs/msg/Twist")
+        for _ in range(20):
+            stage.driver.send(Twist(0.1), 1, 1)
+            robot.speak()
+            await asyncio.sleep(0.02)
+        assert not robot.commands()
+        assert not stage.heard.is_up
+
+    wrong = "twist" if is_stamped else "twist_stamped"
+    play(robot, story, connected=False, cmd_vel_type=wrong)
+
+
+def test_someone_elses_command_is_told() -> None:
+    robot = DdsRobot()
+    joystick = DdsNode(robot.domain, "joystick", {"/cmd_vel": dds_types.Twist})
+
+    async def story(stage: Stage) -> None:
+        await moves(stage)
+
+        def is_lost() -> bool:
+            joystick.say("/cmd_vel", dds_types.Twist(dds_types.Vector3(0.3)))
+            return not stage.heard.is_up
+
+        await stage.until(is_lost, speaking=True)
+        assert told(stage, "someone else drives this robot", is_up=False)
+        await stage.until(lambda: stage.heard.is_up, speaking=True)
+
+    play(robot, story)
+    joystick.close()
+
+
+def test_a_scan_of_another_type_is_told() -> None:
+    robot = DdsRobot(says={"scan": dds_types.TwistStamped, "odom": dds_types.Odometry})
+
+    async def story(stage: Stage) -> None:
+        wanted = "/scan carries geometry_msgs/msg/TwistStamped; wanted is sensor_msgs/msg/LaserScan"
+        await stage.until(lambda: told(stage, wanted), speaking=True)
+        assert not stage.heard.scans
+
+    play(robot, story, connected=False)
+
+
+def test_the_bridge_announces_and_says_what_the_stand_in_does() -> None:
+    robot = DdsRobot()
+    session = open_session("client", "connect/endpoints", robot.endpoint)
+    tokens: set[str] = set()
+    samples: list[zenoh.Sample] = []
+    session.liveliness().declare_subscriber(
+        "@/*/@ros2_lv/*/**", lambda token: tokens.add(str(token.key_expr)), history=True
+    )
+    session.declare_subscriber("scan", samples.append)
+    ends = (
+        End("/scan", messages.LaserScan, is_publisher=True, is_sensor=True),
+        End("/odom", messages.Odometry, is_publisher=True),
+        End("/cmd_vel", messages.Twist, is_publisher=False),
+    )
+
+    def is_all_there() -> bool:
+        robot.speak()
+        return len(tokens) == len(ends) and bool(samples)
+
+    wait_until(is_all_there, "three tokens and a scan")
+    zid = next(iter(tokens)).split("/")[1]
+    assert tokens == set(BridgedVoice().announce(zid, ends)[1])
+    assert samples[0].attachment is None
+    assert len(cdr.decode(messages.LaserScan, samples[0].payload.to_bytes()).ranges) == 360
+    session.close()
+    robot.close()
+
+
+def test_a_restarted_bridges_announcements_are_gone_with_it() -> None:
+    robot = DdsRobot()
+
+    async def story(stage: Stage) -> None:
+        await moves(stage)
+        robot.die()
+        await tells(stage, "nothing answers at")
+        robot.stop()
+        robot.rise()
+        await tells(stage, "announces no topic at all")
+
+    play(robot, story)
+
+
+@pytest.mark.parametrize(
+    ("make", "options", "wanted"),
+    [
+        (lambda: DdsRobot(), {}, {}),
+        (
+            lambda: DdsRobot(namespace="/tb3_01"),
+            {"namespace": "tb3_02"},
+            {
+                "scan": "no /tb3_02/scan, but /tb3_01/scan of that type; correct driver_options.",
+                "cmd_vel": "nobody subscribes to /tb3_02/cmd_vel, but to /tb3_01/cmd_vel",
+            },
+        ),
+        (
+            lambda: DdsRobot(is_elsewhere=True),
+            {},
+            {"scan": "ROS_DOMAIN_ID", "cmd_vel": "nobody subscribes to /cmd_vel; start the base"},
+        ),
+        (lambda: DdsRobot(distro="humble"), {}, {"scan": "ROS_DISTRO"}),
+        (
+            lambda: DdsRobot(is_stamped=True),
+            {"cmd_vel_type": "twist"},
+            {"cmd_vel": "set driver_options.cmd_vel_type: twist_stamped"},
+        ),
+        (
+            lambda: DdsRobot(says={"scan": dds_types.Odometry, "odom": dds_types.Odometry}),
+            {},
+            {"scan": "/scan carries nav_msgs/msg/Odometry; wanted is sensor_msgs/msg/LaserScan"},
+        ),
+    ],
+    ids=["well", "namespace", "domain", "distro", "command", "scan"],
+)
+def test_check_tells(
+    make: Callable[[], DdsRobot], options: dict[str, str], wanted: dict[str, str]
+) -> None:
+    robot = make()
+    found = check(robot, robot.speak, seconds=3.0 if wanted else CAP, **options)
+    assert found["connection"].is_well
+    for subject, text in wanted.items():
+        assert not found[subject].is_well
+        assert text in found[subject].text
+    if not wanted:
+        assert all(finding.is_well for finding in found.values()), found
+
+
+def test_check_of_a_robot_that_is_off_says_to_start_it() -> None:
+    robot = DdsRobot()
+    robot.stop()
+    found = check(robot, seconds=2.0)
+    assert "start the robot" in found["scan"].text
+    assert "nobody subscribes to /cmd_vel" in found["cmd_vel"].text
+
+
+@pytest.mark.parametrize("speed", [None, 0.3])
+def test_check_tells_of_who_may_command_and_of_who_does(speed: float | None) -> None:
+    robot = DdsRobot()
+    joystick = DdsNode(robot.domain, "joystick", {"/cmd_vel": dds_types.Twist})
+
+    def speak() -> None:
+        robot.speak()
+        if speed is not None:
+            joystick.say("/cmd_vel", dds_types.Twist(dds_types.Vector3(speed)))
+
+    others = check(robot, speak)["others"]
+    joystick.close()
+    if speed is None:
+        assert "a node behind bridge" in others.text
+    else:
+        assert not others.is_well
+        assert "commands of someone else on /cmd_vel" in others.text

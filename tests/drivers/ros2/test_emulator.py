@@ -1,0 +1,256 @@
+"""Bodies that speak as ROS 2 robots: their words by a second codec, and each driver at them."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import struct
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.core.errors import ConfigError, NetworkError, PluginError
+from swarmd.core.values import Odometry, Platform, Pose, Scan, Twist
+from swarmd.driver_api.driver import Driver
+from swarmd.driver_api.emulator import RobotSide
+from swarmd.drivers.ros import cdr, messages
+from swarmd.drivers.ros.options import RosOptions
+from swarmd.drivers.ros.to_ros import LaserVoice, odometry_message
+from swarmd.drivers.ros2.dds_bridge import Ros2Dds
+from swarmd.drivers.ros2.dds_bridge_emulator import BridgedVoice
+from swarmd.drivers.ros2.emulator import End
+from swarmd.drivers.ros2.rmw_zenoh import RmwZenoh, gid_of
+from swarmd.drivers.ros2.rmw_zenoh_emulator import NodeVoice
+from swarmd.drivers.ros2.session import open_session
+from swarmd.drivers.ros2.subscriptions import Hearing
+from swarmd.plugins import load_dialect, load_driver
+from swarmd.settings.driver_options import BaseOptions, stops_after
+from swarmd.settings.platforms import load_platform
+from swarmd.testing.driver_contract import Heard
+from tests.drivers.ros2.robots import HASHES
+from tests.support import second_codec as second
+from tests.support.processes import wait_until
+
+ANY_PORT = "tcp/127.0.0.1:0"
+BURGER = load_platform("burger")
+ENDS = (
+    End("/a/scan", messages.LaserScan, is_publisher=True, is_sensor=True),
+    End("/a/odom", messages.Odometry, is_publisher=True),
+    End("/a/cmd_vel", messages.Twist, is_publisher=False),
+)
+
+
+def sweep(platform: Platform, seq: int = 1) -> Scan:
+    """Ranges that differ from ray to ray, and all that is no distance."""
+    spec = platform.scan
+    nearest = max(spec.range_min, 0.09) + 0.01  # beyond the rim on which a Thymio's sensors sit
+    ranges = np.linspace(nearest, spec.range_max - 0.01, len(spec.bearings))
+    ranges[1:5] = 0.0, math.inf, -math.inf, math.nan
+    return Scan(seq, 0.1 * seq, ranges, spec.bearings, spec.range_min, spec.range_max)
+
+
+def odometry(seq: int = 1) -> Odometry:
+    return Odometry(0.1 * seq, Pose(1.0, -2.0, 2.5), Twist(0.1, -0.2))
+
+
+class Stage:
+    """Two robots of a platform that speak a dialect, and what they were told."""
+
+    def __init__(self, dialect: str, platform: Platform) -> None:
+        self.dialect, self.platform = dialect, platform
+        self.told: list[tuple[str, Twist]] = []
+        self.side: RobotSide = load_dialect(dialect)(
+            robots=dict.fromkeys(("r-1", "r-2"), platform),
+            endpoint=ANY_PORT,
+            on_command=lambda robot, twist: self.told.append((robot, twist)),
+        )
+
+    def driver(self, robot: str) -> Driver:
+        given = {**self.platform.drivers[self.dialect], **self.side.driver_options}
+        options = {k: v for k, v in given.items() if k not in BaseOptions.__struct_fields__}
+        factory = load_driver(self.dialect)
+        return factory(swarm="s", robot=robot, platform=self.platform, options=options)
+
+
+@pytest.fixture(
+    params=[
+        ("ros2dds", "burger"),
+        ("ros2dds", "thymio"),
+        ("rmw_zenoh", "waffle_pi"),
+        ("rmw_zenoh", "jackal"),
+    ],
+    ids=" ".join,
+)
+def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
+    dialect, platform = request.param
+    one = Stage(dialect, load_platform(platform))
+    yield one
+    one.side.close()
+
+
+def test_a_laser_scan_is_what_an_lds_says() -> None:
+    said = sweep(BURGER)
+    (message,) = LaserVoice(RosOptions(), BURGER).say(said)
+    heard = second.LaserScan.deserialize(cdr.encode(message))
+    assert heard.angle_min == 0.0
+    assert heard.angle_increment == pytest.approx(math.radians(1.0), abs=1e-8)
+    assert heard.angle_max == pytest.approx(math.radians(359.0), abs=1e-6)
+    assert (heard.range_min, heard.range_max) == pytest.approx((0.12, 3.5))
+    assert heard.scan_time == pytest.approx(0.2)
+    assert np.array_equal(np.array(heard.ranges), said.ranges.astype("<f4"), equal_nan=True)
+    assert (heard.header.stamp.sec, heard.header.stamp.nanosec) == (0, 100_000_000)
+
+
+def test_a_turned_lidar_begins_where_it_looks() -> None:
+    (message,) = LaserVoice(RosOptions(scan_yaw_deg=90.0), BURGER).say(sweep(BURGER))
+    assert second.LaserScan.deserialize(cdr.encode(message)).angle_min == pytest.approx(
+        -math.pi / 2
+    )
+
+
+@pytest.mark.parametrize("hangs", [False, True])
+def test_a_lidar_however_mounted_is_heard_as_it_was_said(hangs: bool) -> None:
+    options, said = RosOptions(scan_yaw_deg=70.0, scan_upside_down=hangs), sweep(BURGER)
+    (message,) = LaserVoice(options, BURGER).say(said)
+    heard = Heard()
+    Hearing(options, BURGER).take("scan", cdr.encode(message), 0.0)(heard)
+    off = np.abs(np.exp(1j * heard.scans[0].bearings) - np.exp(1j * said.bearings))
+    assert off.max() < 1e-5
+
+
+def test_odometry_is_that_of_nav_msgs() -> None:
+    heard = second.Odometry.deserialize(cdr.encode(odometry_message(odometry())))
+    at, moving = heard.pose.pose, heard.twist.twist
+    assert (at.position.x, at.position.y) == (1.0, -2.0)
+    assert 2.0 * math.atan2(at.orientation.z, at.orientation.w) == pytest.approx(2.5)
+    assert (moving.linear.x, moving.angular.z) == (0.1, -0.2)
+    assert heard.header.frame_id == "odom"
+
+
+def test_a_bridges_tokens_are_those_that_the_driver_knows() -> None:
+    _, tokens = BridgedVoice().announce("ab12", ENDS)
+    assert tokens[0] == "@/ab12/@ros2_lv/MP/a§scan/sensor_msgs§msg§LaserScan/:0::0,5"
+    found = [Ros2Dds().announced(token) for token in tokens]
+    assert [(e.topic, e.is_publisher) for e in found if e] == [
+        ("/a/scan", True),
+        ("/a/odom", True),
+        ("/a/cmd_vel", False),
+    ]
+
+
+def test_a_nodes_tokens_are_those_that_the_driver_knows() -> None:
+    (node,), tokens = NodeVoice(30, "a", 2).announce("ab12", ENDS)
+    assert node == "@ros2_lv/30/ab12/2/200/NN/%/%a/base"
+    kind = f"sensor_msgs::msg::dds_::LaserScan_/{HASHES['LaserScan']}"
+    assert tokens[0] == f"@ros2_lv/30/ab12/2/201/MP/%/%a/base/%a%scan/{kind}/2::,5:,:,:,,"
+    found = [RmwZenoh(30, "/a/cmd_vel").announced(token) for token in tokens]
+    assert [(e.topic, e.is_publisher, e.domain) for e in found if e] == [
+        ("/a/scan", True, 30),
+        ("/a/odom", True, 30),
+        ("/a/cmd_vel", False, 30),
+    ]
+
+
+def test_each_publisher_of_a_node_counts_for_itself() -> None:
+    voice = NodeVoice(0, "a", 0)
+    _, (scans, poses, _) = voice.announce("ab12", ENDS)
+    payloads = [voice.attachment(token) for token in (scans, poses, scans)]
+    read = [struct.unpack("<qqB16s", payload or b"") for payload in payloads]
+    assert [sequence for sequence, *_ in read] == [1, 1, 2]
+    assert [gid for *_, gid in read] == [gid_of(scans), gid_of(poses), gid_of(scans)]
+
+
+def test_a_driver_hears_its_robot_as_it_spoke_and_commands_no_other(stage: Stage) -> None:
+    async def story() -> None:
+        driver, heard = stage.driver("r-2"), Heard()
+        task = asyncio.create_task(driver.run(heard))
+        seq = 0
+        try:
+            async with asyncio.timeout(60.0):
+                while len([t for _, t in stage.told if not t.is_zero]) < 3 or len(heard.scans) < 3:
+                    seq += 1
+                    stage.side.scan("r-2", sweep(stage.platform, seq))
+                    stage.side.odometry("r-2", odometry(seq))
+                    driver.send(Twist(0.1, 0.3), seq, seq)
+                    await asyncio.sleep(0.05)
+        finally:
+            task.cancel()
+            await asyncio.gather(task, return_exceptions=True)
+        said, got = sweep(stage.platform), heard.scans[-1]
+        assert np.allclose(got.ranges, said.ranges, atol=1e-5, equal_nan=True)
+        apart = np.angle(np.exp(1j * (got.bearings - said.bearings)))
+        assert np.abs(apart).max() < 1e-5
+
+    asyncio.run(story())
+    assert {robot for robot, _ in stage.told} == {"r-2"}
+    assert stage.told[0][1].is_zero
+    assert (Twist(0.1, 0.3)) in [twist for _, twist in stage.told]
+
+
+def test_what_no_base_could_follow_is_counted_and_left() -> None:
+    stage = Stage("ros2dds", BURGER)
+    mad = second.Twist(linear=second.Vector3(x=math.nan)), second.Twist(second.Vector3(x=1e9))
+    session = open_session(str(stage.side.driver_options["endpoint"]), within=10.0)
+    assert session is not None
+    try:
+        payloads = [b"", b"\xff" * 20, *(message.serialize() for message in mad)]
+
+        def counted() -> bool:
+            for payload in payloads:
+                session.put("r_1/cmd_vel", payload)
+            return stage.side.dropped >= 2 * len(payloads)
+
+        wait_until(counted, "all of it is counted")
+    finally:
+        session.close()
+        stage.side.close()
+    assert stage.told == []
+
+
+def given(platform: Platform, **options: Any) -> Platform:
+    return replace(platform, drivers={"ros2dds": options})
+
+
+@pytest.mark.parametrize(
+    ("platform", "complaint"),
+    [
+        (given(load_platform("thymio")), "not evenly spread"),
+        (given(load_platform("thymio"), ranges={"left": 90.0}), "looks to 90 degrees"),
+        (given(BURGER, scan="/scan"), "r-1 and r-2 have one topic /scan"),
+        (given(BURGER, cmd_vel="/cmd_vel"), "r-1 and r-2 have one topic /cmd_vel"),
+        (given(BURGER, scam="scan"), "did you mean 'scan'"),
+    ],
+)
+def test_a_platform_that_cannot_be_spoken_for_is_one_clear_error(
+    platform: Platform, complaint: str
+) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        Stage("ros2dds", platform)
+
+
+def test_an_endpoint_in_use_is_one_clear_error() -> None:
+    stage = Stage("ros2dds", BURGER)
+    try:
+        with pytest.raises(NetworkError, match="no session for the robots' ros2dds"):
+            load_dialect("ros2dds")(
+                robots={"r": BURGER},
+                endpoint=str(stage.side.driver_options["endpoint"]),
+                on_command=lambda robot, twist: None,
+            )
+    finally:
+        stage.side.close()
+
+
+def test_an_unknown_dialect_names_the_nearest() -> None:
+    with pytest.raises(PluginError, match=r"no dialect 'ros2dd'.*did you mean 'ros2dds'"):
+        load_dialect("ros2dd")
+
+
+@pytest.mark.parametrize(
+    ("deadman", "seconds"), [("none", math.inf), (None, math.inf), ("base", 0.5), (0.25, 0.25)]
+)
+def test_a_body_stops_by_itself_as_its_platform_says(deadman: Any, seconds: float) -> None:
+    assert stops_after({} if deadman is None else {"deadman": deadman}, "x") == seconds

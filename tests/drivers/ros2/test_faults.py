@@ -1,0 +1,313 @@
+"""What a robot in either ROS 2 dialect does wrong: told once, with the next step, and it stands."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import threading
+from collections.abc import Callable
+
+import pytest
+import zenoh
+
+from swarmd.core.values import Twist
+from swarmd.drivers.ros.messages import dds_name
+from swarmd.drivers.ros2.session import open_session
+from swarmd.testing.driver_contract import CAP, Stage
+from tests.drivers.ros2 import robots
+from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
+from tests.drivers.ros2.stories import check, play, told
+
+LASER, TWIST = "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/Twist"
+STAMPED = "geometry_msgs/msg/TwistStamped"
+MAKERS: list[Callable[[], Robot]] = [BridgedRobot, ZenohRobot]
+
+
+class Deaf(BridgedRobot):
+    """Takes commands on another topic."""
+
+    def command_key(self) -> str:
+        return "bot1/cmd_vel"
+
+
+def announce(robot: Robot, what: str, topic: str, kind: str, node: str = "base") -> None:
+    zid = str(robot.hub.zid())
+    if isinstance(robot, BridgedRobot):
+        key, typed = topic.replace("/", "§"), kind.replace("/", "§")
+        robot.announce(f"@/{zid}/@ros2_lv/{what}/{key}/{typed}/:::1,5")
+    else:
+        key = topic.replace("/", "%")
+        robot.announce(
+            f"@ros2_lv/0/{zid}/0/10/{what}/%/%/{node}/%{key}/{dds_name(kind)}/RIHS01_x/::,7:,:,:,,"
+        )
+
+
+async def stays_lost(stage: Stage, words: str) -> None:
+    """It says so, and whatever is commanded meanwhile does not reach the base."""
+
+    def is_told() -> bool:
+        stage.driver.send(Twist(0.1), 1, 1)
+        return told(stage, words, is_up=False)
+
+    await stage.until(is_told, speaking=True)
+    await asyncio.sleep(0.1)
+    stage.rig.commands()
+    for _ in range(10):
+        stage.driver.send(Twist(0.1), 1, 1)
+        stage.rig.speak()
+        await asyncio.sleep(0.01)
+    assert not stage.heard.is_up
+    assert all(twist.is_zero for twist in stage.rig.commands())
+
+
+@pytest.mark.parametrize("make", MAKERS)
+def test_a_base_that_wants_another_type_is_not_commanded(make: Callable[[], Robot]) -> None:
+    robot = make()
+    announce(robot, "MS", "cmd_vel", STAMPED)
+
+    async def story(stage: Stage) -> None:
+        await stays_lost(stage, "set driver_options.cmd_vel_type: twist_stamped")
+        announce(robot, "MS", "cmd_vel", TWIST)
+        await stage.connect()
+        stage.driver.send(Twist(0.1), 1, 1)
+        assert (await stage.command()).is_zero
+
+    play(robot, story, connected=False)
+
+
+@pytest.mark.parametrize("make", MAKERS)
+def test_a_base_that_turns_out_to_want_another_type_is_let_go(make: Callable[[], Robot]) -> None:
+    robot = make()
+
+    async def story(stage: Stage) -> None:
+        for seq in range(2):
+            stage.driver.send(Twist(0.1), seq, seq)
+        announce(robot, "MS", "cmd_vel", STAMPED)
+        await stays_lost(stage, f"/cmd_vel wants {STAMPED}, not {TWIST}")
+
+    play(robot, story)
+
+
+def test_the_last_zero_is_zero_also_to_a_base_that_takes_it_for_a_twist() -> None:
+    robot = BridgedRobot(is_stamped=True)
+
+    async def story(stage: Stage) -> None:
+        for seq in range(2):
+            stage.driver.send(Twist(0.1), seq, seq)
+        await stage.until(lambda: bool(robot.samples()))
+        robot.samples()
+        announce(robot, "MS", "cmd_vel", TWIST)
+        await stage.until(lambda: not stage.heard.is_up, speaking=True)
+        await stage.end()
+        said: list[bytes] = []
+
+        def is_told() -> bool:
+            said.extend(sample.payload.to_bytes() for sample in robot.samples())
+            return len(said) >= 2
+
+        await stage.until(is_told)
+        for payload in said[-2:]:
+            taken = robots.twist(payload[:52], is_stamped=False)
+            assert max(abs(taken.linear), abs(taken.angular), abs(taken.lateral)) < 1e-9
+
+    play(robot, story)
+
+
+def test_a_type_of_command_that_nobody_knows_is_told_too() -> None:
+    robot = BridgedRobot()
+    announce(robot, "MS", "cmd_vel", "my_msgs/msg/Wheels")
+    found = check(robot, robot.speak)
+    assert "wants my_msgs/msg/Wheels" in found["cmd_vel"].text
+    assert found["cmd_vel"].text.endswith("set driver_options.cmd_vel, or cmd_vel_type")
+
+
+def test_a_robot_whose_base_takes_no_commands_is_lost() -> None:
+    robot = Deaf()
+    announce(robot, "MP", "scan", LASER)
+    announce(robot, "MS", "bot1/cmd_vel", TWIST)
+    words = "nobody subscribes to /cmd_vel, but to /bot1/cmd_vel; correct driver_options.namespace"
+    play(robot, lambda stage: stays_lost(stage, words), connected=False)
+
+
+def test_check_does_not_take_its_own_ear_for_the_bases() -> None:
+    robot = Deaf()
+    found = check(robot, robot.speak)
+    assert not found["cmd_vel"].is_well
+    assert found["cmd_vel"].text.startswith("nobody subscribes to /cmd_vel; start the base, or")
+
+
+@pytest.mark.parametrize("make", MAKERS)
+def test_after_a_hub_that_is_started_anew_in_no_time_the_first_command_is_zero(
+    make: Callable[[], Robot],
+) -> None:
+    robot = make()
+
+    async def story(stage: Stage) -> None:
+        until = asyncio.get_running_loop().time() + 0.5  # it has looked whom it is linked to
+        while asyncio.get_running_loop().time() < until:
+            stage.driver.send(Twist(0.1), 1, 1)
+            robot.speak()
+            await asyncio.sleep(0.01)
+        robot.die()
+        robot.rise()
+        await stage.until(lambda: told(stage, "was started anew", is_up=False), speaking=True)
+        await stage.until(lambda: stage.heard.is_up, speaking=True)
+        robot.commands()
+        stage.driver.send(Twist(0.1), 2, 2)
+        assert (await stage.command()).is_zero
+
+    play(robot, story)
+
+
+@pytest.mark.parametrize("make", MAKERS)
+def test_one_cause_is_one_line_in_the_log(
+    make: Callable[[], Robot], caplog: pytest.LogCaptureFixture
+) -> None:
+    robot = make()
+    announce(robot, "MP", "bot1/scan", LASER)
+    announce(robot, "MP", "bot1/odom", "nav_msgs/msg/Odometry")
+
+    async def story(stage: Stage) -> None:
+        await stage.until(lambda: told(stage, "no /scan, but /bot1/scan of that type; correct"))
+        await asyncio.sleep(2.5)  # it looks again
+
+    play(robot, story, connected=False)
+    (line,) = [record for record in caplog.records if "driver" in record.name]
+    assert line.levelno == logging.WARNING
+    assert line.getMessage().count(";") == 1
+
+
+def test_what_cannot_be_read_is_one_line_however_it_varies(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    robot = BridgedRobot()
+
+    async def story(stage: Stage) -> None:
+        caplog.clear()
+        until = asyncio.get_running_loop().time() + 6.0
+        count = 0
+        while asyncio.get_running_loop().time() < until:
+            count += 1
+            robot.move()
+            robot.put("scan", bytes([0, 1, 0, 0]) + bytes(count))
+            await asyncio.sleep(0.02)
+
+    play(robot, story)
+    lines = [record for record in caplog.records if "cannot be read" in record.getMessage()]
+    assert len(lines) == 1
+    assert lines[0].levelno == logging.WARNING
+    assert "ros2 topic info -v /scan" in lines[0].getMessage()
+
+
+def test_stamps_that_stand_still_are_told_while_it_runs() -> None:
+    robot = BridgedRobot()
+
+    async def story(stage: Stage) -> None:
+        def is_told() -> bool:
+            robot.move()
+            robot.put("scan", robots.scan(5.0))
+            return told(stage, "all with the stamp 5; look at the sensor", is_up=True)
+
+        await stage.until(is_told)
+
+    play(robot, story)
+
+
+def test_sweeps_that_do_not_look_around_are_told_while_it_runs() -> None:
+    robot = BridgedRobot()
+
+    async def story(stage: Stage) -> None:
+        def is_told() -> bool:
+            robot.move()
+            robot.put("scan", robots.scan(robot._stamp(), [1.0] * 180, angle_increment=0.0174))
+            return told(stage, "180 rays that leave too wide a sector unseen; look at", is_up=True)
+
+        await stage.until(is_told)
+
+    play(robot, story)
+
+
+def checked_stamps(stamp: Callable[[int], float], seconds: float = 2.0) -> str:
+    """What check says of scans with these stamps; empty if all is well."""
+    robot, count = BridgedRobot(), 0
+
+    def speak() -> None:
+        nonlocal count
+        count += 1
+        robot.move()
+        if count % 4 == 0:
+            robot.put("scan", robots.scan(stamp(count // 4)))
+
+    scan = check(robot, speak, seconds=seconds, battery="battery")["scan"]
+    return "" if scan.is_well else scan.text
+
+
+def test_a_robot_that_was_restarted_while_it_was_checked_is_well() -> None:
+    assert checked_stamps(lambda count: (1000.0 if count < 8 else 0.0) + 0.05 * count) == ""
+
+
+def test_stamps_of_two_senders_are_told() -> None:
+    text = checked_stamps(lambda count: 0.05 * count + (0.0 if count % 2 else 500.0))
+    assert "the stamps of /scan go back again and again: two publish it" in text
+
+
+def test_two_nodes_that_publish_the_scan_are_told() -> None:
+    robot = ZenohRobot()
+    for node in ("lidar", "other"):
+        announce(robot, "MP", "scan", LASER, node)
+    found = check(robot, robot.speak)
+    assert found["odometry"].is_well
+    assert found["scan"].text.startswith("2 publish /scan: /lidar, /other; end all but one, or")
+
+
+def test_what_cannot_be_read_among_what_can_is_told() -> None:
+    robot = BridgedRobot()
+
+    def speak() -> None:
+        robot.speak()
+        robot.put("scan", robots.scan(1.0, [1.0], angle_min=math.nan))
+
+    assert "/scan: cannot be read" in check(robot, speak)["scan"].text
+
+
+@pytest.mark.parametrize("make", MAKERS)
+def test_names_that_are_none_make_no_second_line(make: Callable[[], Robot]) -> None:
+    robot = make()
+    announce(robot, "MP", "bot1/scan\nok    scan", LASER)
+    announce(robot, "MP", "bot1/" + 2000 * "x", LASER)
+    found = check(robot, robot.move, seconds=1.0)
+    assert "announces no topic at all" in found["scan"].text
+    assert found["scan"].text.isprintable()
+
+
+def test_a_type_that_is_none_makes_no_second_line() -> None:
+    robot = ZenohRobot()
+
+    def speak() -> None:
+        robot.move()
+        robot.put_on(f"0/scan/ok\nok/{robots.HASHES['LaserScan']}", b"")
+
+    assert "said on key '0/scan/ok\\nok/RIHS" in check(robot, speak, seconds=1.0)["scan"].text
+
+
+def test_a_hub_that_answers_as_the_check_ends_leaves_no_session(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An open session that listens to anything keeps its process alive for ever."""
+    robot, made = BridgedRobot(), []
+    is_over = threading.Event()
+
+    def late(endpoint: str) -> zenoh.Session | None:
+        is_over.wait(CAP)
+        made.append(open_session(endpoint))
+        return made[-1]
+
+    async def run() -> None:
+        await robot.make({}).check(0.05)
+        is_over.set()
+
+    monkeypatch.setattr("swarmd.drivers.ros2.driver.open_session", late)
+    asyncio.run(run())
+    assert [session is not None and session.is_closed() for session in made] == [True]
+    robot.close()

@@ -1,0 +1,173 @@
+"""Keys, attachments and tokens against published examples.
+
+ros2/rmw_zenoh `docs/design.md` (keys, attachment, tokens of the talker and the listener) and
+eclipse-zenoh/zenoh-plugin-ros2dds `liveliness_mgt.rs`.
+"""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from zenoh.ext import Int64, z_serialize
+
+from swarmd.drivers.ros import messages
+from swarmd.drivers.ros2.dds_bridge import Ros2Dds
+from swarmd.drivers.ros2.key_scheme import Endpoint
+from swarmd.drivers.ros2.rmw_zenoh import NO_HASH, RmwZenoh, gid_of
+from tests.drivers.ros2.robots import HASHES
+
+STRING = "std_msgs::msg::dds_::String_"
+STRING_HASH = "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"
+TALKER = (
+    f"@ros2_lv/2/8b20917502ee955ac4476e0266340d5c/0/10/MP/%/%/talker/%chatter/{STRING}"
+    f"/{STRING_HASH}/::,7:,:,:,,"
+)
+LISTENER = (
+    f"@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/10/MS/%/%/listener/%chatter/{STRING}"
+    f"/{STRING_HASH}/::,10:,:,:,,"
+)
+LASER = "sensor_msgs::msg::dds_::LaserScan_"
+
+
+def dialect(domain: int = 0) -> RmwZenoh:
+    return RmwZenoh(domain, "/cmd_vel")
+
+
+def test_a_published_talker_is_understood() -> None:
+    end = dialect().announced(TALKER)
+    assert end is not None
+    assert (end.is_publisher, end.topic, end.type) == (True, "/chatter", "std_msgs/msg/String")
+    assert (end.domain, end.node) == (2, "/talker")
+    assert end.zid == "8b20917502ee955ac4476e0266340d5c"
+
+
+def test_a_published_listener_is_understood() -> None:
+    end = dialect().announced(LISTENER)
+    assert end is not None
+    assert (end.is_publisher, end.node) == (False, "/listener")
+
+
+@pytest.mark.parametrize(
+    "token",
+    [
+        "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/listener",
+        "@ros2_lv/x/aa/0/10/MS/%/%/listener/%chatter/a/b/c",
+        "@ros2_lv/2/aa/0/10/MS/%/%/listener",
+        "@ros2_lv",
+        "",
+    ],
+)
+def test_other_tokens_announce_no_topic(token: str) -> None:
+    assert dialect().announced(token) is None
+
+
+def test_our_tokens_have_the_published_form_and_are_understood_again() -> None:
+    ours = dialect(2)
+    node, hears, says = ours.introduce(
+        "aac3178e146ba6f1fc6e6a4085e77f21",
+        [("/scan", messages.LaserScan), ("/cmd_vel", messages.Twist)],
+    )
+    assert node == "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/swarmd"
+    assert [part.count("/") for part in (hears, says)] == [LISTENER.count("/")] * 2
+    assert hears.split("/")[:9] == [*LISTENER.split("/")[:4], "1", "MS", "%", "%", "swarmd"]
+    end = ours.announced(says)
+    assert end is not None
+    assert (end.is_publisher, end.topic, end.type) == (True, "/cmd_vel", "geometry_msgs/msg/Twist")
+    assert says.endswith(f"/{HASHES['Twist']}/::,1:,:,:,,")
+    assert hears.endswith(f"/{HASHES['LaserScan']}/2::,1:,:,:,,")
+
+
+def test_the_gid_is_the_tokens_hash() -> None:
+    # XXH3-128 of the empty text is 99aa06d3014798d86001c324468d497f (xxHash's own test vector);
+    # rmw_zenoh copies the low half, then the high one, as they lie in memory.
+    assert gid_of("").hex() == "7f498d4624c30160" + "d8984701d306aa99"
+    assert gid_of(TALKER) != gid_of(LISTENER)
+
+
+def test_the_attachment_is_sequence_time_and_gid() -> None:
+    ours = dialect()
+    tokens = ours.introduce("ab", [("/cmd_vel", messages.Twist)])
+    first, second = ours.attachment(), ours.attachment()
+    assert first is not None
+    assert second is not None
+    assert len(first) == 33
+    sequence, time, length, gid = struct.unpack("<qqB16s", first)
+    assert (sequence, length, gid) == (1, 16, gid_of(tokens[-1]))
+    assert struct.unpack("<qqB16s", second)[0] == 2
+    assert time > 1_600_000_000 * 10**9
+    # What Zenoh's own serialisation makes of the same three, as rmw_zenoh uses it.
+    assert first == z_serialize((Int64(sequence), Int64(time), gid)).to_bytes()
+
+
+@pytest.mark.parametrize(
+    ("key", "complaint"),
+    [
+        (f"0/bot/scan/{LASER}/{HASHES['LaserScan']}", ""),
+        (f"0/bot/scan/{LASER}/{NO_HASH}", ""),
+        (f"0/bot/scan/{LASER}/RIHS01_0000", "type hash RIHS01_0000, which no distribution has"),
+        (f"0/bot/scan/sensor_msgs::msg::dds_::PointCloud2_/{NO_HASH}", "carries sensor_msgs/msg/P"),
+        (f"1/bot/scan/{LASER}/{NO_HASH}", "said on key"),
+        (f"0/bot/scan/front/{LASER}/{NO_HASH}", "said on key"),
+        ("0/bot/scan/**", "said on key"),
+        ("**", "said on key"),
+    ],
+)
+def test_type_and_hash_of_a_key_are_checked(key: str, complaint: str) -> None:
+    fault = dialect().fault(key, "/bot/scan", messages.LaserScan)
+    assert complaint in fault
+    assert bool(fault) == bool(complaint)
+
+
+def test_commands_go_out_as_the_robots_distribution_names_them() -> None:
+    ours = dialect(3)
+    prefix = "3/cmd_vel/geometry_msgs::msg::dds_::Twist_/"
+    assert ours.command_key("/cmd_vel", messages.Twist) == prefix + HASHES["Twist"]
+    assert ours.fault(f"3/scan/{LASER}/{NO_HASH}", "/scan", messages.LaserScan) == ""
+    assert ours.command_key("/cmd_vel", messages.Twist) == prefix + NO_HASH
+    assert set(ours.command_keys("/cmd_vel", messages.Twist)) == {
+        prefix + HASHES["Twist"],
+        prefix + NO_HASH,
+    }
+
+
+def test_what_others_command_says_nothing_of_the_robots_distribution() -> None:
+    ours = dialect()
+    mine = ours.command_key("/cmd_vel", messages.Twist)
+    for key in ours.command_keys("/cmd_vel", messages.Twist):  # a stopper's zeros go out on each
+        assert ours.fault(key, "/cmd_vel", messages.Twist) == ""
+        assert ours.command_key("/cmd_vel", messages.Twist) == mine
+
+
+def test_the_bridges_keys_are_topics_without_their_first_slash() -> None:
+    ours = Ros2Dds()
+    assert ours.listening("/bot1/scan") == "bot1/scan"
+    assert ours.command_keys("/cmd_vel", messages.Twist) == ("cmd_vel",)
+    assert ours.fault("bot1/scan", "/bot1/scan", messages.LaserScan) == ""
+    assert ours.fault("**", "/bot1/scan", messages.LaserScan)
+    assert ours.attachment() is None
+
+
+def test_the_announcements_of_a_bridge_since_iron_are_understood() -> None:
+    """As zenoh-bridge-ros2dds 1.10 says them: the type's hash behind the quality of service."""
+    zid, hashed = "ad21b741805add91719f8b8dd4f837a7", "typehash=RIHS01_9c45bf16fe0983d8;"
+    end = Ros2Dds().announced(
+        f"@/{zid}/@ros2_lv/MS/cmd_vel/geometry_msgs§msg§Twist/:1::0,10:{hashed}"
+    )
+    assert end == Endpoint(False, "/cmd_vel", "geometry_msgs/msg/Twist", zid)
+    assert Ros2Dds().announced(f"@/{zid}/@ros2_lv") is None
+
+
+def test_the_bridges_announcements_are_understood() -> None:
+    end = Ros2Dds().announced(
+        "@/8b20917502ee955a/@ros2_lv/MP/bot1§scan/sensor_msgs§msg§LaserScan/:::1,5"
+    )
+    assert end is not None
+    assert (end.is_publisher, end.topic) == (True, "/bot1/scan")
+    assert end.type == "sensor_msgs/msg/LaserScan"
+    assert Ros2Dds().announced("@/8b20917502ee955a/@ros2_lv/SS/a/b") is None
+    assert Ros2Dds().announced("@/8b20917502ee955a/@ros2_lv") is None
+
+
+def test_a_topic_is_heard_in_its_domain_whatever_its_type_and_hash() -> None:
+    assert dialect(3).listening("/bot/scan") == "3/bot/scan/*/*"

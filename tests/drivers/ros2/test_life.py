@@ -1,0 +1,342 @@
+"""When a ROS 2 driver takes its robot for lost, and what it commands then: exactly, without Zenoh.
+
+The session is a stand-in, and the clock is in the test's hand; against real sessions:
+`test_ros2dds.py`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import zenoh
+
+from swarmd.core.values import Platform, Twist, Value
+from swarmd.drivers.ros2 import dds_bridge as ros2dds
+from swarmd.drivers.ros2 import driver as ros_driver
+from swarmd.drivers.ros2.driver import RosDriver
+from swarmd.testing.driver_contract import Heard
+from tests.drivers.ros2 import robots
+from tests.support import hand_clock as handclock
+from tests.support import second_codec as second
+
+MOVING = Twist(0.1)
+
+
+class Session:
+    """A Zenoh session to a hub with one robot: what is put on a key is kept."""
+
+    def __init__(self) -> None:
+        self.is_linked = True
+        self.hub = "hub"
+        self.is_closed = False
+        self.said: list[tuple[str, Twist]] = []
+        self.origins: list[object] = []
+        self.tokens: list[str] = []
+        self._heard: dict[str, Callable[[Any], None]] = {}
+        self.info = SimpleNamespace(
+            zid=lambda: "ab",
+            routers_zid=lambda: [self.hub] if self.is_linked else [],
+            peers_zid=lambda: [],
+        )
+
+    def declare_publisher(self, key: str, **_: object) -> Any:
+        def put(payload: bytes, *, attachment: bytes | None) -> None:
+            self.said.append((key, robots.twist(payload, is_stamped=False)))
+
+        return SimpleNamespace(put=put, matching_status=SimpleNamespace(matching=True))
+
+    def declare_subscriber(
+        self, key: str, take: Callable[[Any], None], *, allowed_origin: object
+    ) -> None:
+        self._heard[key] = take
+        self.origins.append(allowed_origin)
+
+    def liveliness(self) -> Any:
+        return SimpleNamespace(
+            declare_subscriber=lambda key, take, *, history: None, declare_token=self.tokens.append
+        )
+
+    def get(self, selector: str, take: Callable[[Any], None], *, timeout: float) -> None:
+        """Nobody answers."""
+
+    def close(self) -> None:
+        self.is_closed = True
+
+    def speak(self, topic: str, message: Any, key: str | None = None) -> None:
+        """The robot says something on a topic, or on another key that it is heard on too."""
+        payload = message if isinstance(message, bytes) else message.serialize()
+        sample = SimpleNamespace(
+            key_expr=key or topic, payload=SimpleNamespace(to_bytes=lambda: payload)
+        )
+        self._heard[topic](sample)
+
+    def moves(self, stamp: float = 1.0) -> None:
+        self.speak("odom", robots.odometry(stamp))
+
+    def taken(self) -> list[Twist]:
+        """What was commanded since the last call."""
+        found, self.said = self.said, []
+        return [twist for _, twist in found]
+
+
+class Scene:
+    """A driver that runs, the session that it has opened, and what it has told."""
+
+    def __init__(self, driver: RosDriver, session: Session) -> None:
+        self.driver, self.session, self.heard = driver, session, Heard()
+        self.task = asyncio.create_task(driver.run(self.heard))
+
+    @property
+    def is_up(self) -> bool:
+        return self.heard.is_up
+
+    def command(self) -> list[Twist]:
+        """What reaches the base of two commands."""
+        for _ in range(2):
+            self.driver.send(MOVING, 1, 1)
+        return self.session.taken()
+
+    async def move(self) -> None:
+        self.session.moves()
+        await handclock.settle()
+
+    async def pass_time(self, seconds: float, *, moving: bool = False) -> None:
+        """So many seconds and a little, for the driver looks ten times a second itself."""
+        begun = asyncio.get_running_loop().time()
+        while asyncio.get_running_loop().time() - begun < seconds + 0.005:
+            if moving:
+                self.session.moves()
+            await asyncio.sleep(0.01)
+
+    async def end(self) -> None:
+        self.task.cancel()
+        await asyncio.gather(self.task, return_exceptions=True)
+
+
+def play(
+    monkeypatch: pytest.MonkeyPatch,
+    story: Callable[[Scene], Awaitable[None]],
+    *,
+    platform: Platform = robots.PLATFORM,
+    **options: Value,
+) -> None:
+    session = Session()
+    monkeypatch.setattr(ros_driver, "open_session", lambda endpoint: session)
+
+    async def run() -> None:
+        scene = Scene(make(options, platform), session)
+        await scene.pass_time(0.0)
+        try:
+            await story(scene)
+        finally:
+            await scene.end()
+        assert session.is_closed
+
+    handclock.run(run())
+
+
+def make(options: Mapping[str, Value], platform: Platform) -> RosDriver:
+    return ros2dds.make_driver(swarm="s", robot="r", platform=platform, options=options)
+
+
+def slow(rate: float) -> Platform:
+    return replace(robots.PLATFORM, scan=replace(robots.PLATFORM.scan, rate=rate))
+
+
+@pytest.mark.parametrize(("rate", "seconds"), [(5.0, 1.0), (1.0, 3.5)])
+def test_a_base_is_lost_after_1_s_of_silence_or_3_and_a_half_scans(
+    monkeypatch: pytest.MonkeyPatch, rate: float, seconds: float
+) -> None:
+    async def story(scene: Scene) -> None:
+        await scene.move()
+        await scene.pass_time(seconds - 0.02)
+        assert scene.is_up
+        await scene.pass_time(0.12)  # it looks every 0.1 s
+        assert not scene.is_up
+        assert "no scan and no odometry" in scene.heard.states[-1][1]
+
+    play(monkeypatch, story, platform=slow(rate))
+
+
+def test_a_lost_base_gets_zero_and_nothing_else_and_zero_first_when_it_is_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        assert not scene.command(), "before it was ever heard"
+        await scene.move()
+        assert scene.command() == [Twist(), MOVING]
+        await scene.pass_time(1.2)
+        told = scene.session.taken()
+        assert told
+        assert all(twist.is_zero for twist in told)
+        assert not scene.command()
+        await scene.move()
+        assert scene.command() == [Twist(), MOVING]
+
+    play(monkeypatch, story)
+
+
+def test_a_link_that_is_cut_is_a_lost_base_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def story(scene: Scene) -> None:
+        await scene.move()
+        scene.command()
+        scene.session.is_linked = False
+        await scene.pass_time(0.12, moving=True)
+        lost = [text for is_up, text in scene.heard.states if not is_up]
+        assert lost[-1].startswith("nothing answers at tcp/")
+        assert scene.session.taken()[0] == Twist()
+
+    play(monkeypatch, story)
+
+
+def test_a_hub_that_is_started_anew_in_no_time_is_told_zero_for_2_s(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        await scene.pass_time(3.0, moving=True)
+        scene.command()
+        scene.session.hub = "another"  # which may know the base only in a while
+        await scene.pass_time(1.9)
+        told = scene.session.taken()
+        assert not scene.is_up
+        assert len(told) > 15
+        assert all(twist.is_zero for twist in told)
+
+    play(monkeypatch, story)
+
+
+def test_someone_elses_command_keeps_it_from_commanding_for_2_s(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        await scene.move()
+        scene.command()
+        scene.session.speak("cmd_vel", robots.command(0.2))
+        await handclock.settle()
+        assert not scene.is_up
+        assert scene.session.taken() == [Twist()]
+        await scene.pass_time(1.96, moving=True)
+        assert not scene.is_up
+        assert not scene.command()
+        await scene.pass_time(0.05, moving=True)
+        assert scene.is_up
+        assert scene.command() == [Twist(), MOVING]
+
+    play(monkeypatch, story)
+
+
+@pytest.mark.parametrize(
+    ("message", "key", "is_lost"),
+    [
+        (robots.command(0.0), None, False),
+        (robots.command(-0.001), None, True),
+        (second.Twist(angular=second.Vector3(z=0.1)), None, True),
+        (b"\x00\x01\x00\x00no twist", None, True),
+        (robots.command(0.0), "**", True),
+    ],
+    ids=["zero", "backwards", "a turn", "unreadable", "on every key"],
+)
+def test_whoever_commands_anything_but_zero_drives(
+    monkeypatch: pytest.MonkeyPatch, message: Any, key: str | None, is_lost: bool
+) -> None:
+    async def story(scene: Scene) -> None:
+        await scene.move()
+        scene.session.speak("cmd_vel", message, key)
+        await handclock.settle()
+        assert scene.is_up != is_lost
+
+    play(monkeypatch, story)
+
+
+def test_it_hears_only_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def story(scene: Scene) -> None:
+        assert scene.session.origins == [zenoh.Locality.REMOTE] * 3
+
+    play(monkeypatch, story)
+
+
+def test_the_way_out_is_one_zero_and_none_if_nothing_was_commanded(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        await scene.move()
+        scene.command()
+        await scene.end()
+        assert scene.session.taken() == [Twist()]
+        assert not scene.command()
+
+    async def idle(scene: Scene) -> None:
+        await scene.move()
+        await scene.end()
+        assert not scene.session.taken()
+
+    play(monkeypatch, story)
+    play(monkeypatch, idle)
+
+
+def test_a_check_moves_nothing_and_announces_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    session = Session()
+    monkeypatch.setattr(ros_driver, "open_session", lambda endpoint: session)
+
+    async def run() -> None:
+        driver = make({}, robots.PLATFORM)
+        checking = asyncio.create_task(driver.check(2.0))
+        await asyncio.sleep(0.01)
+        for count in range(5):
+            session.moves(0.1 * count)
+            await asyncio.sleep(0.1)
+        found = await checking
+        assert not session.taken()
+        assert not session.tokens
+        assert session.is_closed
+        assert [finding.subject for finding in found if not finding.is_well] == ["scan"]
+
+    handclock.run(run())
+
+
+def test_a_battery_alone_is_no_base(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def story(scene: Scene) -> None:
+        scene.session.speak("power", second.BatteryState(percentage=0.5))
+        await handclock.settle()
+        assert not scene.is_up
+        assert not scene.heard.values
+        await scene.move()
+        scene.session.speak("power", second.BatteryState(percentage=0.5))
+        await handclock.settle()
+        assert scene.heard.values[-1]["battery"] == 0.5
+
+    play(monkeypatch, story, battery="power")
+
+
+def test_what_cannot_be_read_or_has_another_key_is_counted_and_no_sign_of_life(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        scene.session.speak("scan", b"\x00\x01\x00\x00rubbish")
+        scene.session.speak("odom", robots.odometry(1.0), "**")
+        await handclock.settle()
+        assert sorted(scene.heard.lost) == ["odometry:type", "scan"]
+        assert not scene.is_up
+        assert scene.heard.order.count("odometry") == 0
+
+    play(monkeypatch, story)
+
+
+def test_after_a_stall_only_the_newest_of_each_topic_is_delivered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        await scene.move()
+        for stamp in (5.0, 6.0, 7.0):
+            scene.session.moves(stamp)
+            scene.session.speak("scan", robots.scan(stamp))
+        await handclock.settle()
+        assert [odometry.stamp for odometry in scene.heard.odometries][1:] == [7.0]
+        assert [(scan.seq, scan.stamp) for scan in scene.heard.scans] == [(1, 7.0)]
+
+    play(monkeypatch, story)

@@ -1,0 +1,245 @@
+"""The rmw_zenoh driver against a stand-in for a robot's nodes and router, over real Zenoh."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+
+import pytest
+import zenoh
+
+from swarmd.core.values import Twist
+from swarmd.drivers.ros.messages import dds_name
+from swarmd.drivers.ros2 import rmw_zenoh
+from swarmd.testing.driver_contract import DriverContract, Stage
+from tests.drivers.ros2 import robots
+from tests.drivers.ros2.robots import ZenohRobot
+from tests.drivers.ros2.stories import check, play, told
+
+
+class TestContract(DriverContract):
+    def rig(self) -> ZenohRobot:
+        return ZenohRobot()
+
+
+class TestHumbleContract(DriverContract):
+    def rig(self) -> ZenohRobot:
+        return ZenohRobot(domain=7, is_humble=True)
+
+
+def tokens(robot: ZenohRobot) -> list[str]:
+    replies = robot.hub.liveliness().get("@ros2_lv/**")
+    return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+
+
+def test_a_command_carries_sequence_time_and_the_gid_of_our_token() -> None:
+    robot = ZenohRobot(domain=5)
+
+    async def story(stage: Stage) -> None:
+        taken: list[zenoh.Sample] = []
+
+        def has_two() -> bool:
+            stage.driver.send(Twist(0.1), 1, 1)
+            taken.extend(robot.samples())
+            return len(taken) >= 2
+
+        await stage.until(has_two, speaking=True)
+        read = [struct.unpack("<qqB16s", s.attachment.to_bytes()) for s in taken if s.attachment]
+        assert [r[0] for r in read] == list(range(read[0][0], read[0][0] + len(taken)))
+        said = [token for token in tokens(robot) if "/MP/" in token]
+        assert len(said) == 1
+        assert {r[3] for r in read} == {rmw_zenoh.gid_of(said[0])}
+        assert {r[2] for r in read} == {16}
+
+    play(robot, story)
+
+
+@pytest.mark.parametrize("is_humble", [False, True])
+def test_it_is_a_node_of_the_graph_while_it_runs(is_humble: bool) -> None:
+    robot = ZenohRobot(is_humble=is_humble)
+
+    async def story(stage: Stage) -> None:
+        await stage.until(lambda: len(tokens(robot)) == 4, speaking=True)
+        node, *ends = tokens(robot)
+        assert node.endswith("/0/0/NN/%/%/swarmd")
+        parts = [token.split("/") for token in ends]
+        assert [part[5] for part in parts] == ["MS", "MS", "MP"]
+        assert [part[9] for part in parts] == ["%scan", "%odom", "%cmd_vel"]
+        hashes = [part[11] for part in parts]
+        assert (hashes == ["TypeHashNotSupported"] * 3) == is_humble
+        await stage.end()
+        await stage.until(lambda: not tokens(robot))
+
+    play(robot, story)
+
+
+def test_a_token_that_is_none_ends_nothing() -> None:
+    robot = ZenohRobot()
+
+    async def story(stage: Stage) -> None:
+        crashes: list[object] = []
+        loop = asyncio.get_running_loop()
+        loop.set_exception_handler(lambda _, context: crashes.append(context))
+        await stage.connect()
+        heard = len(stage.heard.scans)
+        await stage.until(lambda: len(stage.heard.scans) > heard + 2, speaking=True)
+        assert not crashes
+
+    declare = robot.hub.liveliness().declare_token
+    said = [
+        declare(f"@ros2_lv/{domain}/aa/0/1/MP/%/%/node/%scan/T/H/q")
+        for domain in ("9" * 5000, "x", "-1")
+    ]
+    play(robot, story, connected=False)
+    assert said, "as long as it ran"
+
+
+def test_who_only_looks_is_no_node() -> None:
+    robot = ZenohRobot()
+    seen: list[str] = []
+
+    def speak() -> None:
+        robot.speak()
+        seen.extend(tokens(robot))
+
+    found = check(robot, speak)
+    assert all(finding.is_well for finding in found.values())
+    assert not seen
+
+
+def test_nodes_that_are_peers_of_the_router_are_heard_and_commanded() -> None:
+    robot = ZenohRobot()
+    node = robots.open_session("peer", "connect/endpoints", robot.endpoint)
+    taken: list[zenoh.Sample] = []
+    node.declare_subscriber(robot.command_key(), taken.append)
+
+    async def story(stage: Stage) -> None:
+        stamps = iter(range(1, 10_000))
+
+        def is_up() -> bool:
+            node.put(robot.key("scan", "LaserScan"), robots.scan(float(next(stamps))).serialize())
+            return stage.heard.is_up
+
+        await stage.until(is_up)
+
+        def is_commanded() -> bool:
+            is_up()
+            stage.driver.send(Twist(0.1), 1, 1)
+            return len(taken) > 1
+
+        await stage.until(is_commanded)
+
+    try:
+        play(robot, story, connected=False)
+    finally:
+        node.close()
+    first, second, *_ = (robots.twist(s.payload.to_bytes(), is_stamped=False) for s in taken)
+    assert first.is_zero
+    assert second == Twist(0.1)
+
+
+@pytest.mark.parametrize(
+    ("key", "wanted"),
+    [
+        (f"0/scan/{dds_name('sensor_msgs/msg/LaserScan')}/RIHS01_{'0' * 64}", "type hash"),
+        (f"0/scan/{dds_name('sensor_msgs/msg/PointCloud2')}/RIHS01_{'0' * 64}", "carries sensor_"),
+    ],
+)
+def test_another_type_or_hash_is_dropped_and_told(key: str, wanted: str) -> None:
+    robot = ZenohRobot()
+
+    async def story(stage: Stage) -> None:
+        def is_told() -> bool:
+            robot.put_on(key, robots.scan(1.0).serialize())
+            return told(stage, wanted)
+
+        await stage.until(is_told)
+        assert not stage.heard.is_up
+        assert not stage.heard.scans
+        assert set(stage.heard.lost) <= {"scan:type", "scan:type:overtaken"}
+
+    play(robot, story, connected=False)
+
+
+def test_another_topic_below_the_scans_is_not_heard() -> None:
+    robot = ZenohRobot()
+
+    async def story(stage: Stage) -> None:
+        for _ in range(20):
+            key = robot.key("scan/front", "LaserScan")
+            robot.put_on(key, robots.scan(1.0).serialize())
+            await asyncio.sleep(0.01)
+        assert not stage.heard.lost
+        assert not stage.heard.is_up
+
+    play(robot, story, connected=False)
+
+
+def test_check_tells_of_a_wrong_hash() -> None:
+    robot = ZenohRobot()
+
+    def speak() -> None:
+        robot.move()
+        key = f"0/scan/{dds_name('sensor_msgs/msg/LaserScan')}/RIHS01_{'0' * 64}"
+        robot.put_on(key, robots.scan(1.0).serialize())
+
+    found = check(robot, speak, seconds=1.2)
+    assert "its sensor_msgs/msg/LaserScan has the type hash" in found["scan"].text
+
+
+def announce(robot: ZenohRobot, domain: int, what: str, topic: str, kind: str) -> None:
+    zid = str(robot.hub.zid())
+    robot.announce(
+        f"@ros2_lv/{domain}/{zid}/0/10/{what}/%/%/teleop/%{topic}/{dds_name(kind)}/RIHS01_x/::,7:,:,:,,"
+    )
+
+
+def test_check_tells_of_another_domain() -> None:
+    robot = ZenohRobot()
+    announce(robot, 30, "MP", "scan", "sensor_msgs/msg/LaserScan")
+    found = check(robot, seconds=0.7)
+    assert "no topic in domain 0, but in 30; correct driver_options.domain" in found["scan"].text
+
+
+def test_check_finds_the_topic_in_another_domain_than_some_nodes() -> None:
+    robot = ZenohRobot()
+    announce(robot, 0, "MP", "rosout", "rcl_interfaces/msg/Log")
+    announce(robot, 0, "MP", "bot1%scan", "sensor_msgs/msg/LaserScan")
+    announce(robot, 30, "MP", "scan", "sensor_msgs/msg/LaserScan")
+    found = check(robot, robot.move, seconds=0.7)
+    assert "no /scan in domain 0, but in 30; correct driver_options.domain" in found["scan"].text
+
+
+def test_check_without_any_node_says_how_they_are_started() -> None:
+    found = check(ZenohRobot(), seconds=0.7)
+    assert "RMW_IMPLEMENTATION=rmw_zenoh_cpp" in found["scan"].text
+
+
+def test_check_without_a_router_says_what_to_start() -> None:
+    robot = ZenohRobot()
+    robot.die()
+    found = check(robot, seconds=1.2)
+    assert "rmw_zenohd" in found["connection"].text
+
+
+def test_check_names_a_node_that_may_command_too() -> None:
+    robot = ZenohRobot()
+    announce(robot, 0, "MP", "cmd_vel", "geometry_msgs/msg/Twist")
+    found = check(robot, robot.speak)
+    assert found["others"].is_well
+    assert "/teleop may publish /cmd_vel too" in found["others"].text
+
+
+@pytest.mark.parametrize("is_humble", [False, True])
+def test_a_stopper_says_zero_whatever_the_distribution(is_humble: bool) -> None:
+    robot = ZenohRobot(is_humble=is_humble, is_stamped=True)
+    given = dict(robot.options({}))
+    sender = rmw_zenoh.make_zero_sender(robot="r", given=given)
+    sender.open()
+    taken: list[Twist] = []
+    while not taken:
+        sender.send_zero()
+        taken.extend(robot.commands())
+    assert all(twist.is_zero for twist in taken)
+    sender.close()
+    robot.close()

@@ -1,0 +1,93 @@
+"""What a stopper says zero with, without Zenoh; over Zenoh: `test_ros2dds.py`."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import zenoh
+
+from swarmd.drivers.ros2 import dds_bridge as ros2dds
+from swarmd.drivers.ros2 import rmw_zenoh
+from swarmd.drivers.ros2 import zero_sender as zero
+from tests.drivers.ros2.robots import HASHES
+from tests.support import second_codec as second
+from tests.support.processes import wait_until
+
+
+class Hub:
+    """What listens at the endpoint, or does not; the sessions to it keep what is put."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.is_there = True
+        self.said: list[tuple[str, bytes, bytes | None]] = []
+        self.is_faulty = False
+        monkeypatch.setattr(zero, "open_session", self._open)
+        monkeypatch.setattr(zero, "commanding", self._commanding)
+
+    def _open(self, endpoint: str, *, within: float) -> Any:
+        return SimpleNamespace(close=lambda: None) if self.is_there else None
+
+    def _commanding(self, session: object, key: str) -> Any:
+        def put(payload: bytes, *, attachment: bytes | None) -> None:
+            if self.is_faulty:
+                raise zenoh.ZError("closed")
+            self.said.append((key, payload, attachment))
+
+        return SimpleNamespace(put=put)
+
+
+@pytest.fixture
+def hub(monkeypatch: pytest.MonkeyPatch) -> Hub:
+    return Hub(monkeypatch)
+
+
+def test_zero_goes_to_the_bridge_as_it_wants_it(hub: Hub) -> None:
+    sender = ros2dds.make_zero_sender(robot="tb3-01", given={"namespace": "{robot}"})
+    sender.open()
+    sender.send_zero()
+    assert hub.said == [("tb3_01/cmd_vel", second.Twist().serialize(), None)]
+    sender.close()
+    sender.send_zero()
+    assert len(hub.said) == 1
+
+
+def test_zero_goes_out_on_the_keys_of_every_distribution(hub: Hub) -> None:
+    given = {"domain": 3, "cmd_vel_type": "twist_stamped", "cmd_vel_frame": "base"}
+    sender = rmw_zenoh.make_zero_sender(robot="r", given=given)  # type: ignore[arg-type]
+    sender.open()
+    sender.send_zero()
+    prefix = "3/cmd_vel/geometry_msgs::msg::dds_::TwistStamped_/"
+    keys = [key for key, _, _ in hub.said]
+    assert sorted(keys) == [prefix + HASHES["TwistStamped"], prefix + "TypeHashNotSupported"]
+    wanted = second.TwistStamped(second.stamped(0.0, ""), second.Twist()).serialize()
+    assert all(payload == wanted for _, payload, _ in hub.said)
+    assert all(attachment is not None and len(attachment) == 33 for _, _, attachment in hub.said)
+
+
+def test_a_hub_that_is_not_there_is_tried_again(hub: Hub) -> None:
+    hub.is_there = False
+    sender = ros2dds.make_zero_sender(robot="r", given={})
+    sender.open()
+    sender.send_zero()
+    assert not sender.is_connected
+    hub.is_there = True
+
+    def is_said() -> bool:
+        sender.send_zero()
+        return bool(hub.said)
+
+    wait_until(is_said, "it has found the hub", cap=10.0)
+    assert sender.is_connected
+    sender.close()
+
+
+def test_a_zero_that_cannot_be_put_ends_nothing(hub: Hub) -> None:
+    sender = ros2dds.make_zero_sender(robot="r", given={})
+    sender.open()
+    hub.is_faulty = True
+    sender.send_zero()
+    hub.is_faulty = False
+    sender.send_zero()
+    assert len(hub.said) == 1

@@ -1,0 +1,119 @@
+"""A ROS 2 robot that has to stand: its stopper, its link that is back, and zeros of others."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+import zenoh
+
+from swarmd.core.values import Twist
+from swarmd.driver_api.driver import Stopping
+from swarmd.drivers.ros2 import dds_bridge as ros2dds
+from swarmd.drivers.ros2.session import open_session
+from swarmd.testing.driver_contract import CAP, Stage
+from tests.drivers.ros2 import robots
+from tests.drivers.ros2.robots import BridgedRobot
+from tests.drivers.ros2.stories import play, told
+from tests.support.processes import wait_until
+
+
+def test_a_stopper_can_say_zero_to_this_base() -> None:
+    robot = BridgedRobot()
+    driver = robot.make({})
+    assert isinstance(driver, Stopping)
+    spec = driver.zero_sender()
+    assert spec is not None
+    assert spec.maker == "swarmd.drivers.ros2.dds_bridge:make_zero_sender"
+    sender = ros2dds.make_zero_sender(**spec.options)  # type: ignore[arg-type]  # from JSON
+    sender.open()
+    taken: list[Twist] = []
+    while not taken:
+        sender.send_zero()
+        taken.extend(robot.commands())
+    assert all(twist.is_zero for twist in taken)
+    sender.close()
+    robot.close()
+
+
+def test_a_stopper_finds_a_base_that_comes_later() -> None:
+    robot = BridgedRobot()
+    robot.die()
+    sender = ros2dds.make_zero_sender(robot="r", given=dict(robot.options({})))
+    sender.open()
+    sender.send_zero()
+    robot.rise()
+    taken: list[Twist] = []
+    while not taken:
+        sender.send_zero()
+        taken.extend(robot.commands())
+    assert all(twist.is_zero for twist in taken)
+    sender.close()
+    robot.close()
+
+
+def test_a_stopper_connects_to_a_base_that_comes_later_before_it_has_to_say_zero() -> None:
+    robot = BridgedRobot()
+    robot.die()
+    sender = ros2dds.make_zero_sender(robot="r", given=dict(robot.options({})))
+    sender.open()
+    robot.rise()
+    wait_until(lambda: bool(robot.hub.info.transports()), "it is connected", CAP)
+    sender.close()
+    robot.close()
+
+
+def test_a_robot_whose_link_is_back_is_told_zero_though_its_sensors_are_silent() -> None:
+    robot = BridgedRobot()
+
+    async def story(stage: Stage) -> None:
+        for seq in range(3):
+            stage.driver.send(Twist(0.1), seq, seq)
+        while (await stage.command()).is_zero:
+            pass
+        robot.die()
+        await stage.until(lambda: not stage.heard.is_up)
+        robot.rise()
+        assert (await stage.command()).is_zero
+
+    play(robot, story)
+
+
+def test_zeros_of_someone_else_that_do_not_end_are_told_of() -> None:
+    robot = BridgedRobot()
+
+    async def story(stage: Stage) -> None:
+        began = asyncio.get_running_loop().time()
+
+        def is_told() -> bool:
+            robot.put("cmd_vel", robots.command(0.0))
+            return told(stage, "someone else tells this robot to stand", is_up=True)
+
+        await stage.until(is_told, speaking=True)
+        assert asyncio.get_running_loop().time() - began > 2.5, "a stopper of ours ends before"
+
+    play(robot, story)
+
+
+def test_its_session_is_closed_though_the_last_zero_cannot_be_sent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sessions: list[zenoh.Session] = []
+
+    def opened(endpoint: str) -> zenoh.Session | None:
+        session = open_session(endpoint)
+        sessions.extend([session] if session is not None else [])
+        return session
+
+    monkeypatch.setattr("swarmd.drivers.ros2.driver.open_session", opened)
+
+    async def story(stage: Stage) -> None:
+        def fail(twist: Twist) -> None:
+            raise RuntimeError("broken")
+
+        stage.driver.send(Twist(0.1), 1, 1)
+        monkeypatch.setattr(stage.driver, "_put", fail)
+        await stage.end()
+        assert [session.is_closed() for session in sessions] == [True]
+
+    play(BridgedRobot(), story)

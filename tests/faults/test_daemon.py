@@ -1,0 +1,249 @@
+"""A daemon that is killed, frozen, restarted or told to end, and the latch that outlives it."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from swarmd.core.clock import boottime
+from swarmd.core.messages import Code, Reason, State
+from swarmd.testing.driver_rig import is_running
+from tests.support.processes import wait_until
+
+if TYPE_CHECKING:
+    from tests.faults.conftest import Bench
+
+pytestmark = pytest.mark.integration
+
+QUIET = 0.5  # ten ticks without a command: nobody commands any more
+
+
+def await_silence(bench: Bench) -> float:
+    """When the last command arrived, once none has followed for half a second."""
+    commands = bench.body.commands
+    wait_until(lambda: boottime() - commands[-1].at > QUIET, "the commands end")
+    return commands[-1].at
+
+
+def freeze_while_held(bench: Bench) -> float:
+    """Freeze the daemon of a robot that runs but is held, and end what held it; when that was.
+
+    It would move with the next scan. A command that moves may not be on its way out just then:
+    the network would send it on at the thaw.
+    """
+    now = boottime()
+    bench.body.scans = lambda seq, stamp: None
+    held = bench.await_reason(Reason.STALE_SCAN, now)
+    zero = bench.body.wait_zero(held.at)
+    bench.daemon.freeze()
+    stat = Path(f"/proc/{bench.daemon.process.pid}/stat")
+    wait_until(lambda: stat.read_text().rpartition(")")[2].split()[0] == "T", "frozen")
+    bench.body.scans = bench.body.clear
+    assert held.status.state is State.RUNNING
+    assert not bench.body.moved_since(zero.at)
+    return boottime()
+
+
+def test_a_killed_daemon_takes_its_host_along_and_returns_idle(bench: Bench) -> None:
+    bench.start()
+    bench.drive()
+    before, host = bench.status(), bench.daemon.host_pid()
+
+    killed = boottime()
+    bench.daemon.kill()
+    wait_until(lambda: not is_running(host), "its pattern host is gone")
+    print(f"its host was gone after {boottime() - killed:.3f} s at most")
+    last = await_silence(bench)
+    print(f"its last command came {1e3 * (last - killed):.1f} ms after it was killed")
+
+    begun = bench.start()
+    after = bench.status()
+    assert (after.state, after.reason) == (State.IDLE, Reason.NEVER_ASKED)
+    assert after.instance != before.instance
+    late = bench.ask("run", epoch=before.epoch, pattern="drive", params={})
+    assert late.code is Code.REFUSED
+    assert "changed since you looked" in late.text
+    bench.moves_not(begun)
+    bench.drive()
+
+
+def test_a_killed_daemon_takes_even_a_host_along_that_hangs(bench: Bench) -> None:
+    bench.start()
+    moving = bench.drive("looper")
+    host = bench.daemon.host_pid()
+    bench.await_reason(Reason.COMMAND_EXPIRED, moving.at)
+    assert is_running(host)
+    bench.daemon.kill()
+    wait_until(lambda: not is_running(host), "its pattern host is gone")
+
+
+@pytest.mark.parametrize("seconds", [1.0, 3.0, 6.0, 10.0])
+def test_nothing_that_waited_for_a_frozen_daemon_moves_its_body(
+    bench: Bench, seconds: float
+) -> None:
+    bench.start()
+    bench.drive()
+    seen = bench.status().epoch
+
+    frozen = freeze_while_held(bench)
+    run = {"pattern": "drive", "params": {"speed": -0.1}}
+    asked = bench.operator.request("run", {bench.body.robot: seen}, run, timeout=0.3)
+    stopped = bench.operator.estop(args={"reason": "it does not answer"}, timeout=0.3)
+    assert asked.missing == stopped.missing == (bench.body.robot,)
+    wait_until(lambda: boottime() - frozen >= seconds, "long enough")
+
+    thawed = boottime()
+    bench.daemon.thaw()
+    first = bench.body.wait_zero(thawed)
+    bench.moves_not(frozen, scans=8)
+    status = bench.status()
+    bench.meet()
+    met = boottime()
+    print(
+        f"frozen for {thawed - frozen:.2f} s, zero {1e3 * (first.at - thawed):.1f} ms after the"
+        f" thaw, met again within {met - thawed:.1f} s:"
+        f" {status.state} ({status.reason}) {status.detail}"
+    )
+    assert (status.state, status.reason) in (
+        (State.STOPPED, Reason.LOOP_STALLED),
+        (State.ESTOPPED, Reason.ESTOP),
+    )
+    assert any("loop_stalled" in event.text for event in status.events)
+    assert status.epoch.revision > seen.revision
+    assert status.pattern is None
+    late = bench.ask("run", epoch=seen, pattern="drive", params={})
+    assert late.code is Code.REFUSED
+
+
+def test_an_estopped_daemon_that_is_killed_returns_estopped_until_it_is_reset(
+    bench: Bench,
+) -> None:
+    bench.start()
+    moving = bench.drive()
+    bench.halt("estop")
+    zero = bench.body.wait_zero(moving.at)
+    held = set(bench.status().latches)
+    bench.daemon.kill()
+
+    begun = bench.start()
+    status = bench.status()
+    assert (status.state, status.reason) == (State.ESTOPPED, Reason.ESTOP)
+    assert set(status.latches) == held
+    assert "by zoe@test: test" in status.detail
+    refused = bench.run("drive")
+    assert refused.code is Code.REFUSED
+    assert "reset it first" in refused.text
+    bench.moves_not(zero.at)
+
+    assert bench.ask("reset", ids=sorted(held)).code is Code.APPLIED
+    bench.moves_not(begun)
+    bench.drive()
+    bench.daemon.kill()
+    bench.start()
+    assert bench.status().state is State.IDLE
+
+
+def spoil(latches: Path) -> None:
+    latches.write_bytes(b"\x01\x93 not a latch record")
+
+
+def empty(latches: Path) -> None:
+    latches.write_bytes(b"")
+
+
+def obstruct(latches: Path) -> None:
+    latches.mkdir()
+
+
+@pytest.mark.parametrize("harm", [spoil, empty, obstruct])
+def test_a_latch_file_that_cannot_be_read_holds_the_robot_until_it_is_reset(
+    bench: Bench, harm: Callable[[Path], None]
+) -> None:
+    bench.state.mkdir(parents=True)
+    harm(bench.state / "latches")
+    begun = bench.start()
+    status = bench.status()
+    assert (status.state, status.reason) == (State.ESTOPPED, Reason.ESTOP)
+    assert "latches could not be read" in status.detail
+    assert "estopped until reset" in bench.daemon.text()
+    refused = bench.run("drive")
+    assert refused.code is Code.REFUSED
+    bench.moves_not(begun)
+    assert bench.ask("reset", ids=list(status.latches)).code is Code.APPLIED
+    bench.drive()
+
+
+def test_an_estop_that_cannot_be_written_down_latches_all_the_same(bench: Bench) -> None:
+    (bench.state / "latches.new").mkdir(parents=True)  # where it would be written first
+    bench.start()
+    moving = bench.drive()
+    ack = bench.halt("estop")
+    zero = bench.body.wait_zero(moving.at)
+    assert ack.text.startswith("commanded zero")
+    assert bench.status().state is State.ESTOPPED
+    assert "latched in memory only" in bench.daemon.text()
+    assert bench.run("drive").code is Code.REFUSED
+    bench.moves_not(zero.at)
+
+
+def test_sigterm_zeroes_says_left_and_ends_with_0(bench: Bench) -> None:
+    bench.start()
+    bench.drive()
+    host = bench.daemon.host_pid()
+
+    asked = boottime()
+    code = bench.daemon.terminate()
+    left = bench.witness.wait("left", lambda status: status.has_left, asked)
+    last = await_silence(bench)
+    print(f"said left after {left.at - asked:.3f} s, last command after {last - asked:.3f} s")
+    assert code == 0
+    assert (left.status.state, left.status.reason) == (State.STOPPED, Reason.LEAVING)
+    zero = bench.body.wait_zero(asked)
+    assert not bench.body.moved_since(zero.at)
+    assert bench.body.commands[-1].twist.is_zero
+    wait_until(lambda: not is_running(host), "its pattern host is gone")
+    assert "Traceback" not in bench.daemon.text()
+
+
+def test_systemd_is_told_that_it_is_ready_alive_and_leaving(bench: Bench, tmp_path: Path) -> None:
+    path = str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(path)
+        systemd.settimeout(30.0)
+        begun = time.monotonic()
+        bench.start({"NOTIFY_SOCKET": path, "WATCHDOG_USEC": "2000000"})
+        assert systemd.recv(100) == b"READY=1"
+        print(f"ready within {time.monotonic() - begun:.3f} s")
+        assert systemd.recv(100) == b"WATCHDOG=1"
+        assert bench.daemon.terminate() == 0
+        said = systemd.recv(100)
+        while said == b"WATCHDOG=1":
+            said = systemd.recv(100)
+        assert said == b"STOPPING=1"
+
+
+def test_a_frozen_daemon_does_not_ping_the_watchdog(bench: Bench, tmp_path: Path) -> None:
+    path = str(tmp_path / "notify")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
+        systemd.bind(path)
+        bench.start({"NOTIFY_SOCKET": path, "WATCHDOG_USEC": "2000000"})
+        bench.daemon.freeze()
+        systemd.setblocking(False)
+        drain(systemd)
+        systemd.settimeout(1.5)
+        with pytest.raises(TimeoutError):
+            systemd.recv(100)
+
+
+def drain(receiver: socket.socket) -> None:
+    """Read what has been said so far."""
+    try:
+        while receiver.recv(100):
+            pass
+    except BlockingIOError:
+        return

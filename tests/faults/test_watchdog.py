@@ -1,0 +1,293 @@
+"""A guardian killed and frozen, its base without a timeout, and the stopper between them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import os
+import signal
+import subprocess
+import time
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+import pytest
+
+from swarmd.core.clock import boottime
+from swarmd.core.errors import DriverError
+from swarmd.core.messages import Code, Reason, State
+from swarmd.driver_api.driver import SenderSpec
+from swarmd.driver_api.watchdog import AT_LEAST, name_of
+from swarmd.driver_api.watchdog_client import StopperProcess
+from swarmd.drivers.simulated import SimulatedDriver
+from swarmd.testing.driver_rig import is_running
+from tests.support.fake_body import Commanded
+from tests.support.processes import stoppers, unique_swarm, wait_until
+
+if TYPE_CHECKING:
+    from tests.faults.conftest import Bench
+
+pytestmark = pytest.mark.integration
+
+WITHIN = 0.6
+"""Seconds within which a base without a timeout is told to stand; on a starved machine later."""
+SLACK = 1.0
+
+
+@pytest.fixture
+def guarded(bench: Bench) -> Bench:
+    """A robot whose base keeps its last command for ever; its daemon is ready."""
+    bench.driver_options = {"deadman": "none"}
+    bench.start()
+    return bench
+
+
+def stopper_of(bench: Bench) -> int:
+    (pid,) = stoppers(bench.swarm, bench.body.robot)
+    return pid
+
+
+def zeros_since(bench: Bench, since: float) -> list[Commanded]:
+    return [one for one in bench.body.commands if one.at > since and one.twist.is_zero]
+
+
+def await_steady_zeros(bench: Bench, since: float, seconds: float) -> float:
+    """Wait for `seconds` of zeros; seconds from `since` to the first, which must be followed."""
+    first = bench.body.wait_zero(since)
+    wait_until(lambda: bench.body.commands[-1].at - first.at > seconds, "zeros for long enough")
+    zeros = zeros_since(bench, since)
+    widest = max(b.at - a.at for a, b in pairwise(zeros))
+    print(f"zero after {first.at - since:.3f} s, then one each {widest:.3f} s at the most")
+    assert not bench.body.moved_since(first.at)
+    assert widest < SLACK
+    return first.at - since
+
+
+def test_a_killed_guardian_leaves_a_stopper_that_stops_the_base(guarded: Bench) -> None:
+    guarded.drive()
+    stopper = stopper_of(guarded)
+    killed = boottime()
+    guarded.daemon.kill()
+    assert await_steady_zeros(guarded, killed, 3.0) < WITHIN + SLACK
+    assert is_running(stopper), "it sends until the guardian is back"
+
+
+def test_a_guardian_that_is_back_relieves_the_stopper_of_the_one_before(guarded: Bench) -> None:
+    guarded.drive()
+    before = stopper_of(guarded)
+    guarded.daemon.kill()
+    guarded.start()
+    moving = guarded.drive()  # at once: the last zero has been said
+    wait_until(lambda: not is_running(before), "the first stopper has ended")
+    assert stopper_of(guarded) != before
+    guarded.body.wait(lambda one: one.at > moving.at + 1.0)
+    assert not zeros_since(guarded, moving.at), "nobody else says zero"
+
+
+def test_signals_meant_for_everyone_leave_the_stopper_at_its_post(guarded: Bench) -> None:
+    guarded.drive()
+    stopper = stopper_of(guarded)
+    assert os.getsid(stopper) != os.getsid(guarded.daemon.process.pid), "Ctrl-C"
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
+        os.kill(stopper, number)
+    signalled = boottime()
+    guarded.body.wait(lambda one: one.at > signalled + 1.0)
+    assert is_running(stopper)
+    assert not zeros_since(guarded, signalled), "its guardian lives and drives on"
+    killed = boottime()
+    guarded.daemon.kill()
+    guarded.body.wait_zero(killed)
+    wait_until(lambda: not is_running(stopper), "it was asked to end, and has")
+    assert zeros_since(guarded, killed)[-1].at - killed > 1.5
+
+
+def test_a_frozen_guardian_is_stopped_for_and_thawed_it_does_not_move(guarded: Bench) -> None:
+    guarded.drive()
+    stopper = stopper_of(guarded)
+    frozen = boottime()
+    guarded.daemon.freeze()
+    try:
+        after = await_steady_zeros(guarded, frozen, 3.0)
+    finally:
+        thawed = boottime()
+        guarded.daemon.thaw()
+    assert 0.3 < after < WITHIN + SLACK
+    stalled = guarded.await_state(State.STOPPED, Reason.LOOP_STALLED, thawed)
+    assert not guarded.body.moved_since(stalled.at)
+    assert stopper_of(guarded) == stopper, "it is the same, and serves on"
+    guarded.meet()
+    moving = guarded.drive()
+    guarded.body.wait(lambda one: one.at > moving.at + 0.5)
+    wait_until(lambda: guarded.body.commands[-1].twist.linear > 0.0, "it drives on undisturbed")
+
+
+def test_a_guardian_that_is_back_before_the_zeros_end_says_zero_too(guarded: Bench) -> None:
+    guarded.drive()
+    frozen = boottime()
+    guarded.daemon.freeze()
+    try:
+        first = guarded.body.wait_zero(frozen)
+    finally:
+        guarded.daemon.thaw()
+    guarded.body.wait(lambda one: one.at > first.at + AT_LEAST + 0.5)
+    meanwhile = [one for one in guarded.body.commands if 0.0 < one.at - first.at < AT_LEAST - 0.1]
+    moving = [one for one in meanwhile if not one.twist.is_zero]
+    assert len(moving) <= 1, "but for one that was on its way when the guardian froze"
+    wait_until(lambda: not guarded.body.commands[-1].twist.is_zero, "it drives on", 10.0)
+
+
+def test_told_to_end_it_says_zero_for_two_seconds_and_is_gone(guarded: Bench) -> None:
+    guarded.drive()
+    stopper = stopper_of(guarded)
+    assert guarded.daemon.terminate() == 0
+    ended = boottime()
+    wait_until(lambda: not is_running(stopper), "its stopper is gone")
+    gone = boottime()
+    print(f"gone {gone - ended:.2f} s after the guardian")
+    assert zeros_since(guarded, ended)[-1].at - ended > 1.0
+    assert not guarded.body.moved_since(ended)
+    assert gone - ended < 10.0
+
+
+def test_a_stopper_whose_guardian_was_killed_ends_upon_sigterm(guarded: Bench) -> None:
+    guarded.drive()
+    stopper = stopper_of(guarded)
+    guarded.daemon.kill()
+    killed = boottime()
+    os.kill(stopper, signal.SIGTERM)
+    wait_until(lambda: not is_running(stopper), "its stopper is gone")
+    assert zeros_since(guarded, killed)[-1].at - killed > 1.5
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_without_its_stopper_the_robot_stands_until_there_is_one_again(
+    guarded: Bench, number: signal.Signals
+) -> None:
+    guarded.drive()
+    stopper = stopper_of(guarded)
+    harmed = boottime()
+    os.kill(stopper, number)
+    try:
+        zero = guarded.body.wait_zero(harmed)
+        lost = guarded.await_event("driver: the stopper ", harmed)
+        print(f"zero {zero.at - harmed:.3f} s after the stopper was harmed, {lost.status.reason}")
+        guarded.witness.wait("up again", lambda status: status.health.driver_up, lost.at)
+        wait_until(lambda: guarded.run("drive").code is Code.APPLIED, "it can be run again")
+        guarded.body.wait_moving(lost.at)
+        assert stopper_of(guarded) != stopper
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(stopper, signal.SIGKILL)
+
+
+def test_the_driver_refuses_to_start_without_its_stopper(bench: Bench) -> None:
+    bench.driver_options = {"deadman": "none"}
+    broken = {"PYTHONPATH": f"{bench.folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    (bench.folder / "sitecustomize.py").write_text(BROKEN)
+    bench.spawn(broken).wait_ready()
+    wait_until(lambda: "no stopper" in bench.daemon.text(), "it says why")
+    assert not bench.status().health.driver_up
+    assert "no connection to be had" in bench.status().health.driver
+    assert not bench.body.moved_since(0.0)
+
+
+BROKEN = """
+import sys
+if "swarmd.driver_api.watchdog" in " ".join(sys.orig_argv):
+    from swarmd.drivers.simulated import SimulatedZeros
+    from swarmd.core.errors import DriverError
+    def refuse(self):
+        raise DriverError("no connection to be had")
+    SimulatedZeros.open = refuse
+"""
+
+
+def test_a_zero_that_cannot_be_sent_is_followed_by_others(bench: Bench) -> None:
+    bench.driver_options = {"deadman": "none"}
+    shaky = {"PYTHONPATH": f"{bench.folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    (bench.folder / "sitecustomize.py").write_text(SHAKY)
+    bench.start(shaky)
+    bench.drive()
+    killed = boottime()
+    bench.daemon.kill()
+    await_steady_zeros(bench, killed, 1.0)
+    assert bench.daemon.text().count("a zero could not be sent: not yet") == 1
+
+
+SHAKY = """
+import sys
+if "swarmd.driver_api.watchdog" in " ".join(sys.orig_argv):
+    from swarmd.drivers.simulated import SimulatedZeros
+    send, failed = SimulatedZeros.send_zero, []
+    def send_later(self):
+        if len(failed) < 3:
+            failed.append(1)
+            raise ValueError("not yet")
+        send(self)
+    SimulatedZeros.send_zero = send_later
+"""
+
+
+def test_a_silent_daemon_leaves_an_idle_robot_alone_and_no_other(bench: Bench) -> None:
+    bench.driver_options = {"deadman": 0.5, "idle_output": "silent"}
+    bench.start()
+    commands = bench.body.commands
+    wait_until(lambda: bool(commands), "its first zeros")
+    wait_until(lambda: boottime() - commands[-1].at > 1.0, "then nothing more")
+    assert all(one.twist.is_zero for one in commands)
+    bench.drive()
+    bench.halt("stop")
+    stopped = bench.body.wait_zero(boottime())
+    wait_until(lambda: commands[-1].at - stopped.at > 2.0, "who is stopped is told zero")
+    assert not bench.body.moved_since(stopped.at)
+    assert not stoppers(bench.swarm, bench.body.robot), "a base with a timeout needs none"
+
+
+def test_who_is_at_work_is_not_relieved_and_who_is_silent_is() -> None:
+    where = {"swarm": "s", "robot": "r", "endpoint": "tcp/127.0.0.1:9"}
+    spec = SenderSpec(SimulatedDriver.__module__ + ":SimulatedZeros", where)
+    name = name_of(unique_swarm(), "r")
+
+    async def feed(stopper: StopperProcess) -> None:
+        while True:
+            stopper.feed()
+            await asyncio.sleep(0.05)
+
+    async def meet() -> None:
+        made = [StopperProcess(spec, name=name)]
+        try:
+            await made[0].start()
+            feeding = asyncio.create_task(feed(made[0]))
+            made.append(StopperProcess(spec, name=name))
+            with pytest.raises(DriverError, match="another daemon on this machine drives this"):
+                await made[1].start()
+            feeding.cancel()
+            made.append(StopperProcess(spec, name=name))
+            await made[2].start()
+        finally:
+            for stopper in made:
+                stopper.close()
+
+    asyncio.run(meet())
+
+
+def test_what_it_is_tied_to_ends_it_although_its_guardian_never_returns() -> None:
+    where = {"swarm": "s", "robot": "r", "endpoint": "tcp/127.0.0.1:9"}
+    spec = SenderSpec(SimulatedDriver.__module__ + ":SimulatedZeros", where)
+    parent = subprocess.Popen(["sleep", "600"])
+
+    async def leave_without_a_word() -> int:
+        stopper = StopperProcess(spec, name=None, tie=parent.pid)
+        await stopper.start()
+        stopper.feed()
+        stopper.hang_up()
+        return stopper.pid
+
+    try:
+        pid = asyncio.run(leave_without_a_word())
+        time.sleep(AT_LEAST + 0.5)
+        assert is_running(pid)
+    finally:
+        parent.kill()
+        parent.wait()
+    wait_until(lambda: not is_running(pid), "it has ended with its parent")

@@ -1,0 +1,129 @@
+"""Runs of any pattern that end by a condition: idle, finished, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from swarmd.core.host_messages import Load
+from swarmd.core.messages import Code, Reason, State
+from swarmd.core.values import Inputs, Scalar, Twist
+from swarmd.pattern_host.wire import decode_command, encode_command
+from swarmd.settings.settings import load_platform
+from swarmd.testing.scans import Disc, scan_of
+from tests.support.robot_harness import Story
+from tests.support.stub_patterns import PATTERNS, Forward, standing_state
+
+WAFFLE = load_platform("waffle_pi")
+
+
+class Counter(Forward):
+    """Drives, and reports a word that changes twice."""
+
+    count = 0
+
+    def drive(self, inputs: Inputs) -> Twist:
+        self.count += 1
+        return Twist(0.05)
+
+    def report(self) -> Mapping[str, Scalar]:
+        return {"word": "abc"[min(self.count // 10, 2)]}
+
+
+class Fragile(Counter):
+    """Fails once."""
+
+    def drive(self, inputs: Inputs) -> Twist:
+        if inputs.now < 1001.2:
+            raise RuntimeError("not yet")
+        return super().drive(inputs)
+
+
+def story_of(until: Any, pattern: str = "counter") -> Story:
+    story = Story(patterns={**PATTERNS, "counter": Counter, "fragile": Fragile})
+    story.advance(1.0)
+    story.reply = story.ask("run", pattern=pattern, until=until)  # type: ignore[attr-defined]
+    return story
+
+
+def seconds_until_idle(story: Story) -> float:
+    began = story.now
+    while story.status.state is State.RUNNING and story.now < began + 30.0:
+        story.advance(0.05)
+    return story.now - began
+
+
+def test_time_ends_it() -> None:
+    story = story_of(["timeout:2"])
+    assert seconds_until_idle(story) == pytest.approx(2.0, abs=0.2)
+    assert standing_state(story) == (State.IDLE, Reason.FINISHED)
+    assert story.status.detail == "until 2 s have passed"
+    assert story.twist.is_zero
+
+
+def test_what_it_reports_ends_it_once_it_has_settled() -> None:
+    story = story_of(["settled:word:3"])
+    # Twenty steps of 0.1 s or less pass before the last change.
+    assert 3.0 <= seconds_until_idle(story) <= 5.3
+    assert story.status.detail == "until word settled for 3 s"
+
+
+def test_what_it_reports_ends_it_at_a_value() -> None:
+    story = story_of(["report:word=b"])
+    assert seconds_until_idle(story) < 1.5
+    assert story.status.detail == "until word is b"
+
+
+def test_an_obstacle_ends_it() -> None:
+    story = story_of(["nearer:0.5"])
+    story.advance(2.0)
+    assert story.status.state is State.RUNNING
+    near = scan_of(WAFFLE, [Disc(-0.5, 0.0)])
+    story.scans = lambda seq, now: replace(near, seq=seq, stamp=now)
+    assert seconds_until_idle(story) < 1.0
+    assert story.status.detail == "until something is nearer than 0.5 m"
+
+
+def test_of_several_the_first_ends_it() -> None:
+    story = story_of(["timeout:9", "report:word=c", "settled:word:8"])
+    assert seconds_until_idle(story) < 3.0
+    assert standing_state(story) == (State.IDLE, Reason.FINISHED)
+
+
+def test_a_pattern_that_is_done_before_says_so_itself() -> None:
+    story = story_of(["done", "timeout:9"], "finisher")
+    seconds_until_idle(story)
+    assert story.status.detail == "arrived"
+
+
+def test_it_holds_also_after_the_pattern_failed_and_was_loaded_again() -> None:
+    story = story_of(["timeout:2"], "fragile")
+    assert seconds_until_idle(story) < 4.0
+    assert standing_state(story) == (State.IDLE, Reason.FINISHED)
+
+
+@pytest.mark.parametrize(
+    ("until", "words"),
+    [
+        (["setled:opinion:5"], "no condition 'setled'; did you mean 'settled'?"),
+        (["nearer:-1"], "'-1' is no number above 0"),
+        ("done", "until is 'done'; wanted a list"),
+        ([1], "until holds what is no condition"),
+    ],
+)
+def test_what_is_no_condition_is_refused_and_nothing_moves(until: Any, words: str) -> None:
+    story = story_of(until)
+    reply = story.reply  # type: ignore[attr-defined]
+    assert reply.code is Code.REFUSED
+    assert words in reply.text
+    assert standing_state(story) == (State.IDLE, Reason.NEVER_ASKED)
+
+
+def test_the_host_is_told() -> None:
+    load = Load(3, "drive", (), "r1", WAFFLE, 5, until=("done", "timeout:3"))
+    again, _ = decode_command(encode_command(load, {}))
+    assert isinstance(again, Load)
+    assert again.until == ("done", "timeout:3")

@@ -1,0 +1,268 @@
+"""Voting windows and majorities, with times handed in."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from swarmd.kit.vote_windows import (
+    ROUNDS,
+    Ballot,
+    Rounds,
+    SlidingWindow,
+    VoteWindow,
+    majority,
+    read_ballot,
+    read_opinion,
+    tally,
+)
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(0)
+
+
+def test_a_window_is_open_until_its_length_has_passed() -> None:
+    window = VoteWindow(5.0, now=10.0)
+    assert window.close(14.999) is None
+    assert window.close(15.0) == {}
+
+
+def test_a_window_gives_the_latest_vote_of_each_sender() -> None:
+    window = VoteWindow(5.0, now=0.0)
+    for sender, opinion, heard_at in (("a", 1, 1.0), ("b", 2, 1.0), ("a", 3, 2.0), ("b", 9, 0.5)):
+        window.add(sender, opinion, heard_at)
+    assert window.close(5.0) == {"a": 3, "b": 2}
+
+
+def test_windows_tumble_and_share_no_vote() -> None:
+    window = VoteWindow(5.0, now=0.0)
+    window.add("a", 1, 4.9)
+    assert window.close(5.0) == {"a": 1}
+    assert window.close(9.9) is None
+    assert window.close(10.0) == {}
+
+
+def test_windows_stay_in_step_when_they_are_closed_late() -> None:
+    window = VoteWindow(5.0, now=0.0)
+    assert window.close(7.0) == {}
+    assert window.close(9.9) is None
+    assert window.close(10.0) == {}
+
+
+def test_windows_that_ended_unseen_are_closed_as_one() -> None:
+    window = VoteWindow(5.0, now=0.0)
+    assert window.close(3607.0) == {}
+    assert window.close(3607.5) is None
+    assert window.close(3610.0) == {}
+
+
+@pytest.mark.parametrize(("heard_at", "counts"), [(2.0, True), (1.9, False)])
+def test_a_vote_expires(heard_at: float, counts: bool) -> None:
+    window = VoteWindow(5.0, now=0.0, expiry=3.0)
+    window.add("a", 1, heard_at)
+    assert window.close(5.0) == ({"a": 1} if counts else {})
+
+
+def test_the_first_window_may_end_early_and_the_others_follow_it() -> None:
+    window = VoteWindow(5.0, now=0.0, first=0.4)
+    closed = [now for now in np.arange(0.0, 16.0, 0.5).tolist() if window.close(now) is not None]
+    assert closed == [2.0, 7.0, 12.0]
+
+
+@pytest.mark.parametrize(("heard_at", "counts"), [(5.0, True), (4.9, False)])
+def test_a_vote_that_was_heard_before_the_window_opened_does_not_count(
+    heard_at: float, counts: bool
+) -> None:
+    window = VoteWindow(5.0, now=0.0)
+    window.close(5.0)
+    window.add("a", 1, heard_at)
+    assert window.close(10.0) == ({"a": 1} if counts else {})
+
+
+def test_a_vote_is_forgotten_with_its_sender() -> None:
+    for window in (VoteWindow(1.0, now=0.0), SlidingWindow(1.0, 1.0, now=0.0)):
+        window.add("a", 1, 0.5)
+        window.add("b", 2, 0.5)
+        window.forget("a")
+        window.forget("nobody")
+        assert window.close(1.0) == {"b": 2}
+
+
+def test_a_ballot_is_a_vote_in_any_window() -> None:
+    window = VoteWindow(1.0, now=0.0)
+    window.add_ballot("a", Ballot(17, 2, 1), 0.5)
+    assert window.close(1.0) == {"a": 2}
+
+
+def test_a_sliding_window_counts_a_vote_again_until_it_is_too_old() -> None:
+    window = SlidingWindow(3.0, 1.0, now=0.0)
+    window.add("a", 1, 0.5)
+    assert window.close(0.9) is None
+    assert [window.close(now) for now in (1.0, 2.0, 3.0, 3.4)] == [{"a": 1}] * 3 + [None]
+    assert [window.close(now) for now in (4.0, 5.0)] == [{}, {}]
+
+
+def test_a_sliding_window_counts_the_latest_vote_of_a_sender() -> None:
+    window = SlidingWindow(3.0, 1.0, now=0.0)
+    window.add("a", 1, 0.5)
+    assert window.close(1.0) == {"a": 1}
+    window.add("a", 2, 1.5)
+    window.add("a", 3, 1.2)
+    assert window.close(2.0) == {"a": 2}
+
+
+def test_in_a_sliding_window_too_votes_expire() -> None:
+    window = SlidingWindow(5.0, 1.0, now=0.0, expiry=2.0)
+    window.add("a", 1, 0.5)
+    assert [window.close(now) for now in (2.5, 3.5)] == [{"a": 1}, {}]
+
+
+def test_the_first_period_of_a_sliding_window_may_be_shorter() -> None:
+    window = SlidingWindow(5.0, 1.0, now=0.0, first=0.5)
+    closed = [now for now in np.arange(0.0, 3.1, 0.25).tolist() if window.close(now) is not None]
+    assert closed == [0.5, 1.5, 2.5]
+
+
+def rounds(*heard: tuple[str, int, int, int], number: int = 0, expiry: float = 3.0) -> Rounds:
+    """Rounds of 1 to 5 s that begin at 0 s, with the ballots heard at 0.5 s."""
+    made = Rounds(5.0, 1.0, now=0.0, expiry=expiry)
+    made.round = number
+    for sender, *ballot in heard:
+        made.add_ballot(sender, Ballot(*ballot), 0.5)
+    return made
+
+
+def test_a_round_ends_when_all_have_voted_but_not_before_the_pause() -> None:
+    one = rounds(("a", 0, 1, 1), ("b", 0, 2, 2))
+    assert one.close(0.9) is None
+    assert one.close(1.0) == {"a": 1, "b": 2}
+    assert one.round == 1
+    assert one.close(2.0) is None
+
+
+def test_a_round_waits_for_those_behind_until_its_time_is_over() -> None:
+    one = rounds(("a", 4, 1, 1), ("b", 3, 2, 2), number=4, expiry=60.0)
+    assert one.close(4.9) is None
+    assert one.close(5.0) == {"a": 1}
+    assert one.round == 5
+
+
+def test_nobody_waits_for_one_that_was_not_heard_for_long() -> None:
+    one = rounds(("gone", 3, 2, 2), number=4)
+    one.add_ballot("a", Ballot(4, 1, 1), 3.0)
+    assert one.close(3.5) is None
+    assert one.close(3.6) == {"a": 1}
+
+
+def test_nobody_waits_for_one_that_has_left() -> None:
+    one = rounds(("a", 4, 1, 1), ("b", 3, 2, 2), number=4)
+    one.forget("b")
+    assert one.close(1.0) == {"a": 1}
+
+
+def test_one_that_is_a_round_ahead_has_said_its_vote_of_this_round() -> None:
+    one = rounds(("a", 5, 2, 1), ("b", 4, 2, 0), number=4)
+    assert one.close(1.0) == {"a": 1, "b": 2}
+
+
+def test_a_ballot_of_an_earlier_round_comes_late() -> None:
+    one = rounds(("a", 4, 1, 1), number=4)
+    one.add_ballot("a", Ballot(3, 2, 2), 0.6)
+    assert one.close(1.0) == {"a": 1}
+
+
+def test_a_ballot_that_is_heard_twice_counts_once_and_the_latest_counts() -> None:
+    one = rounds(("a", 0, 1, 1), ("a", 0, 1, 1))
+    one.add_ballot("a", Ballot(0, 2, 1), 0.7)
+    one.add_ballot("a", Ballot(0, 0, 1), 0.6)
+    assert one.close(1.0) == {"a": 2}
+
+
+def test_one_that_has_fallen_behind_catches_up_without_a_decision() -> None:
+    one = rounds(("a", 9, 1, 1), ("b", 9, 1, 1), ("c", 0, 2, 2))
+    assert one.close(1.0) == {}
+    assert one.round == 9
+    one.add_ballot("c", Ballot(9, 2, 2), 1.5)
+    assert one.close(2.0) == {"a": 1, "b": 1, "c": 2}
+
+
+@pytest.mark.parametrize("wild", [2, 30000, ROUNDS // 2 - 1])
+def test_one_of_many_that_names_a_wild_round_is_neither_followed_nor_waited_for(wild: int) -> None:
+    one = rounds(("wild", wild, 0, 0), ("a", 0, 1, 1), ("b", 0, 2, 2))
+    assert one.close(1.0) == {"a": 1, "b": 2}
+    assert one.round == 1
+
+
+def test_rounds_are_counted_past_their_last_number() -> None:
+    one = rounds(("a", 0, 2, 1), number=ROUNDS - 1)
+    assert one.close(1.0) == {"a": 1}
+    assert one.round == 0
+
+
+def test_the_vote_of_one_that_knows_no_rounds_holds_in_each() -> None:
+    one = rounds(("a", 0, 1, 1))
+    one.add("b", 2, 0.5)
+    assert one.close(1.0) == {"a": 1, "b": 2}
+    one.add_ballot("a", Ballot(1, 1, 1), 1.5)
+    assert one.close(2.0) == {"a": 1, "b": 2}
+
+
+def test_a_round_with_no_votes_ends_too() -> None:
+    one = rounds()
+    assert one.close(4.9) is None
+    assert one.close(5.0) == {}
+
+
+def test_a_tally_names_the_most_frequent_first() -> None:
+    assert list(tally([3, 1, 2, 2, 3, 3, 1]).items()) == [(3, 3), (1, 2), (2, 2)]
+
+
+@pytest.mark.parametrize("ties", ["random", "keep", "lowest"])
+def test_a_clear_majority_wins_whatever_the_rule_for_ties(ties: str) -> None:
+    assert majority([1, 2, 2], 0, ties=ties, rng=rng()) == 2  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("ties", ["random", "keep", "lowest"])
+def test_without_votes_nothing_changes(ties: str) -> None:
+    assert majority([], 4, ties=ties, rng=rng()) == 4  # type: ignore[arg-type]
+
+
+def test_a_tie_keeps_the_current_opinion_even_if_it_is_not_among_the_equals() -> None:
+    assert majority([1, 2], 0, ties="keep", rng=rng()) == 0
+
+
+def test_a_tie_goes_to_the_lowest() -> None:
+    assert majority([2, 1], 0, ties="lowest", rng=rng()) == 1
+
+
+def test_a_tie_goes_to_each_of_the_equals_as_often() -> None:
+    chance = rng()
+    counts = tally(majority([1, 1, 2, 2, 3], 0, ties="random", rng=chance) for _ in range(1000))
+    # Binomial: 500 +- 16, four standard deviations.
+    assert set(counts) == {1, 2}
+    assert all(436 <= count <= 564 for count in counts.values())
+
+
+@pytest.mark.parametrize(
+    ("value", "opinion"),
+    [(0, 0), (2, 2), (3, None), (-1, None), (True, None), (1.0, None), ("1", None), (None, None)],
+)
+def test_only_whole_numbers_within_range_are_opinions(value: object, opinion: int | None) -> None:
+    assert read_opinion(value, 3) == opinion
+
+
+def test_a_ballot_is_three_numbers_in_range() -> None:
+    assert read_ballot([0, 2, 1], 3) == Ballot(0, 2, 1)
+    assert read_ballot([ROUNDS - 1, 0, 0], 3) == Ballot(ROUNDS - 1, 0, 0)
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        *([], [0, 1], [0, 1, 2, 0], [-1, 0, 0], [ROUNDS, 0, 0], [0, 3, 0], [0, 0, -1]),
+        *([0.0, 1, 1], [True, 1, 1], [0, None, 1], [[0], 1, 1], ["0", "1", "1"], "012", 7, None),
+    ],
+)
+def test_what_is_no_ballot_is_nothing(value: object) -> None:
+    assert read_ballot(value, 3) is None

@@ -1,0 +1,224 @@
+"""What all voting patterns share: windows of each kind, sharing, what harms nobody."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.core.values import Inputs, Message, Neighbor, Value
+from swarmd.kit.behavior import Context
+from swarmd.kit.vote_windows import ROUNDS, Windows
+from swarmd.kit.voting_pattern import VotingParams, VotingPattern
+from swarmd.settings.settings import load_platform
+from tests.support.voting_sim import Air, Parliament
+
+PLATFORM = load_platform("burger")
+
+
+class Listener(VotingPattern[VotingParams]):
+    """Remembers what it was asked to decide on, and adopts the highest."""
+
+    asked: Mapping[str, int] | None = None
+
+    def decide(self, heard: Mapping[str, int]) -> int:
+        self.asked = dict(heard)
+        return max(heard.values())
+
+
+class Desk:
+    """One listener, stepped every 0.1 s, and what it said."""
+
+    def __init__(self, windows: Windows = "tumbling", **params: object) -> None:
+        given = {"initial": 0, "staggered": False, "expiry": 60.0, **params}
+        made = VotingParams(windows=windows, **given)  # type: ignore[arg-type]
+        self.pattern = Listener(made, Context("me", PLATFORM, np.random.default_rng(0)))
+        self.now = 100.0
+        self.said: list[tuple[float, str, Value]] = []
+        self.report: Mapping[str, object] = {}
+
+    def step(self, *heard: tuple[str, Value], age: float = 0.0, near: tuple[str, ...] = ()) -> None:
+        """A step in which this was heard: a list is a ballot, all else an opinion."""
+        messages = tuple(
+            Message(sender, "ballot" if isinstance(value, list) else "opinion", value, age)
+            for sender, value in heard
+        )
+        neighbors = tuple(Neighbor(name, 0.1) for name in near)
+        inputs = Inputs(round(self.now, 3), 0.1, neighbors=neighbors, messages=messages)
+        outputs = self.pattern.step(inputs)
+        self.report = outputs.report
+        self.said += [(self.now - 100.0, key, value) for key, value in outputs.messages.items()]
+        self.now += 0.1
+
+    def wait(self, seconds: float, near: tuple[str, ...] = ()) -> None:
+        for _ in range(round(seconds / 0.1)):
+            self.step(near=near)
+
+
+KINDS: tuple[Windows, ...] = ("tumbling", "sliding", "rounds")
+WORDS: tuple[Value, ...] = (-1, 3, 2**70, True, 1.0, "1", None, b"1", {"opinion": 1})
+LISTS: tuple[Any, ...] = (
+    *([], [1], [0, 1], [0, 3, 0], [0, 1, 3]),
+    *([-1, 1, 1], [ROUNDS, 1, 1], [0, 1.0, 1], [0, 1, "1"]),
+)
+
+
+@pytest.mark.parametrize("windows", KINDS)
+def test_garbage_is_no_vote(windows: Windows) -> None:
+    desk = Desk(windows)
+    desk.step()
+    desk.step(*[(f"bad-{number}", value) for number, value in enumerate((*WORDS, *LISTS))])
+    desk.wait(11.0)
+    assert desk.pattern.asked is None
+    assert desk.pattern.opinion == 0
+
+
+@pytest.mark.parametrize("windows", KINDS)
+def test_its_own_echo_is_no_vote(windows: Windows) -> None:
+    desk = Desk(windows)
+    desk.step()
+    desk.step(("me", 2), ("me", [0, 2, 2]))
+    desk.wait(6.0)
+    assert desk.pattern.asked is None
+
+
+@pytest.mark.parametrize("windows", KINDS)
+@pytest.mark.parametrize("count_own", [False, True])
+def test_the_own_opinion_counts_if_told_so_and_is_not_among_the_heard(
+    windows: Windows, count_own: bool
+) -> None:
+    desk = Desk(windows, count_own=count_own)
+    desk.step()
+    desk.step(("b", 1), ("b", 1), ("c", 2))
+    desk.wait(5.0 if windows == "tumbling" else 1.0)
+    assert desk.pattern.asked == {"b": 1, "c": 2, **({"me": 0} if count_own else {})}
+    assert desk.report["heard"] == 2
+
+
+@pytest.mark.parametrize("windows", KINDS)
+def test_the_own_opinion_alone_decides_nothing(windows: Windows) -> None:
+    desk = Desk(windows, count_own=True)
+    desk.wait(11.0)
+    assert desk.pattern.asked is None
+
+
+@pytest.mark.parametrize("windows", KINDS)
+@pytest.mark.parametrize("near", [("b", "c"), ("c",)])
+def test_a_vote_goes_with_its_sender(windows: Windows, near: tuple[str, ...]) -> None:
+    desk = Desk(windows)
+    desk.step(near=("b", "c"))
+    desk.step(("b", 2), ("c", 1), near=("b", "c"))
+    desk.wait(5.0 if windows == "tumbling" else 1.0, near=near)
+    assert desk.pattern.asked == ({"b": 2, "c": 1} if "b" in near else {"c": 1})
+
+
+@pytest.mark.parametrize(("age", "asked"), [(2.8, {"b": 2}), (3.1, None)])
+@pytest.mark.parametrize("windows", ["sliding", "rounds"])
+def test_a_message_that_waited_for_long_is_as_old_as_it_is(
+    windows: Windows, age: float, asked: Mapping[str, int] | None
+) -> None:
+    desk = Desk(windows, expiry=3.0)
+    desk.wait(0.9)
+    desk.step(("b", 2), age=age)
+    desk.now = 101.0
+    desk.step()
+    assert desk.pattern.asked == asked
+
+
+def test_a_message_older_than_the_window_is_of_an_earlier_one() -> None:
+    desk = Desk()
+    desk.wait(5.1)
+    desk.step(("b", 2), age=0.5)
+    desk.step(("c", 1))
+    desk.wait(5.0)
+    assert desk.pattern.asked == {"c": 1}
+
+
+def test_a_vote_for_what_is_no_opinion_any_more_does_not_count() -> None:
+    desk = Desk()
+    desk.step()
+    desk.step(("b", 2), ("c", 1))
+    desk.pattern.update(VotingParams(opinions=2, initial=0, staggered=False, expiry=60.0))
+    desk.wait(5.0)
+    assert desk.pattern.asked == {"c": 1}
+
+
+@pytest.mark.parametrize("windows", ["tumbling", "sliding"])
+def test_who_goes_by_rounds_is_heard_by_those_who_do_not(windows: Windows) -> None:
+    desk = Desk(windows)
+    desk.step()
+    desk.step(("b", [7, 2, 1]))
+    desk.wait(5.0 if windows == "tumbling" else 1.0)
+    assert desk.pattern.asked == {"b": 2}
+
+
+def test_who_does_not_go_by_rounds_is_heard_by_those_who_do() -> None:
+    desk = Desk("rounds")
+    desk.step()
+    desk.step(("b", 2), ("c", [0, 1, 1]))
+    desk.wait(1.0)
+    assert desk.pattern.asked == {"b": 2, "c": 1}
+    assert desk.report == {"opinion": 2, "heard": 2, "round": 1}
+
+
+def test_under_rounds_the_ballot_holds_the_vote_before() -> None:
+    desk = Desk("rounds")
+    desk.step()
+    desk.step(("b", [0, 2, 2]))
+    desk.wait(1.1)
+    assert desk.said[0][1:] == ("ballot", [0, 0, 0])
+    assert desk.said[-1][1:] == ("ballot", [1, 2, 0])
+
+
+def test_other_windows_hold_at_once_and_the_opinion_stays() -> None:
+    desk = Desk()
+    desk.step()
+    desk.wait(1.0)
+    desk.pattern.update(VotingParams(windows="rounds"))
+    desk.step(("b", [0, 2, 2]))
+    desk.wait(1.0)
+    assert desk.said[-1][1:] == ("ballot", [1, 2, 0])
+
+
+@pytest.mark.parametrize("windows", ["tumbling", "sliding"])
+def test_windows_of_robots_are_not_in_step_unless_told_so(windows: Windows) -> None:
+    ends = set()
+    for seed in range(10):
+        desk = Desk(windows, staggered=True)
+        desk.pattern.context.rng.bit_generator.state = np.random.PCG64(seed).state
+        desk.step()
+        while desk.pattern.asked is None:
+            desk.step(("b", 1))
+        ends.add(round(desk.now - 100.0, 1))
+    longest = 5.0 if windows == "tumbling" else 1.0
+    assert len(ends) >= 4
+    assert max(ends) <= longest + 0.2
+
+
+@pytest.mark.parametrize("windows", KINDS)
+def test_lost_late_and_repeated_messages_keep_nobody_from_agreeing(windows: Windows) -> None:
+    air = Air(delay=0.2, jitter=0.2, loss=0.3, twice=0.3)
+    params: Mapping[str, Value] = {"windows": windows, "window": 2.0, "count_own": True}
+    for seed in range(3):
+        swarm = Parliament("majority_rule", 5, seed=seed, params=params, air=air)
+        assert swarm.run(40.0, until_agreed=6.0).agreed_at < 30.0
+
+
+def test_rounds_go_on_when_a_robot_leaves_and_one_that_joins_catches_up() -> None:
+    params: Mapping[str, Value] = {"windows": "rounds", "opinions": 2}
+    held, starts = [0, 0, 0, 0, 1], [0.0, 0.0, 0.0, 0.0, 20.0]
+    swarm = Parliament(
+        "majority_rule", 5, seed=0, params=params, held=held, starts=starts, ends={3: 10.05}
+    )
+    debate = swarm.run(40.0)
+    assert debate.rounds[100:150, 0].max() - debate.rounds[100, 0] >= 3
+    assert np.ptp(debate.rounds[250:, [0, 1, 2, 4]], axis=1).max() <= 1
+    assert debate.winner == 0
+    assert 20.0 < debate.agreed_at < 30.0
+
+
+def test_no_opinions_lead_to_no_error() -> None:
+    with pytest.raises(ValueError, match="initial is 3"):
+        VotingParams(initial=3)

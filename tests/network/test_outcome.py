@@ -1,0 +1,134 @@
+"""Who was meant, who answered, and what the command makes of it."""
+
+from __future__ import annotations
+
+import pytest
+
+from swarmd.core.messages import Code, Condition, Epoch, Member, Reply
+from swarmd.network.outcome import (
+    FAILED,
+    NO_TARGET,
+    PARTIAL,
+    REFUSED,
+    TIMEOUT,
+    Acks,
+    expected_to_run,
+    expected_to_stop,
+)
+
+NAMES = ("tb3-01", "tb3-02", "tb3-03")
+
+
+def reply(robot: str, code: Code = Code.APPLIED, *, boot: str = "b", id: str = "q") -> Reply:
+    return Reply(id=id, robot=robot, code=code, epoch=Epoch(boot=boot, revision=1))
+
+
+def member(robot: str, condition: Condition, age: float = 0.0) -> Member:
+    return Member(robot=robot, instance="i", condition=condition, age=age)
+
+
+def acks(**codes: Code) -> Acks:
+    found = Acks("q")
+    for name, code in codes.items():
+        found.on_reply(name, reply(name, code))
+    return found
+
+
+APPLIED = Code.APPLIED
+NO = Code.REFUSED
+BAD = Code.FAILED
+
+
+@pytest.mark.parametrize(
+    ("codes", "expected", "exit_code"),
+    [
+        ({}, (), NO_TARGET),
+        ({"a": APPLIED, "b": APPLIED}, ("a", "b"), 0),
+        ({"a": APPLIED}, ("a", "b"), PARTIAL),
+        ({}, ("a", "b"), TIMEOUT),
+        ({"a": NO, "b": NO}, ("a", "b"), REFUSED),
+        ({"a": BAD, "b": BAD}, ("a", "b"), FAILED),
+        ({"a": NO, "b": APPLIED}, ("a", "b"), PARTIAL),
+        ({"a": NO, "b": BAD}, ("a", "b"), PARTIAL),
+        ({"a": NO}, ("a", "b"), PARTIAL),
+        ({"a": BAD}, ("a", "b"), PARTIAL),
+    ],
+)
+def test_the_exit_code(codes: dict[str, Code], expected: tuple[str, ...], exit_code: int) -> None:
+    assert acks(**codes).outcome(expected).exit_code == exit_code
+
+
+def test_the_line_names_who_did_not() -> None:
+    found = acks(a=APPLIED, b=NO, c=BAD)
+    assert found.outcome(("a", "b", "c", "d", "e")).line == (
+        "5 targeted, 1 applied, 1 refused (b), 1 failed (c), 2 no answer (d, e)"
+    )
+
+
+def test_no_acks_are_no_success() -> None:
+    outcome = Acks("q").outcome(NAMES)
+    assert outcome.exit_code == TIMEOUT
+    assert outcome.line == "3 targeted, 0 applied, 3 no answer (tb3-01, tb3-02, tb3-03)"
+
+
+def test_one_that_answers_unexpectedly_counts_as_meant() -> None:
+    outcome = acks(a=APPLIED, x=NO).outcome(("a",))
+    assert outcome.targeted == 2
+    assert outcome.exit_code == PARTIAL
+
+
+def test_answers_to_something_else_do_not_count() -> None:
+    found = Acks("q")
+    assert not found.on_reply("a", reply("a", id="another"))
+    assert not found.on_reply("a", reply("b"))
+    assert found.strange == 2
+    assert found.outcome(("a",)).missing == ("a",)
+
+
+def test_of_two_daemons_with_one_id_the_worse_answer_counts() -> None:
+    found = Acks("q")
+    found.on_reply("a", reply("a", NO, boot="1"))
+    found.on_reply("a", reply("a", APPLIED, boot="2"))
+    outcome = found.outcome(("a",))
+    assert outcome.refused == ("a",)
+    assert outcome.duplicates == ("a",)
+
+
+def test_a_repeated_ack_of_one_daemon_is_no_duplicate() -> None:
+    found = Acks("q")
+    found.on_reply("a", reply("a"))
+    found.on_reply("a", reply("a"))
+    assert found.outcome(("a",)).duplicates == ()
+
+
+MEMBERS = {
+    "alive": member("alive", Condition.ALIVE),
+    "just-failed": member("just-failed", Condition.FAILED, 60.0),
+    "long-failed": member("long-failed", Condition.FAILED, 60.1),
+    "left": member("left", Condition.LEFT),
+}
+
+
+def test_run_asks_the_living_counts_the_just_failed_and_warns_of_others() -> None:
+    expected = expected_to_run(MEMBERS, (), MEMBERS)
+    assert expected.asked == ("alive",)
+    assert expected.absent == ("just-failed",)
+    assert len(expected.warnings) == 1
+    assert "long-failed failed 60 s ago" in expected.warnings[0]
+
+
+def test_run_counts_whom_the_roster_names() -> None:
+    expected = expected_to_run(MEMBERS, ("long-failed", "left", "unseen"), {*MEMBERS, "unseen"})
+    assert expected.asked == ("alive",)
+    assert expected.absent == ("just-failed", "left", "long-failed", "unseen")
+    assert expected.warnings == ()
+
+
+def test_run_leaves_out_who_is_not_selected() -> None:
+    assert expected_to_run(MEMBERS, ("unseen",), {"alive"}).absent == ()
+
+
+def test_stop_always_counts_the_failed() -> None:
+    selected = {*MEMBERS, "unseen"}
+    assert expected_to_stop(MEMBERS, (), selected) == {"alive", "just-failed", "long-failed"}
+    assert expected_to_stop(MEMBERS, ("unseen",), selected) >= {"unseen"}

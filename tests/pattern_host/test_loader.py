@@ -1,0 +1,62 @@
+"""Classes from files: as they are when a load begins, and the same ones until the next."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from swarmd.kit.behavior import Pattern
+from swarmd.kit.factory import assemble
+from swarmd.kit.params import Params
+from swarmd.pattern_host.loader import Finder
+from swarmd.plugins import pattern_names
+from swarmd.settings.settings import load_platform
+
+CODE = """
+from pathlib import Path
+from swarmd.api import *
+
+with Path(__file__).with_suffix(".count").open("a") as file:
+    file.write("1")
+
+class OwnParams(Params, frozen=True):
+    speed: Annotated[float, about("how fast", ge=0.0, le=1.0, unit="m/s")] = SPEED
+
+class Own(MovementPattern[OwnParams]):
+    params_type = OwnParams
+
+    def drive(self, inputs):
+        return Twist(self.params.speed)
+"""
+MISSION = """
+mission: Votes on a speed
+parts: {vote: {pattern: majority_rule}, go: {pattern: own}, other: {pattern: dispersion}}
+map: [{from: vote.opinion, to: other.distance, values: [1.0, 1.1, 1.2]}]
+parallel: [vote, go, other]
+drives: go
+parameters: {speed: go.speed}
+"""
+
+
+def begun(finder: Finder, folder: Path) -> Pattern[Params]:
+    """The mission, as a host would load it."""
+    found = pattern_names(folder)
+    finder.begin({name: (origin.value, origin.is_file) for name, origin in found.items()})
+    return assemble(
+        "mission",
+        (),
+        find=finder,
+        robot="robot-1",
+        platform=load_platform("waffle_pi"),
+        rng=np.random.default_rng(0),
+    ).pattern
+
+
+def test_a_mission_has_its_parts_as_they_are_when_it_is_loaded(tmp_path: Path) -> None:
+    finder = Finder({})
+    (tmp_path / "mission.yaml").write_text(MISSION)
+    for speed in (0.1, 0.2):
+        (tmp_path / "own.py").write_text(CODE.replace("SPEED", str(speed)))
+        assert getattr(begun(finder, tmp_path).params, "speed") == speed  # noqa: B009
+    assert (tmp_path / "own.count").read_text() == "11"  # once a load

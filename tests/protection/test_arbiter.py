@@ -1,0 +1,133 @@
+"""What holds whatever the mode: the front forbids, holds within limits, and tells."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from swarmd.core.messages import Reason
+from swarmd.core.values import ZERO, Array, Odometry, Platform, Pose, Scan, Twist
+from swarmd.protection.arbiter import Protection
+from swarmd.protection.decision import Moment, Verdict
+from swarmd.protection.settings import Mode
+from swarmd.settings.settings import load_platform
+from tests.support.platforms import with_mode
+
+WAFFLE = load_platform("waffle_pi")
+MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone", "off")
+WISH = Twist(0.2, 0.3)
+FINITE = st.floats(-10, 10)
+
+
+def scan_of(ranges: Array, platform: Platform = WAFFLE) -> Scan:
+    spec = platform.scan
+    return Scan(3, 1.0, ranges, spec.bearings, spec.range_min, spec.range_max)
+
+
+def ahead(distance: float, rays: int, platform: Platform = WAFFLE) -> Scan:
+    """Something ahead, `rays` wide, and nothing else."""
+    ranges = np.full(len(platform.scan.bearings), np.inf)
+    order = np.argsort(np.abs((platform.scan.bearings + math.pi) % (2.0 * math.pi) - math.pi))
+    ranges[order[:rays]] = distance
+    return scan_of(ranges, platform)
+
+
+def decide(
+    protection: Protection,
+    wish: Twist | None = WISH,
+    *,
+    is_running: bool = True,
+    hold: Reason | None = None,
+    scan_age: float | None = 0.05,
+) -> Verdict:
+    moment = Moment(0.0, scan_age)
+    return protection.decide(wish, moment, is_running=is_running, hold=hold)
+
+
+@pytest.fixture(params=MODES)
+def protection(request: pytest.FixtureRequest) -> Protection:
+    return Protection(with_mode(WAFFLE, request.param))
+
+
+def test_a_wish_passes_where_nothing_is_near(protection: Protection) -> None:
+    protection.observe(scan_of(np.full(360, np.inf)), Moment(0.0))
+    verdict = decide(protection)
+    assert verdict.safe == WISH
+    assert (verdict.reason, verdict.is_active, verdict.min_gap) == (None, False, None)
+
+
+def test_nothing_moves_before_the_first_scan(protection: Protection) -> None:
+    verdict = decide(protection, scan_age=None)
+    assert verdict.safe == ZERO
+    assert verdict.reason is Reason.NO_SCAN
+
+
+@pytest.mark.parametrize(("is_running", "hold"), [(False, None), (True, Reason.STALE_SCAN)])
+def test_exactly_zero_outside_running_and_under_a_hold_even_with_something_near(
+    protection: Protection, is_running: bool, hold: Reason | None
+) -> None:
+    protection.observe(ahead(0.2, 40), Moment(0.0))
+    verdict = decide(protection, is_running=is_running, hold=hold)
+    assert verdict.safe == ZERO
+    assert verdict.reason is hold
+
+
+@pytest.mark.parametrize(
+    "wish", [Twist(float("nan")), Twist(0.1, float("inf")), Twist(0.0, 0.0, float("-inf"))]
+)
+def test_a_wish_that_is_no_number_is_none(protection: Protection, wish: Twist) -> None:
+    protection.observe(scan_of(np.full(360, np.inf)), Moment(0.0))
+    verdict = decide(protection, wish)
+    assert verdict.safe == ZERO
+    assert verdict.reason is Reason.NO_WISH
+
+
+def test_limits_hold_for_every_component(protection: Protection) -> None:
+    protection.observe(scan_of(np.full(360, np.inf)), Moment(0.0))
+    verdict = decide(protection, Twist(9.0, -9.0, 9.0))
+    assert verdict.safe == verdict.wish == Twist(0.26, -1.82, 0.0)
+
+
+def test_the_gap_is_measured_from_the_outline(protection: Protection) -> None:
+    protection.observe(ahead(1.0, 1), Moment(0.0))
+    front = float(WAFFLE.footprint[:, 0].max())
+    gap = decide(protection).min_gap
+    assert gap == pytest.approx(1.0 + WAFFLE.scan.offset[0] - front, abs=1e-6)
+
+
+@given(st.sampled_from(MODES), arrays(np.float64, 360), FINITE, FINITE, FINITE)
+def test_any_scan_and_wish_give_a_finite_command_within_limits(
+    mode: Mode, ranges: Array, linear: float, angular: float, lateral: float
+) -> None:
+    protection = Protection(with_mode(WAFFLE, mode))
+    clean = np.where(np.isnan(ranges) | (ranges < 0.12), -np.inf, ranges)
+    clean = np.where(clean > 3.5, np.inf, clean)
+    protection.observe(scan_of(clean), Moment(0.0))
+    safe = decide(protection, Twist(linear, angular, lateral)).safe
+    assert safe.is_finite
+    assert abs(safe.linear) <= 0.26
+    assert abs(safe.angular) <= 1.82
+    assert safe.lateral == 0.0
+
+
+def test_what_rounding_leaves_of_a_command_is_to_stand() -> None:
+    """The nearest command to a wish that is blocked may be 1e-17 m/s."""
+    wall = ahead(0.30, 40)
+    reasons = set()
+    for share in np.linspace(0.01, 1.0, 60):
+        protection = Protection(with_mode(WAFFLE, "barrier"))
+        protection.observe(wall, Moment(0.0, 0.05, Odometry(0.0, Pose(), ZERO), 0.05))
+        verdict = protection.decide(
+            Twist(share * 0.26, share * 0.01),
+            Moment(0.0, 0.05, Odometry(0.0, Pose(), ZERO), 0.05),
+            is_running=True,
+            hold=None,
+        )
+        if abs(verdict.safe.linear) + abs(verdict.safe.angular) < 1e-9:
+            reasons.add(verdict.reason)
+    assert reasons == {Reason.PROTECTION}

@@ -1,0 +1,234 @@
+"""What a sensor that is blind nearby remembers: Jackal's, which sees nothing within 0.8 m."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from swarmd.core.values import Pose
+from swarmd.protection.blind_zone import NearMemory
+from swarmd.protection.footprint import Sight
+from swarmd.settings.settings import load_platform
+from swarmd.testing.scans import scan_from
+
+JACKAL = load_platform("jackal")
+SIGHT = Sight(JACKAL.scan)
+PERIOD = 0.1
+SPEED = 1.1
+WIDE = range(-4, 5)
+
+
+def look(
+    memory: NearMemory,
+    near: Sequence[int] = (),
+    *,
+    distance: float = 0.85,
+    empty: Sequence[int] = (),
+    turned: float = 0.0,
+    ahead: float = 0.0,
+    seconds: float = PERIOD,
+    beyond: float = 3.0,
+) -> list[int]:
+    """One more scan; in whole degrees where something is hidden then.
+
+    Along `near` there are returns at `distance`, along `empty` none, elsewhere at `beyond`; the
+    base has turned by so many degrees and gone so many m ahead since the scan before.
+    """
+    ranges = np.full(360, beyond)
+    ranges[list(empty)] = math.inf
+    ranges[list(near)] = distance
+    scan = scan_from(JACKAL, ranges, JACKAL.scan.bearings)
+    memory.update(scan, SIGHT, Pose(ahead, 0.0, math.radians(turned)), seconds)
+    return sorted(round(degrees) for degrees in np.degrees(memory.bearings).tolist())
+
+
+def hiding() -> NearMemory:
+    """One that has seen something near ahead, and then nothing there."""
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    look(memory, WIDE)
+    look(memory, empty=WIDE)
+    return memory
+
+
+def test_what_was_near_and_vanishes_is_hidden() -> None:
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    assert look(memory, WIDE) == []
+    assert look(memory, empty=WIDE) == list(WIDE)
+
+
+def test_what_was_too_close_to_measure_is_hidden_once_the_sensor_tells_of_it_no_more() -> None:
+    memory = hiding()
+    look(memory, WIDE, distance=-math.inf)
+    look(memory, WIDE, distance=-math.inf)
+    assert look(memory, empty=WIDE) == list(WIDE)
+
+
+def test_what_has_vanished_comes_nearer_unseen_at_the_assumed_speed() -> None:
+    memory = hiding()
+    step = SPEED * PERIOD
+    assert memory.nearest == pytest.approx(JACKAL.scan.range_min - step, abs=0.05)
+    for _ in range(3):
+        before = memory.nearest
+        look(memory, empty=WIDE)
+        assert memory.nearest == pytest.approx(before - step)
+    for _ in range(20):
+        look(memory, empty=WIDE)
+    assert (memory.nearest == 0.0).all()
+
+
+def face(memory: NearMemory, distance: float, first: int = -90, last: int = 90) -> list[int]:
+    """One more scan, of a face across the way ahead, from `first` to `last` degrees of it."""
+    degrees = np.arange(first, last + 1)
+    ranges = np.full(360, math.inf)
+    ranges[degrees] = distance / np.maximum(np.cos(np.radians(degrees)), 1e-6)
+    ranges[ranges < JACKAL.scan.range_min] = math.inf
+    ranges[ranges > JACKAL.scan.range_max] = math.inf
+    scan = scan_from(JACKAL, ranges, JACKAL.scan.bearings)
+    memory.update(scan, SIGHT, Pose(), PERIOD)
+    return sorted(round(math.degrees(bearing)) for bearing in memory.bearings)
+
+
+@pytest.mark.parametrize("speed", [0.02, 0.1, 0.6])
+def test_a_wide_face_that_comes_near_goes_on_between_where_it_is_seen(speed: float) -> None:
+    """None of its points vanishes without another one beside it that is still seen."""
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    for distance in np.arange(1.0, 0.35, -speed * PERIOD):
+        half = math.degrees(math.acos(min(distance / JACKAL.scan.range_min, 1.0)))
+        inside = face(memory, float(distance))
+        if half > 6.0:
+            assert inside == list(range(-math.floor(half), math.floor(half) + 1))
+            assert (memory.nearest < distance).all()
+        if 6.0 < half < 35.0:
+            corner = distance - JACKAL.scan.range_min * math.sin(math.radians(half + 1.0))
+            assert (memory.nearest > corner - 0.02).all()
+    for _ in range(5):
+        assert face(memory, float(distance)) == inside
+    assert look(memory) == []
+
+
+def test_the_end_of_a_face_that_comes_in_is_hidden_as_far_as_it_was_seen() -> None:
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    for distance in np.arange(1.0, 0.45, -0.03):
+        inside = face(memory, float(distance), 0, 90)
+    assert set(range(5, 55)) <= set(inside)
+    assert min(inside) >= -10
+    for _ in range(500):
+        face(memory, float(distance), 0, 90)
+    assert set(range(5, 55)) <= set(face(memory, float(distance), 0, 90))
+
+
+@pytest.mark.parametrize("distance", [1.1, 2.0])
+def test_what_was_not_near_has_gone(distance: float) -> None:
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    look(memory, WIDE, distance=distance)
+    assert look(memory, empty=WIDE) == []
+
+
+def test_nothing_is_hidden_where_nothing_was() -> None:
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    look(memory, WIDE)
+    assert look(memory, WIDE, empty=range(100, 140)) == []
+
+
+def test_it_stays_hidden_while_nothing_shows_that_it_has_gone() -> None:
+    memory = hiding()
+    for _ in range(50):
+        assert look(memory, empty=WIDE) == list(WIDE)
+
+
+def test_a_return_beyond_shows_its_place_to_be_empty() -> None:
+    memory = hiding()
+    assert look(memory, empty=range(0, 5)) == list(range(0, 5))
+    assert look(memory) == []
+
+
+def test_a_return_nearby_shows_that_it_is_out_again() -> None:
+    memory = hiding()
+    assert look(memory, WIDE, distance=0.9) == []
+    assert look(memory, empty=range(0)) == []
+
+
+def test_what_has_come_out_beside_is_not_inside_as_well() -> None:
+    """In the open nothing is seen where it was, before it came or after it has gone."""
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    look(memory, WIDE, beyond=math.inf)
+    assert look(memory, beyond=math.inf) == list(WIDE)
+    assert look(memory, range(5, 14), beyond=math.inf) == []
+
+
+def test_what_stands_near_by_is_not_what_has_come_out() -> None:
+    """Another leg on either side of the shadow was there before: it is not the one that hides."""
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    near, legs = range(-1, 3), [*range(-24, -13), *range(15, 26)]
+    look(memory, [*near, *legs])
+    for _ in range(5):
+        assert look(memory, legs, empty=near) == list(near)
+
+
+def test_what_vanishes_before_a_wall_a_little_beyond_is_hidden() -> None:
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    look(memory, WIDE, distance=0.85, beyond=1.05)
+    for _ in range(20):
+        assert look(memory, empty=WIDE, beyond=1.05) == list(WIDE)
+
+
+def test_slow_turns_are_not_lost() -> None:
+    """Half a degree a scan is less than from ray to ray."""
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    look(memory, WIDE, beyond=math.inf)
+    look(memory, beyond=math.inf)
+    for _ in range(120):
+        found = look(memory, turned=0.3, beyond=math.inf)
+    assert np.mean(found) == pytest.approx(-36.0, abs=2.0)
+
+
+def test_what_is_narrower_than_a_robot_is_forgotten_soon() -> None:
+    """The edge of something that has turned away casts such a shadow."""
+    memory, shadow = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD), range(4)
+    look(memory, shadow)
+    seconds = 0.0
+    while look(memory, empty=shadow):
+        seconds += PERIOD
+        assert seconds < 10.0
+    assert seconds == pytest.approx(2.0, abs=0.2)
+
+
+@pytest.mark.parametrize("beyond", [3.0, math.inf])
+@pytest.mark.parametrize("width", [6, 9])
+def test_it_is_not_forgotten_in_time(width: int, beyond: float) -> None:
+    """A Jackal's own lidar is 8.5 cm across: 6 degrees at the rim."""
+    memory, shadow = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD), range(width)
+    look(memory, shadow, beyond=beyond)
+    for _ in range(1000):
+        assert set(shadow) <= set(look(memory, empty=shadow, seconds=0.5, beyond=beyond))
+
+
+def test_in_the_open_who_leaves_forgets_it() -> None:
+    memory, wide = hiding(), range(-4, 5)
+    look(memory, empty=wide, beyond=math.inf)
+    for ahead in (0.5, -0.5, 0.5, 0.5, 0.5):
+        assert set(wide) <= set(look(memory, empty=wide, beyond=math.inf, ahead=ahead))
+    assert look(memory, empty=wide, beyond=math.inf, ahead=0.2) == []
+
+
+def test_it_moves_with_its_shadow() -> None:
+    memory = hiding()
+    assert set(look(memory, empty=range(2, 11))) <= set(range(2, 11))
+    for first in range(4, 20, 2):
+        hidden = look(memory, empty=range(first, first + 9))
+        assert hidden
+        assert set(hidden) <= set(range(first, first + 9))
+
+
+def test_it_stays_where_it_is_when_the_robot_turns() -> None:
+    memory = hiding()
+    assert look(memory, empty=range(-44, -35), turned=40.0) == list(range(-44, -35))
+
+
+def test_one_ray_that_is_lost_hides_nothing() -> None:
+    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    look(memory, WIDE)
+    assert look(memory, range(-4, 4), empty=range(4, 5)) == []

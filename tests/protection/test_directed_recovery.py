@@ -1,0 +1,77 @@
+"""Ways around what blocks a robot, in closed loop: they are wishes, so protection judges them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from swarmd.core.messages import Reason
+from swarmd.core.values import ZERO, Platform, Pose, Twist
+from swarmd.protection.decision import Permit
+from swarmd.settings.settings import load_platform
+from tests.support.filter_sim import Shape, Wish, Yard, box, pole, under_barrier
+
+BURGER, WAFFLE = under_barrier(load_platform("burger")), under_barrier(load_platform("waffle_pi"))
+MAY = Permit(may_unstick=True)
+AHEAD = Twist(0.22)
+
+
+def still(platform: Platform) -> Platform:
+    """Nothing is expected to move or to reach beyond what is seen."""
+    return under_barrier(platform, others_speed=0.001, surface_speed=0.22, unseen_extent=0.0)
+
+
+def nook() -> list[Shape]:
+    """A wall ahead and one to the left: to the right and back there is room."""
+    return [box(0.1, 4.0, Pose(0.9)), box(4.0, 0.1, Pose(0.0, 0.5))]
+
+
+@pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
+def test_what_leads_around_things_keeps_from_them_what_protection_keeps(
+    platform: Platform,
+) -> None:
+    ride = Yard(still(platform), nook()).run(AHEAD, 25.0, MAY)
+    assert any(verdict.is_unsticking for _, verdict in ride.verdicts)
+    assert ride.min_gap >= 0.025
+
+
+def test_without_a_permit_it_stands_and_waits() -> None:
+    ride = Yard(BURGER, [box(0.1, 4.0, Pose(0.6))]).run(AHEAD, 8.0)
+    assert not any(verdict.is_unsticking for _, verdict in ride.verdicts)
+    assert ride.twists[-1].is_zero
+    assert ride.poses[-1].yaw == pytest.approx(0.0, abs=0.01)
+    assert ride.verdicts[-1][1].reason is Reason.PROTECTION
+
+
+def test_it_gets_around_a_pole() -> None:
+    yard = Yard(BURGER, [pole(0.1, Pose(0.8, 0.01))])
+    ride = yard.run(toward(yard, 3.0), 40.0, MAY)
+    assert ride.touch is None
+    assert max(pose.x for pose in ride.poses) > 1.2
+
+
+def toward(yard: Yard, x: float) -> Wish:
+    """Straight to the place (x, 0), without any care."""
+
+    def wish(time: float) -> Twist:
+        pose = yard.pose
+        off = math.remainder(math.atan2(-pose.y, x - pose.x) - pose.yaw, 2.0 * math.pi)
+        return Twist(0.22 * max(math.cos(off), 0.1), 1.5 * off)
+
+    return wish
+
+
+def test_who_wishes_nothing_is_not_led_anywhere() -> None:
+    yard = Yard(BURGER, [box(0.1, 4.0, Pose(0.25))])
+    ride = yard.run(ZERO, 4.0, MAY)
+    assert all(verdict.safe == ZERO for _, verdict in ride.verdicts)
+
+
+def test_under_a_hold_it_is_not_led_anywhere() -> None:
+    yard = Yard(BURGER, [box(0.1, 4.0, Pose(0.6))])
+    while not yard.run(AHEAD, 0.1, MAY).verdicts[-1][1].is_unsticking:
+        assert yard.time < 8.0
+    yard.senses.on_driver(False, "gone")
+    ride = yard.run(AHEAD, 4.0, MAY)
+    assert all(verdict.safe == ZERO and not verdict.is_unsticking for _, verdict in ride.verdicts)

@@ -1,0 +1,136 @@
+"""Clip and project, held against a quadratic program's solver and against first principles."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import quadprog
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarmd.core.values import Array
+from swarmd.protection.projection import clipped, nearest, nearest_feasible
+
+BOX = ((1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0))
+OCTAGON = tuple((float(np.cos(a)), float(np.sin(a))) for a in np.pi / 4 * np.arange(8))
+COMPONENT = st.floats(-1, 1)
+WISH = st.tuples(COMPONENT, COMPONENT)
+POLYGON = st.sampled_from([BOX, OCTAGON])
+ANGLE = st.floats(-4, 4)
+CLEAR_ANGLE = st.integers(-400, 400).map(lambda n: 0.01 * n)
+CAP = st.one_of(st.just(0.0), st.floats(1e-3, 1.5))
+LENGTH = st.floats(0.05, 3.0)
+ROWS = st.lists(st.tuples(ANGLE, LENGTH, CAP), max_size=10)
+CLEAR_ROWS = st.lists(st.tuples(CLEAR_ANGLE, LENGTH, CAP), max_size=10)
+
+Wish = tuple[float, float]
+Polygon = tuple[Wish, ...]
+Rows = list[tuple[float, float, float]]
+
+
+def half_planes(rows: Rows) -> tuple[Array, Array]:
+    """Normals (k, 2) and caps (k,) of (angle, length, cap)."""
+    angles, lengths, caps = np.array(rows).reshape(-1, 3).T
+    normals = lengths[:, None] * np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    return normals, caps
+
+
+def solver(wish: Wish, polygon: Polygon, normals: Array, caps: Array) -> Array:
+    """The same by quadprog: an active-set method that shares nothing with ours.
+
+    Where rows leave but a point it takes rounding for a contradiction, so it gets a little more.
+    """
+    corners = np.array(polygon)
+    edges = np.roll(corners, -1, axis=0) - corners
+    outward = np.stack((edges[:, 1], -edges[:, 0]), axis=1)
+    rows = np.concatenate((outward, normals))
+    bounds = np.concatenate(((outward * corners).sum(axis=1), caps))
+    point: Array = quadprog.solve_qp(np.eye(2), np.array(wish), -rows.T, -bounds - 1e-12)[0]
+    return point
+
+
+@given(WISH, POLYGON, CLEAR_ROWS)
+def test_agrees_with_a_solver_of_quadratic_programs(
+    wish: Wish, polygon: Polygon, rows: Rows
+) -> None:
+    normals, caps = half_planes(rows)
+    point, _ = nearest_feasible(wish, polygon, normals, caps)
+    assert point == pytest.approx(solver(wish, polygon, normals, caps), abs=1e-8)
+
+
+def test_rows_that_are_almost_parallel_meet_where_rounding_lets_them() -> None:
+    """Anywhere within what rounding may overstep over the angle between; solvers give up there."""
+    normals, caps = half_planes([(0.0, 1.0, 0.0), (1e-6, 2.0, 0.0)])
+    point, _ = nearest_feasible((0.5, 0.0), BOX, normals, caps)
+    assert point == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+@given(WISH, POLYGON, ROWS)
+def test_no_row_is_overstepped_and_the_polygon_is_not_left(
+    wish: Wish, polygon: Polygon, rows: Rows
+) -> None:
+    normals, caps = half_planes(rows)
+    point, _ = nearest_feasible(wish, polygon, normals, caps)
+    assert (normals @ point <= caps + 1e-9).all()
+    assert nearest(polygon, point) == pytest.approx(point, abs=1e-12)
+
+
+@given(WISH, ROWS)
+def test_no_point_of_a_fine_grid_is_nearer(wish: Wish, rows: Rows) -> None:
+    normals, caps = half_planes(rows)
+    point, _ = nearest_feasible(wish, BOX, normals, caps)
+    axis = np.linspace(-1.0, 1.0, 81)
+    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    allowed = grid[(grid @ normals.T <= caps).all(axis=1)]
+    distances = np.hypot(*(allowed - wish).T)
+    assert np.hypot(*np.subtract(point, wish)) <= distances.min() + 1e-9
+
+
+@given(WISH, POLYGON, ROWS)
+def test_a_feasible_wish_is_given_back_as_it_is(wish: Wish, polygon: Polygon, rows: Rows) -> None:
+    normals, caps = half_planes(rows)
+    inside = nearest(polygon, (0.9 * wish[0], 0.9 * wish[1]))
+    inside = (0.99 * inside[0], 0.99 * inside[1])
+    roomy = np.maximum(caps, normals @ np.array(inside))
+    assert nearest_feasible(inside, polygon, normals, roomy)[0] == inside
+
+
+@given(WISH, ROWS, st.randoms(use_true_random=False))
+def test_order_and_repetition_of_rows_do_not_matter(wish: Wish, rows: Rows, random: object) -> None:
+    shuffled = [*rows, *rows[: len(rows) // 2]]
+    random.shuffle(shuffled)  # type: ignore[attr-defined]  # a random.Random
+    point, _ = nearest_feasible(wish, BOX, *half_planes(rows))
+    assert nearest_feasible(wish, BOX, *half_planes(shuffled))[0] == pytest.approx(point, abs=1e-9)
+
+
+@given(WISH, ROWS, st.tuples(ANGLE, st.floats(0.05, 3.0), CAP))
+def test_one_row_more_never_brings_it_nearer_to_the_wish(
+    wish: Wish, rows: Rows, more: tuple[float, float, float]
+) -> None:
+    point, _ = nearest_feasible(wish, BOX, *half_planes(rows))
+    fewer, _ = nearest_feasible(wish, BOX, *half_planes([*rows, more]))
+    assert np.hypot(*np.subtract(fewer, wish)) >= np.hypot(*np.subtract(point, wish)) - 1e-9
+
+
+def test_tight_rows_are_those_that_bind() -> None:
+    normals, caps = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]), np.array([0.25, 0.5, 0.0])
+    point, tight = nearest_feasible((1.0, 0.2), BOX, normals, caps)
+    assert point == pytest.approx((0.25, 0.2), abs=1e-12)
+    assert tight == [0]
+
+
+def test_between_two_that_allow_nothing_towards_them_one_may_still_turn() -> None:
+    normals = np.array([[1.0, 0.0], [-1.0, 0.0]])
+    point, _ = nearest_feasible((0.7, 0.4), BOX, normals, np.zeros(2))
+    assert point == pytest.approx((0.0, 0.4), abs=1e-12)
+
+
+def test_a_line_through_the_middle_halves_a_polygon() -> None:
+    half = clipped(BOX, 1.0, 0.0, 0.0)
+    assert sorted(half) == [(-1.0, -1.0), (-1.0, 1.0), (0.0, -1.0), (0.0, 1.0)]
+    quarter = clipped(half, -1.0, 0.0, 0.5)
+    assert sorted(quarter) == [(-0.5, -1.0), (-0.5, 1.0), (0.0, -1.0), (0.0, 1.0)]
+
+
+def test_what_rounding_leaves_nothing_of_is_to_stand_still() -> None:
+    assert clipped([(1e-18, 0.0), (0.0, 1e-18)], 1.0, 1.0, -1.0) == [(0.0, 0.0)]

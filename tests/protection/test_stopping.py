@@ -1,0 +1,181 @@
+"""The way to rest from a command: held against a finer one that shares nothing with it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarmd.core.values import Array, Platform, Pose
+from swarmd.protection.footprint import Footprint
+from swarmd.protection.stopping import SLOW, Braking
+from swarmd.settings.platforms import load_platform
+from tests.support.filter_sim import outline_point, placed
+
+TICK, LINEAR, ANGULAR = 0.05, 1.0, 3.0
+BURGER = load_platform("burger")
+PLATFORMS = [BURGER, load_platform("waffle_pi"), load_platform("jackal")]
+FRONT, HALF = 0.038, 0.089  # m, of a Burger's outline; its rear corners are 0.135 m from the axle
+STEP = 0.002  # s
+SAG = 0.004  # m by which a corner's way bulges out between two places where it is looked at
+
+SHARE = st.floats(-1, 1)
+
+
+def cleared(
+    speeds: tuple[float, float],
+    *points: tuple[float, float],
+    free: tuple[float, float] = (0.01, 0.0),
+    platform: Platform = BURGER,
+    along: tuple[float, float] = (1.0, 0.0),
+) -> tuple[float, float]:
+    """What is left of the speeds beside points in the base frame."""
+    outline, seen = Footprint(platform.footprint), np.array(points).reshape(-1, 2)
+    braking = Braking(outline, LINEAR, ANGULAR, TICK)
+    left = braking.clear(
+        np.array(speeds), np.array(along), seen, outline.gaps(seen), np.array(free)
+    )
+    return float(left[0]), float(left[1])
+
+
+def way(speed: float) -> float:
+    """How far it gets until it stands."""
+    return speed * TICK + speed * speed / (2.0 * LINEAR)
+
+
+def test_straight_ahead_it_stops_short_of_what_must_stay_free() -> None:
+    free, point = 0.05, 0.30
+    enough = FRONT + free + way(0.2)
+    assert cleared((0.2, 0.0), (enough + 0.002, 0.0), free=(free, 0.0)) == (0.2, 0.0)
+    assert cleared((0.2, 0.0), (enough - 0.002, 0.0), free=(free, 0.0)) == (0.75 * 0.2, 0.0)
+    assert cleared((-0.2, 0.0), (enough - 0.002, 0.0), free=(free, 0.0)) == (-0.2, 0.0)
+    assert cleared((0.2, 0.0), (-point, 0.0), free=(free, 0.0)) == (0.2, 0.0)
+
+
+def test_what_must_stay_free_grows_while_others_come() -> None:
+    """At 0.2 m/s it takes 0.25 s to stand: one that comes at 0.3 m/s is 75 mm nearer by then."""
+    enough = FRONT + 0.05 + way(0.2) + 0.3 * (TICK + 0.2)
+    assert cleared((0.2, 0.0), (enough + 0.003, 0.0), free=(0.05, 0.3)) == (0.2, 0.0)
+    assert cleared((0.2, 0.0), (enough - 0.01, 0.0), free=(0.05, 0.3))[0] < 0.2
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_beside_a_flank_a_turn_stops_before_the_corner_is_there(side: float) -> None:
+    """The nearest place of the outline does not close at all as it turns; a rear corner comes.
+
+    The other way round it is the front one that passes, which is nearer to the axle.
+    """
+    beside, clear = (0.0, side * (HALF + 0.03)), (0.0, side * (0.136 + 0.01))
+    for turn in (2.84, -2.84):
+        linear, angular = cleared((0.0, turn), beside)
+        assert linear == 0.0
+        assert abs(angular) < 2.84 if side * turn < 0.0 else angular == turn
+        assert angular * turn >= 0.0
+        assert cleared((0.0, turn), clear) == (0.0, turn)
+
+
+@pytest.mark.parametrize("way", [1.0, -1.0], ids=["turn ends first", "drive ends first"])
+def test_of_speeds_that_cancel_one_may_end_first(way: float) -> None:
+    """The front corner stands still in x as long as both last; what is before it is met after."""
+    speeds = way * 0.2, way * 0.2 / HALF
+    before = FRONT + 0.015, HALF + 0.001
+    assert cleared(speeds, before) != speeds
+    assert cleared(speeds, (before[0] + 0.2, before[1])) == speeds
+
+
+def test_who_closes_at_a_creep_goes_on() -> None:
+    assert cleared((0.9 * SLOW, 0.0), (FRONT + 0.001, 0.0)) == (0.9 * SLOW, 0.0)
+    assert cleared((0.0, 0.9 * SLOW / 0.14), (0.0, HALF + 0.001)) == (0.0, 0.9 * SLOW / 0.14)
+    assert cleared((2.0 * SLOW, 0.0), (FRONT + 0.001, 0.0))[0] < SLOW
+
+
+def test_who_moves_away_goes_on_however_near_it_is() -> None:
+    assert cleared((-0.2, 0.0), (FRONT + 0.001, 0.0), free=(0.2, 0.3)) == (-0.2, 0.0)
+
+
+def test_sideways_counts_as_ahead_does() -> None:
+    beside = (0.0, HALF + 0.015)
+    assert cleared((0.2, 0.0), beside, along=(0.0, -1.0)) == (0.2, 0.0)
+    assert cleared((0.2, 0.0), beside, along=(0.0, 1.0))[0] < 0.2
+
+
+def test_what_must_be_given_up_is_the_least() -> None:
+    """A drive past something keeps its speed when only the turn would meet it, and the reverse."""
+    beside = (0.0, HALF + 0.012)
+    linear, angular = cleared((0.05, -2.84), beside)
+    assert linear == 0.05
+    assert -2.84 < angular <= 0.0
+    ahead = (FRONT + 0.022, 0.0)
+    assert cleared((0.2, 0.1), ahead) == (0.5 * 0.2, 0.1)
+
+
+def test_between_walls_it_stands() -> None:
+    walls = [(x, y) for x in np.arange(-0.15, 0.1, 0.01) for y in (-HALF - 0.002, HALF + 0.002)]
+    assert cleared((0.0, 1.0), *walls) == (0.0, 0.0)
+
+
+POINTS = st.lists(st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)), min_size=1, max_size=4)
+
+
+def outside(platform: Platform, points: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    return [at for at in points if outline_point(platform.footprint, np.array(at))[0] > 0.0]
+
+
+@given(st.sampled_from(PLATFORMS), POINTS, SHARE, SHARE, st.floats(0.0, 0.1))
+def test_none_of_the_grid_that_is_nearer_to_the_command_would_do(
+    platform: Platform, points: list[tuple[float, float]], v: float, w: float, free: float
+) -> None:
+    seen = outside(platform, points)
+    speeds = v * platform.limits.linear, w * platform.limits.angular
+    left = cleared(speeds, *seen, free=(free, 0.0), platform=platform)
+    assert cleared(left, *seen, free=(free, 0.0), platform=platform) == left
+    shares = [(a, b) for a in np.linspace(0, 1, 5) for b in np.linspace(0, 1, 5)]
+    chosen = [s for s in shares if np.allclose((s[0] * speeds[0], s[1] * speeds[1]), left)]
+    assert chosen
+    cost = min((1.0 - a) ** 2 + (1.0 - b) ** 2 for a, b in chosen)
+    for a, b in shares:
+        if (1.0 - a) ** 2 + (1.0 - b) ** 2 < cost - 1e-9:
+            other = a * speeds[0], b * speeds[1]
+            assert cleared(other, *seen, free=(free, 0.0), platform=platform) != other
+
+
+@given(
+    st.sampled_from(PLATFORMS), POINTS, SHARE, SHARE, st.floats(0.0, 0.1),
+    st.sampled_from([(1.0, 1.0), (math.inf, 1.0), (1.0, math.inf)]),
+)  # fmt: skip
+def test_however_it_brakes_it_closes_on_nothing_within_what_must_stay_free(
+    platform: Platform,
+    points: list[tuple[float, float]],
+    v: float,
+    w: float,
+    free: float,
+    better: tuple[float, float],
+) -> None:
+    seen = outside(platform, points)
+    speeds = v * platform.limits.linear, w * platform.limits.angular
+    linear, angular = cleared(speeds, *seen, free=(free, 0.0), platform=platform)
+    for at in seen:
+        first = outline_point(platform.footprint, np.array(at))[0]
+        creeps = SLOW * (TICK + max(abs(linear) / LINEAR, abs(angular) / ANGULAR))
+        least = min(nearness(platform, np.array(at), linear, angular, better))
+        assert least >= min(first, free) - creeps - SAG
+
+
+def nearness(
+    platform: Platform, at: Array, v: float, w: float, better: tuple[float, float]
+) -> list[float]:
+    """Gaps to a point on the way to rest from two speeds, with brakes so much better."""
+    pose, gaps, time = Pose(), [], 0.0
+    while v or w:
+        if time >= TICK:
+            v -= math.copysign(min(abs(v), better[0] * LINEAR * STEP), v)
+            w -= math.copysign(min(abs(w), better[1] * ANGULAR * STEP), w)
+        yaw = pose.yaw + 0.5 * w * STEP
+        x, y = pose.x + v * STEP * math.cos(yaw), pose.y + v * STEP * math.sin(yaw)
+        pose = Pose(x, y, yaw + 0.5 * w * STEP)
+        time += STEP
+        gaps.append(outline_point(placed(platform.footprint, pose), at)[0])
+    return gaps or [math.inf]

@@ -1,0 +1,120 @@
+"""How long a robot remembers whom and what it heard."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swarmd.core.messages import Reason
+from swarmd.core.values import Neighbor, Odometry, Pose, Twist
+from swarmd.protection.settings import Mode
+from swarmd.robot.sensors import (
+    AGES_EVERY,
+    INBOX_BYTES,
+    NEIGHBOR_FORGOTTEN_AFTER,
+    ODOMETRY_STALE_AFTER,
+    OVERHEAD,
+    Senses,
+)
+from swarmd.settings.platforms import load_platform
+from swarmd.testing.scans import empty_scan
+from tests.support.platforms import with_mode
+
+
+@pytest.fixture
+def senses() -> Senses:
+    return Senses(load_platform("waffle_pi"))
+
+
+def test_neighbors_age_in_steps_and_are_forgotten_with_what_they_say(senses: Senses) -> None:
+    senses.on_neighbors((Neighbor("b", 0.25, distance=1.0),), 10.0)
+    ages = [senses.neighbors(10.0 + past)[0].age for past in (0.0, 0.4, 0.6, 1.7, 2.9)]
+    assert ages == [0.25, 0.25, 0.25 + AGES_EVERY, 0.25 + 3 * AGES_EVERY, 0.25 + 5 * AGES_EVERY]
+    assert senses.neighbors(11.0)[0].distance == 1.0
+    last = 10.0 + NEIGHBOR_FORGOTTEN_AFTER
+    assert senses.on_message("b", "w", 1, last)
+    assert not senses.on_message("b", "w", 1, last + 0.01)
+    assert senses.neighbors(last + 0.01) == ()
+
+
+def test_strangers_are_not_heard(senses: Senses) -> None:
+    assert not senses.on_message("b", "w", 1, 0.0)
+    senses.on_neighbors((Neighbor("b", 0.0),), 0.0)
+    assert senses.on_message("b", "w", 1, 0.0)
+    assert not senses.on_message("c", "w", 1, 0.0)
+
+
+def test_messages_come_once_with_their_age_and_the_oldest_give_way(senses: Senses) -> None:
+    senses.on_neighbors((Neighbor("b", 0.0),), 0.0)
+    word = b"x" * 800
+    fit = INBOX_BYTES // (OVERHEAD + 800 + 4)  # a version byte and MessagePack's own three
+    for number in range(fit + 3):
+        assert senses.on_message("b", f"w{number}", word, 0.5)
+    got = senses.inputs(0.75, 0.1).messages
+    assert [message.channel for message in got] == [f"w{k}" for k in range(3, fit + 3)]
+    assert {message.age for message in got} == {0.25}
+    assert senses.overflowed == 3
+    assert senses.inputs(0.75, 0.1).messages == ()
+
+
+def test_odometry_whose_stamp_stands_still_grows_stale(senses: Senses) -> None:
+    senses.on_driver(True, "up")
+    platform = load_platform("waffle_pi")
+    for tick in range(13):
+        now = tick * 0.05
+        senses.on_odometry(Odometry(1.0, Pose(), Twist()), now)
+        senses.on_scan(empty_scan(platform, tick, now), now)
+        late = now > ODOMETRY_STALE_AFTER + 1e-9
+        assert senses.hold(now) is (Reason.STALE_ODOMETRY if late else None)
+
+
+def test_a_lost_sector_holds_once_it_has_not_been_seen_for_stale_after(senses: Senses) -> None:
+    platform = load_platform("waffle_pi")
+    stale_after = platform.scan.stale_after
+    senses.on_driver(True, "up")
+    senses.on_scan(empty_scan(platform, 0, 0.0, 2.0), 10.0)
+    is_lost = np.arange(360) < 30
+    for seq in range(1, 6):
+        now = 10.0 + 0.2 * seq
+        scan = empty_scan(platform, seq, now, 2.0)
+        senses.on_odometry(Odometry(now, Pose(), Twist()), now)
+        senses.on_scan(replace(scan, ranges=np.where(is_lost, np.nan, scan.ranges)), now)
+        assert senses.scan_age(now) == now - 10.0
+        assert senses.stale_at() == 10.0 + stale_after
+        # Also before a scan comes that is none any more, as the fourth and fifth are.
+        assert senses.hold(10.0 + stale_after - 1e-6) is None
+        assert senses.hold(10.0 + stale_after + 1e-6) is Reason.INVALID_SCAN
+    senses.on_scan(empty_scan(platform, 9, 11.2, 2.0), 11.2)
+    assert (senses.scan_age(11.2), senses.hold(11.2)) == (0.0, None)
+
+
+@pytest.mark.parametrize("mode", ["barrier", "potential_field", "stop_zone"])
+def test_zeros_beside_what_is_near_are_guessed_unless_protection_remembers_it(mode: Mode) -> None:
+    platform = with_mode(load_platform("burger"), mode)
+    senses, ranges = Senses(platform), np.full(360, 2.0)
+    ranges[100] = 0.15
+    senses.on_scan(replace(empty_scan(platform, 0, 0.0), ranges=ranges), 0.0)
+    ranges = ranges.copy()
+    ranges[97:104] = 0.0
+    senses.on_scan(replace(empty_scan(platform, 1, 0.2), ranges=ranges), 0.2)
+    assert senses.scan is not None
+    assert np.isneginf(senses.scan.ranges[97:104]).all() == (mode != "barrier")
+
+
+@pytest.mark.parametrize(
+    "odometry",
+    [
+        Odometry(1.0, Pose(), Twist(angular=math.inf)),
+        Odometry(1.0, Pose(math.nan), Twist()),
+        Odometry(1.0, Pose(yaw=-math.inf), Twist()),
+    ],
+)
+def test_odometry_that_is_not_finite_never_came(senses: Senses, odometry: Odometry) -> None:
+    first = Odometry(0.0, Pose(), Twist())
+    senses.on_odometry(first, 10.0)
+    senses.on_odometry(odometry, 10.2)
+    assert senses.odometry is first
+    assert senses.moment(10.2).odometry_age == pytest.approx(0.2)

@@ -1,0 +1,60 @@
+from __future__ import annotations
+
+from itertools import product
+
+import pytest
+
+from swarmd.core.messages import Reason, State
+from swarmd.robot.state_machine import TRANSITIONS, Event, Supervisor
+
+
+def test_every_state_has_an_answer_to_every_event() -> None:
+    assert {(event, state) for event, row in TRANSITIONS.items() for state in row} == set(
+        product(Event, State)
+    )
+
+
+def test_only_a_loaded_pattern_leads_to_running_and_never_from_a_latch() -> None:
+    into = {
+        (event, state)
+        for event, row in TRANSITIONS.items()
+        for state, target in row.items()
+        if target is State.RUNNING and state is not State.RUNNING
+    }
+    assert into == {(Event.RUN, State.IDLE), (Event.RUN, State.STOPPED)}
+
+
+def test_estop_wins_over_every_state() -> None:
+    assert set(TRANSITIONS[Event.ESTOP].values()) == {State.ESTOPPED}
+
+
+def test_only_a_reset_leaves_estopped_or_faulted() -> None:
+    for latched in (State.ESTOPPED, State.FAULTED):
+        leaving = {
+            event
+            for event, row in TRANSITIONS.items()
+            if row[latched] is not latched and event is not Event.ESTOP
+        }
+        assert leaving == {Event.RESET}
+
+
+@pytest.mark.parametrize("event", [event for event in Event if event is not Event.RUN])
+def test_whatever_else_happens_leaves_running_or_stays_out_of_it(event: Event) -> None:
+    supervisor = Supervisor(0.0)
+    supervisor.apply(Event.RUN, None, "", 1.0)
+    supervisor.apply(event, Reason.OPERATOR, "why", 2.0)
+    if event is not Event.RESET:
+        assert supervisor.state is not State.RUNNING
+        assert (supervisor.reason, supervisor.detail, supervisor.since) == (
+            Reason.OPERATOR,
+            "why",
+            2.0,
+        )
+
+
+def test_an_event_that_changes_nothing_keeps_the_older_reason() -> None:
+    supervisor = Supervisor(0.0)
+    supervisor.apply(Event.ESTOP, Reason.ESTOP, "by alice", 1.0)
+    supervisor.apply(Event.STOP, Reason.OPERATOR, "by bob", 2.0)
+    assert (supervisor.state, supervisor.reason) == (State.ESTOPPED, Reason.ESTOP)
+    assert supervisor.detail == "by alice"

@@ -1,0 +1,144 @@
+"""All pictures of an experiment's folder, and what is said of what cannot be drawn."""
+
+from __future__ import annotations
+
+import csv
+import shutil
+from pathlib import Path
+
+import pytest
+
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.sim.plots.figures import draw_experiment, draw_runs
+
+pytest.importorskip("matplotlib")
+
+OF_A_VARIANT = {
+    "runs.png",
+    *("typical_trajectories.png", "typical_start_and_end.png"),
+    *("least_typical_trajectories.png", "least_typical_start_and_end.png"),
+}
+BOTH = {f"law={law}_{name}" for law in ("settling", "paper") for name in OF_A_VARIANT}
+
+
+def names(paths: list[Path]) -> set[str]:
+    return {path.name for path in paths}
+
+
+def warnings(caplog: pytest.LogCaptureFixture) -> list[str]:
+    return [record.getMessage() for record in caplog.records]
+
+
+def test_draws_each_variant_and_all_of_them_together(
+    experiment: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("INFO")
+    made = draw_experiment(experiment, tmp_path / "out")
+    assert BOTH | {"intervals.png", "over_time_mean_distance_to_centroid.png"} <= names(made)
+    assert len(names(made)) == len(made)
+    assert {path.parent for path in made} == {tmp_path / "out"}
+    assert all(path.read_bytes().startswith(b"\x89PNG") for path in made)
+    assert warnings(caplog) == []
+
+
+def test_pictures_go_beside_the_experiment_by_default(experiment: Path) -> None:
+    made = draw_experiment(experiment, seeds=[1], metrics=["minimum_gap"])
+    assert {path.parent for path in made} == {experiment / "plots"}
+
+
+def test_of_one_run_there_is_no_worst(experiment: Path) -> None:
+    made = names(draw_experiment(experiment, seeds=[1], metrics=["minimum_gap"], suffix=".svg"))
+    assert made == {
+        f"law={law}_{name}.svg"
+        for law in ("settling", "paper")
+        for name in ("runs", "typical_trajectories", "typical_start_and_end")
+    } | {"intervals.svg", "over_time_minimum_gap.svg"}
+
+
+def test_pictures_tell_scenario_variant_seed_and_value(experiment: Path) -> None:
+    made = draw_experiment(
+        experiment, metrics=["minimum_gap"], seeds=[0, 2], targets={"minimum_gap": 0.25},
+        suffix=".svg",
+    )  # fmt: skip
+    texts = {path.name: path.read_text() for path in made}
+    with (experiment / "runs.csv").open() as file:
+        gaps = {row["run"]: float(row["minimum_gap"]) for row in csv.DictReader(file)}
+    worst = min(("law=paper_s0000", "law=paper_s0002"), key=gaps.__getitem__)
+    ways = texts["law=paper_worst_trajectories.svg"]
+    assert f"gathering, law=paper, seed {int(worst[-4:])}" in ways
+    assert f"worst run: minimum gap {gaps[worst]:.3g} m" in ways
+    assert "target 0.25" in texts["over_time_minimum_gap.svg"]
+    assert "m, target 0.25" in texts["intervals.svg"]
+    assert "law=settling (n = 2)" in texts["intervals.svg"]
+    assert f"seed 2: {gaps['law=paper_s0002']:.3g} m" in texts["law=paper_runs.svg"]
+
+
+def test_a_damaged_and_a_missing_trace_are_one_line_each_and_the_rest_is_drawn(
+    experiment: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    traces = experiment / "traces"
+    (traces / "law=paper_s0000.npz").write_bytes(b"PK\x03\x04 no longer a trace")
+    (traces / "law=paper_s0001.npz").unlink()
+    made = names(draw_experiment(experiment))
+    left = {f"law=paper_{name}" for name in OF_A_VARIANT if name.startswith("least")}
+    assert BOTH - made == left  # one run of that variant is left, and it is the typical one
+    assert "over_time_minimum_gap.png" in made
+    told = sorted(warnings(caplog))
+    assert len(told) == 2
+    assert "law=paper_s0000.npz: not a trace" in told[0] + told[1]
+    assert all(line.endswith("; the run is left out") for line in told)
+    assert any(str(traces / "law=paper_s0001.npz") in line for line in told)
+
+
+def test_without_traces_values_are_drawn_and_one_line_says_why_no_more(
+    experiment: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    shutil.rmtree(experiment / "traces")
+    assert names(draw_experiment(experiment)) == {"intervals.png"}
+    assert len(warnings(caplog)) == 1
+    assert f"{experiment}: no traces were kept" in warnings(caplog)[0]
+
+
+def test_runs_at_a_glance_can_be_had_alone(experiment: Path, tmp_path: Path) -> None:
+    made = draw_runs(experiment, tmp_path, seeds=[0, 1])
+    assert names(made) == {"law=settling_runs.png", "law=paper_runs.png"}
+
+
+def test_the_same_experiment_gives_the_same_pictures(experiment: Path, tmp_path: Path) -> None:
+    first, second = (
+        {path.name: path.read_bytes() for path in draw_runs(experiment, tmp_path / name)}
+        for name in ("a", "b")
+    )
+    assert first == second
+
+
+def test_an_unknown_metric_is_named_before_anything_is_drawn(experiment: Path) -> None:
+    with pytest.raises(ConfigError, match="did you mean 'minimum_gap'"):
+        draw_experiment(experiment, metrics=["minimum_gab"])
+    assert not (experiment / "plots").exists()
+
+
+@pytest.mark.parametrize(("seeds", "text"), [([7], "no finished run has seed 7"), ([], "no seed")])
+def test_seeds_that_are_not_there_are_named(experiment: Path, seeds: list[int], text: str) -> None:
+    with pytest.raises(ConfigError, match=f"{text}.*; there are 0, 1, 2"):
+        draw_experiment(experiment, seeds=seeds)
+
+
+def test_an_experiment_without_finished_runs_is_one_clear_error(experiment: Path) -> None:
+    table = experiment / "runs.csv"
+    table.write_text(table.read_text().splitlines()[0] + "\n")
+    with pytest.raises(SwarmError, match="no run has finished: nothing to draw"):
+        draw_experiment(experiment)
+
+
+def test_another_folder_is_no_experiment(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no experiment"):
+        draw_experiment(tmp_path)
+
+
+def test_a_metric_without_any_value_leaves_the_first_run_to_be_drawn(experiment: Path) -> None:
+    made = names(draw_experiment(experiment, metrics=["box_contacts"], seeds=[0]))
+    assert {name.removeprefix("law=paper_") for name in made if "paper" in name} == {
+        *("runs.png", "first_trajectories.png", "first_start_and_end.png")
+    }
+    assert "intervals.png" not in made

@@ -1,0 +1,69 @@
+"""Pictures appear whole, or not at all with one clear line."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.sim.plots.theme import ROBOT_COLOURS, VARIANT_COLOURS, new_figure, save
+
+pytest.importorskip("matplotlib")
+
+
+@pytest.mark.parametrize(
+    ("suffix", "start"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")]
+)
+def test_the_suffix_says_the_format(tmp_path: Path, suffix: str, start: bytes) -> None:
+    path = tmp_path / "deep" / f"x{suffix}"
+    assert save(new_figure(3.0, 2.0), path) == path
+    assert path.read_bytes().startswith(start)
+    assert list(path.parent.iterdir()) == [path]
+
+
+def test_a_png_has_the_figures_size(tmp_path: Path) -> None:
+    from matplotlib.image import imread
+
+    pixels = imread(save(new_figure(3.0, 2.0), tmp_path / "x.png"))
+    assert pixels.shape[:2] == (260, 390)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
+def test_the_same_figure_gives_the_same_bytes(tmp_path: Path, suffix: str) -> None:
+    def draw(name: str) -> bytes:
+        figure = new_figure(3.0, 2.0)
+        figure.add_subplot().fill([0, 1, 1], [0, 0, 1], clip_on=True)
+        return save(figure, tmp_path / f"{name}{suffix}").read_bytes()
+
+    assert draw("a") == draw("b")
+
+
+def test_another_suffix_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"x\.bmp: a picture's name ends in \.png, \.svg, \.pdf"):
+        save(new_figure(3.0, 2.0), tmp_path / "x.bmp")
+
+
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(SwarmError, match=r"taken/x\.png: the picture cannot be written"):
+        save(new_figure(3.0, 2.0), tmp_path / "taken" / "x.png")
+
+
+def test_what_cannot_be_finished_leaves_nothing(tmp_path: Path) -> None:
+    (tmp_path / "x.png" / "in the way").mkdir(parents=True)
+    with pytest.raises(SwarmError, match="cannot be written"):
+        save(new_figure(3.0, 2.0), tmp_path / "x.png")
+    assert [path.name for path in tmp_path.iterdir()] == ["x.png"]
+
+
+def test_without_matplotlib_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    with pytest.raises(SwarmError, match=r"pip install 'swarmd\[plot\]'"):
+        new_figure(3.0, 2.0)
+
+
+@pytest.mark.parametrize("colours", [ROBOT_COLOURS, VARIANT_COLOURS])
+def test_colours_differ(colours: tuple[str, ...]) -> None:
+    assert len(set(colours)) == len(colours)

@@ -1,0 +1,99 @@
+"""Who takes part, and on which platforms."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import TouchZone
+from swarmd.settings.platforms import load_platform
+from swarmd.sim.scenarios.scenariofile import scenario_of
+
+if TYPE_CHECKING:
+    from tests.sim.scenarios.conftest import Load
+
+
+def test_robots_are_named_after_group_or_prefix_or_as_told(load: Load) -> None:
+    scenario = load({"groups.red.prefix": "tb3"})
+    assert scenario.groups == {"red": ("tb3-01", "tb3-02"), "blue": ("b-one", "b-two")}
+    assert tuple(scenario.robots) == ("tb3-01", "tb3-02", "b-one", "b-two")
+
+
+def test_a_hundred_robots_still_sort_by_name(load: Load) -> None:
+    scenario = load({"groups.red.count": 100, "groups.red.start": {"layout": "random"}})
+    assert scenario.groups["red"][0] == "red-001"
+    assert sorted(scenario.groups["red"]) == list(scenario.groups["red"])
+
+
+def test_a_platform_is_the_projects_with_what_the_scenario_lets_it_sense(load: Load) -> None:
+    robot = load().robots["red-01"]
+    assert robot.limits == load_platform("burger").limits
+    assert robot.provides == {"scan", "odometry", "neighbors", "reading:light"}
+    near = load({"radio": {"range_and_bearing": True}}).robots["red-01"].provides
+    assert near >= {"neighbors.distance", "neighbors.bearing", "neighbors.heading"}
+
+
+def test_values_of_a_platform_can_be_changed_for_one_scenario(load: Load) -> None:
+    scenario = load({"platforms": {"burger": {"protection": {"preset": "repo"}}}})
+    assert scenario.robots["red-01"].protection["threshold"] == 0.22
+    assert scenario.robots["b-one"].protection["threshold"] == 0.5
+
+
+def test_a_group_grants_its_robots_where_a_pattern_may_touch(load: Load) -> None:
+    granted = {"attraction": {"bearing_deg": 90, "half_width_deg": 9, "speed": 0.1}, "drive": None}
+    scenario = load({"groups.red.touch": granted})
+    zone = TouchZone(math.radians(90.0), math.radians(9.0), 0.1)
+    assert scenario.touch["red-02"] == {"attraction": zone}
+    assert scenario.touch["b-one"] == {}
+    assert scenario_of(scenario.effective).touch == scenario.touch
+
+
+def test_a_platform_can_be_made_from_another(load: Load) -> None:
+    slow = {"extends": "burger", "limits": {"linear": 0.1}}
+    robot = load({"platforms": {"slow": slow}, "groups.red.platform": "slow"}).robots["red-01"]
+    assert (robot.name, robot.limits.linear, robot.limits.angular) == ("slow", 0.1, 2.84)
+
+
+def test_a_platform_can_be_a_file_beside_the_scenario(load: Load, tmp_path: Path) -> None:
+    (tmp_path / "mine.yaml").write_text("extends: burger\nlimits: {linear: 0.1}")
+    robot = load({"groups.red.platform": "mine.yaml"}).robots["red-01"]
+    assert (robot.name, robot.limits.linear) == ("mine", 0.1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({"groups.red.platform": "burgr"}, "groups.red.platform: no platform 'burgr'; did you"),
+        (
+            {"platforms": {"slow": {"extends": "burger"}}, "groups.red.platform": "slo"},
+            "groups.red.platform: no platform 'slo'; did you mean 'slow'?",
+        ),
+        (
+            {"groups.red.platform": "no.yaml"},
+            "groups.red.platform: no.yaml: cannot be read: No such",
+        ),
+        (
+            {"groups.red.platform": "a/burger.yaml", "groups.blue.platform": "burger"},
+            "groups.blue.platform is burger, but another group has",
+        ),
+        ({"groups.blue.robots": []}, "groups.blue.robots is empty; name one"),
+        ({"groups.blue.count": 2}, "groups.blue has both count and robots; keep one"),
+        ({"groups.blue.robots": ["a", "red-02"]}, "robot 'red-02' is in group 'red' already"),
+        ({"groups.blue.robots": ["a", "a"]}, "groups.blue: robot 'a' is in group 'blue' already"),
+        ({"groups.blue.robots": ["red", "a"]}, "robot 'red' has the name of a group; rename one"),
+        ({"groups.blue.robots": ["all", "a"]}, "robot 'all' has the name of a group; rename one"),
+        ({"groups.blue.robots": ["B 1", "a"]}, "groups.blue: a robot's id is 'B 1'; wanted are 1"),
+        ({"groups.red.prefix": "TB3"}, "groups.red: a robot's id is 'TB3-01'; wanted are 1 to 63"),
+        ({"groups.Red": {"count": 1}}, "a group's name is 'Red'; wanted are 1 to 63 of a-z"),
+        ({"groups.all": {"count": 1}}, "groups.all does not hold all robots"),
+    ],
+)
+def test_says_who_cannot_take_part(load: Load, changes: dict[str, Any], fault: str) -> None:
+    with pytest.raises(ConfigError) as raised:
+        load(changes)
+    assert fault in str(raised.value)
+    assert "\n" not in str(raised.value)

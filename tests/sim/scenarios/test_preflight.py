@@ -1,0 +1,116 @@
+"""Patterns and their parameters are tried once before any run."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from swarmd.core.errors import ConfigError
+from swarmd.sim.scenarios.scenariofile import scenario_of
+
+if TYPE_CHECKING:
+    from tests.sim.scenarios.conftest import Load
+
+_NEEDY = """
+from swarmd.api import MovementPattern, Params, Twist
+
+class Needy(MovementPattern[Params]):
+    '''Needs what few have.'''
+    params_type = Params
+    needs = frozenset({"neighbors.distance", "reading:light"})
+
+    def drive(self, inputs):
+        return Twist()
+"""
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        (
+            {"groups.red.pattern": "atraction"},
+            "groups.red.pattern: no pattern 'atraction'; did you mean 'attraction'?",
+        ),
+        (
+            {"groups.red.parameters": {"spaceing": 1}},
+            "groups.red.parameters.spaceing: no parameter 'spaceing'; did you mean 'spacing'?",
+        ),
+        (
+            {"groups.red.parameters": {"law": "papre"}},
+            "parameter law is 'papre' (from group red); wanted is one of settling, paper",
+        ),
+        (
+            {"groups.red.parameters": {"spacing": float("nan")}},
+            "groups.red.parameters.spacing is nan; wanted",
+        ),
+        (
+            {"parameters": {"drive": {"sped": 1}}},
+            "parameters.drive.sped: no parameter 'sped'; did you mean 'speed'? (from scenario)",
+        ),
+        (
+            {"parameters": {"driev": {"speed": 1}}},
+            "parameters: no pattern 'driev'; did you mean 'drive'?",
+        ),
+        (
+            {"groups.red.touch": {"driev": {"half_width_deg": 9, "speed": 0.1}}},
+            "groups.red.touch.driev: no pattern 'driev'; did you mean 'drive'?",
+        ),
+        (
+            {"events.0.parameters": {"speed": 100}},
+            "events[0].parameters.speed: parameter speed is 100 m/s (from runtime); wanted is",
+        ),
+        (
+            {"events.+": {"at": 20, "param": {"speeed": 1}, "who": "blue"}},
+            "events[1].param.speeed: no parameter 'speeed'; did you mean 'speed'?",
+        ),
+        ({"events.0.run": "drvie"}, "events[0].run: no pattern 'drvie'; did you mean 'drive'?"),
+        ({"plugin_dir": "nowhere"}, "nowhere, which is no folder; make it or leave it out"),
+    ],
+)
+def test_a_wrong_name_or_value_is_found(load: Load, changes: dict[str, Any], fault: str) -> None:
+    with pytest.raises(ConfigError) as raised:
+        load(changes)
+    assert str(raised.value).startswith("here.yaml: ")
+    assert fault in str(raised.value)
+
+
+def test_a_wrong_parameter_that_was_set_is_not_looked_for_in_the_file(load: Load) -> None:
+    effective = load().effective
+    with pytest.raises(ConfigError, match=r"^--set: groups\.red\.parameters\.spaceing: no param"):
+        scenario_of(effective, {"groups.red.parameters.spaceing": 1})
+
+
+def test_a_robot_must_sense_what_the_pattern_needs(load: Load, tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "needy.py").write_text(_NEEDY)
+    changes = {"plugin_dir": "mine", "groups.blue.pattern": "needy"}
+    with pytest.raises(
+        ConfigError, match=r"groups.blue.pattern: pattern 'needy' needs neighbors.d"
+    ):
+        load(changes)
+    assert load({**changes, "radio": {"range_and_bearing": True}}).plugin_dir == tmp_path / "mine"
+
+
+def test_a_pattern_that_exits_is_told_of(load: Load, tmp_path: Path) -> None:
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "leaving.py").write_text(f"{_NEEDY}\nraise SystemExit\n")
+    with pytest.raises(ConfigError, match=r"groups\.blue\.pattern: leaving calls sys\.exit"):
+        load({"plugin_dir": "mine", "groups.blue.pattern": "leaving"})
+
+
+def test_layers_are_the_platforms_the_scenarios_and_the_groups(load: Load) -> None:
+    changes: dict[str, Any] = {
+        "platforms": {"burger": {"patterns": {"attraction": {"slack": 0.1}}}},
+        "parameters": {"attraction": {"spacing": 0.8}},
+        "groups.red.parameters": {"law": "paper"},
+    }
+    layers = load(changes).layers
+    assert layers("red-01", "attraction") == (
+        ("platform", {"slack": 0.1}),
+        ("scenario", {"spacing": 0.8}),
+        ("group red", {"law": "paper"}),
+    )
+    assert layers("b-one", "attraction") == (("scenario", {"spacing": 0.8}),)
+    assert layers("red-01", "drive") == ()

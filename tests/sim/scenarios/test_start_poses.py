@@ -1,0 +1,154 @@
+"""Where groups start: as the layout says, the same for one seed, never in anything."""
+
+from __future__ import annotations
+
+import math
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from swarmd.core.errors import ConfigError
+from swarmd.sim.world.geometry import gaps, transform
+
+if TYPE_CHECKING:
+    from tests.sim.scenarios.conftest import Load
+
+RED, BLUE = "groups.red.start", "groups.blue.start"
+
+
+def test_every_group_has_its_own_layout(load: Load) -> None:
+    poses = load({BLUE: {"layout": "ring", "radius": 1.5, "heading_deg": 90}}).starts(0)
+    np.testing.assert_allclose(poses[:2], [[0, -0.5, 0], [0, 0.5, 0]])
+    np.testing.assert_allclose(poses[2:, :2], [[0, 1.5], [0, -1.5]], atol=1e-12)
+
+
+def test_a_row_turns_and_moves_as_a_whole(load: Load) -> None:
+    start = {"layout": "row", "spacing": 2, "center": [1, -1], "heading_deg": 90}
+    poses = load({RED: start, BLUE: {"poses": [[-2, 0, 0], [-2, 1, 0]]}}).starts(0)
+    np.testing.assert_allclose(poses[:2], [[2, -1, math.pi / 2], [0, -1, math.pi / 2]], atol=1e-12)
+
+
+def test_poses_are_in_degrees_and_in_the_order_of_the_robots(load: Load) -> None:
+    poses = load({BLUE: {"poses": [[1, 0, 90], [1, 1, -45]]}}).starts(0)
+    np.testing.assert_allclose(poses[2:], [[1, 0, math.pi / 2], [1, 1, -math.pi / 4]])
+
+
+def test_groups_without_a_start_share_one(load: Load) -> None:
+    changes = {RED: None, BLUE: None, "start": {"layout": "paper", "spacing": 0.6}}
+    np.testing.assert_allclose(load(changes).starts(0)[:, 1], [0, 0.6, 1.2, 1.8])
+
+
+def test_without_any_word_they_stand_in_a_grid_of_1_m(load: Load) -> None:
+    poses = load({RED: None, BLUE: None}).starts(0)
+    np.testing.assert_allclose(poses[:, :2], [[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
+
+
+@pytest.mark.parametrize(
+    "start", [{"layout": "random"}, {"layout": "chain", "near": 0.62, "far": 0.8}]
+)
+def test_a_seed_is_one_start_and_another_seed_another(load: Load, start: dict[str, Any]) -> None:
+    starts = load({RED: start}).starts
+    again = load({RED: start}).starts
+    np.testing.assert_array_equal(starts(7), again(7))
+    assert np.abs(starts(7)[:2] - starts(8)[:2]).max() > 0.01
+    np.testing.assert_array_equal(starts(7)[2:], starts(8)[2:])
+
+
+def test_two_random_groups_do_not_throw_the_same_dice(load: Load) -> None:
+    left = {"layout": "random", "size": [2, 2], "center": [-1, 0]}
+    right = {"layout": "random", "size": [2, 2], "center": [1, 0]}
+    starts = load({RED: left, BLUE: right}).starts
+    apart = starts(3)[2:, :2] - starts(3)[:2, :2]
+    assert np.abs(apart - [2, 0]).max() > 0.01
+
+
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(seed=st.integers(0, 2**40), clearance=st.floats(0.0, 0.3))
+def test_random_robots_stand_apart_within_their_region(
+    load: Load, seed: int, clearance: float
+) -> None:
+    region = {"layout": "random", "clearance": clearance, "size": [4, 2], "center": [0.5, 1]}
+    scenario = load({"groups.red.count": 8, RED: region})
+    poses = scenario.starts(seed)
+    assert np.all(np.abs(poses[:8, :2] - [0.5, 1]) <= [2, 1])
+    shapes = [
+        transform(platform.footprint, pose)
+        for platform, pose in zip(scenario.robots.values(), poses, strict=True)
+    ]
+    things = [scenario.arena.boxes[0].corners, *(p.corners for p in scenario.arena.poles)]
+    assert min(float(gaps(a, b)) for a, b in combinations(shapes, 2)) > 0.0
+    assert min(float(gaps(a, b)) for a, b in combinations(shapes[:8], 2)) > clearance
+    assert min(float(gaps(a, b)) for a in shapes[:8] for b in things) > clearance
+
+
+@settings(
+    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(seed=st.integers(0, 2**40))
+def test_in_a_chain_everyone_has_a_neighbour_at_the_distances_asked_for(
+    load: Load, seed: int
+) -> None:
+    chain = {"layout": "chain", "near": 0.62, "far": 0.8, "center": [-1.5, 0], "heading_deg": 30}
+    poses = load({"groups.red.count": 6, RED: chain}).starts(seed)[:6]
+    np.testing.assert_allclose(poses[0, :2], [-1.5, 0])
+    np.testing.assert_allclose(poses[:, 2], math.radians(30))
+    for row in range(1, 6):
+        nearest = np.hypot(*(poses[:row, :2] - poses[row, :2]).T).min()
+        assert 0.62 <= nearest <= 0.8
+
+
+def test_a_box_out_of_the_arena_is_in_nobodys_way(load: Load) -> None:
+    poses = load({BLUE: {"poses": [[2, 0, 0], [-2, 0, 0]]}, RED: {"layout": "row"}}).starts(0)
+    assert np.isfinite(poses).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "fault"),
+    [
+        ({RED: {"layout": "row", "spacing": 0.1}}, f"{RED}: red-02 at (0, 0.05) touches red-01"),
+        ({RED: {"layout": "row", "spacing": 9}}, "red-01 at (0, -4.5) is not inside the walls"),
+        ({RED: {"poses": [[3, 2, 0], [0, 0, 0]]}}, "red-01 at (3, 2) stands in a box, pole or"),
+        ({RED: {"poses": [[3, -2, 0], [0, 0, 0]]}}, "red-01 at (3, -2) stands in a box, pole or"),
+        ({RED: {"poses": [[-2.5, -2, 0], [0, 0, 0]]}}, "red-01 at (-2.5, -2) stands in a box"),
+        ({BLUE: {"layout": "row"}}, f"{BLUE}: b-one at (0, -0.5) touches red-01"),
+        ({RED: {"poses": [[0, 0, 0]]}}, f"{RED} has 1 poses; wanted are 2, one a robot"),
+        ({RED: {"layout": "list"}}, f"{RED} has 0 poses; wanted are 2"),
+        ({RED: {"layout": "chain"}}, f"{RED} needs near and far"),
+        ({RED: {"layout": "chain", "near": 2, "far": 1}}, f"{RED} has near 2 above far 1"),
+        ({RED: {"layout": "random", "center": [1, 1]}}, f"{RED} has a center and no size"),
+        (
+            {RED: {"layout": "ring", "spacing": 1}},
+            f"{RED}.spacing means nothing with layout ring; wanted there: radius, center",
+        ),
+        (
+            {RED: {"layout": "row", "spacing": 0.1}, BLUE: {"layout": "random"}},
+            "red-02 at (0, 0.05) touches red-01",
+        ),
+    ],
+)
+def test_says_who_cannot_stand_where(load: Load, changes: dict[str, Any], fault: str) -> None:
+    with pytest.raises(ConfigError) as raised:
+        load(changes)
+    assert str(raised.value).startswith("here.yaml: ")
+    assert fault in str(raised.value)
+
+
+def test_a_seed_without_room_says_so_when_it_is_tried(load: Load) -> None:
+    crowd = load({"groups.red.count": 40, RED: {"layout": "random", "clearance": 0.6}})
+    with pytest.raises(
+        ConfigError, match=r"here.yaml: groups.red.start: no room for red-\d\d, one"
+    ):
+        crowd.starts(0)
+
+
+def test_a_file_that_changes_the_layout_need_not_take_the_old_one_back(load: Load) -> None:
+    poses = load({}, {f"{RED}.layout": "ring", f"{RED}.radius": 2}).starts(0)
+    np.testing.assert_allclose(np.hypot(*poses[:2, :2].T), 2.0)
+    poses = load({}, {f"{RED}.poses": [[0, 0, 0], [0, 1, 0]]}).starts(0)
+    np.testing.assert_allclose(poses[:2, 1], [0, 1])

@@ -1,0 +1,35 @@
+"""What is held back comes out in its time and order."""
+
+from __future__ import annotations
+
+from swarmd.sim.world.delay_queue import Held
+
+
+def test_nothing_comes_before_its_time_and_nothing_twice() -> None:
+    held: Held[str] = Held()
+    held.put(1.0, "a")
+    assert held.due(0.99) == []
+    assert held.due(1.0) == ["a"]
+    assert held.due(2.0) == []
+
+
+def test_comes_by_time_and_then_in_the_order_put_in() -> None:
+    held: Held[str] = Held()
+    for at, item in ((3.0, "z"), (1.0, "late"), (1.0, "a"), (2.0, "m"), (1.0, "b")):
+        held.put(at, item)
+    assert held.due(2.0) == ["late", "a", "b", "m"]
+    assert held.due(3.0) == ["z"]
+
+
+def test_a_sum_of_steps_that_is_a_rounding_error_short_of_the_time_is_in_time() -> None:
+    held: Held[int] = Held()
+    held.put(0.3, 1)
+    assert held.due(0.1 + 0.1 + 0.1 - 1e-15) == [1]
+
+
+def test_items_need_not_be_comparable() -> None:
+    held: Held[object] = Held()
+    first, second = object(), object()
+    held.put(1.0, first)
+    held.put(1.0, second)
+    assert held.due(1.0) == [first, second]

@@ -1,0 +1,103 @@
+"""Pairs within reach, and what stands between places."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from swarmd.core.values import Array
+from swarmd.sim.world.arena import Arena, Box, Pole, Segment
+from swarmd.sim.world.radio_visibility import Sight, all_pairs, near_pairs
+
+OPEN = Arena(20.0, 20.0)
+
+
+def clear(arena: Arena, a: tuple[float, float], b: tuple[float, float]) -> bool:
+    forth = Sight(arena).is_clear(np.array([a]), np.array([b]))
+    back = Sight(arena).is_clear(np.array([b]), np.array([a]))
+    assert forth == back
+    return bool(forth[0])
+
+
+def brute_pairs(places: Array, reach: float) -> list[list[int]]:
+    n = len(places)
+    return [
+        [i, j]
+        for i in range(n)
+        for j in range(i + 1, n)
+        if np.hypot(*(places[i] - places[j])) <= reach
+    ]
+
+
+@pytest.mark.parametrize(("n", "reach"), [(0, 1.0), (1, 1.0), (2, 100.0), (150, 0.3), (150, 2.5)])
+def test_near_pairs_are_those_of_brute_force(n: int, reach: float) -> None:
+    places = np.random.default_rng(1).uniform(-5.0, 5.0, (n, 2))
+    assert near_pairs(places, reach).tolist() == brute_pairs(places, reach)
+
+
+def test_near_pairs_of_a_thousand_are_those_of_brute_force() -> None:
+    places = np.random.default_rng(2).normal(0.0, 8.0, (1000, 2))
+    away = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
+    wanted = np.argwhere(np.triu(away <= 1.5, 1))
+    assert np.array_equal(near_pairs(places, 1.5), wanted)
+    assert len(wanted) > 1000
+
+
+def test_exactly_the_reach_is_near_on_a_grid_of_cells() -> None:
+    x, y = np.meshgrid(np.arange(-3.0, 4.0), np.arange(-3.0, 4.0))
+    places = np.stack((x.ravel(), y.ravel()), axis=-1) * 0.7
+    places[:, 0] -= 1e-17
+    assert near_pairs(places, 0.7).tolist() == brute_pairs(places, 0.7)
+
+
+def test_rounding_at_the_edge_of_a_cell_loses_no_pair() -> None:
+    places = np.array([[-1e-17, 0.0], [1.0, 0.0]])
+    assert near_pairs(places, 1.0).tolist() == [[0, 1]]
+
+
+def test_all_pairs() -> None:
+    assert all_pairs(3).tolist() == [[0, 1], [0, 2], [1, 2]]
+    assert all_pairs(1).shape == (0, 2)
+
+
+def test_nothing_stands_in_an_open_arena() -> None:
+    assert clear(OPEN, (-9.9, -9.9), (9.9, 9.9))
+
+
+@pytest.mark.parametrize(
+    "arena",
+    [
+        Arena(20.0, 20.0, boxes=(Box(0.0, 0.0, 1.0, 1.0, 0.4),)),
+        Arena(20.0, 20.0, poles=(Pole(0.0, 0.0, 0.3),)),
+        Arena(20.0, 20.0, segments=(Segment(0.1, -1.0, -0.1, 1.0),)),
+    ],
+)
+def test_box_pole_and_inner_wall_stand_between(arena: Arena) -> None:
+    assert not clear(arena, (-2.0, 0.0), (2.0, 0.0))
+    assert not clear(arena, (-2.0, -0.2), (3.0, 0.25))
+    assert clear(arena, (-2.0, 0.0), (-1.0, 0.0))  # in front of it
+    assert clear(arena, (1.0, 0.0), (2.0, 0.0))  # behind it
+    assert clear(arena, (-2.0, 1.5), (2.0, 1.5))  # beside it
+    assert clear(arena, (-2.0, 0.0), (0.0, 3.0))  # past its corner
+
+
+def test_movable_boxes_stand_between_only_where_they_are() -> None:
+    crate = Box(0.0, 0.0, 1.0, 1.0, mass=2.0)
+    sight = Sight(Arena(20.0, 20.0, boxes=(crate,)))
+    a, b = np.array([[-2.0, 0.0]]), np.array([[2.0, 0.0]])
+    elsewhere, away = crate.corners + np.array([0.0, 4.0]), np.full((4, 2), np.nan)
+    assert sight.is_clear(a, b)[0]
+    assert not sight.is_clear(a, b, np.array([away, crate.corners]))[0]
+    assert sight.is_clear(a, b, np.array([away, elsewhere]))[0]
+    assert sight.is_clear(a, b, np.empty((0, 4, 2)))[0]
+
+
+def test_many_ways_at_once_are_each_as_alone() -> None:
+    rng = np.random.default_rng(3)
+    boxes = tuple(Box(x, y, 0.4, 0.2, x) for x, y in rng.uniform(-4.0, 4.0, (30, 2)).tolist())
+    sight = Sight(Arena(10.0, 10.0, boxes, (Pole(3.0, -3.0, 0.5),)))
+    a, b = rng.uniform(-5.0, 5.0, (2, 3000, 2))
+    together = sight.is_clear(a, b)
+    alone = [sight.is_clear(a[i : i + 1], b[i : i + 1])[0] for i in range(3000)]
+    assert together.tolist() == alone
+    assert 0.1 < together.mean() < 0.9

@@ -1,0 +1,97 @@
+"""Fields and what robots read of them where they stand."""
+
+from __future__ import annotations
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from swarmd.settings.platforms import load_platform
+from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.scalar_fields import (
+    Field,
+    GaussianField,
+    LinearField,
+    UniformField,
+    sample,
+    with_readings,
+)
+from swarmd.sim.world.world import World
+
+PLACES = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
+
+
+def test_a_gaussian_is_its_peak_in_the_middle_and_its_floor_far_away() -> None:
+    field = GaussianField(name="light", center=(1.0, 0.0), sigma=0.5, peak=9.0, floor=1.0)
+    values = sample([field], np.array([[1.0, 0.0], [1.0, 0.5], [100.0, 0.0]]))["light"]
+    np.testing.assert_allclose(values, [9.0, 1.0 + 8.0 * math.exp(-0.5), 1.0])
+
+
+def test_a_slope_rises_along_its_direction_alone() -> None:
+    field = LinearField(name="depth", origin=(1.0, 0.0), direction_deg=90.0, slope=2.0, base=5.0)
+    np.testing.assert_allclose(sample([field], PLACES)["depth"], [5.0, 5.0, 9.0])
+
+
+def test_fields_of_one_name_add_up_and_others_stay_apart() -> None:
+    fields: list[Field] = [
+        UniformField(name="light", value=1.0),
+        UniformField(name="quality", value=3.0),
+        LinearField(name="light", slope=1.0),
+    ]
+    values = sample(fields, PLACES)
+    assert list(values) == ["light", "quality"]
+    np.testing.assert_allclose(values["light"], [1.0, 2.0, 2.0])
+    np.testing.assert_allclose(values["quality"], 3.0)
+
+
+def test_no_reading_is_more_than_can_be_told_to_a_daemon() -> None:
+    field = LinearField(name="light", slope=1e6)
+    np.testing.assert_array_equal(sample([field], np.array([[9.0, 0.0]]))["light"], [1e6])
+
+
+def test_no_fields_no_readings() -> None:
+    assert sample([], PLACES) == {}
+
+
+@pytest.mark.parametrize(
+    ("data", "complaint"),
+    [
+        ({"kind": "gaussain", "name": "a"}, "Invalid value 'gaussain'"),
+        ({"kind": "gaussian", "name": "a"}, "missing required field `sigma`"),
+        ({"kind": "gaussian", "name": "a", "sigma": 0.0}, r"sigma"),
+        ({"kind": "linear", "name": "a", "slope": math.inf}, r"slope"),
+        ({"kind": "uniform", "name": "two words", "value": 1.0}, r"name"),
+        ({"kind": "uniform", "name": "a", "value": 1.0, "sigma": 1.0}, "unknown field `sigma`"),
+    ],
+)
+def test_refuses_what_cannot_be(data: dict[str, object], complaint: str) -> None:
+    with pytest.raises(msgspec.ValidationError, match=complaint):
+        msgspec.convert(data, Field)
+
+
+def test_plain_values_make_the_same_field_again() -> None:
+    field = GaussianField(name="light", sigma=0.5)
+    assert msgspec.convert(msgspec.to_builtins(field), Field) == field
+
+
+def test_a_platform_in_a_field_provides_its_reading() -> None:
+    platform = load_platform("burger")
+    lit = with_readings(platform, [UniformField(name="light", value=1.0)])
+    assert lit.provides == platform.provides | {"reading:light"}
+    assert lit.name == platform.name
+
+
+def test_a_robot_reads_the_fields_where_it_stands_now() -> None:
+    fields = (LinearField(name="light", slope=2.0), UniformField(name="quality", value=0.5))
+    starts = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, math.pi]])
+    robots = dict.fromkeys(("a", "b"), load_platform("burger"))
+    world = World(robots, Arena(8.0, 8.0), starts, fields=fields)
+    assert world.readings(0) == {"light": 2.0, "quality": 0.5}
+    world.set_commands(np.full((2, 3), [0.2, 0.0, 0.0]))
+    world.step(300)
+    x = world.poses()[:, 0]
+    assert x[0] > 1.5
+    assert [world.readings(row)["light"] for row in (0, 1)] == pytest.approx((2.0 * x).tolist())
+    assert World(robots, Arena(8.0, 8.0), starts).readings(0) == {}

@@ -1,0 +1,89 @@
+"""Who drove into what it touched, and who was only thrown: on traces made by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from studies.safety.driven import drives, faults
+from swarmd.core.values import Array
+from swarmd.settings.platforms import load_platform
+from swarmd.sim.trace import Trace
+
+BURGER = load_platform("burger").footprint
+TOUCH = 5.0
+T = np.linspace(0.0, 10.0, 501)
+FRONT, BACK, SIDE = 0.038, 0.102, 0.089
+
+
+def commands(before: float, after: float, turn: float = 0.0) -> Array:
+    """(T, 3) `before` m/s and `turn` rad/s up to 0.2 s before the touch, then `after` m/s."""
+    late = (T >= TOUCH - 0.2)[:, None]
+    return np.where(late, (after, 0.0, 0.0), (before, turn, 0.0))
+
+
+def run(told: Array, speed: float, turned: Array | None = None, after: float = 0.1) -> Trace:
+    """Robot a, told so, is rammed from ahead; `after` s later its surface closes at `speed` m/s."""
+    pose, safe = np.zeros((len(T), 2, 3)), np.zeros((len(T), 2, 3))
+    safe[:, 0] = told
+    pose[:, 1, 0] = FRONT + BACK
+    pose[:, 0, 2] = 0.0 if turned is None else turned
+    times = TOUCH + np.array([0.0, after])
+    return Trace(
+        ids=("a", "ram"),
+        t=T,
+        pose=pose,
+        safe=safe,
+        contact_t=times,
+        contact_pair=np.array([[0, 1], [0, 1]]),
+        contact_speed=np.array([[0.0, 0.3], [speed, 0.1]]),
+        platforms=("burger",) * 2,
+        footprints={"burger": BURGER},
+    )
+
+
+def own_speeds(trace: Trace) -> list[float]:
+    return [fault.own_speed for fault in faults(trace, {"ram"})]
+
+
+def test_who_has_come_to_a_stop_and_is_thrown_by_a_ram_is_at_no_fault() -> None:
+    assert own_speeds(run(commands(0.1, 0.0), 0.3)) == []
+
+
+def test_who_is_told_to_drive_on_is_at_fault_by_that_much_at_most() -> None:
+    assert own_speeds(run(commands(0.0, 0.1), 0.3)) == pytest.approx([0.1])
+    assert own_speeds(run(commands(0.0, 0.2), 0.05)) == pytest.approx([0.05])
+
+
+def test_who_is_thrown_against_what_it_backs_away_from_is_at_no_fault() -> None:
+    assert own_speeds(run(commands(-0.1, -0.1), 0.3)) == []
+
+
+@pytest.mark.parametrize(("after", "expected"), [(0.02, [0.88 * SIDE]), (0.4, [])])
+def test_who_still_turns_is_at_fault_until_it_has_braked(
+    after: float, expected: list[float]
+) -> None:
+    """At 1 rad/s until the touch, though told to stop: it brakes at 3 rad/s2 at least.
+
+    A corner at its front comes nearer to what is ahead.
+    """
+    turned = np.minimum(T - TOUCH, 0.0)
+    assert own_speeds(run(commands(0.0, 0.0, 1.0), 0.3, turned, after)) == pytest.approx(
+        expected, abs=0.01
+    )
+
+
+def test_what_touches_nothing_moves_by_its_own_drives() -> None:
+    trace = run(commands(0.0, 0.0), 0.0, turned=0.5 * T)
+    free = drives(trace, 0)[(T > 0.0) & (T < TOUCH - 0.01)]
+    assert free[:, :, 1] == pytest.approx(0.5)
+    assert free[:, :, [0, 2]] == pytest.approx(0.0)
+
+
+def test_what_drives_can_do_lies_between_what_was_done_and_what_is_told() -> None:
+    trace = run(commands(0.2, -0.1), 0.3)
+    trace.pose[:, 0, 0] = np.minimum(0.2 * (T - TOUCH), 0.0)
+    at = int(np.searchsorted(T, TOUCH + 0.1))
+    assert drives(trace, 0)[at] == pytest.approx(
+        np.array([[-0.1, 0.0, 0.0], [0.1, 0.0, 0.0]]), abs=0.021
+    )

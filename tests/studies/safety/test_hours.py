@@ -1,0 +1,48 @@
+"""The short form of the robot-hours: fixed seeds, every family, nobody hits anybody.
+
+The long one is `python -m studies.safety hours`; what it found stands in docs/safety.md.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from studies.safety.judge import collisions
+from studies.safety.judgement import judge
+from studies.safety.runs import rammers
+from studies.safety.scenes import Scene, scenario
+from swarmd.sim.lockstep.lockstep import simulate_run
+
+SEED = 7
+HARDEST = 0.05
+"""m/s: no protected robot may close faster by itself on one that rams it."""
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        Scene("goals", "burger", "real", duration=20.0),
+        Scene("twists", "burger", "body", duration=20.0),
+        Scene("swap", "waffle_pi", "body", duration=20.0),
+        Scene("rush", "waffle_pi", "real", duration=20.0),
+        Scene("twists", "jackal", "body", duration=20.0),
+        Scene("rush", "jackal", "real", duration=20.0),
+        Scene("goals", "mixed", "body", duration=20.0),
+        Scene("random_walk", "burger", "real", duration=20.0),
+    ],
+    ids=lambda scene: scene.name,
+)
+def test_a_protected_swarm_touches_nothing(scene: Scene) -> None:
+    assert collisions(simulate_run(scenario(scene), SEED)) == []
+
+
+@pytest.mark.parametrize("platform", ["burger", "waffle_pi", "jackal"])
+def test_who_is_rammed_drives_into_nobody_hard(platform: str) -> None:
+    trace = simulate_run(scenario(Scene("ram", platform, duration=30.0)), SEED)
+    assert judge(trace, rammers(trace)).worst <= HARDEST
+
+
+def test_without_protection_the_same_swarms_collide() -> None:
+    # Else the tests above would pass whatever protection does.
+    trace = simulate_run(scenario(Scene("goals", "burger", mode="off", duration=30.0)), SEED)
+    assert len(collisions(trace)) > 10

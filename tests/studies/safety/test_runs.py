@@ -1,0 +1,153 @@
+"""Runs are kept, gone on with and summed up; none is done twice, none of other sources counts."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from studies.safety import hours, progress
+from studies.safety.columns import goals_a_minute, rate, upper_bound
+from studies.safety.judgement import Judgement
+from studies.safety.runs import Record, Task, carry_out, fingerprint, read, total
+from studies.safety.scenes import OWN, Scene
+from swarmd.core.errors import ConfigError
+
+NOTHING = Judgement(
+    seconds=3600.0,
+    collisions=0,
+    faults=0,
+    worst=0.0,
+    hits=0,
+    worst_hit=0.0,
+    touches=0,
+    touch_faults=0,
+    worst_touch=0.0,
+    pushed=0,
+    goals=0,
+    goal_seconds=0.0,
+    windows=0,
+    stuck=0,
+    altered=0.0,
+    min_gap=0.1,
+)
+SHORT = Scene("goals", "burger", mode="ghost", duration=2.0)
+
+
+def record(scene: Scene, seed: int = 0, found: Judgement = NOTHING) -> Record:
+    return Record(task=Task(scene, seed), code="c", cpu=36.0, found=found)
+
+
+def changed(**values: float) -> Judgement:
+    return msgspec.structs.replace(NOTHING, **values)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_was_done_is_not_done_again(tmp_path: Path, jobs: int) -> None:
+    file = tmp_path / "some.jsonl"
+    first = carry_out([Task(SHORT, 0)], file, jobs)
+    both = carry_out([Task(SHORT, 1), Task(SHORT, 0)], file, jobs)
+    assert [one.task.seed for one in both] == [1, 0]
+    assert both[1] == first[0]  # processor time too: it is the same run
+    assert len(file.read_text().splitlines()) == 2
+
+
+def test_a_run_is_the_same_whoever_does_it(tmp_path: Path) -> None:
+    tasks = [Task(Scene("goals", "burger", mode="potential_field", duration=5.0), 3)] * 1
+    here, elsewhere = (carry_out(tasks, tmp_path / f"{n}.jsonl", n) for n in (1, 2))
+    assert here[0].found == elsewhere[0].found
+
+
+def test_what_other_sources_did_counts_for_nothing(tmp_path: Path) -> None:
+    file = tmp_path / "some.jsonl"
+    file.write_bytes(msgspec.json.encode(record(SHORT)) + b"\n")
+    done = carry_out([Task(SHORT, 0)], file, 1)
+    assert done[0].code == fingerprint() != "c"
+    assert len(read(file)) == 2
+
+
+def test_a_file_that_is_none_of_ours_is_refused_by_name(tmp_path: Path) -> None:
+    file = tmp_path / "some.jsonl"
+    file.write_text("robots\n")
+    with pytest.raises(ConfigError, match=r"some\.jsonl: .*take the line out"):
+        carry_out([Task(SHORT, 0)], file, 1)
+
+
+def test_a_scene_that_cannot_be_is_told_before_anything_runs(tmp_path: Path) -> None:
+    tasks = [Task(SHORT, 0), Task(Scene("goals", "mixed", "real"), 0)]
+    with pytest.raises(ConfigError, match="visibility body"):
+        carry_out(tasks, tmp_path / "some.jsonl", 1)
+    assert not (tmp_path / "some.jsonl").exists()
+
+
+def test_numbers_add_up_and_extremes_stay() -> None:
+    a = changed(collisions=1, worst=0.03, goals=4, goal_seconds=60.0, min_gap=0.2)
+    whole = total([a, changed(collisions=2, worst=0.01), NOTHING])
+    assert (whole.seconds, whole.collisions, whole.worst, whole.min_gap) == (10800, 3, 0.03, 0.1)
+    assert goals_a_minute(whole) == pytest.approx(4.0)
+    assert goals_a_minute(NOTHING) is None
+
+
+@pytest.mark.parametrize(
+    ("count", "bound"),
+    # Half the 95 % quantile of chi-squared with 2 (count + 1) degrees of freedom, from tables.
+    [(0, 2.996), (1, 4.744), (2, 6.296), (10, 16.962), (100, 118.079)],
+)
+def test_bounds_are_those_of_poisson(count: int, bound: float) -> None:
+    assert upper_bound(count, 1.0) == pytest.approx(bound, rel=0.015)
+    assert upper_bound(count, 10.0) == pytest.approx(bound / 10.0, rel=0.015)
+
+
+def test_rates_are_told_with_what_they_are_below() -> None:
+    assert rate(0, 100 * 3600.0) == "0 (< 0.03)"
+    assert rate(3, 10 * 3600.0) == "3 (0.3, < 0.77)"
+
+
+def test_a_plan_has_the_hours_asked_for_over_all_scenes_with_fresh_seeds() -> None:
+    scenes = hours.cells(("goals", "ram", "drive"), ("burger", "mixed"), ("body", "real"),
+                         "barrier", 600.0)  # fmt: skip
+    assert len(scenes) == 9  # a mixed swarm has one visibility
+    tasks = hours.plan(100.0, scenes, range(1000, 2000))
+    planned = sum(task.scene.protected * task.scene.duration / 3600.0 for task in tasks)
+    assert 100.0 <= planned < 102.0
+    assert len(set(tasks)) == len(tasks)
+    assert {task.seed for task in tasks if task.scene.family in OWN} == set(
+        range(1000, max(task.seed for task in tasks) + 1, 2)
+    )
+
+
+def test_tables_tell_swarms_from_those_among_rammers() -> None:
+    text = hours.tables(
+        [
+            record(Scene("goals", "burger"), 0, changed(goals=60, goal_seconds=3600.0)),
+            record(Scene("goals", "burger", "real")),
+            record(Scene("ram", "burger"), 0, changed(collisions=5, faults=1, worst=0.031)),
+        ]
+    )
+    alone, among = text.split("### A third rams the others")
+    assert [line.split("|")[1].strip() for line in alone.splitlines() if "burger" in line] == [
+        "goals, burger",
+        "all, burger, body",
+        "all, burger, real",
+    ]
+    assert "3.1 cm/s" in among
+    assert "3.1 cm/s" not in alone
+    total_row = next(line for line in alone.splitlines() if line.startswith("| all  "))
+    assert "| 2.0 " in total_row
+    assert "| 1.00 " in total_row  # goals a minute, of the run that had any
+    assert "| 100 " in total_row  # robot-hours a CPU-hour
+
+
+def test_progress_is_a_share_of_what_ghosts_reach() -> None:
+    tasks = progress.plan(("goals",), ("burger",), ("body",), ("barrier",), (0, 1), 60.0)
+    assert len(tasks) == 8  # sparse and dense, ghosts and barrier, two seeds
+    reached = {"ghost": 100, "barrier": 25}
+    records = [
+        record(t.scene, t.seed, changed(goals=reached[t.scene.mode], goal_seconds=3600.0))
+        for t in tasks
+    ]
+    text = progress.tables(records)
+    assert "### goals, burger, body, 6.0 m2 a robot" in text
+    assert "### goals, burger, body, 1.6 m2 a robot" in text
+    assert text.count("100%") == text.count("25%") == 2

@@ -1,0 +1,183 @@
+"""Every scene is a scenario that can be run, and its robots do what it is named for."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from studies.safety.runs import rammers
+from studies.safety.scenes import (
+    FAMILIES,
+    MODES,
+    PLATFORMS,
+    RAMMERS,
+    SPARSE,
+    VISIBILITIES,
+    Scene,
+    scenario,
+)
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array
+from swarmd.settings.platforms import load_platform
+from swarmd.sim.lockstep.lockstep import Lockstep, simulate_run
+from swarmd.sim.metrics.touches import contacts_with_arena
+from swarmd.sim.trace import Trace
+
+
+def run(scene: Scene, seed: int = 1) -> Trace:
+    return simulate_run(scenario(scene), seed)
+
+
+@pytest.mark.parametrize("platform", PLATFORMS)
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_scene_can_start(family: str, platform: str) -> None:
+    scene = Scene(family, platform)
+    made = scenario(scene)
+    assert len(made.robots) == scene.room.robots
+    for seed in (0, 1, 1000):
+        made.starts(seed)
+
+
+@pytest.mark.parametrize("platform", SPARSE)
+def test_sparse_scenes_have_more_room(platform: str) -> None:
+    scenes = Scene("goals", platform, is_sparse=True), Scene("goals", platform)
+    areas = [scene.room.side**2 / scene.room.robots for scene in scenes]
+    assert areas[0] > 2.0 * areas[1]
+    scenario(scenes[0]).starts(0)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_robots_are_protected_as_the_scene_says(mode: str) -> None:
+    scene = Scene("goals", "burger", mode=mode)
+    protection = next(iter(scenario(scene).robots.values())).protection
+    words = {"ghost": "off", "reciprocal": "barrier"}
+    assert protection["mode"] == words.get(mode, mode)
+    shares = {"reciprocal": "reciprocal"}.get(mode, "passive")
+    assert protection["barrier"]["responsibility"] == shares
+
+
+@pytest.mark.parametrize("visibility", VISIBILITIES)
+def test_what_lidars_see_is_as_the_scene_says(visibility: str) -> None:
+    assert scenario(Scene("goals", "burger", visibility)).visibility == visibility
+
+
+def test_a_third_rams_and_is_not_protected() -> None:
+    scene = Scene("ram", "mixed")
+    modes = [str(one.protection["mode"]) for one in scenario(scene).robots.values()]
+    assert (modes.count("off"), modes.count("barrier")) == (3, 6)
+    assert scene.protected == 6
+
+
+def test_a_mixed_swarm_agrees_on_one_speed_and_keeps_out_of_every_blind_zone() -> None:
+    platforms = scenario(Scene("goals", "mixed")).robots.values()
+    agreed = {
+        (barrier["others_speed"], barrier["surface_speed"] or barrier["others_speed"],
+         barrier["keep_out"])
+        for barrier in (platform.protection["barrier"] for platform in platforms)
+    }  # fmt: skip
+    assert agreed == {(0.4, 0.4, 0.92)}
+
+
+@pytest.mark.parametrize("platform", ["burger", "waffle_pi", "jackal"])
+def test_nothing_is_unseen_where_lidars_see_whole_bodies(platform: str) -> None:
+    own = load_platform(platform).protection["barrier"]["unseen_extent"]
+    unseen = [
+        next(iter(scenario(Scene("goals", platform, visibility)).robots.values())).protection[
+            "barrier"
+        ]["unseen_extent"]
+        for visibility in VISIBILITIES
+    ]
+    assert unseen == [0.0, own]
+
+
+def test_a_scene_that_is_none_is_refused_with_the_nearest() -> None:
+    with pytest.raises(ConfigError, match="no family 'goal'; did you mean 'goals'"):
+        scenario(Scene("goal", "burger"))
+    with pytest.raises(ConfigError, match="a Jackal's lidar looks over TurtleBots"):
+        scenario(Scene("goals", "mixed", "real"))
+
+
+def test_ghosts_reach_goals_and_never_touch_a_wall() -> None:
+    trace = run(Scene("goals", "burger", mode="ghost", duration=40.0))
+    assert (trace.report["goals"][-1] >= 1).all()
+    assert contacts_with_arena(trace) == 0
+
+
+def test_ghosts_swap_places_and_swap_back() -> None:
+    trace = run(Scene("swap", "burger", mode="ghost", duration=45.0))
+    assert (trace.report["goals"][-1] >= 2).all()
+    place = trace.pose[..., :2]
+    across = np.hypot(*np.moveaxis(place + place[0], -1, 0))
+    assert (across.min(axis=0) < 0.25).all()
+
+
+def test_who_rushes_gathers_at_the_centre_and_has_no_goals_to_count() -> None:
+    trace = run(Scene("rush", "burger", mode="ghost", duration=30.0))
+    assert np.hypot(*trace.pose[-1, :, :2].T).max() < 0.4
+    assert "goals" not in trace.report
+
+
+def test_random_twists_go_both_ways_and_turn_both_ways() -> None:
+    trace = run(Scene("twists", "burger", mode="ghost", duration=30.0))
+    linear, angular = trace.safe[..., 0], trace.safe[..., 1]
+    limits = load_platform("burger").limits
+    assert (linear.min(), linear.max()) == pytest.approx((-limits.linear, limits.linear), rel=0.2)
+    assert (angular.min(), angular.max()) == pytest.approx(
+        (-limits.angular, limits.angular), rel=0.2
+    )
+    assert ((linear == 0.0) & (angular != 0.0)).any()
+    assert ((linear != 0.0) & (angular == 0.0)).any()
+
+
+def fastest_points(lab: Lockstep, rows: list[int], seconds: float) -> Array:
+    """The fastest that any point of the robots' outlines moved while nobody pushed them."""
+    world, fastest = lab.world, np.zeros(len(rows))
+    pushed_at = dict.fromkeys(world.ids, -1.0)
+    for _ in range(round(seconds / world.dt)):
+        lab.advance(world.dt)
+        for contact in world.contacts():
+            pushed_at[contact.a] = pushed_at[contact.b] = world.time
+        for number, row in enumerate(rows):
+            if world.time - pushed_at[world.ids[row]] > 0.5:
+                x, y = world.platforms[row].footprint.T
+                linear, angular, lateral = world.twists()[row]
+                speeds = np.hypot(linear - angular * y, lateral + angular * x)
+                fastest[number] = max(fastest[number], float(speeds.max()))
+    return fastest
+
+
+@pytest.mark.parametrize("platform", PLATFORMS)
+def test_no_point_of_a_rammer_moves_faster_than_others_assume(platform: str) -> None:
+    lab = Lockstep(scenario(Scene("ram", platform, mode="off")), 1)
+    platforms = lab.world.platforms
+    rows = [row for row, one in enumerate(platforms) if one.name.startswith(RAMMERS)]
+    kinds = [platforms[row].name.removeprefix(f"{RAMMERS}-") for row in rows]
+    limits = np.array([load_platform(k).protection["barrier"]["others_speed"] for k in kinds])
+    if platform == "mixed":
+        limits[:] = 0.4
+    fastest = fastest_points(lab, rows, 20.0)
+    assert (fastest <= limits).all()
+    assert (fastest > 0.6 * limits).all()
+
+
+@pytest.mark.parametrize("platform", ["burger", "jackal"])
+def test_rammers_run_into_those_that_do_not_look(platform: str) -> None:
+    trace = run(Scene("ram", platform, mode="off", duration=20.0))
+    ram = {trace.ids.index(robot) for robot in rammers(trace)}
+    hits = [
+        speed
+        for pair, speeds in zip(trace.contact_pair.tolist(), trace.contact_speed, strict=True)
+        for robot, speed in zip(pair, speeds, strict=True)
+        if robot in ram and pair[1] >= 0 and not ram >= set(pair)
+    ]
+    assert max(hits) > 0.1
+
+
+def test_patterns_are_in_one_folder_that_a_daemon_can_be_given() -> None:
+    folder = scenario(Scene("goals", "burger")).plugin_dir
+    assert folder is not None
+    names = {path.stem for path in Path(folder).glob("*.py")}
+    assert names == {"goals", "ram", "random_twists"}
+    assert all("benchmarks" not in path.read_text() for path in folder.glob("*.py"))

@@ -1,0 +1,76 @@
+"""The claims of docs/paper.md, with three seeds each and runs of half the length."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from studies.paper import ORIGINAL, changes
+from swarmd.core.values import Array
+from swarmd.sim.experiments.simulate import simulate
+
+SEEDS = (0, 1, 2)
+NAMES = ("burger", "waffle_pi")
+VISIBILITIES = ("body", "real")
+LATE_BOUND = {"burger": 0.65, "waffle_pi": 0.75}
+ALTERED = {"burger": 0.05, "waffle_pi": 0.25}
+"""Before the stop from a command was followed, Waffle Pis kept 0.15. Now a turn that would swing a
+corner, 0.25 m from the axle, past a neighbour is given up by quarters: of 40 runs each the median
+is 0.15 with bodies seen whole, 0.10 with the real visibility, and the highest of all is 0.23."""
+
+
+@cache
+def runs(name: str, visibility: str, law: str = "settling", mode: str = "") -> dict[str, Array]:
+    """The values (3,) of each metric; `mode` is that of protection, empty: the platform's."""
+    some = {"lidar_visibility": visibility, "duration": 60, **changes(name, law)}
+    some |= {f"platforms.{name}.protection.mode": mode} if mode else {}
+    results = simulate(f"paper_exp1_{name}", SEEDS, set=some, traces=False)
+    return {metric: results.metric(metric) for metric in results.metrics}
+
+
+@pytest.mark.parametrize("visibility", VISIBILITIES)
+@pytest.mark.parametrize("name", NAMES)
+def test_turtlebots_gather_in_one_cluster_and_stay_one(name: str, visibility: str) -> None:
+    found = runs(name, visibility)
+    assert (found["one_cluster_at_end"] == 1.0).all()
+    assert (found["time_in_one_cluster_late"] >= 0.9).all()
+    # The bound is 0.86 m. Waffle Pis seen whole keep it in the median of 20 runs, which is 0.84 m;
+    # that of three, of runs that differ by 0.06 m, is now and then above it.
+    early = 0.90 if (name, visibility) == ("waffle_pi", "body") else 0.86
+    assert np.median(found["mean_distance_to_centroid_30s"]) <= early
+    # The bound on the late distance holds after 120 s, and with bodies seen whole in half the runs.
+    assert (found["mean_distance_to_centroid_late"] <= 1.2 * LATE_BOUND[name]).all()
+
+
+@pytest.mark.parametrize("visibility", VISIBILITIES)
+@pytest.mark.parametrize("name", NAMES)
+def test_turtlebots_do_not_touch_and_come_to_rest(name: str, visibility: str) -> None:
+    found = runs(name, visibility)
+    assert (found["robot_contacts"] + found["arena_contacts"] == 0.0).all()
+    assert (found["mean_speed_late_share"] <= 0.2).all()
+    # Of a filter any change counts, however small.
+    assert (found["command_alteration"] <= ALTERED[name]).all()
+
+
+@pytest.mark.parametrize("visibility", VISIBILITIES)
+@pytest.mark.parametrize("name", NAMES)
+def test_the_papers_layer_has_little_to_do(name: str, visibility: str) -> None:
+    found = runs(name, visibility, mode="potential_field")
+    assert (found["protection_duty_late"] <= 0.2).all()
+
+
+@pytest.mark.parametrize("visibility", VISIBILITIES)
+def test_jackals_are_one_cluster_and_looser(visibility: str) -> None:
+    jackals, burgers = runs("jackal", visibility), runs("burger", visibility)
+    assert (jackals["one_cluster_at_end"] == 1.0).all()
+    nearest = "nearest_neighbor_median_late"
+    assert jackals[nearest].min() > 1.1
+    assert jackals[nearest].min() > burgers[nearest].max()
+
+
+def test_the_original_law_under_the_original_protection_never_rests() -> None:
+    ours, original = runs("burger", "body"), runs("burger", "body", ORIGINAL)
+    for metric in ("mean_speed_late_share", "protection_duty_late"):
+        assert original[metric].min() > 2.0 * ours[metric].max()

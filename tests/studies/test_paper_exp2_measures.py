@@ -1,0 +1,90 @@
+"""How runs of experiment 2 are judged, on traces made by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from studies.paper_exp2 import joined, judged, ranges
+from swarmd.core.values import Array
+from swarmd.settings.settings import load_platform
+from swarmd.sim.trace import Trace
+
+WAFFLE = load_platform("waffle_pi")
+TIMES = np.arange(0.0, 80.05, 0.1)
+
+
+def trace_of(places: Array, opinion: Array) -> Trace:
+    """Two robots that look along x, at places (T, 2, 2)."""
+    pose = np.concatenate((places, np.zeros((len(TIMES), 2, 1))), axis=2)
+    return Trace(
+        ids=("a", "b"),
+        t=TIMES,
+        pose=pose,
+        safe=np.zeros_like(pose),
+        contact_t=np.zeros(0),
+        contact_pair=np.zeros((0, 2), dtype=np.int64),
+        contact_speed=np.zeros((0, 2)),
+        platforms=("waffle_pi", "waffle_pi"),
+        footprints={"waffle_pi": WAFFLE.footprint},
+        meta={"arena": "10x8"},
+        report={"opinion": opinion},
+    )
+
+
+def spread(distance: float, at: float) -> Array:
+    """Two robots whose axles are 0.9 m apart until a time, and then so far."""
+    places = np.zeros((len(TIMES), 2, 2))
+    places[:, 1, 0] = np.where(at - 1e-6 > TIMES, 0.9, distance)
+    return places
+
+
+OPINION = np.ones((len(TIMES), 2))
+
+
+def test_a_range_is_from_the_lidar_to_the_nearest_body_or_wall() -> None:
+    trace = trace_of(spread(2.0, 0.0), OPINION)
+    # The lidar sits 0.064 m behind the axle; the body reaches from -0.197 m to 0.086 m.
+    np.testing.assert_allclose(ranges(trace)[0], [2.0 - 0.197 + 0.064, 2.0 - 0.064 - 0.086])
+    at_wall = spread(2.0, 0.0) + np.array([-4.5, 0.0])
+    np.testing.assert_allclose(ranges(trace_of(at_wall, OPINION))[0, 0], 5.0 - 4.564)
+
+
+def test_what_is_kept_from_when_on_and_who_stands() -> None:
+    course = judged(trace_of(spread(1.5, 25.0), OPINION))
+    assert course.opinion == 1
+    assert course.wanted == pytest.approx(1.0)
+    assert course.moved == 0.0
+    assert course.kept_since == pytest.approx(25.0)
+    assert course.least == pytest.approx(1.5 - 0.064 - 0.086)
+    assert course.is_kept
+    assert course.is_standing
+
+
+def test_too_near_too_early_or_too_late_is_told() -> None:
+    assert math.isinf(judged(trace_of(spread(1.1, 25.0), OPINION)).kept_since)
+    assert judged(trace_of(spread(1.5, 19.0), OPINION)).moved == pytest.approx(0.6)
+    late = judged(trace_of(spread(1.5, 50.0), OPINION))
+    assert not late.is_kept
+    assert not late.is_standing
+
+
+def test_a_mind_that_changes_after_20_s_is_no_agreement() -> None:
+    opinion = OPINION.copy()
+    opinion[TIMES > 60.0, 1] = 0.0
+    assert judged(trace_of(spread(1.5, 25.0), opinion)).opinion == -1
+    opinion = OPINION.copy()
+    opinion[TIMES < 19.0, 1] = 0.0
+    assert judged(trace_of(spread(1.5, 25.0), opinion)).opinion == 1
+
+
+def test_who_joins_late_adopts_or_sways() -> None:
+    opinion = OPINION.copy()
+    opinion[TIMES < 54.95, 1] = 2.0
+    found = joined(trace_of(spread(1.5, 25.0), opinion))
+    assert found.adopted == pytest.approx(5.0)
+    assert not found.is_swayed
+    opinion[TIMES > 70.0, 0] = 2.0
+    assert joined(trace_of(spread(1.5, 25.0), opinion)).is_swayed

@@ -1,0 +1,93 @@
+"""A ROS 2 node on DDS, by cyclonedds, for tests and benchmarks: no ROS is needed for it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from cyclonedds.core import Policy, Qos
+from cyclonedds.domain import DomainParticipant
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+from cyclonedds.util import duration
+
+from tests.support import dds_types
+
+SENSOR = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(5))
+RELIABLE = Qos(Policy.Reliability.Reliable(10**8), Policy.History.KeepLast(10))
+_KEPT = Qos(
+    Policy.Reliability.Reliable(10**8), Policy.Durability.TransientLocal, Policy.History.KeepLast(1)
+)
+_SENSORS = (dds_types.LaserScan,)
+
+
+class DdsNode:
+    """Says and hears topics, full names such as `/scan`, each with its type.
+
+    It tells of itself on `ros_discovery_info`, as every node does: a bridge goes by that.
+    """
+
+    def __init__(
+        self,
+        domain: int,
+        name: str,
+        says: Mapping[str, type] | None = None,
+        hears: Mapping[str, type] | None = None,
+    ) -> None:
+        """There from now on; the domain's settings are those of a `Domain` made before."""
+        self._participant = DomainParticipant(domain)
+        self._writers = {
+            topic: DataWriter(self._participant, self._topic(topic, kind))
+            for topic, kind in (says or {}).items()
+        }
+        self._hears = dict(hears or {})
+        self._readers = {
+            topic: DataReader(self._participant, self._topic(topic, kind))
+            for topic, kind in self._hears.items()
+        }
+        kept = dds_types.ParticipantEntitiesInfo
+        about = Topic(self._participant, "ros_discovery_info", kept, _KEPT)
+        self._about = DataWriter(self._participant, about)
+        self._about.write(self._info(name))
+
+    def say(self, topic: str, message: object) -> None:
+        """Write one message."""
+        self._writers[topic].write(message)
+
+    def heard(self, topic: str) -> Sequence[Any]:
+        """What has come since the last call, oldest first."""
+        taken = self._readers[topic].take(100)
+        return [message for message in taken if self._is_whole(topic, message)]
+
+    def wait(self, topic: str, seconds: float) -> Any:
+        """The next message to come; None if none does within so long."""
+        found = self._readers[topic].take_iter(timeout=duration(seconds=seconds))
+        return next((message for message in found if self._is_whole(topic, message)), None)
+
+    def close(self) -> None:
+        """Leave the domain."""
+        self._writers.clear()
+        self._readers.clear()
+        del self._about, self._participant
+
+    def _is_whole(self, topic: str, message: object) -> bool:
+        """Whether it is a message, and not the end of a writer."""
+        return isinstance(message, self._hears[topic])
+
+    def _topic(self, name: str, kind: type) -> Any:
+        qos = SENSOR if kind in _SENSORS else RELIABLE
+        return Topic(self._participant, f"rt{name}", kind, qos)
+
+    def _info(self, name: str) -> object:
+        node = dds_types.NodeEntitiesInfo(
+            node_namespace="/",
+            node_name=name,
+            reader_gid_seq=[_gid(reader) for reader in self._readers.values()],
+            writer_gid_seq=[_gid(writer) for writer in self._writers.values()],
+        )
+        return dds_types.ParticipantEntitiesInfo(_gid(self._participant), [node])
+
+
+def _gid(entity: Any) -> dds_types.Gid:
+    return dds_types.Gid(list(entity.guid.bytes))

@@ -1,0 +1,36 @@
+"""An operator who makes one robot run and looks at it, for tests with whole daemons."""
+
+from __future__ import annotations
+
+from swarmd.core.messages import Code, State, Status
+from swarmd.network.operator import Operator
+from tests.support.processes import wait_until
+
+ROBOT = "tb3-01"
+
+
+def status(operator: Operator) -> Status | None:
+    """What the robot says of itself; None if it does not answer."""
+    member = operator.members().members.get(ROBOT)
+    return None if member is None else member.status
+
+
+def is_running(operator: Operator) -> bool:
+    """True while it runs on scans that keep coming."""
+    now = status(operator)
+    return now is not None and now.state is State.RUNNING and now.health.scan_rate > 1.0
+
+
+def drive(operator: Operator) -> None:
+    """Run `drive` once it senses and answers."""
+
+    def is_applied() -> bool:
+        now = status(operator)
+        if now is None or not now.health.driver_up or now.verdict.scan_age is None:
+            return False
+        args = {"pattern": "drive", "params": {"speed": 0.1}}
+        outcome = operator.request("run", {ROBOT: now.epoch}, args, timeout=10.0)
+        reply = outcome.replies.get(ROBOT)
+        return reply is not None and reply.code is Code.APPLIED
+
+    wait_until(is_applied, "it runs")

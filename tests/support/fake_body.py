@@ -1,0 +1,192 @@
+"""A scripted body: speaks `hw/*` like the simulated world, but does what a test tells it.
+
+It listens on loopback for the daemon's simulated driver. Sweeps and odometry are published from a
+thread of its own at their nominal rates; `scans` makes each sweep and can be replaced at any time.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from types import TracebackType
+
+import zenoh
+
+from swarmd.core import keys
+from swarmd.core.clock import boottime
+from swarmd.core.errors import CodecError
+from swarmd.core.values import Odometry, Platform, Pose, Scan, Twist
+from swarmd.driver_api.hw_codec import decode_command, encode_odometry, encode_scan
+from swarmd.testing.scans import empty_scan
+
+CAP = 60.0
+ODOMETRY_RATE = 20.0
+ScanScript = Callable[[int, float], Scan | bytes | None]
+
+
+@dataclass(frozen=True, slots=True)
+class Commanded:
+    """A command as it arrived. `at` on CLOCK_BOOTTIME in s."""
+
+    at: float
+    twist: Twist
+    scan_seq: int
+    wish_seq: int
+
+
+class Body:
+    """One robot's body; a context manager.
+
+    `endpoint` is where the daemon's driver finds it; one that is given is that of a body which
+    was there before and returns.
+    """
+
+    def __init__(
+        self,
+        platform: Platform,
+        *,
+        swarm: str,
+        robot: str,
+        rate: float | None = None,
+        endpoint: str | None = None,
+    ) -> None:
+        self.platform = platform
+        self.robot = robot
+        self.scans: ScanScript = self.clear
+        self.odometry: Twist | None = Twist()
+        self.commands: list[Commanded] = []
+        self.swarm = swarm
+        self._period = 1.0 / (rate or platform.scan.rate)
+        self._changed = threading.Condition()
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._publish, name=f"body {robot}", daemon=True)
+        self.endpoint = endpoint or f"tcp/127.0.0.1:{_free_port()}"
+        config = zenoh.Config()
+        for path, value in (
+            ("mode", "peer"),
+            ("listen/endpoints", [self.endpoint]),
+            ("scouting/multicast/enabled", False),
+            ("scouting/gossip/enabled", False),
+            ("transport/link/tx/lease", 60_000),
+        ):
+            config.insert_json5(path, json.dumps(value))
+        self._session = zenoh.open(config)
+        self._subscriber = self._session.declare_subscriber(self._key("cmd_vel"), self._on_command)
+
+    def __enter__(self) -> Body:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Be gone, as a body whose plug is pulled; harmless if it is already."""
+        if not self._stopping.is_set():
+            self._stopping.set()
+            self._thread.join(CAP)
+            self._session.close()
+
+    def clear(self, seq: int, stamp: float, distance: float = 3.0) -> Scan:
+        """A sweep in which every ray returns `distance` m."""
+        return empty_scan(self.platform, seq, stamp, distance)
+
+    def put(self, key: str, payload: bytes) -> None:
+        """Say anything on any key to whoever is linked to this body, and lose nothing of it."""
+        self._session.put(key, payload, congestion_control=zenoh.CongestionControl.BLOCK)
+
+    def wait(self, what: Callable[[Commanded], bool], since: float = 0.0) -> Commanded:
+        """The first command after `since` for which `what` holds; AssertionError after a minute."""
+        deadline = time.monotonic() + CAP
+        with self._changed:
+            while True:
+                for command in self.commands:
+                    if command.at > since and what(command):
+                        return command
+                left = deadline - time.monotonic()
+                assert left > 0.0, f"no such command; the last were {self.commands[-3:]}"
+                self._changed.wait(left)
+
+    def wait_moving(self, since: float = 0.0) -> Commanded:
+        """The first command that moves."""
+        return self.wait(lambda command: not command.twist.is_zero, since)
+
+    def wait_stepped(self) -> Commanded:
+        """The first command that moves on a wish for which the pattern had seen a scan."""
+        return self.wait(lambda command: not command.twist.is_zero and command.wish_seq >= 0)
+
+    def wait_zero(self, since: float = 0.0) -> Commanded:
+        """The first command that is exactly zero."""
+        return self.wait(lambda command: command.twist.is_zero, since)
+
+    def moved_since(self, since: float) -> bool:
+        """True if any command after `since` moves."""
+        with self._changed:
+            return any(one.at > since and not one.twist.is_zero for one in self.commands)
+
+    def moved_anew(self, thawed: float) -> bool:
+        """True if a command after the thaw of a daemon moves, and was not on its way before.
+
+        The one that was on its way when it froze the network sends on at the thaw, before all
+        others. It rests on the sweep of the last one that came by then, or on the one after.
+        """
+        with self._changed:
+            before = max((one.scan_seq for one in self.commands if one.at <= thawed), default=-1)
+            since = [one for one in self.commands if one.at > thawed]
+            is_late = bool(since) and since[0].scan_seq <= before + 1
+            return any(not one.twist.is_zero for one in since[is_late:])
+
+    def ran_since(self, moving: Commanded) -> bool:
+        """True if from then on every command was of a running pattern, held up or not.
+
+        `moving` is one that moves and whose wish was made of a scan: see `wait_stepped`.
+        """
+        with self._changed:
+            return all(
+                min(one.scan_seq, one.wish_seq) >= 0 for one in self.commands if one.at >= moving.at
+            )
+
+    def _key(self, name: str) -> str:
+        return keys.build(self.swarm, self.robot, "hw", name)
+
+    def _on_command(self, sample: zenoh.Sample) -> None:
+        try:
+            wire = decode_command(sample.payload.to_bytes())
+        except CodecError:
+            return
+        twist = Twist(wire.linear, wire.angular, wire.lateral)
+        with self._changed:
+            self.commands.append(Commanded(boottime(), twist, wire.scan_seq, wire.wish_seq))
+            self._changed.notify_all()
+
+    def _publish(self) -> None:
+        begin, seq, next_scan = boottime(), 0, 0.0
+        while not self._stopping.wait(1.0 / ODOMETRY_RATE):
+            stamp = boottime() - begin
+            if self.odometry is not None:
+                odometry = Odometry(stamp, Pose(), self.odometry)
+                self._session.put(self._key("odometry"), encode_odometry(odometry))
+            if stamp < next_scan:
+                continue
+            next_scan = max(next_scan + self._period, stamp)
+            seq += 1
+            scan = self.scans(seq, stamp)
+            if scan is not None:
+                payload = scan if isinstance(scan, bytes) else encode_scan(scan)
+                self._session.put(self._key("scan"), payload)
+
+
+def _free_port() -> int:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port

@@ -1,0 +1,266 @@
+"""A swarm without bodies: real sessions, membership and acks, for tests of the network and the CLI.
+
+In one process::
+
+    async with LightDaemon(settings, "tb3-01") as daemon: ...
+
+or as a process of its own, one session each, ready when it has printed `ready`::
+
+    python -m tests.support.fake_daemon --swarm lab tb3-01 tb3-02
+"""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import secrets
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from types import TracebackType
+from typing import Any, Self
+
+import msgspec
+import zenoh
+
+from swarmd.core.codec import Decoder, encode
+from swarmd.core.errors import CodecError
+from swarmd.core.keys import build
+from swarmd.core.messages import (
+    Code,
+    Epoch,
+    Health,
+    Reason,
+    Reply,
+    Request,
+    State,
+    Status,
+    VerdictSummary,
+)
+from swarmd.network.bus import Query, ZenohBus
+from swarmd.network.claim import Claim, claim_id
+from swarmd.network.session import SessionSettings, open_session
+
+VERBS = ("run", "stop", "reset", "param", "forget")
+
+_request = Decoder(Request)
+
+# How to answer a request; None: not at all.
+Answer = Callable[[Request], Code | None]
+
+
+def light_status(robot: str, instance: str, *, has_left: bool = False) -> Status:
+    """The status of an idle robot that has nothing."""
+    return Status(
+        robot=robot,
+        instance=instance,
+        platform="none",
+        driver="none",
+        host="here",
+        profile="dev",
+        is_secured=False,
+        state=State.IDLE,
+        reason=Reason.NEVER_ASKED,
+        detail="",
+        pattern=None,
+        generation=0,
+        since=0.0,
+        epoch=Epoch(boot=instance, revision=0),
+        changed_by="",
+        latches={},
+        labels=(),
+        params={},
+        report={},
+        verdict=VerdictSummary(),
+        health=Health(),
+        uptime=0.0,
+        has_left=has_left,
+    )
+
+
+class LightDaemon:
+    """One peer that is a member, answers for itself, and acks what names it with `answer`."""
+
+    def __init__(
+        self,
+        settings: SessionSettings,
+        robot: str,
+        *,
+        answer: Answer = lambda _request: Code.APPLIED,
+        roster: tuple[str, ...] = (),
+        is_claiming: bool = True,
+    ) -> None:
+        """`is_claiming` False takes the id without asking, as two that met too late do."""
+        self.robot = robot
+        self.instance = secrets.token_hex(6)
+        self.settings = settings
+        self.requests: list[Request] = []
+        self.duplicates: list[str] = []
+        self.on_duplicate: Callable[[str], object] = self.duplicates.append
+        self._answer = answer
+        self._roster = roster
+        self._is_claiming = is_claiming
+        self._claim: Claim | zenoh.LivelinessToken | None = None
+
+    async def __aenter__(self) -> Self:
+        await self.start()
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.leave()
+
+    async def start(self) -> None:
+        """Open, serve and claim; NetworkError if the id is taken."""
+        self.session: zenoh.Session = await asyncio.to_thread(open_session, self.settings)
+        self.bus = ZenohBus(self.session, swarm=self.settings.swarm, robot=self.robot)
+        self.bus.serve_view(self.status, self._roster)
+        for verb in VERBS:
+            self.bus.serve("control", verb, self._on_query)
+        self.bus.serve("safety", "estop", self._on_query)
+        if not self._is_claiming:
+            key = build(self.settings.swarm, self.robot, "alive", self.instance)
+            self._claim = self.session.liveliness().declare_token(key)
+            return
+        try:
+            self._claim = await claim_id(
+                self.session,
+                swarm=self.settings.swarm,
+                robot=self.robot,
+                instance=self.instance,
+                settle=self.settings.settle,
+                lease=self.settings.lease_seconds,
+                on_duplicate=lambda instance: self.on_duplicate(instance),
+            )
+        except BaseException:
+            self.vanish()
+            raise
+
+    def status(self) -> Status:
+        """What it says of itself."""
+        return light_status(self.robot, self.instance)
+
+    def leave(self) -> None:
+        """Say so, and go."""
+        left = msgspec.structs.replace(self.status(), has_left=True)
+        self.bus.publish("state", "status", encode(left))
+        self.vanish()
+
+    def vanish(self) -> None:
+        """Go without a word. Idempotent."""
+        self._claim = None  # the session takes the token along
+        self.bus.close()
+        self.session.close()
+
+    def _on_query(self, query: Query) -> None:
+        try:
+            request = _request(query.payload)
+        except CodecError:
+            self.bus.drop("request:malformed")
+            query.drop()
+            return
+        if request.targets is not None and self.robot not in request.targets:
+            query.drop()
+            return
+        self.requests.append(request)
+        code = self._answer(request)
+        if code is not None:
+            reply = Reply(id=request.id, robot=self.robot, code=code, epoch=self.status().epoch)
+            query.reply(encode(reply))
+
+
+class LightSwarm:
+    """Light daemons on a loop of their own, for code that blocks; by name, until `close`."""
+
+    def __init__(self, settings: SessionSettings, robots: Sequence[str], **options: Any) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
+        self._thread.start()
+        self._daemons = {robot: LightDaemon(settings, robot, **options) for robot in robots}
+        asyncio.run_coroutine_threadsafe(self._start(), self._loop).result()
+
+    def __getitem__(self, robot: str) -> LightDaemon:
+        return self._daemons[robot]
+
+    def call(self, function: Callable[[], object]) -> None:
+        """Call it on the daemons' loop, and wait for it."""
+
+        async def now() -> None:
+            function()
+
+        asyncio.run_coroutine_threadsafe(now(), self._loop).result()
+
+    def until(self, condition: Callable[[], bool], timeout: float = 20.0) -> None:
+        """Wait for a condition that is looked at on the daemons' loop; TimeoutError."""
+
+        async def look() -> None:
+            async with asyncio.timeout(timeout):
+                while not condition():
+                    await asyncio.sleep(0.005)
+
+        asyncio.run_coroutine_threadsafe(look(), self._loop).result()
+
+    def close(self) -> None:
+        """Let all vanish."""
+        for daemon in self._daemons.values():
+            self.call(daemon.vanish)
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.close()
+
+    async def _start(self) -> None:
+        await asyncio.gather(*(daemon.start() for daemon in self._daemons.values()))
+
+
+async def serve(settings: SessionSettings, robots: list[str]) -> None:
+    """Run these robots until cancelled; prints `ready` once all have their ids."""
+    daemons = [LightDaemon(settings, robot) for robot in robots]
+    try:
+        await asyncio.gather(*(daemon.start() for daemon in daemons))
+        print("ready", flush=True)
+        await asyncio.Event().wait()
+    finally:
+        for daemon in daemons:
+            daemon.vanish()
+
+
+def main() -> None:
+    """Command line; ends with its standard input, so that nothing outlives a test."""
+    parser = argparse.ArgumentParser(description="robots without bodies")
+    parser.add_argument("--swarm", required=True)
+    parser.add_argument("--profile", choices=("dev", "field"), default="dev")
+    parser.add_argument("--interface")
+    parser.add_argument("--listen", action="append", default=[])
+    parser.add_argument("--seed", action="append", default=[])
+    parser.add_argument("--no-multicast", action="store_true")
+    parser.add_argument("robots", nargs="+")
+    args = parser.parse_args()
+    settings = SessionSettings(
+        swarm=args.swarm,
+        profile=args.profile,
+        interface=args.interface,
+        listen=tuple(args.listen),
+        seeds=tuple(args.seed),
+        multicast=not args.no_multicast,
+    )
+    asyncio.run(_until_stdin_ends(settings, args.robots))
+
+
+async def _until_stdin_ends(settings: SessionSettings, robots: list[str]) -> None:
+    reader = asyncio.StreamReader()
+    loop = asyncio.get_running_loop()
+    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
+    running = asyncio.create_task(serve(settings, robots))
+    ended = asyncio.create_task(reader.read())
+    await asyncio.wait({running, ended}, return_when=asyncio.FIRST_COMPLETED)
+    running.cancel()
+    ended.cancel()
+    await asyncio.gather(running, ended, return_exceptions=True)
+
+
+if __name__ == "__main__":
+    main()

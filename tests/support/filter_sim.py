@@ -1,0 +1,360 @@
+"""A yard: one robot under protection among shapes that move as they are told, with real delays.
+
+What the robot sees comes late, what it commands is carried out late, and it brakes no better than
+protection assumes. All geometry is exact and this file's own: it judges protection, so it shares
+nothing with it. One robot, no physics, no pattern; for whole swarms there is the lockstep lab.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from swarmd.core.values import (
+    ZERO,
+    Array,
+    Odometry,
+    Platform,
+    Pose,
+    Scan,
+    ScanSpec,
+    TouchZone,
+    Twist,
+)
+from swarmd.protection.arbiter import Protection
+from swarmd.protection.decision import NO_PERMIT, Moment, Permit, Verdict
+from swarmd.robot.sensors import Senses
+from swarmd.testing.scans import trembling
+
+DT = 0.01
+TICK = 0.05
+HERE = Pose()
+Wish = Twist | Callable[[float], Twist]
+
+
+def under_barrier(platform: Platform, **told: object) -> Platform:
+    """The platform in mode `barrier`, some of what that mode is told replaced."""
+    protection = platform.protection
+    settings = {**protection["barrier"], **told}
+    return replace(platform, protection={**protection, "mode": "barrier", "barrier": settings})
+
+
+def decided(
+    platform: Platform,
+    scan: Scan,
+    wish: Twist,
+    *,
+    age: float = 0.0,
+    touch: TouchZone | None = None,
+) -> Verdict:
+    """What fresh protection makes of the wish of a robot at rest, `age` s after its first sweep."""
+    protection, begin = Protection(platform), 10.0
+    odometry = Odometry(begin, HERE, ZERO)
+    protection.observe(scan, Moment(begin, 0.0, odometry, 0.0))
+    later = Odometry(begin + age, HERE, ZERO)
+    return protection.decide(
+        wish,
+        Moment(begin + age, age, later, 0.0),
+        is_running=True,
+        hold=None,
+        permit=Permit(touch=touch),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape:
+    """A convex thing: `corners` (k, 2) counter-clockwise in its own frame in m, and how it moves.
+
+    It is at `pose` at time 0 and moves with `velocity` (x, y) in m/s and `spin` in rad/s from
+    `begin` to `end` s. `seen` (j, 2): what the scan plane meets of it, if that is not all.
+    """
+
+    corners: Array
+    pose: Pose = HERE
+    velocity: tuple[float, float] = (0.0, 0.0)
+    spin: float = 0.0
+    begin: float = 0.0
+    end: float = math.inf
+    seen: Array | None = None
+
+    def at(self, time: float) -> Pose:
+        """Where it is."""
+        t = min(max(time, self.begin), self.end) - self.begin
+        (vx, vy), pose = self.velocity, self.pose
+        return Pose(pose.x + vx * t, pose.y + vy * t, pose.yaw + self.spin * t)
+
+
+def box(length: float, width: float, pose: Pose = HERE, **motion: object) -> Shape:
+    """A rectangle, `length` along its own x and `width` along its y; `motion` as in Shape."""
+    x, y = 0.5 * length, 0.5 * width
+    corners = np.array([[-x, -y], [x, -y], [x, y], [-x, y]])
+    return Shape(corners, pose, **motion)  # type: ignore[arg-type]  # Shape's own keywords
+
+
+def pole(radius: float, pose: Pose = HERE, **motion: object) -> Shape:
+    """A round thing, as a polygon of 24 corners around the circle; `motion` as in Shape."""
+    return Shape(round_corners(radius), pose, **motion)  # type: ignore[arg-type]  # as above
+
+
+def round_corners(radius: float, sides: int = 24) -> Array:
+    """(sides, 2) corners of the regular polygon around a circle at the origin."""
+    angles = np.arange(sides) * (2.0 * math.pi / sides)
+    outer = radius / math.cos(math.pi / sides)
+    return outer * np.stack((np.cos(angles), np.sin(angles)), axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """The robot touched shape `index` at `time`; `speed` in m/s of its own surface towards it."""
+
+    time: float
+    index: int
+    speed: float
+
+
+@dataclass(slots=True, eq=False)
+class Ride:
+    """What happened, every `DT`: times, poses, twists (measured), gaps to the nearest shape in m.
+
+    `verdicts` with the times of their decisions. It ends at the first touch.
+    """
+
+    times: list[float] = field(default_factory=list)
+    poses: list[Pose] = field(default_factory=list)
+    twists: list[Twist] = field(default_factory=list)
+    gaps: list[float] = field(default_factory=list)
+    verdicts: list[tuple[float, Verdict]] = field(default_factory=list)
+    touch: Touch | None = None
+
+    @property
+    def min_gap(self) -> float:
+        """The smallest distance in m between outlines; 0 once they touched."""
+        return 0.0 if self.touch is not None else min(self.gaps)
+
+
+class Yard:
+    """One robot of a platform among shapes.
+
+    `latency`: how much later than it is taken a sweep arrives (None: as the platform says);
+    `phase`: when the first sweep is taken; `delay`: from command to base, both in s.
+    `braking`: m/s2 and rad/s2 (None: what protection is told to assume). `noise`: the standard
+    deviation of ranges in m. `has_lidar` and `has_odometry` can be set to false at any time.
+    """
+
+    def __init__(
+        self,
+        platform: Platform,
+        shapes: Sequence[Shape] = (),
+        *,
+        start: Pose = HERE,
+        latency: float | None = None,
+        phase: float = 0.0,
+        delay: float = 0.03,
+        braking: tuple[float, float] | None = None,
+        noise: float = 0.0,
+        seed: int = 0,
+    ) -> None:
+        self.platform, self.shapes = platform, tuple(shapes)
+        self.pose, self.twist, self.time = start, ZERO, 0.0
+        self.has_lidar = self.has_odometry = True
+        self.protection, self.senses = Protection(platform), Senses(platform)
+        self.senses.on_driver(True, "a yard")
+        self._latency = platform.scan.latency if latency is None else latency
+        told = platform.protection["barrier"] or {"braking_linear": 1.0, "braking_angular": 3.0}
+        self._braking = braking or (told["braking_linear"], told["braking_angular"])
+        speeding = platform.body["linear_acceleration"], platform.body["angular_acceleration"]
+        self._speeding = max(speeding[0], self._braking[0]), max(speeding[1], self._braking[1])
+        self._line = [ZERO] * (round(delay / DT) + 1)
+        self._noise, self._rng = noise, np.random.default_rng(seed)
+        self._phase, self._seq, self._step = phase, 0, 0
+        self._coming: list[tuple[float, Scan]] = []
+        self._near: dict[int, tuple[Array, Array]] = {}
+
+    def run(self, wish: Wish, seconds: float, permit: Permit = NO_PERMIT) -> Ride:
+        """Go on for so long, or to the first touch; a wish may depend on the time."""
+        ride = Ride()
+        wanted = wish if callable(wish) else lambda _: wish
+        for _ in range(round(seconds / DT)):
+            self._sense()
+            if self._arrive() or self._step % round(TICK / DT) == 0:
+                ride.verdicts.append((self.time, self._decide(wanted(self.time), permit)))
+            self._move()
+            gap, touch = self._judge()
+            ride.times.append(self.time)
+            ride.poses.append(self.pose)
+            ride.twists.append(self.twist)
+            ride.gaps.append(gap)
+            if touch is not None:
+                ride.touch = touch
+                break
+        return ride
+
+    def sweep(self) -> Scan:
+        """What the lidar sees now, as its driver would hand it over."""
+        spec = self.platform.scan
+        sensor = placed(np.array([spec.offset]), self.pose)[0]
+        outlines = [
+            placed(shape.corners if shape.seen is None else shape.seen, shape.at(self.time))
+            for shape in self.shapes
+        ]
+        ranges = cast(sensor, spec.bearings + self.pose.yaw, outlines)
+        self._seq += 1
+        if self._noise > 0.0:
+            ranges = ranges + self._rng.normal(0.0, self._noise, len(ranges))
+        else:
+            ranges = trembling(ranges, self._seq)
+        said = as_driver(ranges, spec)
+        return Scan(self._seq, self.time, said, spec.bearings, spec.range_min, spec.range_max)
+
+    def odometry(self) -> Odometry:
+        """What the base measures now."""
+        return Odometry(self.time, self.pose, self.twist)
+
+    def _sense(self) -> None:
+        period = round(1.0 / (self.platform.scan.rate * DT))
+        if (self._step - round(self._phase / DT)) % period == 0 and self.has_lidar:
+            self._coming.append((self.time + self._latency - 1e-9, self.sweep()))
+        if self._step % round(TICK / DT) == 0 and self.has_odometry:
+            self.senses.on_odometry(self.odometry(), self.time)
+
+    def _arrive(self) -> bool:
+        """Hand over what has arrived; true if a valid sweep has."""
+        is_new = False
+        while self._coming and self._coming[0][0] <= self.time:
+            _, scan = self._coming.pop(0)
+            is_new = self.senses.on_scan(scan, self.time)
+            if is_new and self.senses.scan is not None:
+                self.protection.observe(self.senses.scan, self.senses.moment(self.time))
+        return is_new
+
+    def _decide(self, wish: Twist, permit: Permit) -> Verdict:
+        verdict = self.protection.decide(
+            wish,
+            self.senses.moment(self.time),
+            is_running=True,
+            hold=self.senses.hold(self.time),
+            permit=permit,
+        )
+        self._line[-1] = verdict.safe
+        return verdict
+
+    def _move(self) -> None:
+        told = self._line[0]
+        self._line = [*self._line[1:], self._line[-1]]
+        v, w = self.twist.linear, self.twist.angular
+        (b_v, b_w), (a_v, a_w) = self._braking, self._speeding
+        v, w = ramped(v, told.linear, a_v, b_v), ramped(w, told.angular, a_w, b_w)
+        x, y, yaw = self.pose.x, self.pose.y, self.pose.yaw + 0.5 * w * DT
+        self.pose = Pose(x + v * DT * math.cos(yaw), y + v * DT * math.sin(yaw), yaw + 0.5 * w * DT)
+        self.twist = Twist(v, w)
+        self._step += 1
+        self.time = self._step * DT
+
+    def _judge(self) -> tuple[float, Touch | None]:
+        outline = placed(self.platform.footprint, self.pose)
+        smallest = math.inf
+        for index, shape in enumerate(self.shapes):
+            gap, at, towards = separation(outline, placed(shape.corners, shape.at(self.time)))
+            if gap <= 0.0:
+                return 0.0, Touch(self.time, index, self._speed(*self._near[index]))
+            self._near[index] = at, towards
+            smallest = min(smallest, gap)
+        return smallest, None
+
+    def _speed(self, at: Array, towards: Array) -> float:
+        """How fast the robot's own surface moves at a place in a direction (world frame)."""
+        v, w, yaw = self.twist.linear, self.twist.angular, self.pose.yaw
+        x, y = at[0] - self.pose.x, at[1] - self.pose.y
+        moves = np.array([v * math.cos(yaw) - w * y, v * math.sin(yaw) + w * x])
+        return float(moves @ towards)
+
+
+def ramped(now: float, told: float, speeding: float, braking: float) -> float:
+    """The speed a step later: towards zero it changes with `braking`, away from it faster."""
+    is_braking = now != 0.0 and (now * told < 0.0 or abs(told) < abs(now))
+    if is_braking:
+        target = 0.0 if now * told < 0.0 else told
+        return now + min(max(target - now, -braking * DT), braking * DT)
+    return now + min(max(told - now, -speeding * DT), speeding * DT)
+
+
+def as_driver(ranges: Array, spec: ScanSpec) -> Array:
+    """True distances as the platform's driver gives them: what is too near, and what too far."""
+    nothing = 0.0 if spec.zero == "lds" else math.inf
+    near = nothing if spec.near == "lost" else -math.inf
+    said = np.where(ranges > spec.range_max, nothing, ranges)
+    return np.where(ranges < spec.range_min, near, said)
+
+
+def placed(points: Array, pose: Pose) -> Array:
+    """Points (k, 2) of a frame at `pose`, in the frame in which the pose is."""
+    cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+    turned: Array = points @ np.array([[cos, sin], [-sin, cos]])
+    there: Array = turned + np.array([pose.x, pose.y])
+    return there
+
+
+def cast(sensor: Array, angles: Array, outlines: Sequence[Array]) -> Array:
+    """(n,) distances in m from a place along `angles` (n,) to the nearest outline; inf: none."""
+    ranges = np.full(len(angles), np.inf)
+    rays = np.stack((np.cos(angles), np.sin(angles)), axis=1)[:, None]
+    for corners in outlines:
+        start, edge = corners - sensor, np.roll(corners, -1, axis=0) - corners
+        cross = rays[..., 0] * edge[:, 1] - rays[..., 1] * edge[:, 0]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            along = (start[:, 0] * edge[:, 1] - start[:, 1] * edge[:, 0]) / cross
+            share = (start[:, 0] * rays[..., 1] - start[:, 1] * rays[..., 0]) / cross
+        hit = (along > 0.0) & (share >= 0.0) & (share <= 1.0)
+        ranges = np.minimum(ranges, np.where(hit, along, np.inf).min(axis=1))
+    return ranges
+
+
+def separation(one: Array, other: Array) -> tuple[float, Array, Array]:
+    """Gap in m between two convex polygons, the place on `one` and the direction to `other`.
+
+    0 where they overlap, with a place and direction that mean nothing.
+    """
+    if not (_is_apart(one, other) or _is_apart(other, one)):
+        return 0.0, one[0], np.zeros(2)
+    gap, at, to = min(
+        (_nearest(one, other), _reversed(_nearest(other, one))), key=lambda found: found[0]
+    )
+    return gap, at, (to - at) / max(gap, 1e-12)
+
+
+def outline_point(corners: Array, point: Array) -> tuple[float, Array, Array]:
+    """Gap in m from a convex outline to a point, the nearest place on it and the way to the point.
+
+    0 for points inside, with a place and way that mean nothing.
+    """
+    edge = np.roll(corners, -1, axis=0) - corners
+    off = point - corners
+    if (edge[:, 0] * off[:, 1] - edge[:, 1] * off[:, 0] >= 0.0).all():
+        return 0.0, point, np.zeros(2)
+    gap, to, at = _nearest(point[None], corners)
+    return gap, at, (to - at) / gap
+
+
+def _is_apart(one: Array, other: Array) -> bool:
+    """Whether an edge of `one` has all of `other` on its outer side."""
+    edge = np.roll(one, -1, axis=0) - one
+    off = other[None] - one[:, None]
+    return bool((edge[:, None, 0] * off[..., 1] < edge[:, None, 1] * off[..., 0]).all(1).any())
+
+
+def _nearest(corners: Array, outline: Array) -> tuple[float, Array, Array]:
+    """The corner nearest to an outline: distance, the corner, and the place on the outline."""
+    edge = np.roll(outline, -1, axis=0) - outline
+    off = corners[:, None] - outline[None]
+    share = np.clip((off * edge).sum(-1) / (edge * edge).sum(-1), 0.0, 1.0)
+    places = outline + share[..., None] * edge
+    distances = np.hypot(*np.moveaxis(corners[:, None] - places, -1, 0))
+    i, j = np.unravel_index(int(distances.argmin()), distances.shape)
+    return float(distances[i, j]), corners[i], places[i, j]
+
+
+def _reversed(found: tuple[float, Array, Array]) -> tuple[float, Array, Array]:
+    return found[0], found[2], found[1]

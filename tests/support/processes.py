@@ -1,0 +1,166 @@
+"""Real daemons as child processes of a test: started, frozen, killed, and gone at the end."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+
+import yaml
+
+from swarmd.core.values import Value
+from swarmd.driver_api.watchdog import name_of
+from swarmd.testing.driver_rig import is_running
+
+CAP = 60.0
+
+
+def unique_swarm() -> str:
+    """A swarm name that no other test uses."""
+    return f"t{uuid.uuid4().hex[:12]}"
+
+
+def wait_until(condition: Callable[[], bool], what: str, cap: float = CAP) -> None:
+    """Return once the condition holds; AssertionError naming `what` after `cap` s."""
+    deadline = time.monotonic() + cap
+    pause = threading.Event()
+    while not condition():
+        assert time.monotonic() < deadline, f"after {cap:.0f} s still not: {what}"
+        pause.wait(0.02)
+
+
+class DaemonProcess:
+    """One `swarmd` in a process of its own; a context manager.
+
+    `folder` keeps its configuration, state, `log` (standard error) and `out`, so that a second
+    one can be a restart; `environ` is added to this process's environment. `prefix` is a command
+    that becomes the daemon in the same process, such as `ip netns exec NAME`.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        *,
+        swarm: str,
+        robot: str,
+        endpoint: str,
+        platform: str = "waffle_pi",
+        plugin_dir: Path | None = None,
+        options: Mapping[str, Value] | None = None,
+        environ: Mapping[str, str] | None = None,
+        prefix: Sequence[str] = (),
+    ) -> None:
+        self.robot = robot
+        self.swarm = swarm
+        folder.mkdir(parents=True, exist_ok=True)
+        config = folder / f"{robot}.yaml"
+        settings: dict[str, object] = {
+            "id": robot,
+            "swarm": swarm,
+            "platform": platform,
+            "driver": "simulated",
+            "driver_options": {"endpoint": endpoint},
+            "state_dir": str(folder / "state"),
+            **(options or {}),
+        }
+        if plugin_dir is not None:
+            settings["plugin_dir"] = str(plugin_dir)
+        config.write_text(yaml.safe_dump(settings))
+        self.log = folder / f"{robot}.log"
+        self._begin = self.log.stat().st_size if self.log.exists() else 0
+        command = [*prefix, sys.executable, "-m", "swarmd.cli.daemon", "--config", str(config)]
+        command += ["--die-with-parent", str(os.getpid())]
+        self.out = folder / f"{robot}.out"
+        with self.log.open("ab") as log, self.out.open("ab") as out:
+            self.process = subprocess.Popen(
+                command, stdout=out, stderr=log, env={**os.environ, **(environ or {})}
+            )
+
+    def __enter__(self) -> DaemonProcess:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.kill()
+        for pid in stoppers(self.swarm, self.robot):
+            os.kill(pid, signal.SIGKILL)
+
+    def wait_ready(self) -> DaemonProcess:
+        """Return once it says that it is ready; AssertionError with its log if it ends before."""
+        wait_until(self._is_ready_or_ended, f"{self.robot} ready; log: {self.text()[-2000:]}")
+        assert self.process.poll() is None, self.text()
+        return self
+
+    def text(self) -> str:
+        """Its log so far, without that of an earlier life."""
+        with self.log.open("rb") as log:
+            log.seek(self._begin)
+            return log.read().decode(errors="replace")
+
+    def send(self, number: signal.Signals) -> None:
+        """Send it a signal."""
+        self.process.send_signal(number)
+
+    def freeze(self) -> None:
+        """SIGSTOP."""
+        self.send(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        """SIGCONT."""
+        self.send(signal.SIGCONT)
+
+    def terminate(self) -> int:
+        """SIGTERM; its exit code."""
+        self.send(signal.SIGTERM)
+        return self.process.wait(CAP)
+
+    def kill(self) -> None:
+        """SIGKILL, unless it has ended."""
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait(CAP)
+
+    def host_pid(self) -> int:
+        """The process id of its pattern host; AssertionError if there is none within the cap."""
+        found: list[int] = []
+
+        def look() -> bool:
+            found[:] = children(self.process.pid)
+            return bool(found)
+
+        wait_until(look, f"{self.robot} has a pattern host")
+        return found[-1]
+
+    def _is_ready_or_ended(self) -> bool:
+        return "ready in swarm" in self.text() or self.process.poll() is not None
+
+
+def children(pid: int) -> list[int]:
+    """The process ids of a process's living children, oldest first."""
+    found: list[int] = []
+    for task in Path(f"/proc/{pid}/task").glob("*/children"):
+        found += [int(child) for child in task.read_text().split()]
+    return sorted(found)
+
+
+def stoppers(swarm: str, robot: str) -> list[int]:
+    """The process ids of the stoppers that watch over a robot, or did."""
+    name, found = name_of(swarm, robot).encode(), []
+    for cmdline in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            if name in cmdline.read_bytes().split(b"\0"):
+                found.append(int(cmdline.parent.name))
+        except OSError:  # it has ended meanwhile
+            continue
+    return sorted(pid for pid in found if is_running(pid))

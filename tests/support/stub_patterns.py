@@ -1,0 +1,96 @@
+"""Small patterns that each do one thing, and a robot that already runs one: for tests of robots."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+from swarmd.api import Inputs, MovementPattern, Outputs, Params, Pattern, Twist, about
+from swarmd.core.messages import Code, Reason, State
+from tests.support.robot_harness import Story
+
+
+class SpeedParams(Params, frozen=True):
+    """How fast `Forward` drives."""
+
+    speed: Annotated[float, about("forward", ge=-1.0, le=1.0, unit="m/s")] = 0.2
+
+
+class Forward(MovementPattern[SpeedParams]):
+    """Drives straight."""
+
+    params_type = SpeedParams
+
+    def drive(self, inputs: Inputs) -> Twist:
+        """Straight on."""
+        return Twist(self.params.speed)
+
+
+class Raiser(Pattern[Params]):
+    """Raises at every third step."""
+
+    count = 0
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """See the class."""
+        self.count += 1
+        if self.count % 3 == 0:
+            raise ZeroDivisionError("on purpose")
+        return Outputs(Twist(0.2))
+
+
+class Finisher(Pattern[Params]):
+    """Is done after the fifth step."""
+
+    count = 0
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """See the class."""
+        self.count += 1
+        return Outputs(Twist(0.1), done="arrived" if self.count == 5 else None)
+
+
+class NotFinite(Pattern[Params]):
+    """Wishes something that is no number."""
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """See the class."""
+        return Outputs(Twist(float("nan")))
+
+
+class Listener(Pattern[Params]):
+    """Says and hears integers."""
+
+    channels: Mapping[str, type] = {"count": int}
+    heard: tuple[object, ...] = ()
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """See the class."""
+        self.heard += tuple((m.sender, m.value) for m in inputs.messages)
+        return Outputs(messages={"count": 3, "other": 1}, report={"heard": str(self.heard)})
+
+
+PATTERNS: dict[str, type[Pattern[Any]]] = {
+    "forward": Forward,
+    "raiser": Raiser,
+    "finisher": Finisher,
+    "not_finite": NotFinite,
+    "listener": Listener,
+}
+
+
+def started(pattern: str = "forward", **params: float) -> Story:
+    """A story half a second after its robot was told to run one of PATTERNS."""
+    story = Story(patterns=PATTERNS)
+    story.advance(1.0)
+    reply = story.ask("run", pattern=pattern, params=params)
+    assert reply is not None
+    assert reply.code is Code.APPLIED, reply.text
+    story.advance(0.5)
+    return story
+
+
+def standing_state(story: Story) -> tuple[State, Reason | None]:
+    """State and reason, as members would show them."""
+    status = story.status
+    return status.state, status.reason

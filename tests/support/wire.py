@@ -1,0 +1,184 @@
+"""A base within this process, spoken to in bytes, and a driver for it that is as it should be."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import time
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from swarmd.core.errors import CodecError, ConfigError, unknown
+from swarmd.core.values import ZERO, Odometry, Pose, Scan, Twist, Value
+from swarmd.driver_api.driver import Driver, Finding, Sink
+from swarmd.driver_api.hw_codec import decode_odometry, decode_scan, encode_odometry, encode_scan
+from swarmd.settings.platforms import load_platform
+
+PLATFORM = load_platform("burger")
+SPEC = PLATFORM.scan
+SILENCE = 0.5
+Hearer = Callable[[str, bytes], None]
+
+
+class Wire:
+    """A base within this process, spoken to in bytes: a rig."""
+
+    platform = PLATFORM
+
+    def __init__(self, kind: type[Good]) -> None:
+        self._kind = kind
+        self.hearers: list[Hearer] = []
+        self._taken: list[Twist] = []
+        self._is_there = True
+        self._spoken = 0
+
+    def make(self, options: Mapping[str, Value]) -> Driver:
+        return self._kind(self, options)
+
+    def take(self, twist: Twist) -> None:
+        if self._is_there:
+            self._taken.append(twist)
+
+    def speak(self) -> None:
+        ranges = np.full(360, 1.5)
+        ranges[0] = 1.0 + 0.01 * self._spoken
+        self.say(Scan(self._spoken, 0.1 * self._spoken, ranges, SPEC.bearings, 0.1, 99.0))
+        self.move()
+
+    def say(self, scan: Scan) -> None:
+        self._emit("scan", encode_scan(scan))
+
+    def move(self) -> None:
+        self._spoken += 1
+        odometry = Odometry(0.1 * self._spoken, Pose(), Twist(0.1))
+        self._emit("odometry", encode_odometry(odometry))
+
+    def garble(self) -> None:
+        whole = encode_scan(Scan(1, 0.1, np.full(360, 1.5), SPEC.bearings, 0.1, 3.5))
+        for name in ("scan", "odometry"):
+            for payload in (b"", b"\xff" * 80, whole[: len(whole) // 2]):
+                self._emit(name, payload)
+
+    def die(self) -> None:
+        self._is_there = False
+
+    def rise(self) -> None:
+        self._is_there = True
+
+    def commands(self) -> Sequence[Twist]:
+        taken, self._taken = self._taken, []
+        return taken
+
+    def close(self) -> None:
+        self.hearers.clear()
+
+    def _emit(self, name: str, payload: bytes) -> None:
+        for hearer in [*self.hearers] if self._is_there else []:
+            hearer(name, payload)
+
+
+class Good:
+    """A driver for it that is as it should be, in pieces that others break."""
+
+    is_simulated = False
+    silence = SILENCE
+
+    def __init__(self, wire: Wire, options: Mapping[str, Value]) -> None:
+        for name in options:
+            self.refuse(name)
+        self.wire = wire
+        self.fault: Exception | None = None
+        self.heard_at = 0.0
+        self.is_up = self.has_sent = False
+        self.owes_zero = True
+
+    def refuse(self, name: str) -> None:
+        raise ConfigError(f"driver wire: {unknown('option', name, ('endpoint',))}")
+
+    async def run(self, sink: Sink) -> None:
+        sink.state(False, "nothing heard yet")
+
+        def hear(name: str, payload: bytes) -> None:
+            self.hear(sink, name, payload)
+
+        self.wire.hearers.append(hear)
+        try:
+            await self.watch(sink)
+        except BaseException as error:
+            self.leave(error)
+            raise
+        finally:
+            with contextlib.suppress(ValueError):
+                self.wire.hearers.remove(hear)
+            self.is_up, self.owes_zero, self.has_sent = False, True, False
+
+    async def watch(self, sink: Sink) -> None:
+        while self.fault is None:
+            await asyncio.sleep(0.02)
+            if self.is_up and time.monotonic() - self.heard_at > self.silence:
+                self.fall(sink)
+        raise self.fault
+
+    def leave(self, error: BaseException) -> None:
+        if self.has_sent:
+            self.put(ZERO)
+
+    def fall(self, sink: Sink) -> None:
+        self.is_up = False
+        if self.has_sent:
+            self.put(ZERO)
+        sink.state(False, "nothing heard for a while")
+
+    def hear(self, sink: Sink, name: str, payload: bytes) -> None:
+        try:
+            heard = self.decode(name, payload)
+        except CodecError:
+            sink.dropped(name)
+            return
+        self.rise(sink)
+        self.deliver(sink, heard)
+
+    def rise(self, sink: Sink) -> None:
+        self.heard_at = time.monotonic()
+        if not self.is_up:
+            self.is_up = self.owes_zero = True
+            sink.state(True, "there")
+
+    def decode(self, name: str, payload: bytes) -> Scan | Odometry:
+        return decode_scan(payload, SPEC) if name == "scan" else decode_odometry(payload)
+
+    def deliver(self, sink: Sink, heard: Scan | Odometry) -> None:
+        if isinstance(heard, Scan):
+            self.on_scan(sink, heard)
+        else:
+            self.on_odometry(sink, heard)
+
+    def on_scan(self, sink: Sink, scan: Scan) -> None:
+        sink.scan(scan)
+
+    def on_odometry(self, sink: Sink, odometry: Odometry) -> None:
+        sink.odometry(odometry)
+
+    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+        if not self.is_up:
+            return
+        if self.owes_zero:
+            self.owes_zero, twist = False, ZERO
+        self.has_sent = True
+        self.put(twist)
+
+    def put(self, twist: Twist) -> None:
+        self.wire.take(twist)
+
+    async def check(self, seconds: float) -> tuple[Finding, ...]:
+        heard: list[str] = []
+
+        def hear(name: str, payload: bytes) -> None:
+            heard.append(name)
+
+        self.wire.hearers.append(hear)
+        deadline = time.monotonic() + seconds
+        while not heard and time.monotonic() < deadline:
+            await asyncio.sleep(0.01)
+        return (Finding("scan", bool(heard), "arrives" if heard else "none; start the robot"),)
