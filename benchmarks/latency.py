@@ -56,11 +56,11 @@ def read_stamps(swarm: Swarm) -> Stamps:
     with np.load(swarm.folder / "world.npz") as file:
         scans, commands = file["scans"].tolist(), file["commands"].tolist()
     safe: dict[tuple[str, int], int] = {}
-    wish: dict[tuple[str, int], int] = {}
-    for at, robot, scan_seq, wish_seq in commands:
+    requested: dict[tuple[str, int], int] = {}
+    for at, robot, scan_seq, requested_scan_seq in commands:
         safe.setdefault((robot, scan_seq), at)
-        wish.setdefault((robot, wish_seq), at)
-    return Stamps({(robot, seq): at for at, robot, seq in scans}, safe, wish)
+        requested.setdefault((robot, requested_scan_seq), at)
+    return Stamps({(robot, seq): at for at, robot, seq in scans}, safe, requested)
 
 
 def read_borders(swarm: Swarm) -> dict[str, dict[tuple[str, int], int]]:

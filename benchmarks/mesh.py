@@ -20,7 +20,7 @@ from benchmarks.table import Row, print_table
 from swarmd.network.claim import claim_id
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings, open_session
-from tests.support.fake_daemon import LightDaemon
+from tests.support.fake_daemon import FakeDaemon
 
 RUNS = 50
 FLOOD = 300_000
@@ -125,7 +125,7 @@ def claims() -> Row:
     where = settings()
 
     async def measure() -> list[float]:
-        async with LightDaemon(where, "other"):
+        async with FakeDaemon(where, "other"):
             session = await asyncio.to_thread(open_session, where)
             samples = []
             for number in range(RUNS // 2):
@@ -162,7 +162,7 @@ def flooded() -> Iterator[Row]:
         return late
 
     async def measure() -> tuple[list[float], list[float], dict[str, int]]:
-        async with LightDaemon(where, "flooded") as daemon:
+        async with FakeDaemon(where, "flooded") as daemon:
             daemon.bus.listen("msg", "*/*", lambda key, payload: None)
             foreign = await asyncio.to_thread(open_session, where)
             quiet_until = time.perf_counter() + 2.0

@@ -25,7 +25,7 @@ from swarmd.core.values import Inputs, Odometry, Outputs, Platform, Pose, Scan, 
 from swarmd.driver_api.hw_codec import decode_scan, encode_scan
 from swarmd.pattern_host.wire import decode_command, encode_command
 from swarmd.protection.arbiter import Protection
-from swarmd.protection.decision import Moment
+from swarmd.protection.decision import DecisionContext
 from swarmd.protection.settings import Mode
 from swarmd.robot.robot import Robot
 from swarmd.robot.status import RobotSettings
@@ -35,7 +35,7 @@ from swarmd.testing.scans import Disc, scan_of
 from tests.support.platforms import with_mode
 
 MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone")
-WISH = Twist(0.2, 0.1)
+REQUESTED = Twist(0.2, 0.1)
 PERIOD = 0.2
 
 
@@ -64,14 +64,14 @@ class LiveRobot:
         for _ in range(4):
             self.now += PERIOD / 4
             self.robot.tick(self.now)
-            self.robot.on_odometry(Odometry(self.now, Pose(), WISH), self.now)
+            self.robot.on_odometry(Odometry(self.now, Pose(), REQUESTED), self.now)
             self.answer()
         self.seq += 1
         return replace(scan, seq=self.seq, stamp=self.now)
 
     def answer(self) -> None:
         """What the pattern host says to a step."""
-        self.robot.on_host(Stepped(1, Outputs(twist=WISH), self.seq), self.now)
+        self.robot.on_host(Stepped(1, Outputs(twist=REQUESTED), self.seq), self.now)
 
 
 def live_rows(platform: Platform, scans: Sequence[Scan]) -> Iterator[Row]:
@@ -118,17 +118,17 @@ class Decider:
         self._protection.observe(next(self._scans), self._moment())
         self._decide()
 
-    def wish(self) -> None:
+    def requested(self) -> None:
         """A tick: a decision some time after the last one, nothing of which is of use."""
         self._age += 1e-5
         self._decide()
 
     def _decide(self) -> None:
-        self._protection.decide(WISH, self._moment(), is_running=True, hold=None)
+        self._protection.decide(REQUESTED, self._moment(), is_running=True, hold=None)
 
-    def _moment(self) -> Moment:
+    def _moment(self) -> DecisionContext:
         now = self._taken + self._age
-        return Moment(now, self._age, Odometry(now, Pose(), WISH), 0.0)
+        return DecisionContext(now, self._age, Odometry(now, Pose(), REQUESTED), 0.0)
 
 
 def among(platform: Platform, neighbors: int, count: int = 100) -> list[Scan]:
@@ -154,7 +154,7 @@ def mode_rows(platform: Platform) -> Iterator[Row]:
             decider = Decider(one, among(one, neighbors))
             what = f"{mode}, {neighbors} neighbours"
             yield Row(f"scan and decision, {what}", measure(decider.scan), "p99 2 ms")
-            yield Row(f"decision alone, {what}", measure(decider.wish))
+            yield Row(f"decision alone, {what}", measure(decider.requested))
 
 
 def rows() -> Iterator[Row]:

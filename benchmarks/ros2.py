@@ -64,9 +64,9 @@ def robot(name: str, seconds: float) -> None:
 
 def _on_zenoh(name: str, seconds: float) -> None:
     hub, endpoint = _hub()
-    dialect = rmw_zenoh.RmwZenoh(0, "/cmd_vel") if name == "rmw_zenoh" else ros2dds.Ros2Dds()
-    said = dialect.command_keys("/scan", messages.LaserScan)[0]
-    heard = dialect.command_keys("/cmd_vel", messages.Twist)[0]
+    emulator = rmw_zenoh.RmwZenoh(0, "/cmd_vel") if name == "rmw_zenoh" else ros2dds.Ros2Dds()
+    said = emulator.command_keys("/scan", messages.LaserScan)[0]
+    heard = emulator.command_keys("/cmd_vel", messages.Twist)[0]
     answered, at = threading.Event(), 0.0
 
     def on_command(sample: zenoh.Sample) -> None:
@@ -82,7 +82,7 @@ def _on_zenoh(name: str, seconds: float) -> None:
         payload = cdr.encode(message)
         answered.clear()
         sent = time.perf_counter()
-        hub.put(said, payload, attachment=dialect.attachment())
+        hub.put(said, payload, attachment=emulator.attachment())
         return at - sent if answered.wait(1.0) else None
 
     _tell(endpoint, exchange, seconds)

@@ -29,7 +29,7 @@ from swarmd.core.values import Scan, Twist
 from swarmd.daemon import daemon as daemon_module
 from swarmd.daemon.daemon import Daemon
 from swarmd.drivers import simulated
-from swarmd.drivers.latest_samples import Inbox
+from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.settings.settings import load_daemon_settings
 
@@ -49,10 +49,10 @@ STAMPS = Stamps()  # of this process, which is one measurement
 
 
 class StampedDriver(simulated.SimulatedDriver):
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         STAMPS.put("safe_sent", scan_seq)
-        STAMPS.put("wish_sent", wish_seq)
-        super().send(twist, scan_seq, wish_seq)
+        STAMPS.put("wish_sent", requested_scan_seq)
+        super().send(twist, scan_seq, requested_scan_seq)
 
 
 class StampedRunner(ProcessRunner):
@@ -87,7 +87,7 @@ class StampedDaemon(Daemon):
         super().scan(scan)
 
 
-class StampedInbox(Inbox):
+class StampedInbox(LatestSamples):
     """Stamps scans on the network's thread and on the loop, just before they are read."""
 
     def __init__(
@@ -130,7 +130,7 @@ def main() -> None:
     config, stamps, parent = sys.argv[1:]
     die_with_parent(int(parent))
     logging.basicConfig(stream=sys.stderr, level=logging.INFO)
-    setattr(simulated, "Inbox", StampedInbox)  # noqa: B010
+    setattr(simulated, "LatestSamples", StampedInbox)  # noqa: B010
     setattr(daemon_module, "ProcessRunner", StampedRunner)  # noqa: B010
     asyncio.run(serve(Path(config)))
     Path(stamps).write_text(json.dumps(STAMPS.by_border))

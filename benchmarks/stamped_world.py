@@ -49,9 +49,9 @@ class StampedLink(WorldLink):
         for at, key, payload in self._came:
             parsed, command = keys.parse(key), decode_command(payload)
             if parsed is not None:
-                came.append((at, parsed.robot, command.scan_seq, command.wish_seq))
+                came.append((at, parsed.robot, command.scan_seq, command.requested_scan_seq))
         scans = np.array(puts, dtype=[("at", "i8"), ("robot", "U64"), ("seq", "i8")])
-        kind = [("at", "i8"), ("robot", "U64"), ("scan_seq", "i8"), ("wish_seq", "i8")]
+        kind = [("at", "i8"), ("robot", "U64"), ("scan_seq", "i8"), ("requested_scan_seq", "i8")]
         np.savez(self._path, scans=scans, commands=np.array(came, dtype=kind))
 
 

@@ -12,7 +12,7 @@ import zenoh
 from swarmd.core.threads import hand_over
 
 
-class Inbox:
+class LatestSamples:
     """Calls `take(name, payload)` on the loop with the newest sample of each name.
 
     Only the newest: after a stall of the loop the older ones would be history, and a queue of

@@ -87,7 +87,7 @@ class ReplayDriver:
             moving = self._commands["moving"]
             log.info("took %d commands, %d to move", self._commands.total(), moving)
 
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         """Take a command, as a base would: dropped while lost, zero the first time it is back."""
         if not self._is_up:
             return

@@ -13,7 +13,7 @@ import zenoh
 from swarmd.core import keys
 from swarmd.core.errors import CodecError, ConfigError, unknown
 from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
-from swarmd.driver_api.driver import Finding, Nowhere, SenderSpec, Sink
+from swarmd.driver_api.driver import Finding, NullSink, SenderSpec, Sink
 from swarmd.driver_api.hw_codec import (
     decode_neighbors,
     decode_odometry,
@@ -21,7 +21,7 @@ from swarmd.driver_api.hw_codec import (
     decode_scan,
     encode_command,
 )
-from swarmd.drivers.latest_samples import Inbox
+from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.network.session import open_with, opened
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7790"
@@ -55,7 +55,7 @@ class SimulatedDriver:
         loop = asyncio.get_running_loop()
         sink.state(False, f"no body yet at {self._endpoint}")
         session = await opened(self._open)
-        inbox = Inbox(
+        inbox = LatestSamples(
             loop,
             lambda name, payload: self._take(sink, name, payload),
             lambda what: sink.dropped(f"hw/{what}"),
@@ -77,7 +77,7 @@ class SimulatedDriver:
                 self._has_sent = False
                 session.close()
 
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         """Send a safe command; dropped while the body is lost, zero the first time it is back."""
         if not self._is_up:
             return
@@ -85,7 +85,7 @@ class SimulatedDriver:
             self._owes_zero = False
             twist = ZERO
         self._has_sent = True
-        self._put(twist, scan_seq, wish_seq)
+        self._put(twist, scan_seq, requested_scan_seq)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """Whether scans and odometry come and commands have a taker; moves nothing."""
@@ -138,9 +138,9 @@ class SimulatedDriver:
     def _key(self, name: str) -> str:
         return keys.build(self._swarm, self._robot, "hw", name)
 
-    def _put(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def _put(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         if self._commands is not None:
-            self._commands.put(encode_command(twist, scan_seq, wish_seq))
+            self._commands.put(encode_command(twist, scan_seq, requested_scan_seq))
 
     def _take(self, sink: Sink, name: str, payload: bytes) -> None:
         try:
@@ -193,7 +193,7 @@ class SimulatedZeros:
 
 
 @dataclass
-class _Seen(Nowhere):
+class _Seen(NullSink):
     """A sink that only looks."""
 
     everything: asyncio.Event = field(default_factory=asyncio.Event)

@@ -5,14 +5,14 @@ touch: {push: {half_width_deg: 20, speed: 0.1}}
 
 import math
 
-from swarmd.api import Annotated, Inputs, MovementPattern, Params, TouchZone, Twist, Unstick, about
+from swarmd.api import Annotated, Inputs, MovementPattern, Params, Recovery, TouchZone, Twist, about
 
 
 class PushParams(Params, frozen=True):
-    """How fast; `unstick` is off, for what blocks the way is what it is there for."""
+    """How fast; `recovery` is off, for what blocks the way is what it is there for."""
 
     speed: Annotated[float, about("how fast it pushes", ge=0.0, le=0.3, unit="m/s")] = 0.1
-    unstick: Unstick = False
+    recovery: Recovery = False
 
 
 class Push(MovementPattern[PushParams]):

@@ -35,12 +35,12 @@ from swarmd.api import (
     MovementPattern,
     Params,
     Platform,
+    Recovery,
     Scalar,
     Scan,
     TopSpeed,
     TopTurn,
     Twist,
-    Unstick,
     Value,
     about,
     closest_points,
@@ -161,7 +161,7 @@ class AttractionParams(Params, frozen=True):
         float,
         about("law paper: turn rate if alone", ge=-4.0, le=4.0, unit="rad/s", source="ROS2swarm"),
     ] = 1.0
-    unstick: Unstick = False
+    recovery: Recovery = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -23,11 +23,11 @@ from swarmd.api import (
     Params,
     Pattern,
     Platform,
+    Recovery,
     Scalar,
     TieRule,
     TopSpeed,
     TopTurn,
-    Unstick,
     Value,
     WindowLength,
     about,
@@ -84,7 +84,7 @@ class DiscussedDispersionParams(Params, frozen=True):
     ] = "settling"
     speed: TopSpeed = 0.2
     turn: TopTurn = 1.82
-    unstick: Unstick = False
+    recovery: Recovery = False
 
     def __post_init__(self) -> None:
         """Check what bounds of single fields cannot."""

@@ -25,12 +25,12 @@ from swarmd.api import (
     MovementPattern,
     Params,
     Platform,
+    Recovery,
     Scalar,
     Scan,
     TopSpeed,
     TopTurn,
     Twist,
-    Unstick,
     Value,
     about,
     closest_points,
@@ -120,7 +120,7 @@ class DispersionParams(Params, frozen=True):
             source="ROS2swarm 1.0: stop",
         ),
     ] = 0.0
-    unstick: Unstick = False
+    recovery: Recovery = False
 
 
 class Dispersion(MovementPattern[DispersionParams]):

@@ -34,12 +34,12 @@ from swarmd.api import (
     MovementPattern,
     Params,
     Platform,
+    Recovery,
     Scalar,
     Scan,
     TopSpeed,
     TopTurn,
     Twist,
-    Unstick,
     Value,
     about,
     closest_points,
@@ -200,7 +200,7 @@ class FlockingParams(Params, frozen=True):
             source="ROS2swarm: z4, 5/7 of the lidar's reach",
         ),
     ] = 2.5
-    unstick: Unstick = False
+    recovery: Recovery = False
 
 
 class Flocking(MovementPattern[FlockingParams]):
@@ -213,7 +213,7 @@ class Flocking(MovementPattern[FlockingParams]):
         self._state = ""
         self._goes_on = False
         self._scan: Scan | None = None
-        self._wish = ZERO
+        self._requested = ZERO
         self._seen: deque[tuple[float, NDArray[np.complex128]]] = deque()
 
     @classmethod
@@ -245,8 +245,8 @@ class Flocking(MovementPattern[FlockingParams]):
         if self.params.law == "paper":
             return self._follow_states(inputs.scan, inputs.is_new_scan)
         if inputs.scan is not self._scan:
-            self._scan, self._wish = inputs.scan, self._follow(inputs.scan, inputs)
-        return self._wish
+            self._scan, self._requested = inputs.scan, self._follow(inputs.scan, inputs)
+        return self._requested
 
     def update(self, params: FlockingParams) -> None:
         """Take over changed parameters, and look at the scan anew with them."""

@@ -20,9 +20,9 @@ ARENA = -1
 VERSION = 3
 
 _PARTS = {
-    "t": "f T", "pose": "f T n 3", "safe": "f T n 3", "wish": "f T n 3",
+    "t": "f T", "pose": "f T n 3", "safe": "f T n 3", "requested": "f T n 3",
     "state": "U T n", "reason": "U T n", "active": "b T n", "present": "b T n",
-    "decided": "i T n", "evaded": "i T n", "unsticking": "b T n",
+    "decided": "i T n", "evaded": "i T n", "recovering": "b T n",
     "gap": "f T n", "scan_age": "f T n", "bound": "f T n 3", "report": "f T n", "words": "U T n",
     "contact_t": "f c", "contact_pair": "i c 2", "contact_speed": "f c 2",
     "thing_pose": "f T m 3", "thing_shapes": "f m k 2",
@@ -48,7 +48,7 @@ class Trace:
     before, and in how many of them it was active. `gap` (T, n) m from the footprint to the nearest
     that the robot saw, NaN if nothing, and `scan_age` (T, n) s, NaN before the first scan. `bound`
     (T, n, 3) what bound the command most: its bearing in rad from the axle, its gap in m and the
-    speed in m/s at which the outline might at most move towards it; NaN if nothing. `unsticking`
+    speed in m/s at which the outline might at most move towards it; NaN if nothing. `recovering`
     (T, n) bool: protection judged not the wish but a way around what blocks it.
 
     `present` (T, n) bool: the robot's daemon is there (None: all are, always). `report` (T, n) by
@@ -69,7 +69,7 @@ class Trace:
     platforms: tuple[str, ...]
     footprints: Mapping[str, Array]
     meta: Mapping[str, Any] = field(default_factory=dict)
-    wish: Array | None = None
+    requested: Array | None = None
     state: NDArray[np.str_] | None = None
     reason: NDArray[np.str_] | None = None
     active: NDArray[np.bool_] | None = None
@@ -78,7 +78,7 @@ class Trace:
     gap: Array | None = None
     scan_age: Array | None = None
     bound: Array | None = None
-    unsticking: NDArray[np.bool_] | None = None
+    recovering: NDArray[np.bool_] | None = None
     present: NDArray[np.bool_] | None = None
     report: Mapping[str, Array] = field(default_factory=dict)
     words: Mapping[str, NDArray[np.str_]] = field(default_factory=dict)

@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from swarmd.core.values import Value
-from tests.support.voting_sim import Air, Debate, Parliament
+from tests.support.voting_sim import Air, Debate, VotingSim
 
 Counts: TypeAlias = tuple[int, ...]
 Choice: TypeAlias = Callable[[Counts], Sequence[float]]
@@ -33,7 +33,7 @@ IN_STEP: Mapping[str, Value] = {
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A debate to hold; see `Parliament`. It ends `settled` s after all agreed."""
+    """A debate to hold; see `VotingSim`. It ends `settled` s after all agreed."""
 
     pattern: str
     count: int
@@ -58,7 +58,7 @@ class Result:
 def hold(motion: Motion) -> Result:
     """One debate."""
     m = motion
-    house = Parliament(m.pattern, m.count, seed=m.seed, params=m.params, held=m.held, air=m.air)
+    house = VotingSim(m.pattern, m.count, seed=m.seed, params=m.params, held=m.held, air=m.air)
     debate = house.run(m.seconds, until_agreed=m.settled)
     return Result(debate.agreed_at, debate.winner, rounds_of(debate), debate.said)
 

@@ -197,7 +197,7 @@ def tables(found: Mapping[tuple[str, str, bool], Results]) -> str:
     parts = []
     for title, columns, names in (
         ("Gathering", CLUSTER, SCENARIOS[:3]),
-        ("Conduct", CONDUCT, SCENARIOS),
+        ("Lifecycle", CONDUCT, SCENARIOS),
     ):
         rows = {
             f"{name}, {visibility}, {law}{', fresh' if is_fresh else ''}": [

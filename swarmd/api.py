@@ -26,7 +26,7 @@ from swarmd.kit.behavior import Context, Make, MovementPattern, Pattern
 from swarmd.kit.combined import CombinedPattern
 from swarmd.kit.formation_geometry import place_on_circle, place_on_line, radius_of
 from swarmd.kit.formation_pattern import FormationParams, FormationPattern
-from swarmd.kit.params import P, Params, TopSpeed, TopTurn, Unstick, about
+from swarmd.kit.params import P, Params, Recovery, TopSpeed, TopTurn, about
 from swarmd.kit.steering import from_base, keep_clear, steer
 from swarmd.kit.vote_windows import Ties, VoteWindow, majority, tally
 from swarmd.kit.voting_pattern import (
@@ -78,6 +78,7 @@ __all__ = [
     "Pose",
     "Ray",
     "RayClusters",
+    "Recovery",
     "Scalar",
     "Scan",
     "TieRule",
@@ -86,7 +87,6 @@ __all__ = [
     "TopTurn",
     "TouchZone",
     "Twist",
-    "Unstick",
     "Value",
     "VoteWindow",
     "VotingParams",

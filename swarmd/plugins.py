@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 PATTERNS = "swarmd.patterns"
 DRIVERS = "swarmd.drivers"
 COMMANDS = "swarmd.commands"
-DIALECTS = "swarmd.emulators"
+EMULATORS = "swarmd.emulators"
 MISSION = ".yaml"
 LARGEST_MISSION = 1 << 20
 _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
@@ -101,9 +101,9 @@ def load_driver(name: str) -> DriverFactory:
     return cast("DriverFactory", _load("driver", DRIVERS, name))
 
 
-def load_dialect(name: str) -> RobotSideFactory:
+def load_emulator(name: str) -> RobotSideFactory:
     """The robots' side of the driver of that name, imported."""
-    return cast("RobotSideFactory", _load("dialect", DIALECTS, name))
+    return cast("RobotSideFactory", _load("emulator", EMULATORS, name))
 
 
 def command_names() -> Mapping[str, str]:

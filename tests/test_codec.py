@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from swarmd.core.codec import MAX_DEPTH, MAX_MESSAGE, Decoder, decode_value, encode, encode_value
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import Epoch, Request, Row, VerdictSummary
+from swarmd.core.messages import DecisionSummary, Epoch, Request, Row
 
 OPEN = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text(),
@@ -57,7 +57,7 @@ def test_other_versions_truncated_and_oversized_bytes_are_unreadable(payload: by
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 1e9])
 def test_bounds_refuse_what_is_no_speed(bad: float) -> None:
     with pytest.raises(CodecError):
-        Decoder(VerdictSummary)(encode(VerdictSummary(safe_linear=bad)))
+        Decoder(DecisionSummary)(encode(DecisionSummary(safe_linear=bad)))
 
 
 class OlderSummary(Struct):
@@ -72,14 +72,14 @@ class OlderSummary(Struct):
 @pytest.mark.parametrize("row", [Row(9.0, 0.1, 0.1), Row(0.0, math.inf, 0.1), Row(0.0, 0.1, 1e9)])
 def test_bounds_refuse_what_is_no_obstacle(row: Row) -> None:
     with pytest.raises(CodecError):
-        Decoder(VerdictSummary)(encode(VerdictSummary(rows=(row,))))
+        Decoder(DecisionSummary)(encode(DecisionSummary(rows=(row,))))
 
 
 def test_a_summary_comes_through_as_it_was_and_one_of_an_older_peer_too() -> None:
-    summary = VerdictSummary(rows=(Row(-0.5, 0.21, 0.0), Row(3.0, 0.4, 0.1)), is_unsticking=True)
-    assert Decoder(VerdictSummary)(encode(summary)) == summary
-    read = Decoder(VerdictSummary)(encode(OlderSummary()))
-    assert (read.is_active, read.rows, read.is_unsticking) == (True, (), False)
+    summary = DecisionSummary(rows=(Row(-0.5, 0.21, 0.0), Row(3.0, 0.4, 0.1)), is_recovering=True)
+    assert Decoder(DecisionSummary)(encode(summary)) == summary
+    read = Decoder(DecisionSummary)(encode(OlderSummary()))
+    assert (read.is_active, read.rows, read.is_recovering) == (True, (), False)
 
 
 @given(st.binary(max_size=200))

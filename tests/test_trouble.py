@@ -17,9 +17,9 @@ from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.drivers.ros1.options import Ros1Options
 from swarmd.drivers.ros1.view import View
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
-from swarmd.drivers.ros2.key_scheme import Dialect, Endpoint
+from swarmd.drivers.ros2.key_scheme import Endpoint, KeyScheme
 from swarmd.drivers.ros2.rmw_zenoh import RmwZenoh
-from swarmd.drivers.ros2.subscriptions import Hearing
+from swarmd.drivers.ros2.subscriptions import Subscriptions
 from swarmd.settings.driver_options import base_options
 from swarmd.settings.platforms import load_platform
 
@@ -30,10 +30,12 @@ SCAN, TWIST = "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/Twist"
 FOREIGN = "RIHS01_0123456789abcdef"
 
 
-def report(hearing: Hearing, graph: Collection[Endpoint] = (), others: int = 0) -> dict[str, str]:
+def report(
+    hearing: Subscriptions, graph: Collection[Endpoint] = (), others: int = 0
+) -> dict[str, str]:
     """What a check says of it, by subject."""
     whole = Report(
-        dialect=Ros2Dds(),
+        scheme=Ros2Dds(),
         endpoint=ENDPOINT,
         is_connected=True,
         hearing=hearing,
@@ -47,15 +49,15 @@ def report(hearing: Hearing, graph: Collection[Endpoint] = (), others: int = 0) 
     return {finding.subject: finding.text for finding in whole.findings()}
 
 
-def silent(dialect: Dialect, *heard: tuple[str, str], domain: int | None = None) -> str:
+def silent(emulator: KeyScheme, *heard: tuple[str, str], domain: int | None = None) -> str:
     """Why no scan comes where these topics are announced."""
     graph = [Endpoint(True, topic, kind, "z", domain) for topic, kind in heard]
-    return why_silent(Hearing(RosOptions(), PLATFORM).senses["scan"], graph, dialect)
+    return why_silent(Subscriptions(RosOptions(), PLATFORM).senses["scan"], graph, emulator)
 
 
-def scans(stamps: Mapping[float, float]) -> Hearing:
+def scans(stamps: Mapping[float, float]) -> Subscriptions:
     """A scan at each time, with the stamp given."""
-    hearing = Hearing(RosOptions(), PLATFORM)
+    hearing = Subscriptions(RosOptions(), PLATFORM)
     for at, stamp in stamps.items():
         hearing.senses["scan"].hear(at, stamp, "360 rays")
     return hearing
@@ -70,7 +72,7 @@ def of_ros2() -> Iterator[str]:
     yield silent(dds, ("/odom", "nav_msgs/msg/Odometry"), ("/battery_state", "b"))
     yield silent(dds, ("/scan", SCAN))
     yield silent(dds, ("/scan", "sensor_msgs/msg/PointCloud2"))
-    hearing = Hearing(RosOptions(), PLATFORM)
+    hearing = Subscriptions(RosOptions(), PLATFORM)
     kind = RmwZenoh(0, "/cmd_vel")
     fault = kind.fault(f"0/scan/sensor_msgs::msg::dds_::LaserScan_/{FOREIGN}", "/scan", LaserScan)
     for at in range(12):
@@ -114,7 +116,7 @@ def of_ros1() -> Iterator[str]:
 
 def of_any() -> Iterator[str]:
     with pytest.raises(ConfigError) as caught:
-        base_options({"deadman": "none", "idle_output": "silent"}, "driver ros2dds")
+        base_options({"command_timeout": "none", "idle_output": "silent"}, "driver ros2dds")
     yield str(caught.value)
 
 

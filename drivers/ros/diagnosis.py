@@ -13,8 +13,8 @@ from swarmd.core.values import Scan, ScanSpec
 from swarmd.driver_api.driver import Finding
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.topic_stats import Sense
-from swarmd.drivers.ros2.key_scheme import Dialect, Endpoint
-from swarmd.drivers.ros2.subscriptions import Hearing
+from swarmd.drivers.ros2.key_scheme import Endpoint, KeyScheme
+from swarmd.drivers.ros2.subscriptions import Subscriptions
 from swarmd.sensing.conditioning import ScanConditioner
 
 _SHOWN = 4
@@ -24,11 +24,11 @@ _COMMANDS = {
 }
 
 
-def why_silent(sense: Sense, graph: Collection[Endpoint], dialect: Dialect) -> str:
+def why_silent(sense: Sense, graph: Collection[Endpoint], scheme: KeyScheme) -> str:
     """Why nothing comes on a topic, in one line with the next step."""
     wanted, topic, option = name_of(sense.kind), sense.topic, f"driver_options.{sense.option}"
     said = [end for end in graph if end.is_publisher]
-    here = [end for end in said if end.domain == dialect.domain]
+    here = [end for end in said if end.domain == scheme.domain]
     types = sorted({end.type for end in here if end.topic == topic})
     if wanted in types:
         return f"{topic} is announced but silent; look at the sensor: ros2 topic hz {topic}"
@@ -48,25 +48,25 @@ def why_silent(sense: Sense, graph: Collection[Endpoint], dialect: Dialect) -> s
     if domains:
         what = topic if here else "topic"
         return (
-            f"no {what} in domain {dialect.domain}, but in {shown(map(str, domains))}; correct"
+            f"no {what} in domain {scheme.domain}, but in {shown(map(str, domains))}; correct"
             " driver_options.domain"
         )
-    return f"no {topic}, and {dialect.hub} announces no topic at all; {dialect.silent}"
+    return f"no {topic}, and {scheme.hub} announces no topic at all; {scheme.silent}"
 
 
-def why_refused(sense: Sense, graph: Collection[Endpoint], dialect: Dialect) -> str:
+def why_refused(sense: Sense, graph: Collection[Endpoint], scheme: KeyScheme) -> str:
     """What came on a topic and could not be taken, in one line with the next step."""
     wanted, topic = name_of(sense.kind), sense.topic
-    types = {end.type for end in _publishing(topic, graph, dialect)}
+    types = {end.type for end in _publishing(topic, graph, scheme)}
     if types and wanted not in types:
-        return why_silent(sense, graph, dialect)
+        return why_silent(sense, graph, scheme)
     return (
         f"{topic}: {sense.fault}; correct driver_options.{sense.option}, or look at what publishes"
         f" it: ros2 topic info -v {topic}"
     )
 
 
-def why_misleading(sense: Sense, graph: Collection[Endpoint], dialect: Dialect) -> str:
+def why_misleading(sense: Sense, graph: Collection[Endpoint], scheme: KeyScheme) -> str:
     """Why what comes on a topic cannot be relied on, with the next step; empty if it can."""
     topic = sense.topic
     if not sense.advances():
@@ -74,7 +74,7 @@ def why_misleading(sense: Sense, graph: Collection[Endpoint], dialect: Dialect) 
             f"{topic}: messages come, all with the stamp {sense.stamps[-1]:.12g}; look at the"
             " sensor, which is frozen, or at its publisher, which fills in none"
         )
-    said = _publishing(topic, graph, dialect)
+    said = _publishing(topic, graph, scheme)
     if len(said) > 1 and sense.is_needed:
         whose = shown(sorted({end.who for end in said}))
         return (
@@ -99,14 +99,14 @@ def why_blind(sense: Sense, scan: Scan, spec: ScanSpec) -> str:
 
 
 def why_unheard(
-    topic: str, command: type, graph: Collection[Endpoint], dialect: Dialect, *, has_taker: bool
+    topic: str, command: type, graph: Collection[Endpoint], scheme: KeyScheme, *, has_taker: bool
 ) -> str:
     """Why commands lead nowhere, with the next step; empty if they have a taker.
 
     `has_taker`: whether anyone at all listens on the key, announced or not.
     """
     wanted = name_of(command)
-    heard = [end for end in graph if not end.is_publisher and end.domain == dialect.domain]
+    heard = [end for end in graph if not end.is_publisher and end.domain == scheme.domain]
     types = sorted({end.type for end in heard if end.topic == topic})
     if types and wanted not in types:
         option = _COMMANDS.get(types[0], "cmd_vel, or cmd_vel_type")
@@ -133,11 +133,11 @@ def _domains(ends: Iterable[Endpoint]) -> list[int]:
     return sorted({end.domain for end in ends if end.domain is not None})
 
 
-def _publishing(topic: str, graph: Iterable[Endpoint], dialect: Dialect) -> list[Endpoint]:
+def _publishing(topic: str, graph: Iterable[Endpoint], scheme: KeyScheme) -> list[Endpoint]:
     return [
         end
         for end in graph
-        if end.is_publisher and end.topic == topic and end.domain == dialect.domain
+        if end.is_publisher and end.topic == topic and end.domain == scheme.domain
     ]
 
 
@@ -145,7 +145,7 @@ ENOUGH = 5
 AT_LEAST = 1.0
 
 
-def has_enough(hearing: Hearing, elapsed: float) -> bool:
+def has_enough(hearing: Subscriptions, elapsed: float) -> bool:
     """Whether all that is needed was heard often enough to tell its rate, and the rest at all."""
     senses = hearing.senses.values()
     return elapsed >= AT_LEAST and all(
@@ -153,9 +153,9 @@ def has_enough(hearing: Hearing, elapsed: float) -> bool:
     )
 
 
-def unheard(dialect: Dialect, endpoint: str) -> str:
+def unheard(scheme: KeyScheme, endpoint: str) -> str:
     """Nothing listens at the endpoint."""
-    return f"nothing answers at {endpoint}; {dialect.start}, or correct driver_options.endpoint"
+    return f"nothing answers at {endpoint}; {scheme.start}, or correct driver_options.endpoint"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -166,10 +166,10 @@ class Report:
     `others`: how many commands of others came.
     """
 
-    dialect: Dialect
+    scheme: KeyScheme
     endpoint: str
     is_connected: bool
-    hearing: Hearing
+    hearing: Subscriptions
     spec: ScanSpec
     graph: Collection[Endpoint]
     cmd_vel: str
@@ -180,11 +180,11 @@ class Report:
     def findings(self) -> tuple[Finding, ...]:
         """One line each: the hub, every topic, where commands go, who else commands."""
         if not self.is_connected:
-            return (Finding("connection", False, unheard(self.dialect, self.endpoint)),)
+            return (Finding("connection", False, unheard(self.scheme, self.endpoint)),)
         return tuple(self._findings())
 
     def _findings(self) -> Iterator[Finding]:
-        yield Finding("connection", True, f"{self.dialect.hub} at {self.endpoint}")
+        yield Finding("connection", True, f"{self.scheme.hub} at {self.endpoint}")
         for sense in self.hearing.senses.values():
             if sense.is_needed or sense.count or sense.name in ("imu", "battery"):
                 yield self._of(sense)
@@ -207,10 +207,10 @@ class Report:
     def _fault(self, sense: Sense) -> str:
         """What is wrong on one topic; empty if nothing is."""
         if sense.faults:
-            return why_refused(sense, self.graph, self.dialect)
+            return why_refused(sense, self.graph, self.scheme)
         if not sense.count:
-            return why_silent(sense, self.graph, self.dialect)
-        fault = why_misleading(sense, self.graph, self.dialect)
+            return why_silent(sense, self.graph, self.scheme)
+        fault = why_misleading(sense, self.graph, self.scheme)
         if not fault and sense.name != "odometry" and sense.is_needed:
             return self._scan_fault(sense)
         return fault
@@ -227,7 +227,7 @@ class Report:
 
     def _taker(self) -> Finding:
         fault = why_unheard(
-            self.cmd_vel, self.command, self.graph, self.dialect, has_taker=self.has_taker
+            self.cmd_vel, self.command, self.graph, self.scheme, has_taker=self.has_taker
         )
         well = f"{self.cmd_vel} ({name_of(self.command)}) has a subscriber"
         return Finding("cmd_vel", not fault, fault or well)
@@ -243,7 +243,7 @@ class Report:
         said = [
             end.who
             for end in self.graph
-            if end.is_publisher and end.topic == self.cmd_vel and end.domain == self.dialect.domain
+            if end.is_publisher and end.topic == self.cmd_vel and end.domain == self.scheme.domain
         ]
         if said:
             text = f"{shown(sorted(said))} may publish {self.cmd_vel} too, but does not now"

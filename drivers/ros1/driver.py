@@ -108,7 +108,7 @@ class Ros1Driver:
             self._sink, self._said, self._logged = None, (False, ""), ""
             self._has_sent, self._fell = False, -math.inf
 
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         """Send a safe command; zero the first time that the base is back.
 
         Dropped while the base is lost, but that it is told to stand at first: whoever else drives

@@ -13,8 +13,8 @@ import zenoh
 from swarmd.core.errors import CodecError
 from swarmd.core.threads import hand_over
 from swarmd.core.values import ZERO, Platform, Twist
-from swarmd.driver_api.driver import Finding, Nowhere, SenderSpec, Sink
-from swarmd.drivers.latest_samples import Inbox
+from swarmd.driver_api.driver import Finding, NullSink, SenderSpec, Sink
+from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros import from_ros as conversion
 from swarmd.drivers.ros.diagnosis import (
@@ -30,10 +30,10 @@ from swarmd.drivers.ros.diagnosis import (
 from swarmd.drivers.ros.messages import Twist as TwistMessage
 from swarmd.drivers.ros.messages import TwistStamped
 from swarmd.drivers.ros.options import RosOptions, topic
-from swarmd.drivers.ros2.duplicate_nodes import Census
-from swarmd.drivers.ros2.key_scheme import Dialect, Endpoint
+from swarmd.drivers.ros2.duplicate_nodes import DuplicateNodes
+from swarmd.drivers.ros2.key_scheme import Endpoint, KeyScheme
 from swarmd.drivers.ros2.session import commanding, has_subscriber, hubs_of, open_session
-from swarmd.drivers.ros2.subscriptions import Hearing
+from swarmd.drivers.ros2.subscriptions import Subscriptions
 from swarmd.network.session import opened
 
 log = logging.getLogger(__name__)
@@ -67,19 +67,19 @@ class RosDriver:
     def __init__(
         self,
         name: str,
-        dialect: Dialect,
+        scheme: KeyScheme,
         platform: Platform,
         options: RosOptions,
         stopping: SenderSpec,
     ) -> None:
         """Not connected yet."""
-        self._name, self._dialect, self._platform = name, dialect, platform
+        self._name, self._scheme, self._platform = name, scheme, platform
         self._options, self._stopping = options, stopping
         self._cmd_vel = topic(options, options.cmd_vel)
         self._is_stamped = options.cmd_vel_type == "twist_stamped"
         self._command: type = TwistStamped if self._is_stamped else TwistMessage
         self._silence = max(SILENCE, 3.5 / platform.scan.rate)
-        self._hearing = Hearing(options, platform)
+        self._hearing = Subscriptions(options, platform)
         cdr.warm(self._command, *(sense.kind for sense in self._hearing.senses.values()))
         self._reset()
 
@@ -87,7 +87,7 @@ class RosDriver:
         """Feed the sink until cancelled; the session reconnects by itself."""
         await self._run(sink, looks_only=False)
 
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         """Send a safe command; dropped while the base is lost, zero the first time it is back."""
         if not self._is_up:
             return
@@ -105,7 +105,7 @@ class RosDriver:
         """Topics, rates, types, clocks and what is missing, each with the next step."""
         loop = asyncio.get_running_loop()
         began = loop.time()
-        task = asyncio.create_task(self._run(Nowhere(), looks_only=True))
+        task = asyncio.create_task(self._run(NullSink(), looks_only=True))
         try:
             while loop.time() - began < seconds and not task.done():
                 await asyncio.sleep(min(_PERIOD, seconds))
@@ -119,7 +119,7 @@ class RosDriver:
     def _report(self) -> Report:
         session = self._session
         return Report(
-            dialect=self._dialect,
+            scheme=self._scheme,
             endpoint=self._options.endpoint,
             is_connected=session is not None and bool(hubs_of(session)),
             hearing=self._hearing,
@@ -137,7 +137,7 @@ class RosDriver:
         self._tokens: list[zenoh.LivelinessToken] = []
         self._graph: dict[str, Endpoint] = {}
         self._hubs: frozenset[str] = frozenset()
-        self._census = Census(self._dialect.nodes, self._cmd_vel)
+        self._census = DuplicateNodes(self._scheme.nodes, self._cmd_vel)
         self._is_up = self._has_sent = self._was_linked = False
         self._owes_zero = True
         self._zeros_end = -math.inf
@@ -149,13 +149,13 @@ class RosDriver:
 
     async def _run(self, sink: Sink, *, looks_only: bool) -> None:
         loop = asyncio.get_running_loop()
-        self._hearing = Hearing(self._options, self._platform)
+        self._hearing = Subscriptions(self._options, self._platform)
         self._tell(sink, False, f"nothing heard yet from {self._options.endpoint}")
         session = await self._opened(sink)
-        inbox = Inbox(loop, partial(self._take, sink, looks_only), sink.dropped)
+        inbox = LatestSamples(loop, partial(self._take, sink, looks_only), sink.dropped)
         try:
             self._session = session
-            for key in self._dialect.command_keys(self._cmd_vel, self._command):
+            for key in self._scheme.command_keys(self._cmd_vel, self._command):
                 self._publishers[key] = commanding(session, key)
             self._listen(session, inbox, loop)
             opened = loop.time()
@@ -178,29 +178,29 @@ class RosDriver:
             session = await opened(partial(open_session, self._options.endpoint))
             if session is not None:
                 return session
-            self._tell(sink, False, unheard(self._dialect, self._options.endpoint))
+            self._tell(sink, False, unheard(self._scheme, self._options.endpoint))
 
     def _listen(
-        self, session: zenoh.Session, inbox: Inbox, loop: asyncio.AbstractEventLoop
+        self, session: zenoh.Session, inbox: LatestSamples, loop: asyncio.AbstractEventLoop
     ) -> None:
         def on_token(sample: zenoh.Sample) -> None:
             is_there = sample.kind == zenoh.SampleKind.PUT
             hand_over(loop, self._on_token, str(sample.key_expr), is_there)
 
         # Before the topics: what a base wants is known when it is first heard.
-        session.liveliness().declare_subscriber(self._dialect.graph, on_token, history=True)
+        session.liveliness().declare_subscriber(self._scheme.graph, on_token, history=True)
         heard = [(s.name, s.topic, s.kind) for s in self._hearing.senses.values()]
         for name, full, kind in (*heard, (_COMMAND, self._cmd_vel, self._command)):
             session.declare_subscriber(
-                self._dialect.listening(full),
-                _receiver(self._dialect, inbox, name, full, kind),
+                self._scheme.listening(full),
+                _receiver(self._scheme, inbox, name, full, kind),
                 allowed_origin=zenoh.Locality.REMOTE,
             )
 
     def _on_token(self, token: str, is_there: bool) -> None:
         if len(token) > _LONGEST or not token.isprintable():
             return
-        end = self._dialect.announced(token)
+        end = self._scheme.announced(token)
         if end is None:
             return
         if is_there and len(self._graph) < _MOST_ANNOUNCED:
@@ -264,7 +264,7 @@ class RosDriver:
         if not looks_only and not self._tokens and self._session is not None:
             topics = [(s.topic, s.kind) for s in self._hearing.senses.values()]
             zid = str(self._session.info.zid())
-            for token in self._dialect.introduce(zid, [*topics, (self._cmd_vel, self._command)]):
+            for token in self._scheme.introduce(zid, [*topics, (self._cmd_vel, self._command)]):
                 self._tokens.append(self._session.liveliness().declare_token(token))
 
     def _fall(self, sink: Sink, text: str) -> None:
@@ -281,7 +281,7 @@ class RosDriver:
             self._zeros_end = now + ZEROS_LAST
         self._was_linked = bool(hubs)
         if self._is_up and not hubs:
-            self._fall(sink, unheard(self._dialect, self._options.endpoint))
+            self._fall(sink, unheard(self._scheme, self._options.endpoint))
         elif self._is_up and before and hubs != before:
             self._fall(sink, f"{self._place()} was started anew")
         elif self._is_up and silent > self._silence:
@@ -306,18 +306,18 @@ class RosDriver:
             obstacle = self._obstacle(now) if is_heard or now - self._other_at < OTHERS_LAST else ""
             self._tell(sink, self._is_up, obstacle or self._trouble(now) or self._place())
         else:
-            self._tell(sink, self._is_up, unheard(self._dialect, self._options.endpoint))
+            self._tell(sink, self._is_up, unheard(self._scheme, self._options.endpoint))
 
     def _obstacle(self, now: float) -> str:
         """Why this base is not to be commanded although it is heard; empty if nothing is."""
         if now - self._other_at < OTHERS_LAST:
             return self._driven_by_others()
         if self._census.twin:
-            hub = self._dialect.hub
+            hub = self._scheme.hub
             return f"{self._census.twin} crashed and is back; {hub} will forget it: start that anew"
         others = self._others()
         has_taker = not others or self._has_taker()  # where nothing is announced nobody can tell
-        return why_unheard(self._cmd_vel, self._command, others, self._dialect, has_taker=has_taker)
+        return why_unheard(self._cmd_vel, self._command, others, self._scheme, has_taker=has_taker)
 
     def _has_taker(self) -> bool:
         return any(has_subscriber(publisher) for publisher in self._publishers.values())
@@ -333,9 +333,9 @@ class RosDriver:
         graph, senses = self._others(), self._hearing.senses.values()
         missing = self._hearing.missing(now, max(_PATIENCE, self._silence))
         faults = (
-            *(why_refused(sense, graph, self._dialect) for sense in senses if sense.complaint(now)),
-            *(why_silent(sense, graph, self._dialect) for sense in missing),
-            *(why_misleading(sense, graph, self._dialect) for sense in senses if sense.is_needed),
+            *(why_refused(sense, graph, self._scheme) for sense in senses if sense.complaint(now)),
+            *(why_silent(sense, graph, self._scheme) for sense in missing),
+            *(why_misleading(sense, graph, self._scheme) for sense in senses if sense.is_needed),
         )
         return next(filter(None, faults), "") or self._blindness()
 
@@ -348,20 +348,20 @@ class RosDriver:
         return fault if was_blind else ""
 
     def _place(self) -> str:
-        return f"{self._dialect.hub} at {self._options.endpoint}"
+        return f"{self._scheme.hub} at {self._options.endpoint}"
 
     def _tell(self, sink: Sink, is_up: bool, text: str) -> None:
         self._told_at = asyncio.get_running_loop().time()
         if self._told == (is_up, text):
             return
-        if self._told is not None and not isinstance(sink, Nowhere):
+        if self._told is not None and not isinstance(sink, NullSink):
             is_well = is_up and text == self._place()
             log.log(logging.INFO if is_well else logging.WARNING, "driver %s: %s", self._name, text)
         self._told = (is_up, text)
         sink.state(is_up, text)
 
     def _put(self, twist: Twist, frame: str) -> None:
-        publisher = self._publishers.get(self._dialect.command_key(self._cmd_vel, self._command))
+        publisher = self._publishers.get(self._scheme.command_key(self._cmd_vel, self._command))
         if publisher is None:
             return
         message = (
@@ -369,7 +369,7 @@ class RosDriver:
             if self._is_stamped
             else conversion.twist_message(twist)
         )
-        publisher.put(cdr.encode(message), attachment=self._dialect.attachment())
+        publisher.put(cdr.encode(message), attachment=self._scheme.attachment())
 
 
 def _asked(message: object) -> Twist:
@@ -380,10 +380,10 @@ def _asked(message: object) -> Twist:
 
 
 def _receiver(
-    dialect: Dialect, inbox: Inbox, name: str, full: str, kind: type
+    scheme: KeyScheme, inbox: LatestSamples, name: str, full: str, kind: type
 ) -> Callable[[zenoh.Sample], None]:
     def on_sample(sample: zenoh.Sample) -> None:
-        fault = dialect.fault(str(sample.key_expr), full, kind)
+        fault = scheme.fault(str(sample.key_expr), full, kind)
         if fault:
             inbox.put(f"{name}{_MISTAKEN}", fault.encode())
         else:

@@ -22,7 +22,7 @@ _LONGEST = 100_000
 _WITHIN = 1.0
 
 
-class Census:
+class DuplicateNodes:
     """Asks a bridge for its nodes, round after round.
 
     `twin` is a node that listens to the topic and is there twice, as `/base`; empty if none is.

@@ -29,7 +29,7 @@ class Endpoint:
         return self.node or f"a node behind bridge {self.zid[:8]}"
 
 
-class Dialect(Protocol):
+class KeyScheme(Protocol):
     """Keys and framing of one way of speaking ROS 2 over Zenoh.
 
     `hub` is what listens at the endpoint, `start` the step that starts it, `silent` what to look

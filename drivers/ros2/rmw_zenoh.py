@@ -38,13 +38,13 @@ def make_driver(
     """A driver that has not connected yet; ConfigError for options it does not know."""
     read = read_options(RmwOptions, options, NAME, robot)
     stopping = SenderSpec(f"{__name__}:make_zero_sender", {"robot": robot, "given": dict(options)})
-    return RosDriver(NAME, _dialect(read), platform, read, stopping)
+    return RosDriver(NAME, _scheme(read), platform, read, stopping)
 
 
 def make_zero_sender(*, robot: str, given: Mapping[str, Value]) -> RosZeroSender:
     """What the stopper's process says zero with."""
     read = read_options(RmwOptions, given, NAME, robot)
-    return zero_sender_of(_dialect(read), read)
+    return zero_sender_of(_scheme(read), read)
 
 
 def gid_of(token: str) -> bytes:
@@ -57,7 +57,7 @@ def attachment_of(sequence: int, gid: bytes) -> bytes:
     return _ATTACHMENT.pack(sequence, time.time_ns(), 16, gid)
 
 
-def _dialect(options: RmwOptions) -> RmwZenoh:
+def _scheme(options: RmwOptions) -> RmwZenoh:
     return RmwZenoh(options.domain, topic(options, options.cmd_vel))
 
 

@@ -21,7 +21,7 @@ Deliver = Callable[[Sink], None]
 _LIVELY = (LaserScan, Range, Odometry)
 
 
-class Hearing:
+class Subscriptions:
     """Reads the robot's topics. One for each run of the driver: sequences begin anew with it."""
 
     def __init__(self, options: RosOptions, platform: Platform) -> None:

@@ -12,7 +12,7 @@ from swarmd.drivers.ros.cdr import encode
 from swarmd.drivers.ros.from_ros import stamped_message, twist_message
 from swarmd.drivers.ros.messages import Twist, TwistStamped
 from swarmd.drivers.ros.options import RosOptions, topic
-from swarmd.drivers.ros2.key_scheme import Dialect
+from swarmd.drivers.ros2.key_scheme import KeyScheme
 from swarmd.drivers.ros2.session import commanding, open_session
 
 _AT_OPENING = 0.3
@@ -27,9 +27,9 @@ class RosZeroSender:
     daemon, and be far away.
     """
 
-    def __init__(self, dialect: Dialect, endpoint: str, keys: tuple[str, ...], payload: bytes):
+    def __init__(self, scheme: KeyScheme, endpoint: str, keys: tuple[str, ...], payload: bytes):
         """Not connected yet; `payload` is the zero as the robot wants it."""
-        self._dialect, self._endpoint = dialect, endpoint
+        self._scheme, self._endpoint = scheme, endpoint
         self._keys, self._payload = keys, payload
         self._session: zenoh.Session | None = None
         self._publishers: tuple[zenoh.Publisher, ...] = ()
@@ -50,7 +50,7 @@ class RosZeroSender:
         """Command zero once, now; nothing while there is no connection."""
         for publisher in self._publishers:
             with contextlib.suppress(zenoh.ZError):
-                publisher.put(self._payload, attachment=self._dialect.attachment())
+                publisher.put(self._payload, attachment=self._scheme.attachment())
 
     def close(self) -> None:
         """Disconnect; commands nothing."""
@@ -70,13 +70,13 @@ class RosZeroSender:
             self._publishers = tuple(commanding(session, key) for key in self._keys)
 
 
-def zero_sender_of(dialect: Dialect, options: RosOptions) -> RosZeroSender:
+def zero_sender_of(scheme: KeyScheme, options: RosOptions) -> RosZeroSender:
     """The sender for a robot with these options."""
     is_stamped = options.cmd_vel_type == "twist_stamped"
     # A base that takes this for a Twist reads the frame's name as a speed: none is 0, where
     # `base_link` would be 1e180 m/s to the side. What it wants cannot be asked here.
     message = stamped_message(ZERO, "") if is_stamped else twist_message(ZERO)
-    keys = dialect.command_keys(
+    keys = scheme.command_keys(
         topic(options, options.cmd_vel), TwistStamped if is_stamped else Twist
     )
-    return RosZeroSender(dialect, options.endpoint, keys, encode(message))
+    return RosZeroSender(scheme, options.endpoint, keys, encode(message))

@@ -98,7 +98,7 @@ class UdpDriver:
             self._link.close()
             self._link, self._is_up, self._has_sent = None, False, False
 
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         """Send a safe command: dropped while the base is lost, zero the first time it is back."""
         if self._is_up:
             self._put(ZERO if self._owes_zero else twist)

@@ -65,7 +65,7 @@ _OPTIONS = (
         help="Robots further apart do not hear each other [all do].",
     ),
     click.option(
-        "--dialect",
+        "--emulate",
         metavar="NAME",
         help="Bodies speak as the robots of this driver do, such as ros2dds, and daemons drive"
         " them with it.",
@@ -98,7 +98,7 @@ class WorldOptions:
     realism: str
     lidar_visibility: str
     radio_range: float | None
-    dialect: str | None
+    emulator: str | None
     plugin_dir: Path | None
 
 
@@ -119,21 +119,21 @@ def fleet_for(options: WorldOptions, swarm: str, folder: Path) -> FleetSpec:
         realism=options.realism,
         lidar_visibility=options.lidar_visibility,
         radio_range=options.radio_range,
-        dialect=options.dialect,
+        emulator=options.emulator,
         plugin_dir=options.plugin_dir,
     )
 
 
 def check_dialect(options: WorldOptions) -> None:
     """PluginError if the dialect is none or its needs are missing; ConfigError if it cannot be."""
-    if options.dialect is None:
+    if options.emulator is None:
         return
-    from swarmd.plugins import load_dialect
+    from swarmd.plugins import load_emulator
 
-    load_dialect(options.dialect)
+    load_emulator(options.emulator)
     if options.radio_range is not None:
         raise ConfigError(
-            f"--radio-range and --dialect {options.dialect}: no robot says there whom it hears;"
+            f"--radio-range and --emulate {options.emulator}: no robot says there whom it hears;"
             " leave one of the two out"
         )
 

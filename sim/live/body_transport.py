@@ -57,7 +57,7 @@ class Speech(Protocol):
         """The newest command of each robot since the last call."""
 
 
-class HwSpeech:
+class HwTransport:
     """The `hw/*` keys, on the world's own link."""
 
     dropped = 0  # the link counts them itself
@@ -91,7 +91,7 @@ class HwSpeech:
         }
 
 
-class DialectSpeech:
+class EmulatorTransport:
     """The dialect of a driver. `side` is the hub that the daemons' drivers dial."""
 
     def __init__(

@@ -52,7 +52,7 @@ class FleetSpec:
     plugin_dir: Path | None = None
     trace: Path | None = None
     seconds: float | None = None
-    dialect: str | None = None
+    emulator: str | None = None
 
 
 class Ready(msgspec.Struct, frozen=True):
@@ -156,8 +156,8 @@ def world_command(spec: FleetSpec) -> list[str]:
     command += ["--arena", spec.arena, "--layout", spec.layout, "--seed", str(spec.seed)]
     command += ["--endpoint", "tcp/127.0.0.1:0", "--realism", spec.realism]
     command += ["--lidar-visibility", spec.lidar_visibility]
-    if spec.dialect is not None:
-        command += ["--dialect", spec.dialect, "--dialect-endpoint", "tcp/127.0.0.1:0"]
+    if spec.emulator is not None:
+        command += ["--emulate", spec.emulator, "--emulate-endpoint", "tcp/127.0.0.1:0"]
     command += [] if spec.radio_range is None else ["--radio-range", str(spec.radio_range)]
     command += ["--trace", str(spec.trace)] if spec.trace else []
     return command + (["--seconds", str(spec.seconds)] if spec.seconds else [])

@@ -14,12 +14,12 @@ import numpy as np
 
 from swarmd.core.errors import CodecError, SwarmError
 from swarmd.core.values import Array, Scan
-from swarmd.sim.live.body_transport import HwSpeech, Speech
+from swarmd.sim.live.body_transport import HwTransport, Speech
 from swarmd.sim.live.link import Question, WorldLink
 from swarmd.sim.live.pacing import Pacer, Staggered
 from swarmd.sim.live.recording import Record
 from swarmd.sim.live.state import Triple, WorldReply, WorldRequest, WorldState, decode_request
-from swarmd.sim.world.delay_queue import Held
+from swarmd.sim.world.delay_queue import DelayQueue
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.radio import Radio
 from swarmd.sim.world.rates import HEARING_RATE, ODOMETRY_RATE
@@ -53,7 +53,7 @@ class RealTimeWorld:
         not told.
         """
         self._world, self._link, self._record, self._clock = world, link, record, clock
-        self._radio, self._speech = radio, speech or HwSpeech(link)
+        self._radio, self._speech = radio, speech or HwTransport(link)
         n, start = len(world.ids), world.time
         self._rows = {robot: row for row, robot in enumerate(world.ids)}
         self._commands = np.zeros((n, 3))
@@ -62,7 +62,7 @@ class RealTimeWorld:
         self._swept = np.full(n, -1)
         self._too_old = np.array([p.scan.stale_after * p.scan.rate for p in world.platforms])
         self._unreadable = 0
-        self._sweeps: Held[tuple[int, Scan]] = Held()
+        self._sweeps: DelayQueue[tuple[int, Scan]] = DelayQueue()
         self._scans_due = Staggered(np.array([p.scan.rate for p in world.platforms]), start)
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start)
         self._hearing_due = Staggered(np.full(n, HEARING_RATE), start)

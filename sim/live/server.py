@@ -25,11 +25,11 @@ from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.keys import check_id
 from swarmd.core.processes import die_with_parent
 from swarmd.core.values import Platform, Value
-from swarmd.plugins import load_dialect
+from swarmd.plugins import load_emulator
 from swarmd.settings.driver_options import stops_after
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.body_transport import DRIVER, DialectSpeech, HwSpeech, Speech
+from swarmd.sim.live.body_transport import DRIVER, EmulatorTransport, HwTransport, Speech
 from swarmd.sim.live.link import WorldLink
 from swarmd.sim.live.realtime import RealTimeWorld
 from swarmd.sim.live.recording import Record, RecordSettings
@@ -106,13 +106,13 @@ def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
     with ExitStack() as opened:
         link = WorldLink(swarm, robots, options.endpoint)
         opened.callback(link.close)
-        speech: Speech = HwSpeech(link)
+        speech: Speech = HwTransport(link)
         driver, told, deadmen = DRIVER, dict[str, Value](endpoint=link.endpoint), None
-        if options.dialect is not None:
+        if options.emulator is not None:
             speech = spoken = _make_dialect(options, robots)
             opened.callback(spoken.close)
-            driver, told = options.dialect, dict(spoken.side.driver_options)
-            deadmen = [_deadman(platform, driver) for platform in robots.values()]
+            driver, told = options.emulator, dict(spoken.side.driver_options)
+            deadmen = [_command_timeout(platform, driver) for platform in robots.values()]
         ready = {"endpoint": link.endpoint, "swarm": swarm, "driver": driver}
         print(json.dumps({**ready, "driver_options": told}), flush=True)
         # What is alive now stays: a collection would only walk through all of it again.
@@ -122,16 +122,16 @@ def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
         RealTimeWorld(world, link, record, radio=radio, speech=speech, deadmen=deadmen).run(is_over)
 
 
-def _make_dialect(options: argparse.Namespace, robots: Mapping[str, Platform]) -> DialectSpeech:
+def _make_dialect(options: argparse.Namespace, robots: Mapping[str, Platform]) -> EmulatorTransport:
     if options.radio_range is not None:
         raise ConfigError(
-            f"--radio-range and --dialect {options.dialect}: no robot says there whom it hears;"
+            f"--radio-range and --emulate {options.emulator}: no robot says there whom it hears;"
             " leave one of the two out"
         )
-    return DialectSpeech(load_dialect(options.dialect), robots, options.dialect_endpoint)
+    return EmulatorTransport(load_emulator(options.emulator), robots, options.emulator_endpoint)
 
 
-def _deadman(platform: Platform, driver: str) -> float:
+def _command_timeout(platform: Platform, driver: str) -> float:
     what = f"platform {platform.name}: drivers.{driver}"
     return stops_after(platform.drivers.get(driver, {}), what)
 
@@ -207,9 +207,9 @@ def _parser() -> argparse.ArgumentParser:
     add("--layout", default="grid:1.0", help="row, paper, grid, ring, random or list, with :size")
     add("--seed", type=int, default=0, help="of random layouts and of noise")
     add("--endpoint", default="tcp/127.0.0.1:7790", help="where drivers dial; port 0: any")
-    add("--dialect", metavar="NAME", help="bodies speak as the robots of this driver do")
+    add("--emulate", metavar="NAME", help="bodies speak as the robots of this driver do")
     add(
-        "--dialect-endpoint",
+        "--emulate-endpoint",
         default="tcp/127.0.0.1:7447",
         metavar="ENDPOINT",
         help="where the drivers of a dialect dial; port 0: any",

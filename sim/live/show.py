@@ -24,7 +24,7 @@ from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.state import WorldState
 from swarmd.sim.live.summary import Summary, duties, mean_duty, numbers_of, problems_of
-from swarmd.sim.live.trace_from_statuses import Statements
+from swarmd.sim.live.trace_from_statuses import StatusLog
 from swarmd.sim.live.view import Scene
 from swarmd.sim.trace import load_trace
 
@@ -127,7 +127,7 @@ class Show:
         self._world, self._on_scene = world, on_scene
         self._watch = Watch(world)
         self._robots = tuple(fleet.spec.robots)
-        self._statements = Statements()
+        self._statements = StatusLog()
 
     def perform(self, trace: Path, began: float) -> Summary:
         """Run the pattern from start to end; `began` is when the command did (boot time)."""

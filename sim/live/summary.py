@@ -119,15 +119,15 @@ def numbers_of(
 
 def duties(statuses: Mapping[str, Status]) -> dict[str, float]:
     """By robot the share of decisions in which protection was active since `run`."""
-    return {name: s.verdict.duty for name, s in sorted(statuses.items()) if s.verdict.decisions}
+    return {name: s.decision.duty for name, s in sorted(statuses.items()) if s.decision.decisions}
 
 
 def mean_duty(statuses: Mapping[str, Status]) -> float | None:
     """The same over all robots together, weighted by their decisions; None if none has decided."""
-    decisions = sum(s.verdict.decisions for s in statuses.values())
+    decisions = sum(s.decision.decisions for s in statuses.values())
     if not decisions:
         return None
-    return sum(s.verdict.duty * s.verdict.decisions for s in statuses.values()) / decisions
+    return sum(s.decision.duty * s.decision.decisions for s in statuses.values()) / decisions
 
 
 def problems_of(

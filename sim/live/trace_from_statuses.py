@@ -16,7 +16,7 @@ from swarmd.sim.trace import Trace
 _WORD = "U24"
 
 
-class Statements:
+class StatusLog:
     """Statuses as an operator heard them, each from its time on until the next."""
 
     def __init__(self) -> None:
@@ -65,7 +65,7 @@ def _blank(shape: tuple[int, int]) -> dict[str, Any]:
         "state": np.full(shape, "", dtype=_WORD),
         "reason": np.full(shape, "", dtype=_WORD),
         "active": np.zeros(shape, dtype=bool),
-        "unsticking": np.zeros(shape, dtype=bool),
+        "recovering": np.zeros(shape, dtype=bool),
         "gap": np.full(shape, np.nan),
         "scan_age": np.full(shape, np.nan),
         "bound": np.full((*shape, 3), np.nan),
@@ -73,9 +73,9 @@ def _blank(shape: tuple[int, int]) -> dict[str, Any]:
 
 
 def _enter(known: Mapping[str, Any], place: tuple[slice, int], status: Status) -> None:
-    verdict = status.verdict
+    decision = status.decision
     known["state"][place], known["reason"][place] = status.state.value, status.reason or ""
-    known["active"][place], known["unsticking"][place] = verdict.is_active, verdict.is_unsticking
-    known["gap"][place] = np.nan if verdict.min_gap is None else verdict.min_gap
-    known["scan_age"][place] = np.nan if verdict.scan_age is None else verdict.scan_age
-    known["bound"][place] = astuple(verdict.rows[0]) if verdict.rows else np.nan
+    known["active"][place], known["recovering"][place] = decision.is_active, decision.is_recovering
+    known["gap"][place] = np.nan if decision.min_gap is None else decision.min_gap
+    known["scan_age"][place] = np.nan if decision.scan_age is None else decision.scan_age
+    known["bound"][place] = astuple(decision.rows[0]) if decision.rows else np.nan

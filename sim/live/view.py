@@ -102,7 +102,7 @@ def _is_running(status: Status | None) -> bool:
 def _cells(status: Status | None) -> tuple[Text | str, ...]:
     if status is None:
         return (Text("no answer", style="red"),)
-    near = status.verdict.min_gap
+    near = status.decision.min_gap
     return (
         Text(status.state.value, style=COLOURS[status.state]),
         status.reason.value if status.reason else "",

@@ -23,13 +23,13 @@ from swarmd.plugins import pattern_names
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import TICK, Robot
 from swarmd.robot.status import RobotSettings
-from swarmd.sim.lockstep.recorder import Logbook
-from swarmd.sim.lockstep.schedules import Rhythm, Wakes
+from swarmd.sim.lockstep.recorder import LockstepRecorder
+from swarmd.sim.lockstep.schedules import Schedules, Wakes
 from swarmd.sim.lockstep.shell import Shell
 from swarmd.sim.lockstep.timeline import Timeline
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.trace import Trace
-from swarmd.sim.world.delay_queue import Held
+from swarmd.sim.world.delay_queue import DelayQueue
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.radio import Radio
 from swarmd.sim.world.rates import HEARING_RATE, ODOMETRY_RATE, READINGS_RATE
@@ -78,15 +78,15 @@ class Lockstep:
         self._find = Finder({name: (o.value, o.is_file) for name, o in origins.items()})
         self._radio = Radio(scenario.radio, ids, scenario.arena, seed=seed)
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
-        self._sweeps = Rhythm(np.array([p.scan.rate for p in self.world.platforms]), phases)
-        self._beats = Rhythm(np.full(n, 1.0 / TICK), phases)
-        self._odometry = Rhythm(np.array([ODOMETRY_RATE]))
-        self._hearing = Rhythm(np.full(n, HEARING_RATE), phases)
+        self._sweeps = Schedules(np.array([p.scan.rate for p in self.world.platforms]), phases)
+        self._beats = Schedules(np.full(n, 1.0 / TICK), phases)
+        self._odometry = Schedules(np.array([ODOMETRY_RATE]))
+        self._hearing = Schedules(np.full(n, HEARING_RATE), phases)
         readers = n if scenario.fields else 0
-        self._reading = Rhythm(np.full(readers, READINGS_RATE), phases[:readers])
-        self._record = Rhythm(np.array([scenario.trace_rate]))
+        self._reading = Schedules(np.full(readers, READINGS_RATE), phases[:readers])
+        self._record = Schedules(np.array([scenario.trace_rate]))
         self._wakes = Wakes(n, self.world.dt)
-        self._held: Held[tuple[int, Scan]] = Held()
+        self._held: DelayQueue[tuple[int, Scan]] = DelayQueue()
         self._commands = np.zeros((n, 3))
         self._silent_at: dict[int, float] = {}
         self._latches: dict[int, LatchRecord | None] = {}
@@ -100,7 +100,7 @@ class Lockstep:
             if robot not in scenario.absent:
                 self.start(row)
         self._timeline = Timeline(scenario.events, self)
-        self._logbook = Logbook(self.world)
+        self._recorder = LockstepRecorder(self.world)
 
     # What a scenario does with daemons
 
@@ -186,8 +186,8 @@ class Lockstep:
 
     def trace(self, **meta: Any) -> Trace:
         """The run so far, up to this instant."""
-        self._logbook.instant(self.world.time, self._commands, self.shells)
-        return self._logbook.trace({**self._meta(), **meta})
+        self._recorder.instant(self.world.time, self._commands, self.shells)
+        return self._recorder.trace({**self._meta(), **meta})
 
     def _step(self) -> None:
         world, now = self.world, self.world.time
@@ -196,11 +196,11 @@ class Lockstep:
         self._sense(now)
         self._beat(now)
         if len(self._record.due(now)):
-            self._logbook.instant(now, self._commands, self.shells)
+            self._recorder.instant(now, self._commands, self.shells)
         world.set_commands(self._commands)
         world.step()
         self._steps += 1
-        self._logbook.touches(world.time)
+        self._recorder.touches(world.time)
 
     def _talk(self, now: float) -> None:
         for hearer, sender, name, value in self._radio.arrived(now):

@@ -17,7 +17,7 @@ from swarmd.sim.world.world import World
 _WORD = "U24"
 
 
-class Logbook:
+class LockstepRecorder:
     """Gathers a trace, an instant at a time."""
 
     def __init__(self, world: World) -> None:
@@ -86,7 +86,7 @@ def _blank(n: int) -> dict[str, NDArray[Any]]:
     return {
         "present": flags[0],
         "active": flags[1],
-        "unsticking": flags[2],
+        "recovering": flags[2],
         "decided": counts[0],
         "evaded": counts[1],
         "state": words[0],
@@ -94,25 +94,29 @@ def _blank(n: int) -> dict[str, NDArray[Any]]:
         "gap": numbers[0],
         "scan_age": numbers[1],
         "bound": np.full((n, 3), np.nan),
-        "wish": np.zeros((n, 3)),
+        "requested": np.zeros((n, 3)),
     }
 
 
 def _enter(kept: Mapping[str, NDArray[Any]], row: int, shell: Shell) -> None:
     """Note how robot `row` stands, and what it has judged since the last instant."""
-    robot, verdict = shell.robot, shell.robot.verdict
+    robot, decision = shell.robot, shell.robot.decision
     kept["present"][row] = True
     kept["state"][row], kept["reason"][row] = robot.state.value, robot.reason or ""
-    kept["wish"][row] = verdict.wish.linear, verdict.wish.angular, verdict.wish.lateral
-    kept["active"][row], kept["unsticking"][row] = verdict.is_active, verdict.is_unsticking
+    kept["requested"][row] = (
+        decision.requested.linear,
+        decision.requested.angular,
+        decision.requested.lateral,
+    )
+    kept["active"][row], kept["recovering"][row] = decision.is_active, decision.is_recovering
     kept["decided"][row], kept["evaded"][row] = shell.decided, shell.evaded
     shell.decided = shell.evaded = 0
-    if verdict.min_gap is not None:
-        kept["gap"][row] = verdict.min_gap
-    if verdict.scan_age is not None:
-        kept["scan_age"][row] = verdict.scan_age
-    if verdict.rows:
-        kept["bound"][row] = astuple(verdict.rows[0])
+    if decision.min_gap is not None:
+        kept["gap"][row] = decision.min_gap
+    if decision.scan_age is not None:
+        kept["scan_age"][row] = decision.scan_age
+    if decision.rows:
+        kept["bound"][row] = astuple(decision.rows[0])
 
 
 def _filled(entries: list[tuple[int, int, float]], shape: tuple[int, int]) -> Array:

@@ -11,7 +11,7 @@ _ROUNDING = 1e-9
 _NOBODY: Indices = np.empty(0, dtype=np.intp)
 
 
-class Rhythm:
+class Schedules:
     """Periodic jobs of n robots: no two lidars or daemons of a swarm are in step."""
 
     def __init__(self, rates: Array, begins: Array | None = None) -> None:

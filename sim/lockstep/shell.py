@@ -55,7 +55,7 @@ class Shell:
         actions = self.robot.on_scan(scan, now)
         if self.robot.is_running:
             self.decided += 1
-            self.evaded += actions.verdict.is_active
+            self.evaded += actions.decision.is_active
         self.settle(actions, now)
 
     def tick(self, now: float) -> None:

@@ -67,11 +67,11 @@ def alterations(trace: Trace) -> Array | None:
     makes turns and platforms comparable, is ours. None without wishes or `meta["v_max"]`.
     """
     limits = by_platform(trace, "v_max")
-    if trace.wish is None or limits is None:
+    if trace.requested is None or limits is None:
         return None
     corner = {name: np.hypot(*shape.T).max() for name, shape in trace.footprints.items()}
     lever = np.array([corner[name] for name in trace.platforms])
-    change = trace.safe - trace.wish
+    change = trace.safe - trace.requested
     change = np.stack((change[..., 0], lever * change[..., 1], change[..., 2]), axis=-1)
     altered: Array = np.linalg.norm(change, axis=-1) / limits
     return np.where(_running(trace), altered, np.nan)
@@ -100,14 +100,14 @@ def hold_share(trace: Trace) -> float | None:
     return mean(is_held.astype(np.float64), _running(trace))
 
 
-def unstick_share(trace: Trace) -> float | None:
+def recovery_share(trace: Trace) -> float | None:
     """The share of the running robots' instants in which protection sought a way around something.
 
     Ours. None if that was not recorded, or nothing ran.
     """
-    if trace.unsticking is None:
+    if trace.recovering is None:
         return None
-    return mean(trace.unsticking.astype(np.float64), _running(trace))
+    return mean(trace.recovering.astype(np.float64), _running(trace))
 
 
 def failed_patterns(trace: Trace) -> int | None:
@@ -171,11 +171,11 @@ METRICS = (
         "less",
     ),
     Metric(
-        "unstick_share",
+        "recovery_share",
         "share",
         "running time in which a robot was led around what blocked it",
         "ours",
-        unstick_share,
+        recovery_share,
         None,
         "less",
     ),

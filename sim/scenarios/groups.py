@@ -22,7 +22,7 @@ ALL = "all"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Cast:
+class Groups:
     """The robots in order. `platform_files`: what each platform is made of, complete, by name."""
 
     robots: Mapping[str, Platform]
@@ -42,7 +42,7 @@ class Cast:
         return (ALL, *self.groups, *self.robots)
 
 
-def cast_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> Cast:
+def cast_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> Groups:
     """The robots of all groups; ConfigError for ids, groups and platforms that cannot be."""
     groups = {name: _ids(layers, name, group) for name, group in file.groups.items()}
     group_of: dict[str, str] = {}
@@ -61,7 +61,7 @@ def cast_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> Cas
         robot: sensing[platform_name(file.groups[group].platform)]
         for robot, group in group_of.items()
     }
-    return Cast(robots, groups, group_of, {name: data for name, (_, data) in platforms.items()})
+    return Groups(robots, groups, group_of, {name: data for name, (_, data) in platforms.items()})
 
 
 def platform_name(text: str) -> str:

@@ -14,8 +14,8 @@ from swarmd.pattern_host.executor import Stage
 from swarmd.pattern_host.loader import Finder
 from swarmd.plugins import Origin, check_single, pattern_names
 from swarmd.settings.layered import Keys, Layered, dotted
-from swarmd.sim.scenarios.groups import Cast
-from swarmd.sim.scenarios.schedule import Rehearsal, Script
+from swarmd.sim.scenarios.groups import Groups
+from swarmd.sim.scenarios.schedule import Preflight, Schedule
 from swarmd.sim.scenarios.schema import ScenarioFile
 
 _WORD = 64  # the longest source that a status can name
@@ -26,7 +26,7 @@ class ConfiguredParameters:
     """Called with robot and pattern: layers "platform", "scenario" and "group <name>"."""
 
     file: ScenarioFile
-    cast: Cast
+    cast: Groups
 
     def __call__(self, robot: str, pattern: str) -> Layers:
         """The layers that hold anything, weakest first."""
@@ -42,8 +42,8 @@ class ConfiguredParameters:
 
 def rehearse(
     layers: Layered,
-    script: Script,
-    cast: Cast,
+    script: Schedule,
+    cast: Groups,
     configured: ConfiguredParameters,
     plugin_dir: Path | None,
 ) -> None:
@@ -61,7 +61,7 @@ def rehearse(
             _check_name(layers, ("groups", group, "touch", pattern), pattern, origins)
     stage = Stage(Finder({name: (o.value, o.is_file) for name, o in origins.items()}))
     done: set[str] = set()
-    for rehearsal in script.rehearsals:
+    for rehearsal in script.preflights:
         _check_name(layers, rehearsal.keys, rehearsal.pattern, origins)
         load = _load(rehearsal, cast, configured)
         # Robots of one kind with the same parameters all do alike.
@@ -78,7 +78,7 @@ def rehearse(
             raise layers.error(keys, f"{dotted(keys)}: {event.text}")
 
 
-def _culprit(layers: Layered, rehearsal: Rehearsal, cast: Cast, text: str) -> Keys:
+def _culprit(layers: Layered, rehearsal: Preflight, cast: Groups, text: str) -> Keys:
     """Where the parameter stands that `text` speaks of; else where the pattern does."""
     match = re.match(r"(?:no )?parameter '?([^' ]+)", text)
     name = match[1] if match else ""
@@ -101,7 +101,7 @@ def _check_name(layers: Layered, keys: Keys, pattern: str, origins: Mapping[str,
         raise layers.error(keys, f"{dotted(keys)}: {error}") from error
 
 
-def _load(rehearsal: Rehearsal, cast: Cast, configured: ConfiguredParameters) -> Load:
+def _load(rehearsal: Preflight, cast: Groups, configured: ConfiguredParameters) -> Load:
     robot, pattern = rehearsal.robot, rehearsal.pattern
     return Load(
         generation=1,

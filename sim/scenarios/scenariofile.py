@@ -19,7 +19,7 @@ from swarmd.kit.touch import zones
 from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import Data, read_extended, shown
 from swarmd.sim.scenarios.environment import arena_of, check_air, fields_of
-from swarmd.sim.scenarios.groups import Cast, cast_of, platform_name
+from swarmd.sim.scenarios.groups import Groups, cast_of, platform_name
 from swarmd.sim.scenarios.overrides import SOURCE, nested, parse_override
 from swarmd.sim.scenarios.preflight import ConfiguredParameters, rehearse
 from swarmd.sim.scenarios.scenario import Scenario
@@ -150,7 +150,7 @@ def _built(layers: Layered, name: str) -> Scenario:
 
 
 def _effective(
-    file: ScenarioFile, name: str, cast: Cast, fields: Sequence[Field], plugin_dir: Path | None
+    file: ScenarioFile, name: str, cast: Groups, fields: Sequence[Field], plugin_dir: Path | None
 ) -> Mapping[str, Any]:
     data: Data = json.decode(json.encode(file))
     for group in data["groups"].values():
@@ -164,7 +164,7 @@ def _effective(
     return {**data, **whole}
 
 
-def _starts(layers: Layered, file: ScenarioFile, cast: Cast, arena: Arena) -> Starts:
+def _starts(layers: Layered, file: ScenarioFile, cast: Groups, arena: Arena) -> Starts:
     rows = {robot: row for row, robot in enumerate(cast.robots)}
     parts, shared = [], []
     for name, group in file.groups.items():

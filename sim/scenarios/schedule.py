@@ -13,7 +13,7 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.kit.conditions import parse_conditions
 from swarmd.settings.layered import Keys, Layered
 from swarmd.sim.scenarios.environment import check_inside
-from swarmd.sim.scenarios.groups import ALL, Cast
+from swarmd.sim.scenarios.groups import ALL, Groups
 from swarmd.sim.scenarios.scenario import Action, Event
 from swarmd.sim.scenarios.schema import EventSection, ScenarioFile, Values
 
@@ -24,7 +24,7 @@ ACTIONS: tuple[Action, ...] = ("run", "param", *OF_ROBOTS, "place", "remove")
 _BESIDES = {"run": ("who", "parameters", "for", "until"), "param": ("who",), "place": ("pose",)}
 
 
-def read_event(layers: Layered, file: ScenarioFile, cast: Cast, index: int) -> Event:
+def read_event(layers: Layered, file: ScenarioFile, cast: Groups, index: int) -> Event:
     """The event of that index; ConfigError if it cannot be, whatever else happens."""
     section, keys = file.events[index], ("events", index)
     action = _action(layers, section, keys)
@@ -105,7 +105,7 @@ def _of_thing(
     return Event(at=section.at, action="place", thing=thing, pose=(x, y, math.radians(degrees)))
 
 
-def _robots(layers: Layered, cast: Cast, keys: Keys, words: Sequence[str]) -> tuple[str, ...]:
+def _robots(layers: Layered, cast: Groups, keys: Keys, words: Sequence[str]) -> tuple[str, ...]:
     """Those meant, in the order of the scenario."""
     meant: dict[str, None] = {}
     name = f"events[{keys[1]}].{keys[2]}"
@@ -123,7 +123,7 @@ _MEMBERSHIP = ("join", "leave", "kill")
 
 
 @dataclass(frozen=True, slots=True)
-class Rehearsal:
+class Preflight:
     """A pattern that a robot is to run with these parameters; `keys` is where that is said."""
 
     keys: Keys
@@ -133,15 +133,15 @@ class Rehearsal:
 
 
 @dataclass(frozen=True, slots=True)
-class Script:
+class Schedule:
     """Events in order of time, who joins only later, and what there is to rehearse."""
 
     events: tuple[Event, ...]
     absent: frozenset[str]
-    rehearsals: tuple[Rehearsal, ...]
+    preflights: tuple[Preflight, ...]
 
 
-def script_of(layers: Layered, file: ScenarioFile, cast: Cast) -> Script:
+def script_of(layers: Layered, file: ScenarioFile, cast: Groups) -> Schedule:
     """The script of a file; ConfigError names the first event that cannot be.
 
     Events of one instant keep the order of the file; groups begin their patterns before any.
@@ -156,11 +156,11 @@ def script_of(layers: Layered, file: ScenarioFile, cast: Cast) -> Script:
     for index in order:
         walk.go(("events", index, read[index].action), read[index])
     events = (*(event for _, event in begun), *(read[index] for index in order))
-    return Script(events, absent, tuple(walk.rehearsals))
+    return Schedule(events, absent, tuple(walk.preflights))
 
 
 def _beginnings(
-    file: ScenarioFile, cast: Cast, absent: frozenset[str]
+    file: ScenarioFile, cast: Groups, absent: frozenset[str]
 ) -> Iterator[tuple[Keys, Event]]:
     for name, group in file.groups.items():
         robots = tuple(robot for robot in cast.groups[name] if robot not in absent)
@@ -195,12 +195,12 @@ class _Walk:
     """Goes through the events in order of time and knows what each robot is doing."""
 
     def __init__(
-        self, layers: Layered, file: ScenarioFile, cast: Cast, absent: frozenset[str]
+        self, layers: Layered, file: ScenarioFile, cast: Groups, absent: frozenset[str]
     ) -> None:
         self._layers, self._sections = layers, file.events
         self._things = {box.name: box.at is not None for box in file.arena.boxes}
         self._robots = {robot: _Robot(is_there=robot not in absent) for robot in cast.robots}
-        self.rehearsals: list[Rehearsal] = []
+        self.preflights: list[Preflight] = []
 
     def go(self, keys: Keys, event: Event) -> None:
         """The event happens; ConfigError if it cannot."""
@@ -222,14 +222,14 @@ class _Walk:
                 raise self._error(keys, f"{robot} is estopped at {event.at:g} s; reset it before")
             state.pattern, state.parameters = event.pattern, dict(event.parameters)
             state.until = event.at + (event.seconds or math.inf)
-            self.rehearsals.append(Rehearsal(keys, robot, event.pattern, state.parameters))
+            self.preflights.append(Preflight(keys, robot, event.pattern, state.parameters))
 
     def _set(self, keys: Keys, event: Event) -> None:
         for robot, state in self._there(event):
             if not state.pattern or event.at >= state.until:
                 raise self._error(keys, f"{robot} runs nothing at {event.at:g} s; run a pattern")
             state.parameters = {**state.parameters, **event.parameters}
-            self.rehearsals.append(Rehearsal(keys, robot, state.pattern, state.parameters))
+            self.preflights.append(Preflight(keys, robot, state.pattern, state.parameters))
 
     def _halt(self, keys: Keys, event: Event) -> None:
         for _, state in self._there(event):

@@ -17,7 +17,7 @@ _GRAVITY = 9.81
 _FRICTION = 0.8
 
 
-class Drives:
+class BaseDynamics:
     """The drives of n planar bases; row i of every array is platform i."""
 
     def __init__(self, platforms: Sequence[Platform], dt: float) -> None:

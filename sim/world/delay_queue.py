@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 Item = TypeVar("Item")
 
 
-class Held(Generic[Item]):
+class DelayQueue(Generic[Item]):
     """Items that wait for their time; those of one time come in the order they were put in."""
 
     def __init__(self) -> None:

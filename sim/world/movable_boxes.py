@@ -17,7 +17,7 @@ _GRAVITY = 9.81
 _FRICTION = 0.4
 
 
-class Things:
+class MovableBoxes:
     """The movable boxes of a model; row i of every array is box `names[i]`."""
 
     def __init__(

@@ -16,11 +16,11 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, Twist
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
-from swarmd.sim.world.base_dynamics import Actuators, Drives
+from swarmd.sim.world.base_dynamics import Actuators, BaseDynamics
 from swarmd.sim.world.contacts import Contact, Touch, Touches
 from swarmd.sim.world.geometry import Indices, radius, transform
 from swarmd.sim.world.lidar import RangeSensors, Visibility
-from swarmd.sim.world.movable_boxes import Things
+from swarmd.sim.world.movable_boxes import MovableBoxes
 from swarmd.sim.world.noise import NoisyLidar
 from swarmd.sim.world.odometer import Odometers
 from swarmd.sim.world.realism import IDEAL, Realism
@@ -66,10 +66,10 @@ class World:
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._applied = self.data.qfrc_applied
         self._qpos[: 3 * n] = starts.ravel()
-        self._things = Things(arena, self.model, self.data, n)
+        self._things = MovableBoxes(arena, self.model, self.data, n)
         self.things, self.thing_shapes = self._things.names, self._things.shapes
         mujoco.mj_forward(self.model, self.data)
-        self._drives = Drives(self.platforms, dt)
+        self._drives = BaseDynamics(self.platforms, dt)
         self._driven: Array | None = None
         self._actuators = Actuators(realism.actuation, self.platforms, dt)
         self._odometers = Odometers(realism.odometry, self.platforms, starts, self.ids, seed)

@@ -16,7 +16,7 @@ from swarmd.sim.trace import Trace
 NAME = "random_walk"
 FLOOR = 36.0
 """m2, of the scenario's room."""
-ALONE = {"groups.tb3.parameters.unstick": False}
+ALONE = {"groups.tb3.parameters.recovery": False}
 """Protection leads no one around walls: robots that drive straight on would cover as much."""
 SPEED, SHARE, GAIN, BIAS, DUTY = 0.5, 0.7, 1.5, 0.75, 0.1
 _KOOPMAN = "random search: Koopman, Operations Research 4, 1956"

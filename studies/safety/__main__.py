@@ -85,7 +85,7 @@ def run_one(options: Options) -> str:
 
 
 def _told(one: Collision) -> str:
-    verdict = (
+    decision = (
         "ran into it"
         if one.is_hit
         else "at fault"
@@ -95,7 +95,7 @@ def _told(one: Collision) -> str:
         else "at no fault"
     )
     speed = one.pushed_speed if one.is_pushed else one.own_speed
-    return f"{one.time:7.2f} s {one.a} {one.b}: {one.who} {verdict}, {100.0 * speed:.1f} cm/s"
+    return f"{one.time:7.2f} s {one.a} {one.b}: {one.who} {decision}, {100.0 * speed:.1f} cm/s"
 
 
 def _parser() -> argparse.ArgumentParser:

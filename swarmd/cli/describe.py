@@ -81,18 +81,21 @@ def _latch(status: Status, latch_id: str) -> str:
 
 
 def _protection(status: Status) -> list[tuple[str, str]]:
-    verdict = status.verdict
-    gap, age = verdict.min_gap, verdict.scan_age
-    titles = ("limited by", *[""] * len(verdict.rows))
-    limits = [f"{text}, at most {row.cap:.2f} m/s" for text, row in obstacles(verdict.rows)]
+    decision = status.decision
+    gap, age = decision.min_gap, decision.scan_age
+    titles = ("limited by", *[""] * len(decision.rows))
+    limits = [f"{text}, at most {row.cap:.2f} m/s" for text, row in obstacles(decision.rows)]
     return [
-        ("mode", f"{verdict.mode}, {activity(verdict)}"),
-        ("wish", f"{verdict.wish_linear:.3f} m/s, {verdict.wish_angular:.3f} rad/s"),
-        ("safe", f"{verdict.safe_linear:.3f} m/s, {verdict.safe_angular:.3f} rad/s"),
+        ("mode", f"{decision.mode}, {activity(decision)}"),
+        (
+            "requested",
+            f"{decision.requested_linear:.3f} m/s, {decision.requested_angular:.3f} rad/s",
+        ),
+        ("safe", f"{decision.safe_linear:.3f} m/s, {decision.safe_angular:.3f} rad/s"),
         *zip(titles, limits, strict=False),
         ("nearest", NOTHING if gap is None else f"{gap:.2f} m"),
         ("scan age", NOTHING if age is None else seconds(age)),
-        ("active for", f"{verdict.duty:.0%} of {verdict.decisions} decisions since run"),
+        ("active for", f"{decision.duty:.0%} of {decision.decisions} decisions since run"),
     ]
 
 

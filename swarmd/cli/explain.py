@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 
 from swarmd.cli.output import seconds
-from swarmd.core.messages import Condition, Member, Reason, Row, State, Status, VerdictSummary
+from swarmd.core.messages import Condition, DecisionSummary, Member, Reason, Row, State, Status
 
 _SAME_OBSTACLE = math.radians(10.0)
 
@@ -30,7 +30,7 @@ _SENTENCES = {
     Reason.COMMAND_EXPIRED: "its pattern has fallen silent{detail}; it is replaced if that lasts",
     Reason.DRIVER_LOST: "its base is out of reach{driver}; look at the driver",
     Reason.PATTERN_RESTARTING: "its pattern failed and is being loaded again{detail}",
-    Reason.NO_WISH: "its pattern wishes to stand",
+    Reason.NO_REQUESTED_COMMAND: "its pattern wishes to stand",
     Reason.PROTECTION: "protection holds it{gap}",
 }
 
@@ -58,8 +58,8 @@ def why(member: Member) -> str:
         return "alive, but it has not told how it is yet; ask again"
     reason = status.reason
     if reason is None:
-        way = " around what blocks it" if status.verdict.is_unsticking else ""
-        moves = f"moves{way}{_bounded(status.verdict)}"
+        way = " around what blocks it" if status.decision.is_recovering else ""
+        moves = f"moves{way}{_bounded(status.decision)}"
         return f"{status.state} {status.pattern or 'no pattern'}, and {moves}"
     sentence = _SENTENCES[reason].format(
         robot=member.robot,
@@ -67,7 +67,7 @@ def why(member: Member) -> str:
         latches=_latches(status),
         age=_age(status),
         driver=f" ({status.health.driver})" if status.health.driver else "",
-        gap=_gap(status.verdict),
+        gap=_gap(status.decision),
     )
     if status.state is State.RUNNING:
         return f"running {status.pattern}, and stands: {sentence}"
@@ -87,7 +87,7 @@ def _latches(status: Status) -> str:
 
 
 def _age(status: Status) -> str:
-    age = status.verdict.scan_age
+    age = status.decision.scan_age
     return f" ({seconds(age)})" if age is not None else ""
 
 
@@ -106,19 +106,19 @@ def _is_alike(row: Row, other: Row) -> bool:
     return math.cos(row.bearing - other.bearing) > math.cos(_SAME_OBSTACLE)
 
 
-def activity(verdict: VerdictSummary) -> str:
-    """Whether the arbiter changes what the pattern wishes: `clear`, `active`, `unsticking`."""
-    if verdict.is_unsticking:
-        return "unsticking"
-    return "active" if verdict.is_active else "clear"
+def activity(decision: DecisionSummary) -> str:
+    """Whether the arbiter changes what the pattern wishes: `clear`, `active`, `recovering`."""
+    if decision.is_recovering:
+        return "recovering"
+    return "active" if decision.is_active else "clear"
 
 
-def _bounded(verdict: VerdictSummary) -> str:
-    return next((f", limited by {text}" for text, _ in obstacles(verdict.rows)), "")
+def _bounded(decision: DecisionSummary) -> str:
+    return next((f", limited by {text}" for text, _ in obstacles(decision.rows)), "")
 
 
-def _gap(verdict: VerdictSummary) -> str:
-    if verdict.rows:
-        return _bounded(verdict)
-    gap = verdict.min_gap
+def _gap(decision: DecisionSummary) -> str:
+    if decision.rows:
+        return _bounded(decision)
+    gap = decision.min_gap
     return f": the nearest obstacle is {gap:.2f} m away" if gap is not None else ""

@@ -95,7 +95,7 @@ def row(member: Member) -> tuple[str, ...]:
         status.reason or NOTHING,
         status.pattern or NOTHING,
         str(status.generation),
-        activity(status.verdict),
+        activity(status.decision),
         f"{status.health.scan_rate:.1f} Hz",
         seconds(status.health.loop_p99),
         _seen(member),

@@ -17,10 +17,10 @@ from swarmd.cli.inspect import Row, describe_patterns
 from swarmd.core.errors import SwarmError, unknown
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.driver_api.driver import Driver, Finding, check_protected
-from swarmd.driver_api.watchdog_client import GuardedDriver
+from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.kit.touch import in_words
 from swarmd.plugins import pattern_names
-from swarmd.settings.driver_options import base_options, deadman_of
+from swarmd.settings.driver_options import base_options, command_timeout_of
 from swarmd.settings.settings import DaemonSettings
 
 _SECONDS = 4.2  # of five in which all is said; the rest goes into starting Python, and ending
@@ -198,21 +198,23 @@ def _driver(settings: DaemonSettings, until: float) -> Iterator[Finding]:
     try:
         driver = make_driver(settings)
         yield from asyncio.run(driver.check(max(until - monotonic() - _LEAVING, _DRIVER_SECONDS)))
-        yield Finding("deadman", True, deadman_text(settings, driver))
+        yield Finding("command_timeout", True, command_timeout_text(settings, driver))
         check_protected(settings.platform, driver, settings.driver)
     except SwarmError as error:
         yield Finding(subject, False, str(error))
 
 
-def deadman_text(settings: DaemonSettings, driver: Driver) -> str:
+def command_timeout_text(settings: DaemonSettings, driver: Driver) -> str:
     """How the base stops when its daemon is lost."""
     base = base_options(settings.driver_options, f"driver {settings.driver}")
-    deadman = deadman_of(base, driver)
-    if deadman == "none":
-        source = "so its platform says" if base.deadman else "so it is taken, as none is told"
-        who = "a stopper" if isinstance(driver, GuardedDriver) else "a process of its driver"
+    command_timeout = command_timeout_of(base, driver)
+    if command_timeout == "none":
+        source = (
+            "so its platform says" if base.command_timeout else "so it is taken, as none is told"
+        )
+        who = "a stopper" if isinstance(driver, WatchedDriver) else "a process of its driver"
         text = f"the base never stops by itself ({source}); {who} says zero for a lost daemon"
     else:
-        after = "" if deadman == "base" else f" after {deadman:g} s"
+        after = "" if command_timeout == "base" else f" after {command_timeout:g} s"
         text = f"the base stops by itself{after} when commands end"
     return text if base.idle_output == "zeros" else f"{text}; while idle it is left to others"

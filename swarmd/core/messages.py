@@ -63,7 +63,7 @@ class Reason(StrEnum):
     DRIVER_LOST = "driver_lost"
     PATTERN_RESTARTING = "pattern_restarting"
     # running, and still standing
-    NO_WISH = "no_wish"
+    NO_REQUESTED_COMMAND = "no_requested_command"
     PROTECTION = "protection"
 
 
@@ -128,23 +128,23 @@ class Row(Struct, frozen=True):
     cap: Speed
 
 
-class VerdictSummary(Struct, frozen=True, kw_only=True):
+class DecisionSummary(Struct, frozen=True, kw_only=True):
     """The arbiter's latest decision, and since `run` the share of ticks it was active in.
 
-    `rows`: what bounds the command, the tightest first. `is_unsticking`: it judged not the wish
+    `rows`: what bounds the command, the tightest first. `is_recovering`: it judged not the wish
     but a way around what blocks it.
     """
 
     mode: Word = "potential_field"
     is_active: bool = False
-    wish_linear: Speed = 0.0
-    wish_angular: Speed = 0.0
+    requested_linear: Speed = 0.0
+    requested_angular: Speed = 0.0
     safe_linear: Speed = 0.0
     safe_angular: Speed = 0.0
     min_gap: Metres | None = None
     scan_age: Seconds | None = None
     rows: tuple[Row, ...] = ()
-    is_unsticking: bool = False
+    is_recovering: bool = False
     duty: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     decisions: Count = 0
 
@@ -208,7 +208,7 @@ class Status(Struct, frozen=True, kw_only=True):
     labels: tuple[Word, ...]
     params: dict[Word, Param]
     report: dict[Word, Scalar]
-    verdict: VerdictSummary
+    decision: DecisionSummary
     health: Health
     uptime: Seconds
     readings: dict[Word, Scalar] = {}

@@ -155,10 +155,10 @@ class Daemon:
         self._crashed.set()
         self._send(ZERO, -1, -1)
 
-    def _send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def _send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         """Hand a command to the driver; one that raises ends the daemon, when all else is done."""
         try:
-            self._driver.send(twist, scan_seq, wish_seq)
+            self._driver.send(twist, scan_seq, requested_scan_seq)
         except Exception as error:  # a driver may raise anything
             log.exception("driver %s: a command could not be sent", self._settings.driver)
             self._crash = self._crash or error
@@ -349,7 +349,7 @@ class Daemon:
 
     def _carry_out(self, actions: Actions) -> None:
         if self._idle.lets(actions.twist, actions.is_idle, boottime()):
-            self._send(actions.twist, actions.verdict.scan_seq, actions.wish_seq)
+            self._send(actions.twist, actions.decision.scan_seq, actions.requested_scan_seq)
         is_kept = actions.latches is None or self._latches.write(actions.latches)
         for command in (actions.trial, actions.host):
             if command is not None:

@@ -6,7 +6,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.driver_api.driver import Driver, Stopping
 from swarmd.driver_api.watchdog import name_of
 from swarmd.plugins import load_driver
-from swarmd.settings.driver_options import BaseOptions, base_options, deadman_of
+from swarmd.settings.driver_options import BaseOptions, base_options, command_timeout_of
 from swarmd.settings.settings import DaemonSettings
 
 
@@ -38,7 +38,7 @@ def _recorded(driver: Driver, base: BaseOptions, settings: DaemonSettings) -> Dr
 def _guarded(
     wrapped: Driver, driver: Driver, base: BaseOptions, settings: DaemonSettings
 ) -> Driver:
-    if deadman_of(base, driver) != "none":
+    if command_timeout_of(base, driver) != "none":
         return wrapped
     if base.idle_output == "silent":
         raise ConfigError(
@@ -53,7 +53,7 @@ def _guarded(
     spec = driver.zero_sender()
     if spec is None:
         return wrapped
-    from swarmd.driver_api.watchdog_client import GuardedDriver
+    from swarmd.driver_api.watchdog_client import WatchedDriver
 
     name = name_of(settings.swarm, settings.id)
-    return GuardedDriver(wrapped, spec, name=name, tie=settings.die_with_parent)
+    return WatchedDriver(wrapped, spec, name=name, tie=settings.die_with_parent)

@@ -52,7 +52,7 @@ class Driver(Protocol):
     async def run(self, sink: Sink) -> None:
         """Feed the sink until cancelled; sends zero on the way out."""
 
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         """Hand over a safe command: never blocks, keeps no queue, drops while the base is lost.
 
         The first command after a reconnect is zero.
@@ -120,7 +120,7 @@ def check_protected(platform: Platform, driver: Driver, name: str) -> None:
         )
 
 
-class Nowhere:
+class NullSink:
     """Takes everything and keeps nothing."""
 
     def scan(self, scan: Scan) -> None:

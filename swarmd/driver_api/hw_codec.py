@@ -76,7 +76,7 @@ class CommandWire(Struct, frozen=True, array_like=True):
     angular: Speed
     lateral: Speed
     scan_seq: Annotated[int, Meta(ge=-1, le=2**53)]
-    wish_seq: Annotated[int, Meta(ge=-1, le=2**53)]
+    requested_scan_seq: Annotated[int, Meta(ge=-1, le=2**53)]
 
 
 _scan = Decoder(ScanWire, MAX_SENSE)
@@ -153,9 +153,11 @@ def decode_readings(payload: bytes) -> Mapping[str, float]:
     return _readings(payload).values
 
 
-def encode_command(twist: Twist, scan_seq: int, wish_seq: int) -> bytes:
+def encode_command(twist: Twist, scan_seq: int, requested_scan_seq: int) -> bytes:
     """The bytes of a safe command."""
-    return encode(CommandWire(twist.linear, twist.angular, twist.lateral, scan_seq, wish_seq))
+    return encode(
+        CommandWire(twist.linear, twist.angular, twist.lateral, scan_seq, requested_scan_seq)
+    )
 
 
 def decode_command(payload: bytes) -> CommandWire:

@@ -247,11 +247,11 @@ class RecordedDriver:
             self._recorder.close()
             self._recorder = None
 
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         """Hand a command on, and write it down."""
-        self._driver.send(twist, scan_seq, wish_seq)
+        self._driver.send(twist, scan_seq, requested_scan_seq)
         if self._recorder is not None:
-            self._recorder.add("command", encode_command(twist, scan_seq, wish_seq))
+            self._recorder.add("command", encode_command(twist, scan_seq, requested_scan_seq))
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """The driver's findings; records nothing."""

@@ -49,7 +49,7 @@ _RELIEF = b"relief"
 _CLAIM_WITHIN = 5.0
 
 
-class Deadman:
+class CommandTimeout:
     """When zeros are sent; pure. Times in s on one monotonic clock, handed in, never falling.
 
     Armed by the first tick: whoever never drove must not stop who does.
@@ -114,7 +114,7 @@ class Deadman:
         return SILENCE if self._heard is None else max(self._heard + SILENCE - now, 0.0)
 
 
-class Stopper:
+class Watchdog:
     """Serves one guardian's socket until it has gone and enough zeros were sent.
 
     `name` (None: none) is the robot's: its last holder is relieved, once its guardian is silent.
@@ -122,11 +122,11 @@ class Stopper:
     """
 
     def __init__(
-        self, guardian: socket.socket, sender: ZeroSender, name: str | None, tie: int | None
+        self, daemon: socket.socket, sender: ZeroSender, name: str | None, tie: int | None
     ) -> None:
-        self._guardian, self._sender = guardian, sender
-        guardian.setblocking(False)
-        self._deadman = Deadman()
+        self._daemon, self._sender = daemon, sender
+        daemon.setblocking(False)
+        self._command_timeout = CommandTimeout()
         self._name = None if name is None else _claimed(name)
         self._tie = -1 if tie is None else _pidfd(tie)
         self._is_sending = False
@@ -140,16 +140,16 @@ class Stopper:
         """Run to the end."""
         self._answer(READY + str(os.getpid()).encode())
         now = boottime()
-        while not self._deadman.is_done(now):
-            self._poll(self._deadman.wait(now))
+        while not self._command_timeout.is_done(now):
+            self._poll(self._command_timeout.wait(now))
             now = boottime()
             self._act(now)
             self._hand_over()
 
     def _act(self, now: float) -> None:
-        if self._is_asked and self._deadman.has_left:
-            self._deadman.relieve()
-        is_sending = self._deadman.is_sending(now)
+        if self._is_asked and self._command_timeout.has_left:
+            self._command_timeout.relieve()
+        is_sending = self._command_timeout.is_sending(now)
         if is_sending and now >= self._next:
             self._next = now + PERIOD
             try:
@@ -161,19 +161,19 @@ class Stopper:
         if is_sending != self._is_sending:
             self._is_sending = is_sending
             self._answer(TICK if self._may_move() else ZEROS)
-            gone = "ended" if self._deadman.has_left else "is silent"
+            gone = "ended" if self._command_timeout.has_left else "is silent"
             say(f"the guardian {gone}: sending zeros" if is_sending else "no more zeros")
 
     def _poll(self, seconds: float) -> None:
         poll = select.poll()
-        if not self._deadman.has_left:
-            poll.register(self._guardian, select.POLLIN)
+        if not self._command_timeout.has_left:
+            poll.register(self._daemon, select.POLLIN)
         if self._name is not None:
             poll.register(self._name, select.POLLIN)
         if self._tie >= 0:
             poll.register(self._tie, select.POLLIN)
         ready = {fd for fd, _ in poll.poll(1e3 * min(seconds, SILENCE))}
-        if self._guardian.fileno() in ready:
+        if self._daemon.fileno() in ready:
             self._hear()
         if self._name is not None and self._name.fileno() in ready:
             self._on_relief(self._name)
@@ -184,16 +184,16 @@ class Stopper:
     def _hear(self) -> None:
         while True:
             try:
-                frame = self._guardian.recv(16)
+                frame = self._daemon.recv(16)
             except BlockingIOError:
                 return
             except OSError:
                 frame = b""
             if frame == TICK:
-                self._deadman.tick(boottime())
+                self._command_timeout.tick(boottime())
                 self._answer(TICK if self._may_move() else ZEROS)
                 continue
-            self._deadman.leave(boottime())
+            self._command_timeout.leave(boottime())
             self._is_asked |= frame == FAREWELL
             return
 
@@ -207,18 +207,18 @@ class Stopper:
     def _on_relief(self, name: socket.socket) -> None:
         with contextlib.suppress(OSError):
             name.recv(16)
-        if self._deadman.is_silent(boottime()):
-            self._deadman.relieve()
+        if self._command_timeout.is_silent(boottime()):
+            self._command_timeout.relieve()
 
     def _hand_over(self) -> None:
         """The name is given up only after the last zero: who has it next may move the base."""
-        if self._name is not None and self._deadman.is_relieved and not self._is_sending:
+        if self._name is not None and self._command_timeout.is_relieved and not self._is_sending:
             self._name.close()
             self._name = None
 
     def _answer(self, frame: bytes) -> None:
         with contextlib.suppress(OSError):  # frozen or gone: seen by its silence
-            self._guardian.send(frame)
+            self._daemon.send(frame)
 
     def _on_sigterm(self, number: int, frame: object) -> None:
         self._is_asked = True
@@ -294,16 +294,16 @@ def main() -> NoReturn:
 
 
 def _serve(args: argparse.Namespace) -> None:
-    with socket.socket(fileno=args.fd) as guardian, contextlib.ExitStack() as left:
+    with socket.socket(fileno=args.fd) as daemon, contextlib.ExitStack() as left:
         try:
             sender = _made(args.maker, args.options)
             sender.open()
             left.callback(sender.close)
-            stopper = Stopper(guardian, sender, args.name, args.tie)
+            watchdog = Watchdog(daemon, sender, args.name, args.tie)
         except (SwarmError, ImportError, AttributeError, TypeError, OSError) as error:
-            guardian.send(FAULT + str(error).encode()[:500])
+            daemon.send(FAULT + str(error).encode()[:500])
             return
-        stopper.serve()
+        watchdog.serve()
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ SILENT_AFTER = 1.0
 _FEED_EVERY = 0.04
 
 
-class StopperProcess:
+class WatchdogProcess:
     """The guardian's end: starts a stopper, feeds it, and knows when it is lost.
 
     `name` (None: none): see `stopper.name_of`. `tie`: a process whose end ends the stopper too.
@@ -153,7 +153,7 @@ def _started(
     )
 
 
-class GuardedDriver:
+class WatchedDriver:
     """Runs `driver` only while a stopper, made from `spec`, watches over its base."""
 
     def __init__(
@@ -161,46 +161,46 @@ class GuardedDriver:
     ) -> None:
         self.is_simulated = driver.is_simulated
         self._driver, self._spec, self._name, self._tie = driver, spec, name, tie
-        self._stopper: StopperProcess | None = None
-        self._before: StopperProcess | None = None
+        self._watchdog: WatchdogProcess | None = None
+        self._before: WatchdogProcess | None = None
 
     async def run(self, sink: Sink) -> None:
         """Run the driver until cancelled, or until its stopper is lost: then DriverError."""
         sink.state(False, "waits for its stopper")
         if self._before is not None:
             self._before.bury()
-        self._before = stopper = StopperProcess(self._spec, name=self._name, tie=self._tie)
+        self._before = watchdog = WatchdogProcess(self._spec, name=self._name, tie=self._tie)
         try:
-            await stopper.start()
-            log.info("stopper ready as process %d", stopper.pid)
-            self._stopper = stopper
-            await _while_guarded(self._driver.run(sink), stopper)
+            await watchdog.start()
+            log.info("stopper ready as process %d", watchdog.pid)
+            self._watchdog = watchdog
+            await _while_guarded(self._driver.run(sink), watchdog)
         finally:
-            self._stopper = None
-            stopper.close()
+            self._watchdog = None
+            watchdog.close()
 
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         """Feed the stopper and hand a command on: zero while it says zero, dropped without it."""
-        if self._stopper is not None:
-            self._stopper.feed()
-            told = ZERO if self._stopper.says_zero else twist
-            self._driver.send(told, scan_seq, wish_seq)
+        if self._watchdog is not None:
+            self._watchdog.feed()
+            told = ZERO if self._watchdog.says_zero else twist
+            self._driver.send(told, scan_seq, requested_scan_seq)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """The driver's findings, and whether a stopper can be started; moves nothing."""
         looking = asyncio.create_task(self._driver.check(seconds))
         try:
-            with contextlib.closing(StopperProcess(self._spec, name=None)) as stopper:
+            with contextlib.closing(WatchdogProcess(self._spec, name=None)) as watchdog:
                 async with asyncio.timeout(seconds):
-                    await stopper.start()
-            mine = Finding("stopper", True, "starts; the base has no timeout")
+                    await watchdog.start()
+            mine = Finding("watchdog", True, "starts; the base has no timeout")
         except (DriverError, TimeoutError) as error:
-            mine = Finding("stopper", False, str(error) or f"not ready within {seconds:g} s")
+            mine = Finding("watchdog", False, str(error) or f"not ready within {seconds:g} s")
         return (*await looking, mine)
 
 
-async def _while_guarded(life: Coroutine[Any, Any, None], stopper: StopperProcess) -> None:
-    living, losing = asyncio.create_task(life), asyncio.create_task(stopper.lost())
+async def _while_guarded(life: Coroutine[Any, Any, None], watchdog: WatchdogProcess) -> None:
+    living, losing = asyncio.create_task(life), asyncio.create_task(watchdog.lost())
     try:
         await asyncio.wait({living, losing}, return_when=asyncio.FIRST_COMPLETED)
         if not living.done():

@@ -18,7 +18,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import ZERO, Array, Inputs, Platform, Pose, Scalar, Scan, Twist, Value
 from swarmd.kit.behavior import Context, MovementPattern
 from swarmd.kit.formation_geometry import Sightings, bodies, from_pose, to_base
-from swarmd.kit.params import Params, TopSpeed, TopTurn, Unstick, about
+from swarmd.kit.params import Params, Recovery, TopSpeed, TopTurn, about
 from swarmd.kit.steering import from_base, keep_clear, steer
 from swarmd.sensing.rays import closest_points
 
@@ -106,7 +106,7 @@ class FormationParams(Params, frozen=True, kw_only=True):
             source="as attraction: twice the footprint's diagonal",
         ),
     ] = 0.8
-    unstick: Unstick = False
+    recovery: Recovery = False
 
 
 F = TypeVar("F", bound=FormationParams)

@@ -24,7 +24,7 @@ from swarmd.core.values import Scalar, Value
 _TYPES: Mapping[object, str] = {float: "float", int: "int", bool: "bool", str: "str"}
 
 
-Unstick = Annotated[
+Recovery = Annotated[
     bool,
     Meta(
         description="whether to be led around what blocks the way",
@@ -38,11 +38,11 @@ class Params(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     The type is float, int, bool, str or a Literal of strings; `Annotated[int, about(...)] | None`
     if None means something. A check over several fields is a `__post_init__` that raises
-    ValueError. `unstick` is every pattern's; one that means to stand or to push declares it anew,
-    `unstick: Unstick = False`.
+    ValueError. `recovery` is every pattern's; one that means to stand or to push declares it anew,
+    `recovery: Recovery = False`.
     """
 
-    unstick: Unstick = True
+    recovery: Recovery = True
 
 
 P = TypeVar("P", bound=Params)

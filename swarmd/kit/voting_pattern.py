@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, TypeVar
 
 from swarmd.core.values import Inputs, Message, Neighbor, Outputs, Value
 from swarmd.kit.behavior import Context, Pattern
-from swarmd.kit.params import Params, Unstick, about
+from swarmd.kit.params import Params, Recovery, about
 from swarmd.kit.vote_windows import (
     Rounds,
     SlidingWindow,
@@ -89,7 +89,7 @@ class VotingParams(Params, frozen=True, kw_only=True):
             "opinions for ever",
         ),
     ] = True
-    unstick: Unstick = False
+    recovery: Recovery = False
 
     @property
     def period(self) -> float:

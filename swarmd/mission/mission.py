@@ -21,7 +21,7 @@ from swarmd.kit.combined import CombinedPattern
 from swarmd.kit.condition_state import Facts, Watch
 from swarmd.kit.conditions import Scalar, needs_of
 from swarmd.kit.diagnostics import Faults
-from swarmd.kit.params import Params, Unstick
+from swarmd.kit.params import Params, Recovery
 from swarmd.kit.voting_pattern import VotingPattern
 from swarmd.mission.schema import (
     Document,
@@ -156,16 +156,16 @@ class _Parallel(Node):
             item.begin(now)
 
     def step(self, stepper: Stepper, inputs: Inputs, facts: Facts) -> Twist | None:
-        wish = None
+        requested = None
         for index, item in enumerate(self._items):
             if item.check(facts):
                 continue
             twist = item.step(stepper, inputs, facts)
             if index == self._driver:
-                wish = twist
+                requested = twist
         if all(item.over for item in self._items):
             self.over = "; ".join(item.over for item in self._items)
-        return wish
+        return requested
 
     @property
     def phase(self) -> str:
@@ -388,7 +388,7 @@ def _params_type(document: Document, kinds: Kinds) -> type[Params]:
             continue
         hint, default = type_hints(kind, include_extras=True)[param], known[param].default
         fields.append((own, hint) if default is NODEFAULT else (own, hint, default))
-    fields.append(("unstick", Unstick, _unstick(document, kinds)))
+    fields.append(("recovery", Recovery, _recovery(document, kinds)))
     made = msgspec.defstruct(
         "MissionParams",
         fields,
@@ -401,17 +401,17 @@ def _params_type(document: Document, kinds: Kinds) -> type[Params]:
     return cast("type[Params]", made)
 
 
-def _unstick(document: Document, kinds: Kinds) -> bool:
+def _recovery(document: Document, kinds: Kinds) -> bool:
     """As the file says; else as those parts would have it that drive."""
-    if document.unstick is not None or document.root is None:
-        return bool(document.unstick)
+    if document.recovery is not None or document.root is None:
+        return bool(document.recovery)
     driving = {name: kinds[name] for name in drivers_of(document.root) if name in kinds}
-    wishes = [
-        document.parts[name].params.get("unstick", _default(kind, "unstick"))
+    requested_commands = [
+        document.parts[name].params.get("recovery", _default(kind, "recovery"))
         for name, kind in driving.items()
         if not issubclass(kind, VotingPattern)
     ]
-    return bool(wishes) and all(wish is True for wish in wishes)
+    return bool(requested_commands) and all(requested is True for requested in requested_commands)
 
 
 def _default(kind: type[Pattern[Any]], name: str) -> Any:

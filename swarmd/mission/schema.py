@@ -335,10 +335,12 @@ def check_references(
                 faults.part(keys, part, parts)
 
 
-_OWN = ("mission", "parts", "map", "report", "parameters", "unstick")
+_OWN = ("mission", "parts", "map", "report", "parameters", "recovery")
 _OF_PART = ("pattern", "params", "private")
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_UNSTICK = "is of unstick, which a mission has as a whole: set it beside parts, or with -p unstick="
+_RECOVERY = (
+    "is of recovery, which a mission has as a whole: set it beside parts, or with -p recovery="
+)
 _OF_MAP = ("from", "to", "values", "base", "step", "count")
 Table: TypeAlias = Mapping[Scalar, Scalar]
 
@@ -384,7 +386,7 @@ class Document:
     maps: list[MapSpec] = field(default_factory=list)
     report: dict[str, tuple[str, str]] = field(default_factory=dict)
     parameters: dict[str, tuple[str, str]] = field(default_factory=dict)
-    unstick: bool | None = None
+    recovery: bool | None = None
     root: Element | None = None
     faults: Faults = field(default_factory=Faults)
 
@@ -402,11 +404,11 @@ def read_document(path: Path) -> Document:
     _read_maps(data, document)
     for name in ("report", "parameters"):
         _read_references(data, name, document)
-    if "unstick" in data:
-        if isinstance(data["unstick"], bool):
-            document.unstick = data["unstick"]
+    if "recovery" in data:
+        if isinstance(data["recovery"], bool):
+            document.recovery = data["recovery"]
         else:
-            faults.add(("unstick",), f"is {data['unstick']!r}; wanted true or false")
+            faults.add(("recovery",), f"is {data['recovery']!r}; wanted true or false")
     _check_uses(document)
     return document
 
@@ -463,8 +465,8 @@ def _map(section: object, keys: Keys, document: Document) -> MapSpec | None:
     table = _table(section, keys, faults)
     if source is None or target is None or table is None:
         return None
-    if target[1] == "unstick":
-        faults.add((*keys, "to"), _UNSTICK)
+    if target[1] == "recovery":
+        faults.add((*keys, "to"), _RECOVERY)
     if source[0] == target[0]:
         faults.add((*keys, "to"), f"is of {source[0]} itself; wanted another part")
         return None
@@ -508,8 +510,8 @@ def _read_references(data: Mapping[str, Any], name: str, document: Document) -> 
         return
     found: dict[str, tuple[str, str]] = getattr(document, name)
     for own in section:
-        if not _NAME.fullmatch(own) or own in ("unstick", "phase"):
-            faults.add((name, own), "is no name; wanted letters, digits and _, not unstick, phase")
+        if not _NAME.fullmatch(own) or own in ("recovery", "phase"):
+            faults.add((name, own), "is no name; wanted letters, digits and _, not recovery, phase")
             continue
         reference = _reference(section, own, (name,), document, "PART.KEY")
         if reference is not None:
@@ -522,8 +524,8 @@ def _check_targets(document: Document) -> None:
     """Note parameters of parts that are set from two sides."""
     setters = {spec.target: "a map" for spec in document.maps}
     for own, reference in document.parameters.items():
-        if reference[1] == "unstick":
-            document.faults.add(("parameters", own), _UNSTICK)
+        if reference[1] == "recovery":
+            document.faults.add(("parameters", own), _RECOVERY)
         if reference in setters:
             text = f"{'.'.join(reference)} is what {setters[reference]} sets; keep one"
             document.faults.add(("parameters", own), text)

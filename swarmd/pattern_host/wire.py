@@ -133,8 +133,8 @@ def encode_event(event: Event) -> bytes:
     elif isinstance(event, Stepped):
         outputs = event.outputs
         twist = outputs.twist
-        wish = None if twist is None else [twist.linear, twist.angular, twist.lateral]
-        body = ["stepped", generation, wish, dict(outputs.messages), dict(outputs.report)]
+        requested = None if twist is None else [twist.linear, twist.angular, twist.lateral]
+        body = ["stepped", generation, requested, dict(outputs.messages), dict(outputs.report)]
         body += [outputs.done, event.scan_seq, event.dropped]
     elif isinstance(event, ParamsSet):
         params = {name: list(pair) for name, pair in event.params.items()}

@@ -51,17 +51,17 @@ def main() -> None:
     _give_way()
     os.set_inheritable(args.fd, False)
     os.dup2(2, 1)  # what a pattern prints belongs into the daemon's log
-    with socket.socket(fileno=args.fd) as guardian:
+    with socket.socket(fileno=args.fd) as daemon:
         try:
-            _serve(guardian)
+            _serve(daemon)
         except MemoryError:
             os._exit(OUT_OF_MEMORY)
 
 
-def _serve(guardian: socket.socket) -> None:
+def _serve(daemon: socket.socket) -> None:
     finder = Finder({})
     stage = Stage(finder)
-    while frame := guardian.recv(1 << 18):
+    while frame := daemon.recv(1 << 18):
         command, origins = decode_command(frame)
         if isinstance(command, Load):
             _limit_memory(_size() + LOAD_LIMIT)
@@ -79,7 +79,7 @@ def _serve(guardian: socket.socket) -> None:
         except CodecError as error:
             answer = encode_event(Failed(event.generation, str(error)))
         try:
-            guardian.send(answer)
+            daemon.send(answer)
         except (BrokenPipeError, ConnectionResetError):
             return
 

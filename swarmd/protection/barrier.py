@@ -42,10 +42,10 @@ from swarmd.protection.constraints import (
     split,
 )
 from swarmd.protection.dead_reckoning import REACTION, TRUSTED, Motion, relative
-from swarmd.protection.decision import Decision, Moment
+from swarmd.protection.decision import DecisionContext, ModeDecision
 from swarmd.protection.footprint import Facing, Footprint, Sight
 from swarmd.protection.projection import Point, nearest_feasible
-from swarmd.protection.recovery import Berth
+from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.stopping import Braking
 
@@ -74,7 +74,7 @@ class _Seen(NamedTuple):
     is_near: bool
 
 
-_Occasion: TypeAlias = tuple[Moment, Point, TouchZone | None]
+_Occasion: TypeAlias = tuple[DecisionContext, Point, TouchZone | None]
 
 
 class _Bounds(NamedTuple):
@@ -131,7 +131,7 @@ class Barrier:
         given_within = settings.envelope_within
         self._within = within if given_within is None else given_within
 
-    def berth(self, speed: float) -> Berth:
+    def clearance(self, speed: float) -> Clearance:
         """Where a row would not yet keep it below that speed ahead, nor hold it up beside."""
         settings, braking = self._settings, np.array([self._settings.braking_linear])
         age = 0.5 / self._spec.rate + self._spec.latency + REACTION
@@ -149,9 +149,9 @@ class Barrier:
         ahead = next((d for d in np.arange(0.0, 5.0, 0.05) if fastest(d) >= speed), 5.0)
         beside = float(np.abs(self._outline.corners[:, 1]).max())
         beside += settings.margin + settings.unseen_extent + 0.06
-        return Berth(float(ahead), max(beside, settings.keep_out or 0.0))
+        return Clearance(float(ahead), max(beside, settings.keep_out or 0.0))
 
-    def observe(self, scan: Scan, sight: Sight, moment: Moment) -> None:
+    def observe(self, scan: Scan, sight: Sight, moment: DecisionContext) -> None:
         """Take in a new scan: which of its points are near enough to matter.
 
         One that lacks a sector is as old as what is remembered of that. Unless it is newer than the
@@ -171,29 +171,29 @@ class Barrier:
         self._seen, self._known = self._look(scan, sight), None
 
     def decide(
-        self, wish: Twist, moment: Moment, *, command: Twist, touch: TouchZone | None
-    ) -> Decision:
+        self, requested: Twist, moment: DecisionContext, *, command: Twist, touch: TouchZone | None
+    ) -> ModeDecision:
         """The command nearest to the wish within all rows; the wish itself if it violates none."""
         self._motion.update(moment)
         seen = self._seen
         is_free = touch is None and not (seen.is_near or len(seen.x))
-        if wish.is_zero or is_free:
-            return Decision(wish, is_active=False)
+        if requested.is_zero or is_free:
+            return ModeDecision(requested, is_active=False)
         if self._restarts != self._motion.restarts:
-            return Decision(ZERO, is_active=True)  # until a scan is placed anew
-        along, speed = split(wish)
+            return ModeDecision(ZERO, is_active=True)  # until a scan is placed anew
+        along, speed = split(requested)
         limits = most(self._limits, along), self._limits.angular
         bounds = self._bounds((moment, along, touch), command, limits)
-        wanted = speed / limits[0], wish.angular / limits[1]
+        wanted = speed / limits[0], requested.angular / limits[1]
         point, tight = nearest_feasible(wanted, BOX, bounds.normals, bounds.caps)
         s, angular = point[0] * limits[0], point[1] * limits[1]
         s, angular = self._swept(s, angular, bounds)
         if point == wanted and (s, angular) == (point[0] * limits[0], point[1] * limits[1]):
-            return Decision(wish, is_active=False)
+            return ModeDecision(requested, is_active=False)
         if not tight and bounds.points:  # what is met only while braking: the nearest, most likely
             tight = [int(bounds.rows.gaps[: bounds.points].argmin())]
         twist = Twist(s * along[0], angular, s * along[1])
-        return Decision(twist, is_active=True, rows=bounding(bounds.rows, tight, self._outline))
+        return ModeDecision(twist, is_active=True, rows=bounding(bounds.rows, tight, self._outline))
 
     def _bounds(self, occasion: _Occasion, command: Twist, limits: Point) -> _Bounds:
         """What bounds any command now; worked out once for all wishes of the same time."""
@@ -247,7 +247,7 @@ class Barrier:
     def _rows(
         self,
         seen: _Seen,
-        moment: Moment,
+        moment: DecisionContext,
         command: Twist,
         along: Point,
         touch: TouchZone | None,
@@ -396,7 +396,7 @@ class Barrier:
         nearest = float(self._outline.along_rays(self._offset, ways).min())
         return max(spec.range_min - nearest, 0.0)
 
-    def _free(self, moment: Moment) -> float:
+    def _free(self, moment: DecisionContext) -> float:
         """m that must stay free beside what is seen, for what is not and where it may be instead.
 
         Odometry may be old, and what a lacking sector holds is not dead-reckoned to the scan.

@@ -79,12 +79,12 @@ def bounding(rows: Rows, tight: list[int], outline: Footprint) -> tuple[Row, ...
     )
 
 
-def split(wish: Twist) -> tuple[Point, float]:
+def split(requested: Twist) -> tuple[Point, float]:
     """The direction of the linear motion and the speed along it; ahead if there is none."""
-    if wish.lateral == 0.0:
-        return (1.0, 0.0), wish.linear
-    speed = math.hypot(wish.linear, wish.lateral)
-    return (wish.linear / speed, wish.lateral / speed), speed
+    if requested.lateral == 0.0:
+        return (1.0, 0.0), requested.linear
+    speed = math.hypot(requested.linear, requested.lateral)
+    return (requested.linear / speed, requested.lateral / speed), speed
 
 
 def most(limits: Limits, along: Point) -> float:

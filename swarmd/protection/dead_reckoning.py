@@ -6,7 +6,7 @@ import math
 from collections import deque
 
 from swarmd.core.values import Odometry, Pose, Twist
-from swarmd.protection.decision import Moment
+from swarmd.protection.decision import DecisionContext
 
 REACTION = 0.05
 """Seconds from a decision to the base's first move: one tick."""
@@ -30,7 +30,7 @@ class Motion:
         self._readings: deque[Odometry] = deque(maxlen=_HISTORY)
         self.restarts = 0
 
-    def update(self, moment: Moment) -> None:
+    def update(self, moment: DecisionContext) -> None:
         """Remember the odometry of this moment, if it is new. A clock set back starts anew.
 
         One that stands still while what it stamps changes is no better.
@@ -43,7 +43,7 @@ class Motion:
             self.restarts += 1
         readings.append(odometry)
 
-    def pose(self, moment: Moment, ago: float) -> Pose:
+    def pose(self, moment: DecisionContext, ago: float) -> Pose:
         """Where the robot was `ago` s before the moment, in the odometry's frame."""
         readings = self._readings
         if not readings:
@@ -58,7 +58,7 @@ class Motion:
             later = reading
         return _moved(later.pose, later.twist, at - later.stamp)
 
-    def ahead(self, moment: Moment, command: Twist) -> Pose:
+    def ahead(self, moment: DecisionContext, command: Twist) -> Pose:
         """Where the robot will be when the next command takes effect.
 
         From the last reading on it is taken to change over to `command`, the one in force, as

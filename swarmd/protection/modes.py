@@ -20,9 +20,9 @@ import msgspec
 import numpy as np
 
 from swarmd.core.values import ZERO, Platform, Scan, TouchZone, Twist
-from swarmd.protection.decision import Decision, Moment, Row
+from swarmd.protection.decision import DecisionContext, ModeDecision, Row
 from swarmd.protection.footprint import Footprint, Sight
-from swarmd.protection.recovery import Berth
+from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import StopZoneSettings
 from swarmd.sensing.potential_field import field_twist, potential_field
 
@@ -35,17 +35,17 @@ class Off:
     def __init__(self, platform: Platform) -> None:
         """Nothing is read from the platform."""
 
-    def berth(self, speed: float) -> None:
+    def clearance(self, speed: float) -> None:
         """It never keeps a robot standing."""
 
-    def observe(self, scan: Scan, sight: Sight, moment: Moment) -> None:
+    def observe(self, scan: Scan, sight: Sight, moment: DecisionContext) -> None:
         """Look at nothing."""
 
     def decide(
-        self, wish: Twist, moment: Moment, *, command: Twist, touch: TouchZone | None
-    ) -> Decision:
+        self, requested: Twist, moment: DecisionContext, *, command: Twist, touch: TouchZone | None
+    ) -> ModeDecision:
         """The wish."""
-        return Decision(wish, is_active=False)
+        return ModeDecision(requested, is_active=False)
 
 
 class PotentialField:
@@ -61,10 +61,10 @@ class PotentialField:
         self._forward_bias = float(settings["forward_bias"])
         self._evasion: Twist | None = None
 
-    def berth(self, speed: float) -> None:
+    def clearance(self, speed: float) -> None:
         """It never keeps a robot standing."""
 
-    def observe(self, scan: Scan, sight: Sight, moment: Moment) -> None:
+    def observe(self, scan: Scan, sight: Sight, moment: DecisionContext) -> None:
         """Compute the evading command, or that there is nothing to evade."""
         field = potential_field(
             scan.ranges,
@@ -80,12 +80,12 @@ class PotentialField:
         self._evasion = field_twist(field.vector, self._limits.linear, self._limits.angular)
 
     def decide(
-        self, wish: Twist, moment: Moment, *, command: Twist, touch: TouchZone | None
-    ) -> Decision:
+        self, requested: Twist, moment: DecisionContext, *, command: Twist, touch: TouchZone | None
+    ) -> ModeDecision:
         """The evading command if there is something to evade, else the wish."""
         if self._evasion is None:
-            return Decision(wish, is_active=False)
-        return Decision(self._evasion, is_active=True)
+            return ModeDecision(requested, is_active=False)
+        return ModeDecision(self._evasion, is_active=True)
 
 
 class StopZone:
@@ -99,28 +99,30 @@ class StopZone:
         self._limit = platform.limits.linear
         self._nearest: tuple[float, float] | None = None
 
-    def berth(self, speed: float) -> Berth:
+    def clearance(self, speed: float) -> Clearance:
         """Out of both zones."""
         front, half = self._outline.corners[:, 0].max(), np.abs(self._outline.corners[:, 1]).max()
         slow = self._settings.slow
-        return Berth(float(front) + slow, float(half) + slow)
+        return Clearance(float(front) + slow, float(half) + slow)
 
-    def observe(self, scan: Scan, sight: Sight, moment: Moment) -> None:
+    def observe(self, scan: Scan, sight: Sight, moment: DecisionContext) -> None:
         """Find the nearest return."""
         self._nearest = self._outline.nearest(scan, sight)
 
     def decide(
-        self, wish: Twist, moment: Moment, *, command: Twist, touch: TouchZone | None
-    ) -> Decision:
+        self, requested: Twist, moment: DecisionContext, *, command: Twist, touch: TouchZone | None
+    ) -> ModeDecision:
         """The wish, a share of it, or zero."""
         settings = self._settings
-        if self._nearest is None or wish.is_zero:
-            return Decision(wish, is_active=False)
+        if self._nearest is None or requested.is_zero:
+            return ModeDecision(requested, is_active=False)
         gap, bearing = self._nearest
         if gap <= settings.stop:
-            return Decision(ZERO, is_active=True, rows=(Row(bearing, gap, 0.0),))
+            return ModeDecision(ZERO, is_active=True, rows=(Row(bearing, gap, 0.0),))
         if gap > settings.slow:
-            return Decision(wish, is_active=False)
+            return ModeDecision(requested, is_active=False)
         share = settings.slow_share
-        twist = Twist(share * wish.linear, share * wish.angular, share * wish.lateral)
-        return Decision(twist, is_active=True, rows=(Row(bearing, gap, share * self._limit),))
+        twist = Twist(
+            share * requested.linear, share * requested.angular, share * requested.lateral
+        )
+        return ModeDecision(twist, is_active=True, rows=(Row(bearing, gap, share * self._limit),))

@@ -21,7 +21,7 @@ EXACT = 1e-12
 
 
 def nearest_feasible(
-    wish: Point, polygon: Sequence[Point], normals: Array, caps: Array
+    requested: Point, polygon: Sequence[Point], normals: Array, caps: Array
 ) -> tuple[Point, list[int]]:
     """The point of the polygon nearest to `wish` with normals @ point <= caps, and tight rows.
 
@@ -29,7 +29,7 @@ def nearest_feasible(
     taken in one by one, the one most violated first: what is nearest within some of the rows and
     violates no other is nearest within all. Rows are tight that the point lies on.
     """
-    point = nearest(polygon, wish)
+    point = nearest(polygon, requested)
     for _ in range(len(caps)):
         excess = normals @ point - caps
         worst = int(excess.argmax())
@@ -37,7 +37,7 @@ def nearest_feasible(
             break
         a, b = normals[worst]
         polygon = clipped(polygon, float(a), float(b), float(caps[worst]))
-        point = nearest(polygon, wish)
+        point = nearest(polygon, requested)
     if not len(caps):
         return point, []
     tight = np.flatnonzero(normals @ point - caps >= -1e-9)
@@ -60,12 +60,12 @@ def clipped(polygon: Sequence[Point], a: float, b: float, cap: float) -> list[Po
     return kept or [(0.0, 0.0)]
 
 
-def nearest(polygon: Sequence[Point], wish: Point) -> Point:
+def nearest(polygon: Sequence[Point], requested: Point) -> Point:
     """The point of a convex polygon that is nearest to `wish`: that itself if it is inside.
 
     A polygon may be as thin as a line or a point, which have no inside.
     """
-    x, y = wish
+    x, y = requested
     best, best_square = (0.0, 0.0), math.inf
     is_inside = True
     x0, y0 = polygon[-1]
@@ -82,4 +82,4 @@ def nearest(polygon: Sequence[Point], wish: Point) -> Point:
         if away < best_square:
             best, best_square = on, away
         x0, y0 = x1, y1
-    return wish if is_inside or best_square <= EXACT * EXACT else best
+    return requested if is_inside or best_square <= EXACT * EXACT else best

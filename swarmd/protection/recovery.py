@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from swarmd.core.values import ZERO, Array, Limits, Twist
-from swarmd.protection.decision import Moment
+from swarmd.protection.decision import DecisionContext
 
 _BLOCKED = 0.5  # who gets less than this share of the speed he asks for is blocked
 _PATIENCE = 0.1  # s for which it is so before something is done
@@ -36,23 +36,23 @@ _WAYS = np.radians(np.arange(-180.0, 180.0, 10.0))
 Points: TypeAlias = Callable[[], Array]
 
 
-class Berth(NamedTuple):
+class Clearance(NamedTuple):
     """The room that a way needs in m from the axle: straight `ahead`, and to each side."""
 
     ahead: float
     beside: float
 
 
-class Unstick:
+class Recovery:
     """States: follow the wish, turn to a free way, go along it, back off. Times in s, handed in.
 
     `sight` is how far it has to see, in m from the axle.
     """
 
-    def __init__(self, berth: Berth, limits: Limits, seed: str) -> None:
+    def __init__(self, clearance: Clearance, limits: Limits, seed: str) -> None:
         """`berth` is that of a speed at ease; `seed` decides random choices."""
-        self.sight = berth.ahead + _FOLLOWS * limits.linear
-        self._half = berth.beside
+        self.sight = clearance.ahead + _FOLLOWS * limits.linear
+        self._half = clearance.beside
         self._limits = limits
         self._turn = min(limits.angular, 1.5)
         self._rng = Random(seed)
@@ -72,32 +72,34 @@ class Unstick:
         """True while something else than the wish is asked for."""
         return self._state != "follow"
 
-    def instead(self, wish: Twist, given: Twist, moment: Moment, points: Points) -> Twist:
+    def instead(
+        self, requested: Twist, given: Twist, moment: DecisionContext, points: Points
+    ) -> Twist:
         """What to ask for instead of the wish; the wish itself while nothing blocks it.
 
         `given` is what protection last made of what was asked for, `points` gives (k, 2) what the
         lidar saw, in the base frame in m.
         """
         now = moment.now
-        is_idle = not (self._goes(wish) or self._turns(wish))
+        is_idle = not (self._goes(requested) or self._turns(requested))
         if is_idle or (self.is_leading and now - self._began > _ENDS):
             self.reset()
-            return wish
+            return requested
         is_blocked = self._is_blocked(given, now)
         if not self.is_leading:
             if not is_blocked:
-                self._asked = wish
-                return wish
-            self._begin(wish, moment, points())
+                self._asked = requested
+                return requested
+            self._begin(requested, moment, points())
             is_blocked = False
-        self._pace = max(self._pace, math.hypot(wish.linear, wish.lateral))
+        self._pace = max(self._pace, math.hypot(requested.linear, requested.lateral))
         self._asked = self._lead(moment, points, is_blocked)
         return self._asked
 
-    def _begin(self, wish: Twist, moment: Moment, points: Array) -> None:
+    def _begin(self, requested: Twist, moment: DecisionContext, points: Array) -> None:
         """Make room first, or where it is turning that is blocked, go to where there is some."""
         self._began, self._pace = moment.now, 0.5 * self._limits.linear
-        if self._goes(wish):
+        if self._goes(requested):
             self._back_off(points, moment.now)
         else:
             self._plan(0.0, moment, points)
@@ -119,7 +121,7 @@ class Unstick:
             self._blocked_since = now
         return now - self._blocked_since >= (_PATIENCE if goes else _STANDS)
 
-    def _lead(self, moment: Moment, points: Points, is_blocked: bool) -> Twist:
+    def _lead(self, moment: DecisionContext, points: Points, is_blocked: bool) -> Twist:
         now = moment.now
         if self._state == "turn" and is_blocked:
             self._back_off(points(), now)
@@ -152,7 +154,7 @@ class Unstick:
         self._backwards = bool(behind > ahead)
         self._enter("back", now)
 
-    def _plan(self, wished: float, moment: Moment, points: Array) -> None:
+    def _plan(self, wished: float, moment: DecisionContext, points: Array) -> None:
         """Choose a free way near the one wished, both as bearings in rad from here."""
         now = moment.now
         if now >= self._side_until:
@@ -177,7 +179,7 @@ class Unstick:
         free: Array = np.where(is_in, ahead, self.sight).min(axis=1, initial=self.sight)
         return free
 
-    def _turned(self, moment: Moment) -> float:
+    def _turned(self, moment: DecisionContext) -> float:
         """How far it has turned since the way was chosen, in rad."""
         if moment.odometry is None:
             return math.copysign(self._turn * (moment.now - self._since), self._way)

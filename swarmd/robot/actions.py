@@ -12,22 +12,22 @@ from msgspec import Struct
 from swarmd.core.host_messages import Cancel, Command, Try
 from swarmd.core.messages import Reply, Status
 from swarmd.core.values import Twist, Value
-from swarmd.protection.decision import Verdict
+from swarmd.protection.decision import Decision
 from swarmd.robot.latches import LatchRecord
 
 
 class Actions(Struct, frozen=True, eq=False):
     """In this order: hand `twist` to the driver, write `latches` down, tell the `host`, publish.
 
-    `messages` are by `<pattern>/<channel>`. `wish_seq` is the scan that the wish behind `twist`
-    used (-1: none). `is_idle` if the robot was never asked or has finished, and its base is there.
-    `replies` answer earlier requests too: run is answered when its pattern is ready. `trial` goes
+    `messages` are by `<pattern>/<channel>`. `requested_scan_seq` is the scan
+    behind `twist` (-1: none). `is_idle` if the robot was never asked or has finished, and its base
+    is there. `replies` answer earlier requests too: run is answered when its pattern is ready. `trial` goes
     to whoever carries `host`, before it, and disturbs nothing that runs.
     """
 
     twist: Twist
-    verdict: Verdict
-    wish_seq: int = -1
+    decision: Decision
+    requested_scan_seq: int = -1
     is_idle: bool = False
     latches: LatchRecord | None = None
     trial: Try | Cancel | None = None

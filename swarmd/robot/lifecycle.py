@@ -32,9 +32,9 @@ from swarmd.kit.touch import in_force
 from swarmd.protection.decision import NO_PERMIT, Permit
 from swarmd.robot.actions import Outbox
 from swarmd.robot.latches import Latches, LatchRecord
-from swarmd.robot.pattern_run import LOAD_TIMEOUT, SILENT_AFTER, Hosting, Trying
+from swarmd.robot.pattern_run import LOAD_TIMEOUT, SILENT_AFTER, PatternRun, Trying
 from swarmd.robot.state_machine import Event as Change
-from swarmd.robot.state_machine import Supervisor
+from swarmd.robot.state_machine import StateMachine
 
 HOLD_LASTS = 2.0
 EVENTS = 10
@@ -67,14 +67,14 @@ class Identity:
     touch: Mapping[str, TouchZone] = field(default_factory=dict)
 
 
-class Conduct:
+class Lifecycle:
     """State, pattern and latches of one robot. Times in s, handed in with each turn."""
 
     def __init__(self, identity: Identity, latches: LatchRecord | None, now: float) -> None:
         self._identity = identity
         self._born = now
-        self.supervisor = Supervisor(now)
-        self.hosting = Hosting()
+        self.supervisor = StateMachine(now)
+        self.hosting = PatternRun()
         self.latches = Latches(latches)
         self.outbox = Outbox()
         self.revision = 0
@@ -107,8 +107,8 @@ class Conduct:
         running = self.hosting.running
         if running is None or self.hosting.is_restarting:
             return NO_PERMIT
-        may_unstick, _ = running.values.get("unstick", (False, ""))
-        return Permit(may_unstick=may_unstick is True, touch=running.touch)
+        may_recover, _ = running.values.get("recovery", (False, ""))
+        return Permit(may_recover=may_recover is True, touch=running.touch)
 
     def note(self, text: str, now: float) -> None:
         """Keep an event for describe."""

@@ -22,7 +22,7 @@ FIRST_BACKOFF = 0.1
 ROUNDING = 1e-6  # a deadline is kept, not missed by the last bit of a float
 
 
-class Wish(Struct, frozen=True):
+class RequestedCommand(Struct, frozen=True):
     """What the pattern wants, since when, and from which scan (-1: none)."""
 
     twist: Twist | None
@@ -67,7 +67,7 @@ class Running:
     rate: float
     channels: frozenset[str]
     values: Mapping[str, tuple[Scalar | None, str]]
-    wish: Wish
+    requested: RequestedCommand
     until: tuple[str, ...] = ()
     touch: TouchZone | None = None
 
@@ -88,7 +88,7 @@ class Running:
         return max(MIN_EXPIRY, 3.0 / self.rate)
 
 
-class Hosting:
+class PatternRun:
     """What is loaded, what is awaited from the host, and how often it has failed."""
 
     def __init__(self) -> None:
@@ -136,7 +136,7 @@ class Hosting:
             event.rate,
             event.channels,
             event.params,
-            Wish(None, now, -1),
+            RequestedCommand(None, now, -1),
             loading.until,
         )
         self.awaiting_since = None
@@ -148,12 +148,12 @@ class Hosting:
         assert self.running is not None
         asked_at = now if self.awaiting_since is None else self.awaiting_since
         self.awaiting_since = None
-        self.running.wish = Wish(event.outputs.twist, asked_at, event.scan_seq)
+        self.running.requested = RequestedCommand(event.outputs.twist, asked_at, event.scan_seq)
 
     def is_expired(self, now: float) -> bool:
         """True if the last wish is too old, or there is no pattern."""
         running = self.running
-        return running is None or now >= running.wish.at + running.expiry - ROUNDING
+        return running is None or now >= running.requested.at + running.expiry - ROUNDING
 
     def may_step(self, now: float, is_new_scan: bool) -> bool:
         """True if a step is wanted now and the host is free; else it is remembered as due."""
@@ -220,7 +220,7 @@ class Hosting:
         if running is not None:
             if self.awaiting_since is None and self.loading is None:
                 soonest = _sooner(self.last_step + 1.0 / running.rate, soonest, now)
-            soonest = _sooner(running.wish.at + running.expiry, soonest, now)
+            soonest = _sooner(running.requested.at + running.expiry, soonest, now)
             if running.finish_at is not None:
                 soonest = _sooner(running.finish_at, soonest, now)
         if self.loading is not None:

@@ -19,14 +19,14 @@ from swarmd.core.keys import is_id
 from swarmd.core.messages import Code, Latch, Reason, Request, State
 from swarmd.core.values import Scalar
 from swarmd.kit.conditions import parse_conditions
-from swarmd.robot.lifecycle import Conduct, Turn
+from swarmd.robot.lifecycle import Lifecycle, Turn
 from swarmd.robot.pattern_run import Trying
 from swarmd.robot.state_machine import Event as Change
 
 TRIAL_TIMEOUT = 10.0
 
 
-def under_way(conduct: Conduct) -> str:
+def under_way(conduct: Lifecycle) -> str:
     """What an operator has asked for and the host has not answered yet; empty if nothing."""
     loading, trial = conduct.hosting.loading, conduct.trial
     if loading is not None and loading.request is not None:
@@ -34,19 +34,19 @@ def under_way(conduct: Conduct) -> str:
     return f"still trying {trial.pattern}, by {trial.request.operator}" if trial else ""
 
 
-class Reloading:
+class ReloadHandler:
     """Answers `reload`. `layers`: all of a pattern's parameters, those handed in on top."""
 
     def __init__(
-        self, conduct: Conduct, layers: Callable[[str, Mapping[str, Scalar | None]], Layers]
+        self, conduct: Lifecycle, layers: Callable[[str, Mapping[str, Scalar | None]], Layers]
     ) -> None:
-        self._conduct = conduct
+        self._lifecycle = conduct
         self._layers = layers
         self._trials = 0
 
     def begin(self, request: Request, turn: Turn) -> None:
         """Have the code tried, or refuse; the reply follows when the trial is done."""
-        conduct = self._conduct
+        conduct = self._lifecycle
         hosting, pattern = conduct.hosting, request.args.get("pattern")
         if not isinstance(pattern, str) or not isinstance(request.args.get("run", False), bool):
             text = "reload wants a pattern by name, and run as true or false"
@@ -65,7 +65,7 @@ class Reloading:
 
     def on_tried(self, event: Tried, turn: Turn) -> None:
         """Take the outcome; that of a trial which nobody waits for any more is dropped."""
-        conduct, trial = self._conduct, self._conduct.trial
+        conduct, trial = self._lifecycle, self._lifecycle.trial
         if trial is None or event.generation != trial.generation:
             return
         if event.text:
@@ -88,14 +88,14 @@ class Reloading:
 
     def advance(self, turn: Turn) -> None:
         """End a trial whose time is over."""
-        trial = self._conduct.trial
+        trial = self._lifecycle.trial
         if trial is not None and turn.now - trial.since >= TRIAL_TIMEOUT:
             text = f"{trial.pattern}: loading took more than {TRIAL_TIMEOUT:.0f} s"
-            self._conduct.end_trial(text, turn)
+            self._lifecycle.end_trial(text, turn)
 
     def _replace(self, trial: Trying, turn: Turn) -> None:
         """Stop what runs and its host; run the new code in a fresh one if that was asked for."""
-        conduct, request = self._conduct, trial.request
+        conduct, request = self._lifecycle, trial.request
         hosting = conduct.hosting
         running = hosting.running
         assert running is not None
@@ -123,15 +123,15 @@ class Verbs:
     def __init__(
         self,
         robot: str,
-        conduct: Conduct,
+        conduct: Lifecycle,
         layers: Callable[[str], Layers],
         standing: Callable[[], str],
     ) -> None:
         self._robot = robot
-        self._conduct = conduct
+        self._lifecycle = conduct
         self._layers = layers
         self._standing = standing
-        self.reloading = Reloading(conduct, self.layers)
+        self.reloading = ReloadHandler(conduct, self.layers)
         self._last_stop = ("", -1)  # its id, and the revision that it led to
 
     def answer(self, request: Request, turn: Turn) -> None:
@@ -144,13 +144,13 @@ class Verbs:
         elif request.verb == "stop":
             self._stop(request, turn)
         elif request.verb == "param" and "set" not in request.args:
-            self._conduct.reply(turn, request, Code.APPLIED, "")
+            self._lifecycle.reply(turn, request, Code.APPLIED, "")
         elif request.verb not in VERBS:
             self._refuse(request, turn, f"there is no verb {request.verb!r}")
         elif targets is None:
             self._refuse(request, turn, f"{request.verb} must name its targets")
-        elif targets[self._robot] != self._conduct.epoch:
-            by = self._conduct.changed_by
+        elif targets[self._robot] != self._lifecycle.epoch:
+            by = self._lifecycle.changed_by
             self._refuse(request, turn, f"robot changed since you looked, by {by}")
         elif request.verb == "run":
             self._run(request, turn)
@@ -162,10 +162,10 @@ class Verbs:
             self._set_params(request, turn)
 
     def _refuse(self, request: Request, turn: Turn, text: str) -> None:
-        self._conduct.reply(turn, request, Code.REFUSED, text)
+        self._lifecycle.reply(turn, request, Code.REFUSED, text)
 
     def _stop(self, request: Request, turn: Turn) -> None:
-        conduct = self._conduct
+        conduct = self._lifecycle
         # An operator repeats a stop on every new link: that is one change, told to all peers once.
         if self._last_stop != (request.id, conduct.revision):
             conduct.changed(f"{request.operator} (stop)")
@@ -181,11 +181,11 @@ class Verbs:
             scope="robots" if scope == "robots" else "swarm",
             reason=str(request.args.get("reason") or ""),
         )
-        self._conduct.latch(latch_id, latch, turn)
-        self._conduct.reply(turn, request, Code.APPLIED, self._standing())
+        self._lifecycle.latch(latch_id, latch, turn)
+        self._lifecycle.reply(turn, request, Code.APPLIED, self._standing())
 
     def _run(self, request: Request, turn: Turn) -> None:
-        conduct = self._conduct
+        conduct = self._lifecycle
         hosting, state = conduct.hosting, conduct.supervisor.state
         pattern, params = request.args.get("pattern"), request.args.get("params") or {}
         seconds, until = request.args.get("seconds"), request.args.get("until") or ()
@@ -213,7 +213,7 @@ class Verbs:
         return (*self._layers(pattern), ("runtime", dict(params)))
 
     def _reset(self, request: Request, turn: Turn) -> None:
-        conduct = self._conduct
+        conduct = self._lifecycle
         ids = request.args.get("ids") or []
         if not isinstance(ids, list):
             self._refuse(request, turn, "reset wants a list of ids")
@@ -240,7 +240,7 @@ class Verbs:
             conduct.reply(turn, request, Code.APPLIED, "idle")
 
     def _set_params(self, request: Request, turn: Turn) -> None:
-        conduct = self._conduct
+        conduct = self._lifecycle
         values, running = request.args.get("set"), conduct.hosting.running
         if not isinstance(values, dict) or not values:
             self._refuse(request, turn, "param set wants values by name")

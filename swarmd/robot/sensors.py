@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from swarmd.core.codec import encode_value
 from swarmd.core.messages import Reason
 from swarmd.core.values import Inputs, Message, Neighbor, Odometry, Platform, Scan, Value
-from swarmd.protection.decision import Moment
+from swarmd.protection.decision import DecisionContext
 from swarmd.sensing.conditioning import ScanConditioner
 
 ODOMETRY_STALE_AFTER = 0.5
@@ -26,7 +26,7 @@ class _Heard:
     size: int
 
 
-class Senses:
+class Sensors:
     """Scan, odometry, neighbours, readings, messages and the driver's state, with their ages.
 
     All times are in s on the robot's monotonic clock and handed in.
@@ -136,10 +136,10 @@ class Senses:
         """
         return None if self._scan_at is None else now - self._scan_at
 
-    def moment(self, now: float) -> Moment:
+    def moment(self, now: float) -> DecisionContext:
         """What a decision at `now` rests on."""
         odometry_age = None if self._odometry_at is None else now - self._odometry_at
-        return Moment(now, self.scan_age(now), self.odometry, odometry_age)
+        return DecisionContext(now, self.scan_age(now), self.odometry, odometry_age)
 
     def scan_rate(self, now: float) -> float:
         """Valid scans a second over the last few; 0 once they have stopped."""

@@ -41,7 +41,7 @@ TRANSITIONS: Mapping[Event, Mapping[State, State]] = MappingProxyType(
 )
 
 
-class Supervisor:
+class StateMachine:
     """State, the one reason for it, one line of detail, and since when."""
 
     def __init__(self, now: float) -> None:

@@ -9,12 +9,12 @@ from typing import Any
 import msgspec
 
 from swarmd.core.host_messages import Layers
-from swarmd.core.messages import Health, Param, Reason, Status, VerdictSummary
+from swarmd.core.messages import DecisionSummary, Health, Param, Reason, Status
 from swarmd.core.messages import Scalar as BoundedScalar
 from swarmd.core.values import Platform, Scalar, TouchZone
-from swarmd.protection.decision import Verdict
-from swarmd.robot.lifecycle import Conduct
-from swarmd.robot.sensors import Senses
+from swarmd.protection.decision import Decision
+from swarmd.robot.lifecycle import Lifecycle
+from swarmd.robot.sensors import Sensors
 
 REPORTED = 16
 ROWS = 4
@@ -57,9 +57,9 @@ def make_status(
     robot: str,
     platform: Platform,
     settings: RobotSettings,
-    conduct: Conduct,
-    senses: Senses,
-    verdict: Verdict,
+    conduct: Lifecycle,
+    senses: Sensors,
+    decision: Decision,
     duty: Duty,
     born: float,
     now: float,
@@ -80,7 +80,7 @@ def make_status(
         profile=settings.profile,
         is_secured=settings.is_secured,
         state=supervisor.state,
-        reason=standing_reason(conduct, verdict),
+        reason=standing_reason(conduct, decision),
         detail=detail,
         pattern=None if running is None else running.pattern,
         generation=conduct.hosting.generation,
@@ -91,7 +91,7 @@ def make_status(
         labels=settings.labels,
         params={name: Param(value=value, source=src) for name, (value, src) in values.items()},
         report=_clean(conduct.report),
-        verdict=_summary(verdict, duty),
+        decision=_summary(decision, duty),
         health=Health(
             scan_rate=senses.scan_rate(now),
             host_restarts=conduct.hosting.restarts,
@@ -105,29 +105,29 @@ def make_status(
     )
 
 
-def standing_reason(conduct: Conduct, verdict: Verdict) -> Reason | None:
+def standing_reason(conduct: Lifecycle, decision: Decision) -> Reason | None:
     """The one reason why the robot stands; None while it moves."""
-    return verdict.reason if conduct.is_running else conduct.supervisor.reason
+    return decision.reason if conduct.is_running else conduct.supervisor.reason
 
 
-def _summary(verdict: Verdict, duty: Duty) -> VerdictSummary:
-    return VerdictSummary(
-        mode=verdict.mode,
-        is_active=verdict.is_active,
-        wish_linear=verdict.wish.linear,
-        wish_angular=verdict.wish.angular,
-        safe_linear=verdict.safe.linear,
-        safe_angular=verdict.safe.angular,
-        min_gap=verdict.min_gap,
-        scan_age=verdict.scan_age,
-        rows=verdict.rows[:ROWS],
-        is_unsticking=verdict.is_unsticking,
+def _summary(decision: Decision, duty: Duty) -> DecisionSummary:
+    return DecisionSummary(
+        mode=decision.mode,
+        is_active=decision.is_active,
+        requested_linear=decision.requested.linear,
+        requested_angular=decision.requested.angular,
+        safe_linear=decision.safe.linear,
+        safe_angular=decision.safe.angular,
+        min_gap=decision.min_gap,
+        scan_age=decision.scan_age,
+        rows=decision.rows[:ROWS],
+        is_recovering=decision.is_recovering,
         duty=duty.share,
         decisions=duty.decisions,
     )
 
 
-def _dropped(conduct: Conduct, senses: Senses) -> dict[str, int]:
+def _dropped(conduct: Lifecycle, senses: Sensors) -> dict[str, int]:
     """What of the messages between patterns was dropped here, by kind."""
     counts = {
         "msg:inbox_full": senses.overflowed,

@@ -20,7 +20,7 @@ from swarmd.settings.layered import Layered
 FIRST_ZEROS = 1.0
 """Seconds of zeros to a robot that has just become idle, before it is left alone."""
 
-USUAL_DEADMAN = 0.5
+USUAL_COMMAND_TIMEOUT = 0.5
 """Seconds without a command after which most bases that stop by themselves do."""
 
 Timeout = Annotated[float, Meta(ge=0.1, le=2.0)]
@@ -35,7 +35,7 @@ class BaseOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     `silent` so that a joystick can have it. `record`: a file for all that is heard and commanded.
     """
 
-    deadman: Timeout | Literal["base", "none"] | None = None
+    command_timeout: Timeout | Literal["base", "none"] | None = None
     idle_output: Literal["zeros", "silent"] = "zeros"
     record: str | None = None
 
@@ -63,7 +63,7 @@ def base_options(options: Mapping[str, Value], what: str) -> BaseOptions:
     """The common keys among a driver's options; ConfigError, after `what:`, if one is wrong."""
     common = {key: options[key] for key in BaseOptions.__struct_fields__ if key in options}
     found = Layered((what, common)).build(BaseOptions)
-    if found.idle_output == "silent" and found.deadman == "none":
+    if found.idle_output == "silent" and found.command_timeout == "none":
         raise ConfigError(
             f"{what}: idle_output is silent, but deadman is none: a base that never stops by itself"
             " must be told; wanted is idle_output: zeros, or a base with a timeout"
@@ -76,12 +76,12 @@ def stops_after(options: Mapping[str, Value], what: str) -> float:
 
     `base` says that it does, not when: 0.5 s.
     """
-    deadman = base_options(options, what).deadman
-    if deadman is None or deadman == "none":
+    command_timeout = base_options(options, what).command_timeout
+    if command_timeout is None or command_timeout == "none":
         return math.inf
-    return USUAL_DEADMAN if deadman == "base" else float(deadman)
+    return USUAL_COMMAND_TIMEOUT if command_timeout == "base" else float(command_timeout)
 
 
-def deadman_of(base: BaseOptions, driver: Driver) -> float | Literal["base", "none"]:
+def command_timeout_of(base: BaseOptions, driver: Driver) -> float | Literal["base", "none"]:
     """The deadman in force: of a real robot none, unless its platform says otherwise."""
-    return base.deadman or ("base" if driver.is_simulated else "none")
+    return base.command_timeout or ("base" if driver.is_simulated else "none")

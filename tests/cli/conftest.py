@@ -9,6 +9,7 @@ from msgspec.structs import replace
 
 from swarmd.core.messages import (
     Condition,
+    DecisionSummary,
     Epoch,
     Event,
     Health,
@@ -18,7 +19,6 @@ from swarmd.core.messages import (
     Reason,
     State,
     Status,
-    VerdictSummary,
 )
 
 MakeMember = Callable[..., Member]
@@ -43,7 +43,7 @@ RUNNING = Status(
     labels=("red",),
     params={"speed": Param(value=0.2, source="runtime"), "turn": Param(value=0.0, source="robot")},
     report={"opinion": 2},
-    verdict=VerdictSummary(wish_linear=0.2, safe_linear=0.1, is_active=True, min_gap=0.61),
+    decision=DecisionSummary(requested_linear=0.2, safe_linear=0.1, is_active=True, min_gap=0.61),
     health=Health(scan_rate=4.96, loop_p99=0.0041, driver="answers", driver_up=True),
     uptime=100.0,
     events=(Event(at=97.0, text="loading drive"),),

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import msgspec
 
 from swarmd.cli.describe import sections
-from swarmd.core.messages import Member, Reason, Row, Status, VerdictSummary
+from swarmd.core.messages import DecisionSummary, Member, Reason, Row, Status
 
 MakeMember = Callable[..., Member]
 
@@ -28,7 +28,7 @@ def test_shows_parameters_with_their_sources(make_member: MakeMember) -> None:
 def test_shows_what_protection_makes_of_the_wish(make_member: MakeMember) -> None:
     rows = shown(make_member())["Protection"]
     assert rows["mode"] == "potential_field, active"
-    assert rows["wish"] == "0.200 m/s, 0.000 rad/s"
+    assert rows["requested"] == "0.200 m/s, 0.000 rad/s"
     assert rows["safe"] == "0.100 m/s, 0.000 rad/s"
     assert rows["nearest"] == "0.61 m"
 
@@ -41,11 +41,11 @@ def test_shows_each_obstacle_that_bounds_the_command_the_tightest_first(
         Row(math.radians(-33.0), 0.208, 0.01),  # the same wall
         Row(math.pi, 0.4, 0.123),
     )
-    verdict = VerdictSummary(mode="barrier", is_active=True, is_unsticking=True, rows=rows)
-    member = make_member(verdict=verdict)
+    decision = DecisionSummary(mode="barrier", is_active=True, is_recovering=True, rows=rows)
+    member = make_member(decision=decision)
     assert member.status is not None
     shown_rows = dict(sections(member, member.status))["Protection"]
-    assert shown_rows[0] == ("mode", "barrier, unsticking")
+    assert shown_rows[0] == ("mode", "barrier, recovering")
     assert shown_rows[3:5] == [
         ("limited by", "an obstacle at -30 deg, 0.21 m, at most 0.00 m/s"),
         ("", "an obstacle at 180 deg, 0.40 m, at most 0.12 m/s"),
@@ -53,10 +53,10 @@ def test_shows_each_obstacle_that_bounds_the_command_the_tightest_first(
 
 
 def test_shows_what_it_does_and_who_said_so(make_member: MakeMember) -> None:
-    member = make_member(reason=Reason.NO_WISH, detail="thinks")
+    member = make_member(reason=Reason.NO_REQUESTED_COMMAND, detail="thinks")
     assert shown(member)["State"] == {
         "state": "running for 3.0 s",
-        "reason": "no_wish",
+        "reason": "no_requested_command",
         "detail": "thinks",
         "pattern": "drive",
         "generation": "42",

@@ -38,7 +38,7 @@ class Real:
     async def run(self, sink):
         Path("connected").touch()
 
-    def send(self, twist, scan_seq, wish_seq):
+    def send(self, twist, scan_seq, requested_scan_seq):
         Path("connected").touch()
 """
 UNPROTECTED = """extends: burger

@@ -9,7 +9,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.cli.explain import obstacles, why
-from swarmd.core.messages import Condition, Health, Member, Reason, Row, State, VerdictSummary
+from swarmd.core.messages import Condition, DecisionSummary, Health, Member, Reason, Row, State
 
 MakeMember = Callable[..., Member]
 
@@ -54,13 +54,13 @@ def test_a_robot_that_protection_holds_says_how_near_the_obstacle_is(
 
 def test_a_robot_that_is_bounded_says_by_what(make_member: MakeMember) -> None:
     rows = (Row(math.radians(-30.2), 0.214, 0.0), Row(0.0, 0.3, 0.1))
-    held = VerdictSummary(mode="barrier", is_active=True, rows=rows, min_gap=0.21)
+    held = DecisionSummary(mode="barrier", is_active=True, rows=rows, min_gap=0.21)
     where = "limited by an obstacle at -30 deg, 0.21 m"
-    text = why(make_member(verdict=held, reason=Reason.PROTECTION))
+    text = why(make_member(decision=held, reason=Reason.PROTECTION))
     assert text == f"running drive, and stands: protection holds it, {where}"
-    assert why(make_member(verdict=held)) == f"running drive, and moves, {where}"
-    unsticking = replace(held, is_unsticking=True)
-    text = why(make_member(verdict=unsticking))
+    assert why(make_member(decision=held)) == f"running drive, and moves, {where}"
+    recovering = replace(held, is_recovering=True)
+    text = why(make_member(decision=recovering))
     assert text == f"running drive, and moves around what blocks it, {where}"
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from swarmd.cli.members import HEADER, health, row
-from swarmd.core.messages import Condition, Health, Member, Reason, State, VerdictSummary
+from swarmd.core.messages import Condition, DecisionSummary, Health, Member, Reason, State
 from swarmd.network.discovery import MembersView
 
 MakeMember = Callable[..., Member]
@@ -38,12 +38,12 @@ def test_shows_what_a_pattern_reports_as_far_as_there_is_room(make_member: MakeM
 
 
 def test_shows_what_protection_is_doing(make_member: MakeMember) -> None:
-    for verdict, word in (
-        (VerdictSummary(), "clear"),
-        (VerdictSummary(is_active=True), "active"),
-        (VerdictSummary(is_active=True, is_unsticking=True), "unsticking"),
+    for decision, word in (
+        (DecisionSummary(), "clear"),
+        (DecisionSummary(is_active=True), "active"),
+        (DecisionSummary(is_active=True, is_recovering=True), "recovering"),
     ):
-        assert line(make_member(verdict=verdict))["PROTECTION"] == word
+        assert line(make_member(decision=decision))["PROTECTION"] == word
 
 
 def test_shows_why_a_robot_stands(make_member: MakeMember) -> None:

@@ -8,7 +8,7 @@ from typing import Any, get_args
 
 import pytest
 
-from swarmd.cli.preflight import check_daemon, deadman_text, protection_text
+from swarmd.cli.preflight import check_daemon, command_timeout_text, protection_text
 from swarmd.core.values import Value
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.driver_api.driver import Finding
@@ -51,14 +51,14 @@ def driven(folder: Path, **options: Value) -> DaemonSettings:
     ("options", "text"),
     [
         ({}, "the base stops by itself when commands end"),
-        ({"deadman": 0.25}, "the base stops by itself after 0.25 s when commands end"),
+        ({"command_timeout": 0.25}, "the base stops by itself after 0.25 s when commands end"),
         (
-            {"deadman": 0.5, "idle_output": "silent"},
+            {"command_timeout": 0.5, "idle_output": "silent"},
             "the base stops by itself after 0.5 s when commands end; while idle it is left to"
             " others",
         ),
         (
-            {"deadman": "none"},
+            {"command_timeout": "none"},
             "the base never stops by itself (so its platform says); a stopper says zero for a lost"
             " daemon",
         ),
@@ -68,13 +68,13 @@ def test_how_the_base_stops_is_said(
     tmp_path: Path, options: Mapping[str, Value], text: str
 ) -> None:
     settings = driven(tmp_path, **options)
-    assert deadman_text(settings, make_driver(settings)) == text
+    assert command_timeout_text(settings, make_driver(settings)) == text
 
 
 def test_a_base_whose_driver_is_its_own_stopper_is_said_to_have_none(tmp_path: Path) -> None:
     values = {"id": "r", "state_dir": str(tmp_path), "platform": "burger", "driver": "ros1"}
     settings = load_daemon_settings(None, values)
-    assert deadman_text(settings, make_driver(settings)) == (
+    assert command_timeout_text(settings, make_driver(settings)) == (
         "the base never stops by itself (so its platform says); a process of its driver says zero"
         " for a lost daemon"
     )
@@ -101,7 +101,7 @@ def test_the_driver_has_what_is_left_of_five_seconds(
 def test_a_driver_that_cannot_be_made_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert check_daemon(driven(tmp_path, deadman="never")) == 1
+    assert check_daemon(driven(tmp_path, command_timeout="never")) == 1
     assert "FAIL driver simulated driver simulated: deadman is 'never'; wanted" in " ".join(
         capsys.readouterr().out.split()
     )

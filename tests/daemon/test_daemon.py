@@ -31,7 +31,7 @@ class Notes:
         sink.state(True, "taking notes")
         await asyncio.Event().wait()
 
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         self.sent.append(twist)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
@@ -120,10 +120,10 @@ class Unplugged(Notes):
 
     is_gone = False
 
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         if self.is_gone:
             raise OSError("unplugged")
-        super().send(twist, scan_seq, wish_seq)
+        super().send(twist, scan_seq, requested_scan_seq)
 
 
 def test_an_estop_is_kept_and_answered_though_its_zero_cannot_be_sent(tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Odometry, Pose, Scan, Twist
-from swarmd.driver_api.driver import Nowhere
+from swarmd.driver_api.driver import NullSink
 from swarmd.driver_api.hw_codec import MAX_RAYS, encode_scan
 from swarmd.driver_api.recording import Recorder, RecordingSink
 from swarmd.drivers.replay import ReplayDriver
@@ -31,7 +31,7 @@ def odometry(x: float = 0.0, speed: float = 0.1) -> Odometry:
     return Odometry(NOW, Pose(x, 0.0, 0.5), Twist(speed))
 
 
-class Counted(Nowhere):
+class Counted(NullSink):
     """A sink that counts what it could not be given."""
 
     def __init__(self) -> None:
@@ -63,7 +63,7 @@ def played(path: Path) -> Heard:
 
 def test_a_robot_whose_clock_is_right_and_whose_frame_is_a_map_can_be_played(path: Path) -> None:
     recorder = Recorder(path, {})
-    sink = RecordingSink(Nowhere(), recorder)
+    sink = RecordingSink(NullSink(), recorder)
     sink.scan(scan(1))
     sink.odometry(odometry(x=5_400_000.0))  # as of UTM
     recorder.close()
@@ -97,7 +97,7 @@ def test_a_replay_that_is_behind_leaves_the_loop_to_others(path: Path) -> None:
     turns: list[int] = []
     before: list[int] = []
 
-    class Busy(Nowhere):
+    class Busy(NullSink):
         def scan(self, scan: Scan) -> None:
             before.append(len(turns))
             asyncio.get_running_loop().call_soon(turns.append, scan.seq)

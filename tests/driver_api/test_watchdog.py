@@ -13,21 +13,21 @@ from swarmd.core.errors import ConfigError, DriverError
 from swarmd.core.values import ZERO, Twist, Value
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.driver_api.driver import Finding, Sink
-from swarmd.driver_api.watchdog import AT_LEAST, PERIOD, SILENCE, Deadman, name_of
-from swarmd.driver_api.watchdog_client import GuardedDriver
-from swarmd.settings.driver_options import FIRST_ZEROS, IdleOutput, base_options, deadman_of
+from swarmd.driver_api.watchdog import AT_LEAST, PERIOD, SILENCE, CommandTimeout, name_of
+from swarmd.driver_api.watchdog_client import WatchedDriver
+from swarmd.settings.driver_options import FIRST_ZEROS, IdleOutput, base_options, command_timeout_of
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 from swarmd.testing.driver_rig import Heard
 
 
-def sending(deadman: Deadman, *times: float) -> list[bool]:
-    return [deadman.is_sending(time) for time in times]
+def sending(command_timeout: CommandTimeout, *times: float) -> list[bool]:
+    return [command_timeout.is_sending(time) for time in times]
 
 
-def fed(until: float = 0.0) -> Deadman:
-    deadman = Deadman()
-    deadman.tick(until)
-    return deadman
+def fed(until: float = 0.0) -> CommandTimeout:
+    command_timeout = CommandTimeout()
+    command_timeout.tick(until)
+    return command_timeout
 
 
 def test_the_numbers_are_those_promised() -> None:
@@ -39,92 +39,92 @@ def test_begins_after_exactly_0_4_s_of_silence() -> None:
 
 
 def test_each_tick_begins_the_wait_anew() -> None:
-    deadman = fed()
+    command_timeout = fed()
     for i in range(1, 100):
-        assert not deadman.is_sending(0.39 * i)
-        deadman.tick(0.39 * i)
+        assert not command_timeout.is_sending(0.39 * i)
+        command_timeout.tick(0.39 * i)
 
 
 def test_sends_for_2_s_although_the_guardian_is_back_at_once() -> None:
-    deadman = fed()
-    assert deadman.is_sending(0.4)
+    command_timeout = fed()
+    assert command_timeout.is_sending(0.4)
     for i in range(41, 240):
-        deadman.tick(0.01 * i)
-        assert deadman.is_sending(0.01 * i)
-    deadman.tick(2.4)
-    assert not deadman.is_sending(2.4)
+        command_timeout.tick(0.01 * i)
+        assert command_timeout.is_sending(0.01 * i)
+    command_timeout.tick(2.4)
+    assert not command_timeout.is_sending(2.4)
 
 
 def test_sends_until_the_guardian_is_back_however_long_that_takes() -> None:
-    deadman = fed()
-    assert all(sending(deadman, 0.4, 2.4, 10.0, 3600.0))
-    assert not deadman.is_done(3600.0)
-    deadman.tick(3600.05)
-    assert not deadman.is_sending(3600.05)
+    command_timeout = fed()
+    assert all(sending(command_timeout, 0.4, 2.4, 10.0, 3600.0))
+    assert not command_timeout.is_done(3600.0)
+    command_timeout.tick(3600.05)
+    assert not command_timeout.is_sending(3600.05)
 
 
 def test_a_second_silence_is_as_good_as_the_first() -> None:
-    deadman = fed()
-    deadman.is_sending(0.4)
-    deadman.tick(3.0)
-    assert sending(deadman, 3.0, 3.25, 3.5, 5.25) == [False, False, True, True]
-    deadman.tick(5.25)
-    assert sending(deadman, 5.375, 5.5) == [True, False]
+    command_timeout = fed()
+    command_timeout.is_sending(0.4)
+    command_timeout.tick(3.0)
+    assert sending(command_timeout, 3.0, 3.25, 3.5, 5.25) == [False, False, True, True]
+    command_timeout.tick(5.25)
+    assert sending(command_timeout, 5.375, 5.5) == [True, False]
 
 
 def test_end_of_file_is_acted_on_at_once_and_lasts_until_relieved() -> None:
-    deadman = fed()
-    deadman.leave(0.01)
-    assert all(sending(deadman, 0.01, 1.0, 100.0))
-    assert not deadman.is_done(100.0)
-    deadman.relieve()
-    assert deadman.is_done(100.0)
+    command_timeout = fed()
+    command_timeout.leave(0.01)
+    assert all(sending(command_timeout, 0.01, 1.0, 100.0))
+    assert not command_timeout.is_done(100.0)
+    command_timeout.relieve()
+    assert command_timeout.is_done(100.0)
 
 
 def test_relieved_early_it_still_sends_for_2_s() -> None:
-    deadman = fed()
-    deadman.leave(1.0)
-    deadman.relieve()
-    assert sending(deadman, 1.0, 2.9) == [True, True]
-    assert not deadman.is_done(2.9)
-    assert deadman.is_done(3.0)
-    assert not deadman.is_sending(3.0)
+    command_timeout = fed()
+    command_timeout.leave(1.0)
+    command_timeout.relieve()
+    assert sending(command_timeout, 1.0, 2.9) == [True, True]
+    assert not command_timeout.is_done(2.9)
+    assert command_timeout.is_done(3.0)
+    assert not command_timeout.is_sending(3.0)
 
 
 def test_before_the_first_tick_it_never_sends() -> None:
-    deadman = Deadman()
-    assert sending(deadman, 0.0, 10.0) == [False, False]
-    deadman.leave(11.0)
-    assert not deadman.is_sending(11.0)
-    assert deadman.is_done(11.0)
+    command_timeout = CommandTimeout()
+    assert sending(command_timeout, 0.0, 10.0) == [False, False]
+    command_timeout.leave(11.0)
+    assert not command_timeout.is_sending(11.0)
+    assert command_timeout.is_done(11.0)
 
 
 def test_relieved_of_a_frozen_guardian_it_ends_its_zeros_but_watches_on() -> None:
-    deadman = fed()
-    assert deadman.is_sending(0.4)
-    deadman.relieve()
-    assert sending(deadman, 2.3, 2.5, 9.0) == [True, False, False]
-    assert not deadman.is_done(9.0)
-    deadman.tick(9.1)  # the thaw
-    assert sending(deadman, 9.2, 9.5) == [False, True]
+    command_timeout = fed()
+    assert command_timeout.is_sending(0.4)
+    command_timeout.relieve()
+    assert sending(command_timeout, 2.3, 2.5, 9.0) == [True, False, False]
+    assert not command_timeout.is_done(9.0)
+    command_timeout.tick(9.1)  # the thaw
+    assert sending(command_timeout, 9.2, 9.5) == [False, True]
 
 
 def test_a_relieved_guardian_that_is_killed_while_frozen_disturbs_nobody() -> None:
-    deadman = fed()
-    deadman.is_sending(0.4)
-    deadman.relieve()
-    deadman.is_sending(2.5)
-    deadman.leave(5.0)
-    assert not deadman.is_sending(5.0)
-    assert deadman.is_done(5.0)
+    command_timeout = fed()
+    command_timeout.is_sending(0.4)
+    command_timeout.relieve()
+    command_timeout.is_sending(2.5)
+    command_timeout.leave(5.0)
+    assert not command_timeout.is_sending(5.0)
+    assert command_timeout.is_done(5.0)
 
 
 def test_wakes_when_the_silence_is_long_enough_and_then_every_tick() -> None:
-    deadman = fed(1.0)
-    assert deadman.wait(1.1) == pytest.approx(0.3)
-    assert deadman.wait(2.0) == 0.0
-    deadman.is_sending(2.0)
-    assert deadman.wait(2.0) == PERIOD
+    command_timeout = fed(1.0)
+    assert command_timeout.wait(1.1) == pytest.approx(0.3)
+    assert command_timeout.wait(2.0) == 0.0
+    command_timeout.is_sending(2.0)
+    assert command_timeout.wait(2.0) == PERIOD
 
 
 def test_names_differ_by_robot_and_swarm_and_fit_into_a_socket_address() -> None:
@@ -159,19 +159,28 @@ def test_silent_is_only_who_is_idle() -> None:
 # What the files say
 
 
-@pytest.mark.parametrize("deadman", ["base", "none", 0.25, 0.5])
-def test_takes_every_kind_of_deadman(deadman: Value) -> None:
-    assert base_options({"deadman": deadman, "endpoint": "x"}, "here").deadman == deadman
+@pytest.mark.parametrize("command_timeout", ["base", "none", 0.25, 0.5])
+def test_takes_every_kind_of_deadman(command_timeout: Value) -> None:
+    assert (
+        base_options({"command_timeout": command_timeout, "endpoint": "x"}, "here").command_timeout
+        == command_timeout
+    )
 
 
 @pytest.mark.parametrize(
     ("options", "fault"),
     [
-        ({"deadman": "never"}, "here: deadman is 'never'; wanted "),
-        ({"deadman": 5.0}, "here: deadman is 5.0; wanted a number of at least 0.1 and up to 2"),
-        ({"deadman": True}, "here: deadman is True; wanted "),
+        ({"command_timeout": "never"}, "here: deadman is 'never'; wanted "),
+        (
+            {"command_timeout": 5.0},
+            "here: deadman is 5.0; wanted a number of at least 0.1 and up to 2",
+        ),
+        ({"command_timeout": True}, "here: deadman is True; wanted "),
         ({"idle_output": "off"}, "here: idle_output is 'off'; wanted "),
-        ({"deadman": "none", "idle_output": "silent"}, "here: idle_output is silent, but deadman"),
+        (
+            {"command_timeout": "none", "idle_output": "silent"},
+            "here: idle_output is silent, but deadman",
+        ),
     ],
 )
 def test_refuses(options: Mapping[str, Value], fault: str) -> None:
@@ -189,7 +198,7 @@ class Bare:
 
     async def run(self, sink: Sink) -> None: ...
 
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None: ...
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None: ...
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         return ()
@@ -219,19 +228,19 @@ def made(
 
 
 def test_a_real_robot_without_a_word_has_no_deadman() -> None:
-    assert deadman_of(base_options({}, ""), Bare(is_simulated=False)) == "none"
-    assert deadman_of(base_options({}, ""), Bare(is_simulated=True)) == "base"
+    assert command_timeout_of(base_options({}, ""), Bare(is_simulated=False)) == "none"
+    assert command_timeout_of(base_options({}, ""), Bare(is_simulated=True)) == "base"
 
 
 def test_a_driver_without_a_stopper_is_refused_where_one_is_needed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    for options in ({}, {"deadman": "none"}):
+    for options in ({}, {"command_timeout": "none"}):
         with pytest.raises(ConfigError, match=r"^driver simulated: deadman is none, and this dri"):
             made(monkeypatch, tmp_path, Bare, True, **options)
-    assert isinstance(made(monkeypatch, tmp_path, Bare, True, deadman="base"), Bare)
-    assert isinstance(made(monkeypatch, tmp_path, Bare, True, deadman=0.5), Bare)
-    assert isinstance(made(monkeypatch, tmp_path, Own, True, deadman="none"), Own)
+    assert isinstance(made(monkeypatch, tmp_path, Bare, True, command_timeout="base"), Bare)
+    assert isinstance(made(monkeypatch, tmp_path, Bare, True, command_timeout=0.5), Bare)
+    assert isinstance(made(monkeypatch, tmp_path, Own, True, command_timeout="none"), Own)
 
 
 def test_silent_needs_a_timeout_that_is_told(
@@ -239,12 +248,12 @@ def test_silent_needs_a_timeout_that_is_told(
 ) -> None:
     with pytest.raises(ConfigError, match="idle_output is silent, but no deadman is told"):
         made(monkeypatch, tmp_path, Own, True, idle_output="silent")
-    made(monkeypatch, tmp_path, Own, True, idle_output="silent", deadman=0.25)
+    made(monkeypatch, tmp_path, Own, True, idle_output="silent", command_timeout=0.25)
 
 
 def test_the_simulated_driver_can_be_guarded_and_is_not_unless_told(tmp_path: Path) -> None:
-    assert isinstance(make_driver(settings(tmp_path, deadman="none")), GuardedDriver)
-    assert not isinstance(make_driver(settings(tmp_path)), GuardedDriver)
+    assert isinstance(make_driver(settings(tmp_path, command_timeout="none")), WatchedDriver)
+    assert not isinstance(make_driver(settings(tmp_path)), WatchedDriver)
 
 
 def test_a_machine_without_room_for_a_stopper_is_no_crash(
@@ -253,9 +262,9 @@ def test_a_machine_without_room_for_a_stopper_is_no_crash(
     def full(*args: object, **options: object) -> None:
         raise BlockingIOError(errno.EAGAIN, "Resource temporarily unavailable")
 
-    driver = make_driver(settings(tmp_path, deadman="none"))
+    driver = make_driver(settings(tmp_path, command_timeout="none"))
     monkeypatch.setattr("swarmd.driver_api.watchdog_client.subprocess.Popen", full)
     with pytest.raises(DriverError, match=r"^no stopper: Resource temporarily unavailable"):
         asyncio.run(driver.run(Heard()))
-    (finding,) = [one for one in asyncio.run(driver.check(0.1)) if one.subject == "stopper"]
+    (finding,) = [one for one in asyncio.run(driver.check(0.1)) if one.subject == "watchdog"]
     assert not finding.is_well

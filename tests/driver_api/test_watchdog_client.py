@@ -15,11 +15,11 @@ import pytest
 
 from swarmd.core.errors import DriverError
 from swarmd.core.values import Twist
-from swarmd.driver_api import watchdog as stopper
+from swarmd.driver_api import watchdog as watchdog
 from swarmd.driver_api import watchdog_client as guarded
 from swarmd.driver_api.driver import Finding, SenderSpec, Sink
-from swarmd.driver_api.watchdog import FAREWELL, FAULT, READY, TICK, ZEROS, Stopper
-from swarmd.driver_api.watchdog_client import GuardedDriver, StopperProcess
+from swarmd.driver_api.watchdog import FAREWELL, FAULT, READY, TICK, ZEROS, Watchdog
+from swarmd.driver_api.watchdog_client import WatchdogProcess, WatchedDriver
 from swarmd.testing.driver_contract import CAP, Heard
 
 SPEC = SenderSpec("nowhere:nothing", {})
@@ -39,7 +39,7 @@ class Clock:
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     made = Clock()
     monkeypatch.setattr(guarded, "boottime", made)
-    monkeypatch.setattr(stopper, "boottime", made)
+    monkeypatch.setattr(watchdog, "boottime", made)
     return made
 
 
@@ -78,7 +78,7 @@ def received(end: socket.socket) -> list[bytes]:
 
 def test_it_is_fed_a_tick_but_not_more_often_than_needed(clock: Clock, far: socket.socket) -> None:
     async def run() -> None:
-        mine = StopperProcess(SPEC, name=None)
+        mine = WatchdogProcess(SPEC, name=None)
         fed = []
         for _ in range(5):
             mine.feed()
@@ -93,7 +93,7 @@ def test_it_is_fed_a_tick_but_not_more_often_than_needed(clock: Clock, far: sock
 
 def test_it_is_lost_once_it_has_not_answered_for_a_second(clock: Clock, far: socket.socket) -> None:
     async def run() -> None:
-        mine = StopperProcess(SPEC, name=None)
+        mine = WatchdogProcess(SPEC, name=None)
         losing = asyncio.create_task(mine.lost())
         mine.feed()
         clock.now += 1.0
@@ -118,7 +118,7 @@ def test_one_that_cannot_be_ready_is_an_error(
     clock: Clock, far: socket.socket, said: bytes, why: str
 ) -> None:
     async def run() -> None:
-        mine = StopperProcess(SPEC, name=None)
+        mine = WatchdogProcess(SPEC, name=None)
         if said:
             far.send(said)
         else:
@@ -153,7 +153,7 @@ class Sender:
 
 
 @pytest.fixture
-def guardian() -> Iterator[tuple[socket.socket, socket.socket]]:
+def daemon() -> Iterator[tuple[socket.socket, socket.socket]]:
     usual = signal.getsignal(signal.SIGTERM)
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     near.setblocking(False)
@@ -162,7 +162,7 @@ def guardian() -> Iterator[tuple[socket.socket, socket.socket]]:
     signal.signal(signal.SIGTERM, usual)
 
 
-def serve(clock: Clock, monkeypatch: pytest.MonkeyPatch, mine: Stopper, until: float) -> None:
+def serve(clock: Clock, monkeypatch: pytest.MonkeyPatch, mine: Watchdog, until: float) -> None:
     """Let it serve until it is done, or that many seconds have passed, in steps of 10 ms."""
 
     class Over(Exception):
@@ -184,15 +184,15 @@ def serve(clock: Clock, monkeypatch: pytest.MonkeyPatch, mine: Stopper, until: f
 @pytest.mark.parametrize("faults", [0, 3])
 def test_zeros_go_out_20_times_a_second_although_some_cannot_be_sent(
     clock: Clock,
-    guardian: tuple[socket.socket, socket.socket],
+    daemon: tuple[socket.socket, socket.socket],
     monkeypatch: pytest.MonkeyPatch,
     faults: int,
 ) -> None:
     sender = Sender(clock, faults)
-    mine = Stopper(guardian[1], sender, None, None)
-    guardian[0].send(TICK)
+    mine = Watchdog(daemon[1], sender, None, None)
+    daemon[0].send(TICK)
     serve(clock, monkeypatch, mine, 3.0)
-    assert received(guardian[0])[:2] == [READY + str(os.getpid()).encode(), TICK]
+    assert received(daemon[0])[:2] == [READY + str(os.getpid()).encode(), TICK]
     assert sender.at[0] == pytest.approx(0.4, abs=0.011)
     assert 45 <= len(sender.at) <= 53
     assert sender.at[-1] > 2.9, "until the guardian is back"
@@ -201,16 +201,16 @@ def test_zeros_go_out_20_times_a_second_although_some_cannot_be_sent(
 @pytest.mark.parametrize("word", [FAREWELL, b""])
 def test_a_farewell_is_2_s_of_zeros_and_the_end_of_file_is_zeros_for_ever(
     clock: Clock,
-    guardian: tuple[socket.socket, socket.socket],
+    daemon: tuple[socket.socket, socket.socket],
     monkeypatch: pytest.MonkeyPatch,
     word: bytes,
 ) -> None:
     sender = Sender(clock)
-    mine = Stopper(guardian[1], sender, None, None)
-    guardian[0].send(TICK)
+    mine = Watchdog(daemon[1], sender, None, None)
+    daemon[0].send(TICK)
     if word:
-        guardian[0].send(word)
-    guardian[0].close()
+        daemon[0].send(word)
+    daemon[0].close()
     serve(clock, monkeypatch, mine, 10.0)
     assert sender.at[0] < 0.011
     if word:
@@ -220,32 +220,32 @@ def test_a_farewell_is_2_s_of_zeros_and_the_end_of_file_is_zeros_for_ever(
 
 
 def test_as_long_as_it_is_not_connected_the_guardian_is_to_say_zero(
-    clock: Clock, guardian: tuple[socket.socket, socket.socket]
+    clock: Clock, daemon: tuple[socket.socket, socket.socket]
 ) -> None:
     sender = Sender(clock)
-    mine = Stopper(guardian[1], sender, None, None)
+    mine = Watchdog(daemon[1], sender, None, None)
     for is_connected, answer in ((False, ZEROS), (True, TICK), (True, TICK)):
         sender.is_connected = is_connected
-        guardian[0].send(TICK)
+        daemon[0].send(TICK)
         mine._hear()
-        assert received(guardian[0]) == [answer]
+        assert received(daemon[0]) == [answer]
 
 
 def test_only_one_whose_guardian_is_silent_is_relieved(
-    clock: Clock, guardian: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch
+    clock: Clock, daemon: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name = f"swarmd/test/{secrets.token_hex(8)}"
     sender = Sender(clock)
-    mine = Stopper(guardian[1], sender, name, None)
-    guardian[0].send(TICK)
+    mine = Watchdog(daemon[1], sender, name, None)
+    daemon[0].send(TICK)
     mine._hear()
-    monkeypatch.setattr(stopper, "_CLAIM_WITHIN", 0.0)
+    monkeypatch.setattr(watchdog, "_CLAIM_WITHIN", 0.0)
     reliefs: list[float] = []
-    monkeypatch.setattr(mine._deadman, "relieve", lambda: reliefs.append(clock.now))
+    monkeypatch.setattr(mine._command_timeout, "relieve", lambda: reliefs.append(clock.now))
     for after, is_relieved in ((0.0, False), (0.39, False), (0.41, True)):
         clock.now = 1000.0 + after
         with pytest.raises(DriverError, match="another daemon on this machine drives this robot"):
-            Stopper(guardian[1], sender, name, None)
+            Watchdog(daemon[1], sender, name, None)
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
             other.sendto(b"relief", f"\0{name}")
         assert mine._name is not None
@@ -273,7 +273,7 @@ class Inner:
         finally:
             self.story.append("ends")
 
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         self.story.append(f"sends {twist.linear:g}")
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
@@ -317,8 +317,8 @@ def test_the_driver_lives_within_its_stopper_and_each_command_feeds_it(
             made.append(Process(inner.story, **keywords))
             return made[-1]
 
-        monkeypatch.setattr(guarded, "StopperProcess", start)
-        driver, heard = GuardedDriver(inner, SPEC, name="n"), Heard()
+        monkeypatch.setattr(guarded, "WatchdogProcess", start)
+        driver, heard = WatchedDriver(inner, SPEC, name="n"), Heard()
         task = asyncio.create_task(driver.run(heard))
         await asyncio.sleep(0.01)
         driver.send(Twist(0.1), 1, 1)
@@ -349,9 +349,9 @@ def test_without_a_stopper_the_driver_does_not_run(monkeypatch: pytest.MonkeyPat
             made[-1].ready.set_exception(DriverError("no stopper: see the log"))
             return made[-1]
 
-        monkeypatch.setattr(guarded, "StopperProcess", start)
+        monkeypatch.setattr(guarded, "WatchdogProcess", start)
         with pytest.raises(DriverError, match="no stopper"):
-            await GuardedDriver(inner, SPEC, name="n").run(Heard())
+            await WatchedDriver(inner, SPEC, name="n").run(Heard())
         assert inner.story == ["farewell"]
 
     asyncio.run(asyncio.wait_for(run(), CAP))

@@ -18,7 +18,7 @@ from swarmd.testing.driver_rig import is_running
 from tests.drivers.ros2.dds_rig import DdsRobot
 from tests.drivers.ros2.robots import RAYS, BridgedRobot, Robot, ZenohRobot, odometry, scan
 from tests.support.drive_daemon import ROBOT, drive
-from tests.support.processes import DaemonProcess, stoppers, unique_swarm, wait_until
+from tests.support.processes import DaemonProcess, unique_swarm, wait_until, watchdogs
 from tests.support.ros2_bridge import why_no_bridge
 
 pytestmark = pytest.mark.integration
@@ -105,7 +105,7 @@ def driven(
         begun = boottime()
         drive(operator)
         course.first(begun, moving=True)
-        assert stoppers(swarm, ROBOT)
+        assert watchdogs(swarm, ROBOT)
         yield course, daemon
 
 
@@ -117,7 +117,7 @@ def test_a_killed_guardian_is_stopped_for(driven: tuple[Course, DaemonProcess]) 
     print(f"zero {zero - killed:.3f} s after it was killed")
     assert zero - killed < 0.6 + SLACK
     course.stands(zero, 3.0)
-    assert stoppers(daemon.swarm, ROBOT), "it goes on until a guardian is back"
+    assert watchdogs(daemon.swarm, ROBOT), "it goes on until a guardian is back"
 
 
 def test_a_frozen_guardian_is_stopped_for(driven: tuple[Course, DaemonProcess]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 
-from swarmd.drivers.latest_samples import Inbox
+from swarmd.drivers.latest_samples import LatestSamples
 
 Taken = list[tuple[str, bytes]]
 
@@ -19,7 +19,7 @@ async def settle() -> None:
 def test_after_a_stall_of_the_loop_only_the_newest_of_each_is_delivered() -> None:
     async def run() -> Taken:
         taken: Taken = []
-        inbox = Inbox(
+        inbox = LatestSamples(
             asyncio.get_running_loop(), lambda name, payload: taken.append((name, payload))
         )
         for k in range(10):  # the loop does not run meanwhile
@@ -34,7 +34,7 @@ def test_after_a_stall_of_the_loop_only_the_newest_of_each_is_delivered() -> Non
 def test_in_a_loop_that_keeps_up_each_is_delivered() -> None:
     async def run() -> Taken:
         taken: Taken = []
-        inbox = Inbox(
+        inbox = LatestSamples(
             asyncio.get_running_loop(), lambda name, payload: taken.append((name, payload))
         )
         for k in range(3):
@@ -49,7 +49,7 @@ def test_what_was_overtaken_is_counted() -> None:
     async def run() -> list[str]:
         dropped: list[str] = []
         loop = asyncio.get_running_loop()
-        inbox = Inbox(loop, lambda name, payload: None, dropped.append)
+        inbox = LatestSamples(loop, lambda name, payload: None, dropped.append)
         for name in ("scan", "scan", "odometry", "scan"):
             inbox.put(name, b"")
         await settle()
@@ -63,7 +63,7 @@ def test_what_was_overtaken_is_counted() -> None:
 def test_nothing_is_delivered_after_closing_not_even_what_was_on_its_way() -> None:
     async def run() -> Taken:
         taken: Taken = []
-        inbox = Inbox(
+        inbox = LatestSamples(
             asyncio.get_running_loop(), lambda name, payload: taken.append((name, payload))
         )
         inbox.put("scan", b"1")
@@ -84,7 +84,7 @@ def test_what_comes_from_another_thread_is_taken_on_the_loops() -> None:
             threads.append(threading.get_ident())
             arrived.set()
 
-        inbox = Inbox(asyncio.get_running_loop(), take)
+        inbox = LatestSamples(asyncio.get_running_loop(), take)
         await asyncio.to_thread(inbox.put, "scan", b"1")
         await asyncio.wait_for(arrived.wait(), 20.0)
         return threads[0], threading.get_ident()
@@ -97,5 +97,5 @@ def test_what_comes_after_the_loop_has_ended_is_dropped() -> None:
     loop = asyncio.new_event_loop()
     loop.close()
     taken: list[bytes] = []
-    Inbox(loop, lambda name, payload: taken.append(payload)).put("scan", b"1")
+    LatestSamples(loop, lambda name, payload: taken.append(payload)).put("scan", b"1")
     assert not taken

@@ -234,7 +234,10 @@ def test_what_is_recorded_from_a_body_is_what_its_driver_told(tmp_path: Path) ->
     recording = read_recording(path)
     assert (recording.head.robot, recording.cut) == ("r", "")
     commands = [decode_command(e.payload) for e in recording.entries if e.kind == "command"]
-    assert [(c.linear, c.scan_seq, c.wish_seq) for c in commands] == [(0.1, 3, 2), (0.2, 4, 3)]
+    assert [(c.linear, c.scan_seq, c.requested_scan_seq) for c in commands] == [
+        (0.1, 3, 2),
+        (0.2, 4, 3),
+    ]
     heard = played(path, len(told.scans), speed=5.0)
     assert len(heard.scans) == len(told.scans)
     assert all(same(one, other) for one, other in zip(told.scans, heard.scans, strict=True))

@@ -150,7 +150,7 @@ def test_a_command_carries_the_scans_it_rests_on() -> None:
 
         await stage.until(has_come)
         command = taken[0]
-        assert (command.scan_seq, command.wish_seq) == (5, 4)
+        assert (command.scan_seq, command.requested_scan_seq) == (5, 4)
 
     play(story)
 

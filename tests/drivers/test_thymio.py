@@ -81,6 +81,6 @@ def test_a_thymio_drives_and_keeps_off_a_hand(tmp_path: Path) -> None:
         wait_until(lambda: table.told[-1][1].linear < 0.0, "it backs away")
         now = status(operator)
         assert now is not None
-        gap = now.verdict.min_gap
+        gap = now.decision.min_gap
         assert gap is not None
         assert 0.005 < gap < 0.035  # the hand is rounder than the outline

@@ -32,4 +32,4 @@ def test_it_may_touch_all_that_it_asks_for_as_its_text_says_it_is_granted() -> N
 
 
 def test_it_is_not_led_around_what_it_pushes() -> None:
-    assert load().params_type().unstick is False
+    assert load().params_type().recovery is False

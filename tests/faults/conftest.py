@@ -234,7 +234,7 @@ class Bench:
         if status.state in (State.ESTOPPED, State.FAULTED):
             reply = self.ask("reset", ids=list(status.latches))
             assert reply.code is Code.APPLIED, reply.text
-        wait_until(lambda: _senses(self.status()), "it senses again")
+        wait_until(lambda: _sensors(self.status()), "it senses again")
 
     # Looking at it
 
@@ -295,8 +295,8 @@ def _is_faulted(status: Status) -> bool:
     return status.state is State.FAULTED
 
 
-def _senses(status: Status) -> bool:
-    age = status.verdict.scan_age
+def _sensors(status: Status) -> bool:
+    age = status.decision.scan_age
     return status.health.driver_up and age is not None and age < 0.3
 
 

@@ -18,11 +18,11 @@ from swarmd.core.errors import DriverError
 from swarmd.core.messages import Code, Reason, State
 from swarmd.driver_api.driver import SenderSpec
 from swarmd.driver_api.watchdog import AT_LEAST, name_of
-from swarmd.driver_api.watchdog_client import StopperProcess
+from swarmd.driver_api.watchdog_client import WatchdogProcess
 from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.testing.driver_rig import is_running
 from tests.support.fake_body import Commanded
-from tests.support.processes import stoppers, unique_swarm, wait_until
+from tests.support.processes import unique_swarm, wait_until, watchdogs
 
 if TYPE_CHECKING:
     from tests.faults.conftest import Bench
@@ -37,13 +37,13 @@ SLACK = 1.0
 @pytest.fixture
 def guarded(bench: Bench) -> Bench:
     """A robot whose base keeps its last command for ever; its daemon is ready."""
-    bench.driver_options = {"deadman": "none"}
+    bench.driver_options = {"command_timeout": "none"}
     bench.start()
     return bench
 
 
-def stopper_of(bench: Bench) -> int:
-    (pid,) = stoppers(bench.swarm, bench.body.robot)
+def watchdog_of(bench: Bench) -> int:
+    (pid,) = watchdogs(bench.swarm, bench.body.robot)
     return pid
 
 
@@ -65,45 +65,45 @@ def await_steady_zeros(bench: Bench, since: float, seconds: float) -> float:
 
 def test_a_killed_guardian_leaves_a_stopper_that_stops_the_base(guarded: Bench) -> None:
     guarded.drive()
-    stopper = stopper_of(guarded)
+    watchdog = watchdog_of(guarded)
     killed = boottime()
     guarded.daemon.kill()
     assert await_steady_zeros(guarded, killed, 3.0) < WITHIN + SLACK
-    assert is_running(stopper), "it sends until the guardian is back"
+    assert is_running(watchdog), "it sends until the guardian is back"
 
 
 def test_a_guardian_that_is_back_relieves_the_stopper_of_the_one_before(guarded: Bench) -> None:
     guarded.drive()
-    before = stopper_of(guarded)
+    before = watchdog_of(guarded)
     guarded.daemon.kill()
     guarded.start()
     moving = guarded.drive()  # at once: the last zero has been said
     wait_until(lambda: not is_running(before), "the first stopper has ended")
-    assert stopper_of(guarded) != before
+    assert watchdog_of(guarded) != before
     guarded.body.wait(lambda one: one.at > moving.at + 1.0)
     assert not zeros_since(guarded, moving.at), "nobody else says zero"
 
 
 def test_signals_meant_for_everyone_leave_the_stopper_at_its_post(guarded: Bench) -> None:
     guarded.drive()
-    stopper = stopper_of(guarded)
-    assert os.getsid(stopper) != os.getsid(guarded.daemon.process.pid), "Ctrl-C"
+    watchdog = watchdog_of(guarded)
+    assert os.getsid(watchdog) != os.getsid(guarded.daemon.process.pid), "Ctrl-C"
     for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
-        os.kill(stopper, number)
+        os.kill(watchdog, number)
     signalled = boottime()
     guarded.body.wait(lambda one: one.at > signalled + 1.0)
-    assert is_running(stopper)
+    assert is_running(watchdog)
     assert not zeros_since(guarded, signalled), "its guardian lives and drives on"
     killed = boottime()
     guarded.daemon.kill()
     guarded.body.wait_zero(killed)
-    wait_until(lambda: not is_running(stopper), "it was asked to end, and has")
+    wait_until(lambda: not is_running(watchdog), "it was asked to end, and has")
     assert zeros_since(guarded, killed)[-1].at - killed > 1.5
 
 
 def test_a_frozen_guardian_is_stopped_for_and_thawed_it_does_not_move(guarded: Bench) -> None:
     guarded.drive()
-    stopper = stopper_of(guarded)
+    watchdog = watchdog_of(guarded)
     frozen = boottime()
     guarded.daemon.freeze()
     try:
@@ -114,7 +114,7 @@ def test_a_frozen_guardian_is_stopped_for_and_thawed_it_does_not_move(guarded: B
     assert 0.3 < after < WITHIN + SLACK
     stalled = guarded.await_state(State.STOPPED, Reason.LOOP_STALLED, thawed)
     assert not guarded.body.moved_since(stalled.at)
-    assert stopper_of(guarded) == stopper, "it is the same, and serves on"
+    assert watchdog_of(guarded) == watchdog, "it is the same, and serves on"
     guarded.meet()
     moving = guarded.drive()
     guarded.body.wait(lambda one: one.at > moving.at + 0.5)
@@ -138,10 +138,10 @@ def test_a_guardian_that_is_back_before_the_zeros_end_says_zero_too(guarded: Ben
 
 def test_told_to_end_it_says_zero_for_two_seconds_and_is_gone(guarded: Bench) -> None:
     guarded.drive()
-    stopper = stopper_of(guarded)
+    watchdog = watchdog_of(guarded)
     assert guarded.daemon.terminate() == 0
     ended = boottime()
-    wait_until(lambda: not is_running(stopper), "its stopper is gone")
+    wait_until(lambda: not is_running(watchdog), "its stopper is gone")
     gone = boottime()
     print(f"gone {gone - ended:.2f} s after the guardian")
     assert zeros_since(guarded, ended)[-1].at - ended > 1.0
@@ -151,11 +151,11 @@ def test_told_to_end_it_says_zero_for_two_seconds_and_is_gone(guarded: Bench) ->
 
 def test_a_stopper_whose_guardian_was_killed_ends_upon_sigterm(guarded: Bench) -> None:
     guarded.drive()
-    stopper = stopper_of(guarded)
+    watchdog = watchdog_of(guarded)
     guarded.daemon.kill()
     killed = boottime()
-    os.kill(stopper, signal.SIGTERM)
-    wait_until(lambda: not is_running(stopper), "its stopper is gone")
+    os.kill(watchdog, signal.SIGTERM)
+    wait_until(lambda: not is_running(watchdog), "its stopper is gone")
     assert zeros_since(guarded, killed)[-1].at - killed > 1.5
 
 
@@ -164,9 +164,9 @@ def test_without_its_stopper_the_robot_stands_until_there_is_one_again(
     guarded: Bench, number: signal.Signals
 ) -> None:
     guarded.drive()
-    stopper = stopper_of(guarded)
+    watchdog = watchdog_of(guarded)
     harmed = boottime()
-    os.kill(stopper, number)
+    os.kill(watchdog, number)
     try:
         zero = guarded.body.wait_zero(harmed)
         lost = guarded.await_event("driver: the stopper ", harmed)
@@ -174,14 +174,14 @@ def test_without_its_stopper_the_robot_stands_until_there_is_one_again(
         guarded.witness.wait("up again", lambda status: status.health.driver_up, lost.at)
         wait_until(lambda: guarded.run("drive").code is Code.APPLIED, "it can be run again")
         guarded.body.wait_moving(lost.at)
-        assert stopper_of(guarded) != stopper
+        assert watchdog_of(guarded) != watchdog
     finally:
         with contextlib.suppress(ProcessLookupError):
-            os.kill(stopper, signal.SIGKILL)
+            os.kill(watchdog, signal.SIGKILL)
 
 
 def test_the_driver_refuses_to_start_without_its_stopper(bench: Bench) -> None:
-    bench.driver_options = {"deadman": "none"}
+    bench.driver_options = {"command_timeout": "none"}
     broken = {"PYTHONPATH": f"{bench.folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
     (bench.folder / "sitecustomize.py").write_text(BROKEN)
     bench.spawn(broken).wait_ready()
@@ -203,7 +203,7 @@ if "swarmd.driver_api.watchdog" in " ".join(sys.orig_argv):
 
 
 def test_a_zero_that_cannot_be_sent_is_followed_by_others(bench: Bench) -> None:
-    bench.driver_options = {"deadman": "none"}
+    bench.driver_options = {"command_timeout": "none"}
     shaky = {"PYTHONPATH": f"{bench.folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
     (bench.folder / "sitecustomize.py").write_text(SHAKY)
     bench.start(shaky)
@@ -229,7 +229,7 @@ if "swarmd.driver_api.watchdog" in " ".join(sys.orig_argv):
 
 
 def test_a_silent_daemon_leaves_an_idle_robot_alone_and_no_other(bench: Bench) -> None:
-    bench.driver_options = {"deadman": 0.5, "idle_output": "silent"}
+    bench.driver_options = {"command_timeout": 0.5, "idle_output": "silent"}
     bench.start()
     commands = bench.body.commands
     wait_until(lambda: bool(commands), "its first zeros")
@@ -240,7 +240,7 @@ def test_a_silent_daemon_leaves_an_idle_robot_alone_and_no_other(bench: Bench) -
     stopped = bench.body.wait_zero(boottime())
     wait_until(lambda: commands[-1].at - stopped.at > 2.0, "who is stopped is told zero")
     assert not bench.body.moved_since(stopped.at)
-    assert not stoppers(bench.swarm, bench.body.robot), "a base with a timeout needs none"
+    assert not watchdogs(bench.swarm, bench.body.robot), "a base with a timeout needs none"
 
 
 def test_who_is_at_work_is_not_relieved_and_who_is_silent_is() -> None:
@@ -248,25 +248,25 @@ def test_who_is_at_work_is_not_relieved_and_who_is_silent_is() -> None:
     spec = SenderSpec(SimulatedDriver.__module__ + ":SimulatedZeros", where)
     name = name_of(unique_swarm(), "r")
 
-    async def feed(stopper: StopperProcess) -> None:
+    async def feed(watchdog: WatchdogProcess) -> None:
         while True:
-            stopper.feed()
+            watchdog.feed()
             await asyncio.sleep(0.05)
 
     async def meet() -> None:
-        made = [StopperProcess(spec, name=name)]
+        made = [WatchdogProcess(spec, name=name)]
         try:
             await made[0].start()
             feeding = asyncio.create_task(feed(made[0]))
-            made.append(StopperProcess(spec, name=name))
+            made.append(WatchdogProcess(spec, name=name))
             with pytest.raises(DriverError, match="another daemon on this machine drives this"):
                 await made[1].start()
             feeding.cancel()
-            made.append(StopperProcess(spec, name=name))
+            made.append(WatchdogProcess(spec, name=name))
             await made[2].start()
         finally:
-            for stopper in made:
-                stopper.close()
+            for watchdog in made:
+                watchdog.close()
 
     asyncio.run(meet())
 
@@ -277,11 +277,11 @@ def test_what_it_is_tied_to_ends_it_although_its_guardian_never_returns() -> Non
     parent = subprocess.Popen(["sleep", "600"])
 
     async def leave_without_a_word() -> int:
-        stopper = StopperProcess(spec, name=None, tie=parent.pid)
-        await stopper.start()
-        stopper.feed()
-        stopper.hang_up()
-        return stopper.pid
+        watchdog = WatchdogProcess(spec, name=None, tie=parent.pid)
+        await watchdog.start()
+        watchdog.feed()
+        watchdog.hang_up()
+        return watchdog.pid
 
     try:
         pid = asyncio.run(leave_without_a_word())

@@ -14,7 +14,7 @@ from swarmd.core.values import Inputs, Scalar, Twist
 from swarmd.pattern_host.wire import decode_command, encode_command
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import Disc, scan_of
-from tests.support.robot_harness import Story
+from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, Forward, standing_state
 
 WAFFLE = load_platform("waffle_pi")
@@ -42,14 +42,14 @@ class Fragile(Counter):
         return super().drive(inputs)
 
 
-def story_of(until: Any, pattern: str = "counter") -> Story:
-    story = Story(patterns={**PATTERNS, "counter": Counter, "fragile": Fragile})
+def story_of(until: Any, pattern: str = "counter") -> RobotHarness:
+    story = RobotHarness(patterns={**PATTERNS, "counter": Counter, "fragile": Fragile})
     story.advance(1.0)
     story.reply = story.ask("run", pattern=pattern, until=until)  # type: ignore[attr-defined]
     return story
 
 
-def seconds_until_idle(story: Story) -> float:
+def seconds_until_idle(story: RobotHarness) -> float:
     began = story.now
     while story.status.state is State.RUNNING and story.now < began + 30.0:
         story.advance(0.05)

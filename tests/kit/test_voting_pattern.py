@@ -13,7 +13,7 @@ from swarmd.kit.behavior import Context
 from swarmd.kit.vote_windows import ROUNDS, Windows
 from swarmd.kit.voting_pattern import VotingParams, VotingPattern
 from swarmd.settings.settings import load_platform
-from tests.support.voting_sim import Air, Parliament
+from tests.support.voting_sim import Air, VotingSim
 
 PLATFORM = load_platform("burger")
 
@@ -202,14 +202,14 @@ def test_lost_late_and_repeated_messages_keep_nobody_from_agreeing(windows: Wind
     air = Air(delay=0.2, jitter=0.2, loss=0.3, twice=0.3)
     params: Mapping[str, Value] = {"windows": windows, "window": 2.0, "count_own": True}
     for seed in range(3):
-        swarm = Parliament("majority_rule", 5, seed=seed, params=params, air=air)
+        swarm = VotingSim("majority_rule", 5, seed=seed, params=params, air=air)
         assert swarm.run(40.0, until_agreed=6.0).agreed_at < 30.0
 
 
 def test_rounds_go_on_when_a_robot_leaves_and_one_that_joins_catches_up() -> None:
     params: Mapping[str, Value] = {"windows": "rounds", "opinions": 2}
     held, starts = [0, 0, 0, 0, 1], [0.0, 0.0, 0.0, 0.0, 20.0]
-    swarm = Parliament(
+    swarm = VotingSim(
         "majority_rule", 5, seed=0, params=params, held=held, starts=starts, ends={3: 10.05}
     )
     debate = swarm.run(40.0)

@@ -206,22 +206,22 @@ def test_more_opinions_than_a_map_has_values_are_refused_while_it_runs(tmp_path:
     assert mission.parts["vote"].params.opinions == 3
 
 
-@pytest.mark.parametrize(("more", "wanted"), [("", True), ("unstick: false\n", False)])
+@pytest.mark.parametrize(("more", "wanted"), [("", True), ("recovery: false\n", False)])
 def test_unstick_is_what_the_driving_parts_have_or_the_file_says(
     tmp_path: Path, more: str, wanted: bool
 ) -> None:
     text = parts("vote", "go") + "parallel: [vote, go]\ndrives: go\n" + more
-    assert made(tmp_path, text).params.unstick is wanted
+    assert made(tmp_path, text).params.recovery is wanted
 
 
 def test_who_never_moves_is_not_led_around_anything(tmp_path: Path) -> None:
-    assert made(tmp_path, parts("vote") + "part: vote\n").params.unstick is False
+    assert made(tmp_path, parts("vote") + "part: vote\n").params.recovery is False
 
 
 def test_unstick_of_a_part_that_drives_counts(tmp_path: Path) -> None:
     text = parts("go") + "part: go\n"
-    text = text.replace("pattern: go}", "pattern: go, params: {unstick: false}}")
-    assert made(tmp_path, text).params.unstick is False
+    text = text.replace("pattern: go}", "pattern: go, params: {recovery: false}}")
+    assert made(tmp_path, text).params.recovery is False
 
 
 def test_a_sequence_that_repeats_goes_on_when_its_last_part_is_done(tmp_path: Path) -> None:

@@ -73,9 +73,9 @@ WRONG = (
     ("[vote, go], drives", "[{part: vote, name: go}, go], drives", 9, "go is the name of two"),
     ("then: stay", "then: stay\nparameters: {__init__: vote.window}", 11, "__init__: is no name"),
     ("then: stay", "then: stay\nparameters: {a: vote.window, b: vote.window}", 11, "what a sets"),
-    ("then: stay", "then: stay\nparameters: {a: go.unstick}", 11, "a mission has as a whole"),
-    ("to: go.speed, values: [0.3, 0.5, 0.7]", "to: go.unstick, base: 1, step: 0", 6, "as a whole"),
-    ("then: stay", "then: stay\nunstick: 1", 11, "unstick: is 1; wanted true or false"),
+    ("then: stay", "then: stay\nparameters: {a: go.recovery}", 11, "a mission has as a whole"),
+    ("to: go.speed, values: [0.3, 0.5, 0.7]", "to: go.recovery, base: 1, step: 0", 6, "as a whole"),
+    ("then: stay", "then: stay\nunstick: 1", 11, "recovery: is 1; wanted true or false"),
 )
 
 

@@ -17,13 +17,13 @@ import time
 from swarmd.core.keys import Key
 from swarmd.core.messages import Member
 from swarmd.network.session import SessionSettings
-from tests.support.fake_daemon import LightDaemon
+from tests.support.fake_daemon import FakeDaemon
 
 PERIOD = 0.05
 
 
 class Survivor:
-    def __init__(self, daemon: LightDaemon) -> None:
+    def __init__(self, daemon: FakeDaemon) -> None:
         self._daemon = daemon
         self._heard: dict[str, float] = {}
         self._gaps: dict[str, float] = {}
@@ -89,7 +89,7 @@ async def _main() -> None:
         multicast=False,
         lease=2.0,
     )
-    async with LightDaemon(settings, args.robot) as daemon:
+    async with FakeDaemon(settings, args.robot) as daemon:
         await Survivor(daemon).run()
 
 

@@ -17,7 +17,7 @@ from swarmd.core.keys import Key
 from swarmd.core.messages import Condition, Member, Status, View
 from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.session import SessionSettings, open_session
-from tests.support.fake_daemon import LightDaemon, light_status
+from tests.support.fake_daemon import FakeDaemon, light_status
 
 Until = Callable[[Callable[[], bool]], Awaitable[None]]
 
@@ -57,19 +57,19 @@ class Stage:
         return await asyncio.to_thread(asked)
 
 
-Story = Callable[[Stage], Coroutine[Any, Any, None]]
-Play = Callable[[Story], None]
+RobotHarness = Callable[[Stage], Coroutine[Any, Any, None]]
+Play = Callable[[RobotHarness], None]
 
 
 @pytest.fixture
 def play(settings: SessionSettings, until: Until) -> Play:
-    def run(story: Story) -> None:
+    def run(story: RobotHarness) -> None:
         asyncio.run(_stage(settings, until, story))
 
     return run
 
 
-async def _stage(settings: SessionSettings, until: Until, story: Story) -> None:
+async def _stage(settings: SessionSettings, until: Until, story: RobotHarness) -> None:
     quick = replace(settings, wait_for_peers=False)
     session, foreign = open_session(quick), open_session(quick)
     bus = ZenohBus(session, swarm=settings.swarm, robot="me")
@@ -323,7 +323,7 @@ def test_tokens_that_are_not_ids_are_counted(play: Play) -> None:
 
 def test_daemons_see_each_other_and_ask_each_other(settings: SessionSettings, until: Until) -> None:
     async def story() -> None:
-        one, other = LightDaemon(settings, "a"), LightDaemon(settings, "b", roster=("c",))
+        one, other = FakeDaemon(settings, "a"), FakeDaemon(settings, "b", roster=("c",))
         async with one, other:
             await until(lambda: len(one.bus.members) == len(other.bus.members) == 1)
             [(robot, payload)] = await one.bus.ask("control", "members")
@@ -339,8 +339,8 @@ def test_a_daemon_that_leaves_left_and_one_that_vanishes_failed(
     settings: SessionSettings, until: Until
 ) -> None:
     async def story() -> None:
-        polite, rude = LightDaemon(settings, "polite"), LightDaemon(settings, "rude")
-        async with LightDaemon(settings, "a") as watcher:
+        polite, rude = FakeDaemon(settings, "polite"), FakeDaemon(settings, "rude")
+        async with FakeDaemon(settings, "a") as watcher:
             await polite.start()
             await rude.start()
             await until(lambda: len(watcher.bus.members) == 2)

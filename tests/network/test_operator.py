@@ -18,9 +18,9 @@ from swarmd.core.messages import Code, Condition, Epoch, Request
 from swarmd.network.operator import Operator, operator_name
 from swarmd.network.outcome import NO_TARGET, PARTIAL, REFUSED
 from swarmd.network.session import SessionSettings, open_session
-from tests.support.fake_daemon import LightSwarm
+from tests.support.fake_daemon import FakeSwarm
 
-Robots = Callable[..., LightSwarm]
+Robots = Callable[..., FakeSwarm]
 
 decode = Decoder(Request)
 
@@ -28,10 +28,10 @@ decode = Decoder(Request)
 @pytest.fixture
 def robots(settings: SessionSettings) -> Iterator[Robots]:
     """Starts light daemons on a loop of their own; all are gone after the test."""
-    made: list[LightSwarm] = []
+    made: list[FakeSwarm] = []
 
-    def start(*names: str, **options: Any) -> LightSwarm:
-        swarm = LightSwarm(settings, names, **options)
+    def start(*names: str, **options: Any) -> FakeSwarm:
+        swarm = FakeSwarm(settings, names, **options)
         made.append(swarm)
         return swarm
 

@@ -45,7 +45,7 @@ def steps(
         yield outputs.twist, outputs.report["state"]
 
 
-def wish(scan: Scan, *, count: int = 2, seed: int = 0, **params: Value) -> Twist:
+def requested(scan: Scan, *, count: int = 2, seed: int = 0, **params: Value) -> Twist:
     """The wish after so many steps on one scan."""
     return list(steps(*[scan] * count, seed=seed, params=params))[-1][0]
 
@@ -101,38 +101,38 @@ def spread(poses: Array) -> float:
 
 
 def test_drives_towards_a_robot_ahead() -> None:
-    twist = wish(scan_of(WAFFLE, [Disc(2.0, 0.0)]))
+    twist = requested(scan_of(WAFFLE, [Disc(2.0, 0.0)]))
     assert twist.linear > 0.25
     assert abs(twist.angular) < 0.1
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_turns_towards_a_robot_beside_without_driving(side: float) -> None:
-    twist = wish(scan_of(WAFFLE, [Disc(0.0, 2.0 * side)]))
+    twist = requested(scan_of(WAFFLE, [Disc(0.0, 2.0 * side)]))
     assert twist.linear == pytest.approx(0.0, abs=0.01)
     assert twist.angular * side > 1.0
 
 
 def test_turns_round_for_a_robot_behind_instead_of_backing() -> None:
-    twist = wish(scan_of(WAFFLE, [Disc(-2.0, 0.1)]))
+    twist = requested(scan_of(WAFFLE, [Disc(-2.0, 0.1)]))
     assert twist.linear == 0.0
     assert abs(twist.angular) > 1.0
 
 
 def test_slows_down_as_it_comes_near() -> None:
-    speeds = [wish(scan_of(WAFFLE, [Disc(x, 0.0)])).linear for x in (2.0, 0.95, 0.85)]
+    speeds = [requested(scan_of(WAFFLE, [Disc(x, 0.0)])).linear for x in (2.0, 0.95, 0.85)]
     assert speeds[0] > speeds[1] > speeds[2] > 0.0
 
 
 def test_stands_at_its_spacing() -> None:
     # Its nearest point is 0.62 m from the axle; the spacing is 0.613 m.
     scan = scan_of(WAFFLE, [BESIDE])
-    assert wish(scan) == Twist()
+    assert requested(scan) == Twist()
     assert state(scan) == "settled"
 
 
 def test_gives_way_to_what_comes_too_near_by_backing() -> None:
-    twist = wish(scan_of(WAFFLE, [Disc(0.6, 0.0), Disc(-2.5, 0.0)]))
+    twist = requested(scan_of(WAFFLE, [Disc(0.6, 0.0), Disc(-2.5, 0.0)]))
     # Half of 0.26 m/s at most.
     assert -0.131 <= twist.linear < -0.05
 
@@ -145,7 +145,7 @@ def test_starts_at_a_stronger_pull_than_it_stops_at() -> None:
 
 
 def test_stands_between_two_robots_at_equal_distance() -> None:
-    assert wish(scan_of(WAFFLE, [Disc(1.5, 0.0), Disc(-1.5, 0.0)], noise=0.01)) == Twist()
+    assert requested(scan_of(WAFFLE, [Disc(1.5, 0.0), Disc(-1.5, 0.0)], noise=0.01)) == Twist()
 
 
 @pytest.mark.parametrize("room", [3.0, 4.0, 5.0])
@@ -153,7 +153,7 @@ def test_is_not_drawn_to_walls(room: float) -> None:
     """One robot far to the left outweighs four walls, wherever those are."""
     pose = scan_of(WAFFLE, room=room)
     assert state(pose) == "search"
-    twist = wish(scan_of(WAFFLE, [Disc(0.0, 0.5 * room - 0.25, 0.06)], room=room))
+    twist = requested(scan_of(WAFFLE, [Disc(0.0, 0.5 * room - 0.25, 0.06)], room=room))
     assert twist.angular > 0.5
 
 
@@ -161,30 +161,30 @@ def test_the_law_of_the_paper_is_drawn_to_the_wall() -> None:
     """What the settling law is for: seven robots ahead lose against a wall behind."""
     discs = [Disc(1.8, y, 0.05) for y in (-0.6, -0.2, 0.2, 0.6)]
     scan = scan_of(WAFFLE, discs, room=3.9)
-    assert wish(scan, law="paper").linear < 0.0
-    assert wish(scan).linear >= 0.0
+    assert requested(scan, law="paper").linear < 0.0
+    assert requested(scan).linear >= 0.0
 
 
 def test_searches_when_it_sees_nobody() -> None:
     free = scan_of(WAFFLE)
     assert state(free) == "search"
-    assert wish(free).linear > 0.2
+    assert requested(free).linear > 0.2
 
 
 def test_does_not_press_against_the_wall_while_it_searches() -> None:
     near = scan_of(WAFFLE, room=1.3)
-    assert all(wish(near, count=n).linear < 0.05 for n in range(1, 20))
+    assert all(requested(near, count=n).linear < 0.05 for n in range(1, 20))
 
 
 def test_keeps_away_from_a_wall_beside_it_while_it_searches() -> None:
     left = scan_of(WAFFLE, [Disc(0.0, 50.5, 50.0)])
-    assert all(wish(left, count=1, seed=seed).angular < 0.0 for seed in range(10))
+    assert all(requested(left, count=1, seed=seed).angular < 0.0 for seed in range(10))
 
 
 def test_the_piece_of_a_wall_between_two_robots_is_no_robot() -> None:
     gate = [Disc(0.69, 0.2, 0.1), Disc(0.69, -0.2, 0.1)]
     behind = scan_of(WAFFLE, gate, room=4.0)
-    assert wish(behind) == wish(scan_of(WAFFLE, gate)) == Twist()
+    assert requested(behind) == requested(scan_of(WAFFLE, gate)) == Twist()
 
 
 def test_the_piece_of_a_wall_within_reach_is_no_robot() -> None:
@@ -279,19 +279,19 @@ def test_the_law_of_the_paper_is_its_equations(
     x = sum(r / 2.0 * math.cos(b) for r, b in zip(ranges, bearings, strict=True)) - 1.0
     y = sum(r / 2.0 * math.sin(b) for r, b in zip(ranges, bearings, strict=True))
     length = math.hypot(x, y)
-    twist = wish(scan_from(WAFFLE, np.array(ranges), np.array(bearings)), law="paper")
+    twist = requested(scan_from(WAFFLE, np.array(ranges), np.array(bearings)), law="paper")
     assert twist.linear == pytest.approx(0.26 * x / length)
     assert twist.angular == pytest.approx(1.82 * math.asin(y / length))
 
 
 def test_the_law_of_the_paper_overlooks_what_is_too_near() -> None:
     near = scan_from(WAFFLE, np.full(3, -math.inf), np.array([0.1, 0.2, 0.3]))
-    assert wish(near, law="paper") == Twist(angular=1.0)
+    assert requested(near, law="paper") == Twist(angular=1.0)
 
 
 def test_the_law_of_the_paper_spins_when_alone() -> None:
     one_ray = scan_from(WAFFLE, np.array([1.0, math.inf]), np.array([0.0, 1.0]))
-    assert wish(one_ray, law="paper") == Twist(angular=1.0)
+    assert requested(one_ray, law="paper") == Twist(angular=1.0)
 
 
 @pytest.mark.parametrize("platform", PLATFORMS)

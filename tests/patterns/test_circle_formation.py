@@ -38,7 +38,7 @@ def seen_from(points: Array, robot: int) -> Array:
     return others
 
 
-def wish(scan: Scan, **params: Value) -> Twist:
+def requested(scan: Scan, **params: Value) -> Twist:
     """The first wish on a scan."""
     pattern = Subject(CircleFormation, BURGER, params).make()
     odometry = Odometry(0.0, Pose(), Twist())
@@ -97,15 +97,15 @@ def test_all_who_see_the_same_agree() -> None:
 def test_alone_it_is_where_it_belongs() -> None:
     np.testing.assert_array_equal(place_on_circle(np.empty((0, 2)), 1.0), np.zeros(2))
     assert radius_of(1.1, 1) == 0.0
-    assert wish(scan_of(BURGER)) == Twist()
+    assert requested(scan_of(BURGER)) == Twist()
 
 
 def test_it_backs_off_from_one_that_is_too_near_for_the_circle_of_two() -> None:
     ahead = scan_of(BURGER, [Disc(0.8, 0.0, 0.09)])
-    assert wish(ahead).linear < 0.0
+    assert requested(ahead).linear < 0.0
     # Two on a circle of radius 0.6 are 1.2 m apart.
-    assert wish(scan_of(BURGER, [Disc(1.2, 0.0, 0.09)]), radius=0.6) == Twist()
-    assert wish(scan_of(BURGER, [Disc(1.6, 0.0, 0.09)]), radius=0.6).linear > 0.0
+    assert requested(scan_of(BURGER, [Disc(1.2, 0.0, 0.09)]), radius=0.6) == Twist()
+    assert requested(scan_of(BURGER, [Disc(1.6, 0.0, 0.09)]), radius=0.6).linear > 0.0
 
 
 def test_a_spacing_that_protection_keeps_anyway_is_refused() -> None:

@@ -28,7 +28,7 @@ class TestDispersionOfThePaper(PatternContract):
     params = {"law": "paper"}  # noqa: RUF012 - read only
 
 
-def wish(scan: Scan, **params: Value) -> Twist:
+def requested(scan: Scan, **params: Value) -> Twist:
     """The first wish on a scan."""
     pattern = Subject(Dispersion, WAFFLE, params).make()
     twist = pattern.step(Inputs(now=0.0, dt=0.0, scan=scan)).twist
@@ -51,23 +51,23 @@ def spread_out(platform: str, seed: int, *, room: float, **params: Value) -> Cou
 
 
 def test_stands_where_nothing_is_near() -> None:
-    assert wish(scan_of(WAFFLE, [Disc(1.3, 0.0)], room=3.0)) == Twist()
+    assert requested(scan_of(WAFFLE, [Disc(1.3, 0.0)], room=3.0)) == Twist()
 
 
 def test_drives_away_from_what_is_behind() -> None:
-    twist = wish(scan_of(WAFFLE, [Disc(-0.8, 0.0)]))
+    twist = requested(scan_of(WAFFLE, [Disc(-0.8, 0.0)]))
     assert twist.linear > 0.1
     assert abs(twist.angular) < 0.1
 
 
 def test_backs_slowly_away_from_what_is_ahead() -> None:
-    twist = wish(scan_of(WAFFLE, [Disc(0.8, 0.0)]))
+    twist = requested(scan_of(WAFFLE, [Disc(0.8, 0.0)]))
     assert -0.131 <= twist.linear < -0.05
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_turns_its_back_or_front_to_the_side_that_is_free(side: float) -> None:
-    ahead = wish(scan_of(WAFFLE, [Disc(-0.3, 0.7 * side)]))
+    ahead = requested(scan_of(WAFFLE, [Disc(-0.3, 0.7 * side)]))
     assert ahead.angular * side < 0.0
     assert ahead.linear >= 0.0
 
@@ -75,13 +75,13 @@ def test_turns_its_back_or_front_to_the_side_that_is_free(side: float) -> None:
 def test_a_wall_pushes_like_a_robot_at_the_same_range() -> None:
     wall = scan_of(WAFFLE, room=1.5)
     single = np.where(np.abs(wall.bearings - math.pi) < math.pi / 4, wall.ranges, math.inf)
-    from_wall = wish(scan_from(WAFFLE, single, wall.bearings))
-    from_robot = wish(scan_of(WAFFLE, [Disc(-0.8, 0.0, 0.05)]))
+    from_wall = requested(scan_from(WAFFLE, single, wall.bearings))
+    from_robot = requested(scan_of(WAFFLE, [Disc(-0.8, 0.0, 0.05)]))
     assert from_wall.linear == pytest.approx(from_robot.linear, abs=0.02)
 
 
 def test_the_push_falls_with_the_range() -> None:
-    speeds = [wish(scan_of(WAFFLE, [Disc(-x, 0.0)])).linear for x in (0.9, 1.0, 1.1)]
+    speeds = [requested(scan_of(WAFFLE, [Disc(-x, 0.0)])).linear for x in (0.9, 1.0, 1.1)]
     assert speeds[0] > speeds[1] > speeds[2] > 0.0
 
 
@@ -111,18 +111,18 @@ def test_the_law_of_the_paper_is_its_equations(
     x = 1.0 - sum((1.0 - r / 3.5) * math.cos(b) for r, b in zip(ranges, bearings, strict=True))
     y = -sum((1.0 - r / 3.5) * math.sin(b) for r, b in zip(ranges, bearings, strict=True))
     length = math.hypot(x, y)
-    twist = wish(scan_from(WAFFLE, np.array(ranges), np.array(bearings)), law="paper")
+    twist = requested(scan_from(WAFFLE, np.array(ranges), np.array(bearings)), law="paper")
     assert twist.linear == pytest.approx(0.26 * x / length)
     assert twist.angular == pytest.approx(1.82 * math.asin(y / length))
 
 
 def test_the_law_of_the_paper_stops_when_alone() -> None:
-    assert wish(scan_of(WAFFLE), law="paper") == Twist()
+    assert requested(scan_of(WAFFLE), law="paper") == Twist()
 
 
 def test_the_law_of_the_paper_overlooks_what_is_too_near() -> None:
     near = scan_from(WAFFLE, np.full(3, -math.inf), np.array([0.1, 0.2, 0.3]))
-    assert wish(near, law="paper") == Twist()
+    assert requested(near, law="paper") == Twist()
 
 
 @pytest.mark.parametrize("platform", ["burger", "waffle_pi"])

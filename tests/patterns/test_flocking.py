@@ -28,7 +28,7 @@ class TestFlockingOfThePaper(PatternContract):
     params = {"law": "paper"}  # noqa: RUF012 - read only
 
 
-def wish(scan: Scan, *, seed: int = 0, **params: Value) -> Twist:
+def requested(scan: Scan, *, seed: int = 0, **params: Value) -> Twist:
     """The first wish on a scan."""
     pattern = Subject(Flocking, BURGER, params).make(seed)
     twist = pattern.step(Inputs(now=0.0, dt=0.0, scan=scan, is_new_scan=True)).twist
@@ -45,53 +45,53 @@ def of(*robots: tuple[float, float], room: float | None = None) -> Scan:
 
 
 def test_cruises_straight_on_alone() -> None:
-    twist = wish(of())
+    twist = requested(of())
     assert twist.linear == pytest.approx(0.6 * 0.22)
     assert twist.angular == 0.0
 
 
 def test_a_spring_at_rest_neither_pulls_nor_pushes() -> None:
     for bearing in (0.0, 90.0, 180.0):
-        twist = wish(of((AT_REST, bearing)))
+        twist = requested(of((AT_REST, bearing)))
         assert twist.linear == pytest.approx(0.132, abs=0.02)
         assert twist.angular == pytest.approx(0.0, abs=0.05)
 
 
 def test_is_drawn_to_who_is_far_and_leaves_room_to_who_is_near() -> None:
-    assert wish(of((1.2, 0.0))).linear == pytest.approx(0.22)
-    assert wish(of((0.5, 0.0))).linear == pytest.approx(-0.4 * 0.22)
-    assert wish(of((1.2, 180.0))).linear < 0.0
-    assert wish(of((0.5, 180.0))).linear == pytest.approx(0.22)
+    assert requested(of((1.2, 0.0))).linear == pytest.approx(0.22)
+    assert requested(of((0.5, 0.0))).linear == pytest.approx(-0.4 * 0.22)
+    assert requested(of((1.2, 180.0))).linear < 0.0
+    assert requested(of((0.5, 180.0))).linear == pytest.approx(0.22)
 
 
 @pytest.mark.parametrize("side", [-90.0, 90.0])
 def test_turns_to_who_is_far_aside_and_away_from_who_is_near(side: float) -> None:
-    assert wish(of((1.5, side))).angular * side > 0.0
-    assert wish(of((0.5, side))).angular * side < 0.0
+    assert requested(of((1.5, side))).angular * side > 0.0
+    assert requested(of((0.5, side))).angular * side < 0.0
 
 
 def test_a_spring_turns_it_at_the_rate_of_swing_when_it_is_drawn_out() -> None:
-    assert wish(of((2.0, 90.0))).angular == pytest.approx(0.5, abs=0.03)
-    assert wish(of((2.0, 90.0)), swing=0.3).angular == pytest.approx(0.3, abs=0.02)
+    assert requested(of((2.0, 90.0))).angular == pytest.approx(0.5, abs=0.03)
+    assert requested(of((2.0, 90.0)), swing=0.3).angular == pytest.approx(0.3, abs=0.02)
 
 
 def test_only_the_nearest_count() -> None:
     near = [(AT_REST, 30.0), (AT_REST, 150.0), (AT_REST, -90.0)]
-    assert wish(of(*near, (2.5, 90.0))).angular == pytest.approx(0.0, abs=0.1)
-    assert wish(of(*near, (2.5, 90.0)), ties=4).angular > 0.4
+    assert requested(of(*near, (2.5, 90.0))).angular == pytest.approx(0.0, abs=0.1)
+    assert requested(of(*near, (2.5, 90.0)), ties=4).angular > 0.4
 
 
 @pytest.mark.parametrize("bearing", [40.0, -40.0])
 def test_turns_away_from_a_wall_and_slows_down(bearing: float) -> None:
     ahead = math.radians(bearing)
     wall = scan_from(BURGER, *_wall(1.0, ahead))
-    twist = wish(wall)
+    twist = requested(wall)
     assert twist.angular * bearing < 0.0
     assert twist.linear < 0.05
 
 
 def test_a_wall_beyond_its_distance_is_nothing() -> None:
-    far = wish(scan_from(BURGER, *_wall(1.7, 0.5)))
+    far = requested(scan_from(BURGER, *_wall(1.7, 0.5)))
     assert far.linear == pytest.approx(0.132)
     assert far.angular == 0.0
 
@@ -139,7 +139,7 @@ def test_its_own_turn_moves_no_one(turned: float) -> None:
 def test_left_and_right_are_alike(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scan = of(*[(float(rng.uniform(0.5, 2.0)), 70.0 * i) for i in range(5)], room=4.0)
-    here, there = wish(scan), wish(mirrored(scan))
+    here, there = requested(scan), requested(mirrored(scan))
     assert there.linear == pytest.approx(here.linear, abs=1e-6)
     assert there.angular == pytest.approx(-here.angular, abs=1e-6)
 
@@ -172,7 +172,7 @@ def test_left_and_right_are_alike(seed: int) -> None:
 def test_the_states_of_the_paper(
     arcs: Sequence[tuple[float, float, int]], turn: float, goes_on: bool, rays: int
 ) -> None:
-    twist = wish(_arcs(arcs, rays), law="paper")
+    twist = requested(_arcs(arcs, rays), law="paper")
     assert twist == Twist(linear=0.22 if goes_on else 0.0, angular=turn)
 
 
@@ -180,7 +180,7 @@ def test_the_states_of_the_paper(
 def test_the_law_of_the_paper_takes_any_side_for_what_is_behind_or_ahead(
     arc: tuple[float, float, int],
 ) -> None:
-    turns = [wish(_arcs([arc], 360), law="paper", seed=seed) for seed in range(10)]
+    turns = [requested(_arcs([arc], 360), law="paper", seed=seed) for seed in range(10)]
     assert {twist.angular for twist in turns} == {0.2, -0.2}
     assert {twist.linear for twist in turns} == {0.0 if arc[1] else 0.22}
 

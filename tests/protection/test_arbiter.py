@@ -13,14 +13,14 @@ from hypothesis.extra.numpy import arrays
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Odometry, Platform, Pose, Scan, Twist
 from swarmd.protection.arbiter import Protection
-from swarmd.protection.decision import Moment, Verdict
+from swarmd.protection.decision import Decision, DecisionContext
 from swarmd.protection.settings import Mode
 from swarmd.settings.settings import load_platform
 from tests.support.platforms import with_mode
 
 WAFFLE = load_platform("waffle_pi")
 MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone", "off")
-WISH = Twist(0.2, 0.3)
+REQUESTED = Twist(0.2, 0.3)
 FINITE = st.floats(-10, 10)
 
 
@@ -39,14 +39,14 @@ def ahead(distance: float, rays: int, platform: Platform = WAFFLE) -> Scan:
 
 def decide(
     protection: Protection,
-    wish: Twist | None = WISH,
+    requested: Twist | None = REQUESTED,
     *,
     is_running: bool = True,
     hold: Reason | None = None,
     scan_age: float | None = 0.05,
-) -> Verdict:
-    moment = Moment(0.0, scan_age)
-    return protection.decide(wish, moment, is_running=is_running, hold=hold)
+) -> Decision:
+    moment = DecisionContext(0.0, scan_age)
+    return protection.decide(requested, moment, is_running=is_running, hold=hold)
 
 
 @pytest.fixture(params=MODES)
@@ -55,46 +55,46 @@ def protection(request: pytest.FixtureRequest) -> Protection:
 
 
 def test_a_wish_passes_where_nothing_is_near(protection: Protection) -> None:
-    protection.observe(scan_of(np.full(360, np.inf)), Moment(0.0))
-    verdict = decide(protection)
-    assert verdict.safe == WISH
-    assert (verdict.reason, verdict.is_active, verdict.min_gap) == (None, False, None)
+    protection.observe(scan_of(np.full(360, np.inf)), DecisionContext(0.0))
+    decision = decide(protection)
+    assert decision.safe == REQUESTED
+    assert (decision.reason, decision.is_active, decision.min_gap) == (None, False, None)
 
 
 def test_nothing_moves_before_the_first_scan(protection: Protection) -> None:
-    verdict = decide(protection, scan_age=None)
-    assert verdict.safe == ZERO
-    assert verdict.reason is Reason.NO_SCAN
+    decision = decide(protection, scan_age=None)
+    assert decision.safe == ZERO
+    assert decision.reason is Reason.NO_SCAN
 
 
 @pytest.mark.parametrize(("is_running", "hold"), [(False, None), (True, Reason.STALE_SCAN)])
 def test_exactly_zero_outside_running_and_under_a_hold_even_with_something_near(
     protection: Protection, is_running: bool, hold: Reason | None
 ) -> None:
-    protection.observe(ahead(0.2, 40), Moment(0.0))
-    verdict = decide(protection, is_running=is_running, hold=hold)
-    assert verdict.safe == ZERO
-    assert verdict.reason is hold
+    protection.observe(ahead(0.2, 40), DecisionContext(0.0))
+    decision = decide(protection, is_running=is_running, hold=hold)
+    assert decision.safe == ZERO
+    assert decision.reason is hold
 
 
 @pytest.mark.parametrize(
-    "wish", [Twist(float("nan")), Twist(0.1, float("inf")), Twist(0.0, 0.0, float("-inf"))]
+    "requested", [Twist(float("nan")), Twist(0.1, float("inf")), Twist(0.0, 0.0, float("-inf"))]
 )
-def test_a_wish_that_is_no_number_is_none(protection: Protection, wish: Twist) -> None:
-    protection.observe(scan_of(np.full(360, np.inf)), Moment(0.0))
-    verdict = decide(protection, wish)
-    assert verdict.safe == ZERO
-    assert verdict.reason is Reason.NO_WISH
+def test_a_wish_that_is_no_number_is_none(protection: Protection, requested: Twist) -> None:
+    protection.observe(scan_of(np.full(360, np.inf)), DecisionContext(0.0))
+    decision = decide(protection, requested)
+    assert decision.safe == ZERO
+    assert decision.reason is Reason.NO_REQUESTED_COMMAND
 
 
 def test_limits_hold_for_every_component(protection: Protection) -> None:
-    protection.observe(scan_of(np.full(360, np.inf)), Moment(0.0))
-    verdict = decide(protection, Twist(9.0, -9.0, 9.0))
-    assert verdict.safe == verdict.wish == Twist(0.26, -1.82, 0.0)
+    protection.observe(scan_of(np.full(360, np.inf)), DecisionContext(0.0))
+    decision = decide(protection, Twist(9.0, -9.0, 9.0))
+    assert decision.safe == decision.requested == Twist(0.26, -1.82, 0.0)
 
 
 def test_the_gap_is_measured_from_the_outline(protection: Protection) -> None:
-    protection.observe(ahead(1.0, 1), Moment(0.0))
+    protection.observe(ahead(1.0, 1), DecisionContext(0.0))
     front = float(WAFFLE.footprint[:, 0].max())
     gap = decide(protection).min_gap
     assert gap == pytest.approx(1.0 + WAFFLE.scan.offset[0] - front, abs=1e-6)
@@ -107,7 +107,7 @@ def test_any_scan_and_wish_give_a_finite_command_within_limits(
     protection = Protection(with_mode(WAFFLE, mode))
     clean = np.where(np.isnan(ranges) | (ranges < 0.12), -np.inf, ranges)
     clean = np.where(clean > 3.5, np.inf, clean)
-    protection.observe(scan_of(clean), Moment(0.0))
+    protection.observe(scan_of(clean), DecisionContext(0.0))
     safe = decide(protection, Twist(linear, angular, lateral)).safe
     assert safe.is_finite
     assert abs(safe.linear) <= 0.26
@@ -121,13 +121,13 @@ def test_what_rounding_leaves_of_a_command_is_to_stand() -> None:
     reasons = set()
     for share in np.linspace(0.01, 1.0, 60):
         protection = Protection(with_mode(WAFFLE, "barrier"))
-        protection.observe(wall, Moment(0.0, 0.05, Odometry(0.0, Pose(), ZERO), 0.05))
-        verdict = protection.decide(
+        protection.observe(wall, DecisionContext(0.0, 0.05, Odometry(0.0, Pose(), ZERO), 0.05))
+        decision = protection.decide(
             Twist(share * 0.26, share * 0.01),
-            Moment(0.0, 0.05, Odometry(0.0, Pose(), ZERO), 0.05),
+            DecisionContext(0.0, 0.05, Odometry(0.0, Pose(), ZERO), 0.05),
             is_running=True,
             hold=None,
         )
-        if abs(verdict.safe.linear) + abs(verdict.safe.angular) < 1e-9:
-            reasons.add(verdict.reason)
+        if abs(decision.safe.linear) + abs(decision.safe.angular) < 1e-9:
+            reasons.add(decision.reason)
     assert reasons == {Reason.PROTECTION}

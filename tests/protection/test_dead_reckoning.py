@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from swarmd.core.values import ZERO, Odometry, Pose, Twist
 from swarmd.protection.dead_reckoning import REACTION, TRUSTED, Motion, relative
-from swarmd.protection.decision import Moment
+from swarmd.protection.decision import DecisionContext
 from tests.support.filter_sim import placed
 
 SPEED = st.floats(-1, 1)
@@ -32,7 +32,7 @@ def driven(twist: Twist, until: float = 1.0) -> tuple[Motion, Odometry]:
     motion, reading = Motion(1.0, 3.0), Odometry(0.0, Pose(), twist)
     for n in range(round(until / PERIOD) + 1):
         reading = Odometry(n * PERIOD, arc(twist, n * PERIOD), twist)
-        motion.update(Moment(n * PERIOD, 0.0, reading, 0.0))
+        motion.update(DecisionContext(n * PERIOD, 0.0, reading, 0.0))
     return motion, reading
 
 
@@ -46,13 +46,13 @@ def test_a_sweeps_pose_is_found_between_two_readings_and_beyond_the_last(
     v: float, w: float, ago: float, age: float
 ) -> None:
     motion, last = driven(Twist(v, w))
-    at = motion.pose(Moment(1.0 + age, 0.0, last, age), ago)
+    at = motion.pose(DecisionContext(1.0 + age, 0.0, last, age), ago)
     assert near(at, arc(Twist(v, w), 1.0 + age - ago), 2e-3)  # a chord for an arc of 0.1 rad
 
 
 def test_before_the_first_reading_it_went_on_as_it_did_then() -> None:
     motion, last = driven(Twist(0.2), until=0.1)
-    assert near(motion.pose(Moment(0.1, 0.0, last, 0.0), 0.3), Pose(-0.04), 1e-9)
+    assert near(motion.pose(DecisionContext(0.1, 0.0, last, 0.0), 0.3), Pose(-0.04), 1e-9)
 
 
 @given(POSE, POSE, st.tuples(PLACE, PLACE))
@@ -69,7 +69,7 @@ def test_what_is_seen_from_one_pose_is_placed_where_it_is_from_another(
 )
 def test_ahead_it_ramps_to_the_command_in_force(now: float, command: float, age: float) -> None:
     motion, last = driven(Twist(now))
-    ahead = motion.ahead(Moment(1.0 + age, 0.0, last, age), Twist(command))
+    ahead = motion.ahead(DecisionContext(1.0 + age, 0.0, last, age), Twist(command))
     speed, x, dt = now, last.pose.x, 1e-5
     for _ in range(round((age + REACTION) / dt)):
         speed += min(max(command - speed, -1.0 * dt), 1.0 * dt)
@@ -79,43 +79,47 @@ def test_ahead_it_ramps_to_the_command_in_force(now: float, command: float, age:
 
 def test_a_reading_that_is_old_is_not_trusted_for_ever() -> None:
     motion, last = driven(Twist(0.2))
-    ahead = motion.ahead(Moment(3.0, 0.0, last, 2.0), Twist(0.2))
+    ahead = motion.ahead(DecisionContext(3.0, 0.0, last, 2.0), Twist(0.2))
     assert ahead.x == pytest.approx(last.pose.x + 0.2 * (TRUSTED + REACTION))
 
 
 def test_a_clock_that_jumps_back_begins_anew() -> None:
     motion, _ = driven(Twist(0.2))
     again = Odometry(0.3, Pose(7.0), ZERO)
-    motion.update(Moment(9.0, 0.0, again, 0.0))
-    assert motion.pose(Moment(9.0, 0.0, again, 0.0), 0.2) == Pose(7.0)
+    motion.update(DecisionContext(9.0, 0.0, again, 0.0))
+    assert motion.pose(DecisionContext(9.0, 0.0, again, 0.0), 0.2) == Pose(7.0)
     assert motion.restarts == 1
 
 
 def test_one_clock_that_goes_on_is_no_restart() -> None:
     motion, last = driven(Twist(0.2))
     for reading in (last, Odometry(last.stamp, last.pose, last.twist)):  # as it may come again
-        motion.update(Moment(1.1, 0.0, reading, 0.1))
+        motion.update(DecisionContext(1.1, 0.0, reading, 0.1))
     assert motion.restarts == 0
-    assert near(motion.pose(Moment(1.1, 0.0, last, 0.1), 0.5), Pose(0.2 * 0.6), 1e-9)
+    assert near(motion.pose(DecisionContext(1.1, 0.0, last, 0.1), 0.5), Pose(0.2 * 0.6), 1e-9)
 
 
 def test_a_stamp_that_stands_still_while_the_robot_moves_begins_anew() -> None:
     motion, last = driven(Twist(0.2))
     again = Odometry(last.stamp, Pose(7.0), last.twist)
-    motion.update(Moment(1.1, 0.0, again, 0.0))
+    motion.update(DecisionContext(1.1, 0.0, again, 0.0))
     assert motion.restarts == 1
-    assert motion.pose(Moment(1.1, 0.0, again, 0.0), 0.0) == Pose(7.0)
+    assert motion.pose(DecisionContext(1.1, 0.0, again, 0.0), 0.0) == Pose(7.0)
 
 
 def test_without_any_reading_it_stands_at_the_origin() -> None:
     motion = Motion(1.0, 3.0)
-    assert motion.pose(Moment(1.0), 0.1) == motion.ahead(Moment(1.0), Twist(0.2)) == Pose()
+    assert (
+        motion.pose(DecisionContext(1.0), 0.1)
+        == motion.ahead(DecisionContext(1.0), Twist(0.2))
+        == Pose()
+    )
 
 
 def test_headings_are_joined_the_short_way_round() -> None:
     motion = Motion(1.0, 3.0)
     for stamp, yaw in ((0.0, 3.1), (0.1, -3.1)):
-        motion.update(Moment(stamp, 0.0, Odometry(stamp, Pose(0.0, 0.0, yaw), ZERO), 0.0))
+        motion.update(DecisionContext(stamp, 0.0, Odometry(stamp, Pose(0.0, 0.0, yaw), ZERO), 0.0))
     last = Odometry(0.1, Pose(0.0, 0.0, -3.1), ZERO)
-    between = motion.pose(Moment(0.1, 0.0, last, 0.0), 0.05).yaw
+    between = motion.pose(DecisionContext(0.1, 0.0, last, 0.0), 0.05).yaw
     assert math.cos(between) == pytest.approx(-1.0, abs=1e-9)

@@ -9,7 +9,7 @@ import pytest
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Odometry, Pose, Scan, TouchZone, Twist
 from swarmd.protection.arbiter import Protection
-from swarmd.protection.decision import Decision, Moment
+from swarmd.protection.decision import DecisionContext, ModeDecision
 from swarmd.protection.footprint import Sight
 from swarmd.settings.platforms import load_platform
 
@@ -24,26 +24,26 @@ class Says:
     def __init__(self, twist: Twist) -> None:
         self._twist = twist
 
-    def berth(self, speed: float) -> None:
+    def clearance(self, speed: float) -> None:
         """It never blocks."""
 
-    def observe(self, scan: Scan, sight: Sight, moment: Moment) -> None:
+    def observe(self, scan: Scan, sight: Sight, moment: DecisionContext) -> None:
         """It looks at nothing."""
 
     def decide(
-        self, wish: Twist, moment: Moment, *, command: Twist, touch: TouchZone | None
-    ) -> Decision:
+        self, requested: Twist, moment: DecisionContext, *, command: Twist, touch: TouchZone | None
+    ) -> ModeDecision:
         """Always the same."""
-        return Decision(self._twist, is_active=True)
+        return ModeDecision(self._twist, is_active=True)
 
 
 def handed_on(twist: Twist) -> tuple[Twist, Reason | None]:
     """The command, and why it is zero if it is."""
     protection = Protection(BURGER)
     protection._arbiter = Says(twist)
-    moment = Moment(1.0, 0.1, Odometry(1.0, Pose(), ZERO), 0.0)
-    verdict = protection.decide(Twist(0.1), moment, is_running=True, hold=None)
-    return verdict.safe, verdict.reason
+    moment = DecisionContext(1.0, 0.1, Odometry(1.0, Pose(), ZERO), 0.0)
+    decision = protection.decide(Twist(0.1), moment, is_running=True, hold=None)
+    return decision.safe, decision.reason
 
 
 @pytest.mark.parametrize("twist", [Twist(math.nan), Twist(0.1, math.inf), Twist(0.1, -math.inf)])

@@ -14,7 +14,7 @@ import pytest
 from swarmd.core.values import Platform, Pose, Twist
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
-from tests.support.filter_sim import Shape, Yard, box, decided, placed, pole, under_barrier
+from tests.support.filter_sim import FilterSim, Shape, box, decided, placed, pole, under_barrier
 
 BURGER, JACKAL = under_barrier(load_platform("burger")), under_barrier(load_platform("jackal"))
 BLIND = JACKAL.scan.range_min
@@ -29,7 +29,7 @@ def calm(platform: Platform, near: str = "lost", **told: object) -> Platform:
     return under_barrier(replace(platform, scan=scan), **{**settings, **told})
 
 
-def distances(yard: Yard) -> float:
+def distances(yard: FilterSim) -> float:
     """How near the sensor is to a corner of any shape, in m."""
     sensor = placed(np.array([yard.platform.scan.offset]), yard.pose)[0]
     corners = [placed(shape.corners, shape.at(yard.time)) for shape in yard.shapes]
@@ -39,14 +39,14 @@ def distances(yard: Yard) -> float:
 def test_too_close_to_measure_is_contact() -> None:
     """A Jackal whose sensor told of what is nearer than 0.8 m, with something 0.5 m ahead."""
     platform = calm(JACKAL, near="reported")
-    ride = Yard(platform, [pole(0.1, Pose(0.6))]).run(AHEAD, 4.0)
+    ride = FilterSim(platform, [pole(0.1, Pose(0.6))]).run(AHEAD, 4.0)
     assert ride.touch is None
     assert ride.poses[-1].x == pytest.approx(0.0, abs=1e-6)
 
 
 def test_what_is_too_close_does_not_keep_it_from_creeping_away() -> None:
     platform = calm(JACKAL, near="reported")
-    ride = Yard(platform, [pole(0.1, Pose(0.6))]).run(Twist(-0.5), 4.0)
+    ride = FilterSim(platform, [pole(0.1, Pose(0.6))]).run(Twist(-0.5), 4.0)
     assert ride.poses[-1].x == pytest.approx(-0.015 * 3.9, abs=0.01)
 
 
@@ -75,7 +75,7 @@ def test_a_corner_does_not_graze_a_slanted_face_that_is_too_close(side: float) -
     wedge = np.array([[0.0, 0.0], [0.4, 0.0], [0.4, 0.3], [0.25, 0.3]])
     wedge = wedge if side > 0.0 else (wedge * (1.0, -1.0))[::-1]
     near = Shape(wedge, Pose(0.012, side * 0.093))
-    ride = Yard(calm(BURGER, near="reported", margin=0.0), [near]).run(Twist(0.22), 3.0)
+    ride = FilterSim(calm(BURGER, near="reported", margin=0.0), [near]).run(Twist(0.22), 3.0)
     assert ride.touch is None
 
 
@@ -84,14 +84,14 @@ def test_a_target_that_crosses_into_the_blind_zone_is_not_closed_on() -> None:
     speed = JACKAL.protection["barrier"]["others_speed"]
     for phase in (0.0, 0.03, 0.06):
         comes = pole(0.15, Pose(2.0, 0.05), velocity=(-speed, 0.0))
-        ride = Yard(JACKAL, [comes], phase=phase, noise=0.01).run(AHEAD, 5.0)
+        ride = FilterSim(JACKAL, [comes], phase=phase, noise=0.01).run(AHEAD, 5.0)
         assert ride.touch is not None
         assert ride.touch.speed <= NO_FAULT
 
 
 def test_nothing_that_stands_is_let_into_the_blind_zone() -> None:
     """By what is kept out, not by how far others may reach or come."""
-    yard = Yard(calm(JACKAL, keep_out=0.85), [box(0.1, 4.0, Pose(2.0))])
+    yard = FilterSim(calm(JACKAL, keep_out=0.85), [box(0.1, 4.0, Pose(2.0))])
     ride = yard.run(AHEAD, 8.0)
     assert ride.poses[-1].x > 0.9
     assert 1.95 - ride.poses[-1].x >= BLIND
@@ -111,7 +111,7 @@ def test_a_turn_that_swings_the_circle_that_is_kept_out_is_bounded(side: float) 
 
 def test_what_it_drove_up_to_is_remembered_when_it_vanishes() -> None:
     """A driver that keeps on wishing stands before what he no longer sees, and may creep away."""
-    yard = Yard(calm(JACKAL), [box(0.1, 0.6, Pose(2.0))])
+    yard = FilterSim(calm(JACKAL), [box(0.1, 0.6, Pose(2.0))])
     ride = yard.run(AHEAD, 8.0)
     assert ride.touch is None
     assert ride.min_gap < BLIND - 0.254
@@ -128,7 +128,7 @@ def test_a_wide_face_that_has_come_near_is_not_turned_into(bearing: float, speed
     far, velocity = 1.6, (-speed * float(way[0]), -speed * float(way[1]))
     pose = Pose(far * float(way[0]), far * float(way[1]), bearing)
     comes = box(0.2, 3.0, pose, velocity=velocity, end=(far - rest) / speed)
-    yard = Yard(JACKAL, [comes], noise=0.01)
+    yard = FilterSim(JACKAL, [comes], noise=0.01)
     assert yard.run(Twist(), (far - rest) / speed + 1.0).touch is None
     assert yard.run(Twist(0.3, 1.0), 4.0).touch is None
 
@@ -138,7 +138,7 @@ def test_what_has_gone_is_forgotten_once_it_can_be_seen_through() -> None:
     thing = box(0.1, 0.4, Pose(1.5), velocity=(0.0, 1.0), begin=6.0, end=8.0)
     walls = [box(0.1, 8.0, Pose(x)) for x in (-2.0, 4.0)]
     walls += [box(8.0, 0.1, Pose(0.0, y)) for y in (-3.5, 3.5)]
-    yard = Yard(calm(JACKAL), [thing, *walls])
+    yard = FilterSim(calm(JACKAL), [thing, *walls])
     stands = yard.run(AHEAD, 6.0)
     assert stands.poses[-1].x < 1.2
     goes = yard.run(AHEAD, 6.0)
@@ -149,7 +149,7 @@ def test_what_has_gone_is_forgotten_once_it_can_be_seen_through() -> None:
 def test_lost_near_returns_of_an_lds_are_not_taken_for_free() -> None:
     """Zeros say both too near and nothing there: a body comes until the lidar is blind to it."""
     comes = box(0.2, 0.3, Pose(0.9), velocity=(-0.25, 0.0), end=0.732 / 0.25)
-    yard = Yard(BURGER, [comes])
+    yard = FilterSim(BURGER, [comes])
     assert yard.run(Twist(0.0), 4.0).min_gap == pytest.approx(0.03, abs=0.001)
     ride = yard.run(Twist(0.22), 5.0)
     assert ride.touch is None
@@ -159,7 +159,7 @@ def test_lost_near_returns_of_an_lds_are_not_taken_for_free() -> None:
 def test_pressed_against_it_can_leave() -> None:
     """At a creep until it is clear of what is not seen of the other, then as it likes."""
     comes = box(0.2, 0.3, Pose(0.9), velocity=(-0.25, 0.0), end=0.732 / 0.25)
-    yard = Yard(BURGER, [comes])
+    yard = FilterSim(BURGER, [comes])
     yard.run(Twist(0.0), 4.0)
     ride = yard.run(Twist(-0.22), 9.0)
     assert ride.poses[300].x == pytest.approx(-0.015 * 2.9, abs=0.01)

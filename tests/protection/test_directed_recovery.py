@@ -10,10 +10,10 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Platform, Pose, Twist
 from swarmd.protection.decision import Permit
 from swarmd.settings.settings import load_platform
-from tests.support.filter_sim import Shape, Wish, Yard, box, pole, under_barrier
+from tests.support.filter_sim import FilterSim, RequestedCommand, Shape, box, pole, under_barrier
 
 BURGER, WAFFLE = under_barrier(load_platform("burger")), under_barrier(load_platform("waffle_pi"))
-MAY = Permit(may_unstick=True)
+MAY = Permit(may_recover=True)
 AHEAD = Twist(0.22)
 
 
@@ -31,47 +31,49 @@ def nook() -> list[Shape]:
 def test_what_leads_around_things_keeps_from_them_what_protection_keeps(
     platform: Platform,
 ) -> None:
-    ride = Yard(still(platform), nook()).run(AHEAD, 25.0, MAY)
-    assert any(verdict.is_unsticking for _, verdict in ride.verdicts)
+    ride = FilterSim(still(platform), nook()).run(AHEAD, 25.0, MAY)
+    assert any(decision.is_recovering for _, decision in ride.decisions)
     assert ride.min_gap >= 0.025
 
 
 def test_without_a_permit_it_stands_and_waits() -> None:
-    ride = Yard(BURGER, [box(0.1, 4.0, Pose(0.6))]).run(AHEAD, 8.0)
-    assert not any(verdict.is_unsticking for _, verdict in ride.verdicts)
+    ride = FilterSim(BURGER, [box(0.1, 4.0, Pose(0.6))]).run(AHEAD, 8.0)
+    assert not any(decision.is_recovering for _, decision in ride.decisions)
     assert ride.twists[-1].is_zero
     assert ride.poses[-1].yaw == pytest.approx(0.0, abs=0.01)
-    assert ride.verdicts[-1][1].reason is Reason.PROTECTION
+    assert ride.decisions[-1][1].reason is Reason.PROTECTION
 
 
 def test_it_gets_around_a_pole() -> None:
-    yard = Yard(BURGER, [pole(0.1, Pose(0.8, 0.01))])
+    yard = FilterSim(BURGER, [pole(0.1, Pose(0.8, 0.01))])
     ride = yard.run(toward(yard, 3.0), 40.0, MAY)
     assert ride.touch is None
     assert max(pose.x for pose in ride.poses) > 1.2
 
 
-def toward(yard: Yard, x: float) -> Wish:
+def toward(yard: FilterSim, x: float) -> RequestedCommand:
     """Straight to the place (x, 0), without any care."""
 
-    def wish(time: float) -> Twist:
+    def requested(time: float) -> Twist:
         pose = yard.pose
         off = math.remainder(math.atan2(-pose.y, x - pose.x) - pose.yaw, 2.0 * math.pi)
         return Twist(0.22 * max(math.cos(off), 0.1), 1.5 * off)
 
-    return wish
+    return requested
 
 
 def test_who_wishes_nothing_is_not_led_anywhere() -> None:
-    yard = Yard(BURGER, [box(0.1, 4.0, Pose(0.25))])
+    yard = FilterSim(BURGER, [box(0.1, 4.0, Pose(0.25))])
     ride = yard.run(ZERO, 4.0, MAY)
-    assert all(verdict.safe == ZERO for _, verdict in ride.verdicts)
+    assert all(decision.safe == ZERO for _, decision in ride.decisions)
 
 
 def test_under_a_hold_it_is_not_led_anywhere() -> None:
-    yard = Yard(BURGER, [box(0.1, 4.0, Pose(0.6))])
-    while not yard.run(AHEAD, 0.1, MAY).verdicts[-1][1].is_unsticking:
+    yard = FilterSim(BURGER, [box(0.1, 4.0, Pose(0.6))])
+    while not yard.run(AHEAD, 0.1, MAY).decisions[-1][1].is_recovering:
         assert yard.time < 8.0
     yard.senses.on_driver(False, "gone")
     ride = yard.run(AHEAD, 4.0, MAY)
-    assert all(verdict.safe == ZERO and not verdict.is_unsticking for _, verdict in ride.verdicts)
+    assert all(
+        decision.safe == ZERO and not decision.is_recovering for _, decision in ride.decisions
+    )

@@ -10,12 +10,12 @@ import pytest
 
 from swarmd.core.values import Array, Platform, Pose, Scan, Twist
 from swarmd.settings.settings import load_platform
-from tests.support.filter_sim import Yard, box, under_barrier
+from tests.support.filter_sim import FilterSim, box, under_barrier
 
 PLATFORMS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")]
 
 
-class StuckYard(Yard):
+class StuckYard(FilterSim):
     """From `stuck` s on the lidar gives the last ranges again and again, with new stamps."""
 
     stuck = math.inf
@@ -43,7 +43,7 @@ def test_a_lidar_that_repeats_itself_does_not_lead_into_a_wall(
     assert ride.twists[-1].linear == pytest.approx(0.0, abs=1e-9)
 
 
-class BlinkeredYard(Yard):
+class BlinkeredYard(FilterSim):
     """The lidar sends the rays from `first` to `last` alone."""
 
     first, last = 0, 360

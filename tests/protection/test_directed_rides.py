@@ -16,9 +16,9 @@ from swarmd.core.values import Platform, Pose, Twist
 from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import (
     HERE,
+    FilterSim,
     Ride,
     Shape,
-    Yard,
     box,
     placed,
     pole,
@@ -36,11 +36,11 @@ def twists(platform: Platform, rng: Generator) -> Callable[[float], Twist]:
     shares[::3, 0] = np.sign(shares[::3, 0])
     limits = platform.limits
 
-    def wish(time: float) -> Twist:
+    def requested(time: float) -> Twist:
         v, w = shares[int(time) % len(shares)]
         return Twist(float(v) * limits.linear, float(w) * limits.angular)
 
-    return wish
+    return requested
 
 
 def things(platform: Platform, rng: Generator, speed: float) -> list[Shape]:
@@ -65,7 +65,7 @@ def things(platform: Platform, rng: Generator, speed: float) -> list[Shape]:
 def ride(kind: str, seed: int, share: float, seconds: float) -> Ride:
     platform, rng = KINDS[kind], np.random.default_rng(seed)
     speed = share * platform.protection["barrier"]["others_speed"]
-    yard = Yard(
+    yard = FilterSim(
         platform,
         things(platform, rng, speed),
         phase=rng.uniform(0.0, 1.0 / platform.scan.rate),

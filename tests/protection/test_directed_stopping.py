@@ -14,7 +14,7 @@ import pytest
 from swarmd.core.messages import Reason
 from swarmd.core.values import Platform, Pose, Twist
 from swarmd.settings.settings import load_platform
-from tests.support.filter_sim import Yard, box, pole, round_corners, under_barrier
+from tests.support.filter_sim import FilterSim, box, pole, round_corners, under_barrier
 
 BURGER, WAFFLE = under_barrier(load_platform("burger")), under_barrier(load_platform("waffle_pi"))
 MARGIN = 0.03
@@ -39,7 +39,7 @@ def test_stops_at_a_wall_just_short_of_the_margin(
     platform: Platform, way: int, distance: float
 ) -> None:
     wall = box(0.1, 4.0, Pose(way * (reach(platform, way) + distance + 0.05)))
-    ride = Yard(still(platform), [wall]).run(Twist(way * platform.limits.linear), 8.0)
+    ride = FilterSim(still(platform), [wall]).run(Twist(way * platform.limits.linear), 8.0)
     assert ride.min_gap == pytest.approx(MARGIN + 0.0005, abs=ROUNDING)
     assert abs(ride.twists[-1].linear) < 0.001
 
@@ -49,7 +49,7 @@ def test_what_a_late_sweep_shows_is_where_it_was_then(late: float) -> None:
     """At full speed a Waffle Pi drives 0.10 m within 0.4 s: three margins."""
     platform = replace(still(WAFFLE), scan=replace(WAFFLE.scan, latency=late))
     wall = box(0.1, 4.0, Pose(1.2))
-    ride = Yard(platform, [wall]).run(Twist(0.26), 8.0)
+    ride = FilterSim(platform, [wall]).run(Twist(0.26), 8.0)
     assert ride.min_gap == pytest.approx(MARGIN, abs=ROUNDING)
 
 
@@ -57,7 +57,7 @@ def test_while_it_turns_a_late_sweep_is_turned_back() -> None:
     """At 1.8 rad/s the sweep is 40 degrees off by the time it counts: a pole ahead is then not."""
     platform = replace(still(WAFFLE), scan=replace(WAFFLE.scan, latency=0.4))
     for phase in (0.0, 0.05, 0.1, 0.15):
-        yard = Yard(platform, [pole(0.03, Pose(0.05, 0.27))], phase=phase)
+        yard = FilterSim(platform, [pole(0.03, Pose(0.05, 0.27))], phase=phase)
         assert yard.run(lambda t: Twist(0.0, 1.8 * math.sin(3.0 * t)), 5.0).touch is None
 
 
@@ -67,7 +67,9 @@ def test_a_corner_does_not_swing_into_what_is_beside(platform: Platform, side: f
     half = float(platform.footprint[:, 1].max())
     wall = box(4.0, 0.1, Pose(0.0, side * (half + 0.035 + 0.05)))
     for way in (1.0, -1.0):
-        ride = Yard(still(platform), [wall]).run(Twist(0.0, way * platform.limits.angular), 3.0)
+        ride = FilterSim(still(platform), [wall]).run(
+            Twist(0.0, way * platform.limits.angular), 3.0
+        )
         assert ride.min_gap >= MARGIN - ROUNDING
 
 
@@ -76,7 +78,7 @@ def test_the_axle_is_not_in_the_middle() -> None:
     gaps = []
     for way in (1, -1):
         wall = box(0.1, 4.0, Pose(way * 0.8))
-        ride = Yard(still(BURGER), [wall]).run(Twist(way * 0.22), 6.0)
+        ride = FilterSim(still(BURGER), [wall]).run(Twist(way * 0.22), 6.0)
         gaps.append(ride.min_gap)
     assert gaps == pytest.approx([MARGIN, MARGIN], abs=ROUNDING)
 
@@ -90,8 +92,8 @@ def test_who_is_rammed_at_the_assumed_speed_is_not_closing(
     way = math.cos(bearing), math.sin(bearing)
     front = box(0.2, 3.0, Pose(1.6 * way[0], 1.6 * way[1], bearing),
                 velocity=(-speed * way[0], -speed * way[1]))  # fmt: skip
-    wish = Twist(math.copysign(platform.limits.linear, way[0]))
-    ride = Yard(platform, [front], noise=0.01).run(wish, 9.0)
+    requested = Twist(math.copysign(platform.limits.linear, way[0]))
+    ride = FilterSim(platform, [front], noise=0.01).run(requested, 9.0)
     assert ride.touch is not None
     assert ride.touch.speed <= NO_FAULT
 
@@ -99,14 +101,14 @@ def test_who_is_rammed_at_the_assumed_speed_is_not_closing(
 def test_who_gives_way_by_half_uses_no_more_than_its_half() -> None:
     """What does not give way takes all the rest: a wall is come to half as near at every tick."""
     told = under_barrier(BURGER, responsibility="reciprocal", margin=0.08)
-    ride = Yard(told, [box(0.1, 4.0, Pose(1.0))]).run(Twist(0.22), 8.0)
+    ride = FilterSim(told, [box(0.1, 4.0, Pose(1.0))]).run(Twist(0.22), 8.0)
     assert 0.08 + 0.06 - ROUNDING <= ride.min_gap <= 0.20
 
 
 def test_what_stands_may_start() -> None:
     """It begins to come when there is just enough room left for a robot that stands."""
     starts = box(0.2, 0.3, Pose(0.6), velocity=(-0.30, 0.0), begin=2.0)
-    ride = Yard(BURGER, [starts]).run(Twist(0.22), 5.0)
+    ride = FilterSim(BURGER, [starts]).run(Twist(0.22), 5.0)
     assert ride.touch is not None
     assert ride.touch.speed <= NO_FAULT
 
@@ -119,12 +121,12 @@ def test_a_body_that_reaches_beyond_what_is_seen_of_it_is_not_touched() -> None:
         other = replace(
             pole(0.055, Pose(0.6, 0.0, yaw)), corners=corners, seen=round_corners(0.055)
         )
-        ride = Yard(told, [other]).run(Twist(0.22), 5.0)
+        ride = FilterSim(told, [other]).run(Twist(0.22), 5.0)
         assert ride.min_gap >= MARGIN - ROUNDING
 
 
 def test_in_the_open_a_frozen_lidar_stops_it_in_time() -> None:
-    yard = Yard(BURGER, [box(0.1, 4.0, Pose(3.3))])
+    yard = FilterSim(BURGER, [box(0.1, 4.0, Pose(3.3))])
     assert yard.run(Twist(0.22), 1.0).twists[-1].linear == pytest.approx(0.22)
     yard.has_lidar = False
     ride = yard.run(Twist(0.22), 1.5)
@@ -133,11 +135,11 @@ def test_in_the_open_a_frozen_lidar_stops_it_in_time() -> None:
     )
     ages = BURGER.scan.latency + 1.0 / BURGER.scan.rate  # the last sweep may have just been taken
     assert stands <= 1.0 + ages + BURGER.scan.stale_after + 0.05 + 0.04 + 0.22
-    assert ride.verdicts[-1][1].reason is Reason.STALE_SCAN
+    assert ride.decisions[-1][1].reason is Reason.STALE_SCAN
 
 
 def test_near_something_a_frozen_lidar_stops_it_before_others_could_be_there() -> None:
-    yard = Yard(BURGER, [box(0.1, 4.0, Pose(0.85))])
+    yard = FilterSim(BURGER, [box(0.1, 4.0, Pose(0.85))])
     yard.run(Twist(0.22), 1.0)
     yard.has_lidar = False
     ride = yard.run(Twist(0.22), 2.0)
@@ -147,18 +149,18 @@ def test_near_something_a_frozen_lidar_stops_it_before_others_could_be_there() -
 
 @pytest.mark.parametrize("at", [0.4, 0.9, 1.4, 1.9, 2.4])
 def test_lost_odometry_stops_it_before_dead_reckoning_goes_wrong(at: float) -> None:
-    yard = Yard(still(BURGER), [box(0.1, 4.0, Pose(0.6))])
+    yard = FilterSim(still(BURGER), [box(0.1, 4.0, Pose(0.6))])
     yard.run(Twist(0.22), at)
     yard.has_odometry = False
     ride = yard.run(Twist(0.22), 2.0)
     assert ride.min_gap >= MARGIN - ROUNDING
-    assert ride.verdicts[-1][1].reason is Reason.STALE_ODOMETRY
+    assert ride.decisions[-1][1].reason is Reason.STALE_ODOMETRY
 
 
 @pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
 def test_nobody_sees_a_corner_of_it_come_faster_than_promised(platform: Platform) -> None:
     told = under_barrier(platform, surface_speed=0.15)
-    yard = Yard(told, [box(0.2, 0.2, Pose(-0.2, 0.6))])
+    yard = FilterSim(told, [box(0.2, 0.2, Pose(-0.2, 0.6))])
     ride = yard.run(Twist(platform.limits.linear, platform.limits.angular), 4.0)
     x, y = platform.footprint.T
     fastest = max(np.hypot(t.linear - t.angular * y, t.angular * x).max() for t in ride.twists[30:])
@@ -176,7 +178,7 @@ def test_spinning_beside_one_that_comes_it_stops_before_its_corner_could_hit(
     for that the stop is followed.
     """
     comes = box(0.3, 0.2, Pose(-0.03, side * distance), velocity=(0.0, side * -0.30))
-    ride = Yard(BURGER, [comes]).run(Twist(0.0, 2.84), 6.0)
+    ride = FilterSim(BURGER, [comes]).run(Twist(0.0, 2.84), 6.0)
     assert ride.touch is not None
     assert ride.touch.speed <= NO_FAULT
     assert max(abs(twist.angular) for twist in ride.twists) > 1.5
@@ -184,6 +186,6 @@ def test_spinning_beside_one_that_comes_it_stops_before_its_corner_could_hit(
 
 def test_it_does_not_reverse_into_another() -> None:
     other = replace(pole(0.055, Pose(-0.7)), corners=BURGER.footprint - BURGER.scan.offset)
-    ride = Yard(BURGER, [other]).run(Twist(-0.22, 0.1), 6.0)
+    ride = FilterSim(BURGER, [other]).run(Twist(-0.22, 0.1), 6.0)
     assert ride.min_gap >= MARGIN
     assert ride.poses[-1].x < -0.2

@@ -28,7 +28,7 @@ def group(platform: str, name: str, pose: Pose, speed: float, turn: float = 0.0)
         "platform": platform,
         "robots": [name],
         "pattern": "drive",
-        "parameters": {"speed": speed, "turn": turn, "unstick": False},
+        "parameters": {"speed": speed, "turn": turn, "recovery": False},
         "start": {"layout": "list", "poses": [[*pose[:2], math.degrees(pose[2])]]},
     }
 

@@ -15,8 +15,8 @@ from swarmd.core.values import ZERO, Odometry, Platform, Pose, Scan, Twist
 from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import (
     HERE,
+    FilterSim,
     Ride,
-    Yard,
     box,
     placed,
     pole,
@@ -48,7 +48,7 @@ def test_a_corner_does_not_come_around_to_what_has_stopped_beside(
     for gap in (0.01, -1.0):
         end = (start - half - 0.03 - gap) / speed
         comes = pole(0.03, Pose(0.0, start), velocity=(0.0, -speed), end=end)
-        ride = Yard(platform, [comes]).run(Twist(0.0, turn * platform.limits.angular), 6.0)
+        ride = FilterSim(platform, [comes]).run(Twist(0.0, turn * platform.limits.angular), 6.0)
         assert ride.touch is None or ride.touch.speed <= NO_FAULT
 
 
@@ -74,21 +74,23 @@ def rendezvous(platform: Platform, seed: int) -> Ride:
     linear, angular = ((1, 1), (4, 1), (1, 4))[int(rng.integers(3))]
     braking = linear * told["braking_linear"], angular * told["braking_angular"]
     v, w = rng.choice([-1, 1]) * rng.uniform(0.2, 1), rng.choice([-1, 1]) * rng.uniform(0.3, 1)
-    wish = Twist(float(v) * platform.limits.linear, float(w) * platform.limits.angular)
+    requested = Twist(float(v) * platform.limits.linear, float(w) * platform.limits.angular)
     end, then = float(rng.uniform(1.5, 2.5)), ZERO
     if rng.random() >= 0.6:
         is_back = rng.random() < 0.5
-        then = replace_signs(wish, -1.0, 1.0) if is_back else replace_signs(wish, 1.0, -1.0)
+        then = (
+            replace_signs(requested, -1.0, 1.0) if is_back else replace_signs(requested, 1.0, -1.0)
+        )
     phase = 0.01 * float(rng.integers(20))
-    last = Yard(platform, braking=braking, phase=phase).run(wish, end).poses[-1]
+    last = FilterSim(platform, braking=braking, phase=phase).run(requested, end).poses[-1]
     bearing = rng.uniform(-math.pi, math.pi)
     target = placed(beside(platform, bearing), last)[0]
     way = rng.uniform(-0.6, 0.6) + bearing + last.yaw
     speed = rng.uniform(0.5, 1) * told["others_speed"]
     x, y = -speed * math.cos(way), -speed * math.sin(way)
     comes = pole(0.02, Pose(target[0] - x * end, target[1] - y * end), velocity=(x, y), end=end)
-    yard = Yard(platform, [comes], braking=braking, phase=phase)
-    return yard.run(lambda time: wish if time < end else then, end + 1.5)
+    yard = FilterSim(platform, [comes], braking=braking, phase=phase)
+    return yard.run(lambda time: requested if time < end else then, end + 1.5)
 
 
 def replace_signs(twist: Twist, linear: float, angular: float) -> Twist:
@@ -106,7 +108,7 @@ def beside(platform: Platform, bearing: float) -> np.ndarray:
     return found
 
 
-class Lossy(Yard):
+class Lossy(FilterSim):
     """Sectors of some sweeps are lost: first and last sweep, middle and half width in rad."""
 
     lost: tuple[tuple[int, int, float, float], ...] = ()
@@ -137,7 +139,7 @@ def test_sectors_lost_by_turns_hide_nothing(name: str, distance: float) -> None:
         assert ride.touch.speed <= NO_FAULT
 
 
-class Restarting(Yard):
+class Restarting(FilterSim):
     """Its odometry starts anew at the origin, with its clock, at the time `restart` in s."""
 
     restart = 0.0
@@ -172,7 +174,7 @@ def test_a_leg_that_hides_before_a_wall_is_not_driven_into(back: float, radius: 
     far, stop, speed = back - radius - 0.05, 0.254 + 0.05 + radius, 0.4
     end = (far - stop) / speed
     leg = pole(radius, Pose(far), velocity=(-speed, 0.0), end=end)
-    yard = Yard(jackal, [leg, box(0.1, 6.0, Pose(back + 0.05))], start=HERE)
+    yard = FilterSim(jackal, [leg, box(0.1, 6.0, Pose(back + 0.05))], start=HERE)
     assert yard.run(ZERO, end + 1.0).touch is None
     ride = yard.run(Twist(0.5), 6.0)
     assert ride.touch is None

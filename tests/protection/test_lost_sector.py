@@ -7,7 +7,7 @@ import pytest
 
 from swarmd.core.values import Odometry, Platform, Pose, Scan, Twist
 from swarmd.protection.arbiter import Protection
-from swarmd.protection.decision import Moment, Verdict
+from swarmd.protection.decision import Decision, DecisionContext
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import empty_scan
 from tests.support.platforms import with_mode
@@ -29,9 +29,9 @@ def wall(platform: Platform, seq: int, x: float) -> Scan:
     return scan
 
 
-def drive(platform: Platform, ages: list[float | None], *, distance: float = 0.5) -> list[Verdict]:
+def drive(platform: Platform, ages: list[float | None], *, distance: float = 0.5) -> list[Decision]:
     """Decisions while it drives at a wall; by scan how old what it holds is, None: none came."""
-    protection, verdicts = Protection(platform), []
+    protection, decisions = Protection(platform), []
     known = 0.0
     for tick in range(4 * len(ages)):
         now = 10.0 + 0.05 * tick
@@ -40,12 +40,12 @@ def drive(platform: Platform, ages: list[float | None], *, distance: float = 0.5
         age = ages[seq] if rest == 0 else None
         if age is not None:
             known = now - age
-        moment = Moment(now, now - known, odometry, 0.0)
+        moment = DecisionContext(now, now - known, odometry, 0.0)
         if age is not None:
             x = distance - SPEED * (known - 10.0 - platform.scan.latency)
             protection.observe(wall(platform, seq, x), moment)
-        verdicts.append(protection.decide(AHEAD, moment, is_running=True, hold=None))
-    return verdicts
+        decisions.append(protection.decide(AHEAD, moment, is_running=True, hold=None))
+    return decisions
 
 
 def test_a_lost_sector_is_dead_reckoned_as_if_no_scan_had_come(platform: Platform) -> None:

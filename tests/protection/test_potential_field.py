@@ -9,12 +9,12 @@ import pytest
 
 from swarmd.core.values import Array, Scan, Twist
 from swarmd.protection.arbiter import Protection
-from swarmd.protection.decision import Moment, Verdict
+from swarmd.protection.decision import Decision, DecisionContext
 from swarmd.settings.platforms import load_platform
 from tests.support.platforms import with_mode
 
 WAFFLE = with_mode(load_platform("waffle_pi"), "potential_field")
-WISH = Twist(0.2, 0.3)
+REQUESTED = Twist(0.2, 0.3)
 
 
 def scan_of(ranges: Array) -> Scan:
@@ -29,11 +29,11 @@ def ahead(distance: float, rays: int) -> Scan:
     return scan_of(ranges)
 
 
-def decided(scan: Scan, wish: Twist | None = WISH) -> Verdict:
+def decided(scan: Scan, requested: Twist | None = REQUESTED) -> Decision:
     """What a wish becomes just after that scan."""
     protection = Protection(WAFFLE)
-    protection.observe(scan, Moment(0.0))
-    return protection.decide(wish, Moment(0.0, 0.05), is_running=True, hold=None)
+    protection.observe(scan, DecisionContext(0.0))
+    return protection.decide(requested, DecisionContext(0.0, 0.05), is_running=True, hold=None)
 
 
 @pytest.mark.parametrize(("rays", "is_active"), [(5, False), (6, True)])
@@ -50,10 +50,10 @@ def test_the_papers_threshold_of_distance(distance: float, is_active: bool) -> N
 
 def test_evades_backwards_from_a_wall_ahead_even_with_no_wish() -> None:
     seen = ahead(0.3, 90)
-    verdict = decided(seen, None)
-    assert verdict.safe.linear < 0.0
-    assert verdict.safe.linear == pytest.approx(-WAFFLE.limits.linear, rel=1e-3)
-    assert verdict.is_active
+    decision = decided(seen, None)
+    assert decision.safe.linear < 0.0
+    assert decision.safe.linear == pytest.approx(-WAFFLE.limits.linear, rel=1e-3)
+    assert decision.is_active
 
 
 def test_turns_away_from_what_is_on_its_left() -> None:
@@ -65,13 +65,13 @@ def test_turns_away_from_what_is_on_its_left() -> None:
 
 def test_drives_on_towards_something_narrow_as_the_papers_law_does() -> None:
     seen = ahead(0.4, 8)
-    verdict = decided(seen, Twist(0.1))
-    assert verdict.is_active
-    assert verdict.safe.linear == pytest.approx(0.26, rel=1e-3)
+    decision = decided(seen, Twist(0.1))
+    assert decision.is_active
+    assert decision.safe.linear == pytest.approx(0.26, rel=1e-3)
 
 
 def test_too_close_to_measure_is_as_near_as_can_be_not_free() -> None:
     seen = ahead(-math.inf, 90)
-    verdict = decided(seen)
-    assert verdict.is_active
-    assert verdict.safe.linear < 0.0
+    decision = decided(seen)
+    assert decision.is_active
+    assert decision.safe.linear < 0.0

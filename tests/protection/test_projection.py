@@ -14,7 +14,7 @@ from swarmd.protection.projection import clipped, nearest, nearest_feasible
 BOX = ((1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0))
 OCTAGON = tuple((float(np.cos(a)), float(np.sin(a))) for a in np.pi / 4 * np.arange(8))
 COMPONENT = st.floats(-1, 1)
-WISH = st.tuples(COMPONENT, COMPONENT)
+REQUESTED = st.tuples(COMPONENT, COMPONENT)
 POLYGON = st.sampled_from([BOX, OCTAGON])
 ANGLE = st.floats(-4, 4)
 CLEAR_ANGLE = st.integers(-400, 400).map(lambda n: 0.01 * n)
@@ -23,8 +23,8 @@ LENGTH = st.floats(0.05, 3.0)
 ROWS = st.lists(st.tuples(ANGLE, LENGTH, CAP), max_size=10)
 CLEAR_ROWS = st.lists(st.tuples(CLEAR_ANGLE, LENGTH, CAP), max_size=10)
 
-Wish = tuple[float, float]
-Polygon = tuple[Wish, ...]
+RequestedCommand = tuple[float, float]
+Polygon = tuple[RequestedCommand, ...]
 Rows = list[tuple[float, float, float]]
 
 
@@ -35,7 +35,7 @@ def half_planes(rows: Rows) -> tuple[Array, Array]:
     return normals, caps
 
 
-def solver(wish: Wish, polygon: Polygon, normals: Array, caps: Array) -> Array:
+def solver(requested: RequestedCommand, polygon: Polygon, normals: Array, caps: Array) -> Array:
     """The same by quadprog: an active-set method that shares nothing with ours.
 
     Where rows leave but a point it takes rounding for a contradiction, so it gets a little more.
@@ -45,17 +45,17 @@ def solver(wish: Wish, polygon: Polygon, normals: Array, caps: Array) -> Array:
     outward = np.stack((edges[:, 1], -edges[:, 0]), axis=1)
     rows = np.concatenate((outward, normals))
     bounds = np.concatenate(((outward * corners).sum(axis=1), caps))
-    point: Array = quadprog.solve_qp(np.eye(2), np.array(wish), -rows.T, -bounds - 1e-12)[0]
+    point: Array = quadprog.solve_qp(np.eye(2), np.array(requested), -rows.T, -bounds - 1e-12)[0]
     return point
 
 
-@given(WISH, POLYGON, CLEAR_ROWS)
+@given(REQUESTED, POLYGON, CLEAR_ROWS)
 def test_agrees_with_a_solver_of_quadratic_programs(
-    wish: Wish, polygon: Polygon, rows: Rows
+    requested: RequestedCommand, polygon: Polygon, rows: Rows
 ) -> None:
     normals, caps = half_planes(rows)
-    point, _ = nearest_feasible(wish, polygon, normals, caps)
-    assert point == pytest.approx(solver(wish, polygon, normals, caps), abs=1e-8)
+    point, _ = nearest_feasible(requested, polygon, normals, caps)
+    assert point == pytest.approx(solver(requested, polygon, normals, caps), abs=1e-8)
 
 
 def test_rows_that_are_almost_parallel_meet_where_rounding_lets_them() -> None:
@@ -65,51 +65,59 @@ def test_rows_that_are_almost_parallel_meet_where_rounding_lets_them() -> None:
     assert point == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
-@given(WISH, POLYGON, ROWS)
+@given(REQUESTED, POLYGON, ROWS)
 def test_no_row_is_overstepped_and_the_polygon_is_not_left(
-    wish: Wish, polygon: Polygon, rows: Rows
+    requested: RequestedCommand, polygon: Polygon, rows: Rows
 ) -> None:
     normals, caps = half_planes(rows)
-    point, _ = nearest_feasible(wish, polygon, normals, caps)
+    point, _ = nearest_feasible(requested, polygon, normals, caps)
     assert (normals @ point <= caps + 1e-9).all()
     assert nearest(polygon, point) == pytest.approx(point, abs=1e-12)
 
 
-@given(WISH, ROWS)
-def test_no_point_of_a_fine_grid_is_nearer(wish: Wish, rows: Rows) -> None:
+@given(REQUESTED, ROWS)
+def test_no_point_of_a_fine_grid_is_nearer(requested: RequestedCommand, rows: Rows) -> None:
     normals, caps = half_planes(rows)
-    point, _ = nearest_feasible(wish, BOX, normals, caps)
+    point, _ = nearest_feasible(requested, BOX, normals, caps)
     axis = np.linspace(-1.0, 1.0, 81)
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     allowed = grid[(grid @ normals.T <= caps).all(axis=1)]
-    distances = np.hypot(*(allowed - wish).T)
-    assert np.hypot(*np.subtract(point, wish)) <= distances.min() + 1e-9
+    distances = np.hypot(*(allowed - requested).T)
+    assert np.hypot(*np.subtract(point, requested)) <= distances.min() + 1e-9
 
 
-@given(WISH, POLYGON, ROWS)
-def test_a_feasible_wish_is_given_back_as_it_is(wish: Wish, polygon: Polygon, rows: Rows) -> None:
+@given(REQUESTED, POLYGON, ROWS)
+def test_a_feasible_wish_is_given_back_as_it_is(
+    requested: RequestedCommand, polygon: Polygon, rows: Rows
+) -> None:
     normals, caps = half_planes(rows)
-    inside = nearest(polygon, (0.9 * wish[0], 0.9 * wish[1]))
+    inside = nearest(polygon, (0.9 * requested[0], 0.9 * requested[1]))
     inside = (0.99 * inside[0], 0.99 * inside[1])
     roomy = np.maximum(caps, normals @ np.array(inside))
     assert nearest_feasible(inside, polygon, normals, roomy)[0] == inside
 
 
-@given(WISH, ROWS, st.randoms(use_true_random=False))
-def test_order_and_repetition_of_rows_do_not_matter(wish: Wish, rows: Rows, random: object) -> None:
+@given(REQUESTED, ROWS, st.randoms(use_true_random=False))
+def test_order_and_repetition_of_rows_do_not_matter(
+    requested: RequestedCommand, rows: Rows, random: object
+) -> None:
     shuffled = [*rows, *rows[: len(rows) // 2]]
     random.shuffle(shuffled)  # type: ignore[attr-defined]  # a random.Random
-    point, _ = nearest_feasible(wish, BOX, *half_planes(rows))
-    assert nearest_feasible(wish, BOX, *half_planes(shuffled))[0] == pytest.approx(point, abs=1e-9)
+    point, _ = nearest_feasible(requested, BOX, *half_planes(rows))
+    assert nearest_feasible(requested, BOX, *half_planes(shuffled))[0] == pytest.approx(
+        point, abs=1e-9
+    )
 
 
-@given(WISH, ROWS, st.tuples(ANGLE, st.floats(0.05, 3.0), CAP))
+@given(REQUESTED, ROWS, st.tuples(ANGLE, st.floats(0.05, 3.0), CAP))
 def test_one_row_more_never_brings_it_nearer_to_the_wish(
-    wish: Wish, rows: Rows, more: tuple[float, float, float]
+    requested: RequestedCommand, rows: Rows, more: tuple[float, float, float]
 ) -> None:
-    point, _ = nearest_feasible(wish, BOX, *half_planes(rows))
-    fewer, _ = nearest_feasible(wish, BOX, *half_planes([*rows, more]))
-    assert np.hypot(*np.subtract(fewer, wish)) >= np.hypot(*np.subtract(point, wish)) - 1e-9
+    point, _ = nearest_feasible(requested, BOX, *half_planes(rows))
+    fewer, _ = nearest_feasible(requested, BOX, *half_planes([*rows, more]))
+    assert (
+        np.hypot(*np.subtract(fewer, requested)) >= np.hypot(*np.subtract(point, requested)) - 1e-9
+    )
 
 
 def test_tight_rows_are_those_that_bind() -> None:

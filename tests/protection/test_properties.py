@@ -15,7 +15,7 @@ from hypothesis.extra.numpy import arrays
 
 from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
 from swarmd.protection.arbiter import Protection
-from swarmd.protection.decision import Moment
+from swarmd.protection.decision import DecisionContext
 from swarmd.protection.footprint import Footprint
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import mirrored, reordered, scan_from
@@ -69,20 +69,22 @@ def test_where_nothing_is_in_reach_a_wish_passes_to_the_last_bit(
     far = platform.scan.range_max - 0.1
     ranges = np.full(RAYS, math.inf)
     ranges[rays] = far
-    wish = wishing(platform, v, w)
-    verdict = decided(platform, scan_from(platform, ranges, platform.scan.bearings), wish, age=age)
-    assert verdict.safe == wish
-    assert not verdict.is_active
-    assert verdict.rows == ()
+    requested = wishing(platform, v, w)
+    decision = decided(
+        platform, scan_from(platform, ranges, platform.scan.bearings), requested, age=age
+    )
+    assert decision.safe == requested
+    assert not decision.is_active
+    assert decision.rows == ()
 
 
 @given(PLATFORM, RETURNS, AGE)
 def test_who_wishes_nothing_is_never_moved(
     platform: Platform, returns: Returns, age: float
 ) -> None:
-    verdict = decided(platform, seeing(platform, returns), ZERO, age=age)
-    assert verdict.safe == ZERO
-    assert not verdict.is_active
+    decision = decided(platform, seeing(platform, returns), ZERO, age=age)
+    assert decision.safe == ZERO
+    assert not decision.is_active
 
 
 ANYTHING = st.floats(allow_nan=True, allow_infinity=True)
@@ -98,16 +100,16 @@ WILD = st.floats(-1e6, 1e6)
     st.floats(0, 10),
 )  # fmt: skip
 def test_whatever_comes_in_what_comes_out_is_finite_and_within_limits(
-    platform: Platform, ranges: Array, wish: Twist, odometry: Odometry, age: float
+    platform: Platform, ranges: Array, requested: Twist, odometry: Odometry, age: float
 ) -> None:
     protection = Protection(platform)
     clean = np.where(ranges < platform.scan.range_min, -math.inf, ranges)
     clean = np.where(clean > platform.scan.range_max, math.inf, clean)
     scan = scan_from(platform, clean, platform.scan.bearings)
     for at in (5.0, 5.2):
-        moment = Moment(at, age, odometry, age)
+        moment = DecisionContext(at, age, odometry, age)
         protection.observe(scan, moment)
-        safe = protection.decide(wish, moment, is_running=True, hold=None).safe
+        safe = protection.decide(requested, moment, is_running=True, hold=None).safe
         assert safe.is_finite
         assert platform.limits.clip(safe) == safe
 
@@ -119,10 +121,10 @@ def test_from_what_it_closes_on_it_can_always_still_stop(
     """Each return against the safe command by the equation, with places found by brute force."""
     settings = platform.protection["barrier"]
     scan, straight = seeing(platform, returns), wishing(platform, v, w)
-    wish = Twist(straight.linear, straight.angular, aside * platform.limits.lateral)
-    safe = decided(platform, scan, wish, age=age).safe
+    requested = Twist(straight.linear, straight.angular, aside * platform.limits.lateral)
+    safe = decided(platform, scan, requested, age=age).safe
     speed = np.array([safe.linear, safe.lateral])
-    wished = np.array([wish.linear, wish.lateral])
+    wished = np.array([requested.linear, requested.lateral])
     along = wished / np.hypot(*wished) if wished.any() else np.array([1.0, 0.0])
     free = settings["margin"] + settings["unseen_extent"]
     for point in points(platform, scan):
@@ -241,9 +243,11 @@ def test_more_caution_never_allows_more(
 def test_left_and_right_are_alike(
     platform: Platform, returns: Returns, v: float, w: float, age: float
 ) -> None:
-    scan, wish = seeing(platform, returns), wishing(platform, v, w)
-    safe = decided(platform, scan, wish, age=age).safe
-    other = decided(platform, mirrored(scan), Twist(wish.linear, -wish.angular), age=age).safe
+    scan, requested = seeing(platform, returns), wishing(platform, v, w)
+    safe = decided(platform, scan, requested, age=age).safe
+    other = decided(
+        platform, mirrored(scan), Twist(requested.linear, -requested.angular), age=age
+    ).safe
     assert other.linear == pytest.approx(safe.linear, abs=1e-9)
     assert other.angular == pytest.approx(-safe.angular, abs=1e-9)
 
@@ -252,11 +256,11 @@ def test_left_and_right_are_alike(
 def test_the_order_of_rays_and_what_is_seen_twice_do_not_matter(
     platform: Platform, returns: Returns, v: float, w: float, seed: int
 ) -> None:
-    scan, wish = seeing(platform, returns), wishing(platform, v, w)
-    safe = decided(platform, scan, wish).safe
+    scan, requested = seeing(platform, returns), wishing(platform, v, w)
+    safe = decided(platform, scan, requested).safe
     twice = replace(scan, ranges=np.tile(scan.ranges, 2), bearings=np.tile(scan.bearings, 2))
     for changed in (reordered(scan, np.random.default_rng(seed)), twice):
-        other = decided(platform, changed, wish).safe
+        other = decided(platform, changed, requested).safe
         assert other.linear == pytest.approx(safe.linear, abs=1e-9)
         assert other.angular == pytest.approx(safe.angular, abs=1e-9)
 
@@ -277,11 +281,11 @@ def test_the_promise_to_others_is_kept_wherever_something_is_near(
 def test_what_bounds_a_command_is_named_tightest_first(
     platform: Platform, returns: Returns, v: float, w: float
 ) -> None:
-    verdict = decided(platform, seeing(platform, returns), wishing(platform, v, w))
-    caps = [row.cap for row in verdict.rows]
+    decision = decided(platform, seeing(platform, returns), wishing(platform, v, w))
+    caps = [row.cap for row in decision.rows]
     assert caps == sorted(caps)
-    assert all(row.gap >= 0.0 <= row.cap for row in verdict.rows)
-    assert verdict.is_active or not caps
+    assert all(row.gap >= 0.0 <= row.cap for row in decision.rows)
+    assert decision.is_active or not caps
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE, st.floats(-3, 3), st.floats(0.05, 1.0), st.floats(0, 0.3))
@@ -290,8 +294,8 @@ def test_a_touch_zone_takes_away_but_haste_and_frees_its_own_sector_alone(
     speed: float,
 ) -> None:  # fmt: skip
     zone = TouchZone(bearing, half, speed)
-    scan, wish = seeing(platform, returns), wishing(platform, v, w)
-    without = decided(platform, scan, wish).safe
+    scan, requested = seeing(platform, returns), wishing(platform, v, w)
+    without = decided(platform, scan, requested).safe
     slow = unhurried(platform, without, speed)
     while not passes(platform, scan, slow):  # slower, its stop is another one
         slow = unhurried(platform, decided(platform, scan, slow).safe, 0.9 * speed)
@@ -299,7 +303,7 @@ def test_a_touch_zone_takes_away_but_haste_and_frees_its_own_sector_alone(
     again = decided(platform, scan, slow, touch=zone).safe
     assert (again.linear, again.angular) == pytest.approx((slow.linear, slow.angular))
     outside = [one for one in returns if not within(platform, scan, one[0], zone)]
-    freed = decided(platform, scan, wish, touch=zone).safe
+    freed = decided(platform, scan, requested, touch=zone).safe
     assert passes(platform, seeing(platform, outside), freed)
 
 

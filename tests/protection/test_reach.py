@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from swarmd.core.values import Odometry, Platform, Pose, Twist
 from swarmd.protection.barrier import TICK, Barrier
 from swarmd.protection.constraints import Reach
-from swarmd.protection.decision import Moment
+from swarmd.protection.decision import DecisionContext
 from swarmd.protection.footprint import Sight
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
@@ -66,11 +66,11 @@ def decided(
     for first, count, beyond in returns:
         ranges[np.arange(first, first + count) % 360] = platform.scan.range_min + beyond
     scan = scan_from(platform, ranges, platform.scan.bearings)
-    before = Moment(BEGIN - 0.1, None, driving(twist, -0.1), 0.0)
+    before = DecisionContext(BEGIN - 0.1, None, driving(twist, -0.1), 0.0)
     barrier.decide(twist, before, command=twist, touch=None)
-    now = Moment(BEGIN, 0.0, driving(twist, 0.0), 0.0)
+    now = DecisionContext(BEGIN, 0.0, driving(twist, 0.0), 0.0)
     barrier.observe(scan, Sight(platform.scan), now)
-    later = now if age == 0.0 else Moment(BEGIN + age, age, driving(twist, age), 0.0)
+    later = now if age == 0.0 else DecisionContext(BEGIN + age, age, driving(twist, age), 0.0)
     return barrier.decide(twist, later, command=twist, touch=None).twist
 
 

@@ -50,14 +50,14 @@ def test_the_nearer_it_is_the_slower_it_is_passed(side: float, way: float) -> No
 
 def test_what_leaves_room_is_passed_at_full_speed() -> None:
     for gap in (0.25, 0.4):
-        wish = Twist(TOP)
-        assert decided(WAFFLE, beside(gap, 1.0), wish).safe == wish
+        requested = Twist(TOP)
+        assert decided(WAFFLE, beside(gap, 1.0), requested).safe == requested
 
 
 def test_from_what_is_ahead_it_backs_off_as_it_likes() -> None:
     ranges = np.full(360, math.inf)
     ranges[0] = float(WAFFLE.footprint[:, 0].max()) - WAFFLE.scan.offset[0] + TOUCH + 0.01
     scan = scan_from(WAFFLE, ranges, WAFFLE.scan.bearings)
-    wish = Twist(-TOP)
-    assert decided(WAFFLE, scan, wish).safe == wish
+    requested = Twist(-TOP)
+    assert decided(WAFFLE, scan, requested).safe == requested
     assert decided(WAFFLE, scan, Twist(TOP)).safe.linear == 0.0

@@ -7,7 +7,7 @@ import pytest
 from swarmd.api import Inputs, MovementPattern, Params, Twist
 from swarmd.core.host_messages import Kill, Load, Ready
 from swarmd.core.messages import Code, Reason, Reply, Request, State
-from tests.support.robot_harness import Story
+from tests.support.robot_harness import RobotHarness
 
 
 class Forward(MovementPattern[Params]):
@@ -24,8 +24,8 @@ class Backward(MovementPattern[Params]):
         return Twist(-0.1)
 
 
-def driving() -> Story:
-    story = Story(patterns={"forward": Forward, "backward": Backward})
+def driving() -> RobotHarness:
+    story = RobotHarness(patterns={"forward": Forward, "backward": Backward})
     story.advance(1.0)
     reply = story.ask("run", pattern="forward")
     assert reply is not None
@@ -34,11 +34,11 @@ def driving() -> Story:
     return story
 
 
-def answer(story: Story, request: Request) -> Reply | None:
+def answer(story: RobotHarness, request: Request) -> Reply | None:
     return next((reply for reply in story.replies if reply.id == request.id), None)
 
 
-def standing(story: Story) -> tuple[State, Reason | None]:
+def standing(story: RobotHarness) -> tuple[State, Reason | None]:
     status = story.status
     return status.state, status.reason
 

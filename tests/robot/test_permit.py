@@ -14,15 +14,15 @@ from swarmd.api import (
     MovementPattern,
     Params,
     Pattern,
+    Recovery,
     TouchZone,
     Twist,
-    Unstick,
 )
 from swarmd.core.host_messages import Failed, Ready
 from swarmd.core.messages import Code, State
 from swarmd.protection.arbiter import Protection
-from swarmd.protection.decision import NO_PERMIT, Permit, Verdict
-from tests.support.robot_harness import Story
+from swarmd.protection.decision import NO_PERMIT, Decision, Permit
+from tests.support.robot_harness import RobotHarness
 
 ZONE = TouchZone(0.0, math.radians(20.0), 0.1)
 LESS = TouchZone(0.0, math.radians(10.0), 0.05)
@@ -30,7 +30,7 @@ MAY = "may touch: +-10 deg ahead at up to 0.05 m/s"
 
 
 class Restful(Params, frozen=True):
-    unstick: Unstick = False
+    recovery: Recovery = False
 
 
 class Forward(MovementPattern[Params]):
@@ -76,7 +76,7 @@ class Attentive(Protection):
 
     permit: Permit
 
-    def decide(self, *args: Any, permit: Permit = NO_PERMIT, **more: Any) -> Verdict:
+    def decide(self, *args: Any, permit: Permit = NO_PERMIT, **more: Any) -> Decision:
         self.permit = permit
         return super().decide(*args, permit=permit, **more)
 
@@ -86,27 +86,27 @@ def attentive(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("swarmd.robot.robot.Protection", Attentive)
 
 
-def story(**touch: TouchZone) -> Story:
-    made = Story(patterns=PATTERNS, touch=touch)
+def story(**touch: TouchZone) -> RobotHarness:
+    made = RobotHarness(patterns=PATTERNS, touch=touch)
     made.advance(1.0)
     return made
 
 
-def run(tale: Story, pattern: str, **args: Any) -> None:
+def run(tale: RobotHarness, pattern: str, **args: Any) -> None:
     reply = tale.ask("run", pattern=pattern, **args)
     assert reply is not None
     assert reply.code is Code.APPLIED, reply
     tale.advance(0.3)
 
 
-def permit(tale: Story) -> Permit:
+def permit(tale: RobotHarness) -> Permit:
     """What protection was told at the last decision."""
     front = tale.robot._protection
     assert isinstance(front, Attentive)
     return front.permit
 
 
-def said(tale: Story) -> list[str]:
+def said(tale: RobotHarness) -> list[str]:
     return [event.text for event in tale.status.events]
 
 
@@ -232,19 +232,19 @@ def test_no_operator_can_grant_it(name: str) -> None:
 def test_every_pattern_is_led_around_what_blocks_it_unless_it_declares_otherwise() -> None:
     tale = story()
     run(tale, "forward")
-    assert permit(tale).may_unstick
+    assert permit(tale).may_recover
     run(tale, "push")
-    assert not permit(tale).may_unstick
+    assert not permit(tale).may_recover
 
 
 @pytest.mark.parametrize(("pattern", "value"), [("forward", "false"), ("push", "true")])
 def test_an_operator_can_change_that(pattern: str, value: str) -> None:
     tale = story()
-    run(tale, pattern, params={"unstick": value})
-    assert permit(tale).may_unstick is (value == "true")
+    run(tale, pattern, params={"recovery": value})
+    assert permit(tale).may_recover is (value == "true")
     run(tale, pattern)
-    assert permit(tale).may_unstick is not (value == "true")
-    tale.ask("param", set={"unstick": value})
+    assert permit(tale).may_recover is not (value == "true")
+    tale.ask("param", set={"recovery": value})
     tale.advance(0.1)
-    assert permit(tale).may_unstick is (value == "true")
-    assert tale.status.params["unstick"].source == "runtime"
+    assert permit(tale).may_recover is (value == "true")
+    assert tale.status.params["recovery"].source == "runtime"

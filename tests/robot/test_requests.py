@@ -8,12 +8,12 @@ from swarmd.api import Outputs, Twist
 from swarmd.core.host_messages import Kill, Ready, Stepped
 from swarmd.core.messages import Code, Epoch, Latch, Reason, State
 from swarmd.robot.latches import HELD
-from tests.support.robot_harness import Story
+from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, standing_state, started
 
 
 def test_a_request_for_another_epoch_is_refused_and_names_who_changed_it() -> None:
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     story.advance(1.0)
     seen = story.epoch
     first = story.send(story.request("run", seen, pattern="forward", operator="alice"))
@@ -27,7 +27,7 @@ def test_a_request_for_another_epoch_is_refused_and_names_who_changed_it() -> No
 
 
 def test_a_replayed_run_never_moves_it() -> None:
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     story.advance(1.0)
     request = story.request("run", pattern="forward")
     story.send(request)
@@ -40,14 +40,14 @@ def test_a_replayed_run_never_moves_it() -> None:
 
 
 def test_an_epoch_of_an_earlier_life_is_refused() -> None:
-    story = Story(patterns=PATTERNS, boot="boot2")
+    story = RobotHarness(patterns=PATTERNS, boot="boot2")
     reply = story.send(story.request("run", Epoch("boot1", 0), pattern="forward"))
     assert reply is not None
     assert reply.code is Code.REFUSED
 
 
 def test_a_robot_that_is_not_named_does_not_answer() -> None:
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     request = story.request("stop")
     other = type(request)(
         id="x", operator="a", verb="stop", targets={"tb3-02": Epoch("b", 0)}, args={}
@@ -97,12 +97,12 @@ def test_estop_latches_and_is_written_before_the_ack() -> None:
 def test_an_earlier_lifes_latch_holds_the_next_one() -> None:
     story = started()
     story.send(story.request("estop", id="e1"))
-    reborn = Story(patterns=PATTERNS, latches=story.written[-1], boot="boot2")
+    reborn = RobotHarness(patterns=PATTERNS, latches=story.written[-1], boot="boot2")
     assert standing_state(reborn) == (State.ESTOPPED, Reason.ESTOP)
 
 
 def test_a_reset_that_crosses_a_second_estop_leaves_it_latched() -> None:
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     story.send(story.request("estop", id="e1"))
     reset = story.request("reset", ids=["e1"])
     story.send(story.request("estop", id="e2"))
@@ -133,7 +133,7 @@ def test_a_peers_swarm_wide_latch_is_taken_over_unless_it_was_reset_here() -> No
 
 @pytest.mark.parametrize("verb", ["stop", "estop"])
 def test_stopping_while_a_pattern_is_loaded_cancels_it(verb: str) -> None:
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     story.advance(1.0)
     story.is_hung = True
     run = story.request("run", pattern="forward")
@@ -149,7 +149,7 @@ def test_stopping_while_a_pattern_is_loaded_cancels_it(verb: str) -> None:
 
 
 def test_whoever_asks_while_a_pattern_is_loaded_is_told_for_whom() -> None:
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     story.is_hung = True
     assert story.ask("run", pattern="forward", operator="alice") is None
     reply = story.ask("run", pattern="forward", operator="bob")
@@ -170,7 +170,7 @@ def test_a_load_that_hangs_fails_after_three_seconds_and_stops_the_body() -> Non
 
 
 def test_a_load_that_hangs_in_an_idle_robot_fails_after_three_seconds() -> None:
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     story.advance(1.0)
     story.is_hung = True
     run = story.request("run", pattern="forward")
@@ -243,7 +243,7 @@ def test_a_second_holder_of_the_id_faults_it_until_it_has_gone_and_a_reset() -> 
 
 
 def test_a_reset_that_crosses_one_estop_more_than_are_kept_by_name_leaves_it_latched() -> None:
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     for n in range(HELD + 2):
         story.send(story.request("estop", id=f"e{n}"))
     reset = story.request("reset", ids=list(story.status.latches))
@@ -258,7 +258,7 @@ def test_a_reset_that_crosses_one_estop_more_than_are_kept_by_name_leaves_it_lat
 
 
 def test_a_peer_with_many_latches_does_not_change_a_robot_again_and_again() -> None:
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     many = {f"e{n}": Latch(issuer="eve", scope="swarm") for n in range(3 * HELD)}
     story.carry_out(story.robot.on_latches(many, story.now))
     revision = story.epoch.revision

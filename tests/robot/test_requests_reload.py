@@ -11,7 +11,7 @@ from swarmd.core.errors import PluginError
 from swarmd.core.host_messages import Cancel, Kill, Load, Refused, Step, Tried, Try
 from swarmd.core.messages import Code, Reason, Reply, Request, State
 from swarmd.robot.requests import TRIAL_TIMEOUT
-from tests.support.robot_harness import Story
+from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, standing_state
 
 
@@ -32,8 +32,8 @@ class Broken(MovementPattern[Params]):
         return Twist()
 
 
-def driving() -> Story:
-    story = Story(patterns={**PATTERNS, "own": Forward, "broken": Broken})
+def driving() -> RobotHarness:
+    story = RobotHarness(patterns={**PATTERNS, "own": Forward, "broken": Broken})
     story.advance(1.0)
     story.ask("run", pattern="own")
     story.advance(0.5)
@@ -42,11 +42,11 @@ def driving() -> Story:
     return story
 
 
-def answer(story: Story, request: Request) -> Reply:
+def answer(story: RobotHarness, request: Request) -> Reply:
     return next(reply for reply in story.replies if reply.id == request.id)
 
 
-def begun(story: Story, **args: Any) -> Request:
+def begun(story: RobotHarness, **args: Any) -> Request:
     """A reload whose trial is under way, while the pattern in force goes on."""
     request = story.request("reload", pattern="own", **args)
     actions = story.robot.on_request(request, story.now)
@@ -70,7 +70,7 @@ def test_a_robot_that_is_reloaded_stops_and_its_host_is_replaced() -> None:
 
 def test_asked_to_it_loads_in_a_fresh_host_with_the_same_parameters_and_the_time_left() -> None:
     story = driving()
-    story.ask("run", pattern="own", params={"unstick": False}, seconds=60.0)
+    story.ask("run", pattern="own", params={"recovery": False}, seconds=60.0)
     story.advance(20.0)
     story.sent.clear()
     reply = story.ask("reload", pattern="own", run=True)
@@ -78,7 +78,7 @@ def test_asked_to_it_loads_in_a_fresh_host_with_the_same_parameters_and_the_time
     assert (reply.code, reply.text) == (Code.APPLIED, "runs own")
     loads = [command for command in story.sent if isinstance(command, Load)]
     assert [(load.is_fresh, dict(load.layers[-1][1])) for load in loads] == [
-        (True, {"unstick": False})
+        (True, {"recovery": False})
     ]
     story.advance(39.0)
     assert story.twist == Twist(0.2)
@@ -88,11 +88,11 @@ def test_asked_to_it_loads_in_a_fresh_host_with_the_same_parameters_and_the_time
 
 def test_the_trial_has_the_parameters_in_force() -> None:
     story = driving()
-    story.ask("run", pattern="own", params={"unstick": False})
+    story.ask("run", pattern="own", params={"recovery": False})
     request = story.request("reload", pattern="own")
     actions = story.robot.on_request(request, story.now)
     assert isinstance(actions.trial, Try)
-    assert dict(actions.trial.load.layers[-1][1]) == {"unstick": False}
+    assert dict(actions.trial.load.layers[-1][1]) == {"recovery": False}
 
 
 @pytest.mark.parametrize("pattern", ["broken", "owm"])
@@ -167,7 +167,7 @@ def test_one_trial_at_a_time_and_no_change_meanwhile() -> None:
     for verb, args in (
         ("reload", {"pattern": "forward"}),
         ("run", {"pattern": "forward"}),
-        ("param", {"set": {"unstick": False}}),
+        ("param", {"set": {"recovery": False}}),
     ):
         reply = story.ask(verb, **args)
         assert reply is not None
@@ -209,7 +209,7 @@ def test_what_does_not_run_is_tried_and_the_next_load_is_in_a_fresh_host() -> No
 
 
 def test_an_idle_robot_gets_a_fresh_host_and_stays_idle() -> None:
-    story = Story(patterns={"own": Forward})
+    story = RobotHarness(patterns={"own": Forward})
     story.advance(1.0)
     reply = story.ask("reload", pattern="own", run=True)
     assert reply is not None

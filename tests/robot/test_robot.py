@@ -12,12 +12,12 @@ from swarmd.core.host_messages import Died, Kill, Load, Ready, Step, Stepped
 from swarmd.core.messages import Code, Reason, State, Status
 from swarmd.core.values import Neighbor, Scalar
 from swarmd.pattern_host.wire import MAX_FRAME, encode_command
-from tests.support.robot_harness import Story
+from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, standing_state, started
 
 
 def test_never_moves_before_it_is_asked() -> None:
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     story.advance(3.0)
     assert all(twist.is_zero for _, twist in story.commands)
     assert standing_state(story) == (State.IDLE, Reason.NEVER_ASKED)
@@ -128,7 +128,7 @@ def test_a_pattern_that_keeps_raising_is_restarted_with_backoff_then_quarantined
 
 
 def test_a_raising_pattern_zeroes_with_the_very_event() -> None:
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     story.advance(1.0)
     story.ask("run", pattern="raiser")
     for _ in range(20):
@@ -149,7 +149,7 @@ def test_a_dead_host_zeroes_at_once_and_is_replaced() -> None:
 
 
 def test_a_wish_that_is_no_number_counts_as_a_fault() -> None:
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     story.advance(1.0)
     story.ask("run", pattern="not_finite")
     story.advance(0.1)
@@ -167,7 +167,7 @@ def test_a_finished_pattern_leaves_the_robot_idle() -> None:
 
 
 def test_a_run_with_a_duration_ends_when_it_is_over() -> None:
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     story.advance(1.0)
     story.ask("run", pattern="forward", seconds=1.0)
     story.advance(0.9)
@@ -185,7 +185,7 @@ def test_a_pattern_that_failed_once_gets_no_more_time_than_it_was_given() -> Non
                 raise RuntimeError("not yet")
             return Twist(0.1)
 
-    story = Story(patterns={"early": Early})
+    story = RobotHarness(patterns={"early": Early})
     story.advance(1.0)
     story.ask("run", pattern="early", seconds=2.0)
     story.advance(1.5)
@@ -199,7 +199,7 @@ def test_a_command_tells_which_scan_its_wish_rests_on() -> None:
     story.is_hung = True
     story.advance(0.25)
     actions = story.robot.tick(story.now)
-    assert 0 <= actions.wish_seq < actions.verdict.scan_seq
+    assert 0 <= actions.requested_scan_seq < actions.decision.scan_seq
 
 
 def test_the_pattern_is_stepped_at_its_rate_and_on_every_new_scan() -> None:
@@ -257,7 +257,7 @@ def test_a_late_answer_counts_from_when_its_step_was_asked_for() -> None:
 
 
 def test_what_an_operator_asked_for_next_outlives_the_end_of_the_pattern_before() -> None:
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     story.advance(1.0)
     story.ask("run", pattern="forward", seconds=0.5)
     story.advance(0.2)
@@ -274,7 +274,7 @@ def test_what_an_operator_asked_for_next_outlives_the_end_of_the_pattern_before(
 
 @pytest.mark.parametrize("rate", [8.0, 10.0, 30.0, 50.0])
 def test_any_rate_is_kept_without_scans_too(rate: float) -> None:
-    story = Story(patterns={"paced": type("Paced", (PATTERNS["listener"],), {"rate": rate})})
+    story = RobotHarness(patterns={"paced": type("Paced", (PATTERNS["listener"],), {"rate": rate})})
     story.advance(1.0)
     story.ask("run", pattern="paced")
     story.sent.clear()

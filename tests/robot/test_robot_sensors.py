@@ -10,12 +10,12 @@ import pytest
 from swarmd.api import Scan, Twist
 from swarmd.core.messages import Reason, State
 from swarmd.testing.scans import empty_scan
-from tests.support.robot_harness import Story
+from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, standing_state, started
 
 
 def test_no_scan_yet_holds_and_then_stops() -> None:
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     story.scans = lambda seq, now: None
     story.advance(1.0)
     story.ask("run", pattern="forward")
@@ -29,7 +29,7 @@ def test_no_scan_yet_holds_and_then_stops() -> None:
 def test_a_stale_scan_zeroes_exactly_when_it_is_too_old() -> None:
     story = started()
     scan_at = story.now  # advance(0.5) ends between two sweeps; find the last one
-    age = story.status.verdict.scan_age
+    age = story.status.decision.scan_age
     assert age is not None
     scan_at -= age
     story.scans = lambda seq, now: None
@@ -85,7 +85,7 @@ def test_invalid_scans_stop_it_with_their_own_reason(what: str) -> None:
 
 def test_a_lost_sector_zeroes_exactly_stale_after_it_was_last_seen() -> None:
     story = started()
-    age = story.status.verdict.scan_age
+    age = story.status.decision.scan_age
     assert age is not None
     limit = story.now - age + story.platform.scan.stale_after
     story.scans = story.nan_scan(0.0, sector=(0.0, 0.5))
@@ -149,7 +149,7 @@ def test_protection_overrules_the_wish_while_running_and_only_then() -> None:
     )
     story.advance(0.5)
     assert story.twist.linear < 0.0
-    assert story.status.verdict.is_active
+    assert story.status.decision.is_active
     story.ask("stop")
     story.advance(1.0)
     assert story.twist.is_zero

@@ -17,7 +17,7 @@ from swarmd.robot.sensors import (
     NEIGHBOR_FORGOTTEN_AFTER,
     ODOMETRY_STALE_AFTER,
     OVERHEAD,
-    Senses,
+    Sensors,
 )
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import empty_scan
@@ -25,11 +25,11 @@ from tests.support.platforms import with_mode
 
 
 @pytest.fixture
-def senses() -> Senses:
-    return Senses(load_platform("waffle_pi"))
+def senses() -> Sensors:
+    return Sensors(load_platform("waffle_pi"))
 
 
-def test_neighbors_age_in_steps_and_are_forgotten_with_what_they_say(senses: Senses) -> None:
+def test_neighbors_age_in_steps_and_are_forgotten_with_what_they_say(senses: Sensors) -> None:
     senses.on_neighbors((Neighbor("b", 0.25, distance=1.0),), 10.0)
     ages = [senses.neighbors(10.0 + past)[0].age for past in (0.0, 0.4, 0.6, 1.7, 2.9)]
     assert ages == [0.25, 0.25, 0.25 + AGES_EVERY, 0.25 + 3 * AGES_EVERY, 0.25 + 5 * AGES_EVERY]
@@ -40,14 +40,14 @@ def test_neighbors_age_in_steps_and_are_forgotten_with_what_they_say(senses: Sen
     assert senses.neighbors(last + 0.01) == ()
 
 
-def test_strangers_are_not_heard(senses: Senses) -> None:
+def test_strangers_are_not_heard(senses: Sensors) -> None:
     assert not senses.on_message("b", "w", 1, 0.0)
     senses.on_neighbors((Neighbor("b", 0.0),), 0.0)
     assert senses.on_message("b", "w", 1, 0.0)
     assert not senses.on_message("c", "w", 1, 0.0)
 
 
-def test_messages_come_once_with_their_age_and_the_oldest_give_way(senses: Senses) -> None:
+def test_messages_come_once_with_their_age_and_the_oldest_give_way(senses: Sensors) -> None:
     senses.on_neighbors((Neighbor("b", 0.0),), 0.0)
     word = b"x" * 800
     fit = INBOX_BYTES // (OVERHEAD + 800 + 4)  # a version byte and MessagePack's own three
@@ -60,7 +60,7 @@ def test_messages_come_once_with_their_age_and_the_oldest_give_way(senses: Sense
     assert senses.inputs(0.75, 0.1).messages == ()
 
 
-def test_odometry_whose_stamp_stands_still_grows_stale(senses: Senses) -> None:
+def test_odometry_whose_stamp_stands_still_grows_stale(senses: Sensors) -> None:
     senses.on_driver(True, "up")
     platform = load_platform("waffle_pi")
     for tick in range(13):
@@ -71,7 +71,7 @@ def test_odometry_whose_stamp_stands_still_grows_stale(senses: Senses) -> None:
         assert senses.hold(now) is (Reason.STALE_ODOMETRY if late else None)
 
 
-def test_a_lost_sector_holds_once_it_has_not_been_seen_for_stale_after(senses: Senses) -> None:
+def test_a_lost_sector_holds_once_it_has_not_been_seen_for_stale_after(senses: Sensors) -> None:
     platform = load_platform("waffle_pi")
     stale_after = platform.scan.stale_after
     senses.on_driver(True, "up")
@@ -94,7 +94,7 @@ def test_a_lost_sector_holds_once_it_has_not_been_seen_for_stale_after(senses: S
 @pytest.mark.parametrize("mode", ["barrier", "potential_field", "stop_zone"])
 def test_zeros_beside_what_is_near_are_guessed_unless_protection_remembers_it(mode: Mode) -> None:
     platform = with_mode(load_platform("burger"), mode)
-    senses, ranges = Senses(platform), np.full(360, 2.0)
+    senses, ranges = Sensors(platform), np.full(360, 2.0)
     ranges[100] = 0.15
     senses.on_scan(replace(empty_scan(platform, 0, 0.0), ranges=ranges), 0.0)
     ranges = ranges.copy()
@@ -112,7 +112,7 @@ def test_zeros_beside_what_is_near_are_guessed_unless_protection_remembers_it(mo
         Odometry(1.0, Pose(yaw=-math.inf), Twist()),
     ],
 )
-def test_odometry_that_is_not_finite_never_came(senses: Senses, odometry: Odometry) -> None:
+def test_odometry_that_is_not_finite_never_came(senses: Sensors, odometry: Odometry) -> None:
     first = Odometry(0.0, Pose(), Twist())
     senses.on_odometry(first, 10.0)
     senses.on_odometry(odometry, 10.2)

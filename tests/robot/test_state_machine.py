@@ -5,7 +5,7 @@ from itertools import product
 import pytest
 
 from swarmd.core.messages import Reason, State
-from swarmd.robot.state_machine import TRANSITIONS, Event, Supervisor
+from swarmd.robot.state_machine import TRANSITIONS, Event, StateMachine
 
 
 def test_every_state_has_an_answer_to_every_event() -> None:
@@ -40,7 +40,7 @@ def test_only_a_reset_leaves_estopped_or_faulted() -> None:
 
 @pytest.mark.parametrize("event", [event for event in Event if event is not Event.RUN])
 def test_whatever_else_happens_leaves_running_or_stays_out_of_it(event: Event) -> None:
-    supervisor = Supervisor(0.0)
+    supervisor = StateMachine(0.0)
     supervisor.apply(Event.RUN, None, "", 1.0)
     supervisor.apply(event, Reason.OPERATOR, "why", 2.0)
     if event is not Event.RESET:
@@ -53,7 +53,7 @@ def test_whatever_else_happens_leaves_running_or_stays_out_of_it(event: Event) -
 
 
 def test_an_event_that_changes_nothing_keeps_the_older_reason() -> None:
-    supervisor = Supervisor(0.0)
+    supervisor = StateMachine(0.0)
     supervisor.apply(Event.ESTOP, Reason.ESTOP, "by alice", 1.0)
     supervisor.apply(Event.STOP, Reason.OPERATOR, "by bob", 2.0)
     assert (supervisor.state, supervisor.reason) == (State.ESTOPPED, Reason.ESTOP)

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.messages import Reason, Status, VerdictSummary
+from swarmd.core.messages import DecisionSummary, Reason, Status
 from swarmd.core.values import Scan
 from swarmd.robot.status import ROWS
 from swarmd.testing.scans import empty_scan
-from tests.support.robot_harness import Story
+from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS
 
 decode = Decoder(Status)
@@ -22,18 +22,18 @@ BARRIER = "extends: waffle_pi\nprotection: {mode: barrier}\n"
 
 
 @pytest.fixture
-def story(tmp_path: Path) -> Story:
+def story(tmp_path: Path) -> RobotHarness:
     """A robot in mode barrier that is asked to drive straight on."""
     path = tmp_path / "careful.yaml"
     path.write_text(BARRIER)
-    story = Story(str(path), patterns=PATTERNS)
+    story = RobotHarness(str(path), patterns=PATTERNS)
     story.advance(0.5)
     return story
 
 
 def summary(
-    story: Story, bearing_deg: float, distance: float, *, unstick: bool = False
-) -> VerdictSummary:
+    story: RobotHarness, bearing_deg: float, distance: float, *, recovery: bool = False
+) -> DecisionSummary:
     """What it says after a moment with something 20 degrees wide in the way."""
 
     def scans(seq: int, now: float) -> Scan:
@@ -44,12 +44,12 @@ def summary(
         return replace(scan, ranges=np.where(off < 0.17, distance, np.inf))
 
     story.scans = scans
-    story.ask("run", pattern="forward", params={"unstick": unstick})
+    story.ask("run", pattern="forward", params={"recovery": recovery})
     story.advance(0.25)
-    return story.status.verdict
+    return story.status.decision
 
 
-def test_says_what_bounds_the_command_the_tightest_first(story: Story) -> None:
+def test_says_what_bounds_the_command_the_tightest_first(story: RobotHarness) -> None:
     said = summary(story, -20.0, 0.45)
     assert (said.mode, said.is_active) == ("barrier", True)
     assert 1 <= len(said.rows) <= ROWS
@@ -61,24 +61,24 @@ def test_says_what_bounds_the_command_the_tightest_first(story: Story) -> None:
     assert said.scan_age is not None
 
 
-def test_a_robot_that_stands_before_an_obstacle_says_so(story: Story) -> None:
+def test_a_robot_that_stands_before_an_obstacle_says_so(story: RobotHarness) -> None:
     said = summary(story, 0.0, 0.3)
     assert story.status.reason is Reason.PROTECTION
     assert said.rows[0].bearing == pytest.approx(0.0, abs=0.3)
     assert said.rows[0].cap == 0.0
 
 
-def test_says_nothing_of_what_bounds_nothing(story: Story) -> None:
+def test_says_nothing_of_what_bounds_nothing(story: RobotHarness) -> None:
     said = summary(story, 180.0, 2.0)
-    assert (said.is_active, said.rows, said.is_unsticking) == (False, (), False)
+    assert (said.is_active, said.rows, said.is_recovering) == (False, (), False)
 
 
-def test_says_when_it_seeks_a_way_around(story: Story) -> None:
-    assert not summary(story, 0.0, 0.3).is_unsticking
-    assert summary(story, 0.0, 0.3, unstick=True).is_unsticking
+def test_says_when_it_seeks_a_way_around(story: RobotHarness) -> None:
+    assert not summary(story, 0.0, 0.3).is_recovering
+    assert summary(story, 0.0, 0.3, recovery=True).is_recovering
 
 
-def test_says_what_its_scalar_sensors_told(story: Story) -> None:
+def test_says_what_its_scalar_sensors_told(story: RobotHarness) -> None:
     told = {"battery": 0.71, "yaw": -1.5, "odd": math.nan}
     story.robot.on_readings(told)
     assert story.status.readings == {"battery": 0.71, "yaw": -1.5}

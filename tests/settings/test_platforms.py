@@ -282,8 +282,8 @@ def test_what_shipped_files_say_of_drivers_is_what_these_take(name: str) -> None
         rest = {k: v for k, v in options.items() if k not in BaseOptions.__struct_fields__}
         make = load_driver(driver)
         made = make(swarm="s", robot="r-1", platform=platform, options=rest)
-        assert made.is_simulated or base.deadman is not None, f"{driver}: how does it stop?"
-        assert base.deadman != "none" or isinstance(made, Stopping)
+        assert made.is_simulated or base.command_timeout is not None, f"{driver}: how does it stop?"
+        assert base.command_timeout != "none" or isinstance(made, Stopping)
 
 
 @pytest.mark.parametrize("name", ["burger_lds02", "waffle_pi_lds02"])
@@ -315,7 +315,7 @@ def test_a_sensor_has_either_a_number_of_rays_or_their_bearings(folder: Path) ->
 
 def test_a_fault_in_how_a_base_stops_names_the_file(folder: Path) -> None:
     with pytest.raises(ConfigError, match=r"^x\.yaml: drivers\.ros1: deadman is 'never'; wanted"):
-        load_platform(write(folder, with_value("drivers.ros1", {"deadman": "never"})))
-    silent = {"deadman": "none", "idle_output": "silent"}
+        load_platform(write(folder, with_value("drivers.ros1", {"command_timeout": "never"})))
+    silent = {"command_timeout": "none", "idle_output": "silent"}
     with pytest.raises(ConfigError, match=r"^x\.yaml: drivers\.ros1: idle_output is silent, but"):
         load_platform(write(folder, with_value("drivers.ros1", silent)))

@@ -36,7 +36,7 @@ def test_comes_back_from_the_disk_as_it_was(tmp_path: Path) -> None:
     assert again.platforms == ("burger", "jackal")
     np.testing.assert_array_equal(again.footprint(1), load_platform("jackal").footprint)
     assert again.meta == {"arena": "6x6", "seed": 3, "seconds": 1.0}
-    assert again.wish is None
+    assert again.requested is None
     assert again.active is None
     assert [file.name for file in path.parent.iterdir()] == ["run.npz"]
 
@@ -47,9 +47,11 @@ def test_keeps_what_robots_said_of_themselves(tmp_path: Path) -> None:
         trace.ids, trace.t, trace.pose, trace.safe,
         trace.contact_t, trace.contact_pair, trace.contact_speed,
         trace.platforms, trace.footprints,
-        wish=trace.safe, state=np.full((10, 2), "running"), active=np.ones((10, 2), dtype=bool),
+        requested=trace.safe, state=np.full((10, 2), "running"),
+        active=np.ones((10, 2), dtype=bool),
         gap=np.full((10, 2), 0.3), scan_age=np.full((10, 2), np.nan),
-        bound=np.arange(60.0).reshape(10, 2, 3), unsticking=np.ones((10, 2), dtype=bool),
+        bound=np.arange(60.0).reshape(10, 2, 3),
+        recovering=np.ones((10, 2), dtype=bool),
         report={"opinion": np.arange(20.0).reshape(10, 2)}, words={"state": np.full((10, 2), "x")},
         things=("crate",), thing_pose=np.full((10, 1, 3), np.nan),
     )  # fmt: skip
@@ -59,7 +61,7 @@ def test_keeps_what_robots_said_of_themselves(tmp_path: Path) -> None:
     assert again.state[3, 1] == "running"
     assert again.active is not None
     assert again.active.all()
-    for name in ("gap", "scan_age", "bound", "unsticking"):
+    for name in ("gap", "scan_age", "bound", "recovering"):
         np.testing.assert_array_equal(getattr(again, name), getattr(said, name))
     assert again.reason is None
     np.testing.assert_array_equal(again.report["opinion"], said.report["opinion"])
@@ -128,11 +130,11 @@ def test_arrays_that_do_not_fit_together_are_one_clear_error(tmp_path: Path) -> 
         {"pose": pose[:-1]},
         {"pose": pose.reshape(-1)},
         {"safe": pose.astype("U8")},
-        {"wish": pose[:, :1]},
+        {"requested": pose[:, :1]},
         {"active": np.zeros((0, n), dtype=bool)},
         {"bound": pose[:, :, 0]},
         {"gap": pose},
-        {"unsticking": pose[:, :, 0]},
+        {"recovering": pose[:, :, 0]},
         {"report/x": np.zeros(len(t))},
         {"words/x": np.zeros((len(t), n))},
         {"contact_pair": whole["contact_pair"].astype(float)},

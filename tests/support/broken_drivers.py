@@ -42,17 +42,17 @@ class ThereFromTheFirst(Good):
 
 
 class SendsWhileLost(Good):
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         self.put(twist)
 
 
 class KeepsForLater(Good):
     late: Twist | None = None
 
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         if not self.is_up:
             self.late = twist
-        super().send(twist, scan_seq, wish_seq)
+        super().send(twist, scan_seq, requested_scan_seq)
 
     def rise(self, sink: Sink) -> None:
         super().rise(sink)
@@ -61,9 +61,9 @@ class KeepsForLater(Good):
 
 
 class BeginsAsTold(Good):
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         self.owes_zero = False
-        super().send(twist, scan_seq, wish_seq)
+        super().send(twist, scan_seq, requested_scan_seq)
 
 
 class OwesZeroForEver(Good):
@@ -158,10 +158,10 @@ class StopsOnlyIfCancelled(Good):
 
 
 class SendsAfterItsEnd(Good):
-    def send(self, twist: Twist, scan_seq: int, wish_seq: int) -> None:
+    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         if self.has_ended:
             self.put(twist)
-        super().send(twist, scan_seq, wish_seq)
+        super().send(twist, scan_seq, requested_scan_seq)
 
     has_ended = False
 

@@ -26,7 +26,7 @@ def drive(operator: Operator) -> None:
 
     def is_applied() -> bool:
         now = status(operator)
-        if now is None or not now.health.driver_up or now.verdict.scan_age is None:
+        if now is None or not now.health.driver_up or now.decision.scan_age is None:
             return False
         args = {"pattern": "drive", "params": {"speed": 0.1}}
         outcome = operator.request("run", {ROBOT: now.epoch}, args, timeout=10.0)

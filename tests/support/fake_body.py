@@ -35,7 +35,7 @@ class Commanded:
     at: float
     twist: Twist
     scan_seq: int
-    wish_seq: int
+    requested_scan_seq: int
 
 
 class Body:
@@ -122,7 +122,9 @@ class Body:
 
     def wait_stepped(self) -> Commanded:
         """The first command that moves on a wish for which the pattern had seen a scan."""
-        return self.wait(lambda command: not command.twist.is_zero and command.wish_seq >= 0)
+        return self.wait(
+            lambda command: not command.twist.is_zero and command.requested_scan_seq >= 0
+        )
 
     def wait_zero(self, since: float = 0.0) -> Commanded:
         """The first command that is exactly zero."""
@@ -152,7 +154,9 @@ class Body:
         """
         with self._changed:
             return all(
-                min(one.scan_seq, one.wish_seq) >= 0 for one in self.commands if one.at >= moving.at
+                min(one.scan_seq, one.requested_scan_seq) >= 0
+                for one in self.commands
+                if one.at >= moving.at
             )
 
     def _key(self, name: str) -> str:
@@ -165,7 +169,9 @@ class Body:
             return
         twist = Twist(wire.linear, wire.angular, wire.lateral)
         with self._changed:
-            self.commands.append(Commanded(boottime(), twist, wire.scan_seq, wire.wish_seq))
+            self.commands.append(
+                Commanded(boottime(), twist, wire.scan_seq, wire.requested_scan_seq)
+            )
             self._changed.notify_all()
 
     def _publish(self) -> None:

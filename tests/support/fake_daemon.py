@@ -2,7 +2,7 @@
 
 In one process::
 
-    async with LightDaemon(settings, "tb3-01") as daemon: ...
+    async with FakeDaemon(settings, "tb3-01") as daemon: ...
 
 or as a process of its own, one session each, ready when it has printed `ready`::
 
@@ -28,6 +28,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.keys import build
 from swarmd.core.messages import (
     Code,
+    DecisionSummary,
     Epoch,
     Health,
     Reason,
@@ -35,7 +36,6 @@ from swarmd.core.messages import (
     Request,
     State,
     Status,
-    VerdictSummary,
 )
 from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.claim import Claim, claim_id
@@ -71,14 +71,14 @@ def light_status(robot: str, instance: str, *, has_left: bool = False) -> Status
         labels=(),
         params={},
         report={},
-        verdict=VerdictSummary(),
+        decision=DecisionSummary(),
         health=Health(),
         uptime=0.0,
         has_left=has_left,
     )
 
 
-class LightDaemon:
+class FakeDaemon:
     """One peer that is a member, answers for itself, and acks what names it with `answer`."""
 
     def __init__(
@@ -173,17 +173,17 @@ class LightDaemon:
             query.reply(encode(reply))
 
 
-class LightSwarm:
+class FakeSwarm:
     """Light daemons on a loop of their own, for code that blocks; by name, until `close`."""
 
     def __init__(self, settings: SessionSettings, robots: Sequence[str], **options: Any) -> None:
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
-        self._daemons = {robot: LightDaemon(settings, robot, **options) for robot in robots}
+        self._daemons = {robot: FakeDaemon(settings, robot, **options) for robot in robots}
         asyncio.run_coroutine_threadsafe(self._start(), self._loop).result()
 
-    def __getitem__(self, robot: str) -> LightDaemon:
+    def __getitem__(self, robot: str) -> FakeDaemon:
         return self._daemons[robot]
 
     def call(self, function: Callable[[], object]) -> None:
@@ -218,7 +218,7 @@ class LightSwarm:
 
 async def serve(settings: SessionSettings, robots: list[str]) -> None:
     """Run these robots until cancelled; prints `ready` once all have their ids."""
-    daemons = [LightDaemon(settings, robot) for robot in robots]
+    daemons = [FakeDaemon(settings, robot) for robot in robots]
     try:
         await asyncio.gather(*(daemon.start() for daemon in daemons))
         print("ready", flush=True)

@@ -25,14 +25,14 @@ from swarmd.core.values import (
     Twist,
 )
 from swarmd.protection.arbiter import Protection
-from swarmd.protection.decision import NO_PERMIT, Moment, Permit, Verdict
-from swarmd.robot.sensors import Senses
+from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit
+from swarmd.robot.sensors import Sensors
 from swarmd.testing.scans import trembling
 
 DT = 0.01
 TICK = 0.05
 HERE = Pose()
-Wish = Twist | Callable[[float], Twist]
+RequestedCommand = Twist | Callable[[float], Twist]
 
 
 def under_barrier(platform: Platform, **told: object) -> Platform:
@@ -45,19 +45,19 @@ def under_barrier(platform: Platform, **told: object) -> Platform:
 def decided(
     platform: Platform,
     scan: Scan,
-    wish: Twist,
+    requested: Twist,
     *,
     age: float = 0.0,
     touch: TouchZone | None = None,
-) -> Verdict:
+) -> Decision:
     """What fresh protection makes of the wish of a robot at rest, `age` s after its first sweep."""
     protection, begin = Protection(platform), 10.0
     odometry = Odometry(begin, HERE, ZERO)
-    protection.observe(scan, Moment(begin, 0.0, odometry, 0.0))
+    protection.observe(scan, DecisionContext(begin, 0.0, odometry, 0.0))
     later = Odometry(begin + age, HERE, ZERO)
     return protection.decide(
-        wish,
-        Moment(begin + age, age, later, 0.0),
+        requested,
+        DecisionContext(begin + age, age, later, 0.0),
         is_running=True,
         hold=None,
         permit=Permit(touch=touch),
@@ -126,7 +126,7 @@ class Ride:
     poses: list[Pose] = field(default_factory=list)
     twists: list[Twist] = field(default_factory=list)
     gaps: list[float] = field(default_factory=list)
-    verdicts: list[tuple[float, Verdict]] = field(default_factory=list)
+    decisions: list[tuple[float, Decision]] = field(default_factory=list)
     touch: Touch | None = None
 
     @property
@@ -135,7 +135,7 @@ class Ride:
         return 0.0 if self.touch is not None else min(self.gaps)
 
 
-class Yard:
+class FilterSim:
     """One robot of a platform among shapes.
 
     `latency`: how much later than it is taken a sweep arrives (None: as the platform says);
@@ -160,7 +160,7 @@ class Yard:
         self.platform, self.shapes = platform, tuple(shapes)
         self.pose, self.twist, self.time = start, ZERO, 0.0
         self.has_lidar = self.has_odometry = True
-        self.protection, self.senses = Protection(platform), Senses(platform)
+        self.protection, self.senses = Protection(platform), Sensors(platform)
         self.senses.on_driver(True, "a yard")
         self._latency = platform.scan.latency if latency is None else latency
         told = platform.protection["barrier"] or {"braking_linear": 1.0, "braking_angular": 3.0}
@@ -173,14 +173,14 @@ class Yard:
         self._coming: list[tuple[float, Scan]] = []
         self._near: dict[int, tuple[Array, Array]] = {}
 
-    def run(self, wish: Wish, seconds: float, permit: Permit = NO_PERMIT) -> Ride:
+    def run(self, requested: RequestedCommand, seconds: float, permit: Permit = NO_PERMIT) -> Ride:
         """Go on for so long, or to the first touch; a wish may depend on the time."""
         ride = Ride()
-        wanted = wish if callable(wish) else lambda _: wish
+        wanted = requested if callable(requested) else lambda _: requested
         for _ in range(round(seconds / DT)):
             self._sense()
             if self._arrive() or self._step % round(TICK / DT) == 0:
-                ride.verdicts.append((self.time, self._decide(wanted(self.time), permit)))
+                ride.decisions.append((self.time, self._decide(wanted(self.time), permit)))
             self._move()
             gap, touch = self._judge()
             ride.times.append(self.time)
@@ -230,16 +230,16 @@ class Yard:
                 self.protection.observe(self.senses.scan, self.senses.moment(self.time))
         return is_new
 
-    def _decide(self, wish: Twist, permit: Permit) -> Verdict:
-        verdict = self.protection.decide(
-            wish,
+    def _decide(self, requested: Twist, permit: Permit) -> Decision:
+        decision = self.protection.decide(
+            requested,
             self.senses.moment(self.time),
             is_running=True,
             hold=self.senses.hold(self.time),
             permit=permit,
         )
-        self._line[-1] = verdict.safe
-        return verdict
+        self._line[-1] = decision.safe
+        return decision
 
     def _move(self) -> None:
         told = self._line[0]

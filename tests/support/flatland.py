@@ -84,8 +84,10 @@ class Flatland:
             self.outputs[robot] = pattern.step(
                 Inputs(now, dt, scan, is_new[robot], None, (), messages)
             )
-        wishes = [self.platform.limits.clip(outputs.twist or ZERO) for outputs in self.outputs]
-        self._move(wishes)
+        requested_commands = [
+            self.platform.limits.clip(outputs.twist or ZERO) for outputs in self.outputs
+        ]
+        self._move(requested_commands)
         self._tick += 1
         return [math.inf if s is None else float(np.min(s.ranges)) for s in self._scans]
 
@@ -115,8 +117,10 @@ class Flatland:
             self.platform.body.get("target_radius", 0.05),
         )
 
-    def _move(self, wishes: Sequence[Twist]) -> None:
-        wanted = np.array([(wish.linear, wish.angular) for wish in wishes])
+    def _move(self, requested_commands: Sequence[Twist]) -> None:
+        wanted = np.array(
+            [(requested.linear, requested.angular) for requested in requested_commands]
+        )
         step = _PERIOD * np.array(_ACCELERATION)
         self._twists += np.clip(wanted - self._twists, -step, step)
         yaw = self.poses[:, 2] + 0.5 * _PERIOD * self._twists[:, 1]

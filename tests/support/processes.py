@@ -93,7 +93,7 @@ class DaemonProcess:
         trace: TracebackType | None,
     ) -> None:
         self.kill()
-        for pid in stoppers(self.swarm, self.robot):
+        for pid in watchdogs(self.swarm, self.robot):
             os.kill(pid, signal.SIGKILL)
 
     def wait_ready(self) -> DaemonProcess:
@@ -154,7 +154,7 @@ def children(pid: int) -> list[int]:
     return sorted(found)
 
 
-def stoppers(swarm: str, robot: str) -> list[int]:
+def watchdogs(swarm: str, robot: str) -> list[int]:
     """The process ids of the stoppers that watch over a robot, or did."""
     name, found = name_of(swarm, robot).encode(), []
     for cmdline in Path("/proc").glob("[0-9]*/cmdline"):

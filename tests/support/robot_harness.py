@@ -34,7 +34,7 @@ from swarmd.testing.scans import empty_scan
 ScanSource = Callable[[int, float], Scan | None]
 
 
-class Story:
+class RobotHarness:
     """A robot with its senses fed at their nominal rates for as long as `advance` is told.
 
     `scans(seq, now)` gives each sweep (None: none comes); set it, `odometry`, `is_hung` (the

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from swarmd.api import Inputs, MovementPattern, Outputs, Params, Pattern, Twist, about
 from swarmd.core.messages import Code, Reason, State
-from tests.support.robot_harness import Story
+from tests.support.robot_harness import RobotHarness
 
 
 class SpeedParams(Params, frozen=True):
@@ -79,9 +79,9 @@ PATTERNS: dict[str, type[Pattern[Any]]] = {
 }
 
 
-def started(pattern: str = "forward", **params: float) -> Story:
+def started(pattern: str = "forward", **params: float) -> RobotHarness:
     """A story half a second after its robot was told to run one of PATTERNS."""
-    story = Story(patterns=PATTERNS)
+    story = RobotHarness(patterns=PATTERNS)
     story.advance(1.0)
     reply = story.ask("run", pattern=pattern, params=params)
     assert reply is not None
@@ -90,7 +90,7 @@ def started(pattern: str = "forward", **params: float) -> Story:
     return story
 
 
-def standing_state(story: Story) -> tuple[State, Reason | None]:
+def standing_state(story: RobotHarness) -> tuple[State, Reason | None]:
     """State and reason, as members would show them."""
     status = story.status
     return status.state, status.reason

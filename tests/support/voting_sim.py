@@ -81,7 +81,7 @@ class _Voter:
     round: int = -1
 
 
-class Parliament:
+class VotingSim:
     """A swarm of one voting pattern; all hear all. The same seed gives the same debate.
 
     Robot i steps for the first time at `starts[i]` s plus its phase of a step, and is gone from

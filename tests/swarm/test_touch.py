@@ -51,8 +51,13 @@ def test_a_granted_push_presses_as_fast_as_granted_until_the_next_pattern(
     described = swarm.ctl("describe", "r1").out
     assert "push may touch: +-20 deg ahead at up to 0.08 m/s" in described
     asked = boottime()
-    assert swarm.ctl("run", "drive", "r1", "-p", "unstick=false").code == 0
-    body.wait(lambda command: command.twist.is_zero and command.wish_seq > pressing.wish_seq, asked)
+    assert swarm.ctl("run", "drive", "r1", "-p", "recovery=false").code == 0
+    body.wait(
+        lambda command: (
+            command.twist.is_zero and command.requested_scan_seq > pressing.requested_scan_seq
+        ),
+        asked,
+    )
     assert max(command.twist.linear for command in body.commands) <= 0.08 + 1e-9
 
 
@@ -61,8 +66,8 @@ def test_a_push_that_is_not_granted_stands_and_says_where_to_grant_it(
 ) -> None:
     body = start(swarm, tmp_path, {})
     assert swarm.ctl("run", "push", "r1").code == 0
-    status = swarm.await_status("r1", "asked to step", lambda status: status.verdict.decisions > 9)
-    assert status.verdict.wish_linear == pytest.approx(0.1)
+    status = swarm.await_status("r1", "asked to step", lambda status: status.decision.decisions > 9)
+    assert status.decision.requested_linear == pytest.approx(0.1)
     assert all(command.twist.linear <= 0.0 for command in body.commands)
     described = swarm.ctl("describe", "r1").out
     assert "push asks to touch +-20 deg ahead at up to 0.10 m/s, which is not granted" in described

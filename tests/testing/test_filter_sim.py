@@ -9,7 +9,7 @@ import pytest
 from swarmd.core.values import Platform, Pose, Twist
 from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import (
-    Yard,
+    FilterSim,
     as_driver,
     box,
     cast,
@@ -90,16 +90,16 @@ def test_speeds_change_no_faster_than_the_base_can(now: float, told: float, then
 
 
 def test_commands_are_carried_out_late_and_sweeps_arrive_late() -> None:
-    yard = Yard(off(BURGER), [pole(0.1, Pose(3.0, 0.0))], delay=0.03)
+    yard = FilterSim(off(BURGER), [pole(0.1, Pose(3.0, 0.0))], delay=0.03)
     ride = yard.run(Twist(0.2), 1.0)
     moving = next(t for t, twist in zip(ride.times, ride.twists, strict=True) if twist.linear > 0)
-    first = next(t for t, verdict in ride.verdicts if verdict.safe.linear > 0)
+    first = next(t for t, decision in ride.decisions if decision.safe.linear > 0)
     assert first == pytest.approx(BURGER.scan.latency, abs=0.011)
     assert moving == pytest.approx(first + 0.04)  # 30 ms late, and noted at the step's end
 
 
 def test_a_touch_ends_the_ride_with_the_robots_own_speed() -> None:
-    yard = Yard(off(BURGER), [box(0.2, 0.2, Pose(0.5, 0.0), velocity=(-0.05, 0.0))])
+    yard = FilterSim(off(BURGER), [box(0.2, 0.2, Pose(0.5, 0.0), velocity=(-0.05, 0.0))])
     ride = yard.run(Twist(0.2), 9.0)
     assert ride.touch is not None
     assert ride.touch.speed == pytest.approx(0.2)
@@ -108,10 +108,10 @@ def test_a_touch_ends_the_ride_with_the_robots_own_speed() -> None:
 
 
 def test_a_spinning_robot_touches_with_its_corner() -> None:
-    yard = Yard(off(BURGER), [box(0.2, 2.0, Pose(0.25, 0.0))])
+    yard = FilterSim(off(BURGER), [box(0.2, 2.0, Pose(0.25, 0.0))])
     ride = yard.run(Twist(0.0, 2.0), 9.0)
     assert ride.touch is None
-    yard = Yard(off(BURGER), [box(2.0, 0.2, Pose(0.0, 0.21))])
+    yard = FilterSim(off(BURGER), [box(2.0, 0.2, Pose(0.0, 0.21))])
     ride = yard.run(Twist(0.0, 2.0), 9.0)
     assert ride.touch is not None
     assert 0.05 < ride.touch.speed < 2.0 * 0.135

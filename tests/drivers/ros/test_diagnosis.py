@@ -13,15 +13,15 @@ from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.topic_stats import Sense
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.key_scheme import Endpoint
-from swarmd.drivers.ros2.subscriptions import Hearing
+from swarmd.drivers.ros2.subscriptions import Subscriptions
 from tests.drivers.ros2 import robots
 
 TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
 
 
-def hearing(scans: Iterable[tuple[float, float]], odometries: int = 5) -> Hearing:
+def hearing(scans: Iterable[tuple[float, float]], odometries: int = 5) -> Subscriptions:
     """Scans with these arrivals and stamps."""
-    made = Hearing(RosOptions(), robots.PLATFORM)
+    made = Subscriptions(RosOptions(), robots.PLATFORM)
     for now, stamp in scans:
         made.take("scan", robots.scan(stamp).serialize(), now)
     for count in range(odometries):
@@ -33,10 +33,10 @@ WELL = [(0.2 * i, 50.0 + 0.2 * i) for i in range(6)]
 
 
 def found(
-    heard: Hearing, graph: Iterable[Endpoint] = (), *, has_taker: bool = True, others: int = 0
+    heard: Subscriptions, graph: Iterable[Endpoint] = (), *, has_taker: bool = True, others: int = 0
 ) -> dict[str, Finding]:
     report = Report(
-        dialect=Ros2Dds(),
+        scheme=Ros2Dds(),
         endpoint="tcp/127.0.0.1:7447",
         is_connected=True,
         hearing=heard,

@@ -195,5 +195,5 @@ def test_what_platforms_say_of_ros_1_is_understood(name: str) -> None:
     said = load_platform(name).drivers["ros1"]
     own = {key: said[key] for key in said.keys() - BaseOptions.__struct_fields__}
     options = read_options(own, "tb3-01")
-    assert said["deadman"]
+    assert said["command_timeout"]
     assert options.cmd_vel_type == "twist"

@@ -18,7 +18,7 @@ from swarmd.testing.driver_contract import DriverContract, Stage, on_stage
 from tests.drivers.ros1.rig import PLATFORM, RosRobot, robot
 from tests.support.roscore import RosCore
 
-Story = Callable[[Stage, RosRobot], Awaitable[None]]
+RobotHarness = Callable[[Stage, RosRobot], Awaitable[None]]
 
 
 class TestContract(DriverContract):
@@ -42,7 +42,7 @@ class Wanting(RosRobot):
         return {**super().options, **self._more}
 
 
-def play(rig: RosRobot, story: Story, *, connected: bool = True) -> None:
+def play(rig: RosRobot, story: RobotHarness, *, connected: bool = True) -> None:
     async def run() -> None:
         async with on_stage(rig) as stage:
             if connected:

@@ -26,7 +26,7 @@ from tests.drivers.ros1.rig import RosRobot, robot
 from tests.support.processes import wait_until
 from tests.support.roscore import RosCore
 
-GUARDIAN = Path(__file__).with_name("ros1_guardian.py")
+DAEMON = Path(__file__).with_name("ros1_daemon.py")
 
 
 def play(rig: RosRobot, story: Callable[[Stage, RosRobot], Awaitable[None]]) -> None:
@@ -208,23 +208,23 @@ def test_a_base_that_connects_while_driving_gets_zero_first(roscore: RosCore) ->
 def guarded(body: RosRobot) -> Iterator[tuple[subprocess.Popen[str], int]]:
     """A guardian that drives the robot, and its adapter's process id; both gone afterwards."""
     body.do("rate", hz=10)
-    command = [sys.executable, str(GUARDIAN), json.dumps(body.options)]
-    guardian = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert guardian.stdout is not None
-    pid = int(guardian.stdout.readline())
+    command = [sys.executable, str(DAEMON), json.dumps(body.options)]
+    daemon = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    assert daemon.stdout is not None
+    pid = int(daemon.stdout.readline())
     try:
         wait_until(lambda: any(not twist.is_zero for twist in body.commands()), "it drives")
-        yield guardian, pid
+        yield daemon, pid
     finally:
-        guardian.kill()
-        guardian.wait()
-        guardian.stdout.close()
+        daemon.kill()
+        daemon.wait()
+        daemon.stdout.close()
         wait_until(lambda: not is_running(pid), "the adapter has left")
 
 
 def test_a_killed_guardians_base_is_stopped_and_nothing_is_left(roscore: RosCore) -> None:
-    with robot(roscore) as body, guarded(body) as (guardian, pid):
-        guardian.kill()
+    with robot(roscore) as body, guarded(body) as (daemon, pid):
+        daemon.kill()
         killed = time.monotonic()
         taken = taken_until_zero(body)
         stopped = time.monotonic()
@@ -239,8 +239,8 @@ def test_a_killed_guardians_base_is_stopped_and_nothing_is_left(roscore: RosCore
 
 
 def test_a_frozen_guardians_base_is_stopped_until_it_is_back(roscore: RosCore) -> None:
-    with robot(roscore) as body, guarded(body) as (guardian, pid):
-        guardian.send_signal(signal.SIGSTOP)
+    with robot(roscore) as body, guarded(body) as (daemon, pid):
+        daemon.send_signal(signal.SIGSTOP)
         frozen = time.monotonic()
         taken_until_zero(body)
         assert time.monotonic() - frozen < SILENCE + 2.0
@@ -249,7 +249,7 @@ def test_a_frozen_guardians_base_is_stopped_until_it_is_back(roscore: RosCore) -
         assert len(taken) > 20
         assert all(twist.is_zero for twist in taken)
         assert is_running(pid)
-        guardian.send_signal(signal.SIGCONT)
+        daemon.send_signal(signal.SIGCONT)
         wait_until(lambda: any(not twist.is_zero for twist in body.commands()), "it drives again")
 
 

@@ -75,12 +75,12 @@ def test_who_else_drives_is_left_alone_after_zeros_and_named_once_in_the_log(
 
 
 def test_a_guardian_that_was_silent_is_not_obeyed_before_enough_zeros(roscore: RosCore) -> None:
-    with robot(roscore) as body, guarded(body) as (guardian, _):
+    with robot(roscore) as body, guarded(body) as (daemon, _):
         body.commands()
-        guardian.send_signal(signal.SIGSTOP)
+        daemon.send_signal(signal.SIGSTOP)
         wait_until(lambda: any(twist.is_zero for twist in body.commands()), "it is told to stand")
         begin = time.monotonic()
-        guardian.send_signal(signal.SIGCONT)
+        daemon.send_signal(signal.SIGCONT)
         wait_until(lambda: any(not twist.is_zero for twist in body.commands()), "it drives again")
         assert time.monotonic() - begin > 0.75 * STOPPING
 

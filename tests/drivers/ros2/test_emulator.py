@@ -25,8 +25,8 @@ from swarmd.drivers.ros2.emulator import End
 from swarmd.drivers.ros2.rmw_zenoh import RmwZenoh, gid_of
 from swarmd.drivers.ros2.rmw_zenoh_emulator import NodeVoice
 from swarmd.drivers.ros2.session import open_session
-from swarmd.drivers.ros2.subscriptions import Hearing
-from swarmd.plugins import load_dialect, load_driver
+from swarmd.drivers.ros2.subscriptions import Subscriptions
+from swarmd.plugins import load_driver, load_emulator
 from swarmd.settings.driver_options import BaseOptions, stops_after
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import Heard
@@ -59,19 +59,19 @@ def odometry(seq: int = 1) -> Odometry:
 class Stage:
     """Two robots of a platform that speak a dialect, and what they were told."""
 
-    def __init__(self, dialect: str, platform: Platform) -> None:
-        self.dialect, self.platform = dialect, platform
+    def __init__(self, scheme: str, platform: Platform) -> None:
+        self.scheme, self.platform = scheme, platform
         self.told: list[tuple[str, Twist]] = []
-        self.side: RobotSide = load_dialect(dialect)(
+        self.side: RobotSide = load_emulator(scheme)(
             robots=dict.fromkeys(("r-1", "r-2"), platform),
             endpoint=ANY_PORT,
             on_command=lambda robot, twist: self.told.append((robot, twist)),
         )
 
     def driver(self, robot: str) -> Driver:
-        given = {**self.platform.drivers[self.dialect], **self.side.driver_options}
+        given = {**self.platform.drivers[self.scheme], **self.side.driver_options}
         options = {k: v for k, v in given.items() if k not in BaseOptions.__struct_fields__}
-        factory = load_driver(self.dialect)
+        factory = load_driver(self.scheme)
         return factory(swarm="s", robot=robot, platform=self.platform, options=options)
 
 
@@ -85,8 +85,8 @@ class Stage:
     ids=" ".join,
 )
 def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
-    dialect, platform = request.param
-    one = Stage(dialect, load_platform(platform))
+    scheme, platform = request.param
+    one = Stage(scheme, load_platform(platform))
     yield one
     one.side.close()
 
@@ -116,7 +116,7 @@ def test_a_lidar_however_mounted_is_heard_as_it_was_said(hangs: bool) -> None:
     options, said = RosOptions(scan_yaw_deg=70.0, scan_upside_down=hangs), sweep(BURGER)
     (message,) = LaserVoice(options, BURGER).say(said)
     heard = Heard()
-    Hearing(options, BURGER).take("scan", cdr.encode(message), 0.0)(heard)
+    Subscriptions(options, BURGER).take("scan", cdr.encode(message), 0.0)(heard)
     off = np.abs(np.exp(1j * heard.scans[0].bearings) - np.exp(1j * said.bearings))
     assert off.max() < 1e-5
 
@@ -235,7 +235,7 @@ def test_an_endpoint_in_use_is_one_clear_error() -> None:
     stage = Stage("ros2dds", BURGER)
     try:
         with pytest.raises(NetworkError, match="no session for the robots' ros2dds"):
-            load_dialect("ros2dds")(
+            load_emulator("ros2dds")(
                 robots={"r": BURGER},
                 endpoint=str(stage.side.driver_options["endpoint"]),
                 on_command=lambda robot, twist: None,
@@ -246,11 +246,15 @@ def test_an_endpoint_in_use_is_one_clear_error() -> None:
 
 def test_an_unknown_dialect_names_the_nearest() -> None:
     with pytest.raises(PluginError, match=r"no dialect 'ros2dd'.*did you mean 'ros2dds'"):
-        load_dialect("ros2dd")
+        load_emulator("ros2dd")
 
 
 @pytest.mark.parametrize(
-    ("deadman", "seconds"), [("none", math.inf), (None, math.inf), ("base", 0.5), (0.25, 0.25)]
+    ("command_timeout", "seconds"),
+    [("none", math.inf), (None, math.inf), ("base", 0.5), (0.25, 0.25)],
 )
-def test_a_body_stops_by_itself_as_its_platform_says(deadman: Any, seconds: float) -> None:
-    assert stops_after({} if deadman is None else {"deadman": deadman}, "x") == seconds
+def test_a_body_stops_by_itself_as_its_platform_says(command_timeout: Any, seconds: float) -> None:
+    assert (
+        stops_after({} if command_timeout is None else {"command_timeout": command_timeout}, "x")
+        == seconds
+    )

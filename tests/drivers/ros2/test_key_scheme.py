@@ -30,12 +30,12 @@ LISTENER = (
 LASER = "sensor_msgs::msg::dds_::LaserScan_"
 
 
-def dialect(domain: int = 0) -> RmwZenoh:
+def scheme(domain: int = 0) -> RmwZenoh:
     return RmwZenoh(domain, "/cmd_vel")
 
 
 def test_a_published_talker_is_understood() -> None:
-    end = dialect().announced(TALKER)
+    end = scheme().announced(TALKER)
     assert end is not None
     assert (end.is_publisher, end.topic, end.type) == (True, "/chatter", "std_msgs/msg/String")
     assert (end.domain, end.node) == (2, "/talker")
@@ -43,7 +43,7 @@ def test_a_published_talker_is_understood() -> None:
 
 
 def test_a_published_listener_is_understood() -> None:
-    end = dialect().announced(LISTENER)
+    end = scheme().announced(LISTENER)
     assert end is not None
     assert (end.is_publisher, end.node) == (False, "/listener")
 
@@ -59,11 +59,11 @@ def test_a_published_listener_is_understood() -> None:
     ],
 )
 def test_other_tokens_announce_no_topic(token: str) -> None:
-    assert dialect().announced(token) is None
+    assert scheme().announced(token) is None
 
 
 def test_our_tokens_have_the_published_form_and_are_understood_again() -> None:
-    ours = dialect(2)
+    ours = scheme(2)
     node, hears, says = ours.introduce(
         "aac3178e146ba6f1fc6e6a4085e77f21",
         [("/scan", messages.LaserScan), ("/cmd_vel", messages.Twist)],
@@ -86,7 +86,7 @@ def test_the_gid_is_the_tokens_hash() -> None:
 
 
 def test_the_attachment_is_sequence_time_and_gid() -> None:
-    ours = dialect()
+    ours = scheme()
     tokens = ours.introduce("ab", [("/cmd_vel", messages.Twist)])
     first, second = ours.attachment(), ours.attachment()
     assert first is not None
@@ -114,13 +114,13 @@ def test_the_attachment_is_sequence_time_and_gid() -> None:
     ],
 )
 def test_type_and_hash_of_a_key_are_checked(key: str, complaint: str) -> None:
-    fault = dialect().fault(key, "/bot/scan", messages.LaserScan)
+    fault = scheme().fault(key, "/bot/scan", messages.LaserScan)
     assert complaint in fault
     assert bool(fault) == bool(complaint)
 
 
 def test_commands_go_out_as_the_robots_distribution_names_them() -> None:
-    ours = dialect(3)
+    ours = scheme(3)
     prefix = "3/cmd_vel/geometry_msgs::msg::dds_::Twist_/"
     assert ours.command_key("/cmd_vel", messages.Twist) == prefix + HASHES["Twist"]
     assert ours.fault(f"3/scan/{LASER}/{NO_HASH}", "/scan", messages.LaserScan) == ""
@@ -132,7 +132,7 @@ def test_commands_go_out_as_the_robots_distribution_names_them() -> None:
 
 
 def test_what_others_command_says_nothing_of_the_robots_distribution() -> None:
-    ours = dialect()
+    ours = scheme()
     mine = ours.command_key("/cmd_vel", messages.Twist)
     for key in ours.command_keys("/cmd_vel", messages.Twist):  # a stopper's zeros go out on each
         assert ours.fault(key, "/cmd_vel", messages.Twist) == ""
@@ -170,4 +170,4 @@ def test_the_bridges_announcements_are_understood() -> None:
 
 
 def test_a_topic_is_heard_in_its_domain_whatever_its_type_and_hash() -> None:
-    assert dialect(3).listening("/bot/scan") == "3/bot/scan/*/*"
+    assert scheme(3).listening("/bot/scan") == "3/bot/scan/*/*"

@@ -103,7 +103,7 @@ def test_traces_differ_in_values_types_and_words(results: Results) -> None:
     for other, names in (
         (trace, []),
         (dataclasses.replace(trace, t=-trace.t), ["t"]),
-        (dataclasses.replace(trace, wish=None), ["wish"]),
+        (dataclasses.replace(trace, requested=None), ["requested"]),
         (dataclasses.replace(trace, ids=("a", "b")), ["ids"]),
         (dataclasses.replace(trace, safe=trace.safe.astype(np.float32)), ["safe"]),
         (dataclasses.replace(trace, meta={**trace.meta, "seed": 9}), ["meta"]),

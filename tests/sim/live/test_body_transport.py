@@ -11,7 +11,7 @@ import pytest
 from swarmd.core.values import Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.emulator import OnCommand
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.body_transport import DialectSpeech
+from swarmd.sim.live.body_transport import EmulatorTransport
 from swarmd.sim.live.link import WorldLink
 from swarmd.sim.live.realtime import RealTimeWorld
 from swarmd.sim.live.recording import Record, RecordSettings
@@ -54,7 +54,7 @@ class Stage:
         starts = np.array([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
         self.world = World(robots, Arena(6.0, 6.0, ()), starts, realism=IDEAL)
         self.link = WorldLink("s", IDS, "tcp/127.0.0.1:0", clock=lambda: self.now)
-        speech = DialectSpeech(Side, robots, "here", clock=lambda: self.now)
+        speech = EmulatorTransport(Side, robots, "here", clock=lambda: self.now)
         assert isinstance(speech.side, Side)
         self.side: Side = speech.side
         self.server = RealTimeWorld(

@@ -19,7 +19,7 @@ from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.show import Watch, statuses_of
 from swarmd.sim.live.state import WorldState
 from swarmd.testing.driver_rig import is_running
-from tests.support.processes import children, stoppers, unique_swarm, wait_until
+from tests.support.processes import children, unique_swarm, wait_until, watchdogs
 
 SEVEN = robot_ids("burger", 7)
 LINKED = 0.8
@@ -29,14 +29,14 @@ TOLERANCE = 0.30
 STARTING, GATHERING, SETTLING = 170.0, 240.0, 10.0
 
 
-def make_spec(folder: Path, robots: tuple[str, ...], dialect: str | None) -> FleetSpec:
+def make_spec(folder: Path, robots: tuple[str, ...], emulator: str | None) -> FleetSpec:
     return FleetSpec(
         swarm=unique_swarm(),
         robots=dict.fromkeys(robots, "burger"),
         folder=folder,
         arena="7x7",
         layout="grid:1.1",
-        dialect=dialect,
+        emulator=emulator,
     )
 
 
@@ -89,7 +89,7 @@ def on(spec: FleetSpec) -> Iterator[Show]:
         show = Show(spec, fleet, operator, view)
         wait_until(show.is_up, "all are up", STARTING)
         pids |= {pid for own in fleet.pids.values() for pid in (own, *children(own))}
-        pids |= {pid for robot in spec.robots for pid in stoppers(spec.swarm, robot)}
+        pids |= {pid for robot in spec.robots for pid in watchdogs(spec.swarm, robot)}
         yield show
     wait_until(lambda: not any(map(is_running, pids)), "no process is left")
 
@@ -125,7 +125,7 @@ def gather(spec: FleetSpec) -> tuple[float, float]:
         assert largest_group(end) == 7
         assert end.contacts == end.arena_contacts == 0
         for robot in spec.robots:
-            assert len(stoppers(spec.swarm, robot)) == (0 if spec.dialect is None else 1)
+            assert len(watchdogs(spec.swarm, robot)) == (0 if spec.emulator is None else 1)
     return median_apart(begin), median_apart(end)
 
 
@@ -133,19 +133,21 @@ def gather(spec: FleetSpec) -> tuple[float, float]:
 @pytest.mark.timeout(1200)
 def test_seven_daemons_gather_over_ros2dds_as_they_do_simulated(tmp_path: Path) -> None:
     ended = {}
-    for dialect in ("ros2dds", None):
-        folder = tmp_path / (dialect or "simulated")
-        before, ended[dialect] = gather(make_spec(folder, SEVEN, dialect))
-        print(f"{dialect or 'simulated'}: pairs {before:.2f} m apart, then {ended[dialect]:.2f} m")
-        assert ended[dialect] < 0.7 * before
+    for emulator in ("ros2dds", None):
+        folder = tmp_path / (emulator or "simulated")
+        before, ended[emulator] = gather(make_spec(folder, SEVEN, emulator))
+        print(
+            f"{emulator or 'simulated'}: pairs {before:.2f} m apart, then {ended[emulator]:.2f} m"
+        )
+        assert ended[emulator] < 0.7 * before
     assert abs(ended["ros2dds"] - ended[None]) <= TOLERANCE
 
 
 @pytest.mark.integration
 @pytest.mark.timeout(600)
-@pytest.mark.parametrize("dialect", ["rmw_zenoh", "ros2dds"])
-def test_a_body_without_a_deadman_drives_and_is_stopped_for(dialect: str, tmp_path: Path) -> None:
-    spec = make_spec(tmp_path, ("tb3-01",), dialect)
+@pytest.mark.parametrize("emulator", ["rmw_zenoh", "ros2dds"])
+def test_a_body_without_a_deadman_drives_and_is_stopped_for(emulator: str, tmp_path: Path) -> None:
+    spec = make_spec(tmp_path, ("tb3-01",), emulator)
     with on(spec) as show:
         show.run("random_walk")
         wait_until(lambda: show.is_moving(0), "it drives")
@@ -155,15 +157,15 @@ def test_a_body_without_a_deadman_drives_and_is_stopped_for(dialect: str, tmp_pa
         after = show.after(2.0)
         assert after.commanded == (True,)  # its stopper says zero again and again
         assert not show.is_moving(0)
-        for pid in stoppers(spec.swarm, "tb3-01"):
+        for pid in watchdogs(spec.swarm, "tb3-01"):
             os.kill(pid, signal.SIGTERM)
 
 
 def test_world_and_daemons_are_told_of_the_dialect(tmp_path: Path) -> None:
     spec = make_spec(tmp_path, ("tb3-01",), "rmw_zenoh")
     command = world_command(spec)
-    assert command[command.index("--dialect") + 1] == "rmw_zenoh"
-    assert command[command.index("--dialect-endpoint") + 1].endswith(":0")
+    assert command[command.index("--emulate") + 1] == "rmw_zenoh"
+    assert command[command.index("--emulate-endpoint") + 1].endswith(":0")
     told = {"endpoint": "tcp/127.0.0.1:2", "namespace": "{robot}"}
     config = daemon_config(spec, "tb3-01", Ready("tcp/127.0.0.1:1", "rmw_zenoh", told))
     assert (config["driver"], config["driver_options"]) == ("rmw_zenoh", told)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.messages import Epoch, Health, Reason, State, Status, VerdictSummary
+from swarmd.core.messages import DecisionSummary, Epoch, Health, Reason, State, Status
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.summary import Summary, duties, mean_duty, numbers_of, problems_of
 from swarmd.sim.trace import Recorder, Trace
@@ -39,7 +39,7 @@ def status(robot: str, **changes: Any) -> Status:
         labels=(),
         params={},
         report={},
-        verdict=VerdictSummary(),
+        decision=DecisionSummary(),
         health=Health(),
         uptime=1.0,
     )
@@ -143,8 +143,8 @@ def test_a_silent_robot_and_a_touch_are_problems() -> None:
 
 def test_duty_is_weighted_by_decisions() -> None:
     statuses = {
-        "a": status("a", verdict=VerdictSummary(duty=0.5, decisions=300)),
-        "b": status("b", verdict=VerdictSummary(duty=0.1, decisions=100)),
+        "a": status("a", decision=DecisionSummary(duty=0.5, decisions=300)),
+        "b": status("b", decision=DecisionSummary(duty=0.1, decisions=100)),
         "c": status("c"),
     }
     assert mean_duty(statuses) == pytest.approx(0.4)

@@ -8,10 +8,10 @@ import pytest
 
 from swarmd.core.messages import Reason, Row, State, Status
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.trace_from_statuses import Statements
+from swarmd.sim.live.trace_from_statuses import StatusLog
 from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.trace import Recorder, Trace
-from tests.support.robot_harness import Story
+from tests.support.robot_harness import RobotHarness
 
 
 @pytest.fixture
@@ -25,15 +25,15 @@ def trace() -> Trace:
 
 @pytest.fixture
 def status() -> Status:
-    return Story().status
+    return RobotHarness().status
 
 
 def say(status: Status, robot: str, opinion: int, *, is_active: bool) -> Status:
     rows = (Row(-0.5, 0.21, 0.05), Row(0.5, 0.4, 0.1)) if is_active else ()
-    verdict = msgspec.structs.replace(
-        status.verdict,
+    decision = msgspec.structs.replace(
+        status.decision,
         is_active=is_active,
-        is_unsticking=is_active,
+        is_recovering=is_active,
         rows=rows,
         min_gap=0.2 if is_active else None,
         scan_age=0.1,
@@ -43,13 +43,13 @@ def say(status: Status, robot: str, opinion: int, *, is_active: bool) -> Status:
         robot=robot,
         state=State.RUNNING,
         reason=Reason.PROTECTION,
-        verdict=verdict,
+        decision=decision,
         report={"opinion": opinion, "mood": "calm"},
     )
 
 
 def test_a_word_holds_from_its_time_until_the_next(trace: Trace, status: Status) -> None:
-    statements = Statements()
+    statements = StatusLog()
     statements.hear(0.5, {"a": say(status, "a", 1, is_active=True)})
     statements.hear(
         1.0,
@@ -67,29 +67,29 @@ def test_a_word_holds_from_its_time_until_the_next(trace: Trace, status: Status)
     assert told.active[:, 0].tolist() == [*[False] * 5, *[True] * 5, *[False] * 11]
     np.testing.assert_array_equal(told.report["opinion"][[4, 5, 10], 0], [np.nan, 1.0, 2.0])
     assert told.words["mood"][20, 1] == "calm"
-    assert told.wish is None
+    assert told.requested is None
 
 
 def test_what_bounded_a_robot_is_in_the_trace(trace: Trace, status: Status) -> None:
-    statements = Statements()
+    statements = StatusLog()
     statements.hear(0.5, {"a": say(status, "a", 1, is_active=True)})
     statements.hear(1.0, {"a": say(status, "a", 1, is_active=False)})
     told = statements.brought_into(trace)
     assert told.gap is not None
     assert told.scan_age is not None
     assert told.bound is not None
-    assert told.unsticking is not None
+    assert told.recovering is not None
     np.testing.assert_array_equal(told.gap[[4, 5, 9, 10], 0], [np.nan, 0.2, 0.2, np.nan])
     np.testing.assert_array_equal(told.scan_age[[4, 5, 20], 0], [np.nan, 0.1, 0.1])
     np.testing.assert_array_equal(told.bound[[5, 9], 0], [[-0.5, 0.21, 0.05]] * 2)
     assert np.isnan(told.bound[[4, 10], 0]).all()
     assert np.isnan(told.bound[:, 1]).all()
-    assert told.unsticking[:, 0].tolist() == [*[False] * 5, *[True] * 5, *[False] * 11]
+    assert told.recovering[:, 0].tolist() == [*[False] * 5, *[True] * 5, *[False] * 11]
 
 
 def test_metrics_of_what_robots_say_can_then_be_taken(trace: Trace, status: Status) -> None:
     assert measure(trace, ["consensus_share"]) == {"consensus_share": None}
-    statements = Statements()
+    statements = StatusLog()
     both = {"a": say(status, "a", 1, is_active=True), "b": say(status, "b", 1, is_active=True)}
     statements.hear(0.0, both)
     found = measure(statements.brought_into(trace), ["consensus_share", "protection_duty"])
@@ -97,4 +97,4 @@ def test_metrics_of_what_robots_say_can_then_be_taken(trace: Trace, status: Stat
 
 
 def test_without_a_word_the_trace_stays_as_it_was(trace: Trace) -> None:
-    assert Statements().brought_into(trace) is trace
+    assert StatusLog().brought_into(trace) is trace

@@ -9,12 +9,12 @@ import pytest
 from rich.console import Console
 
 from swarmd.core.messages import (
+    DecisionSummary,
     Epoch,
     Health,
     Reason,
     State,
     Status,
-    VerdictSummary,
 )
 from swarmd.sim.live.view import Scene, cell_of, map_of, map_size, render
 
@@ -42,7 +42,7 @@ def status(robot: str, state: State = State.RUNNING, reason: Reason | None = Non
         labels=(),
         params={},
         report={},
-        verdict=VerdictSummary(min_gap=0.62),
+        decision=DecisionSummary(min_gap=0.62),
         health=Health(scan_rate=5.0, loop_p99=0.0031),
         uptime=1.0,
     )

@@ -118,7 +118,7 @@ def test_a_slow_pattern_has_but_its_beats(plugins: str) -> None:
     lab.advance(4.0)
     shell = lab.shells[0]
     assert shell is not None
-    decisions = shell.robot.status(lab.world.time).verdict.decisions
+    decisions = shell.robot.status(lab.world.time).decision.decisions
     assert 4.0 / TICK - 2 <= decisions <= 2 * 4.0 / TICK
 
 

@@ -63,7 +63,16 @@ def at(trace: Trace, time: float) -> int:
 def digest(trace: Trace) -> str:
     """Of every array."""
     whole = hashlib.sha256()
-    for name in ("t", "pose", "safe", "wish", "contact_t", "contact_speed", "decided", "evaded"):
+    for name in (
+        "t",
+        "pose",
+        "safe",
+        "requested",
+        "contact_t",
+        "contact_speed",
+        "decided",
+        "evaded",
+    ):
         whole.update(np.ascontiguousarray(getattr(trace, name)).tobytes())
     for name in sorted(trace.report):
         whole.update(trace.report[name].tobytes())

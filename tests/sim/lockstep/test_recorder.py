@@ -26,7 +26,7 @@ def trace() -> Trace:
                     "platform": "careful",
                     "pattern": "drive",
                     "count": 2,
-                    "parameters": {"speed": 0.2, "unstick": True},
+                    "parameters": {"speed": 0.2, "recovery": True},
                     "start": {"layout": "list", "poses": [[5.0, 0.0, 0.0], [-2.0, 0.0, 0.0]]},
                 }
             },
@@ -60,9 +60,9 @@ def test_keeps_how_near_and_how_old_what_it_saw_was(trace: Trace) -> None:
 
 
 def test_keeps_when_a_robot_was_led_around_something(trace: Trace) -> None:
-    assert trace.unsticking is not None
-    assert trace.unsticking[:, 0].any()
-    assert not trace.unsticking[:, 1].any()
+    assert trace.recovering is not None
+    assert trace.recovering[:, 0].any()
+    assert not trace.recovering[:, 1].any()
 
 
 def test_says_the_mode_of_each_platform(trace: Trace) -> None:

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarmd.sim.lockstep.schedules import Rhythm, Wakes
+from swarmd.sim.lockstep.schedules import Schedules, Wakes
 
 DT = 0.01
 
 
 @pytest.mark.parametrize("rate", [0.7, 5.0, 20.0, 33.0, 100.0])
 def test_each_job_comes_at_its_rate_and_no_two_in_step(rate: float) -> None:
-    rhythm = Rhythm(np.full(3, rate), np.array([0.11, 0.42, 0.83]))
+    rhythm = Schedules(np.full(3, rate), np.array([0.11, 0.42, 0.83]))
     seen: list[list[float]] = [[], [], []]
     for step in range(2001):
         for row in rhythm.due(step * DT):
@@ -26,8 +26,8 @@ def test_each_job_comes_at_its_rate_and_no_two_in_step(rate: float) -> None:
 
 def test_rhythms_that_begin_together_meet_again() -> None:
     sweeps, beats = (
-        Rhythm(np.array([5.0]), np.array([0.37])),
-        Rhythm(np.array([20.0]), np.array([0.37])),
+        Schedules(np.array([5.0]), np.array([0.37])),
+        Schedules(np.array([20.0]), np.array([0.37])),
     )
     for step in range(200):
         swept, beaten = sweeps.due(step * DT), beats.due(step * DT)
@@ -35,12 +35,12 @@ def test_rhythms_that_begin_together_meet_again() -> None:
 
 
 def test_all_begin_at_once_unless_told() -> None:
-    rhythm = Rhythm(np.array([10.0, 10.0]))
+    rhythm = Schedules(np.array([10.0, 10.0]))
     assert [len(rhythm.due(step * DT)) for step in range(11)] == [2, *[0] * 9, 2]
 
 
 def test_a_job_never_drifts() -> None:
-    rhythm = Rhythm(np.array([30.0]))
+    rhythm = Schedules(np.array([30.0]))
     count = sum(len(rhythm.due(step * DT)) for step in range(100 * 600))
     assert count == 30 * 600
 

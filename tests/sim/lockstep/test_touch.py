@@ -96,7 +96,7 @@ def test_what_its_corners_would_pass_is_not_reached() -> None:
 
 
 def test_the_next_pattern_presses_no_further() -> None:
-    drive = {"at": 10, "run": "drive", "parameters": {"unstick": False, "speed": 0.1}}
+    drive = {"at": 10, "run": "drive", "parameters": {"recovery": False, "speed": 0.1}}
     trace = pushed(touch={"push": AHEAD}, events=(drive,), duration=14)
     assert trace.contact_t.max() > 9.0
     assert moved(trace, since=10.5) == pytest.approx(0.0, abs=0.005)

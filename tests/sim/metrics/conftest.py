@@ -60,7 +60,7 @@ def make_full_run(seed: int, n: int = 6, instants: int = 12) -> Trace:
         sorted(contacts),
         platforms=tuple(sorted(PLATFORMS)[i % 3] for i in range(n)),
         safe=rng.normal(size=(*shape, 3)),
-        wish=rng.normal(size=(*shape, 3)),
+        requested=rng.normal(size=(*shape, 3)),
         state=rng.choice(["running", "stopped"], shape),
         reason=rng.choice(["", "stale_scan", "operator"], shape),
         active=rng.random(shape) < 0.3,
@@ -69,7 +69,7 @@ def make_full_run(seed: int, n: int = 6, instants: int = 12) -> Trace:
         gap=rng.uniform(0.0, 2.0, shape),
         scan_age=rng.uniform(0.0, 0.3, shape),
         bound=rng.normal(size=(*shape, 3)),
-        unsticking=rng.random(shape) < 0.2,
+        recovering=rng.random(shape) < 0.2,
         present=rng.random(shape) < 0.9,
         report={"opinion": rng.integers(0, 2, shape).astype(np.float64)},
     )

@@ -47,8 +47,8 @@ def shuffled(trace: Trace, order: list[int]) -> Trace:
     """The same run, its robots in another order."""
     place = np.argsort(order)
     parts = (
-        *("pose", "safe", "wish", "state", "reason", "active", "decided", "evaded", "present"),
-        *("gap", "scan_age", "bound", "unsticking"),
+        *("pose", "safe", "requested", "state", "reason", "active", "decided", "evaded", "present"),
+        *("gap", "scan_age", "bound", "recovering"),
     )
     return replace(
         trace,

@@ -60,7 +60,7 @@ def test_duty_is_of_those_present(run: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("wish", "safe", "altered"),
+    ("requested", "safe", "altered"),
     [
         ((0.5, 0.0, 0.0), (0.5, 0.0, 0.0), 0.0),
         ((0.5, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0),  # full speed ahead, stopped
@@ -71,11 +71,11 @@ def test_duty_is_of_those_present(run: Run) -> None:
 )
 def test_alteration_is_in_units_of_full_speed(
     run: Run,
-    wish: tuple[float, ...],
+    requested: tuple[float, ...],
     safe: tuple[float, ...],
     altered: float,
 ) -> None:
-    trace = run(STILL, wish=np.tile(wish, (4, 2, 1)), safe=np.tile(safe, (4, 2, 1)))
+    trace = run(STILL, requested=np.tile(requested, (4, 2, 1)), safe=np.tile(safe, (4, 2, 1)))
     assert protection.command_alteration(trace) == pytest.approx(altered)
     means = protection.mean_alterations(trace)
     assert means is not None
@@ -83,9 +83,9 @@ def test_alteration_is_in_units_of_full_speed(
 
 
 def test_alteration_is_of_running_robots(run: Run) -> None:
-    wish = np.zeros((4, 2, 3))
-    wish[:, 0, 0] = 0.5
-    trace = run(STILL, wish=wish)
+    requested = np.zeros((4, 2, 3))
+    requested[:, 0, 0] = 0.5
+    trace = run(STILL, requested=requested)
     assert protection.command_alteration(trace) == pytest.approx(0.5)
     state = np.array([["stopped", "running"]] * 4)
     assert protection.command_alteration(replace(trace, state=state)) == 0.0
@@ -95,7 +95,7 @@ def test_alteration_is_of_running_robots(run: Run) -> None:
 
 def test_alteration_needs_wishes_and_limits(run: Run) -> None:
     assert protection.command_alteration(run(STILL)) is None
-    assert protection.command_alteration(run(STILL, wish=STILL, meta={})) is None
+    assert protection.command_alteration(run(STILL, requested=STILL, meta={})) is None
     assert protection.mean_alterations(run(STILL)) is None
 
 
@@ -109,17 +109,19 @@ def test_robots_whose_pattern_failed_are_counted_once_each(run: Run) -> None:
 
 
 def test_getting_unstuck_is_counted_while_running(run: Run) -> None:
-    unsticking = np.array([[True, True], [True, False], [True, False], [False, False]])
+    recovering = np.array([[True, True], [True, False], [True, False], [False, False]])
     state = np.array([["running"] * 2, ["running"] * 2, ["stopped", "running"], ["running"] * 2])
-    trace = run(STILL, unsticking=unsticking, state=state)
-    assert protection.unstick_share(trace) == pytest.approx(3.0 / 7.0)
-    assert protection.unstick_share(run(STILL)) is None
-    assert protection.unstick_share(replace(trace, state=np.full((4, 2), "idle"))) is None
+    trace = run(STILL, recovering=recovering, state=state)
+    assert protection.recovery_share(trace) == pytest.approx(3.0 / 7.0)
+    assert protection.recovery_share(run(STILL)) is None
+    assert protection.recovery_share(replace(trace, state=np.full((4, 2), "idle"))) is None
 
 
 def test_holds_are_counted_while_running(run: Run) -> None:
     state = np.array([["running"] * 2, ["running"] * 2, ["stopped", "running"], ["running"] * 2])
-    reason = np.array([["stale_scan", ""], ["no_wish", ""], ["stale_scan", "no_scan"], ["", ""]])
+    reason = np.array(
+        [["stale_scan", ""], ["no_requested_command", ""], ["stale_scan", "no_scan"], ["", ""]]
+    )
     trace = run(STILL, state=state, reason=reason)
     assert protection.hold_share(trace) == pytest.approx(2.0 / 7.0)
     assert protection.hold_share(run(STILL)) is None

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from swarmd.sim.world.delay_queue import Held
+from swarmd.sim.world.delay_queue import DelayQueue
 
 
 def test_nothing_comes_before_its_time_and_nothing_twice() -> None:
-    held: Held[str] = Held()
+    held: DelayQueue[str] = DelayQueue()
     held.put(1.0, "a")
     assert held.due(0.99) == []
     assert held.due(1.0) == ["a"]
@@ -14,7 +14,7 @@ def test_nothing_comes_before_its_time_and_nothing_twice() -> None:
 
 
 def test_comes_by_time_and_then_in_the_order_put_in() -> None:
-    held: Held[str] = Held()
+    held: DelayQueue[str] = DelayQueue()
     for at, item in ((3.0, "z"), (1.0, "late"), (1.0, "a"), (2.0, "m"), (1.0, "b")):
         held.put(at, item)
     assert held.due(2.0) == ["late", "a", "b", "m"]
@@ -22,13 +22,13 @@ def test_comes_by_time_and_then_in_the_order_put_in() -> None:
 
 
 def test_a_sum_of_steps_that_is_a_rounding_error_short_of_the_time_is_in_time() -> None:
-    held: Held[int] = Held()
+    held: DelayQueue[int] = DelayQueue()
     held.put(0.3, 1)
     assert held.due(0.1 + 0.1 + 0.1 - 1e-15) == [1]
 
 
 def test_items_need_not_be_comparable() -> None:
-    held: Held[object] = Held()
+    held: DelayQueue[object] = DelayQueue()
     first, second = object(), object()
     held.put(1.0, first)
     held.put(1.0, second)
