@@ -117,22 +117,26 @@ def _comparison(condition: Compared) -> _Check:
 
 
 class Ending:
-    """Watches the steps of a pattern; the first of them is when its time begins."""
+    """Watches the steps of a run; its time counts from the first step."""
 
     def __init__(self, condition: Condition) -> None:
-        self._watch = Watch(condition)
+        several = condition.conditions if isinstance(condition, AnyOf) else (condition,)
+        self._watches = [Watch(one) for one in several]
         self._has_begun = False
 
     def applied(self, inputs: Inputs, outputs: Outputs) -> Outputs:
-        """A step's outputs, done if the condition holds after it."""
+        """The outputs of a step; if conditions hold after it, done with those that hold."""
         if not self._has_begun:
             self._has_begun = True
-            self._watch.begin(inputs.now)
+            for watch in self._watches:
+                watch.begin(inputs.now)
         done = () if outputs.done is None else ("",)
         facts = Facts(inputs.now, outputs.report, done, inputs.scan, inputs.readings)
-        if not self._watch.is_met(facts) or outputs.done is not None:
+        # Every watch is asked at every step: a settled report is timed from step to step.
+        met = [str(watch.condition) for watch in self._watches if watch.is_met(facts)]
+        if not met or outputs.done is not None:
             return outputs
-        return msgspec.structs.replace(outputs, done=f"until {self._watch.condition}")
+        return msgspec.structs.replace(outputs, done=f"until {' and '.join(met)}")
 
 
 def ending_of(until: Sequence[str], platform: Platform) -> Ending | None:

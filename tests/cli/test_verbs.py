@@ -131,7 +131,7 @@ def test_a_run_ends_when_its_condition_holds(swarm: Swarm) -> None:
     wait_until(lambda: swarm.status("r1")["state"] != "running", "the run is over")
     status = swarm.status("r1")
     assert (status["state"], status["reason"]) == ("idle", "finished")
-    assert status["detail"] == "until something is nearer than 1 m or 0.5 s have passed"
+    assert status["detail"] == "until 0.5 s have passed"
 
 
 def test_a_wrong_condition_is_told_of_before_anything_is_sent(swarm: Swarm) -> None:

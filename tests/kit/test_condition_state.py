@@ -91,6 +91,13 @@ def test_of_several_the_first_ends_it() -> None:
     story = story_of(["timeout:9", "report:word=c", "settled:word:8"])
     assert seconds_until_idle(story) < 3.0
     assert standing_state(story) == (State.IDLE, Reason.FINISHED)
+    assert story.status.detail == "until word is c"
+
+
+def test_all_conditions_met_at_one_step_are_named() -> None:
+    story = story_of(["timeout:2", "timeout:9", "timeout:1.999"])
+    seconds_until_idle(story)
+    assert story.status.detail == "until 2 s have passed and 1.999 s have passed"
 
 
 def test_a_pattern_that_is_done_before_says_so_itself() -> None:
