@@ -1,4 +1,4 @@
-# make demo | test | check | bench | lock | clean. Everything lands in .venv and build/.
+# make demo | test | evidence | check | bench | lock | clean. Everything lands in .venv and build/.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -7,12 +7,13 @@ ARGS ?=
 # Test files at a time: most tests wait rather than compute. 0: one after the other, in this process.
 JOBS ?= 2
 
-.PHONY: help demo test check format bench paper safety outcomes lock clean
+.PHONY: help demo test evidence check format bench paper safety outcomes voting lock clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo    seven simulated robots gather; about a minute and a half"
 	@echo "make test    all tests                 (ARGS='-k scan' picks some, JOBS=0 one by one)"
+	@echo "make evidence  long tests and studies of outcomes, safety and the paper; hours on two cores"
 	@echo "make check   format, lint, types, and the wheel tried in a fresh environment"
 	@echo "make bench   the measurements, beside their budgets (ARGS=latency picks one)"
 	@echo "make clean   removes .venv, build and caches"
@@ -23,6 +24,11 @@ demo: $(VENV)/installed
 
 test: $(VENV)/tools
 	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile $(ARGS)
+
+# The tests marked `evidence`, then every study with its usual seeds.
+evidence: $(VENV)/tools
+	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m evidence --timeout 3600 $(ARGS)
+	@$(MAKE) --no-print-directory ARGS= outcomes paper voting safety
 
 check: $(VENV)/tools
 	$(BIN)/ruff format --check .
@@ -44,6 +50,10 @@ paper: $(VENV)/tools
 # What each pattern brings about, over twenty seeds; tests/outcomes ask the same of a few.
 outcomes: $(VENV)/tools
 	@$(BIN)/python -m studies.outcomes $(ARGS)
+
+# How voting scales with robots, drawn for docs/figures; some ten minutes.
+voting: $(VENV)/tools
+	@$(BIN)/python -m studies.voting $(ARGS)
 
 # Robot-hours and progress under protection, kept in build/safety; hours on two cores. With
 # ARGS="--robot-hours 30" a tenth of it.

@@ -31,6 +31,19 @@ def pytest_unconfigure() -> None:
         faulthandler.dump_traceback_later(20.0, exit=True)
 
 
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Deselect tests marked `evidence` unless `-m` names the marker or an argument one test.
+
+    A default `-m "not evidence"` in pyproject.toml would be lost under any other `-m`.
+    """
+    if "evidence" in config.option.markexpr or any("::" in argument for argument in config.args):
+        return
+    evidence = [item for item in items if item.get_closest_marker("evidence")]
+    if evidence:
+        config.hook.pytest_deselected(items=evidence)
+        items[:] = [item for item in items if not item.get_closest_marker("evidence")]
+
+
 class Namespaces:
     """Network namespaces on one bridge; `join` adds one, `cut` takes its cable out silently."""
 
