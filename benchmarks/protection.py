@@ -45,7 +45,7 @@ class LiveRobot:
     def __init__(self, platform: Platform) -> None:
         settings = RobotSettings(driver="simulated", layers=lambda name: ())
         self.now, self.seq = 0.0, 0
-        self.robot = Robot("r", platform, settings, seed=0, boot="b", now=0.0)
+        self.robot = Robot("r", platform, settings, seed=0, instance="b", now=0.0)
         self.robot.on_driver(True, "", self.now)
         self.robot.on_request(
             Request(

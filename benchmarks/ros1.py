@@ -75,7 +75,7 @@ def patterns_field(scan: Scan) -> Twist:
 def core() -> Answer:
     """A robot's core without a pattern: its safe command, which is zero."""
     settings = RobotSettings(driver="ros1", layers=lambda pattern: ())
-    robot = Robot("r", PLATFORM, settings, seed=1, boot="bench", now=boottime())
+    robot = Robot("r", PLATFORM, settings, seed=1, instance="bench", now=boottime())
     robot.on_driver(True, "", boottime())
     return lambda scan: robot.on_scan(scan, boottime()).twist
 

@@ -120,7 +120,7 @@ class Lockstep:
             self._platforms[row],
             settings,
             seed=self.seed,
-            boot=f"lab-{self._lives[row]}",
+            instance=f"lab-{self._lives[row]}",
             now=now,
             latches=self._latches.get(row),
         )

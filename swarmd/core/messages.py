@@ -76,9 +76,9 @@ class Code(StrEnum):
 
 
 class Epoch(Struct, frozen=True):
-    """What an operator saw of a robot: which boot, and how often it has changed since."""
+    """What an operator saw of a robot: which instance, and how often it has changed since."""
 
-    boot: Name
+    instance: Name
     revision: Count
 
 
@@ -169,7 +169,7 @@ class Latch(Struct, frozen=True, kw_only=True):
     reason: Line = ""
 
 
-class Event(Struct, frozen=True, kw_only=True):
+class LoggedEvent(Struct, frozen=True, kw_only=True):
     """Something an operator cares about. `at` in s since the daemon started."""
 
     at: Seconds
@@ -212,7 +212,7 @@ class Status(Struct, frozen=True, kw_only=True):
     health: Health
     uptime: Seconds
     readings: dict[Word, Scalar] = {}
-    events: tuple[Event, ...] = ()
+    events: tuple[LoggedEvent, ...] = ()
     has_left: bool = False
 
 
@@ -234,7 +234,7 @@ class Member(Struct, frozen=True, kw_only=True):
     status: Status | None = None
 
 
-class View(Struct, frozen=True, kw_only=True):
+class PeerView(Struct, frozen=True, kw_only=True):
     """A daemon's answer to `members`: itself, and every other robot it knows of.
 
     Alive members come without their status: they answer for themselves.

@@ -73,7 +73,7 @@ class Daemon:
         self._loop.set_exception_handler(self._on_crash)
         self._crash: BaseException | None = None
         self._crashed = asyncio.Event()
-        self._boot = secrets.token_hex(6)
+        self._instance = secrets.token_hex(6)
         self._notify = Notifier()
         self._latches = LatchFile(settings.state_dir / settings.swarm / settings.id)
         self._runner = ProcessRunner(self._loop, settings.plugin_dir, self._on_host_events)
@@ -97,7 +97,7 @@ class Daemon:
                 touch=settings.touch_zones,
             ),
             seed=secrets.randbits(48),
-            boot=self._boot,
+            instance=self._instance,
             now=boottime(),
             latches=self._latches.read(),
         )
@@ -135,7 +135,7 @@ class Daemon:
         gc.collect()
         gc.freeze()
         self._notify("READY=1")
-        log.info("ready in swarm %s as %s", self._settings.swarm, self._boot)
+        log.info("ready in swarm %s as %s", self._settings.swarm, self._instance)
         await self._drive()  # only now is the base ours
 
     async def _drive(self) -> None:
@@ -183,7 +183,7 @@ class Daemon:
             self._session,
             swarm=settings.swarm,
             robot=settings.id,
-            instance=self._boot,
+            instance=self._instance,
             settle=wanted.settle,
             lease=wanted.lease_seconds,
             on_duplicate=self._on_duplicate,

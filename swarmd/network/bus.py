@@ -38,7 +38,7 @@ from swarmd.core.clock import Clock, boottime
 from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE, Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import ANY, Key, build, parse
-from swarmd.core.messages import Condition, Member, Request, Status, View
+from swarmd.core.messages import Condition, Member, PeerView, Request, Status
 from swarmd.network.inbound_queue import Drops, Lane
 from swarmd.network.membership import Membership
 from swarmd.network.session import undeclare
@@ -94,7 +94,7 @@ class Bus(Protocol):
     def serve_view(self, status: Callable[[], Status], roster: tuple[str, ...] = ()) -> None:
         """Answer `state/status` and `control/members` from `status()` and the membership."""
 
-    def view(self, status: Status, roster: tuple[str, ...] = ()) -> View:
+    def view(self, status: Status, roster: tuple[str, ...] = ()) -> PeerView:
         """What `control/members` answers: `status` is this robot's own."""
 
     def on_member(self, callback: MemberListener) -> None:
@@ -296,10 +296,10 @@ class ZenohBus:
         self.serve("state", "status", on_status)
         self.serve("control", "members", on_members)
 
-    def view(self, status: Status, roster: tuple[str, ...] = ()) -> View:
+    def view(self, status: Status, roster: tuple[str, ...] = ()) -> PeerView:
         """This robot's status and what it knows of the others; of an id held twice, both."""
         members = members_to_tell(self._membership, self._clock())
-        return View(robot=self.robot, status=status, members=members, roster=roster)
+        return PeerView(robot=self.robot, status=status, members=members, roster=roster)
 
     def on_member(self, callback: MemberListener) -> None:
         """Be told of each member whose instance or condition changed."""

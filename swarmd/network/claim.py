@@ -9,7 +9,7 @@ still come together, when a cut heals: the watch tells.
 
 Use::
 
-    claim = await claim_id(session, swarm="lab", robot="tb3-01", instance=boot,
+    claim = await claim_id(session, swarm="lab", robot="tb3-01", instance=instance,
                            settle=settings.settle, lease=settings.lease_seconds,
                            on_duplicate=robot_is_held_by)   # called on the loop, with the instance
     ...

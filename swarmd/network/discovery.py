@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from swarmd.core.messages import Condition, Epoch, Member, Status, View
+from swarmd.core.messages import Condition, Epoch, Member, PeerView, Status
 
 # With one answer, or answers that do not agree yet, this long must pass without news, in s.
 QUIET = 0.1
@@ -74,7 +74,7 @@ class Gathering:
     def __init__(self, now: float, roster: Iterable[str] = ()) -> None:
         self._started = now
         self._news = now
-        self._views: dict[str, dict[str, View]] = {}
+        self._views: dict[str, dict[str, PeerView]] = {}
         self._tokens: dict[str, set[str]] = {}
         self._gone: set[tuple[str, str]] = set()
         self._roster = set(roster)
@@ -97,7 +97,7 @@ class Gathering:
         """The own session got a link: more may follow."""
         self._news = now
 
-    def on_view(self, view: View, now: float) -> None:
+    def on_view(self, view: PeerView, now: float) -> None:
         """A daemon answered; only what is new counts as news."""
         known = self._views.setdefault(view.robot, {})
         if view.status.instance not in known:
@@ -179,7 +179,7 @@ class Gathering:
         alive = sorted(self._alive().items())
         return {robot: tuple(sorted(some)) for robot, some in alive if len(some) > 1}
 
-    def _all(self) -> list[View]:
+    def _all(self) -> list[PeerView]:
         return [view for views in self._views.values() for view in views.values()]
 
     def _agree(self, answered: frozenset[str]) -> bool:
@@ -198,7 +198,7 @@ class Gathering:
         return _alive(robot, tokens[0] if tokens else "unknown", None, 0.0)
 
 
-def _seen_alive(view: View) -> frozenset[str]:
+def _seen_alive(view: PeerView) -> frozenset[str]:
     return frozenset(member.robot for member in view.members if member.condition is Condition.ALIVE)
 
 

@@ -31,7 +31,7 @@ from zenoh.handlers import Callback
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import ANY, Key, build, parse
-from swarmd.core.messages import Epoch, Reply, Request, View
+from swarmd.core.messages import Epoch, PeerView, Reply, Request
 from swarmd.network.discovery import Gathering, MembersView
 from swarmd.network.outcome import Acks, Outcome
 from swarmd.network.scouting import swarms_in_reach
@@ -51,7 +51,7 @@ MAX_TEXT = 256
 Args = dict[str, Any]
 HaltVerb = Literal["stop", "estop"]
 
-_view = Decoder(View, MAX_WIRE)
+_view = Decoder(PeerView, MAX_WIRE)
 _reply = Decoder(Reply, MAX_CONTROL)
 
 

@@ -120,8 +120,8 @@ class Acks:
         if reply.robot != robot or reply.id != self._request_id:
             self.strange += 1
             return False
-        boot = reply.epoch.boot if reply.epoch is not None else ""
-        self._replies.setdefault(robot, {})[boot] = reply
+        instance = reply.epoch.instance if reply.epoch is not None else ""
+        self._replies.setdefault(robot, {})[instance] = reply
         return True
 
     @property

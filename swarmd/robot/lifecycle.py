@@ -26,7 +26,7 @@ from swarmd.core.host_messages import (
     Try,
 )
 from swarmd.core.host_messages import Event as HostEvent
-from swarmd.core.messages import Code, Epoch, Event, Latch, Reason, Reply, Request, State
+from swarmd.core.messages import Code, Epoch, Latch, LoggedEvent, Reason, Reply, Request, State
 from swarmd.core.values import Platform, Scalar, TouchZone, Value
 from swarmd.kit.touch import in_force
 from swarmd.protection.decision import NO_PERMIT, Permit
@@ -63,7 +63,7 @@ class Identity:
     robot: str
     platform: Platform
     seed: int
-    boot: str
+    instance: str
     touch: Mapping[str, TouchZone] = field(default_factory=dict)
 
 
@@ -81,7 +81,7 @@ class Lifecycle:
         self.changed_by = "nobody yet"
         self.duplicate: str | None = None
         self.report: Mapping[str, Scalar] = {}
-        self.events: deque[Event] = deque(maxlen=EVENTS)
+        self.events: deque[LoggedEvent] = deque(maxlen=EVENTS)
         self.params_request: tuple[Request, float] | None = None
         self.trial: Trying | None = None
         self.hold_since: float | None = None
@@ -99,7 +99,7 @@ class Lifecycle:
     @property
     def epoch(self) -> Epoch:
         """What an operator must quote to change this robot."""
-        return Epoch(self._identity.boot, self.revision)
+        return Epoch(self._identity.instance, self.revision)
 
     @property
     def permit(self) -> Permit:
@@ -112,7 +112,7 @@ class Lifecycle:
 
     def note(self, text: str, now: float) -> None:
         """Keep an event for describe."""
-        self.events.append(Event(at=max(now - self._born, 0.0), text=text[:LINE]))
+        self.events.append(LoggedEvent(at=max(now - self._born, 0.0), text=text[:LINE]))
 
     def reply(self, turn: Turn, request: Request, code: Code, text: str) -> None:
         """Answer a request; the epoch tells how the robot stands after it."""

@@ -31,8 +31,8 @@ STATUS_PERIOD = 1.0
 class Robot:
     """StateMachine, protection and the pattern's bookkeeping of one robot.
 
-    `seed` makes every random choice of its patterns repeatable, `boot` is the nonce of this life,
-    `now` in s on a monotonic clock, `latches` what an earlier life wrote down.
+    `seed` makes every random choice of its patterns repeatable, `instance` names this life of the
+    daemon, `now` is in s on a monotonic clock, `latches` are those that an earlier life stored.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class Robot:
         settings: RobotSettings,
         *,
         seed: int,
-        boot: str,
+        instance: str,
         now: float,
         latches: LatchRecord | None = None,
     ) -> None:
@@ -53,7 +53,7 @@ class Robot:
         self._beat = now
         self._sensors = Sensors(platform)
         self._protection = Protection(platform, f"{seed}/{id}")
-        identity = Identity(id, platform, seed, boot, settings.touch)
+        identity = Identity(id, platform, seed, instance, settings.touch)
         self._lifecycle = Lifecycle(identity, latches, now)
         self._verbs = Verbs(id, self._lifecycle, settings.layers, self._standing)
         self._duty = Duty()

@@ -73,7 +73,7 @@ def make_status(
         detail = f"loading {loading.pattern}"
     return Status(
         robot=robot,
-        instance=conduct.epoch.boot,
+        instance=conduct.epoch.instance,
         platform=platform.name,
         driver=settings.driver,
         host=settings.host,

@@ -11,9 +11,9 @@ from swarmd.core.messages import (
     Condition,
     DecisionSummary,
     Epoch,
-    Event,
     Health,
     Latch,
+    LoggedEvent,
     Member,
     Param,
     Reason,
@@ -37,7 +37,7 @@ RUNNING = Status(
     pattern="drive",
     generation=42,
     since=3.0,
-    epoch=Epoch(boot="0123456789ab", revision=7),
+    epoch=Epoch(instance="0123456789ab", revision=7),
     changed_by="ann@desk (run drive)",
     latches={},
     labels=("red",),
@@ -46,7 +46,7 @@ RUNNING = Status(
     decision=DecisionSummary(requested_linear=0.2, safe_linear=0.1, is_active=True, min_gap=0.61),
     health=Health(scan_rate=4.96, loop_p99=0.0041, driver="answers", driver_up=True),
     uptime=100.0,
-    events=(Event(at=97.0, text="loading drive"),),
+    events=(LoggedEvent(at=97.0, text="loading drive"),),
 )
 
 

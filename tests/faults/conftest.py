@@ -274,10 +274,10 @@ class Bench:
         ]
         assert not moved
 
-    def lives(self, boot: str) -> None:
-        """The guardian that was booted as `boot` answers, and commands its body as ever."""
+    def lives(self, instance: str) -> None:
+        """The daemon with this `instance` answers, and commands its body as ever."""
         assert self.daemon.process.poll() is None
-        assert self.status().epoch.boot == boot
+        assert self.status().epoch.instance == instance
         now, before = boottime(), len(self.body.commands)
         self.body.wait(lambda command: len(self.body.commands) >= before + 5, now)
 

@@ -23,7 +23,7 @@ pytestmark = pytest.mark.integration
 
 
 def test_a_killed_host_stops_the_body_at_once_and_its_pattern_comes_back(robot: Bench) -> None:
-    boot, pids = robot.status().epoch.boot, list[int]()
+    instance, pids = robot.status().epoch.instance, list[int]()
 
     def kill() -> float:
         pids.append(robot.daemon.host_pid())
@@ -41,11 +41,11 @@ def test_a_killed_host_stops_the_body_at_once_and_its_pattern_comes_back(robot: 
     )
     assert again.at - back.began > FIRST_BACKOFF
     assert robot.daemon.host_pid() not in pids
-    robot.lives(boot)
+    robot.lives(instance)
 
 
 def test_a_stopped_host_is_outlived_by_its_wish_then_replaced(robot: Bench) -> None:
-    boot, pids = robot.status().epoch.boot, list[int]()
+    instance, pids = robot.status().epoch.instance, list[int]()
 
     def stop() -> float:
         pids.append(robot.daemon.host_pid())
@@ -64,11 +64,11 @@ def test_a_stopped_host_is_outlived_by_its_wish_then_replaced(robot: Bench) -> N
     )
     assert expired.at < back.failed.at < again.at
     wait_until(lambda: not any(is_running(pid) for pid in pids), "the stopped host is gone")
-    robot.lives(boot)
+    robot.lives(instance)
 
 
 def test_an_endless_loop_stops_the_body_and_never_the_guardian(robot: Bench) -> None:
-    boot = robot.status().epoch.boot
+    instance = robot.status().epoch.instance
     back = robot.drive_until_restarted("looper")
     robot.await_reason(Reason.COMMAND_EXPIRED, back.began)
     robot.await_event("looper failed: gave no answer for 1 s", back.began)
@@ -77,14 +77,14 @@ def test_an_endless_loop_stops_the_body_and_never_the_guardian(robot: Bench) -> 
     print(f"killed {killed - back.began:.3f} s after it began; {len(hung)} zeros in 0.5 s before")
     assert hung
     assert all(command.twist.is_zero for command in hung)
-    robot.lives(boot)
+    robot.lives(instance)
 
 
 def test_a_guardian_whose_pattern_hangs_answers_and_keeps_its_beat(robot: Bench) -> None:
     moving = robot.drive("looper")
-    boot = robot.status().epoch.boot
+    instance = robot.status().epoch.instance
     robot.await_reason(Reason.COMMAND_EXPIRED, moving.at)
-    robot.lives(boot)
+    robot.lives(instance)
     assert robot.status().health.loop_stalls == 0
 
 
@@ -104,7 +104,7 @@ def test_an_operator_can_stop_a_pattern_that_hangs_and_run_another(robot: Bench)
 def test_a_pattern_that_keeps_raising_is_restarted_with_backoff_then_quarantined(
     robot: Bench,
 ) -> None:
-    boot = robot.status().epoch.boot
+    instance = robot.status().epoch.instance
     _, end = robot.drive_to_quarantine("raiser")
     assert (end.status.state, end.status.reason) == (State.FAULTED, Reason.QUARANTINED)
     assert "raiser failed 4 times" in end.status.detail
@@ -123,7 +123,7 @@ def test_a_pattern_that_keeps_raising_is_restarted_with_backoff_then_quarantined
     assert refused.code is Code.REFUSED
     assert "raiser failed 4 times" in refused.text
     robot.moves_not(zero.at)
-    robot.lives(boot)
+    robot.lives(instance)
     assert robot.ask("reset").code is Code.APPLIED
     robot.moves_not(zero.at)
     robot.drive()
@@ -141,7 +141,7 @@ def test_a_pattern_that_keeps_raising_is_restarted_with_backoff_then_quarantined
 def test_a_pattern_that_keeps_ending_its_host_is_quarantined_for_the_right_reason(
     robot: Bench, pattern: str, why: str
 ) -> None:
-    boot = robot.status().epoch.boot
+    instance = robot.status().epoch.instance
     moving, end = robot.drive_to_quarantine(pattern)
     assert (end.status.state, end.status.reason) == (State.FAULTED, Reason.QUARANTINED)
     zero = robot.body.wait_zero(moving.at)
@@ -149,12 +149,12 @@ def test_a_pattern_that_keeps_ending_its_host_is_quarantined_for_the_right_reaso
     print(f"zero after {zero.at - moving.at:.3f} s, quarantined after {end.at - moving.at:.3f} s")
     assert why in end.status.detail
     robot.moves_not(robot.body.wait_zero(end.at).at)
-    robot.lives(boot)
+    robot.lives(instance)
 
 
 def test_a_pattern_that_floods_the_guardian_neither_blinds_nor_binds_it(robot: Bench) -> None:
     moving = robot.drive("flooder")
-    boot = robot.status().epoch.boot
+    instance = robot.status().epoch.instance
     robot.body.wait(lambda command: command.scan_seq > moving.scan_seq + 5, moving.at)
     status = robot.status()
     assert (status.state, status.pattern) == (State.RUNNING, "flooder")
@@ -163,13 +163,13 @@ def test_a_pattern_that_floods_the_guardian_neither_blinds_nor_binds_it(robot: B
     robot.halt("stop")
     print(f"stop acked after {boottime() - flooded:.3f} s")
     robot.moves_not(robot.body.wait_zero(flooded).at)
-    robot.lives(boot)
+    robot.lives(instance)
 
 
 def test_a_child_that_a_dying_pattern_leaves_behind_hides_nothing_and_dies_too(
     robot: Bench,
 ) -> None:
-    boot = robot.status().epoch.boot
+    instance = robot.status().epoch.instance
     back = robot.drive_until_restarted("forker")
     robot.await_event("forker failed: its process ended with code 3", back.began)
     zero = robot.body.wait_zero(back.began)
@@ -178,7 +178,7 @@ def test_a_child_that_a_dying_pattern_leaves_behind_hides_nothing_and_dies_too(
     left = [int(pid) for pid in re.findall(r"left a child: (\d+)", robot.daemon.text())]
     assert left
     wait_until(lambda: not any(is_running(pid) for pid in left), "the children are gone")
-    robot.lives(boot)
+    robot.lives(instance)
 
 
 def test_what_a_pattern_prints_goes_to_the_log_and_disturbs_nothing(robot: Bench) -> None:
@@ -193,7 +193,7 @@ def test_what_a_pattern_prints_goes_to_the_log_and_disturbs_nothing(robot: Bench
 
 def test_an_import_that_never_ends_stops_a_driving_robot_and_is_given_up(robot: Bench) -> None:
     moving = robot.drive()
-    boot = robot.status().epoch.boot
+    instance = robot.status().epoch.instance
 
     asked = boottime()
     reply = robot.run("endless_import")
@@ -203,7 +203,7 @@ def test_an_import_that_never_ends_stops_a_driving_robot_and_is_given_up(robot: 
     robot.await_state(State.STOPPED, Reason.LOAD_FAILED, moving.at)
     zero = robot.body.wait_zero(asked)
     robot.moves_not(zero.at)
-    robot.lives(boot)
+    robot.lives(instance)
     robot.drive()
 
 

@@ -14,14 +14,14 @@ import zenoh
 
 from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, Decoder, encode
 from swarmd.core.keys import Key
-from swarmd.core.messages import Condition, Member, Status, View
+from swarmd.core.messages import Condition, Member, PeerView, Status
 from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.session import SessionSettings, open_session
 from tests.support.fake_daemon import FakeDaemon, light_status
 
 Until = Callable[[Callable[[], bool]], Awaitable[None]]
 
-view_of = Decoder(View)
+view_of = Decoder(PeerView)
 
 
 class Stage:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.core.messages import Condition, Member, View
+from swarmd.core.messages import Condition, Member, PeerView
 from swarmd.network.discovery import QUIET, Gathering
 from tests.support.fake_daemon import light_status
 
@@ -15,8 +15,12 @@ def member(robot: str, condition: Condition = ALIVE, *, instance: str = "1", age
     return Member(robot=robot, instance=instance, condition=condition, age=age)
 
 
-def view(robot: str, *others: Member, instance: str = "1", roster: tuple[str, ...] = ()) -> View:
-    return View(robot=robot, status=light_status(robot, instance), members=others, roster=roster)
+def view(
+    robot: str, *others: Member, instance: str = "1", roster: tuple[str, ...] = ()
+) -> PeerView:
+    return PeerView(
+        robot=robot, status=light_status(robot, instance), members=others, roster=roster
+    )
 
 
 @pytest.fixture

@@ -47,7 +47,7 @@ def test_members_come_with_their_own_status(settings: SessionSettings, robots: R
     assert view.is_complete
     assert view.alive == ("a", "b", "c")
     assert view.answered == {"a", "b", "c"}
-    assert view.epochs(["b"]) == {"b": Epoch(boot=swarm["b"].instance, revision=0)}
+    assert view.epochs(["b"]) == {"b": Epoch(instance=swarm["b"].instance, revision=0)}
 
 
 def test_a_single_robot_is_found(settings: SessionSettings, robots: Robots) -> None:

@@ -19,8 +19,8 @@ from swarmd.network.outcome import (
 NAMES = ("tb3-01", "tb3-02", "tb3-03")
 
 
-def reply(robot: str, code: Code = Code.APPLIED, *, boot: str = "b", id: str = "q") -> Reply:
-    return Reply(id=id, robot=robot, code=code, epoch=Epoch(boot=boot, revision=1))
+def reply(robot: str, code: Code = Code.APPLIED, *, instance: str = "b", id: str = "q") -> Reply:
+    return Reply(id=id, robot=robot, code=code, epoch=Epoch(instance=instance, revision=1))
 
 
 def member(robot: str, condition: Condition, age: float = 0.0) -> Member:
@@ -87,8 +87,8 @@ def test_answers_to_something_else_do_not_count() -> None:
 
 def test_of_two_daemons_with_one_id_the_worse_answer_counts() -> None:
     found = Acks("q")
-    found.on_reply("a", reply("a", NO, boot="1"))
-    found.on_reply("a", reply("a", APPLIED, boot="2"))
+    found.on_reply("a", reply("a", NO, instance="1"))
+    found.on_reply("a", reply("a", APPLIED, instance="2"))
     outcome = found.outcome(("a",))
     assert outcome.refused == ("a",)
     assert outcome.duplicates == ("a",)

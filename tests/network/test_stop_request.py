@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.codec import Decoder
-from swarmd.core.messages import Code, Condition, Epoch, Member, Reply, Request, View
+from swarmd.core.messages import Code, Condition, Epoch, Member, PeerView, Reply, Request
 from swarmd.network.discovery import Gathering
 from swarmd.network.outcome import PARTIAL, TIMEOUT
 from swarmd.network.stop_request import GATHER, Halting
@@ -15,15 +15,15 @@ decode = Decoder(Request)
 REQUEST = Request(id="q", operator="anna@laptop", verb="estop")
 
 
-def view(robot: str, *others: tuple[str, Condition]) -> View:
+def view(robot: str, *others: tuple[str, Condition]) -> PeerView:
     members = tuple(
         Member(robot=name, instance="1", condition=condition, age=1.0) for name, condition in others
     )
-    return View(robot=robot, status=light_status(robot, "1"), members=members)
+    return PeerView(robot=robot, status=light_status(robot, "1"), members=members)
 
 
-def ack(halting: Halting, robot: str, boot: str = "1") -> None:
-    epoch = Epoch(boot=boot, revision=0)
+def ack(halting: Halting, robot: str, instance: str = "1") -> None:
+    epoch = Epoch(instance=instance, revision=0)
     halting.acks.on_reply(robot, Reply(id="q", robot=robot, code=Code.APPLIED, epoch=epoch))
 
 

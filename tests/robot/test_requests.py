@@ -40,7 +40,7 @@ def test_a_replayed_run_never_moves_it() -> None:
 
 
 def test_an_epoch_of_an_earlier_life_is_refused() -> None:
-    story = RobotHarness(patterns=PATTERNS, boot="boot2")
+    story = RobotHarness(patterns=PATTERNS, instance="boot2")
     reply = story.send(story.request("run", Epoch("boot1", 0), pattern="forward"))
     assert reply is not None
     assert reply.code is Code.REFUSED
@@ -97,7 +97,7 @@ def test_estop_latches_and_is_written_before_the_ack() -> None:
 def test_an_earlier_lifes_latch_holds_the_next_one() -> None:
     story = started()
     story.send(story.request("estop", id="e1"))
-    reborn = RobotHarness(patterns=PATTERNS, latches=story.written[-1], boot="boot2")
+    reborn = RobotHarness(patterns=PATTERNS, latches=story.written[-1], instance="boot2")
     assert standing_state(reborn) == (State.ESTOPPED, Reason.ESTOP)
 
 

@@ -65,7 +65,7 @@ def light_status(robot: str, instance: str, *, has_left: bool = False) -> Status
         pattern=None,
         generation=0,
         since=0.0,
-        epoch=Epoch(boot=instance, revision=0),
+        epoch=Epoch(instance=instance, revision=0),
         changed_by="",
         latches={},
         labels=(),

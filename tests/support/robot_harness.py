@@ -48,7 +48,7 @@ class RobotHarness:
         patterns: Mapping[str, type[Pattern[Any]]] | None = None,
         *,
         latches: LatchRecord | None = None,
-        boot: str = "boot1",
+        instance: str = "boot1",
         touch: Mapping[str, TouchZone] | None = None,
     ) -> None:
         self.platform = load_platform(platform)
@@ -71,7 +71,7 @@ class RobotHarness:
             self.platform,
             RobotSettings(driver="story", layers=lambda name: (), touch=touch or {}),
             seed=1,
-            boot=boot,
+            instance=instance,
             now=self.now,
             latches=latches,
         )

@@ -19,7 +19,7 @@ import zenoh
 
 from swarmd.core.codec import Decoder
 from swarmd.core.keys import build
-from swarmd.core.messages import Condition, State, Status, View
+from swarmd.core.messages import Condition, PeerView, State, Status
 from swarmd.core.values import Value
 from swarmd.network.operator import Operator
 from swarmd.network.session import MAX_WIRE, SessionSettings, open_session
@@ -186,7 +186,7 @@ class Swarm:
 
     def conditions(self, peer: str) -> dict[str, Condition]:
         """How `peer` sees the others."""
-        views = self.look(peer, "control", "members", View)
+        views = self.look(peer, "control", "members", PeerView)
         return {member.robot: member.condition for view in views for member in view.members}
 
     def await_condition(self, peer: str, robot: str, condition: Condition) -> float:

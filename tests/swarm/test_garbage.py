@@ -123,7 +123,7 @@ def request(verb: str) -> Request:
         id="f00d",
         operator="eve@x",
         verb=verb,
-        targets={"r1": Epoch(boot="0123456789ab", revision=3)},
+        targets={"r1": Epoch(instance="0123456789ab", revision=3)},
         args={"pattern": "drive", "params": {"speed": 0.1}},
     )
 
@@ -242,6 +242,6 @@ def test_a_crowd_of_robots_that_are_not_there_hides_no_real_one(
     swarm.start("r2")
     swarm.await_condition("r1", "r2", Condition.ALIVE)
     after = swarm.status("r1")
-    assert (after.state, after.epoch.boot) == (State.RUNNING, before.epoch.boot)
+    assert (after.state, after.epoch.instance) == (State.RUNNING, before.epoch.instance)
     assert after.health.loop_stalls == 0
     body.wait_moving(boottime())
