@@ -9,11 +9,14 @@ Found by entry-point group (`swarmd.patterns`, `swarmd.drivers`, `swarmd.emulato
 
 from __future__ import annotations
 
+import ast
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -106,9 +109,38 @@ def load_emulator(name: str) -> RobotSideFactory:
     return cast("RobotSideFactory", _load("emulator", EMULATORS, name))
 
 
-def command_names() -> Mapping[str, str]:
-    """The verbs that plugins add to swarmctl, and the distribution each is from."""
-    return {point.name: _source(point) for point in sorted(entry_points(group=COMMANDS))}
+def command_names() -> Mapping[str, EntryPoint]:
+    """The verbs that plugins add to swarmctl."""
+    return {point.name: point for point in sorted(entry_points(group=COMMANDS))}
+
+
+def command_summary(point: EntryPoint) -> str:
+    """The first line of a verb's docstring, read from its source; nothing is imported.
+
+    Names the distribution instead if the source has no such line.
+    """
+    with suppress(OSError, ValueError, SyntaxError):
+        file = _source_file(point.module)
+        text = file.read_text(encoding="utf-8") if file is not None else ""
+        # The function alone: parsing a whole module would take 3 ms of the 80 of `--help`.
+        head = f"def {point.attr}("
+        body = text.partition(f"\n{head}")[2].partition("\n\n\n")[0]
+        (function,) = ast.parse(f"{head}{body}").body if body else ()
+        lines = (ast.get_docstring(cast(ast.FunctionDef, function)) or "").splitlines()
+        if lines:
+            return lines[0]
+    return f"Comes with {_source(point)}."
+
+
+def _source_file(module: str) -> Path | None:
+    """The file of a module, found without importing the packages it is in."""
+    name, *below = module.split(".")
+    spec = find_spec(name)
+    for part in below:
+        name = f"{name}.{part}"
+        inside = spec.submodule_search_locations if spec is not None else None
+        spec = None if inside is None else PathFinder.find_spec(name, inside)
+    return Path(spec.origin) if spec is not None and spec.origin else None
 
 
 def load_command(name: str) -> click.Command:

@@ -30,8 +30,17 @@ def outsider(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         "kit = outsider_ok:Kit\nneedy = outsider_needy:Kit\nlost = outsider_ok:Nothing\n"
         "broken = outsider_broken:Kit\ngone = outsider_gone:Kit\n"
         "[swarmd.commands]\nwave = outsider_ok:wave\nfar = outsider_needy:wave\n"
+        "deep = outsider_deep.verbs.deep:deep\n"
     )
     (site / "outsider_ok.py").write_text("Kit = object()\nwave = object()\n")
+    verbs = site / "outsider_deep" / "verbs"
+    verbs.mkdir(parents=True)
+    (site / "outsider_deep" / "__init__.py").write_text("raise RuntimeError('imported')\n")
+    (verbs / "__init__.py").touch()
+    (verbs / "deep.py").write_text(
+        "import absent\n\n\n@absent.command()\ndef deep(\n    depth: int,\n) -> None:\n"
+        '    """Dives.\n\n    And comes up.\n    """\n\n\ndef other() -> None: ...\n'
+    )
     (site / "outsider_needy.py").write_text("import absent.deep\n")
     (site / "outsider_broken.py").write_text("def (\n")
     monkeypatch.syspath_prepend(str(site))
@@ -110,7 +119,22 @@ def test_loads_a_driver_and_a_verb() -> None:
     assert plugins.load_driver("kit") is outsider_ok.Kit
     assert plugins.load_command("wave") is outsider_ok.wave
     assert "kit" in plugins.driver_names()
-    assert plugins.command_names()["wave"] == "outsider 2.1"
+    assert "wave" in plugins.command_names()
+
+
+@pytest.mark.usefixtures("outsider")
+@pytest.mark.parametrize(
+    ("verb", "summary"),
+    [
+        ("deep", "Dives."),
+        ("wave", "Comes with outsider 2.1."),  # its source has no function of that name
+        ("demo", "Start a simulated swarm, run one pattern, and sum it up."),
+    ],
+)
+def test_a_verb_is_summed_up_without_importing_it(verb: str, summary: str) -> None:
+    before = set(sys.modules)
+    assert plugins.command_summary(plugins.command_names()[verb]) == summary
+    assert not {name for name in sys.modules.keys() - before if "sim" in name or "outs" in name}
 
 
 @pytest.mark.usefixtures("outsider")

@@ -49,7 +49,7 @@ def demo(
     output: str | None,
     **world: Any,
 ) -> None:
-    """Start a world and a daemon for each robot, let them do PATTERN, and sum it up.
+    """Start a simulated swarm, run one pattern, and sum it up.
 
     Leaves trajectories.png, summary.json, the trace and all logs in runs/<time>/. Exit code 0 only
     if every robot ran to the end and none touched another.

@@ -59,7 +59,7 @@ def _out(text: str) -> Callable[[Function], Function]:
 
 @click.group()
 def exp() -> None:
-    """Experiments: a scenario over many seeds, with statistics."""
+    """Run scenarios over many seeds; statistics, comparisons and plots."""
 
 
 @exp.command()

@@ -29,7 +29,7 @@ LOOK = 1.0  # s between two looks at the processes
 
 @click.group()
 def sim() -> None:
-    """A simulated world for ordinary daemons."""
+    """Keep a simulated swarm running, to be worked by the other verbs."""
 
 
 @sim.command()

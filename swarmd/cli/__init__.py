@@ -93,8 +93,8 @@ class Verbs(click.Group):
 
         rows = [(name, text) for name, (_, text) in VERBS.items()]
         rows += [
-            (name, f"Comes with {source}.")
-            for name, source in plugins.command_names().items()
+            (name, plugins.command_summary(point))
+            for name, point in plugins.command_names().items()
             if name not in VERBS
         ]
         with formatter.section("Verbs"):
