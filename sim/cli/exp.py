@@ -110,12 +110,12 @@ def run(
     Exit code 0 if every run came to its end, 3 if some failed, 1 if all did.
     """
     need("mujoco")
+    from swarmd.sim.experiments.arguments import parse_seeds, parse_sets, parse_sweeps
     from swarmd.sim.experiments.manifest import manifest_of
     from swarmd.sim.experiments.simulate import plan_of
-    from swarmd.sim.experiments.words import read_seeds, read_sets, read_sweeps
 
     names = chosen_metrics(metrics)
-    plan = plan_of(scenario, read_seeds(seeds), read_sets(sets), read_sweeps(sweeps))
+    plan = plan_of(scenario, parse_seeds(seeds), parse_sets(sets), parse_sweeps(sweeps))
     folder = out or new_folder(Path("experiments"), Path(scenario).stem)
     command = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]
     command += [word for value in sets for word in ("--set", value)]
@@ -213,11 +213,11 @@ def show(ctx: click.Context, folder: Path, metrics: str | None, output: str | No
 def plot(folder: Path, out: Path | None, metrics: str | None, seeds: str | None) -> None:
     """Draw the experiment in DIR: trajectories, start and end, metrics over time."""
     need("matplotlib")
-    from swarmd.sim.experiments.words import read_seeds
+    from swarmd.sim.experiments.arguments import parse_seeds
     from swarmd.sim.plots.figures import draw_experiment
 
     one_or_more = f"{seeds}-{seeds}" if seeds and seeds.isdecimal() else seeds
-    chosen = None if one_or_more is None else read_seeds(one_or_more)
+    chosen = None if one_or_more is None else parse_seeds(one_or_more)
     for path in draw_experiment(folder, out, metrics=chosen_metrics(metrics), seeds=chosen):
         click.echo(str(path))
 
@@ -302,12 +302,12 @@ def _conducted(manifest: Manifest, folder: Path, processes: int, timeout: float 
     """All runs done; on Ctrl-C and SIGTERM a line says how to go on."""
     from swarmd.sim.cli.progress import ends_on_sigterm, progress
     from swarmd.sim.experiments.pool import TIMEOUT
-    from swarmd.sim.experiments.simulate import conduct
+    from swarmd.sim.experiments.simulate import run_experiment
 
     total = len(manifest.plan.runs)
     try:
         with ends_on_sigterm(), progress() as on_progress:
-            return conduct(
+            return run_experiment(
                 manifest, folder, processes, timeout=timeout or TIMEOUT, on_progress=on_progress
             )
     except (KeyboardInterrupt, SystemExit):
@@ -349,7 +349,7 @@ def _warn_of_patterns(results: Results) -> None:
 
 
 def _tell_differences(a: Side, b: Side, differences: Sequence[Difference]) -> None:
-    from swarmd.sim.experiments.compare import by_chance
+    from swarmd.sim.experiments.compare import expected_by_chance
     from swarmd.sim.experiments.report import interval, number
 
     is_paired = any(one.is_paired for one in differences)
@@ -357,13 +357,13 @@ def _tell_differences(a: Side, b: Side, differences: Sequence[Difference]) -> No
     click.echo(f"{'paired by seed' if is_paired else 'independent samples'}, 95 % bootstrap\n")
     rows = [
         (d.metric, d.unit or "-", number(d.mean_a), number(d.mean_b), number(d.difference),
-         interval(d.interval), str(d.n_a) if d.n_a == d.n_b else f"{d.n_a}, {d.n_b}", d.verdict)
+         interval(d.interval), str(d.n_a) if d.n_a == d.n_b else f"{d.n_a}, {d.n_b}", d.conclusion)
         for d in differences
     ]  # fmt: skip
     print_table(("METRIC", "UNIT", "MEAN A", "MEAN B", "B - A", "95 %", "RUNS", "VERDICT"), rows)
     differing = sum(one.differs for one in differences)
     click.echo(f"\n{differing} of {len(differences)} metrics differ", nl=False)
-    click.echo(f"; {by_chance(differences):.2g} would by chance if nothing did\n")
+    click.echo(f"; {expected_by_chance(differences):.2g} would by chance if nothing did\n")
     _warn_of_few(max(counts) for counts in zip(*((d.n_a, d.n_b) for d in differences), strict=True))
 
 

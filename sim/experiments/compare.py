@@ -52,7 +52,7 @@ class Difference:
         return self.interval is not None and 0.0 not in self.interval
 
     @property
-    def verdict(self) -> str:
+    def conclusion(self) -> str:
         """In a word or two."""
         if self.difference is None:
             return "-"
@@ -98,7 +98,7 @@ def compare(a: Side, b: Side, names: Sequence[str] | None = None) -> list[Differ
     return [_difference(a, b, name) for name in (known if names is None else names)]
 
 
-def by_chance(differences: Sequence[Difference]) -> float:
+def expected_by_chance(differences: Sequence[Difference]) -> float:
     """How many of these would be found to differ if nothing did: 5 % of those with an interval."""
     return 0.05 * sum(one.interval is not None for one in differences)
 
@@ -109,7 +109,7 @@ def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, A
         "a": a.label,
         "b": b.label,
         "level": LEVEL,
-        "differ_by_chance": by_chance(differences),
+        "differ_by_chance": expected_by_chance(differences),
         "metrics": {
             one.metric: {
                 **asdict(one),

@@ -4,7 +4,7 @@ Many jobs in several processes: what kills or hangs one process costs one run.
 
 A process that does one job after another: `python -m swarmd.sim.experiments.pool FD PARENT`.
 
-Jobs come and outcomes go by the connection of descriptor FD; on the way to an outcome it says now
+Jobs come and run_jobs go by the connection of descriptor FD; on the way to an outcome it says now
 and then which share has been simulated. It is a program of its own rather than a multiprocessing
 child, so that a script needs no `if __name__ == "__main__"`. Each job is done by a fork of it: what
 one run does to its process, no other run sees.
@@ -45,21 +45,21 @@ class Job:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What came of a job: `metrics` by name, or None and the reason in one line.
+class JobResult:
+    """The result of a job: `metrics` by name, or None and the reason in one line.
 
-    `obstacle` is set where the trace could not be written: no other run's could be either. `wall`
-    is in s.
+    `write_error` is set if the trace could not be written; then no other trace can be written
+    either. `wall` is the duration in s.
     """
 
     run: str
     metrics: Mapping[str, float | None] | None = None
     wall: float = 0.0
     reason: str = ""
-    obstacle: str = ""
+    write_error: str = ""
 
 
-def perform(job: Job, on_progress: Callable[[float], None] | None = None) -> Outcome:
+def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> JobResult:
     """Simulate, measure, and write the trace down, in this process.
 
     Nothing is raised for what goes wrong in the run: patterns and metrics may be anyone's.
@@ -70,17 +70,17 @@ def perform(job: Job, on_progress: Callable[[float], None] | None = None) -> Out
         trace = simulate_run(scenario_of(job.effective), job.seed, on_progress)
         metrics = measure(trace)
     except SwarmError as error:
-        return Outcome(job.run, reason=one_line(str(error)))
+        return JobResult(job.run, reason=one_line(str(error)))
     except Exception as error:
-        return Outcome(job.run, reason=one_line(f"{type(error).__name__}: {error}"))
+        return JobResult(job.run, reason=one_line(f"{type(error).__name__}: {error}"))
     if job.trace is not None:
         try:
             job.trace.parent.stat()  # a folder that was taken away is not made anew
             trace.save(job.trace)
         except OSError as error:
             remove_partial(job.trace)
-            return Outcome(job.run, obstacle=f"{job.trace.parent}: {error.strerror or error}")
-    return Outcome(job.run, metrics, time.perf_counter() - begin)
+            return JobResult(job.run, write_error=f"{job.trace.parent}: {error.strerror or error}")
+    return JobResult(job.run, metrics, time.perf_counter() - begin)
 
 
 def remove_partial(trace: Path) -> None:
@@ -105,9 +105,9 @@ _ONE_THREAD = {
 }
 
 
-def outcomes(
+def run_jobs(
     jobs: Iterable[Job], processes: int, timeout: float = TIMEOUT
-) -> Generator[Outcome, None, None]:
+) -> Generator[JobResult, None, None]:
     """The outcome of each job as it comes; `processes` of them are done at a time.
 
     One that gets no further in its simulation for `timeout` s is ended and has failed. Close the
@@ -183,13 +183,13 @@ class _Worker:
         with suppress(OSError):
             self.pipe.send(job)
 
-    def outcome(self) -> Outcome | None:
+    def outcome(self) -> JobResult | None:
         """What came of the job, None if it was but a word on the way; it must have said something.
 
         If it has ended instead, that is the outcome.
         """
         try:
-            word: Outcome | float = self.pipe.recv()
+            word: JobResult | float = self.pipe.recv()
         except Exception:  # its end, or what a pattern has written into the pipe
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(GRACE)
@@ -197,12 +197,12 @@ class _Worker:
             code = self._process.returncode
             hint = " (the memory was full, or someone did it)" if code == -signal.SIGKILL else ""
             return self._lost(f"its process {how_it_ended(code)}{hint}")
-        if isinstance(word, Outcome):
+        if isinstance(word, JobResult):
             return word
         self._silence = 0.0 if word < 1.0 else None  # what is left is up to nobody's pattern
         return None
 
-    def silent(self, seconds: float, timeout: float) -> Outcome | None:
+    def silent(self, seconds: float, timeout: float) -> JobResult | None:
         """It has said nothing for so long again: ended, and the outcome, if that is too long."""
         if self._silence is None:
             return None
@@ -236,10 +236,10 @@ class _Worker:
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
 
-    def _lost(self, reason: str) -> Outcome:
+    def _lost(self, reason: str) -> JobResult:
         self.is_alive = False
         self.clean()
-        return Outcome(self._job.run, reason=f"{reason}{self._last_words()}")
+        return JobResult(self._job.run, reason=f"{reason}{self._last_words()}")
 
     def _last_words(self) -> str:
         """The last line it has said since it was given its job."""
@@ -289,7 +289,7 @@ def _do_apart(job: Job, connection: Connection) -> None:
 
 
 def _do(job: Job, connection: Connection) -> None:
-    from swarmd.sim.experiments.pool import perform
+    from swarmd.sim.experiments.pool import run_job
 
     next_beat = 0.0
 
@@ -300,7 +300,7 @@ def _do(job: Job, connection: Connection) -> None:
             next_beat = now + BEAT
             connection.send(share)
 
-    connection.send(perform(job, tell))
+    connection.send(run_job(job, tell))
 
 
 def _end_with(code: int) -> None:

@@ -15,12 +15,12 @@ from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import manifest_of, read_manifest, software_differences
 from swarmd.sim.experiments.pool import TIMEOUT
 from swarmd.sim.experiments.results import Results, load_results
-from swarmd.sim.experiments.simulate import OnProgress, conduct
+from swarmd.sim.experiments.simulate import OnProgress, run_experiment
 from swarmd.sim.trace import Trace
 
 
 @dataclass(frozen=True, slots=True)
-class Match:
+class RunComparison:
     """Whether a run came out the same; if not, `why` says what differs."""
 
     run: str
@@ -44,7 +44,7 @@ def rerun(
     processes: int,
     on_progress: OnProgress | None = None,
     timeout: float = TIMEOUT,
-) -> list[Match]:
+) -> list[RunComparison]:
     """Make the experiment of `folder` again in `out`, and compare each run that it finished.
 
     Without `out` those runs alone are made again, in a folder that is gone afterwards. Nothing but
@@ -59,7 +59,7 @@ def rerun(
     old = read_manifest(folder)
     manifest = manifest_of(old.plan, traces=old.traces, command=old.command)
     again = partial(
-        conduct, manifest, processes=processes, on_progress=on_progress, timeout=timeout
+        run_experiment, manifest, processes=processes, on_progress=on_progress, timeout=timeout
     )
     if out is not None:
         return _matches(before, again(out))
@@ -76,10 +76,12 @@ def trace_differences(a: Trace, b: Trace) -> Iterator[str]:
             yield field.name
 
 
-def _matches(before: Results, after: Results) -> list[Match]:
+def _matches(before: Results, after: Results) -> list[RunComparison]:
     rows = [{row["run"]: row for row in results.rows} for results in (before, after)]
     return [
-        Match(run.id, _difference(before, after, run.id, *(of.get(run.id, {}) for of in rows)))
+        RunComparison(
+            run.id, _difference(before, after, run.id, *(of.get(run.id, {}) for of in rows))
+        )
         for run in before.runs
     ]
 

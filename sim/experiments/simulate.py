@@ -23,7 +23,7 @@ from typing import Any, cast
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
 from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan
-from swarmd.sim.experiments.pool import TIMEOUT, Job, Outcome, outcomes, perform
+from swarmd.sim.experiments.pool import TIMEOUT, Job, JobResult, run_job, run_jobs
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.store import Store, gone, open_store
 from swarmd.sim.metrics.catalog import METRICS
@@ -67,7 +67,7 @@ def simulate(
     manifest = manifest_of(plan, traces=traces, command=[])
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
-        results = conduct(manifest, folder, jobs, is_here=jobs == 1, timeout=timeout)
+        results = run_experiment(manifest, folder, jobs, is_here=jobs == 1, timeout=timeout)
     except BaseException:
         if out is None:
             shutil.rmtree(folder, ignore_errors=True)
@@ -99,7 +99,7 @@ def plan_of(
     return make_plan(name, first, set or {}, sweep or {}, effective)
 
 
-def conduct(
+def run_experiment(
     manifest: Manifest,
     folder: Path,
     processes: int,
@@ -120,7 +120,7 @@ def conduct(
         try:
             runs = [run for run in store.missing if only is None or run.id in only]
             jobs = [Job(r.id, r.variant.effective, r.seed, store.trace_of(r)) for r in runs]
-            found = _here(jobs) if is_here else outcomes(jobs, processes, timeout)
+            found = _here(jobs) if is_here else run_jobs(jobs, processes, timeout)
             _gather(store, runs, found, on_progress)
         except BaseException:
             with suppress(SwarmError, OSError):  # what has ended it is what is to be told
@@ -138,12 +138,12 @@ def _listed(seeds: int | Iterable[int]) -> Iterable[int]:
 def _gather(
     store: Store,
     runs: Sequence[Run],
-    outcomes: Generator[Outcome, None, None],
+    run_jobs: Generator[JobResult, None, None],
     on_progress: OnProgress | None,
 ) -> None:
     by_id = {run.id: run for run in runs}
     total = len(store.rows) + len(runs)
-    with closing(outcomes) as found:
+    with closing(run_jobs) as found:
         if on_progress is not None:
             on_progress(len(store.rows), total, 0)
         for outcome in found:
@@ -153,16 +153,16 @@ def _gather(
                 on_progress(len(store.rows) + failed, total, failed)
 
 
-def _here(jobs: Iterable[Job]) -> Generator[Outcome, None, None]:
+def _here(jobs: Iterable[Job]) -> Generator[JobResult, None, None]:
     for job in jobs:
-        yield perform(job)
+        yield run_job(job)
 
 
-def _keep(store: Store, run: Run, outcome: Outcome) -> None:
-    if outcome.obstacle and not store.is_whole:
+def _keep(store: Store, run: Run, outcome: JobResult) -> None:
+    if outcome.write_error and not store.is_whole:
         raise gone(store.folder)
-    if outcome.obstacle:
-        text = f"{outcome.obstacle}; {len(store.rows)} finished runs are kept"
+    if outcome.write_error:
+        text = f"{outcome.write_error}; {len(store.rows)} finished runs are kept"
         raise SwarmError(f"{text}: make room and give the same command again")
     if outcome.metrics is None:
         store.fail(run, outcome.reason)

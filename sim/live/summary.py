@@ -10,9 +10,9 @@ from typing import Any
 from swarmd.core.messages import State, Status
 from swarmd.core.values import Platform
 from swarmd.sim.metrics.aggregation import cluster_counts, distance_to_centroid, largest_cluster
-from swarmd.sim.metrics.effort import mean_speed
+from swarmd.sim.metrics.contacts import contacts_between_robots, contacts_with_arena
 from swarmd.sim.metrics.gap import minimum_gap
-from swarmd.sim.metrics.touches import contacts_between_robots, contacts_with_arena
+from swarmd.sim.metrics.kinematics import mean_speed
 from swarmd.sim.trace import Trace
 
 SETTLED = 0.2  # the last share of a run, over which the mean speed is taken

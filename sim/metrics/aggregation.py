@@ -28,10 +28,10 @@ def distance_to_centroid(trace: Trace) -> Array:
 
     Named in the outlook of Kaiser et al. 2022. NaN while no robot is present.
     """
-    is_here = presence(trace)
-    centre = np.stack([row_means(trace.pose[..., axis], is_here) for axis in (0, 1)], axis=-1)
+    is_present = presence(trace)
+    centre = np.stack([row_means(trace.pose[..., axis], is_present) for axis in (0, 1)], axis=-1)
     away = trace.pose[..., :2] - centre[:, None]
-    return row_means(np.hypot(away[..., 0], away[..., 1]), is_here)
+    return row_means(np.hypot(away[..., 0], away[..., 1]), is_present)
 
 
 def distance_at(trace: Trace, time: float) -> float | None:
@@ -57,15 +57,15 @@ def clusters(trace: Trace, link: float) -> NDArray[np.int64]:
     Single linkage (Sneath 1957): robots belong together if a chain of robots, each within `link`
     m of the next (axle centres), joins them.
     """
-    is_here = presence(trace)
-    instants, n = is_here.shape
+    is_present = presence(trace)
+    instants, n = is_present.shape
     labels = np.full((instants, n), -1, dtype=np.int64)
     for span in pairs.spans(instants, n):
-        found = pairs.near(trace.pose[span, :, :2], is_here[span], link)
+        found = pairs.near(trace.pose[span, :, :2], is_present[span], link)
         size = len(labels[span]) * n
         joined = pairs.components(size, found.instant * n + found.a, found.instant * n + found.b)
         labels[span] = joined.reshape(labels[span].shape) % max(n, 1)
-    labels[~is_here] = -1
+    labels[~is_present] = -1
     return labels
 
 

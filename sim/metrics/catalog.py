@@ -15,16 +15,16 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import Array
 from swarmd.sim.metrics import (
     aggregation,
-    area,
     clearance,
-    effort,
-    flock,
+    collective_motion,
+    consensus,
+    contacts,
+    coverage,
     formation,
     gap,
-    graph,
+    kinematics,
     protection,
-    touches,
-    voting,
+    radio_graph,
 )
 from swarmd.sim.metrics.metric import Better, Metric
 from swarmd.sim.trace import Trace
@@ -33,13 +33,13 @@ __all__ = ["METRICS", "Better", "Metric", "measure", "metric_of", "series", "tab
 
 _ALL = (
     *aggregation.METRICS,
-    *area.METRICS,
-    *graph.METRICS,
-    *flock.METRICS,
+    *coverage.METRICS,
+    *radio_graph.METRICS,
+    *collective_motion.METRICS,
     *formation.METRICS,
-    *effort.METRICS,
-    *voting.METRICS,
-    *touches.METRICS,
+    *kinematics.METRICS,
+    *consensus.METRICS,
+    *contacts.METRICS,
     *gap.METRICS,
     *clearance.METRICS,
     *protection.METRICS,

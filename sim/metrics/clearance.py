@@ -27,7 +27,7 @@ Measure: TypeAlias = Callable[[Array, NDArray[np.int64]], Array]
 def clearances(trace: Trace) -> Array | None:
     """(T,) m from the nearest outline of a robot to the arena's walls, or to what stands in it.
 
-    0 if they touch; inf if there is no robot. None if the arena is not known.
+    0 if they contact; inf if there is no robot. None if the arena is not known.
     """
     try:
         arena = parse_arena(str(trace.meta.get("arena", "")))

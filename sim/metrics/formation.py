@@ -84,11 +84,11 @@ def circle_errors(trace: Trace, spacing: float) -> Array:
 
 def _each(trace: Trace, of: Callable[[Array], float], *, least: int) -> Array:
     """(T,) a number of the places (k, 2) of those present; NaN for fewer than `least`."""
-    is_here = presence(trace)
+    is_present = presence(trace)
     numbers = np.full(len(trace.t), np.nan)
     for at, place in enumerate(trace.pose[..., :2]):
-        if np.count_nonzero(is_here[at]) >= least:
-            numbers[at] = of(place[is_here[at]])
+        if np.count_nonzero(is_present[at]) >= least:
+            numbers[at] = of(place[is_present[at]])
     return numbers
 
 

@@ -22,7 +22,7 @@ _ROUNDING = 1e-12
 def minimum_gap(trace: Trace) -> float:
     """The smallest distance in m between two robots' footprints; inf for one robot alone.
 
-    Exact at the trace's instants: convex polygons, 0 if they touch or overlap (distance of convex
+    Exact at the trace's instants: convex polygons, 0 if they contact or overlap (distance of convex
     polygons and separating axes: Ericson, Real-Time Collision Detection, 2005, chapters 5 and 9).
     """
     best = np.inf

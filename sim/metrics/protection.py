@@ -35,9 +35,9 @@ def protection_duty(trace: Trace) -> float | None:
     of the running robots' instants; None if neither was, or nothing was judged.
     """
     if trace.decided is not None and trace.evaded is not None:
-        is_here = presence(trace)
-        decided = int(trace.decided[is_here].sum())
-        return float(trace.evaded[is_here].sum()) / decided if decided else None
+        is_present = presence(trace)
+        decided = int(trace.decided[is_present].sum())
+        return float(trace.evaded[is_present].sum()) / decided if decided else None
     if trace.active is None:
         return None
     return mean(trace.active.astype(np.float64), _running(trace))
@@ -45,10 +45,10 @@ def protection_duty(trace: Trace) -> float | None:
 
 def protection_duties(trace: Trace) -> Array | None:
     """(T,) the same for each instant; NaN where nothing was judged, None if not recorded."""
-    is_here = presence(trace)
+    is_present = presence(trace)
     if trace.decided is not None and trace.evaded is not None:
-        decided = np.where(is_here, trace.decided, 0).sum(axis=1)
-        evaded = np.where(is_here, trace.evaded, 0).sum(axis=1)
+        decided = np.where(is_present, trace.decided, 0).sum(axis=1)
+        evaded = np.where(is_present, trace.evaded, 0).sum(axis=1)
     elif trace.active is not None:
         running = _running(trace)
         decided, evaded = running.sum(axis=1), (running & trace.active).sum(axis=1)
@@ -116,19 +116,19 @@ def failed_patterns(trace: Trace) -> int | None:
     Ours: a pattern that raises does not end a run. None if states were not recorded, or nobody
     was there.
     """
-    is_here = presence(trace)
-    if trace.state is None or trace.reason is None or not is_here.any():
+    is_present = presence(trace)
+    if trace.state is None or trace.reason is None or not is_present.any():
         return None
     is_failing = (trace.state == str(State.FAULTED)) | (
         trace.reason == str(Reason.PATTERN_RESTARTING)
     )
-    return int((is_failing & is_here).any(axis=0).sum())
+    return int((is_failing & is_present).any(axis=0).sum())
 
 
 def _running(trace: Trace) -> NDArray[np.bool_]:
     """(T, n) present, and running as far as the trace says."""
-    is_here = presence(trace)
-    return is_here if trace.state is None else is_here & (trace.state == str(State.RUNNING))
+    is_present = presence(trace)
+    return is_present if trace.state is None else is_present & (trace.state == str(State.RUNNING))
 
 
 _KAISER = "Kaiser et al. 2022, ICRA"

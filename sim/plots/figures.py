@@ -18,11 +18,11 @@ from swarmd.sim.plots.events import events_of
 from swarmd.sim.plots.intervals import Panel, draw_intervals
 from swarmd.sim.plots.overview import draw_overview
 from swarmd.sim.plots.select import (
-    AT_A_GLANCE,
     OVER_TIME,
-    chief_of,
+    RUN_BY_RUN,
     label_of,
     metrics_over_time,
+    primary_metric,
     smoothing_of,
     stem_of,
     typical_first,
@@ -92,7 +92,7 @@ class _Gallery:
         self._suffix = suffix
         self._runs = _chosen(self._results, folder, seeds)
         self._rows = {row["run"]: row for row in self._results.rows}
-        self._chief = chief_of(self._results, self._metrics)
+        self._chief = primary_metric(self._results, self._metrics)
         self._scenario = Path(self._results.plan.scenario).stem
         self._told: set[str] = set()
         names = {run.variant.name for run in self._runs}
@@ -104,7 +104,7 @@ class _Gallery:
     def intervals(self, targets: Mapping[str, float]) -> list[Path]:
         """Metrics run by run."""
         panels = []
-        for name in AT_A_GLANCE if self._metrics is None else self._metrics:
+        for name in RUN_BY_RUN if self._metrics is None else self._metrics:
             values = {v or self._scenario: self._values(name, v) for v in self.variants}
             if any(value is not None for column in values.values() for value in column):
                 unit = unit_of(name)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from swarmd.sim.metrics.aggregation import clusters
-from swarmd.sim.metrics.voting import OPINION
+from swarmd.sim.metrics.consensus import OPINION
 from swarmd.sim.metrics.window import presence
 from swarmd.sim.plots.theme import ROBOT_COLOURS
 from swarmd.sim.trace import Trace

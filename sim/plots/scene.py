@@ -183,7 +183,7 @@ def robot_style(robot: int) -> Literal["-", "--"]:
     return "-" if robot < len(ROBOT_COLOURS) else "--"
 
 
-def paint_ways(axes: Axes, trace: Trace, *, linewidth: float = 1.0) -> None:
+def paint_paths(axes: Axes, trace: Trace, *, linewidth: float = 1.0) -> None:
     """The way of each robot in its colour, dotted while its daemon was not there."""
     is_there = presence(trace)[..., None]
     place = trace.pose[..., :2]
@@ -197,7 +197,7 @@ def paint_ways(axes: Axes, trace: Trace, *, linewidth: float = 1.0) -> None:
             axes.plot(*away.T, color=colour, linestyle=":", alpha=0.6, **style)
 
 
-def paint_ways_by_time(axes: Axes, trace: Trace, *, linewidth: float = 0.5) -> LineCollection:
+def paint_paths_by_time(axes: Axes, trace: Trace, *, linewidth: float = 0.5) -> LineCollection:
     """The ways of many robots, pale in the past and dark at the end; for a colour bar over time.
 
     Each is cut into pieces of one colour; places in between are left out where the robots are so

@@ -23,7 +23,7 @@ OVER_TIME = (
 )
 """The metrics that are drawn over time if nobody says which."""
 
-AT_A_GLANCE = (
+RUN_BY_RUN = (
     *("mean_distance_to_centroid_30s", "mean_distance_to_centroid_late"),
     *("one_cluster_at_end", "time_in_one_cluster_late", "largest_cluster_peak", "gather_time"),
     *("nearest_neighbor_median_late", "consensus_time", "consensus_share", "minimum_gap"),
@@ -34,7 +34,7 @@ AT_A_GLANCE = (
 
 _CHIEF = (
     *("consensus_share", "consensus_time", "mean_distance_to_centroid_late"),
-    *AT_A_GLANCE,
+    *RUN_BY_RUN,
 )
 _MOMENTS = ("_at_end", "_end", "_late", "_30s", "_start", "_peak")
 _FLICKERING = ("mean_speed", "protection_duty", "command_alteration")
@@ -69,7 +69,7 @@ def metrics_over_time(names: Sequence[str]) -> list[str]:
     return list(by_stem.values())
 
 
-def chief_of(results: Results, names: Sequence[str] | None) -> str | None:
+def primary_metric(results: Results, names: Sequence[str] | None) -> str | None:
     """The metric by which runs are told apart: the first of `names` whose values differ.
 
     Without names, of those that matter most; None if none has a value.

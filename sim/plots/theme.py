@@ -27,7 +27,7 @@ ROBOT_COLOURS = (
 """For robots: P. Tol, "Colour Schemes", technical note SRON/EPS/TN/09-002, the muted scheme, and
 a grey, so that ten differ."""
 
-TOUCH_COLOUR = "#CC0000"
+CONTACT_COLOUR = "#CC0000"
 GUIDE_COLOUR = "0.35"
 
 

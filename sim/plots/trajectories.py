@@ -9,8 +9,9 @@ import numpy as np
 
 from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
-from swarmd.sim.metrics.graph import radio_range
+from swarmd.sim.metrics.radio_graph import radio_range
 from swarmd.sim.metrics.window import last, presence
+from swarmd.sim.plots.contacts import BOTH, MARKERS, NONE, ONE, marks_of, paint_contacts
 from swarmd.sim.plots.scene import (
     LINK_COLOUR,
     THING_COLOUR,
@@ -20,16 +21,15 @@ from swarmd.sim.plots.scene import (
     paint_arena,
     paint_bodies,
     paint_links,
+    paint_paths,
+    paint_paths_by_time,
     paint_things,
-    paint_ways,
-    paint_ways_by_time,
     prepare,
     robot_colour,
     robot_style,
 )
 from swarmd.sim.plots.sheet import Layout, Sheet, legend_height, legend_width
-from swarmd.sim.plots.theme import TOUCH_COLOUR, save
-from swarmd.sim.plots.touches import BOTH, MARKERS, NONE, ONE, marks_of, paint_touches
+from swarmd.sim.plots.theme import CONTACT_COLOUR, save
 from swarmd.sim.trace import Trace
 
 if TYPE_CHECKING:
@@ -100,14 +100,14 @@ def paint_run(axes: Axes, trace: Trace, *, scale: float, is_small: bool = False)
     starts = colours if is_named else ["0.45"] * n
     ways = None
     if is_named:
-        paint_ways(axes, trace, linewidth=0.6 if is_small else 1.1)
+        paint_paths(axes, trace, linewidth=0.6 if is_small else 1.1)
     else:
-        ways = paint_ways_by_time(axes, trace, linewidth=0.3 if is_small else 0.5)
+        ways = paint_paths_by_time(axes, trace, linewidth=0.3 if is_small else 0.5)
     paint_bodies(axes, trace, 0, starts, is_filled=False, scale=scale)
     paint_bodies(axes, trace, -1, colours, is_filled=True, scale=scale)
     _paint_changes(axes, trace, colours, size=3.5 if is_small else 6.5)
     size = 4.5 if is_small or not is_named else 8.0
-    paint_touches(axes, marks_of(trace), is_by_robot=is_named, size=size)
+    paint_contacts(axes, marks_of(trace), is_by_robot=is_named, size=size)
     return ways
 
 
@@ -178,10 +178,10 @@ def _key(trace: Trace, links: tuple[Array, Array] | None) -> list[tuple[Any, str
         entries.append((Line2D([], [], color=LINK_COLOUR), f"radio, {radio_range(trace):g} m"))
     found = [touch.kind for touch in marks_of(trace)]
     is_named = len(trace.ids) <= MOST_NAMED
-    faces = {BOTH: TOUCH_COLOUR, ONE: "0.6" if is_named else TOUCH_COLOUR, NONE: "white"}
+    faces = {BOTH: CONTACT_COLOUR, ONE: "0.6" if is_named else CONTACT_COLOUR, NONE: "white"}
     for kind, marker in MARKERS.items():
         if kind in found:
             whose = " (its colour)" if kind == ONE and is_named else ""
             label = f"{kind}{whose}: {found.count(kind)}"
-            entries.append(mark(marker, faces.get(kind, "0.6"), TOUCH_COLOUR, label))
+            entries.append(mark(marker, faces.get(kind, "0.6"), CONTACT_COLOUR, label))
     return entries

@@ -10,7 +10,7 @@ from studies.outcomes.outcome import Outcome, at_least, at_most
 from swarmd.core.values import Array
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.metrics.clearance import clearance
-from swarmd.sim.metrics.touches import contact_list
+from swarmd.sim.metrics.contacts import contact_list
 from swarmd.sim.trace import Trace
 
 NAME = "drive"

@@ -19,7 +19,7 @@ from studies.debates import (
 from studies.outcomes.outcome import Outcome, at_least, at_most
 from swarmd.core.values import Value
 from swarmd.sim.lockstep.lockstep import simulate_run
-from swarmd.sim.metrics.voting import consensus_time
+from swarmd.sim.metrics.consensus import consensus_time
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from tests.support.voting_sim import Air
 

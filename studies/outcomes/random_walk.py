@@ -9,8 +9,8 @@ import numpy as np
 
 from studies.outcomes.outcome import Outcome, at_least, at_most, number
 from swarmd.sim.experiments.simulate import simulate
-from swarmd.sim.metrics.area import COVER, covered_area
 from swarmd.sim.metrics.catalog import measure
+from swarmd.sim.metrics.coverage import COVER, covered_area
 from swarmd.sim.trace import Trace
 
 NAME = "random_walk"

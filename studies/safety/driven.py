@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from studies.safety.judge import FAULT, ONCE, Collision, collisions
 from studies.safety.meeting import meeting
 from swarmd.core.values import Array
-from swarmd.sim.metrics.touches import WALLS
+from swarmd.sim.metrics.contacts import WALLS
 from swarmd.sim.trace import ARENA, Trace
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.realism import REALISTIC

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Struct
 
 from swarmd.core.values import Array
-from swarmd.sim.metrics.touches import WALLS
+from swarmd.sim.metrics.contacts import WALLS
 from swarmd.sim.trace import ARENA, Trace
 
 FAULT = 0.02

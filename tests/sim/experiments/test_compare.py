@@ -9,7 +9,14 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array
-from swarmd.sim.experiments.compare import Difference, Side, by_chance, compare, document, sides
+from swarmd.sim.experiments.compare import (
+    Difference,
+    Side,
+    compare,
+    document,
+    expected_by_chance,
+    sides,
+)
 from swarmd.sim.experiments.manifest import manifest_of
 from swarmd.sim.experiments.plan import Plan, Variant
 from swarmd.sim.experiments.results import Results
@@ -47,7 +54,7 @@ def test_a_planted_difference_is_found_and_a_null_one_is_not() -> None:
     assert planted.difference == pytest.approx(b.mean() - a.mean())
     assert not planted.is_paired
     assert not null.differs
-    assert null.verdict == "no difference shown"
+    assert null.conclusion == "no difference shown"
 
 
 @pytest.mark.parametrize("first", [0, 20])
@@ -92,7 +99,7 @@ def test_runs_that_failed_leave_the_others_paired() -> None:
 
 def test_pairs_of_which_no_two_are_whole_are_too_few() -> None:
     found = only(side(of(np.arange(3.0)), lost=(0,)), side(of(np.arange(3.0)), lost=(1,)))
-    assert (found.n_a, found.n_b, found.verdict) == (1, 1, "too few runs")
+    assert (found.n_a, found.n_b, found.conclusion) == (1, 1, "too few runs")
 
 
 def test_a_pair_of_which_one_has_no_value_is_left_out() -> None:
@@ -102,16 +109,16 @@ def test_a_pair_of_which_one_has_no_value_is_left_out() -> None:
 
 def test_samples_of_different_seeds_keep_all_their_values() -> None:
     found = only(side({0: 1.0, 1: 2.0, 2: 9.0}), side({5: 2.0, 6: None}))
-    assert (found.n_a, found.n_b, found.interval, found.verdict) == (3, 1, None, "too few runs")
+    assert (found.n_a, found.n_b, found.interval, found.conclusion) == (3, 1, None, "too few runs")
 
 
 def test_no_values_at_all_have_no_verdict() -> None:
     found = only(side({0: None}), side({0: None}))
-    assert (found.difference, found.mean_a, found.verdict) == (None, None, "-")
+    assert (found.difference, found.mean_a, found.conclusion) == (None, None, "-")
 
 
 @pytest.mark.parametrize(
-    ("metric", "shift", "better", "verdict"),
+    ("metric", "shift", "better", "conclusion"),
     [
         ("hardest_contact", 1.0, "a", "A is better"),
         ("hardest_contact", -1.0, "b", "B is better"),
@@ -121,17 +128,17 @@ def test_no_values_at_all_have_no_verdict() -> None:
     ],
 )
 def test_the_better_side_is_named_where_the_metric_has_one(
-    metric: str, shift: float, better: str | None, verdict: str
+    metric: str, shift: float, better: str | None, conclusion: str
 ) -> None:
     values = np.linspace(1.0, 2.0, 8)
     found = only(side(of(values), metric), side(of(values + shift), metric))
     assert found.differs
-    assert (found.better, found.verdict) == (better, verdict)
+    assert (found.better, found.conclusion) == (better, conclusion)
 
 
 def test_what_chance_would_find_is_told() -> None:
     found = compare(side(of(np.arange(8.0))), side(of(np.arange(8.0) + 1.0)))
-    assert by_chance(found) == 0.05
+    assert expected_by_chance(found) == 0.05
     plain = document(side({0: 1.0}), side({0: 1.0}), found)
     assert plain["metrics"]["minimum_gap"]["interval"] == [1.0, 1.0]
     assert plain["metrics"]["minimum_gap"]["differs"] is True

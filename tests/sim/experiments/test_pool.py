@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from swarmd.sim.experiments.pool import Job, Outcome, outcomes, perform
+from swarmd.sim.experiments.pool import Job, JobResult, run_job, run_jobs
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.sim.trace import load_trace
 from tests.support.processes import children
@@ -31,15 +31,15 @@ def crash(duo: Path, seed: int, end: str) -> Job:
     return job(duo, seed, None, {END: end})
 
 
-def done(jobs: list[Job], processes: int) -> dict[str, Outcome]:
-    with closing(outcomes(jobs, processes)) as found:
+def done(jobs: list[Job], processes: int) -> dict[str, JobResult]:
+    with closing(run_jobs(jobs, processes)) as found:
         listed = list(found)
     assert sorted(outcome.run for outcome in listed) == sorted(job.run for job in jobs)
     return {outcome.run: outcome for outcome in listed}
 
 
 def test_a_process_gives_what_this_one_gives(duo: Path, tmp_path: Path) -> None:
-    here = perform(job(duo, 5, tmp_path / "here.npz"))
+    here = run_job(job(duo, 5, tmp_path / "here.npz"))
     there = done([job(duo, 5, tmp_path / "there.npz")], 1)["s5"]
     assert here.metrics is not None
     assert here.metrics == there.metrics
@@ -67,22 +67,22 @@ def test_a_process_goes_on_after_a_run_that_cannot_be(duo: Path) -> None:
 
 def test_what_raises_is_a_reason_in_one_line(duo: Path) -> None:
     broken = Job("s0", {"groups": None}, 0, None)
-    assert perform(broken).reason
+    assert run_job(broken).reason
     unhashable = Job("s0", 3, 0, None)  # type: ignore[arg-type]
-    assert ": " in perform(unhashable).reason
+    assert ": " in run_job(unhashable).reason
 
 
 def test_a_trace_that_cannot_be_written_is_an_obstacle(duo: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    outcome = perform(job(duo, 0, tmp_path / "file" / "s0.npz"))
+    outcome = run_job(job(duo, 0, tmp_path / "file" / "s0.npz"))
     assert outcome.metrics is None
-    assert str(tmp_path / "file") in outcome.obstacle
+    assert str(tmp_path / "file") in outcome.write_error
 
 
 def test_a_full_disk_leaves_no_partial_trace(duo: Path, tmp_path: Path) -> None:
     (tmp_path / ".s0.npz.partial").symlink_to("/dev/full")
-    outcome = perform(job(duo, 0, tmp_path / "s0.npz"))
-    assert outcome.obstacle.endswith("No space left on device")
+    outcome = run_job(job(duo, 0, tmp_path / "s0.npz"))
+    assert outcome.write_error.endswith("No space left on device")
     assert list(tmp_path.glob(".*")) == []
 
 
@@ -98,7 +98,7 @@ def test_a_run_that_stands_still_has_failed_and_the_others_go_on(
     duo: Path, tmp_path: Path, end: str
 ) -> None:
     hanging = job(duo, 0, tmp_path / "s0.npz", {END: end})
-    with closing(outcomes([hanging, job(duo, 1)], 1, timeout=3.0)) as listed:
+    with closing(run_jobs([hanging, job(duo, 1)], 1, timeout=3.0)) as listed:
         found = {outcome.run: outcome for outcome in listed}
     assert found["s0"].reason.startswith("it got no further in 3 s")
     assert found["s1"].metrics is not None
@@ -106,7 +106,7 @@ def test_a_run_that_stands_still_has_failed_and_the_others_go_on(
 
 def test_a_long_run_that_goes_on_may_take_longer_than_the_limit(duo: Path) -> None:
     long = job(duo, 0, None, {"duration": 600})
-    with closing(outcomes([long], 1, timeout=2.0)) as listed:
+    with closing(run_jobs([long], 1, timeout=2.0)) as listed:
         (outcome,) = listed
     assert outcome.metrics is not None, outcome.reason
     assert outcome.wall > 2.0
@@ -121,7 +121,7 @@ def test_what_one_run_leaves_in_its_process_no_other_sees(duo: Path) -> None:
 def test_a_pattern_that_forks_has_one_outcome(duo: Path) -> None:
     before = set(children(os.getpid()))
     jobs = [job(duo, 0, None, {END: "fork"}), job(duo, 1), job(duo, 2)]
-    with closing(outcomes(jobs, 1, timeout=20.0)) as listed:
+    with closing(run_jobs(jobs, 1, timeout=20.0)) as listed:
         found = [outcome for outcome in listed]
     assert [outcome.run for outcome in found] == ["s0", "s1", "s2"]
     assert all(outcome.metrics is not None for outcome in found), found
@@ -137,7 +137,7 @@ def test_a_pattern_that_closes_all_files_costs_its_own_run(duo: Path) -> None:
 def test_closing_ends_all_processes(duo: Path) -> None:
     before = set(children(os.getpid()))
     long = [job(duo, seed, None, {"duration": 3600}) for seed in (1, 2)]
-    with closing(outcomes([job(duo, 0), *long], 2)) as found:
+    with closing(run_jobs([job(duo, 0), *long], 2)) as found:
         assert next(found).run == "s0"
         assert len(set(children(os.getpid())) - before) == 2
     assert set(children(os.getpid())) == before

@@ -21,7 +21,7 @@ from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.server import main, parse_robots
-from swarmd.sim.metrics.effort import path_lengths
+from swarmd.sim.metrics.kinematics import path_lengths
 from swarmd.sim.trace import load_trace
 
 CAP = 30.0

@@ -16,7 +16,7 @@ from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.show import Watch, await_up
 from swarmd.sim.lockstep.lockstep import simulate_run
-from swarmd.sim.metrics.voting import consensus_time
+from swarmd.sim.metrics.consensus import consensus_time
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace, load_trace
 from tests.support.processes import wait_until

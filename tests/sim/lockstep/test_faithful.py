@@ -12,7 +12,7 @@ from swarmd.core.values import Array
 from swarmd.robot.robot import TICK
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT
 from swarmd.sim.lockstep.lockstep import BODY_TIMEOUT, Lockstep, simulate_run
-from swarmd.sim.metrics.touches import contact_list
+from swarmd.sim.metrics.contacts import contact_list
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace

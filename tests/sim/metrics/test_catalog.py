@@ -14,17 +14,11 @@ from hypothesis import strategies as st
 from swarmd.core.errors import ConfigError
 from swarmd.sim.metrics import (
     aggregation,
-    area,
     catalog,
     clearance,
-    effort,
-    flock,
     formation,
     gap,
-    graph,
     protection,
-    touches,
-    voting,
 )
 from swarmd.sim.metrics.catalog import METRICS, measure
 from swarmd.sim.trace import Trace
@@ -156,10 +150,19 @@ def test_a_number_of_a_whole_run_has_no_series(full_run: Run) -> None:
         catalog.series(full_run(0), "robot_contacts")
 
 
-def test_names_are_unique_and_told() -> None:
+def test_each_metric_is_listed_once() -> None:
     rows = catalog.table()
-    singles = (aggregation, area, clearance, effort, flock, formation, gap, graph)
-    subjects = (*singles, protection, touches, voting)
+    singles = (
+        aggregation,
+        coverage,
+        clearance,
+        kinematics,
+        collective_motion,
+        formation,
+        gap,
+        radio_graph,
+    )
+    subjects = (*singles, protection, contacts, consensus)
     listed = sorted(metric.name for subject in subjects for metric in subject.METRICS)
     assert sorted(row[0] for row in rows) == listed  # each once
     assert all(name.isidentifier() and name == name.lower() for name, *_ in rows)

@@ -85,7 +85,7 @@ def test_gaps_of_more_instants_than_are_worked_on_at_once(run: Run) -> None:
 
 
 def test_minimum_gap_is_found_where_the_centres_are_not_the_nearest(run: Run) -> None:
-    # Nose to tail and 0.52 m apart they almost touch; side by side at 0.50 m they do not.
+    # Nose to tail and 0.52 m apart they almost contact; side by side at 0.50 m they do not.
     apart = np.array([[[0.0, 0.0, 0.0], [0.52, 0.0, 0.0]], [[0.0, 0.0, 0.0], [0.0, 0.50, 0.0]]])
     assert gap.minimum_gap(run(apart)) == pytest.approx(0.52 - 0.508)
     assert gap.minimum_gap(run(apart[::-1])) == pytest.approx(0.52 - 0.508)

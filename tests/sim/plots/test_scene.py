@@ -17,9 +17,9 @@ from swarmd.sim.plots.scene import (
     extent_of,
     paint_arena,
     paint_bodies,
+    paint_paths,
+    paint_paths_by_time,
     paint_things,
-    paint_ways,
-    paint_ways_by_time,
     robot_colour,
     robot_style,
 )
@@ -114,7 +114,7 @@ def test_a_box_that_is_pushed_is_hollow_at_first_and_filled_at_last(axes: Axes, 
 def test_each_robots_way_has_its_line_and_is_dotted_while_it_is_away(
     axes: Axes, full: Full
 ) -> None:
-    paint_ways(axes, full(3))
+    paint_paths(axes, full(3))
     styles = [line.get_linestyle() for line in axes.lines]
     assert styles == ["-", ":", "-", ":", "-"]
     there, away = (np.asarray(line.get_xdata()) for line in axes.lines[:2])
@@ -128,7 +128,7 @@ def test_twenty_robots_look_different() -> None:
 
 def test_the_ways_of_many_are_in_pieces_from_the_start_to_the_end(axes: Axes, walk: Walk) -> None:
     trace = walk(30, 101)
-    ways = paint_ways_by_time(axes, trace)
+    ways = paint_paths_by_time(axes, trace)
     assert len(ways.get_paths()) == 40 * 30
     assert ways.get_clim() == (0.0, 10.0)
     first, last = ways.get_paths()[0].vertices, ways.get_paths()[-1].vertices
@@ -139,14 +139,14 @@ def test_the_ways_of_many_are_in_pieces_from_the_start_to_the_end(axes: Axes, wa
 def test_of_a_thousand_robots_no_more_places_are_drawn_than_can_be_seen(
     axes: Axes, walk: Walk
 ) -> None:
-    ways = paint_ways_by_time(axes, walk(1000, 3000))
+    ways = paint_paths_by_time(axes, walk(1000, 3000))
     assert sum(len(np.asarray(path.vertices)) for path in ways.get_paths()) < 500_000
 
 
 @pytest.mark.parametrize("instants", [1, 2])
 def test_few_instants_have_ways_too(axes: Axes, walk: Walk, instants: int) -> None:
     trace = walk(30, instants)
-    assert len(paint_ways_by_time(axes, trace).get_paths()) == 30 * (instants - 1)
+    assert len(paint_paths_by_time(axes, trace).get_paths()) == 30 * (instants - 1)
 
 
 def test_robots_that_are_away_are_dotted_and_pale(axes: Axes, full: Full) -> None:

@@ -12,10 +12,10 @@ from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.store import Row
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.plots.select import (
-    AT_A_GLANCE,
     OVER_TIME,
-    chief_of,
+    RUN_BY_RUN,
     metrics_over_time,
+    primary_metric,
     smoothing_of,
     stem_of,
     typical_first,
@@ -36,7 +36,7 @@ def results(**columns: tuple[float | None, ...]) -> Results:
 
 
 def test_the_usual_metrics_exist_and_those_over_time_have_a_series() -> None:
-    assert set(AT_A_GLANCE) <= set(METRICS)
+    assert set(RUN_BY_RUN) <= set(METRICS)
     assert [stem_of(name) for name in metrics_over_time(OVER_TIME)] == [
         stem_of(name) for name in OVER_TIME
     ]
@@ -67,13 +67,13 @@ def test_only_what_flickers_is_smoothed() -> None:
 
 def test_the_chief_metric_tells_the_runs_apart() -> None:
     found = results(consensus_share=(1.0, 1.0), mean_distance_to_centroid_late=(0.5, 0.6))
-    assert chief_of(found, None) == "mean_distance_to_centroid_late"
-    assert chief_of(found, ["consensus_share"]) == "consensus_share"
-    assert chief_of(results(consensus_share=(None, None), robot_contacts=(0.0, 0.0)), None) == (
-        "robot_contacts"
-    )
-    assert chief_of(results(consensus_share=(None, None)), None) is None
-    assert chief_of(found, ["minimum_gap"]) is None
+    assert primary_metric(found, None) == "mean_distance_to_centroid_late"
+    assert primary_metric(found, ["consensus_share"]) == "consensus_share"
+    assert primary_metric(
+        results(consensus_share=(None, None), robot_contacts=(0.0, 0.0)), None
+    ) == ("robot_contacts")
+    assert primary_metric(results(consensus_share=(None, None)), None) is None
+    assert primary_metric(found, ["minimum_gap"]) is None
 
 
 def test_the_typical_run_is_nearest_to_the_median_and_the_first_of_several() -> None:

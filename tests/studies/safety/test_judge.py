@@ -11,7 +11,7 @@ from studies.safety.judge import collisions, stuck_windows
 from studies.safety.judgement import Judgement, judge
 from swarmd.core.values import Array
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.metrics.touches import WALLS
+from swarmd.sim.metrics.contacts import WALLS
 from swarmd.sim.trace import ARENA, Trace
 
 BURGER = load_platform("burger").footprint

@@ -22,7 +22,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep, simulate_run
-from swarmd.sim.metrics.touches import contacts_with_arena
+from swarmd.sim.metrics.contacts import contacts_with_arena
 from swarmd.sim.trace import Trace
 
 

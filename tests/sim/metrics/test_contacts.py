@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarmd.sim.metrics import touches
+from swarmd.sim.metrics import contacts
 from swarmd.sim.trace import ARENA, Trace
 
 Run = Callable[..., Trace]
@@ -19,69 +19,69 @@ def test_contacts_are_counted_by_touches_robots_apart_from_the_arena(run: Run) -
     steps = [(0.01 * k, 0, 1) for k in range(100)]
     steps += [(5.0, 1, 0), (5.2, 2, ARENA), (9.0, 2, ARENA)]
     trace = run(STILL, steps)
-    assert touches.contact_episodes(trace) == {("r0", "r1"): 2, ("r2", touches.WALLS): 2}
-    assert touches.contacts_between_robots(trace) == 2
-    assert touches.contacts_with_arena(trace) == 2
-    assert touches.contacts_with_boxes(trace) is None
+    assert contacts.contact_episodes(trace) == {("r0", "r1"): 2, ("r2", contacts.WALLS): 2}
+    assert contacts.contacts_between_robots(trace) == 2
+    assert contacts.contacts_with_arena(trace) == 2
+    assert contacts.contacts_with_boxes(trace) is None
 
 
 def test_touches_of_different_pairs_at_once_are_kept_apart(run: Run) -> None:
     steps = [(0.01 * k, *pair) for k in range(50) for pair in ((0, 1), (1, 2), (2, 0))]
-    assert touches.contacts_between_robots(run(STILL, steps)) == 3
+    assert contacts.contacts_between_robots(run(STILL, steps)) == 3
 
 
 def test_a_touch_begins_anew_after_a_pause_only(run: Run) -> None:
     trace = run(STILL, [(0.0, 0, 1), (0.5, 0, 1), (1.1, 0, 1)])
-    assert touches.contacts_between_robots(trace) == 2
-    assert len(touches.contact_list(trace, gap=0.4)) == 3
-    assert len(touches.contact_list(trace, gap=1.0)) == 1
+    assert contacts.contacts_between_robots(trace) == 2
+    assert len(contacts.contact_list(trace, gap=0.4)) == 3
+    assert len(contacts.contact_list(trace, gap=1.0)) == 1
 
 
 def test_a_robot_called_arena_is_not_taken_for_the_walls(run: Run) -> None:
     trace = run(STILL, [(0.0, 0, 1)], ids=("arena", "b", "c"))
-    assert touches.contacts_between_robots(trace) == 1
-    assert touches.contacts_with_arena(trace) == 0
+    assert contacts.contacts_between_robots(trace) == 1
+    assert contacts.contacts_with_arena(trace) == 0
 
 
 def test_movable_boxes_are_told_from_the_arena(run: Run) -> None:
     steps = [(0.0, 0, ARENA - 1), (0.0, 1, ARENA - 2), (0.0, 2, ARENA)]
     trace = run(STILL, steps, things=("crate", "chest"))
-    assert [(one.a, one.b, one.kind) for one in touches.contact_list(trace)] == [
+    assert [(one.a, one.b, one.kind) for one in contacts.contact_list(trace)] == [
         ("r0", "crate", "box"),
         ("r1", "chest", "box"),
-        ("r2", touches.WALLS, "arena"),
+        ("r2", contacts.WALLS, "arena"),
     ]
-    assert touches.contacts_with_boxes(trace) == 2
-    assert touches.contacts_with_arena(trace) == 1
+    assert contacts.contacts_with_boxes(trace) == 2
+    assert contacts.contacts_with_arena(trace) == 1
 
 
 def test_the_list_tells_who_moved_and_how_fast_they_met(run: Run) -> None:
     # Given once from the other side: its speeds belong to the robots all the same.
     steps = [(1.0, 0, 2, 0.2, 0.005), (1.1, 2, 0, 0.01, 0.25), (1.2, 0, 2, -0.1, 0.0)]
-    (touch,) = touches.contact_list(run(STILL, steps))
-    assert (touch.start, touch.end) == (1.0, 1.2)
-    assert (touch.a, touch.b, touch.kind) == ("r0", "r2", "robot")
-    assert touch.closing_speed == pytest.approx(0.26)
-    assert (touch.is_a_moving, touch.is_b_moving) == (True, False)  # 1 cm/s is still standing
+    (contact,) = contacts.contact_list(run(STILL, steps))
+    assert (contact.start, contact.end) == (1.0, 1.2)
+    assert (contact.a, contact.b, contact.kind) == ("r0", "r2", "robot")
+    assert contact.closing_speed == pytest.approx(0.26)
+    assert (contact.is_a_moving, contact.is_b_moving) == (True, False)  # 1 cm/s is still standing
 
 
 def test_one_that_draws_back_is_not_the_one_that_moved(run: Run) -> None:
-    (touch,) = touches.contact_list(run(STILL, [(0.0, 0, 1, -0.2, 0.3)]))
-    assert (touch.is_a_moving, touch.is_b_moving) == (False, True)
-    assert touch.closing_speed == pytest.approx(0.1)
+    (contact,) = contacts.contact_list(run(STILL, [(0.0, 0, 1, -0.2, 0.3)]))
+    assert (contact.is_a_moving, contact.is_b_moving) == (False, True)
+    assert contact.closing_speed == pytest.approx(0.1)
 
 
 def test_the_list_is_in_order_of_time(run: Run) -> None:
     trace = run(STILL, [(3.0, 0, 1), (1.0, 1, 2), (2.0, 0, ARENA)])
-    assert [one.start for one in touches.contact_list(trace)] == [1.0, 2.0, 3.0]
+    assert [one.start for one in contacts.contact_list(trace)] == [1.0, 2.0, 3.0]
 
 
 def test_hardest_contact_is_of_robots(run: Run) -> None:
     trace = run(STILL, [(0.0, 0, 1, 0.1, 0.1), (0.0, 1, 2, 0.3, 0.2), (0.0, 2, ARENA, 0.9, 0.0)])
-    assert touches.hardest_contact(trace) == pytest.approx(0.5)
-    assert touches.hardest_contact(run(STILL)) is None
+    assert contacts.hardest_contact(trace) == pytest.approx(0.5)
+    assert contacts.hardest_contact(run(STILL)) is None
 
 
 def test_absent_robots_can_be_touched(run: Run) -> None:
     trace = replace(run(STILL, [(0.0, 0, 1)]), present=np.array([[True, False, True]]))
-    assert touches.contacts_between_robots(trace) == 1
+    assert contacts.contacts_between_robots(trace) == 1

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Array
-from swarmd.sim.metrics import graph, pairs
+from swarmd.sim.metrics import pairs, radio_graph
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.radio import Radio, RadioSettings
@@ -25,9 +25,9 @@ def radio(reach: float | None = None, **more: Any) -> dict[str, Any]:
 
 def test_components_by_range(run: Run, line: Line) -> None:
     pose = line(0.0, 1.0, 2.0, 5.0)
-    assert graph.radio_components(run(pose, **radio(1.0))).tolist() == [2.0]
-    assert graph.radio_components(run(pose, **radio(0.9))).tolist() == [4.0]
-    assert graph.radio_components(run(pose, **radio(3.0))).tolist() == [1.0]
+    assert radio_graph.radio_components(run(pose, **radio(1.0))).tolist() == [2.0]
+    assert radio_graph.radio_components(run(pose, **radio(0.9))).tolist() == [4.0]
+    assert radio_graph.radio_components(run(pose, **radio(3.0))).tolist() == [1.0]
 
 
 @pytest.mark.parametrize("meta", [{}, {"radio": {}}, {"radio": {"neighborhood": "all"}}])
@@ -35,17 +35,17 @@ def test_without_a_range_everyone_hears_everyone(
     run: Run, line: Line, meta: dict[str, Any]
 ) -> None:
     trace = run(line(0.0, 1e6, -1e6), meta=meta)
-    assert graph.radio_components(trace).tolist() == [1.0]
-    assert graph.algebraic_connectivity(trace) == 3.0
-    assert graph.radio_connected(trace) == 1.0
+    assert radio_graph.radio_components(trace).tolist() == [1.0]
+    assert radio_graph.algebraic_connectivity(trace) == 3.0
+    assert radio_graph.radio_connected(trace) == 1.0
 
 
 def test_connected_is_a_share_of_time(run: Run) -> None:
     pose = np.zeros((4, 2, 3))
     pose[:, 1, 0] = (0.5, 1.0, 1.5, 2.0)
     trace = run(pose, **radio(1.2))
-    assert graph.is_radio_connected(trace).tolist() == [1.0, 1.0, 0.0, 0.0]
-    assert graph.radio_connected(trace) == 0.5
+    assert radio_graph.is_radio_connected(trace).tolist() == [1.0, 1.0, 0.0, 0.0]
+    assert radio_graph.radio_connected(trace) == 0.5
 
 
 @pytest.mark.parametrize(
@@ -63,32 +63,32 @@ def test_algebraic_connectivity_of_paths(
     run: Run, line: Line, xs: tuple[float, ...], value: float
 ) -> None:
     trace = run(line(*xs), **radio(1.0))
-    assert graph.algebraic_connectivity(trace) == pytest.approx(value, abs=1e-8)
-    np.testing.assert_allclose(graph.algebraic_connectivities(trace), [value], atol=1e-8)
+    assert radio_graph.algebraic_connectivity(trace) == pytest.approx(value, abs=1e-8)
+    np.testing.assert_allclose(radio_graph.algebraic_connectivities(trace), [value], atol=1e-8)
 
 
 def test_absent_robots_pass_nothing_on(run: Run, line: Line) -> None:
     present = np.array([[True, False, True]])
     trace = run(line(0.0, 1.0, 2.0), present=present, **radio(1.0))
-    assert graph.radio_components(trace).tolist() == [2.0]
-    assert graph.algebraic_connectivity(trace) == 0.0
+    assert radio_graph.radio_components(trace).tolist() == [2.0]
+    assert radio_graph.algebraic_connectivity(trace) == 0.0
     two = run(line(0.0, 9.0, 1.0), present=present, **radio(1.0))
-    assert graph.algebraic_connectivity(two) == pytest.approx(2.0)
+    assert radio_graph.algebraic_connectivity(two) == pytest.approx(2.0)
     nobody = run(line(0.0, 1.0), present=np.zeros((1, 2), dtype=bool), **radio(1.0))
-    assert np.isnan(graph.radio_components(nobody)).all()
-    assert graph.radio_connected(nobody) is None
-    assert graph.algebraic_connectivity(nobody) is None
+    assert np.isnan(radio_graph.radio_components(nobody)).all()
+    assert radio_graph.radio_connected(nobody) is None
+    assert radio_graph.algebraic_connectivity(nobody) is None
 
 
 def test_walls_cut_links_where_the_radio_wants_sight(run: Run, line: Line) -> None:
     pose = line(-1.0, 1.0, 1.5)
     walled = {"arena": "6x6,segment:0:-1:0:1"}
     blind = run(pose, meta={**walled, **radio(9.0, line_of_sight=True)["meta"]})
-    assert graph.radio_components(blind).tolist() == [2.0]
+    assert radio_graph.radio_components(blind).tolist() == [2.0]
     heard = run(pose, meta={**walled, **radio(9.0)["meta"]})
-    assert graph.radio_components(heard).tolist() == [1.0]
+    assert radio_graph.radio_components(heard).tolist() == [1.0]
     anywhere = run(pose, meta={**walled, **radio(line_of_sight=True)["meta"]})
-    assert graph.radio_components(anywhere).tolist() == [2.0]
+    assert radio_graph.radio_components(anywhere).tolist() == [2.0]
 
 
 def test_boxes_cut_links_while_they_stand_between(run: Run) -> None:
@@ -102,7 +102,7 @@ def test_boxes_cut_links_while_they_stand_between(run: Run) -> None:
         thing_pose=thing_pose,
         thing_shapes=np.array([[[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]]),
     )
-    assert graph.radio_components(trace).tolist() == [2.0, 1.0, 1.0]
+    assert radio_graph.radio_components(trace).tolist() == [2.0, 1.0, 1.0]
 
 
 @pytest.mark.parametrize("n", [6, pairs.FEW + 10])
@@ -118,7 +118,7 @@ def test_links_are_those_of_the_radio(run: Run, n: int) -> None:
         seed=0,
     )
     for instant in range(5):
-        (links,) = [one for one in graph.radio_links(trace) if (one.instant >= 0).all()]
+        (links,) = [one for one in radio_graph.radio_links(trace) if (one.instant >= 0).all()]
         here = links.instant == instant
         mine = sorted(zip(links.a[here].tolist(), links.b[here].tolist(), strict=True))
         assert mine == [tuple(pair) for pair in air.links(pose[instant]).tolist()]
@@ -129,13 +129,13 @@ def test_components_of_more_than_is_worked_on_at_once(run: Run) -> None:
     pose = np.zeros((25, n, 3))
     pose[:, :, 0] = np.arange(n)
     pose[20:, n // 2 :, 0] += 5.0
-    counts = graph.radio_components(run(pose, **radio(1.1)))
+    counts = radio_graph.radio_components(run(pose, **radio(1.1)))
     assert counts.tolist() == [1.0] * 20 + [2.0] * 5
 
 
 def test_an_empty_run_has_no_graph(run: Run) -> None:
     trace = run(np.zeros((0, 3, 3)), **radio(1.0))
-    assert graph.radio_components(trace).shape == (0,)
-    assert graph.algebraic_connectivities(trace).shape == (0,)
-    assert graph.radio_connected(trace) is None
-    assert graph.algebraic_connectivity(trace) is None
+    assert radio_graph.radio_components(trace).shape == (0,)
+    assert radio_graph.algebraic_connectivities(trace).shape == (0,)
+    assert radio_graph.radio_connected(trace) is None
+    assert radio_graph.algebraic_connectivity(trace) is None

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.sim.metrics.touches import contact_list
+from swarmd.sim.metrics.contacts import contact_list
 from swarmd.sim.plots.scene import robot_colour
-from swarmd.sim.plots.theme import TOUCH_COLOUR
+from swarmd.sim.plots.theme import CONTACT_COLOUR
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import radius
 
@@ -48,7 +48,7 @@ def marks_of(trace: Trace) -> list[Mark]:
     return found
 
 
-def paint_touches(axes: Axes, marks: list[Mark], *, is_by_robot: bool, size: float) -> None:
+def paint_contacts(axes: Axes, marks: list[Mark], *, is_by_robot: bool, size: float) -> None:
     """A red-edged mark of `size` points at each touch; shape and face say who was moving.
 
     `is_by_robot` where each robot has its colour: a single mover gives its own to the mark.
@@ -59,7 +59,7 @@ def paint_touches(axes: Axes, marks: list[Mark], *, is_by_robot: bool, size: flo
             x, y = zip(*(mark.place for mark in of_kind), strict=True)
             faces = [face_of(mark, is_by_robot=is_by_robot) for mark in of_kind]
             axes.scatter(x, y, s=size**2, marker=marker, facecolors=faces,
-                         edgecolors=TOUCH_COLOUR, linewidths=1.0, zorder=6.0)  # fmt: skip
+                         edgecolors=CONTACT_COLOUR, linewidths=1.0, zorder=6.0)  # fmt: skip
 
 
 def face_of(mark: Mark, *, is_by_robot: bool) -> str:
@@ -67,7 +67,7 @@ def face_of(mark: Mark, *, is_by_robot: bool) -> str:
     if not mark.movers:
         return "white"
     if len(mark.movers) == 2 or not is_by_robot:
-        return TOUCH_COLOUR
+        return CONTACT_COLOUR
     return robot_colour(mark.movers[0])
 
 

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from swarmd.sim.metrics import effort
+from swarmd.sim.metrics import kinematics
 from swarmd.sim.trace import Trace
 
 Run = Callable[..., Trace]
@@ -23,21 +23,21 @@ def half_way(run: Run, **parts: object) -> Trace:
 
 def test_path_length_and_mean_speed(run: Run) -> None:
     trace = half_way(run)
-    np.testing.assert_allclose(effort.path_lengths(trace), np.array([1.0, 0.0]))
-    assert effort.path_length(trace) == pytest.approx(0.5)
-    assert effort.mean_speed(trace) == pytest.approx(0.5)
-    assert effort.mean_speed(trace, since=0.5) == pytest.approx(0.0)
+    np.testing.assert_allclose(kinematics.path_lengths(trace), np.array([1.0, 0.0]))
+    assert kinematics.path_length(trace) == pytest.approx(0.5)
+    assert kinematics.mean_speed(trace) == pytest.approx(0.5)
+    assert kinematics.mean_speed(trace, since=0.5) == pytest.approx(0.0)
 
 
 def test_a_way_there_and_back_counts_twice(run: Run) -> None:
     pose = np.zeros((3, 1, 3))
     pose[1, 0, :2] = (3.0, 4.0)
-    assert effort.path_length(run(pose)) == pytest.approx(10.0)
-    np.testing.assert_allclose(effort.path_so_far(run(pose)), [0.0, 5.0, 10.0])
+    assert kinematics.path_length(run(pose)) == pytest.approx(10.0)
+    np.testing.assert_allclose(kinematics.path_lengths_over_time(run(pose)), [0.0, 5.0, 10.0])
 
 
 def test_speeds_over_time(run: Run) -> None:
-    speeds = effort.mean_speeds(half_way(run))
+    speeds = kinematics.mean_speeds(half_way(run))
     np.testing.assert_allclose(speeds, [np.nan, *[1.0] * 5, *[0.0] * 5], atol=1e-12)
 
 
@@ -46,39 +46,41 @@ def test_speed_is_a_share_of_the_platforms_own(run: Run) -> None:
     pose[10:, 0, 0] = 0.011 * np.arange(11)  # 0.11 m/s, half of what a Burger can
     pose[10:, 1, 1] = 0.05 * np.arange(11)  # 0.5 m/s, all that a Jackal can
     trace = run(pose, platforms=("burger", "jackal"))
-    assert effort.speed_share(trace) == pytest.approx(0.75)
-    shares = effort.speed_shares(trace)
+    assert kinematics.speed_share(trace) == pytest.approx(0.75)
+    shares = kinematics.speed_shares(trace)
     assert shares is not None
     np.testing.assert_allclose(shares[1:], [0.0] * 10 + [0.75] * 10, atol=1e-12)
-    assert effort.speed_share(run(pose, meta={})) is None
-    assert effort.speed_shares(run(pose, meta={})) is None
+    assert kinematics.speed_share(run(pose, meta={})) is None
+    assert kinematics.speed_shares(run(pose, meta={})) is None
 
 
 def test_a_way_counts_only_while_present(run: Run) -> None:
     present = np.ones((11, 2), dtype=bool)
     present[3:, 0] = False  # after 0.4 m
     trace = half_way(run, present=present)
-    np.testing.assert_allclose(effort.path_lengths(trace), np.array([0.4, 0.0]))
-    assert effort.mean_speed(trace) == pytest.approx(0.4 / 1.2)
-    assert effort.path_length(trace) == pytest.approx(0.2)
+    np.testing.assert_allclose(kinematics.path_lengths(trace), np.array([0.4, 0.0]))
+    assert kinematics.mean_speed(trace) == pytest.approx(0.4 / 1.2)
+    assert kinematics.path_length(trace) == pytest.approx(0.2)
     joins = half_way(run, present=~present | [[False, True]])  # for the last 0.4 m
-    np.testing.assert_allclose(effort.path_lengths(joins), np.array([0.4, 0.0]))
+    np.testing.assert_allclose(kinematics.path_lengths(joins), np.array([0.4, 0.0]))
 
 
 def test_who_was_never_there_is_not_in_the_mean(run: Run) -> None:
     present = np.ones((11, 2), dtype=bool)
     present[:, 1] = False
-    assert effort.path_length(half_way(run, present=present)) == pytest.approx(1.0)
-    np.testing.assert_allclose(effort.path_so_far(half_way(run, present=present))[-1], 1.0)
+    assert kinematics.path_length(half_way(run, present=present)) == pytest.approx(1.0)
+    np.testing.assert_allclose(
+        kinematics.path_lengths_over_time(half_way(run, present=present))[-1], 1.0
+    )
     nobody = half_way(run, present=np.zeros((11, 2), dtype=bool))
-    assert effort.path_length(nobody) is None
-    assert np.isnan(effort.path_so_far(nobody)).all()
+    assert kinematics.path_length(nobody) is None
+    assert np.isnan(kinematics.path_lengths_over_time(nobody)).all()
 
 
 @pytest.mark.parametrize("instants", [0, 1])
 def test_no_time_is_no_speed(run: Run, instants: int) -> None:
     trace = run(np.zeros((instants, 3, 3)))
-    assert effort.mean_speed(trace) is None
-    assert effort.speed_share(trace) is None
-    assert effort.mean_speeds(trace).shape == (instants,)
-    assert effort.path_lengths(trace).tolist() == [0.0, 0.0, 0.0]
+    assert kinematics.mean_speed(trace) is None
+    assert kinematics.speed_share(trace) is None
+    assert kinematics.mean_speeds(trace).shape == (instants,)
+    assert kinematics.path_lengths(trace).tolist() == [0.0, 0.0, 0.0]

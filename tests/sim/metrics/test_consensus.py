@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from swarmd.sim.metrics import voting
+from swarmd.sim.metrics import consensus
 from swarmd.sim.trace import Trace
 
 Run = Callable[..., Trace]
@@ -23,37 +23,39 @@ def votes(run: Run, *rows: tuple[float, ...], present: object = None) -> Trace:
 
 def test_consensus_lasts_to_the_end(run: Run) -> None:
     trace = votes(run, (0, 1, 1), (1, 1, 1), (1, 1, 0), (1, 1, 1), (1, 1, 1))
-    assert voting.consensus_time(trace) == pytest.approx(0.3)
-    assert voting.consensus_opinion(trace) == 1.0
-    assert voting.consensus_share(trace) == 1.0
+    assert consensus.consensus_time(trace) == pytest.approx(0.3)
+    assert consensus.consensus_opinion(trace) == 1.0
+    assert consensus.consensus_share(trace) == 1.0
 
 
 def test_no_consensus_at_the_end_is_none(run: Run) -> None:
     trace = votes(run, (1, 1, 1), (1, 1, 1), (1, 2, 1))
-    assert voting.consensus_time(trace) is None
-    assert voting.consensus_opinion(trace) is None
-    assert voting.consensus_share(trace) == pytest.approx(2.0 / 3.0)
+    assert consensus.consensus_time(trace) is None
+    assert consensus.consensus_opinion(trace) is None
+    assert consensus.consensus_share(trace) == pytest.approx(2.0 / 3.0)
 
 
 def test_a_swarm_that_changes_its_mind_as_one_begins_anew(run: Run) -> None:
-    assert voting.consensus_time(votes(run, (0, 0), (0, 0), (2, 2), (2, 2))) == pytest.approx(0.2)
+    assert consensus.consensus_time(votes(run, (0, 0), (0, 0), (2, 2), (2, 2))) == pytest.approx(
+        0.2
+    )
 
 
 def test_consensus_from_the_start_takes_no_time(run: Run) -> None:
-    assert voting.consensus_time(votes(run, (0, 0), (0, 0))) == 0.0
-    assert voting.consensus_time(votes(run, (3.0,))) == 0.0
+    assert consensus.consensus_time(votes(run, (0, 0), (0, 0))) == 0.0
+    assert consensus.consensus_time(votes(run, (3.0,))) == 0.0
 
 
 def test_shares_are_of_the_most_common_opinion(run: Run) -> None:
-    shares = voting.consensus_shares(votes(run, (0, 1, 2, 2), (0, 0, 2, 2), (0, 0, 0, 0)))
+    shares = consensus.consensus_shares(votes(run, (0, 1, 2, 2), (0, 0, 2, 2), (0, 0, 0, 0)))
     assert shares is not None
     assert shares.tolist() == [0.5, 0.5, 1.0]
 
 
 def test_who_holds_no_opinion_does_not_agree(run: Run) -> None:
     trace = votes(run, (NONE, NONE), (1, NONE), (1, 1))
-    assert voting.consensus_time(trace) == pytest.approx(0.2)
-    shares = voting.consensus_shares(trace)
+    assert consensus.consensus_time(trace) == pytest.approx(0.2)
+    shares = consensus.consensus_shares(trace)
     assert shares is not None
     assert shares.tolist() == [0.0, 0.5, 1.0]
 
@@ -61,21 +63,21 @@ def test_who_holds_no_opinion_does_not_agree(run: Run) -> None:
 def test_only_present_robots_vote(run: Run) -> None:
     present = [[True, True, False], [True, True, True], [True, False, True]]
     trace = votes(run, (1, 1, 0), (1, 1, 0), (1, 0, 1), present=present)
-    assert voting.consensus_time(trace) == pytest.approx(0.2)
-    shares = voting.consensus_shares(trace)
+    assert consensus.consensus_time(trace) == pytest.approx(0.2)
+    shares = consensus.consensus_shares(trace)
     assert shares is not None
     np.testing.assert_allclose(shares, [1.0, 2.0 / 3.0, 1.0])
 
 
 def test_an_empty_swarm_agrees_on_nothing(run: Run) -> None:
     trace = votes(run, (1, 1), (1, 1), present=[[True, True], [False, False]])
-    assert voting.consensus_time(trace) is None
-    assert voting.consensus_share(trace) is None
+    assert consensus.consensus_time(trace) is None
+    assert consensus.consensus_share(trace) is None
 
 
 def test_without_opinions_there_is_no_number(run: Run) -> None:
     for trace in (run(np.zeros((3, 2, 3))), votes(run, (NONE, NONE))):
-        assert voting.consensus_shares(trace) is None
-        assert voting.consensus_share(trace) is None
-        assert voting.consensus_time(trace) is None
-    assert voting.consensus_time(votes(run, (1, 1)), name="choice") is None
+        assert consensus.consensus_shares(trace) is None
+        assert consensus.consensus_share(trace) is None
+        assert consensus.consensus_time(trace) is None
+    assert consensus.consensus_time(votes(run, (1, 1)), name="choice") is None

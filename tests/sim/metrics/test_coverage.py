@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarmd.core.values import Array
-from swarmd.sim.metrics import area
+from swarmd.sim.metrics import coverage
 from swarmd.sim.trace import Trace
 
 Run = Callable[..., Trace]
@@ -20,20 +20,20 @@ Line = Callable[..., Array]
 
 def test_a_robot_that_stands_covers_its_disc(run: Run, line: Line) -> None:
     disc = pytest.approx(math.pi / 4.0, rel=0.01)
-    assert area.covered_area(run(line(0.0)), radius=0.5, cell=0.01) == disc
-    assert area.covered_area(run(line(0.0, 0.0, 0.0)), radius=0.5, cell=0.01) == disc
+    assert coverage.covered_area(run(line(0.0)), radius=0.5, cell=0.01) == disc
+    assert coverage.covered_area(run(line(0.0, 0.0, 0.0)), radius=0.5, cell=0.01) == disc
     two = pytest.approx(math.pi / 2.0, rel=0.01)
-    assert area.covered_area(run(line(0.0, 9.0)), radius=0.5, cell=0.01) == two
+    assert coverage.covered_area(run(line(0.0, 9.0)), radius=0.5, cell=0.01) == two
 
 
 def test_a_way_covers_a_band_that_grows(run: Run) -> None:
     pose = np.zeros((101, 1, 3))
     pose[:, 0, 0] = np.linspace(0.0, 4.0, 101)
-    areas = area.covered_areas(run(pose), radius=0.5, cell=0.02)
+    areas = coverage.covered_areas(run(pose), radius=0.5, cell=0.02)
     band = math.pi / 4.0 + np.linspace(0.0, 4.0, 101)
     np.testing.assert_allclose(areas, band, rtol=0.03)
     assert (np.diff(areas) >= 0.0).all()
-    back = area.covered_areas(run(np.concatenate((pose, pose[::-1]))), radius=0.5, cell=0.02)
+    back = coverage.covered_areas(run(np.concatenate((pose, pose[::-1]))), radius=0.5, cell=0.02)
     assert back[-1] == pytest.approx(areas[-1])
 
 
@@ -46,28 +46,30 @@ def test_squares_of_the_usual_size_count_what_was_near_and_no_more(run: Run) -> 
     x, y = np.meshgrid(np.arange(-3.0, 3.0, 0.1) + 0.05, np.arange(-3.0, 3.0, 0.1) + 0.05)
     away = np.hypot(x[..., None, None] - pose[..., 0], y[..., None, None] - pose[..., 1])
     expected = np.cumsum((away <= 0.5).any(axis=-1), axis=-1).astype(bool).sum(axis=(0, 1)) * 0.01
-    areas = area.covered_areas(run(pose))
+    areas = coverage.covered_areas(run(pose))
     np.testing.assert_allclose(areas, expected, rtol=0.005, atol=0.011)
 
 
 def test_what_lies_outside_the_arena_is_not_covered(run: Run, line: Line) -> None:
     half = pytest.approx(math.pi / 8.0, rel=0.05)
     pose = line(2.0)  # at a wall of an arena of 4 m
-    assert area.covered_area(run(pose, meta={"arena": "4x9"}), cell=0.02) == half
+    assert coverage.covered_area(run(pose, meta={"arena": "4x9"}), cell=0.02) == half
     turned = pose[..., [1, 0, 2]]
-    assert area.covered_area(run(turned, meta={"arena": "9x4"}), cell=0.02) == half
+    assert coverage.covered_area(run(turned, meta={"arena": "9x4"}), cell=0.02) == half
 
 
 def test_absent_robots_cover_nothing(run: Run, line: Line) -> None:
     trace = run(line(0.0, 5.0), present=np.array([[True, False]]))
-    assert area.covered_area(trace, cell=0.02) == pytest.approx(math.pi / 4.0, rel=0.05)
+    assert coverage.covered_area(trace, cell=0.02) == pytest.approx(math.pi / 4.0, rel=0.05)
     nobody = run(line(0.0), present=np.array([[False]]))
-    assert area.covered_area(nobody) == 0.0
-    assert area.hull_area(nobody) is None
+    assert coverage.covered_area(nobody) == 0.0
+    assert coverage.hull_area(nobody) is None
 
 
 def test_far_ways_are_counted_more_coarsely(run: Run, line: Line) -> None:
-    covered = area.covered_area(run(np.array([[[0.0, 0.0, 0.0], [4e3, 4e3, 0.0]]])), radius=50.0)
+    covered = coverage.covered_area(
+        run(np.array([[[0.0, 0.0, 0.0], [4e3, 4e3, 0.0]]])), radius=50.0
+    )
     assert covered == pytest.approx(2.0 * math.pi * 50.0**2, rel=0.1)
 
 
@@ -75,12 +77,12 @@ def test_hull_of_a_square_with_robots_in_it(run: Run) -> None:
     corners = [(0.0, 0.0), (2.0, 0.0), (2.0, 3.0), (0.0, 3.0), (1.0, 1.0), (1.0, 0.0), (2.0, 3.0)]
     pose = np.zeros((1, 7, 3))
     pose[0, :, :2] = corners
-    assert area.hull_area(run(pose)) == pytest.approx(6.0)
+    assert coverage.hull_area(run(pose)) == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize("xs", [(1.0,), (1.0, 2.0), (1.0, 2.0, 3.0), (1.0, 1.0, 1.0)])
 def test_a_row_spans_no_area(run: Run, line: Line, xs: tuple[float, ...]) -> None:
-    assert area.hull_area(run(line(*xs))) == 0.0
+    assert coverage.hull_area(run(line(*xs))) == 0.0
 
 
 @given(st.integers(0, 1000))
@@ -94,13 +96,13 @@ def test_hull_is_the_largest_sum_of_triangles_about_the_centre(run: Run, seed: i
     support = (place @ np.stack((np.cos(turn), np.sin(turn)))).max(axis=0)
     slope = np.gradient(support, turn)
     expected = np.pi * np.mean(support[1:] ** 2 - slope[1:] ** 2)
-    assert area.hull_area(run(pose)) == pytest.approx(float(expected), rel=0.01)
+    assert coverage.hull_area(run(pose)) == pytest.approx(float(expected), rel=0.01)
 
 
 def test_areas_over_time(run: Run) -> None:
     pose = np.zeros((2, 3, 3))
     pose[1, 1, 0] = pose[1, 2, 1] = 1.0
-    np.testing.assert_allclose(area.hull_areas(run(pose)), [0.0, 0.5])
-    assert area.hull_areas(run(np.zeros((0, 3, 3)))).shape == (0,)
-    assert area.covered_areas(run(np.zeros((0, 3, 3)))).shape == (0,)
-    assert area.covered_area(run(np.zeros((0, 3, 3)))) is None
+    np.testing.assert_allclose(coverage.hull_areas(run(pose)), [0.0, 0.5])
+    assert coverage.hull_areas(run(np.zeros((0, 3, 3)))).shape == (0,)
+    assert coverage.covered_areas(run(np.zeros((0, 3, 3)))).shape == (0,)
+    assert coverage.covered_area(run(np.zeros((0, 3, 3)))) is None

@@ -24,9 +24,11 @@ def polarisations(trace: Trace, standing: float = STANDING) -> Array:
     The order parameter of Vicsek et al. 1995 (Phys. Rev. Lett. 75, 1226), whose particles never
     stand. NaN while no robot is present, and in a trace of one instant.
     """
-    is_here = presence(trace)
+    is_present = presence(trace)
     ahead = _directions(trace, standing)
-    order: Array = np.hypot(row_means(ahead[..., 0], is_here), row_means(ahead[..., 1], is_here))
+    order: Array = np.hypot(
+        row_means(ahead[..., 0], is_present), row_means(ahead[..., 1], is_present)
+    )
     return order
 
 
@@ -36,41 +38,41 @@ def millings(trace: Trace, standing: float = STANDING) -> Array:
     The group angular momentum of Couzin et al. 2002 (J. Theor. Biol. 218, 1) in the plane. NaN as
     in `polarisations`; a robot in the very centroid adds nothing.
     """
-    is_here = presence(trace)
+    is_present = presence(trace)
     ahead = _directions(trace, standing)
     place = trace.pose[..., :2]
-    centre = np.stack([row_means(place[..., axis], is_here) for axis in (0, 1)], axis=-1)
+    centre = np.stack([row_means(place[..., axis], is_present) for axis in (0, 1)], axis=-1)
     away = place - centre[:, None]
     distance = np.hypot(away[..., 0], away[..., 1])
     out = away / np.where(distance > 0.0, distance, 1.0)[..., None]
     turn = out[..., 0] * ahead[..., 1] - out[..., 1] * ahead[..., 0]
-    momentum: Array = np.abs(row_means(turn, is_here))
+    momentum: Array = np.abs(row_means(turn, is_present))
     return momentum
 
 
-def centroid_ways(trace: Trace, every: float = 1.0) -> Array:
+def centroid_path_lengths(trace: Trace, every: float = 1.0) -> Array:
     """(T,) how many m the robots' centroid has moved until each instant, in steps of `every` s.
 
     Ours: a swarm that mills, or whose robots go apart, is fast and gets nowhere. Steps of a second
     leave out how positions tremble. A step in which another robot is present, or none, is none.
     """
-    is_here = presence(trace)
+    is_present = presence(trace)
     place = trace.pose[..., :2]
-    centre = np.stack([row_means(place[..., axis], is_here) for axis in (0, 1)], axis=-1)
+    centre = np.stack([row_means(place[..., axis], is_present) for axis in (0, 1)], axis=-1)
     ways = np.zeros(len(trace.t))
     last = 0
     for at in range(1, len(trace.t)):
         ways[at] = ways[at - 1]
         if trace.t[at] - trace.t[last] >= every - 1e-9:
-            is_same = bool((is_here[at] == is_here[last]).all() and is_here[at].any())
+            is_same = bool((is_present[at] == is_present[last]).all() and is_present[at].any())
             ways[at] += float(np.hypot(*(centre[at] - centre[last]))) if is_same else 0.0
             last = at
     return ways
 
 
-def centroid_way(trace: Trace) -> float | None:
+def centroid_path_length(trace: Trace) -> float | None:
     """That way at the end; None if no robot ever is present."""
-    return float(centroid_ways(trace)[-1]) if presence(trace).any() else None
+    return float(centroid_path_lengths(trace)[-1]) if presence(trace).any() else None
 
 
 def _directions(trace: Trace, standing: float) -> Array:
@@ -105,11 +107,11 @@ METRICS = (
         millings,
     ),
     Metric(
-        "centroid_way",
+        "centroid_path_length",
         "m",
         "how far the robots' centroid has moved, added up second by second",
         "ours",
-        centroid_way,
-        centroid_ways,
+        centroid_path_length,
+        centroid_path_lengths,
     ),
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.sim.experiments.words import read_seeds, read_sets, read_sweeps, split_values
+from swarmd.sim.experiments.arguments import parse_seeds, parse_sets, parse_sweeps, split_values
 
 
 @pytest.mark.parametrize(
@@ -21,7 +21,7 @@ from swarmd.sim.experiments.words import read_seeds, read_sets, read_sweeps, spl
     ],
 )
 def test_seeds_are_a_number_of_them_a_range_or_a_list(text: str, seeds: tuple[int, ...]) -> None:
-    assert read_seeds(text) == seeds
+    assert parse_seeds(text) == seeds
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ def test_seeds_are_a_number_of_them_a_range_or_a_list(text: str, seeds: tuple[in
 )
 def test_seeds_that_cannot_be_are_one_line(text: str, fault: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        read_seeds(text)
+        parse_seeds(text)
     assert fault in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -61,13 +61,13 @@ def test_an_empty_value_is_refused(text: str) -> None:
 
 
 def test_values_are_read_as_in_a_file() -> None:
-    assert read_sets(["a.b=5", "c=real", "d=0.1", "e=true", "f=[1, 2]", "g=null"]) == {
+    assert parse_sets(["a.b=5", "c=real", "d=0.1", "e=true", "f=[1, 2]", "g=null"]) == {
         "a.b": 5, "c": "real", "d": 0.1, "e": True, "f": [1, 2], "g": None,
     }  # fmt: skip
 
 
 def test_sweeps_keep_their_order_and_types() -> None:
-    found = read_sweeps(["b=0.2,0.1,1", "a=x,[1, 2],null"])
+    found = parse_sweeps(["b=0.2,0.1,1", "a=x,[1, 2],null"])
     assert list(found.items()) == [("b", [0.2, 0.1, 1]), ("a", ["x", [1, 2], None])]
 
 
@@ -84,10 +84,10 @@ def test_sweeps_keep_their_order_and_types() -> None:
 )
 def test_sweeps_that_cannot_be_are_one_line(words: list[str], fault: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        read_sweeps(words)
+        parse_sweeps(words)
     assert fault in str(caught.value)
 
 
 def test_a_value_set_twice_is_refused() -> None:
     with pytest.raises(ConfigError, match="--set a is given twice"):
-        read_sets(["a=1", "a=2"])
+        parse_sets(["a=1", "a=2"])

@@ -79,10 +79,10 @@ def hull_areas(trace: Trace) -> Array:
     Hull by Andrew's monotone chain (Andrew 1979, Inf. Process. Lett. 9), area by the shoelace
     formula; 0 for fewer than three robots or robots in a row.
     """
-    is_here = presence(trace)
+    is_present = presence(trace)
     areas = np.empty(len(trace.t))
     for at, place in enumerate(trace.pose[..., :2]):
-        areas[at] = _hull_area(place[is_here[at]])
+        areas[at] = _hull_area(place[is_present[at]])
     return areas
 
 

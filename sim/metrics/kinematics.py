@@ -26,7 +26,7 @@ def path_length(trace: Trace) -> float | None:
     return float(path_lengths(trace)[is_counted].mean()) if is_counted.any() else None
 
 
-def path_so_far(trace: Trace) -> Array:
+def path_lengths_over_time(trace: Trace) -> Array:
     """(T,) the mean way in m gone until each instant by the robots that were ever present."""
     is_counted = presence(trace).any(axis=0)
     if not is_counted.any():
@@ -78,8 +78,8 @@ def speed_shares(trace: Trace) -> Array | None:
 
 
 def _both(trace: Trace) -> NDArray[np.bool_]:
-    is_here = presence(trace)
-    return is_here[1:] & is_here[:-1]
+    is_present = presence(trace)
+    return is_present[1:] & is_present[:-1]
 
 
 def _steps(trace: Trace) -> Array:
@@ -118,6 +118,6 @@ METRICS = (
         "a robot's way over the whole run, mean of the robots",
         _KINEMATICS,
         path_length,
-        path_so_far,
+        path_lengths_over_time,
     ),
 )

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from swarmd.core.values import Array
-from swarmd.sim.metrics import flock
+from swarmd.sim.metrics import collective_motion
 from swarmd.sim.trace import Trace
 
 Run = Callable[..., Trace]
@@ -44,7 +44,7 @@ def circling(speed: float, *phases: float) -> Array:
     ],
 )
 def test_polarisation(run: Run, velocities: list[tuple[float, float]], order: float) -> None:
-    orders = flock.polarisations(run(moving(*velocities)))
+    orders = collective_motion.polarisations(run(moving(*velocities)))
     np.testing.assert_allclose(orders, np.full(21, order), atol=1e-9)
 
 
@@ -53,51 +53,57 @@ def test_robots_on_a_circle_mill_and_are_not_polarised(run: Run) -> None:
     for speed in (0.4, -0.4):
         trace = run(circling(speed, *phases))
         # Differences cut the corner a little at the first and the last instant.
-        np.testing.assert_allclose(flock.millings(trace), np.ones(21), atol=1e-3)
-        np.testing.assert_allclose(flock.polarisations(trace), np.zeros(21), atol=1e-9)
+        np.testing.assert_allclose(collective_motion.millings(trace), np.ones(21), atol=1e-3)
+        np.testing.assert_allclose(collective_motion.polarisations(trace), np.zeros(21), atol=1e-9)
 
 
 def test_opposite_ways_round_cancel(run: Run) -> None:
     there, back = circling(0.4, 0.0, np.pi), circling(-0.4, np.pi / 2.0, 1.5 * np.pi)
     both = run(np.concatenate((there, back), axis=1))
-    np.testing.assert_allclose(flock.millings(both), np.zeros(21), atol=1e-9)
+    np.testing.assert_allclose(collective_motion.millings(both), np.zeros(21), atol=1e-9)
 
 
 def test_a_straight_flock_does_not_mill(run: Run) -> None:
-    np.testing.assert_allclose(flock.millings(run(moving(*[(0.2, 0.1)] * 4))), 0.0, atol=1e-9)
+    np.testing.assert_allclose(
+        collective_motion.millings(run(moving(*[(0.2, 0.1)] * 4))), 0.0, atol=1e-9
+    )
 
 
 def test_only_present_robots_count(run: Run) -> None:
     present: NDArray[np.bool_] = np.ones((21, 2), dtype=bool)
     present[:, 1] = False
     trace = run(moving((0.2, 0.0), (-0.2, 0.0)), present=present)
-    np.testing.assert_allclose(flock.polarisations(trace), np.ones(21))
+    np.testing.assert_allclose(collective_motion.polarisations(trace), np.ones(21))
     nobody = run(moving((0.2, 0.0)), present=np.zeros((21, 1), dtype=bool))
-    assert np.isnan(flock.polarisations(nobody)).all()
-    assert np.isnan(flock.millings(nobody)).all()
+    assert np.isnan(collective_motion.polarisations(nobody)).all()
+    assert np.isnan(collective_motion.millings(nobody)).all()
 
 
 def test_a_robot_alone_is_its_own_centroid(run: Run) -> None:
-    np.testing.assert_array_equal(flock.millings(run(moving((0.2, 0.0)))), np.zeros(21))
+    np.testing.assert_array_equal(collective_motion.millings(run(moving((0.2, 0.0)))), np.zeros(21))
 
 
 def test_an_instant_alone_shows_no_motion(run: Run) -> None:
-    assert np.isnan(flock.polarisations(run(np.zeros((1, 3, 3))))).all()
-    assert np.isnan(flock.millings(run(np.zeros((1, 3, 3))))).all()
-    assert flock.millings(run(np.zeros((0, 3, 3)))).shape == (0,)
+    assert np.isnan(collective_motion.polarisations(run(np.zeros((1, 3, 3))))).all()
+    assert np.isnan(collective_motion.millings(run(np.zeros((1, 3, 3))))).all()
+    assert collective_motion.millings(run(np.zeros((0, 3, 3)))).shape == (0,)
 
 
 def test_the_way_of_the_centroid(run: Run) -> None:
     # Two seconds at 0.2 m/s; who goes the other way takes half of it back.
-    np.testing.assert_allclose(flock.centroid_ways(run(moving((0.2, 0.0))))[-1], 0.4)
+    np.testing.assert_allclose(
+        collective_motion.centroid_path_lengths(run(moving((0.2, 0.0))))[-1], 0.4
+    )
     trace = run(moving(*[(0.2, 0.0)] * 3, (-0.2, 0.0)))
-    assert flock.centroid_way(trace) == pytest.approx(0.2)
-    assert flock.centroid_way(run(circling(0.4, 0.0, np.pi))) == pytest.approx(0.0)
-    assert flock.centroid_way(run(np.zeros((0, 3, 3)))) is None
+    assert collective_motion.centroid_path_length(trace) == pytest.approx(0.2)
+    assert collective_motion.centroid_path_length(run(circling(0.4, 0.0, np.pi))) == pytest.approx(
+        0.0
+    )
+    assert collective_motion.centroid_path_length(run(np.zeros((0, 3, 3)))) is None
 
 
 def test_who_comes_or_goes_does_not_move_the_centroid(run: Run) -> None:
     present: NDArray[np.bool_] = np.ones((21, 2), dtype=bool)
     present[5:, 1] = False
     trace = run(moving((0.0, 0.0), (0.0, 0.0)), present=present)
-    assert flock.centroid_way(trace) == 0.0
+    assert collective_motion.centroid_path_length(trace) == 0.0

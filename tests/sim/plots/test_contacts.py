@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
+from swarmd.sim.plots.contacts import BOTH, NONE, ONE, OTHER, face_of, marks_of, paint_contacts
 from swarmd.sim.plots.scene import robot_colour
-from swarmd.sim.plots.theme import TOUCH_COLOUR, new_figure
-from swarmd.sim.plots.touches import BOTH, NONE, ONE, OTHER, face_of, marks_of, paint_touches
+from swarmd.sim.plots.theme import CONTACT_COLOUR, new_figure
 from swarmd.sim.trace import Trace
 
 if TYPE_CHECKING:
@@ -39,21 +39,21 @@ def test_robots_that_are_pushed_together_do_not_move(walk: Walk) -> None:
 
 def test_a_single_mover_gives_its_colour_where_robots_have_one(full: Full) -> None:
     both, one, _ = marks_of(full(2))
-    assert face_of(both, is_by_robot=True) == TOUCH_COLOUR
+    assert face_of(both, is_by_robot=True) == CONTACT_COLOUR
     assert face_of(one, is_by_robot=True) == robot_colour(1)
-    assert face_of(one, is_by_robot=False) == TOUCH_COLOUR
+    assert face_of(one, is_by_robot=False) == CONTACT_COLOUR
 
 
 def test_each_kind_is_painted_with_all_its_marks(full: Full) -> None:
     pytest.importorskip("matplotlib")
     axes = new_figure(3.0, 3.0).add_subplot()
     marks = marks_of(full(2))
-    paint_touches(axes, [*marks, marks[0]], is_by_robot=True, size=8.0)
+    paint_contacts(axes, [*marks, marks[0]], is_by_robot=True, size=8.0)
     assert [len(np.asarray(dots.get_offsets())) for dots in axes.collections] == [2, 1, 1]
 
 
 def test_no_touch_is_no_mark(walk: Walk) -> None:
     pytest.importorskip("matplotlib")
     axes = new_figure(3.0, 3.0).add_subplot()
-    paint_touches(axes, marks_of(walk(3)), is_by_robot=True, size=8.0)
+    paint_contacts(axes, marks_of(walk(3)), is_by_robot=True, size=8.0)
     assert len(axes.collections) == 0

@@ -11,7 +11,7 @@ from swarmd.sim.experiments.plan import MAX_RUNS, check_seeds
 from swarmd.sim.scenarios.overrides import SWEPT, parse_override
 
 
-def read_seeds(text: str) -> tuple[int, ...]:
+def parse_seeds(text: str) -> tuple[int, ...]:
     """Seeds from `20` (the first twenty: 0 to 19), `500-519`, `3,5,9`, `0-4,10`."""
     if re.fullmatch(r"\d{1,10}", text.strip()):
         return check_seeds(range(_bounded(int(text), text)))
@@ -29,7 +29,7 @@ def read_seeds(text: str) -> tuple[int, ...]:
     return check_seeds(seeds)
 
 
-def read_sets(words: Iterable[str]) -> dict[str, Any]:
+def parse_sets(words: Iterable[str]) -> dict[str, Any]:
     """The values of `--set key=value`; ConfigError for what is none, or twice there."""
     found: dict[str, Any] = {}
     for word in words:
@@ -40,7 +40,7 @@ def read_sets(words: Iterable[str]) -> dict[str, Any]:
     return found
 
 
-def read_sweeps(words: Iterable[str]) -> dict[str, list[Any]]:
+def parse_sweeps(words: Iterable[str]) -> dict[str, list[Any]]:
     """The values of `--sweep key=a,b,c` by key; ConfigError for what is none, or twice there."""
     found: dict[str, list[Any]] = {}
     for word in words:

@@ -1,7 +1,7 @@
 """Touches as people count them: once each, however many steps they last, and who ran into whom.
 
 Every body counts, whether its robot is present or not. The definitions are ours: `EPISODE_GAP` in
-`world/contacts.py` says when the same two touch anew.
+`world/contacts.py` says when the same two contact anew.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ Kind = Literal["robot", "arena", "box"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Touch:
-    """One touch, from `start` to `end` in the trace's s.
+class Contact:
+    """One contact, from `start` to `end` in the trace's s.
 
     `a` is a robot's id, `b` another one's, WALLS or the name of a movable box; `kind` says what b
-    is. `closing_speed` in m/s is the fastest approach of the touch, and the two moved then if
+    is. `closing_speed` in m/s is the fastest approach of the contact, and the two moved then if
     their own surface came towards the other at more than MOVING.
     """
 
@@ -42,8 +42,8 @@ class Touch:
     is_b_moving: bool
 
 
-def contact_list(trace: Trace, gap: float = EPISODE_GAP) -> list[Touch]:
-    """Each touch of the run, in order of its beginning, then of the robots."""
+def contact_list(trace: Trace, gap: float = EPISODE_GAP) -> list[Contact]:
+    """Each contact of the run, in order of its beginning, then of the robots."""
     if len(trace.contact_t) == 0:
         return []
     # The lower index first, but the arena and boxes, which are negative, always second.
@@ -68,15 +68,15 @@ def contact_list(trace: Trace, gap: float = EPISODE_GAP) -> list[Touch]:
 def contact_episodes(trace: Trace) -> dict[tuple[str, str], int]:
     """How often each pair touched, its names in order; WALLS stands for walls, boxes and poles."""
     counts: dict[tuple[str, str], int] = {}
-    for touch in contact_list(trace):
-        pair = (min(touch.a, touch.b), max(touch.a, touch.b))
+    for contact in contact_list(trace):
+        pair = (min(contact.a, contact.b), max(contact.a, contact.b))
         counts[pair] = counts.get(pair, 0) + 1
     return counts
 
 
 def count(trace: Trace, kind: Kind) -> int:
     """The number of touches of a robot with another one, the arena or a movable box."""
-    return sum(touch.kind == kind for touch in contact_list(trace))
+    return sum(contact.kind == kind for contact in contact_list(trace))
 
 
 def contacts_between_robots(trace: Trace) -> int:
@@ -95,17 +95,17 @@ def contacts_with_boxes(trace: Trace) -> int | None:
 
 
 def hardest_contact(trace: Trace) -> float | None:
-    """The fastest approach in m/s of any touch of two robots; None if none touched."""
-    speeds = [touch.closing_speed for touch in contact_list(trace) if touch.kind == "robot"]
+    """The fastest approach in m/s of any contact of two robots; None if none touched."""
+    speeds = [contact.closing_speed for contact in contact_list(trace) if contact.kind == "robot"]
     return max(speeds, default=None)
 
 
-def _touch(trace: Trace, ends: tuple[float, float], pair: np.ndarray, speed: np.ndarray) -> Touch:
+def _touch(trace: Trace, ends: tuple[float, float], pair: np.ndarray, speed: np.ndarray) -> Contact:
     a, b = int(pair[0]), int(pair[1])
     kind: Kind = "robot" if b >= 0 else "arena" if b == ARENA else "box"
     # Below ARENA stand the movable boxes: -2 is the first of `things`.
     other = trace.ids[b] if b >= 0 else WALLS if b == ARENA else trace.things[ARENA - 1 - b]
-    return Touch(
+    return Contact(
         start=ends[0],
         end=ends[1],
         a=trace.ids[a],
@@ -148,7 +148,7 @@ METRICS = (
     Metric(
         "hardest_contact",
         "m/s",
-        "fastest approach in any touch of two robots",
+        "fastest approach in any contact of two robots",
         _OURS,
         hardest_contact,
         None,

@@ -38,9 +38,9 @@ def radio_links(trace: Trace) -> Iterator[Pairs]:
     The disk graph of Zavlanos, Egerstedt and Pappas 2011 (Graph-Theoretic Connectivity Control of
     Mobile Robot Networks, Proc. IEEE 99), less what `radio.line_of_sight` takes away.
     """
-    sight, is_here, reach = _sight(trace), presence(trace), radio_range(trace)
-    for span in pairs.spans(*is_here.shape):
-        found = pairs.near(trace.pose[span, :, :2], is_here[span], reach)
+    sight, is_present, reach = _sight(trace), presence(trace), radio_range(trace)
+    for span in pairs.spans(*is_present.shape):
+        found = pairs.near(trace.pose[span, :, :2], is_present[span], reach)
         instant = found.instant + span.start
         found = Pairs(instant, found.a, found.b, found.distance)
         yield found if sight is None else _seen(trace, sight, found)
@@ -48,9 +48,9 @@ def radio_links(trace: Trace) -> Iterator[Pairs]:
 
 def radio_components(trace: Trace) -> Array:
     """(T,) the number of parts that cannot hear one another; NaN while no robot is present."""
-    is_here = presence(trace)
-    n = is_here.shape[1]
-    counts = is_here.sum(axis=1).astype(np.float64)
+    is_present = presence(trace)
+    n = is_present.shape[1]
+    counts = is_present.sum(axis=1).astype(np.float64)
     if _is_complete(trace):
         return np.where(counts > 0.0, 1.0, np.nan)
     for links in radio_links(trace):

@@ -26,12 +26,12 @@ def consensus_shares(trace: Trace, name: str = OPINION) -> Array | None:
     opinion = trace.report.get(name)
     if opinion is None or np.isnan(opinion).all():
         return None
-    is_here = presence(trace)
-    held = np.where(is_here, opinion, np.nan)
+    is_present = presence(trace)
+    held = np.where(is_present, opinion, np.nan)
     most = np.zeros(len(trace.t), dtype=np.int64)
     for value in np.unique(held[~np.isnan(held)]):
         most = np.maximum(most, np.count_nonzero(held == value, axis=1))
-    here = is_here.sum(axis=1)
+    here = is_present.sum(axis=1)
     shares: Array = np.where(here > 0, most / np.maximum(here, 1), np.nan)
     return shares
 
@@ -58,8 +58,8 @@ def consensus_time(trace: Trace, name: str = OPINION) -> float | None:
     final = consensus_opinion(trace, name)
     if final is None:
         return None
-    is_here = presence(trace)
-    agree = ((trace.report[name] == final) | ~is_here).all(axis=1) & is_here.any(axis=1)
+    is_present = presence(trace)
+    agree = ((trace.report[name] == final) | ~is_present).all(axis=1) & is_present.any(axis=1)
     broken = np.flatnonzero(~agree)
     since = int(broken[-1]) + 1 if len(broken) else 0
     return float(trace.t[since] - trace.t[0])
