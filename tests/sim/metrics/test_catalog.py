@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import importlib
 import math
+import pkgutil
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -12,14 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarmd.core.errors import ConfigError
-from swarmd.sim.metrics import (
-    aggregation,
-    catalog,
-    clearance,
-    formation,
-    gap,
-    protection,
-)
+from swarmd.sim import metrics
+from swarmd.sim.metrics import catalog
 from swarmd.sim.metrics.catalog import METRICS, measure
 from swarmd.sim.trace import Trace
 
@@ -152,18 +148,12 @@ def test_a_number_of_a_whole_run_has_no_series(full_run: Run) -> None:
 
 def test_each_metric_is_listed_once() -> None:
     rows = catalog.table()
-    singles = (
-        aggregation,
-        coverage,
-        clearance,
-        kinematics,
-        collective_motion,
-        formation,
-        gap,
-        radio_graph,
-    )
-    subjects = (*singles, protection, contacts, consensus)
-    listed = sorted(metric.name for subject in subjects for metric in subject.METRICS)
+    modules = [
+        importlib.import_module(f"swarmd.sim.metrics.{module.name}")
+        for module in pkgutil.iter_modules(metrics.__path__)
+        if module.name != "catalog"
+    ]
+    listed = sorted(one.name for module in modules for one in getattr(module, "METRICS", ()))
     assert sorted(row[0] for row in rows) == listed  # each once
     assert all(name.isidentifier() and name == name.lower() for name, *_ in rows)
     assert all(all(row) for row in rows)
