@@ -125,10 +125,10 @@ def command_summary(point: EntryPoint) -> str:
         # The function alone: parsing a whole module would take 3 ms of the 80 of `--help`.
         head = f"def {point.attr}("
         body = text.partition(f"\n{head}")[2].partition("\n\n\n")[0]
-        (function,) = ast.parse(f"{head}{body}").body if body else ()
-        lines = (ast.get_docstring(cast(ast.FunctionDef, function)) or "").splitlines()
-        if lines:
-            return lines[0]
+        for function in ast.parse(f"{head}{body}").body if body else ():
+            text = ast.get_docstring(cast(ast.FunctionDef, function)) or ""
+            if text:
+                return text.splitlines()[0]
     return f"Comes with {_source(point)}."
 
 
