@@ -107,7 +107,10 @@ class Stepped(Struct, frozen=True, eq=False):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParamsSet:
-    """SetParams was carried out (`text` empty) or refused (`text` says why)."""
+    """The answer to SetParams: all parameters now in force; none if it was refused.
+
+    `text`: why it was refused, or a note for the operator.
+    """
 
     generation: int
     request: str

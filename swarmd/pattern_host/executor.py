@@ -6,8 +6,9 @@ place that calls a plugin's code.
 
 from __future__ import annotations
 
+import math
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -26,10 +27,10 @@ from swarmd.core.host_messages import (
     Step,
     Stepped,
 )
-from swarmd.core.values import Inputs, Message, Outputs, Scalar, Twist
+from swarmd.core.values import Inputs, Message, Outputs, Platform, Scalar, Twist
 from swarmd.kit.condition_state import Ending, ending_of
 from swarmd.kit.factory import Assembled, Find, assemble, full_layers
-from swarmd.kit.params import build
+from swarmd.kit.params import Params, build, schema
 
 T = TypeVar("T")
 
@@ -104,7 +105,27 @@ class Stage:
             return ParamsSet(command.generation, command.request, sources)
         self._load = replace(load, layers=layers)
         self._assembled = Assembled(pattern, sources)
-        return ParamsSet(command.generation, command.request, "", sources)
+        note = _beyond_limits(type(pattern).params_type, command.values, sources, load.platform)
+        return ParamsSet(command.generation, command.request, note, sources)
+
+
+def _beyond_limits(
+    params_type: type[Params],
+    changed: Iterable[str],
+    params: Mapping[str, tuple[Scalar | None, str]],
+    platform: Platform,
+) -> str:
+    """A note on the changed speeds that the base cannot reach; empty without one."""
+    limits = {"m/s": platform.limits.linear, "rad/s": platform.limits.angular}
+    notes = []
+    for spec in schema(params_type):
+        value, limit = params[spec.name][0], limits.get(spec.unit, math.inf)
+        if spec.name in changed and isinstance(value, int | float) and abs(value) > limit:
+            notes.append(
+                f"{spec.name} is {value:g} {spec.unit},"
+                f" but {platform.name} is limited to {limit:g} {spec.unit}"
+            )
+    return "; ".join(notes)
 
 
 def _guard(call: Callable[[], T]) -> T | str:

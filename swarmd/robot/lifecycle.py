@@ -218,14 +218,14 @@ class Lifecycle:
             return
         request, self.params_request = self.params_request[0], None
         running = self.hosting.running
-        if event.text or running is None:
+        if not event.params or running is None:
             self.reply(turn, request, Code.REFUSED, event.text or "no pattern is running")
             return
         running.values = event.params
         values = request.args.get("set")
         if isinstance(values, dict):
             running.params = {**running.params, **values}
-        self.reply(turn, request, Code.APPLIED, "set")
+        self.reply(turn, request, Code.APPLIED, event.text or "set")
 
     def _lose_host(self, text: str, turn: Turn) -> None:
         self.hosting.awaiting_since = None

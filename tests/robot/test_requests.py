@@ -205,6 +205,14 @@ def test_outputs_of_an_older_generation_are_dropped() -> None:
     assert story.twist.is_zero
 
 
+@pytest.mark.parametrize(("speed", "is_noted"), [(0.9, True), (-0.9, True), (0.26, False)])
+def test_a_speed_above_the_limit_of_the_base_is_noted(speed: float, is_noted: bool) -> None:
+    reply = started(speed=0.1).ask("param", set={"speed": speed})
+    assert reply is not None
+    assert reply.code is Code.APPLIED
+    assert ("waffle_pi is limited to 0.26 m/s" in reply.text) is is_noted
+
+
 def test_param_set_changes_the_running_pattern_until_the_next_run() -> None:
     story = started(speed=0.1)
     reply = story.ask("param", set={"speed": "0.15"})
