@@ -19,7 +19,7 @@ import numpy as np
 
 from benchmarks.steps import in_an_arena, loop_field, measure
 from benchmarks.table import Row, print_table
-from swarmd.core.host_messages import Ready, Step, Stepped
+from swarmd.core.host_messages import Loaded, Step, Stepped
 from swarmd.core.messages import Epoch, Request
 from swarmd.core.values import Inputs, Odometry, Outputs, Platform, Pose, Scan, Twist
 from swarmd.driver_api.hw_codec import decode_scan, encode_scan
@@ -57,7 +57,7 @@ class LiveRobot:
             ),
             self.now,
         )
-        self.robot.on_host(Ready(1, 10.0, frozenset(), {}), self.now)
+        self.robot.on_host(Loaded(1, 10.0, frozenset(), {}), self.now)
 
     def advance(self, scan: Scan) -> Scan:
         """Let a scan period pass, with ticks, odometry and answers; the scan, numbered anew."""

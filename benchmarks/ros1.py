@@ -31,7 +31,7 @@ from swarmd.robot.robot import Robot
 from swarmd.robot.status import RobotSettings
 from swarmd.sensing.potential_field import field_twist, potential_field
 from swarmd.settings.platforms import load_platform
-from swarmd.testing.driver_contract import Heard
+from swarmd.testing.driver_contract import CollectingSink
 from tests.support.roscore import PYTHON, RosCore, why_no_ros1
 
 NODES = [PYTHON, "-m", "benchmarks.ros1_nodes"]
@@ -43,7 +43,7 @@ PLATFORM = load_platform("burger")
 Answer = Callable[[Scan], Twist]
 
 
-class Answering(Heard):
+class Answering(CollectingSink):
     """Answers each scan at once."""
 
     def __init__(self, driver: Ros1Driver, answer: Answer) -> None:

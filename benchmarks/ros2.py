@@ -31,7 +31,7 @@ from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2 import rmw_zenoh
 from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.settings.platforms import load_platform
-from swarmd.testing.driver_contract import Heard
+from swarmd.testing.driver_contract import CollectingSink
 from tests.support.ros2_bridge import why_no_bridge
 
 SECONDS = 15.0
@@ -44,7 +44,7 @@ BRIDGED = (PLAIN, BRIDGE)
 BUDGET = "p50 1.5 x, p99 10 ms"
 
 
-class Answering(Heard):
+class Answering(CollectingSink):
     """Answers each scan at once."""
 
     driver: RosDriver

@@ -23,7 +23,7 @@ import zenoh
 
 os.environ["OPENBLAS_NUM_THREADS"] = "1"
 
-from swarmd.core.host_messages import Command, Event, Step, Stepped
+from swarmd.core.host_messages import HostCommand, HostEvent, Step, Stepped
 from swarmd.core.processes import die_with_parent
 from swarmd.core.values import Scan, Twist
 from swarmd.daemon import daemon as daemon_module
@@ -56,7 +56,7 @@ class StampedDriver(simulated.SimulatedDriver):
 
 
 class StampedRunner(ProcessRunner):
-    def send(self, command: Command) -> None:
+    def send(self, command: HostCommand) -> None:
         super().send(command)
         if isinstance(command, Step) and command.inputs.scan is not None:
             STAMPS.put("to_host", command.inputs.scan.seq)
@@ -65,7 +65,7 @@ class StampedRunner(ProcessRunner):
         STAMPS.frame = monotonic_ns()
         super().on_frame(host, frame)
 
-    def events(self) -> Iterable[Event]:
+    def events(self) -> Iterable[HostEvent]:
         for event in super().events():
             if isinstance(event, Stepped):
                 STAMPS.put("from_host", event.scan_seq, STAMPS.frame)

@@ -27,7 +27,7 @@ from swarmd.core.values import (
     Scan,
     Twist,
 )
-from swarmd.pattern_host.loader import Finder
+from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.sensing.potential_field import potential_field
 from swarmd.settings.settings import load_platform
@@ -115,7 +115,7 @@ def steps(scans: Sequence[Scan], channels: Mapping[str, type]) -> Iterator[Input
 
 def pattern_rows(scans: Sequence[Scan]) -> Iterator[Row]:
     found = pattern_names(None)
-    finder = Finder({name: (origin.value, origin.is_file) for name, origin in found.items()})
+    finder = PatternLoader({name: (origin.value, origin.is_file) for name, origin in found.items()})
     platform = load_platform("waffle_pi")
     provides = platform.provides | {"neighbors.distance", "neighbors.bearing"}
     for name in found:

@@ -16,7 +16,7 @@ from swarmd.drivers.ros.options import RmwOptions
 from swarmd.drivers.ros1.options import Ros1Options
 from swarmd.settings.driver_options import BaseOptions
 from swarmd.settings.platforms import load_platform, platform_names
-from swarmd.testing.driver_rig import Mortal, Rig, Speaker
+from swarmd.testing.driver_rig import DetachableRig, Rig, ScriptedRig
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ROOT / "docs" / "robots"
@@ -106,7 +106,11 @@ def test_each_robot_says_how_it_is_stopped() -> None:
 
 def test_what_a_driver_offers_and_tells_is_explained() -> None:
     text = (ROOT / "docs" / "drivers.md").read_text()
-    said = {name for kind in (Driver, Stopping, Sink, Rig, Speaker, Mortal) for name in vars(kind)}
+    said = {
+        name
+        for kind in (Driver, Stopping, Sink, Rig, ScriptedRig, DetachableRig)
+        for name in vars(kind)
+    }
     said |= set(Driver.__annotations__) | set(Rig.__annotations__)
     public = {name for name in said if not name.startswith("_")}
     assert not [name for name in sorted(public) if not re.search(rf"`{name}\b", text)]

@@ -18,7 +18,7 @@ from swarmd.core.codec import decode_value, encode_value
 from swarmd.core.errors import CodecError
 from swarmd.core.messages import Latch, Status
 from swarmd.core.values import Array, Platform, Scan, Twist, Value
-from swarmd.pattern_host.loader import Finder
+from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import TICK, Robot
@@ -75,7 +75,7 @@ class Lockstep:
         self._platforms = [_as_sensing(p, scenario.realism) for p in self.world.platforms]
         ids, n = self.world.ids, len(self.world.ids)
         origins = pattern_names(scenario.plugin_dir)
-        self._find = Finder({name: (o.value, o.is_file) for name, o in origins.items()})
+        self._find = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
         self._radio = Radio(scenario.radio, ids, scenario.arena, seed=seed)
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
         self._sweeps = Schedules(np.array([p.scan.rate for p in self.world.platforms]), phases)

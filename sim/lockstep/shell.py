@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from swarmd.core.host_messages import Command
+from swarmd.core.host_messages import HostCommand
 from swarmd.core.messages import Reply, Request, Status
 from swarmd.core.values import Neighbor, Odometry, Scan, Twist, Value
 from swarmd.kit.factory import Find
-from swarmd.pattern_host.executor import Stage
+from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.runner import InlineRunner
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
@@ -47,7 +47,7 @@ class Shell:
         self.evaded = 0
         self._twist: Twist | None = None
         self._outside = outside
-        self._runner = InlineRunner(lambda: Stage(find))
+        self._runner = InlineRunner(lambda: PatternExecutor(find))
         self.settle(robot.on_driver(True, "simulated", now), now)
 
     def scan(self, scan: Scan, now: float) -> None:
@@ -105,7 +105,7 @@ class Shell:
             outside.tell(self.row, actions.status)
         self.replies.extend(actions.replies)
 
-    def _drive(self, command: Command, now: float) -> None:
+    def _drive(self, command: HostCommand, now: float) -> None:
         self._runner.send(command)
         for event in list(self._runner.events()):
             self._carry_out(self.robot.on_host(event, now), now)

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from swarmd.core.errors import PluginError, unknown
-from swarmd.core.host_messages import Layers, Load, Refused
+from swarmd.core.host_messages import Layers, Load, LoadRefused
 from swarmd.core.values import Value
-from swarmd.pattern_host.executor import Stage
-from swarmd.pattern_host.loader import Finder
+from swarmd.pattern_host.executor import PatternExecutor
+from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import Origin, check_single, pattern_names
 from swarmd.settings.layered import Keys, Layered, dotted
 from swarmd.sim.scenarios.groups import Groups
@@ -59,7 +59,9 @@ def rehearse(
     for group, section in configured.file.groups.items():
         for pattern in section.touch:
             _check_name(layers, ("groups", group, "touch", pattern), pattern, origins)
-    stage = Stage(Finder({name: (o.value, o.is_file) for name, o in origins.items()}))
+    stage = PatternExecutor(
+        PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
+    )
     done: set[str] = set()
     for rehearsal in script.preflights:
         _check_name(layers, rehearsal.keys, rehearsal.pattern, origins)
@@ -72,8 +74,10 @@ def rehearse(
         try:
             event = stage.handle(load)
         except SystemExit:  # else it would end the command, and in silence
-            event = Refused(load.generation, f"{rehearsal.pattern} calls sys.exit; leave that out")
-        if isinstance(event, Refused):
+            event = LoadRefused(
+                load.generation, f"{rehearsal.pattern} calls sys.exit; leave that out"
+            )
+        if isinstance(event, LoadRefused):
             keys = _culprit(layers, rehearsal, cast, event.text)
             raise layers.error(keys, f"{dotted(keys)}: {event.text}")
 

@@ -50,14 +50,14 @@ class SetParams:
 
 
 @dataclass(frozen=True, slots=True)
-class Kill:
+class KillHost:
     """End the host; a fresh one is started for the next Load."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Try:
+class StartTrial:
     """Load a pattern in a new process beside the host, only to see whether that can be done.
 
     `load.generation` numbers the trial. Nothing of it is stepped, and its process ends with it.
@@ -67,14 +67,14 @@ class Try:
 
 
 @dataclass(frozen=True, slots=True)
-class Cancel:
+class CancelTrial:
     """End the trial that is under way; nothing more is told of it."""
 
     reason: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ready:
+class Loaded:
     """The pattern is loaded and will be stepped. `params`: name -> (value, source).
 
     `touches`: where it asks to touch what is near. `took`: seconds that loading took.
@@ -89,7 +89,7 @@ class Ready:
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class LoadRefused:
     """The pattern cannot be loaded on this robot, or not with these parameters."""
 
     generation: int
@@ -119,7 +119,7 @@ class ParamsSet:
 
 
 @dataclass(frozen=True, slots=True)
-class Failed:
+class PatternFailed:
     """A step raised; the pattern is not to be stepped again."""
 
     generation: int
@@ -127,7 +127,7 @@ class Failed:
 
 
 @dataclass(frozen=True, slots=True)
-class Died:
+class HostDied:
     """The host has ended, whatever it was doing."""
 
     generation: int
@@ -135,12 +135,12 @@ class Died:
 
 
 @dataclass(frozen=True, slots=True)
-class Tried:
+class TrialDone:
     """How a trial went: `text` is empty if the pattern can be loaded, else it says why not."""
 
     generation: int
     text: str
 
 
-Command = Load | Step | SetParams | Kill | Try | Cancel
-Event = Ready | Refused | Stepped | ParamsSet | Failed | Died | Tried
+HostCommand = Load | Step | SetParams | KillHost | StartTrial | CancelTrial
+HostEvent = Loaded | LoadRefused | Stepped | ParamsSet | PatternFailed | HostDied | TrialDone

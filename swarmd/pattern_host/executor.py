@@ -17,12 +17,12 @@ import numpy as np
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.host_messages import (
-    Event,
-    Failed,
+    HostEvent,
     Load,
+    Loaded,
+    LoadRefused,
     ParamsSet,
-    Ready,
-    Refused,
+    PatternFailed,
     SetParams,
     Step,
     Stepped,
@@ -35,7 +35,7 @@ from swarmd.kit.params import Params, build, schema
 T = TypeVar("T")
 
 
-class Stage:
+class PatternExecutor:
     """Holds at most one pattern. A refused load leaves the one before in place."""
 
     def __init__(self, find: Find) -> None:
@@ -44,7 +44,7 @@ class Stage:
         self._assembled: Assembled | None = None
         self._ending: Ending | None = None
 
-    def handle(self, command: Load | Step | SetParams) -> Event | None:
+    def handle(self, command: Load | Step | SetParams) -> HostEvent | None:
         """Carry a command out; None if it is for another generation."""
         if isinstance(command, Load):
             return self._on_load(command)
@@ -54,7 +54,7 @@ class Stage:
             return self._on_step(command)
         return self._on_set(command)
 
-    def _on_load(self, load: Load) -> Event:
+    def _on_load(self, load: Load) -> HostEvent:
         assembled = _guard(
             lambda: assemble(
                 load.pattern,
@@ -66,29 +66,29 @@ class Stage:
             )
         )
         if isinstance(assembled, str):
-            return Refused(load.generation, assembled)
+            return LoadRefused(load.generation, assembled)
         ending = _guard(lambda: ending_of(load.until, load.platform))
         if isinstance(ending, str):
-            return Refused(load.generation, ending)
+            return LoadRefused(load.generation, ending)
         self._load, self._assembled, self._ending = load, assembled, ending
         pattern = assembled.pattern
         channels = frozenset(pattern.channels)
         rate = float(pattern.rate)
-        return Ready(load.generation, rate, channels, assembled.params, pattern.touches)
+        return Loaded(load.generation, rate, channels, assembled.params, pattern.touches)
 
-    def _on_step(self, step: Step) -> Event:
+    def _on_step(self, step: Step) -> HostEvent:
         assert self._assembled is not None
         pattern = self._assembled.pattern
         inputs, dropped = _typed(step.inputs, pattern.channels)
         outputs = _guard(lambda: _plain(pattern.step(inputs)))
         if isinstance(outputs, str):
-            return Failed(step.generation, outputs)
+            return PatternFailed(step.generation, outputs)
         if self._ending is not None:
             outputs = self._ending.applied(inputs, outputs)
         scan_seq = -1 if inputs.scan is None else inputs.scan.seq
         return Stepped(step.generation, outputs, scan_seq, dropped)
 
-    def _on_set(self, command: SetParams) -> Event:
+    def _on_set(self, command: SetParams) -> HostEvent:
         assert self._assembled is not None
         assert self._load is not None
         pattern, load = self._assembled.pattern, self._load

@@ -24,7 +24,7 @@ from swarmd.kit.params import schema
 from swarmd.kit.touch import check_zone, in_words
 from swarmd.kit.voting_pattern import VotingPattern
 from swarmd.mission.mission import Mission
-from swarmd.pattern_host.loader import Finder
+from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.settings.settings import load_platform
 
@@ -32,7 +32,7 @@ from swarmd.settings.settings import load_platform
 def print_catalog(names: Sequence[str], plugin_dir: str | None, platform: str) -> int:
     """Print the named patterns (none: all), a JSON line each; 0, or 1 if a name is unknown."""
     found = pattern_names(Path(plugin_dir) if plugin_dir else None)
-    finder = Finder({name: (origin.value, origin.is_file) for name, origin in found.items()})
+    finder = PatternLoader({name: (origin.value, origin.is_file) for name, origin in found.items()})
     robot = load_platform(platform)
     with os.fdopen(os.dup(1), "w", encoding="utf-8") as answer:
         os.dup2(2, 1)  # what a plugin prints is not part of the answer
@@ -45,7 +45,7 @@ def print_catalog(names: Sequence[str], plugin_dir: str | None, platform: str) -
     return 1 if any(name not in found for name in names) else 0
 
 
-def _describe(name: str, source: str, finder: Finder, platform: Platform) -> dict[str, Any]:
+def _describe(name: str, source: str, finder: PatternLoader, platform: Platform) -> dict[str, Any]:
     try:
         kind = finder(name)
         params = schema(kind.params_type)
@@ -82,7 +82,7 @@ def _describe(name: str, source: str, finder: Finder, platform: Platform) -> dic
     }
 
 
-def _refusal(name: str, finder: Finder, platform: Platform) -> str:
+def _refusal(name: str, finder: PatternLoader, platform: Platform) -> str:
     """Why a robot of that platform would refuse a mission; empty if it would not."""
     try:
         assemble(

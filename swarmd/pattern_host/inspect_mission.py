@@ -23,7 +23,7 @@ from swarmd.kit.factory import Find, assemble
 from swarmd.mission.mission import kinds_of, mission_class
 from swarmd.mission.schema import Document, conditions_of, read_document, told
 from swarmd.mission.validate import make_company, words_of
-from swarmd.pattern_host.loader import Finder
+from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import MISSION, Origin, is_mission, pattern_names
 from swarmd.settings.settings import load_platform
 
@@ -46,7 +46,7 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
         other = found.source if _is_file(path, found.rival) else found.rival or found.source
         document.faults.add(("mission",), f"has the name of another pattern ({other}); rename one")
     values = {name: (origin.value, origin.is_file) for name, origin in origins.items()}
-    find = Finder({**values, path.stem: (str(path.resolve()), True)})
+    find = PatternLoader({**values, path.stem: (str(path.resolve()), True)})
     _check_parts(document, platform, find)
     if not document.faults.found:
         _check_whole(document, platform, find)

@@ -23,7 +23,7 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.keys import check_id
 from swarmd.core.processes import die_with_parent
 from swarmd.kit.behavior import Pattern
-from swarmd.pattern_host.loader import Finder
+from swarmd.pattern_host.loader import PatternLoader
 from swarmd.settings.settings import platform_names
 from swarmd.testing.pattern_contract import PatternContract
 
@@ -65,7 +65,7 @@ def _check(path: Path, done: frozenset[str], answer: IO[str]) -> None:
 
     def load() -> None:
         check_id(path.stem, "the file's name, which is the pattern's,")
-        loaded.append(Finder({path.stem: (str(path), True)})(path.stem))
+        loaded.append(PatternLoader({path.stem: (str(path), True)})(path.stem))
 
     say({"begin": LOADING})
     error = _attempt(load, path)

@@ -17,7 +17,7 @@ from swarmd.kit.behavior import Pattern
 from swarmd.plugins import MISSION
 
 
-class Finder:
+class PatternLoader:
     """From pattern names to classes. `origins`: name -> (module:Class or path, is it a file)."""
 
     def __init__(self, origins: Mapping[str, tuple[str, bool]]) -> None:

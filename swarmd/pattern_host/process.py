@@ -18,7 +18,7 @@ from collections.abc import Callable
 from typing import Protocol
 
 from swarmd.core.errors import CodecError
-from swarmd.core.host_messages import Event, Failed, Ready, Refused, Tried
+from swarmd.core.host_messages import HostEvent, Loaded, LoadRefused, PatternFailed, TrialDone
 from swarmd.core.processes import how_it_ended
 from swarmd.pattern_host.wire import decode_event
 from swarmd.robot.pattern_run import LOAD_TIMEOUT
@@ -121,16 +121,20 @@ class HostProcess:
             self.owner.on_end(self, code)
 
 
-def outcome(event: Event | None) -> str:
+def outcome(event: HostEvent | None) -> str:
     """What a load's answer says of the code: empty if it was loaded, else why not.
 
     What takes longer than a run waits for could not be run again.
     """
-    if isinstance(event, Ready):
+    if isinstance(event, Loaded):
         is_late = event.took >= LOAD_TIMEOUT
         text = f"loading took {event.took:.1f} s; a run waits for {LOAD_TIMEOUT:.0f} s"
         return text if is_late else ""
-    return event.text if isinstance(event, Refused | Failed) else "it gave no answer to a load"
+    return (
+        event.text
+        if isinstance(event, LoadRefused | PatternFailed)
+        else "it gave no answer to a load"
+    )
 
 
 class Trial:
@@ -144,7 +148,7 @@ class Trial:
         loop: asyncio.AbstractEventLoop,
         generation: int,
         frame: bytes,
-        tell: Callable[[Tried], None],
+        tell: Callable[[TrialDone], None],
         buried: Callable[[HostProcess], None],
     ) -> None:
         self.buried = buried
@@ -187,4 +191,4 @@ class Trial:
     def _done(self, text: str) -> None:
         if not self._is_told:
             self._is_told = True
-            self._tell(Tried(self._generation, text))
+            self._tell(TrialDone(self._generation, text))

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING, Protocol
 
 from swarmd.core.errors import CodecError, PluginError, unknown
 from swarmd.core.host_messages import (
-    Cancel,
-    Command,
-    Died,
-    Event,
-    Failed,
-    Kill,
+    CancelTrial,
+    HostCommand,
+    HostDied,
+    HostEvent,
+    KillHost,
     Load,
-    Refused,
-    Tried,
-    Try,
+    LoadRefused,
+    PatternFailed,
+    StartTrial,
+    TrialDone,
 )
 from swarmd.pattern_host.process import HostProcess, Trial, outcome, why_it_ended
 from swarmd.pattern_host.wire import decode_event, encode_command
@@ -28,7 +28,7 @@ from swarmd.plugins import check_single, installed_patterns, pattern_names
 
 if TYPE_CHECKING:
     from swarmd.pattern_host.executor import (
-        Stage,  # for patterns: 7 MB of numpy.random that a guardian can spare
+        PatternExecutor,  # for patterns: 7 MB of numpy.random that a guardian can spare
     )
 
 log = logging.getLogger(__name__)
@@ -40,29 +40,29 @@ LAST_RESPAWN = 5.0
 class Runner(Protocol):
     """Carries commands to a pattern and its answers back."""
 
-    def send(self, command: Command) -> None:
+    def send(self, command: HostCommand) -> None:
         """Hand a command over; never blocks. The robot keeps at most one step in flight."""
 
-    def events(self) -> Iterable[Event]:
+    def events(self) -> Iterable[HostEvent]:
         """The answers since the last call, in order."""
 
 
 class InlineRunner:
     """Runs the pattern in this process, at once: for lockstep and tests."""
 
-    def __init__(self, stage: Callable[[], Stage]) -> None:
+    def __init__(self, stage: Callable[[], PatternExecutor]) -> None:
         self._make = stage
         self._stage = stage()
-        self._events: deque[Event] = deque()
+        self._events: deque[HostEvent] = deque()
 
-    def send(self, command: Command) -> None:
+    def send(self, command: HostCommand) -> None:
         """Carry the command out now; its answer waits in `events`."""
-        if isinstance(command, Try | Cancel):
-            if isinstance(command, Try):
+        if isinstance(command, StartTrial | CancelTrial):
+            if isinstance(command, StartTrial):
                 answer = self._make().handle(command.load)
-                self._events.append(Tried(command.load.generation, outcome(answer)))
+                self._events.append(TrialDone(command.load.generation, outcome(answer)))
             return
-        if isinstance(command, Kill):
+        if isinstance(command, KillHost):
             self._stage = self._make()
             return
         if isinstance(command, Load) and command.is_fresh:
@@ -71,7 +71,7 @@ class InlineRunner:
         if event is not None:
             self._events.append(event)
 
-    def events(self) -> Iterable[Event]:
+    def events(self) -> Iterable[HostEvent]:
         """The answers since the last call, in order."""
         while self._events:
             yield self._events.popleft()
@@ -91,7 +91,7 @@ class ProcessRunner:
         self._plugin_dir = plugin_dir
         self._installed = installed_patterns()
         self._wake = wake
-        self._events: deque[Event] = deque()
+        self._events: deque[HostEvent] = deque()
         self._generation = 0
         self._pause = FIRST_RESPAWN
         self._respawn: asyncio.TimerHandle | None = None
@@ -106,14 +106,14 @@ class ProcessRunner:
         """The present host's process id; None between two hosts."""
         return None if self._host is None else self._host.process.pid
 
-    def send(self, command: Command) -> None:
+    def send(self, command: HostCommand) -> None:
         """Hand a command over; never blocks. What a stopped host cannot take is dropped."""
-        if isinstance(command, Try | Cancel):
+        if isinstance(command, StartTrial | CancelTrial):
             self._end_trial()
-            if isinstance(command, Try):
+            if isinstance(command, StartTrial):
                 self._try(command.load)
             return
-        if isinstance(command, Kill):
+        if isinstance(command, KillHost):
             self._replace()
             return
         if isinstance(command, Load):
@@ -124,7 +124,7 @@ class ProcessRunner:
         try:
             frame = encode_command(command, self._origins(command))
         except (PluginError, CodecError) as error:
-            kind = Refused if isinstance(command, Load) else Failed
+            kind = LoadRefused if isinstance(command, Load) else PatternFailed
             self._events.append(kind(command.generation, str(error)))
             self._loop.call_soon(self._wake)
             return
@@ -134,7 +134,7 @@ class ProcessRunner:
         except OSError:  # full, or just ended: silence and the pidfd are watched
             self.dropped += 1
 
-    def events(self) -> Iterable[Event]:
+    def events(self) -> Iterable[HostEvent]:
         """The answers since the last call, in order."""
         while self._events:
             yield self._events.popleft()
@@ -162,7 +162,7 @@ class ProcessRunner:
         try:
             event = decode_event(frame)
         except CodecError as error:
-            event = Failed(self._generation, str(error))
+            event = PatternFailed(self._generation, str(error))
         self._events.append(event)
         self._wake()
 
@@ -171,13 +171,13 @@ class ProcessRunner:
         if host is not self._host:
             return
         self._host = None
-        self._events.append(Died(self._generation, why_it_ended(code)))
+        self._events.append(HostDied(self._generation, why_it_ended(code)))
         if not self._is_closed:
             self._respawn = self._loop.call_later(self._pause, self._start_again)
             self._pause = min(2.0 * self._pause, LAST_RESPAWN)
         self._wake()
 
-    def _origins(self, command: Command) -> Mapping[str, tuple[str, bool]]:
+    def _origins(self, command: HostCommand) -> Mapping[str, tuple[str, bool]]:
         if not isinstance(command, Load):
             return {}
         found = pattern_names(self._plugin_dir, self._installed)
@@ -197,10 +197,10 @@ class ProcessRunner:
             frame = encode_command(load, self._origins(load))
             self._trial = Trial(self._loop, number, frame, self._on_tried, self.buried)
         except (PluginError, CodecError, OSError) as error:
-            self._events.append(Tried(number, str(error)))
+            self._events.append(TrialDone(number, str(error)))
             self._loop.call_soon(self._wake)
 
-    def _on_tried(self, tried: Tried) -> None:
+    def _on_tried(self, tried: TrialDone) -> None:
         if tried.text:
             self._end_trial()
         self._events.append(tried)

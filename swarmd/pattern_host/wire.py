@@ -15,13 +15,13 @@ from msgspec import Meta, Struct
 
 from swarmd.core.errors import CodecError
 from swarmd.core.host_messages import (
-    Event,
-    Failed,
+    HostEvent,
     Layers,
     Load,
+    Loaded,
+    LoadRefused,
     ParamsSet,
-    Ready,
-    Refused,
+    PatternFailed,
     SetParams,
     Step,
     Stepped,
@@ -121,10 +121,10 @@ _Wire = _ReadyWire | _RefusedWire | _SteppedWire | _ParamsWire | _FailedWire
 _events: msgspec.msgpack.Decoder[_Wire] = msgspec.msgpack.Decoder(_Wire)
 
 
-def encode_event(event: Event) -> bytes:
+def encode_event(event: HostEvent) -> bytes:
     """The frame of an event; CodecError if it cannot be told or is too big."""
     generation = event.generation
-    if isinstance(event, Ready):
+    if isinstance(event, Loaded):
         params = {name: list(pair) for name, pair in event.params.items()}
         zone = event.touches
         touches = None if zone is None else [zone.bearing, zone.half_width, zone.speed]
@@ -140,7 +140,7 @@ def encode_event(event: Event) -> bytes:
         params = {name: list(pair) for name, pair in event.params.items()}
         body = ["params", generation, event.request, event.text, params]
     else:
-        kind = "refused" if isinstance(event, Refused) else "failed"
+        kind = "refused" if isinstance(event, LoadRefused) else "failed"
         body = [kind, generation, event.text]
     try:
         frame: bytes = msgpack.packb(body)
@@ -151,7 +151,7 @@ def encode_event(event: Event) -> bytes:
     return frame
 
 
-def decode_event(frame: bytes) -> Event:
+def decode_event(frame: bytes) -> HostEvent:
     """The host's event; CodecError if it is none, or holds a number out of all bounds."""
     try:
         wire = _events.decode(frame)
@@ -160,7 +160,7 @@ def decode_event(frame: bytes) -> Event:
     if isinstance(wire, _ReadyWire):
         touches = None if wire.touches is None else TouchZone(*wire.touches)
         channels = frozenset(wire.channels)
-        return Ready(wire.generation, wire.rate, channels, wire.params, touches, wire.took)
+        return Loaded(wire.generation, wire.rate, channels, wire.params, touches, wire.took)
     if isinstance(wire, _SteppedWire):
         twist = None if wire.twist is None else Twist(*wire.twist)
         report = {k: v for k, v in wire.report.items() if isinstance(v, bool | int | float | str)}
@@ -169,8 +169,8 @@ def decode_event(frame: bytes) -> Event:
     if isinstance(wire, _ParamsWire):
         return ParamsSet(wire.generation, wire.request, wire.text, wire.params)
     if isinstance(wire, _RefusedWire):
-        return Refused(wire.generation, wire.text)
-    return Failed(wire.generation, wire.text)
+        return LoadRefused(wire.generation, wire.text)
+    return PatternFailed(wire.generation, wire.text)
 
 
 def _from_inputs(inputs: Inputs) -> list[Any]:

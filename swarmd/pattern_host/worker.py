@@ -18,10 +18,10 @@ import time
 from dataclasses import replace
 
 from swarmd.core.errors import CodecError
-from swarmd.core.host_messages import Failed, Load, Ready
+from swarmd.core.host_messages import Load, Loaded, PatternFailed
 from swarmd.core.processes import die_with_parent
-from swarmd.pattern_host.executor import Stage
-from swarmd.pattern_host.loader import Finder
+from swarmd.pattern_host.executor import PatternExecutor
+from swarmd.pattern_host.loader import PatternLoader
 from swarmd.pattern_host.wire import decode_command, encode_event
 
 MEMORY_LIMIT = 256 * 1024 * 1024
@@ -59,8 +59,8 @@ def main() -> None:
 
 
 def _serve(daemon: socket.socket) -> None:
-    finder = Finder({})
-    stage = Stage(finder)
+    finder = PatternLoader({})
+    stage = PatternExecutor(finder)
     while frame := daemon.recv(1 << 18):
         command, origins = decode_command(frame)
         if isinstance(command, Load):
@@ -68,7 +68,7 @@ def _serve(daemon: socket.socket) -> None:
             finder.begin(origins)
         began = time.monotonic()
         event = stage.handle(command)
-        if isinstance(event, Ready):
+        if isinstance(event, Loaded):
             event = replace(event, took=time.monotonic() - began)
         if isinstance(command, Load):
             _limit_memory(_size() + MEMORY_LIMIT)
@@ -77,7 +77,7 @@ def _serve(daemon: socket.socket) -> None:
         try:
             answer = encode_event(event)
         except CodecError as error:
-            answer = encode_event(Failed(event.generation, str(error)))
+            answer = encode_event(PatternFailed(event.generation, str(error)))
         try:
             daemon.send(answer)
         except (BrokenPipeError, ConnectionResetError):

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct
 
-from swarmd.core.host_messages import Cancel, Command, Try
+from swarmd.core.host_messages import CancelTrial, HostCommand, StartTrial
 from swarmd.core.messages import Reply, Status
 from swarmd.core.values import Twist, Value
 from swarmd.protection.decision import Decision
@@ -30,8 +30,8 @@ class Actions(Struct, frozen=True, eq=False):
     requested_scan_seq: int = -1
     is_idle: bool = False
     latches: LatchRecord | None = None
-    trial: Try | Cancel | None = None
-    host: Command | None = None
+    trial: StartTrial | CancelTrial | None = None
+    host: HostCommand | None = None
     messages: Mapping[str, Value] = {}
     status: Status | None = None
     replies: tuple[Reply, ...] = ()

@@ -12,20 +12,20 @@ from dataclasses import dataclass, field, replace
 from msgspec import Struct
 
 from swarmd.core.host_messages import (
-    Cancel,
-    Command,
-    Died,
-    Failed,
-    Kill,
+    CancelTrial,
+    HostCommand,
+    HostDied,
+    HostEvent,
+    KillHost,
     Layers,
     Load,
+    Loaded,
+    LoadRefused,
     ParamsSet,
-    Ready,
-    Refused,
+    PatternFailed,
+    StartTrial,
     Stepped,
-    Try,
 )
-from swarmd.core.host_messages import Event as HostEvent
 from swarmd.core.messages import Code, Epoch, Latch, LoggedEvent, Reason, Reply, Request, State
 from swarmd.core.values import Platform, Scalar, TouchZone, Value
 from swarmd.kit.touch import in_force
@@ -47,8 +47,8 @@ class Turn(Struct, eq=False):
 
     now: float
     is_beat: bool = False
-    host: Command | None = None
-    trial: Try | Cancel | None = None
+    host: HostCommand | None = None
+    trial: StartTrial | CancelTrial | None = None
     is_latched: bool = False
     is_new_scan: bool = False
     is_new_run: bool = False
@@ -144,10 +144,10 @@ class Lifecycle:
     def on_host(self, event: HostEvent, turn: Turn) -> None:
         """Take an answer, a failure or a death; answers of other generations are dropped."""
         hosting = self.hosting
-        if isinstance(event, Ready | Refused):
+        if isinstance(event, Loaded | LoadRefused):
             if hosting.loading is None or event.generation != hosting.loading.generation:
                 return
-            if isinstance(event, Ready):
+            if isinstance(event, Loaded):
                 self._ready(event, turn)
             else:
                 self._refused(event.text, turn)
@@ -155,15 +155,15 @@ class Lifecycle:
             self._stepped(event, turn)
         elif isinstance(event, ParamsSet):
             self._params_set(event, turn)
-        elif isinstance(event, Failed):
+        elif isinstance(event, PatternFailed):
             if hosting.running is not None and event.generation == hosting.running.generation:
                 self.fault(event.text, turn)
             elif hosting.loading is not None and event.generation == hosting.loading.generation:
                 self.fail_load(event.text, turn)
-        elif isinstance(event, Died):
+        elif isinstance(event, HostDied):
             self._lose_host(event.text, turn)
 
-    def _ready(self, event: Ready, turn: Turn) -> None:
+    def _ready(self, event: Loaded, turn: Turn) -> None:
         loading = self.hosting.ready(event, turn.now)
         self.hold_since = None
         self.supervisor.apply(Change.RUN, None, "", turn.now)
@@ -176,7 +176,7 @@ class Lifecycle:
             self.reply(turn, loading.request, Code.APPLIED, f"runs {loading.pattern}")
         self._let_touch(loading.pattern, event, turn)
 
-    def _let_touch(self, pattern: str, event: Ready, turn: Turn) -> None:
+    def _let_touch(self, pattern: str, event: Loaded, turn: Turn) -> None:
         """For this generation alone; every way out of it forgets what is running."""
         assert self.hosting.running is not None
         granted = self._identity.touch.get(pattern)
@@ -243,7 +243,7 @@ class Lifecycle:
         running, loading = hosting.running, hosting.loading
         if running is None or not self.is_running:
             return
-        turn.host = Kill(text)
+        turn.host = KillHost(text)
         self._last_fault = text
         self.note(f"{running.pattern} failed: {text}", turn.now)
         if loading is not None and loading.request is not None:
@@ -257,7 +257,7 @@ class Lifecycle:
     def fail_load(self, text: str, turn: Turn) -> None:
         """Loading came to nothing, and its host with it."""
         loading, self.hosting.loading = self.hosting.loading, None
-        turn.host = Kill(text)
+        turn.host = KillHost(text)
         if loading is None:
             return
         self.note(f"{loading.pattern} was not loaded: {text}", turn.now)
@@ -288,7 +288,7 @@ class Lifecycle:
         """Nothing comes of the trial under way, if there is one; what runs is left alone."""
         trial, self.trial = self.trial, None
         if trial is not None:
-            turn.trial = Cancel(text)
+            turn.trial = CancelTrial(text)
             self.note(f"{trial.pattern} not reloaded: {text}", turn.now)
             self.reply(turn, trial.request, Code.REFUSED, text)
 
@@ -296,7 +296,7 @@ class Lifecycle:
         loading = self.hosting.loading
         if loading is None:
             return
-        turn.host = Kill(f"not wanted any more: {reason}")
+        turn.host = KillHost(f"not wanted any more: {reason}")
         if loading.request is not None:
             self.reply(turn, loading.request, Code.REFUSED, f"{reason} while it was being loaded")
 
@@ -372,7 +372,7 @@ class Lifecycle:
         """The host hangs in a step; what waits behind that step is loaded in a new one."""
         hosting, text = self.hosting, f"gave no answer for {SILENT_AFTER:.0f} s"
         if hosting.loading is None or self._load is None:
-            turn.host = Kill("silent")
+            turn.host = KillHost("silent")
             self.fault(text, turn)
             return
         self.note(f"the pattern before {hosting.loading.pattern} {text}", turn.now)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from msgspec import Struct
 
-from swarmd.core.host_messages import Ready, Stepped
+from swarmd.core.host_messages import Loaded, Stepped
 from swarmd.core.messages import Request
 from swarmd.core.values import Scalar, TouchZone, Twist
 
@@ -119,7 +119,7 @@ class PatternRun:
         self.restart_at = None
         return self.loading
 
-    def ready(self, event: Ready, now: float) -> Loading:
+    def ready(self, event: Loaded, now: float) -> Loading:
         """Put the loaded pattern in force, without any wish yet."""
         loading, self.loading = self.loading, None
         assert loading is not None

@@ -14,7 +14,14 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.host_messages import Cancel, Kill, Layers, SetParams, Tried, Try
+from swarmd.core.host_messages import (
+    CancelTrial,
+    KillHost,
+    Layers,
+    SetParams,
+    StartTrial,
+    TrialDone,
+)
 from swarmd.core.keys import is_id
 from swarmd.core.messages import Code, Latch, Reason, Request, State
 from swarmd.core.values import Scalar
@@ -61,9 +68,11 @@ class ReloadHandler:
         params = running.params if running is not None and is_running else {}
         self._trials += 1
         conduct.trial = Trying(self._trials, pattern, turn.now, request)
-        turn.trial = Try(conduct.load_of(self._trials, pattern, self._layers(pattern, params)))
+        turn.trial = StartTrial(
+            conduct.load_of(self._trials, pattern, self._layers(pattern, params))
+        )
 
-    def on_tried(self, event: Tried, turn: Turn) -> None:
+    def on_tried(self, event: TrialDone, turn: Turn) -> None:
         """Take the outcome; that of a trial which nobody waits for any more is dropped."""
         conduct, trial = self._lifecycle, self._lifecycle.trial
         if trial is None or event.generation != trial.generation:
@@ -78,11 +87,11 @@ class ReloadHandler:
             self._replace(trial, turn)
         elif running is not None:
             hosting.is_outdated = True
-            turn.trial = Cancel("not wanted yet")
+            turn.trial = CancelTrial("not wanted yet")
             text = f"a run of {trial.pattern} takes the new code; {running.pattern} goes on"
             conduct.reply(turn, trial.request, Code.APPLIED, text)
         else:
-            turn.host = Kill("reloaded")
+            turn.host = KillHost("reloaded")
             text = f"a run of {trial.pattern} takes the new code; {state}, as before"
             conduct.reply(turn, trial.request, Code.APPLIED, text)
 
@@ -108,7 +117,7 @@ class ReloadHandler:
             hosting.begin(trial.pattern, running.params, left, request, turn.now, running.until)
             conduct.load(trial.pattern, self._layers(trial.pattern, running.params), turn)
         else:
-            turn.host = Kill("reloaded")
+            turn.host = KillHost("reloaded")
             conduct.reply(turn, request, Code.APPLIED, "reloaded, and stopped")
 
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from swarmd.core.host_messages import Event as HostEvent
-from swarmd.core.host_messages import Step, Tried
+from swarmd.core.host_messages import HostEvent, Step, TrialDone
 from swarmd.core.messages import Epoch, Latch, Reason, Request, State, Status
 from swarmd.core.values import Neighbor, Odometry, Platform, Scalar, Scan, Value
 from swarmd.protection.arbiter import Protection
@@ -137,7 +136,7 @@ class Robot:
     def on_host(self, event: HostEvent, now: float) -> Actions:
         """The pattern host answered, failed or died; other generations' answers are dropped."""
         turn = self._enter(now)
-        if isinstance(event, Tried):
+        if isinstance(event, TrialDone):
             self._verbs.reloading.on_tried(event, turn)
         else:
             self._lifecycle.on_host(event, turn)

@@ -27,7 +27,7 @@ class Rig(Protocol):
     def make(self, options: Mapping[str, Value]) -> Driver:
         """A driver for this base, with `options` added to those it needs to find the base."""
 
-    def speak(self) -> None:
+    def publish(self) -> None:
         """Make the base send a scan and an odometry, each with the next stamp."""
 
     def commands(self) -> Sequence[Twist]:
@@ -38,35 +38,35 @@ class Rig(Protocol):
 
 
 @runtime_checkable
-class Speaker(Protocol):
+class ScriptedRig(Protocol):
     """What a rig may also do, if its base can be made to say anything at all."""
 
-    def say(self, scan: Scan) -> None:
+    def publish_scan(self, scan: Scan) -> None:
         """Make the base send this sweep; its bearings are regular, its range limits do not count.
 
         How many rays it has, what they measured, sequence and stamp are as given.
         """
 
-    def move(self) -> None:
+    def publish_odometry(self) -> None:
         """Make the base send an odometry with the next stamp, and nothing else."""
 
-    def garble(self) -> None:
+    def publish_garbage(self) -> None:
         """Send bytes that are no message, and messages cut short, wherever the base speaks."""
 
 
 @runtime_checkable
-class Mortal(Protocol):
+class DetachableRig(Protocol):
     """What a rig may also do, if its base can be taken away, links and all."""
 
-    def die(self) -> None:
+    def disconnect(self) -> None:
         """Be gone from one moment to the next, as by a pulled plug."""
 
-    def rise(self) -> None:
+    def reconnect(self) -> None:
         """Be there again at the same place, silent."""
 
 
 @dataclass(slots=True)
-class Heard:
+class CollectingSink:
     """A sink that remembers everything."""
 
     scans: list[Scan] = field(default_factory=list)
@@ -114,12 +114,12 @@ class Heard:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Stage:
+class DriverHarness:
     """A base, a driver running against it, and what the driver told."""
 
     rig: Rig
     driver: Driver
-    heard: Heard
+    sink: CollectingSink
     task: asyncio.Task[None]
 
     async def until(self, condition: Callable[[], bool], *, speaking: bool = False) -> None:
@@ -127,12 +127,12 @@ class Stage:
         async with asyncio.timeout(CAP):
             while not condition():
                 if speaking:
-                    self.rig.speak()
+                    self.rig.publish()
                 await asyncio.sleep(PACE)
 
     async def connect(self) -> None:
         """Let the base speak until the driver says that it is there."""
-        await self.until(lambda: self.heard.is_up, speaking=True)
+        await self.until(lambda: self.sink.is_up, speaking=True)
         self.rig.commands()
 
     async def command(self) -> Twist:
@@ -154,14 +154,14 @@ class Stage:
 
 
 @asynccontextmanager
-async def on_stage(rig: Rig) -> AsyncIterator[Stage]:
+async def running_driver(rig: Rig) -> AsyncIterator[DriverHarness]:
     """A driver running against the rig's base, both gone afterwards."""
-    driver, heard = rig.make({}), Heard()
-    stage = Stage(rig, driver, heard, asyncio.create_task(driver.run(heard)))
+    driver, sink = rig.make({}), CollectingSink()
+    harness = DriverHarness(rig, driver, sink, asyncio.create_task(driver.run(sink)))
     try:
-        yield stage
+        yield harness
     finally:
-        await stage.end()
+        await harness.end()
         rig.close()
 
 

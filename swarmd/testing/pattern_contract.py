@@ -42,7 +42,7 @@ from swarmd.core.values import (
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.factory import assemble, full_layers
 from swarmd.kit.params import build, schema
-from swarmd.pattern_host.loader import Finder
+from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.settings.settings import load_platform, platform_names
 from swarmd.testing.no_side_effects import closed
@@ -268,10 +268,10 @@ class PatternContract:
 
 
 @cache
-def _finder(plugin_dir: Path | None) -> Finder:
+def _finder(plugin_dir: Path | None) -> PatternLoader:
     """Finds the parts of combined patterns, by the names that there are at the first look."""
     found = pattern_names(plugin_dir)
-    return Finder({name: (origin.value, origin.is_file) for name, origin in found.items()})
+    return PatternLoader({name: (origin.value, origin.is_file) for name, origin in found.items()})
 
 
 def _chatter(pattern: Pattern[Any], index: int) -> tuple[Message, ...]:

@@ -14,7 +14,7 @@ from swarmd.driver_api.hw_codec import MAX_RAYS, encode_scan
 from swarmd.driver_api.recording import Recorder, RecordingSink
 from swarmd.drivers.replay import ReplayDriver
 from swarmd.settings.platforms import load_platform
-from swarmd.testing.driver_contract import Heard
+from swarmd.testing.driver_contract import CollectingSink
 from tests.support import hand_clock as handclock
 
 PLATFORM = load_platform("burger")
@@ -46,8 +46,8 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "a.rec"
 
 
-def played(path: Path) -> Heard:
-    heard = Heard()
+def played(path: Path) -> CollectingSink:
+    heard = CollectingSink()
 
     async def story() -> None:
         driver = ReplayDriver(swarm="s", robot="r", platform=PLATFORM, options={"file": str(path)})

@@ -17,7 +17,7 @@ from swarmd.driver_api.watchdog import AT_LEAST, PERIOD, SILENCE, CommandTimeout
 from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.settings.driver_options import FIRST_ZEROS, IdleOutput, base_options, command_timeout_of
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
-from swarmd.testing.driver_rig import Heard
+from swarmd.testing.driver_rig import CollectingSink
 
 
 def sending(command_timeout: CommandTimeout, *times: float) -> list[bool]:
@@ -265,6 +265,6 @@ def test_a_machine_without_room_for_a_stopper_is_no_crash(
     driver = make_driver(settings(tmp_path, command_timeout="none"))
     monkeypatch.setattr("swarmd.driver_api.watchdog_client.subprocess.Popen", full)
     with pytest.raises(DriverError, match=r"^no stopper: Resource temporarily unavailable"):
-        asyncio.run(driver.run(Heard()))
+        asyncio.run(driver.run(CollectingSink()))
     (finding,) = [one for one in asyncio.run(driver.check(0.1)) if one.subject == "watchdog"]
     assert not finding.is_well

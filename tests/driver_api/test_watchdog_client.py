@@ -20,7 +20,7 @@ from swarmd.driver_api import watchdog_client as guarded
 from swarmd.driver_api.driver import Finding, SenderSpec, Sink
 from swarmd.driver_api.watchdog import FAREWELL, FAULT, READY, TICK, ZEROS, Watchdog
 from swarmd.driver_api.watchdog_client import WatchdogProcess, WatchedDriver
-from swarmd.testing.driver_contract import CAP, Heard
+from swarmd.testing.driver_contract import CAP, CollectingSink
 
 SPEC = SenderSpec("nowhere:nothing", {})
 
@@ -318,7 +318,7 @@ def test_the_driver_lives_within_its_stopper_and_each_command_feeds_it(
             return made[-1]
 
         monkeypatch.setattr(guarded, "WatchdogProcess", start)
-        driver, heard = WatchedDriver(inner, SPEC, name="n"), Heard()
+        driver, heard = WatchedDriver(inner, SPEC, name="n"), CollectingSink()
         task = asyncio.create_task(driver.run(heard))
         await asyncio.sleep(0.01)
         driver.send(Twist(0.1), 1, 1)
@@ -351,7 +351,7 @@ def test_without_a_stopper_the_driver_does_not_run(monkeypatch: pytest.MonkeyPat
 
         monkeypatch.setattr(guarded, "WatchdogProcess", start)
         with pytest.raises(DriverError, match="no stopper"):
-            await WatchedDriver(inner, SPEC, name="n").run(Heard())
+            await WatchedDriver(inner, SPEC, name="n").run(CollectingSink())
         assert inner.story == ["farewell"]
 
     asyncio.run(asyncio.wait_for(run(), CAP))

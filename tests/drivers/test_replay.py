@@ -23,7 +23,7 @@ from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.settings import load_daemon_settings
 from swarmd.sim.live.link import WorldLink
-from swarmd.testing.driver_contract import CAP, DriverContract, Heard, on_stage
+from swarmd.testing.driver_contract import CAP, CollectingSink, DriverContract, running_driver
 from tests.support import hand_clock as handclock
 
 PLATFORM = load_platform("burger")
@@ -70,7 +70,7 @@ class Deck:
         self._drivers.append(make(self._path, loop=True, **options))
         return self._drivers[-1]
 
-    def speak(self) -> None:
+    def publish(self) -> None:
         """It speaks by itself."""
 
     def commands(self) -> Sequence[Twist]:
@@ -121,7 +121,7 @@ def test_a_file_that_cannot_be_made_is_said_in_a_line(tmp_path: Path) -> None:
             Recorder(path, HEAD)
 
 
-class Timed(Heard):
+class Timed(CollectingSink):
     """A sink that also remembers when each scan came, in s since the base was found."""
 
     def __init__(self) -> None:
@@ -206,7 +206,7 @@ def test_what_is_recorded_from_a_body_is_what_its_driver_told(tmp_path: Path) ->
             )
             return RecordedDriver(inner, path, HEAD)
 
-        def speak(self) -> None:
+        def publish(self) -> None:
             self.spoken += 1
             link.publish("r", "scan", encode_scan(scan(self.spoken)))
             link.publish("r", "odometry", encode_odometry(odometry(self.spoken)))
@@ -220,15 +220,15 @@ def test_what_is_recorded_from_a_body_is_what_its_driver_told(tmp_path: Path) ->
         def close(self) -> None:
             link.close()
 
-    told = Heard()
+    told = CollectingSink()
 
     async def run() -> None:
-        async with on_stage(Body()) as stage:
-            await stage.until(lambda: len(stage.heard.scans) >= 8, speaking=True)
-            stage.driver.send(Twist(0.1), 3, 2)
-            stage.driver.send(Twist(0.2), 4, 3)
-            await stage.end()
-            told.scans, told.states = stage.heard.scans, stage.heard.states
+        async with running_driver(Body()) as harness:
+            await harness.until(lambda: len(harness.sink.scans) >= 8, speaking=True)
+            harness.driver.send(Twist(0.1), 3, 2)
+            harness.driver.send(Twist(0.2), 4, 3)
+            await harness.end()
+            told.scans, told.states = harness.sink.scans, harness.sink.states
 
     asyncio.run(run())
     recording = read_recording(path)
@@ -248,10 +248,10 @@ def test_commands_are_taken_and_counted(tmp_path: Path, caplog: pytest.LogCaptur
     caplog.set_level("INFO")
 
     async def run() -> None:
-        async with on_stage(Deck(tmp_path / "a.rec")) as stage:
-            await stage.connect()
+        async with running_driver(Deck(tmp_path / "a.rec")) as harness:
+            await harness.connect()
             for _ in range(3):
-                stage.driver.send(Twist(0.1), 0, 0)
+                harness.driver.send(Twist(0.1), 0, 0)
 
     asyncio.run(run())
     assert "took 4 commands, 2 to move" in caplog.text  # the first and the last are zero
@@ -388,7 +388,7 @@ def test_each_beginning_is_commanded_zero_first_and_the_end_is_zero(tmp_path: Pa
         return found
 
     async def story() -> None:
-        task = asyncio.create_task(driver.run(Heard()))
+        task = asyncio.create_task(driver.run(CollectingSink()))
         for told in ([], [Twist()]):  # no robot yet; then the one that has gone was told to stand
             await asyncio.sleep(0.4)
             assert taken() == told

@@ -22,7 +22,13 @@ from swarmd.driver_api.hw_codec import (
 from swarmd.drivers.simulated import SILENCE, SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
-from swarmd.testing.driver_contract import CAP, DriverContract, Heard, Stage, on_stage
+from swarmd.testing.driver_contract import (
+    CAP,
+    CollectingSink,
+    DriverContract,
+    DriverHarness,
+    running_driver,
+)
 
 PLATFORM = load_platform("burger")
 SPEC = PLATFORM.scan
@@ -42,7 +48,7 @@ class Body:
     def make(self, options: Mapping[str, Value]) -> SimulatedDriver:
         return make(endpoint=self.endpoint, **options)
 
-    def speak(self) -> None:
+    def publish(self) -> None:
         self._spoken += 1
         self.send("scan", encode_scan(scan(self._spoken)))
         self.send("odometry", encode_odometry(Odometry(0.1 * self._spoken, Pose(), Twist())))
@@ -50,23 +56,23 @@ class Body:
     def send(self, name: str, payload: bytes) -> None:
         self.link.publish("r", name, payload)
 
-    def say(self, scan: Scan) -> None:
+    def publish_scan(self, scan: Scan) -> None:
         self.send("scan", encode_scan(scan))
 
-    def move(self) -> None:
+    def publish_odometry(self) -> None:
         self._spoken += 1
         self.send("odometry", encode_odometry(Odometry(0.1 * self._spoken, Pose(), Twist())))
 
-    def garble(self) -> None:
+    def publish_garbage(self) -> None:
         whole = encode_scan(scan(1))
         for name in ("scan", "odometry", "neighbors", "readings"):
             for payload in (b"", b"\xff\x00garbage", whole[: len(whole) // 2], whole[:-1]):
                 self.send(name, payload)
 
-    def die(self) -> None:
+    def disconnect(self) -> None:
         self.link.close()
 
-    def rise(self) -> None:
+    def reconnect(self) -> None:
         self.link = WorldLink("s", ("r",), self.endpoint)
 
     def commands(self) -> Sequence[Twist]:
@@ -95,13 +101,15 @@ def make(**options: Value) -> SimulatedDriver:
     return SimulatedDriver(swarm="s", robot="r", platform=PLATFORM, options=options)
 
 
-def play(story: Callable[[Stage, Body], Awaitable[None]], *, connected: bool = True) -> None:
+def play(
+    story: Callable[[DriverHarness, Body], Awaitable[None]], *, connected: bool = True
+) -> None:
     async def run() -> None:
         body = Body()
-        async with on_stage(body) as stage:
+        async with running_driver(body) as harness:
             if connected:
-                await stage.connect()
-            await story(stage, body)
+                await harness.connect()
+            await story(harness, body)
 
     asyncio.run(run())
 
@@ -111,15 +119,15 @@ def test_is_simulated() -> None:
 
 
 def test_all_senses_arrive_as_they_were_sent() -> None:
-    async def story(stage: Stage, body: Body) -> None:
+    async def story(harness: DriverHarness, body: Body) -> None:
         neighbors = (Neighbor("x", 0.0, 1.0, 0.5), Neighbor("y", 0.0))
         body.send("scan", encode_scan(scan(77)))
         body.send("odometry", encode_odometry(ODOMETRY))
         body.send("neighbors", encode_neighbors(neighbors))
         body.send("readings", encode_readings({"light": 0.25}))
-        heard = stage.heard
-        await stage.until(lambda: bool(heard.neighborhoods and heard.values))
-        await stage.until(lambda: heard.scans[-1].seq == 77 and heard.odometries[-1] == ODOMETRY)
+        heard = harness.sink
+        await harness.until(lambda: bool(heard.neighborhoods and heard.values))
+        await harness.until(lambda: heard.scans[-1].seq == 77 and heard.odometries[-1] == ODOMETRY)
         np.testing.assert_allclose(heard.scans[-1].ranges, scan(77).ranges)
         np.testing.assert_allclose(heard.scans[-1].bearings, SPEC.bearings, atol=1e-9)
         assert heard.neighborhoods == [neighbors]
@@ -129,26 +137,26 @@ def test_all_senses_arrive_as_they_were_sent() -> None:
 
 
 def test_says_where_it_looks_for_its_body_and_why_it_is_lost() -> None:
-    async def story(stage: Stage, body: Body) -> None:
-        await stage.until(lambda: bool(stage.heard.states))
-        assert body.endpoint in stage.heard.states[0][1]
-        await stage.connect()
-        await stage.until(lambda: not stage.heard.is_up)
-        assert f"for {SILENCE:g} s" in stage.heard.states[-1][1]
+    async def story(harness: DriverHarness, body: Body) -> None:
+        await harness.until(lambda: bool(harness.sink.states))
+        assert body.endpoint in harness.sink.states[0][1]
+        await harness.connect()
+        await harness.until(lambda: not harness.sink.is_up)
+        assert f"for {SILENCE:g} s" in harness.sink.states[-1][1]
 
     play(story, connected=False)
 
 
 def test_a_command_carries_the_scans_it_rests_on() -> None:
-    async def story(stage: Stage, body: Body) -> None:
-        stage.driver.send(Twist(0.2), 5, 4)
+    async def story(harness: DriverHarness, body: Body) -> None:
+        harness.driver.send(Twist(0.2), 5, 4)
         taken: list[CommandWire] = []
 
         def has_come() -> bool:
             taken.extend(command for command, _ in body.link.take_commands().values())
             return bool(taken)
 
-        await stage.until(has_come)
+        await harness.until(has_come)
         command = taken[0]
         assert (command.scan_seq, command.requested_scan_seq) == (5, 4)
 
@@ -159,21 +167,21 @@ def test_finds_a_body_that_starts_later_and_one_that_comes_back() -> None:
     async def run() -> None:
         first = Body()
         first.close()
-        driver, heard = make(endpoint=first.endpoint), Heard()
+        driver, heard = make(endpoint=first.endpoint), CollectingSink()
         task = asyncio.create_task(driver.run(heard))
         for _ in range(2):
-            stage = Stage(Body(first.endpoint), driver, heard, task)
-            await stage.connect()
-            stage.rig.close()
-            await stage.until(lambda: not heard.is_up)
-        await stage.end()
+            harness = DriverHarness(Body(first.endpoint), driver, heard, task)
+            await harness.connect()
+            harness.rig.close()
+            await harness.until(lambda: not heard.is_up)
+        await harness.end()
         assert [is_up for is_up, _ in heard.states] == [False, True, False, True, False]
 
     asyncio.run(run())
 
 
 def test_sends_zero_when_its_sink_fails() -> None:
-    class Broken(Heard):
+    class Broken(CollectingSink):
         def state(self, is_up: bool, text: str) -> None:
             super().state(is_up, text)
             if self.order[-2:] == ["odometry", "lost"] or self.order[-2:] == ["scan", "lost"]:
@@ -182,15 +190,15 @@ def test_sends_zero_when_its_sink_fails() -> None:
     async def run() -> None:
         body, heard = Body(), Broken()
         driver = body.make({})
-        stage = Stage(body, driver, heard, asyncio.create_task(driver.run(heard)))
-        await stage.connect()
+        harness = DriverHarness(body, driver, heard, asyncio.create_task(driver.run(heard)))
+        await harness.connect()
         driver.send(ZERO, -1, -1)
         driver.send(Twist(0.1), -1, -1)
-        while (await stage.command()).is_zero:
+        while (await harness.command()).is_zero:
             pass
         with pytest.raises(RuntimeError, match="broken"):
-            await stage.task
-        assert (await stage.command()).is_zero
+            await harness.task
+        assert (await harness.command()).is_zero
         body.close()
 
     asyncio.run(run())
@@ -199,22 +207,22 @@ def test_sends_zero_when_its_sink_fails() -> None:
 @pytest.mark.parametrize("payload", [b"", b"\x01", b"\x02\xc0", b"\x01" + b"\xff" * 200_000])
 @pytest.mark.parametrize("name", ["scan", "odometry", "neighbors", "readings"])
 def test_what_cannot_be_read_is_counted(name: str, payload: bytes) -> None:
-    async def story(stage: Stage, body: Body) -> None:
+    async def story(harness: DriverHarness, body: Body) -> None:
         body.send(name, payload)
-        await stage.until(lambda: bool(stage.heard.lost))
-        assert stage.heard.lost == [f"hw/{name}"]
+        await harness.until(lambda: bool(harness.sink.lost))
+        assert harness.sink.lost == [f"hw/{name}"]
 
     play(story)
 
 
 def test_garbage_alone_does_not_bring_a_body_up() -> None:
-    async def story(stage: Stage, body: Body) -> None:
+    async def story(harness: DriverHarness, body: Body) -> None:
         def is_counted() -> bool:
             body.send("scan", b"\x01rubbish")
-            return bool(stage.heard.lost)
+            return bool(harness.sink.lost)
 
-        await stage.until(is_counted)
-        assert not stage.heard.is_up
+        await harness.until(is_counted)
+        assert not harness.sink.is_up
 
     play(story, connected=False)
 
@@ -232,7 +240,7 @@ def test_a_run_cancelled_while_it_opens_leaves_no_session_behind() -> None:
     async def run() -> None:
         link = WorldLink("s", ("r",), "tcp/127.0.0.1:0")
         driver = Slow(swarm="s", robot="r", platform=PLATFORM, options={"endpoint": link.endpoint})
-        heard = Heard()
+        heard = CollectingSink()
         task = asyncio.create_task(driver.run(heard))
         while not heard.states:
             await asyncio.sleep(0)

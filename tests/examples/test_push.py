@@ -9,7 +9,7 @@ from typing import Any
 from swarmd.core.values import TouchZone
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.touch import in_force
-from swarmd.pattern_host.loader import Finder
+from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import find_pattern
 from swarmd.testing.pattern_contract import PatternContract
 
@@ -18,7 +18,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 def load() -> type[Pattern[Any]]:
     origin = find_pattern("push", EXAMPLES)
-    return Finder({"push": (origin.value, origin.is_file)})("push")
+    return PatternLoader({"push": (origin.value, origin.is_file)})("push")
 
 
 class TestPush(PatternContract):

@@ -10,7 +10,7 @@ import pytest
 
 from swarmd.core.values import Inputs, Twist
 from swarmd.kit.behavior import Pattern
-from swarmd.pattern_host.loader import Finder
+from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import find_pattern
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
@@ -23,7 +23,7 @@ BURGER = load_platform("burger")
 
 def load() -> type[Pattern[Any]]:
     origin = find_pattern("shy", EXAMPLES)
-    return Finder({"shy": (origin.value, origin.is_file)})("shy")
+    return PatternLoader({"shy": (origin.value, origin.is_file)})("shy")
 
 
 class TestShy(PatternContract):

@@ -48,36 +48,36 @@ class UdpBase:
         self._peer: object = None
         self._taken: list[Twist] = []
         self._port = 0
-        self.rise()
+        self.reconnect()
 
     def make(self, options: Mapping[str, Value]) -> Driver:
         given = {"base": f"127.0.0.1:{self._port}", **options}
         driver: Driver = UDP.UdpDriver(swarm="s", robot="r", platform=self.platform, options=given)
         return driver
 
-    def rise(self) -> None:
+    def reconnect(self) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.bind(("127.0.0.1", self._port))
         self._socket.setblocking(False)
         self._port = self._socket.getsockname()[1]
 
-    def die(self) -> None:
+    def disconnect(self) -> None:
         self._socket.close()
 
-    def speak(self) -> None:
+    def publish(self) -> None:
         ranges = np.linspace(1.0, 2.0, 360)
         self._send({"is": "scan", "stamp": self._stamp(), "ranges": ranges.tolist()})
-        self.move()
+        self.publish_odometry()
 
-    def say(self, scan: Scan) -> None:
+    def publish_scan(self, scan: Scan) -> None:
         stamp = scan.stamp + 1e4
         self._send({"is": "scan", "stamp": stamp, "ranges": scan.ranges.tolist()})
 
-    def move(self) -> None:
+    def publish_odometry(self) -> None:
         pose = {"x": 0.1, "y": 0.2, "yaw": 0.3, "linear": 0.1, "angular": 0.0}
         self._send({"is": "odometry", "stamp": self._stamp(), **pose})
 
-    def garble(self) -> None:
+    def publish_garbage(self) -> None:
         whole = msgspec.msgpack.encode({"is": "scan", "stamp": 1.0, "ranges": [1.0] * 360})
         for data in (b"", b"\xff" * 80, whole[:-9], json.dumps({"is": "scan"}).encode()):
             self._say(data)

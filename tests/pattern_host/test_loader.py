@@ -9,7 +9,7 @@ import numpy as np
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.factory import assemble
 from swarmd.kit.params import Params
-from swarmd.pattern_host.loader import Finder
+from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.settings.settings import load_platform
 
@@ -39,7 +39,7 @@ parameters: {speed: go.speed}
 """
 
 
-def begun(finder: Finder, folder: Path) -> Pattern[Params]:
+def begun(finder: PatternLoader, folder: Path) -> Pattern[Params]:
     """The mission, as a host would load it."""
     found = pattern_names(folder)
     finder.begin({name: (origin.value, origin.is_file) for name, origin in found.items()})
@@ -54,7 +54,7 @@ def begun(finder: Finder, folder: Path) -> Pattern[Params]:
 
 
 def test_a_mission_has_its_parts_as_they_are_when_it_is_loaded(tmp_path: Path) -> None:
-    finder = Finder({})
+    finder = PatternLoader({})
     (tmp_path / "mission.yaml").write_text(MISSION)
     for speed in (0.1, 0.2):
         (tmp_path / "own.py").write_text(CODE.replace("SPEED", str(speed)))

@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 
 from swarmd.core.errors import CodecError
 from swarmd.core.host_messages import (
-    Failed,
     Load,
+    Loaded,
+    LoadRefused,
     ParamsSet,
-    Ready,
-    Refused,
+    PatternFailed,
     SetParams,
     Step,
     Stepped,
@@ -91,16 +91,16 @@ def test_set_params_arrives() -> None:
 @pytest.mark.parametrize(
     "event",
     [
-        Ready(1, 10.0, frozenset({"a"}), {"speed": (0.1, "robot"), "law": ("paper", "pattern")}),
-        Ready(1, 10.0, frozenset(), {}, TouchZone(0.5, 0.3, 0.1), 1.5),
-        Refused(2, "no such pattern"),
+        Loaded(1, 10.0, frozenset({"a"}), {"speed": (0.1, "robot"), "law": ("paper", "pattern")}),
+        Loaded(1, 10.0, frozenset(), {}, TouchZone(0.5, 0.3, 0.1), 1.5),
+        LoadRefused(2, "no such pattern"),
         Stepped(3, Outputs(Twist(0.1, -0.2), {"a": 1}, {"state": "go"}, "done"), 9, 2),
         Stepped(3, Outputs(), -1),
         ParamsSet(4, "r1", "", {"speed": (None, "runtime")}),
-        Failed(5, "ZeroDivisionError"),
+        PatternFailed(5, "ZeroDivisionError"),
     ],
 )
-def test_events_arrive(event: Ready | Refused | Stepped | ParamsSet | Failed) -> None:
+def test_events_arrive(event: Loaded | LoadRefused | Stepped | ParamsSet | PatternFailed) -> None:
     got = decode_event(encode_event(event))
     assert type(got) is type(event)
     for name in type(event).__annotations__:

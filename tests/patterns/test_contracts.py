@@ -8,12 +8,12 @@ from typing import ClassVar
 
 import pytest
 
-from swarmd.pattern_host.loader import Finder
+from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import installed_patterns
 from swarmd.testing.pattern_contract import PatternContract
 
 FOUND = installed_patterns()
-FIND = Finder({name: (origin.value, origin.is_file) for name, origin in FOUND.items()})
+FIND = PatternLoader({name: (origin.value, origin.is_file) for name, origin in FOUND.items()})
 OURS = sorted(name for name, origin in FOUND.items() if origin.value.startswith("swarmd."))
 MISSION = FIND("discuss_then_disperse")
 

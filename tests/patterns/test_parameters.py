@@ -6,12 +6,12 @@ import pytest
 
 from swarmd.kit.factory import full_layers
 from swarmd.kit.params import build, schema
-from swarmd.pattern_host.loader import Finder
+from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.settings.settings import load_platform, platform_names
 
 FOUND = {name: o for name, o in pattern_names(None).items() if o.value.startswith("swarmd.")}
-FIND = Finder({name: (origin.value, False) for name, origin in FOUND.items()})
+FIND = PatternLoader({name: (origin.value, False) for name, origin in FOUND.items()})
 # Numbers that are counts, shares or weights.
 WITHOUT_UNIT = {"bias", "cruise", "initial", "opinions", "rays", "surge"}
 

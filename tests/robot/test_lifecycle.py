@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.api import Inputs, MovementPattern, Params, Twist
-from swarmd.core.host_messages import Kill, Load, Ready
+from swarmd.core.host_messages import KillHost, Load, Loaded
 from swarmd.core.messages import Code, Reason, Reply, Request, State
 from tests.support.robot_harness import RobotHarness
 
@@ -61,7 +61,7 @@ def test_a_pattern_asked_for_while_the_one_before_hangs_is_loaded_in_a_new_host(
     assert reply.code is Code.APPLIED
     loads = [command for command in story.sent if isinstance(command, Load)]
     assert [load.is_fresh for load in loads] == [True]
-    assert not any(isinstance(command, Kill) for command in story.sent)
+    assert not any(isinstance(command, KillHost) for command in story.sent)
     assert story.twist == Twist(-0.1)
 
 
@@ -89,7 +89,7 @@ def test_a_driving_robot_whose_next_pattern_loads_for_long_stands_and_then_drive
     assert story.twist.is_zero
     assert standing(story) == (State.RUNNING, Reason.COMMAND_EXPIRED)
     assert answer(story, run) is None
-    story.host_says(Ready(story.status.generation, 10.0, frozenset(), {}))
+    story.host_says(Loaded(story.status.generation, 10.0, frozenset(), {}))
     reply = answer(story, run)
     assert reply is not None
     assert reply.code is Code.APPLIED

@@ -18,7 +18,7 @@ from swarmd.api import (
     TouchZone,
     Twist,
 )
-from swarmd.core.host_messages import Failed, Ready
+from swarmd.core.host_messages import Loaded, PatternFailed
 from swarmd.core.messages import Code, State
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import NO_PERMIT, Decision, Permit
@@ -177,7 +177,7 @@ def test_the_next_run_has_its_own() -> None:
 def test_a_fault_takes_it_and_the_reload_gets_it_again() -> None:
     tale = story(push=LESS)
     run(tale, "push")
-    tale.host_says(Failed(tale.status.generation, "ValueError"))
+    tale.host_says(PatternFailed(tale.status.generation, "ValueError"))
     assert permit(tale) == NO_PERMIT
     tale.advance(0.3)
     assert tale.status.state is State.RUNNING
@@ -189,9 +189,9 @@ def test_a_reload_that_asks_for_nothing_any_more_has_nothing() -> None:
     tale = story(push=LESS)
     run(tale, "push")
     tale.is_hung = True
-    tale.host_says(Failed(tale.status.generation, "ValueError"))
+    tale.host_says(PatternFailed(tale.status.generation, "ValueError"))
     tale.advance(0.15)
-    tale.host_says(Ready(tale.status.generation, 10.0, frozenset(), {}))
+    tale.host_says(Loaded(tale.status.generation, 10.0, frozenset(), {}))
     assert tale.status.state is State.RUNNING
     assert permit(tale).touch is None
 
@@ -200,7 +200,7 @@ def test_a_pattern_that_hangs_or_is_quarantined_has_nothing() -> None:
     tale = story(push=LESS)
     run(tale, "push")
     for _ in range(4):
-        tale.host_says(Failed(tale.status.generation, "ValueError"))
+        tale.host_says(PatternFailed(tale.status.generation, "ValueError"))
         assert permit(tale) == NO_PERMIT
         tale.advance(1.0)
     assert tale.status.state is State.FAULTED

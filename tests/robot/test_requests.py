@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.api import Outputs, Twist
-from swarmd.core.host_messages import Kill, Ready, Stepped
+from swarmd.core.host_messages import KillHost, Loaded, Stepped
 from swarmd.core.messages import Code, Epoch, Latch, Reason, State
 from swarmd.robot.latches import HELD
 from tests.support.robot_harness import RobotHarness
@@ -141,7 +141,7 @@ def test_stopping_while_a_pattern_is_loaded_cancels_it(verb: str) -> None:
     story.ask(verb)
     answer = next(reply for reply in story.replies if reply.id == run.id)
     assert answer.code is Code.REFUSED
-    story.host_says(Ready(1, 10.0, frozenset(), {}))
+    story.host_says(Loaded(1, 10.0, frozenset(), {}))
     story.is_hung = False
     story.advance(1.0)
     assert story.twist.is_zero
@@ -181,7 +181,7 @@ def test_a_load_that_hangs_in_an_idle_robot_fails_after_three_seconds() -> None:
     answer = next(reply for reply in story.replies if reply.id == run.id)
     assert answer.code is Code.FAILED
     assert "loading took more than 3 s" in answer.text
-    assert isinstance(story.sent[-1], Kill)
+    assert isinstance(story.sent[-1], KillHost)
     assert standing_state(story) == (State.IDLE, Reason.NEVER_ASKED)
 
 
@@ -192,7 +192,7 @@ def test_a_host_that_hangs_is_replaced_even_if_its_robot_was_stopped_meanwhile()
     story.ask("stop")
     story.sent.clear()
     story.advance(1.1)
-    assert [type(command) for command in story.sent] == [Kill]
+    assert [type(command) for command in story.sent] == [KillHost]
     assert standing_state(story) == (State.STOPPED, Reason.OPERATOR)
 
 

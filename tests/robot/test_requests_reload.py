@@ -8,7 +8,15 @@ import pytest
 
 from swarmd.api import Inputs, MovementPattern, Params, Twist
 from swarmd.core.errors import PluginError
-from swarmd.core.host_messages import Cancel, Kill, Load, Refused, Step, Tried, Try
+from swarmd.core.host_messages import (
+    CancelTrial,
+    KillHost,
+    Load,
+    LoadRefused,
+    StartTrial,
+    Step,
+    TrialDone,
+)
 from swarmd.core.messages import Code, Reason, Reply, Request, State
 from swarmd.robot.requests import TRIAL_TIMEOUT
 from tests.support.robot_harness import RobotHarness
@@ -50,7 +58,7 @@ def begun(story: RobotHarness, **args: Any) -> Request:
     """A reload whose trial is under way, while the pattern in force goes on."""
     request = story.request("reload", pattern="own", **args)
     actions = story.robot.on_request(request, story.now)
-    assert isinstance(actions.trial, Try)
+    assert isinstance(actions.trial, StartTrial)
     assert actions.replies == ()
     assert actions.twist == Twist(0.2)
     return request
@@ -61,7 +69,7 @@ def test_a_robot_that_is_reloaded_stops_and_its_host_is_replaced() -> None:
     reply = story.ask("reload", pattern="own")
     assert reply is not None
     assert (reply.code, reply.text) == (Code.APPLIED, "reloaded, and stopped")
-    assert [type(command) for command in story.sent] == [Try, Kill]
+    assert [type(command) for command in story.sent] == [StartTrial, KillHost]
     assert story.twist.is_zero
     assert standing_state(story) == (State.STOPPED, Reason.RELOADED)
     story.advance(2.0)
@@ -91,7 +99,7 @@ def test_the_trial_has_the_parameters_in_force() -> None:
     story.ask("run", pattern="own", params={"recovery": False})
     request = story.request("reload", pattern="own")
     actions = story.robot.on_request(request, story.now)
-    assert isinstance(actions.trial, Try)
+    assert isinstance(actions.trial, StartTrial)
     assert dict(actions.trial.load.layers[-1][1]) == {"recovery": False}
 
 
@@ -106,7 +114,7 @@ def test_code_that_cannot_be_loaded_is_refused_and_what_runs_goes_on(pattern: st
     story.advance(1.0)
     assert story.twist == Twist(0.2)
     assert story.status.generation == generation
-    assert not any(isinstance(command, Kill | Load) for command in story.sent)
+    assert not any(isinstance(command, KillHost | Load) for command in story.sent)
 
 
 def test_a_trial_that_takes_too_long_is_ended_and_what_runs_goes_on() -> None:
@@ -117,8 +125,10 @@ def test_a_trial_that_takes_too_long_is_ended_and_what_runs_goes_on() -> None:
     story.advance(0.2)
     assert answer(story, request).code is Code.REFUSED
     assert "more than 10 s" in answer(story, request).text
-    assert isinstance(story.sent[-1], Cancel) or any(isinstance(c, Cancel) for c in story.sent)
-    story.host_says(Tried(1, ""))  # too late
+    assert isinstance(story.sent[-1], CancelTrial) or any(
+        isinstance(c, CancelTrial) for c in story.sent
+    )
+    story.host_says(TrialDone(1, ""))  # too late
     story.advance(1.0)
     assert story.twist == Twist(0.2)
     assert story.ask("reload", pattern="own") is not None
@@ -132,8 +142,8 @@ def test_a_stop_ends_the_trial_and_nothing_runs_again(verb: str) -> None:
     reply = answer(story, request)
     assert reply.code is Code.REFUSED
     assert "while the new code was being tried" in reply.text
-    assert any(isinstance(command, Cancel) for command in story.sent)
-    story.host_says(Tried(1, ""))
+    assert any(isinstance(command, CancelTrial) for command in story.sent)
+    story.host_says(TrialDone(1, ""))
     story.advance(1.0)
     assert story.twist.is_zero
 
@@ -142,7 +152,7 @@ def test_a_frozen_guardian_ends_the_trial() -> None:
     story = driving()
     request = begun(story, run=True)
     story.advance(2.0, ticks=False)
-    story.host_says(Tried(1, ""))
+    story.host_says(TrialDone(1, ""))
     assert "loop_stalled" in answer(story, request).text
     assert standing_state(story) == (State.STOPPED, Reason.LOOP_STALLED)
     story.advance(1.0)
@@ -155,7 +165,7 @@ def test_a_robot_that_stopped_for_another_reason_meanwhile_does_not_run_again() 
     story.scans = lambda seq, now: None
     story.advance(4.0)
     assert standing_state(story) == (State.STOPPED, Reason.STALE_SCAN)
-    story.host_says(Tried(1, ""))
+    story.host_says(TrialDone(1, ""))
     assert "stopped, as before" in answer(story, request).text
     story.advance(1.0)
     assert standing_state(story) == (State.STOPPED, Reason.STALE_SCAN)
@@ -201,7 +211,10 @@ def test_what_does_not_run_is_tried_and_the_next_load_is_in_a_fresh_host() -> No
     )
     story.advance(0.5)
     assert story.twist == Twist(0.2)
-    assert [type(one) for one in story.sent if not isinstance(one, Step)] == [Try, Cancel]
+    assert [type(one) for one in story.sent if not isinstance(one, Step)] == [
+        StartTrial,
+        CancelTrial,
+    ]
     for is_fresh in (True, False):
         story.ask("run", pattern="forward")
         loads = [command for command in story.sent if isinstance(command, Load)]
@@ -214,7 +227,7 @@ def test_an_idle_robot_gets_a_fresh_host_and_stays_idle() -> None:
     reply = story.ask("reload", pattern="own", run=True)
     assert reply is not None
     assert reply.text == "a run of own takes the new code; idle, as before"
-    assert [type(command) for command in story.sent] == [Try, Kill]
+    assert [type(command) for command in story.sent] == [StartTrial, KillHost]
     assert standing_state(story) == (State.IDLE, Reason.NEVER_ASKED)
 
 
@@ -225,9 +238,9 @@ def test_what_ran_comes_back_after_a_load_that_replaced_its_host_is_refused() ->
     request = story.request("run", pattern="forward")
     story.send(request)
     story.is_hung = False
-    story.host_says(Refused(story.status.generation, "broken meanwhile"))
+    story.host_says(LoadRefused(story.status.generation, "broken meanwhile"))
     assert answer(story, request).text == "broken meanwhile"
-    assert isinstance(story.sent[-1], Kill)  # the host that was refused has no pattern to step
+    assert isinstance(story.sent[-1], KillHost)  # the host that was refused has no pattern to step
     story.advance(0.5)
     assert standing_state(story)[0] is State.RUNNING
     assert story.status.pattern == "own"
@@ -242,9 +255,9 @@ def test_the_outcome_of_an_earlier_trial_is_not_that_of_a_later_one() -> None:
     story.ask("estop")
     second = story.request("reload", pattern="own")
     story.send(second)
-    story.host_says(Tried(1, "the first is broken"))
+    story.host_says(TrialDone(1, "the first is broken"))
     assert all(reply.id != second.id for reply in story.replies)
-    story.host_says(Tried(2, ""))
+    story.host_says(TrialDone(2, ""))
     assert answer(story, second).text == "a run of own takes the new code; estopped, as before"
 
 
@@ -253,8 +266,8 @@ def test_a_step_that_the_old_host_still_owes_is_not_awaited_of_the_new_one() -> 
     story.is_hung = True
     story.advance(0.2)
     story.ask("reload", pattern="own")
-    story.host_says(Tried(1, ""))
-    assert isinstance(story.sent[-1], Kill)
+    story.host_says(TrialDone(1, ""))
+    assert isinstance(story.sent[-1], KillHost)
     story.sent.clear()
     story.is_hung = False
     story.advance(1.5)

@@ -8,7 +8,7 @@ import pytest
 
 from swarmd.api import Inputs, MovementPattern, Outputs, Params, Twist
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.host_messages import Died, Kill, Load, Ready, Step, Stepped
+from swarmd.core.host_messages import HostDied, KillHost, Load, Loaded, Step, Stepped
 from swarmd.core.messages import Code, Reason, State, Status
 from swarmd.core.values import Neighbor, Scalar
 from swarmd.pattern_host.wire import MAX_FRAME, encode_command
@@ -91,7 +91,7 @@ def test_a_silent_host_is_killed_after_a_second_and_its_pattern_reloaded() -> No
     story.is_hung = True
     story.sent.clear()
     story.advance(1.15)
-    assert any(isinstance(command, Kill) for command in story.sent)
+    assert any(isinstance(command, KillHost) for command in story.sent)
     assert standing_state(story) == (State.RUNNING, Reason.PATTERN_RESTARTING)
     story.is_hung = False
     story.advance(0.3)
@@ -141,7 +141,7 @@ def test_a_raising_pattern_zeroes_with_the_very_event() -> None:
 
 def test_a_dead_host_zeroes_at_once_and_is_replaced() -> None:
     story = started()
-    story.host_says(Died(story.status.generation, "was killed by SIGKILL"))
+    story.host_says(HostDied(story.status.generation, "was killed by SIGKILL"))
     assert story.twist.is_zero
     assert story.status.reason is Reason.PATTERN_RESTARTING
     story.advance(0.5)
@@ -266,7 +266,7 @@ def test_what_an_operator_asked_for_next_outlives_the_end_of_the_pattern_before(
     assert story.send(run) is None
     story.advance(0.5)
     assert story.status.reason is Reason.FINISHED
-    story.host_says(Ready(2, 10.0, frozenset(), {}))
+    story.host_says(Loaded(2, 10.0, frozenset(), {}))
     answer = next(reply for reply in story.replies if reply.id == run.id)
     assert answer.code is Code.APPLIED
     assert story.status.pattern == "finisher"

@@ -30,7 +30,7 @@ class HandsOnTooEarly(Good):
 
 
 class NeverSaysThere(Good):
-    def rise(self, sink: Sink) -> None:
+    def reconnect(self, sink: Sink) -> None:
         self.is_up = True
 
 
@@ -54,8 +54,8 @@ class KeepsForLater(Good):
             self.late = twist
         super().send(twist, scan_seq, requested_scan_seq)
 
-    def rise(self, sink: Sink) -> None:
-        super().rise(sink)
+    def reconnect(self, sink: Sink) -> None:
+        super().reconnect(sink)
         if self.late is not None:
             self.put(self.late)
 
@@ -93,8 +93,8 @@ class LosesItWithoutAWord(Good):
 class GoesOnWhenItIsBack(Good):
     was_up = False
 
-    def rise(self, sink: Sink) -> None:
-        super().rise(sink)
+    def reconnect(self, sink: Sink) -> None:
+        super().reconnect(sink)
         if self.was_up:
             self.owes_zero = False
         self.was_up = True

@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 
 from swarmd.core.errors import PluginError, unknown
-from swarmd.core.host_messages import Command, Event, Kill
+from swarmd.core.host_messages import HostCommand, HostEvent, KillHost
 from swarmd.core.messages import Epoch, Reply, Request, Status
 from swarmd.core.values import ZERO, Odometry, Pose, Scan, TouchZone, Twist
 from swarmd.kit.behavior import Pattern
-from swarmd.pattern_host.executor import Stage
+from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.runner import InlineRunner
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
@@ -57,13 +57,13 @@ class RobotHarness:
         self.commands: list[tuple[float, Twist]] = []
         self.replies: list[Reply] = []
         self.written: list[LatchRecord] = []
-        self.sent: list[Command] = []
+        self.sent: list[HostCommand] = []
         self.messages: list[tuple[str, object]] = []
         self.scans: ScanSource = lambda seq, now: empty_scan(self.platform, seq, now)
         self.odometry: Twist | None = ZERO
         self.is_hung = False
         self._patterns = dict(patterns or {})
-        self._runner = InlineRunner(lambda: Stage(self._find))
+        self._runner = InlineRunner(lambda: PatternExecutor(self._find))
         self._ticks = 0
         self._requests = 0
         self.robot = Robot(
@@ -138,7 +138,7 @@ class RobotHarness:
         """An operator who has just looked asks for `verb`."""
         return self.send(self.request(verb, **args))
 
-    def host_says(self, event: Event) -> None:
+    def host_says(self, event: HostEvent) -> None:
         """An answer of the pattern host arrives now."""
         self.carry_out(self.robot.on_host(event, self.now))
 
@@ -153,7 +153,7 @@ class RobotHarness:
         for command in (actions.trial, actions.host):
             if command is not None:
                 self.sent.append(command)
-                if not self.is_hung or isinstance(command, Kill):
+                if not self.is_hung or isinstance(command, KillHost):
                     self._runner.send(command)
         for event in list(self._runner.events()):
             self.carry_out(self.robot.on_host(event, self.now if now is None else now), now)

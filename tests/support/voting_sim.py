@@ -18,10 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.host_messages import Layers, Load, Ready, Refused, Step, Stepped
+from swarmd.core.host_messages import Layers, Load, Loaded, LoadRefused, Step, Stepped
 from swarmd.core.values import Array, Inputs, Message, Neighbor, Platform, Value
-from swarmd.pattern_host.executor import Stage
-from swarmd.pattern_host.loader import Finder
+from swarmd.pattern_host.executor import PatternExecutor
+from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.settings.settings import load_platform
 
@@ -73,7 +73,7 @@ class _Voter:
     """One robot of the parliament."""
 
     name: str
-    stage: Stage
+    stage: PatternExecutor
     period: float
     inbox: list[tuple[float, Message]] = field(default_factory=list)
     stepped_at: float | None = None
@@ -206,17 +206,17 @@ def _layers(
 
 def _take_seat(pattern: str, name: str, layers: Layers, seed: int) -> _Voter:
     finder, platform = _house()
-    stage = Stage(finder)
+    stage = PatternExecutor(finder)
     loaded = stage.handle(Load(1, pattern, layers, name, platform, seed))
-    if isinstance(loaded, Refused):
+    if isinstance(loaded, LoadRefused):
         raise ConfigError(loaded.text)
-    assert isinstance(loaded, Ready)
+    assert isinstance(loaded, Loaded)
     return _Voter(name, stage, 1.0 / loaded.rate)
 
 
 @lru_cache(maxsize=1)
-def _house() -> tuple[Finder, Platform]:
+def _house() -> tuple[PatternLoader, Platform]:
     """What all debates share; to read it takes longer than most of them."""
     origins = pattern_names(None)
-    finder = Finder({name: (o.value, o.is_file) for name, o in origins.items()})
+    finder = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
     return finder, load_platform("burger")

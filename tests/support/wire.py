@@ -40,30 +40,30 @@ class Wire:
         if self._is_there:
             self._taken.append(twist)
 
-    def speak(self) -> None:
+    def publish(self) -> None:
         ranges = np.full(360, 1.5)
         ranges[0] = 1.0 + 0.01 * self._spoken
-        self.say(Scan(self._spoken, 0.1 * self._spoken, ranges, SPEC.bearings, 0.1, 99.0))
-        self.move()
+        self.publish_scan(Scan(self._spoken, 0.1 * self._spoken, ranges, SPEC.bearings, 0.1, 99.0))
+        self.publish_odometry()
 
-    def say(self, scan: Scan) -> None:
+    def publish_scan(self, scan: Scan) -> None:
         self._emit("scan", encode_scan(scan))
 
-    def move(self) -> None:
+    def publish_odometry(self) -> None:
         self._spoken += 1
         odometry = Odometry(0.1 * self._spoken, Pose(), Twist(0.1))
         self._emit("odometry", encode_odometry(odometry))
 
-    def garble(self) -> None:
+    def publish_garbage(self) -> None:
         whole = encode_scan(Scan(1, 0.1, np.full(360, 1.5), SPEC.bearings, 0.1, 3.5))
         for name in ("scan", "odometry"):
             for payload in (b"", b"\xff" * 80, whole[: len(whole) // 2]):
                 self._emit(name, payload)
 
-    def die(self) -> None:
+    def disconnect(self) -> None:
         self._is_there = False
 
-    def rise(self) -> None:
+    def reconnect(self) -> None:
         self._is_there = True
 
     def commands(self) -> Sequence[Twist]:
@@ -136,10 +136,10 @@ class Good:
         except CodecError:
             sink.dropped(name)
             return
-        self.rise(sink)
+        self.reconnect(sink)
         self.deliver(sink, heard)
 
-    def rise(self, sink: Sink) -> None:
+    def reconnect(self, sink: Sink) -> None:
         self.heard_at = time.monotonic()
         if not self.is_up:
             self.is_up = self.owes_zero = True

@@ -14,14 +14,14 @@ import sys
 from swarmd.core.values import Twist
 from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.settings.platforms import load_platform
-from swarmd.testing.driver_contract import Heard
+from swarmd.testing.driver_contract import CollectingSink
 
 
 async def main() -> None:
     driver = Ros1Driver(
         swarm="s", robot="r-1", platform=load_platform("burger"), options=json.loads(sys.argv[1])
     )
-    heard = Heard()
+    heard = CollectingSink()
     task = asyncio.create_task(driver.run(heard))
     was_up = False
     while not task.done():

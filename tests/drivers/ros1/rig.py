@@ -35,9 +35,9 @@ class RosRobot:
         self.namespace = namespace or f"/r{os.getpid()}_{next(_numbers)}"
         self._lines: list[str] = []
         self._lock = threading.Lock()
-        self.rise()
+        self.reconnect()
 
-    def rise(self) -> None:
+    def reconnect(self) -> None:
         """Start its nodes, also anew, and wait until they are registered."""
         self._process = subprocess.Popen(
             [PYTHON, str(SCRIPT), *self._words],
@@ -75,7 +75,7 @@ class RosRobot:
         except BrokenPipeError:
             return
 
-    def speak(self) -> None:
+    def publish(self) -> None:
         """Send a scan and an odometry."""
         self.do("speak")
 
@@ -85,21 +85,21 @@ class RosRobot:
             lines, self._lines = self._lines, []
         return [_twist(line) for line in lines]
 
-    def say(self, scan: Scan) -> None:
+    def publish_scan(self, scan: Scan) -> None:
         """Send this sweep."""
         first, ranges = float(scan.bearings[0]), scan.ranges.tolist()
         self.do("say", stamp=scan.stamp, first=first, ranges=ranges)
 
-    def move(self) -> None:
+    def publish_odometry(self) -> None:
         """Send an odometry."""
         self.do("move")
 
-    def garble(self) -> None:
+    def publish_garbage(self) -> None:
         """Send bytes that no LaserScan has, each time others."""
         size = random.randrange(200)
         self.do("garble", bytes=(b"\xff" * 16 + random.randbytes(size)).hex())
 
-    def die(self) -> None:
+    def disconnect(self) -> None:
         """Kill its nodes; the master does not know."""
         self.close()
 

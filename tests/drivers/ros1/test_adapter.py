@@ -23,7 +23,7 @@ from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.drivers.ros1.options import read_options
 from swarmd.settings.driver_options import BaseOptions
 from swarmd.settings.platforms import load_platform, platform_names
-from swarmd.testing.driver_contract import CAP, Heard
+from swarmd.testing.driver_contract import CAP, CollectingSink
 from swarmd.testing.driver_rig import is_running
 
 IMPOSTOR = Path(__file__).with_name("ros1_impostor.py")
@@ -37,14 +37,14 @@ def make(**options: Value) -> Ros1Driver:
 def play(
     monkeypatch: pytest.MonkeyPatch,
     kind: str,
-    story: Callable[[Ros1Driver, Heard], Awaitable[None]],
+    story: Callable[[Ros1Driver, CollectingSink], Awaitable[None]],
     **options: Value,
 ) -> None:
     monkeypatch.setattr(ros1_adapter, "__file__", str(IMPOSTOR))
     monkeypatch.setenv("IMPOSTOR", kind)
 
     async def run() -> None:
-        driver, heard = make(**{"python": sys.executable, **options}), Heard()
+        driver, heard = make(**{"python": sys.executable, **options}), CollectingSink()
         task = asyncio.create_task(driver.run(heard))
         try:
             async with asyncio.timeout(CAP):
@@ -63,14 +63,14 @@ async def until(condition: Callable[[], bool]) -> None:
         await asyncio.sleep(0.01)
 
 
-def texts(heard: Heard) -> list[str]:
+def texts(heard: CollectingSink) -> list[str]:
     return [text for _, text in heard.states]
 
 
 def test_garbage_is_counted_and_what_follows_is_understood(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    async def story(driver: Ros1Driver, heard: Heard) -> None:
+    async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
         await until(lambda: any("an impostor" in text for text in texts(heard)))
         assert heard.lost.count("ros1/garbage") >= 60
         assert not heard.is_up
@@ -82,7 +82,7 @@ def test_garbage_is_counted_and_what_follows_is_understood(
 def test_an_adapter_that_keeps_dying_is_started_at_growing_intervals(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    async def story(driver: Ros1Driver, heard: Heard) -> None:
+    async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
         loop, starts = asyncio.get_running_loop(), dict[int, float]()
 
         def has_started_often() -> bool:
@@ -101,7 +101,7 @@ def test_an_adapter_that_keeps_dying_is_started_at_growing_intervals(
 def test_an_adapter_that_says_nothing_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ros1_child, "STARTS_WITHIN", 0.3)
 
-    async def story(driver: Ros1Driver, heard: Heard) -> None:
+    async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
         await until(lambda: any("SIGKILL" in text for text in texts(heard)))
         assert any("did not answer" in text for text in texts(heard))
 
@@ -109,7 +109,7 @@ def test_an_adapter_that_says_nothing_is_killed(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_an_adapter_that_does_not_leave_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(driver: Ros1Driver, heard: Heard) -> None:
+    async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
         await until(lambda: any("an impostor" in text for text in texts(heard)))
         assert driver.adapter_pid is not None  # `play` sees that it has ended
 
@@ -117,7 +117,7 @@ def test_an_adapter_that_does_not_leave_is_killed(monkeypatch: pytest.MonkeyPatc
 
 
 def test_an_interpreter_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(driver: Ros1Driver, heard: Heard) -> None:
+    async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
         await until(lambda: any("/no/python3 cannot be started" in text for text in texts(heard)))
 
     play(monkeypatch, "dies", story, python="/no/python3")
@@ -127,7 +127,7 @@ def test_a_machine_that_is_full_ends_no_daemon(monkeypatch: pytest.MonkeyPatch) 
     def refuse(*_: object) -> None:
         raise OSError(errno.EMFILE, "Too many open files")
 
-    async def story(driver: Ros1Driver, heard: Heard) -> None:
+    async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
         await until(lambda: driver.adapter_pid is not None)
         with monkeypatch.context() as full:
             full.setattr(socket, "socketpair", refuse)

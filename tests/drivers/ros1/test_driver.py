@@ -14,11 +14,11 @@ from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.drivers.ros1.view import SILENCE
 from swarmd.settings.driver_options import BaseOptions
 from swarmd.settings.platforms import load_platform
-from swarmd.testing.driver_contract import DriverContract, Stage, on_stage
+from swarmd.testing.driver_contract import DriverContract, DriverHarness, running_driver
 from tests.drivers.ros1.rig import PLATFORM, RosRobot, robot
 from tests.support.roscore import RosCore
 
-RobotHarness = Callable[[Stage, RosRobot], Awaitable[None]]
+RobotHarness = Callable[[DriverHarness, RosRobot], Awaitable[None]]
 
 
 class TestContract(DriverContract):
@@ -44,22 +44,22 @@ class Wanting(RosRobot):
 
 def play(rig: RosRobot, story: RobotHarness, *, connected: bool = True) -> None:
     async def run() -> None:
-        async with on_stage(rig) as stage:
+        async with running_driver(rig) as harness:
             if connected:
-                await stage.connect()
-            await story(stage, rig)
+                await harness.connect()
+            await story(harness, rig)
 
     asyncio.run(run())
 
 
-async def says(stage: Stage, *words: str, speaking: bool = True) -> str:
+async def says(harness: DriverHarness, *words: str, speaking: bool = True) -> str:
     """Wait until the driver has said all of the words of its base; what it said."""
 
     def has_said() -> bool:
-        return any(all(word in text for word in words) for _, text in stage.heard.states)
+        return any(all(word in text for word in words) for _, text in harness.sink.states)
 
-    await stage.until(has_said, speaking=speaking)
-    texts = [text for _, text in stage.heard.states]
+    await harness.until(has_said, speaking=speaking)
+    texts = [text for _, text in harness.sink.states]
     return next(text for text in texts if all(word in text for word in words))
 
 
@@ -79,11 +79,11 @@ def test_is_a_real_robot_and_brings_its_own_stopper(roscore: RosCore) -> None:
 
 @pytest.mark.parametrize("hangs", [False, True])
 def test_all_senses_arrive_as_they_were_sent(roscore: RosCore, hangs: bool) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
-        heard = stage.heard
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        heard = harness.sink
         sent = [0.5, math.inf, -math.inf, math.nan, 0.0, *(3.0 for _ in range(355))]
         body.do("scan", ranges=sent)
-        await stage.until(lambda: bool(heard.scans) and math.isinf(heard.scans[-1].ranges[1]))
+        await harness.until(lambda: bool(heard.scans) and math.isinf(heard.scans[-1].ranges[1]))
         scan = heard.scans[-1]
         np.testing.assert_array_equal(scan.ranges, np.array(sent, np.float32))
         np.testing.assert_allclose(
@@ -98,7 +98,7 @@ def test_all_senses_arrive_as_they_were_sent(roscore: RosCore, hangs: bool) -> N
             body.do("extras")
             return bool(heard.values) and len(heard.values[-1]) == 3
 
-        await stage.until(is_read)
+        await harness.until(is_read)
         wanted = {"yaw": 0.5, "battery": 0.75, "battery_voltage": 12.0}
         assert heard.values[-1] == pytest.approx(wanted)
         assert heard.lost.count("ros1/scan") == 0
@@ -109,25 +109,25 @@ def test_all_senses_arrive_as_they_were_sent(roscore: RosCore, hangs: bool) -> N
 
 
 def test_the_number_of_rays_may_change_and_be_none(roscore: RosCore) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
         for count in (225, 0, 228, 1):
-            stage.heard.scans.clear()
+            harness.sink.scans.clear()
             body.do("scan", ranges=[1.0] * count)
-            await stage.until(lambda: bool(stage.heard.scans))
-            assert stage.heard.scans[-1].bearings.shape == (count,)
+            await harness.until(lambda: bool(harness.sink.scans))
+            assert harness.sink.scans[-1].bearings.shape == (count,)
 
     play(RosRobot(roscore), story)
 
 
 def test_several_range_sensors_are_one_scan(roscore: RosCore) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
-        heard = stage.heard
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        heard = harness.sink
 
         def is_whole() -> bool:
             body.do("extras")
             return bool(heard.scans) and bool(np.isfinite(heard.scans[-1].ranges).all())
 
-        await stage.until(is_whole, speaking=True)
+        await harness.until(is_whole, speaking=True)
         assert heard.scans[-1].ranges.tolist() == pytest.approx([0.6, 1.5, 2.5])
         assert heard.scans[-1].bearings.tolist() == pytest.approx([math.pi / 2.0, 0.0, -0.5])
 
@@ -158,85 +158,85 @@ class Thymio(RosRobot):
 
 
 def test_a_thymio_sees_with_its_seven_sensors_by_its_file_alone(roscore: RosCore) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
-        heard = stage.heard
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        heard = harness.sink
 
         def is_whole() -> bool:
             body.do("extras")
             return bool(heard.scans) and bool(np.isfinite(heard.scans[-1].ranges).all())
 
-        await stage.until(is_whole, speaking=True)
+        await harness.until(is_whole, speaking=True)
         scan = heard.scans[-1]
         off = scan.bearings - body.platform.scan.bearings
         assert np.cos(off) == pytest.approx(np.ones(7))
         wanted = [0.58, 1.58, 2.58, 3.58, 4.58, 5.535, 6.535]  # 0.5 m, 1.5 m ... from each sensor
         assert scan.ranges.tolist() == pytest.approx(wanted)
-        stage.driver.send(Twist(0.1), 1, 1)
-        assert (await stage.command()).is_zero
+        harness.driver.send(Twist(0.1), 1, 1)
+        assert (await harness.command()).is_zero
 
     play(Thymio(roscore), story, connected=False)
 
 
 @pytest.mark.parametrize("hz", [1, 50])
 def test_scans_of_any_rate_keep_the_base_up(roscore: RosCore, hz: int) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
         body.do("rate", hz=hz)
-        wanted = len(stage.heard.scans) + max(5, hz)
-        await stage.until(lambda: len(stage.heard.scans) >= wanted)
-        assert all(is_up for is_up, _ in stage.heard.states[-1:])
-        assert [is_up for is_up, _ in stage.heard.states].count(True) == 1
+        wanted = len(harness.sink.scans) + max(5, hz)
+        await harness.until(lambda: len(harness.sink.scans) >= wanted)
+        assert all(is_up for is_up, _ in harness.sink.states[-1:])
+        assert [is_up for is_up, _ in harness.sink.states].count(True) == 1
 
     assert SILENCE > 2.0
     play(RosRobot(roscore), story)
 
 
 def test_commands_are_stamped_where_the_base_wants_it(roscore: RosCore) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
-        stage.driver.send(Twist(0.1), 1, 1)
-        assert (await stage.command()).is_zero
-        stage.driver.send(Twist(0.1, 0.2, 0.3), 1, 1)
-        assert await stage.command() == Twist(0.1, 0.2, 0.3)
-        assert (await stage.command()).is_zero  # the adapter's own, after a silence
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        harness.driver.send(Twist(0.1), 1, 1)
+        assert (await harness.command()).is_zero
+        harness.driver.send(Twist(0.1, 0.2, 0.3), 1, 1)
+        assert await harness.command() == Twist(0.1, 0.2, 0.3)
+        assert (await harness.command()).is_zero  # the adapter's own, after a silence
 
     more: dict[str, Value] = {"cmd_vel_type": "twist_stamped"}
     play(Wanting(roscore, more, "--command-type", "TwistStamped"), story)
 
 
 def test_a_base_that_wants_another_type_of_command_is_named(roscore: RosCore) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
-        text = await says(stage, "wants geometry_msgs/TwistStamped")
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        text = await says(harness, "wants geometry_msgs/TwistStamped")
         assert "correct cmd_vel_type" in text
-        assert not stage.heard.is_up
+        assert not harness.sink.is_up
 
     play(RosRobot(roscore, "--command-type", "TwistStamped"), story, connected=False)
 
 
 def test_a_scan_of_another_type_is_named_and_nothing_moves(roscore: RosCore) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
-        text = await says(stage, "sensor_msgs/Range", "md5")
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        text = await says(harness, "sensor_msgs/Range", "md5")
         assert "wanted is sensor_msgs/LaserScan" in text
-        assert "ros1/type" in stage.heard.lost
-        assert not stage.heard.is_up
-        assert not stage.heard.scans
+        assert "ros1/type" in harness.sink.lost
+        assert not harness.sink.is_up
+        assert not harness.sink.scans
 
     play(RosRobot(roscore, "--scan-type", "Range"), story, connected=False)
 
 
 def test_a_robot_without_a_base_is_not_driven(roscore: RosCore) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
-        assert "start the base's node" in await says(stage, "nobody listens")
-        assert not stage.heard.is_up
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        assert "start the base's node" in await says(harness, "nobody listens")
+        assert not harness.sink.is_up
 
     play(RosRobot(roscore, "--no-base"), story, connected=False)
 
 
 def test_a_topic_without_data_is_told_from_one_without_a_publisher(roscore: RosCore) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
         topic = f"{body.namespace}/scan"
-        assert body.namespace in await says(stage, topic, "nothing comes", speaking=False)
+        assert body.namespace in await says(harness, topic, "nothing comes", speaking=False)
 
-    async def elsewhere(stage: Stage, body: RosRobot) -> None:
-        text = await says(stage, f"nobody publishes {body.namespace}/front/scan", speaking=False)
+    async def elsewhere(harness: DriverHarness, body: RosRobot) -> None:
+        text = await says(harness, f"nobody publishes {body.namespace}/front/scan", speaking=False)
         assert f"sensor_msgs/LaserScan is on {body.namespace}/scan" in text
 
     play(RosRobot(roscore), story, connected=False)
@@ -246,17 +246,17 @@ def test_a_topic_without_data_is_told_from_one_without_a_publisher(roscore: RosC
 def test_someone_else_on_cmd_vel_is_named_and_nothing_moves_until_he_leaves(
     roscore: RosCore,
 ) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
-        other, heard = body.make({}), stage.heard
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        other, heard = body.make({}), harness.sink
         second = asyncio.create_task(other.run(heard_too := type(heard)()))
-        text = await says(stage, "someone else", f"{body.namespace}/cmd_vel is also published by")
+        text = await says(harness, "someone else", f"{body.namespace}/cmd_vel is also published by")
         assert "/swarmd_r_1_" in text
-        stage.driver.send(Twist(0.1), 1, 1)
+        harness.driver.send(Twist(0.1), 1, 1)
         assert all(twist.is_zero for twist in body.commands())
-        await stage.until(lambda: bool(heard_too.states) and not heard_too.is_up, speaking=True)
+        await harness.until(lambda: bool(heard_too.states) and not heard_too.is_up, speaking=True)
         second.cancel()
         await asyncio.gather(second, return_exceptions=True)
-        await stage.until(lambda: heard.is_up, speaking=True)
+        await harness.until(lambda: heard.is_up, speaking=True)
 
     play(RosRobot(roscore), story)
 

@@ -25,7 +25,7 @@ from swarmd.drivers.ros1.adapter import Link, State, Told
 from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.drivers.ros1.options import read_options
 from swarmd.settings.platforms import load_platform
-from swarmd.testing.driver_contract import Heard
+from swarmd.testing.driver_contract import CollectingSink
 from tests.support import hand_clock as handclock
 
 MOVING = Twist(0.1, -0.2)
@@ -76,7 +76,7 @@ class Scene:
     """A driver that runs, and the adapters that it has started."""
 
     def __init__(self, driver: Ros1Driver, started: list[Adapter]) -> None:
-        self.driver, self.started, self.heard = driver, started, Heard()
+        self.driver, self.started, self.heard = driver, started, CollectingSink()
         self.task = asyncio.create_task(driver.run(self.heard))
 
     @property

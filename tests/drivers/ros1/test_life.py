@@ -20,7 +20,7 @@ import pytest
 from swarmd.core.values import Twist
 from swarmd.drivers.ros1.adapter_process import SILENCE, STOPPING
 from swarmd.drivers.ros1.driver import Ros1Driver
-from swarmd.testing.driver_contract import Heard, Stage, on_stage
+from swarmd.testing.driver_contract import CollectingSink, DriverHarness, running_driver
 from swarmd.testing.driver_rig import is_running
 from tests.drivers.ros1.rig import RosRobot, robot
 from tests.support.processes import wait_until
@@ -29,26 +29,26 @@ from tests.support.roscore import RosCore
 DAEMON = Path(__file__).with_name("ros1_daemon.py")
 
 
-def play(rig: RosRobot, story: Callable[[Stage, RosRobot], Awaitable[None]]) -> None:
+def play(rig: RosRobot, story: Callable[[DriverHarness, RosRobot], Awaitable[None]]) -> None:
     async def run() -> None:
-        async with on_stage(rig) as stage:
+        async with running_driver(rig) as harness:
             rig.do("rate", hz=10)
-            await stage.until(lambda: stage.heard.is_up)
-            await story(stage, rig)
+            await harness.until(lambda: harness.sink.is_up)
+            await story(harness, rig)
 
     asyncio.run(run())
 
 
-async def drive(stage: Stage, body: RosRobot) -> None:
+async def drive(harness: DriverHarness, body: RosRobot) -> None:
     """Command a velocity until the base has it."""
     taken: list[Twist] = []
 
     def moves() -> bool:
-        stage.driver.send(Twist(0.1), 1, 1)
+        harness.driver.send(Twist(0.1), 1, 1)
         taken.extend(body.commands())
         return bool(taken) and not taken[-1].is_zero
 
-    await stage.until(moves)
+    await harness.until(moves)
 
 
 def adapter(driver: object) -> int:
@@ -58,7 +58,7 @@ def adapter(driver: object) -> int:
     return pid
 
 
-def why(heard: Heard) -> str:
+def why(heard: CollectingSink) -> str:
     return heard.states[-1][1] if heard.states else ""
 
 
@@ -69,19 +69,19 @@ def test_a_master_that_comes_late_goes_and_comes_back(roscore: RosCore, tmp_path
         options = {"master": core.uri, "ip": "127.0.0.1", "namespace": namespace}
         maker = RosRobot.__new__(RosRobot)
         maker.core, maker.namespace = core, namespace
-        driver, heard = maker.make(options), Heard()
+        driver, heard = maker.make(options), CollectingSink()
         task = asyncio.create_task(driver.run(heard))
         for _ in range(2):
-            stage = Stage(maker, driver, heard, task)
-            await stage.until(lambda: f"no ROS master at {core.uri}" in why(heard))
+            harness = DriverHarness(maker, driver, heard, task)
+            await harness.until(lambda: f"no ROS master at {core.uri}" in why(heard))
             assert "start roscore" in why(heard)
             await asyncio.to_thread(core.start)
             body = await asyncio.to_thread(RosRobot, core, namespace=namespace)
             body.do("rate", hz=10)
-            await stage.until(lambda: heard.is_up)
+            await harness.until(lambda: heard.is_up)
             driver.send(Twist(0.1), 1, 1)
-            assert (await Stage(body, driver, heard, task).command()).is_zero
-            await drive(stage, body)
+            assert (await DriverHarness(body, driver, heard, task).command()).is_zero
+            await drive(harness, body)
             core.kill()
             taken: list[Twist] = []
 
@@ -90,9 +90,9 @@ def test_a_master_that_comes_late_goes_and_comes_back(roscore: RosCore, tmp_path
                 taken.extend(body.commands())
                 return not heard.is_up and bool(taken) and taken[-1].is_zero
 
-            await stage.until(stands)
+            await harness.until(stands)
             body.close()
-        await stage.end()
+        await harness.end()
 
     asyncio.run(run())
 
@@ -100,19 +100,21 @@ def test_a_master_that_comes_late_goes_and_comes_back(roscore: RosCore, tmp_path
 def test_a_master_started_anew_at_once_is_noticed(roscore: RosCore, tmp_path: Path) -> None:
     with RosCore(tmp_path, is_whole=False) as core:
 
-        async def story(stage: Stage, body: RosRobot) -> None:
-            await drive(stage, body)
-            first = adapter(stage.driver)
+        async def story(harness: DriverHarness, body: RosRobot) -> None:
+            await drive(harness, body)
+            first = adapter(harness.driver)
             core.kill()
             await asyncio.to_thread(core.start)
             with robot(core, namespace=body.namespace) as again:
                 again.do("rate", hz=10)
-                await stage.until(lambda: not is_running(first))
-                await stage.until(lambda: stage.heard.is_up)
-                assert adapter(stage.driver) != first
+                await harness.until(lambda: not is_running(first))
+                await harness.until(lambda: harness.sink.is_up)
+                assert adapter(harness.driver) != first
                 assert not any(twist.is_zero is False for twist in again.commands())
-                stage.driver.send(Twist(0.1), 1, 1)
-                assert (await Stage(again, stage.driver, stage.heard, stage.task).command()).is_zero
+                harness.driver.send(Twist(0.1), 1, 1)
+                assert (
+                    await DriverHarness(again, harness.driver, harness.sink, harness.task).command()
+                ).is_zero
 
         play(RosRobot(core), story)
 
@@ -121,28 +123,28 @@ def test_a_master_started_anew_at_once_is_noticed(roscore: RosCore, tmp_path: Pa
 def test_an_adapter_that_ends_or_hangs_is_replaced_and_stops_the_base(
     roscore: RosCore, number: signal.Signals
 ) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
-        await drive(stage, body)
-        first = adapter(stage.driver)
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        await drive(harness, body)
+        first = adapter(harness.driver)
         os.kill(first, number)
-        await stage.until(lambda: not stage.heard.is_up)
-        assert "adapter" in why(stage.heard)
+        await harness.until(lambda: not harness.sink.is_up)
+        assert "adapter" in why(harness.sink)
         body.commands()  # of before
-        assert (await stage.command()).is_zero  # without anything sent: the next adapter's
-        await stage.until(lambda: stage.heard.is_up)
-        assert adapter(stage.driver) != first
+        assert (await harness.command()).is_zero  # without anything sent: the next adapter's
+        await harness.until(lambda: harness.sink.is_up)
+        assert adapter(harness.driver) != first
         assert not is_running(first)
-        stage.driver.send(Twist(0.1), 1, 1)
+        harness.driver.send(Twist(0.1), 1, 1)
         await asyncio.sleep(0.1)
         assert all(twist.is_zero for twist in body.commands())
-        await drive(stage, body)
+        await drive(harness, body)
 
     play(RosRobot(roscore), story)
 
 
 def test_an_adapter_that_ros_shuts_down_stops_the_base_first(roscore: RosCore) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
-        await drive(stage, body)
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        await drive(harness, body)
         nodes = roscore.topics()[f"{body.namespace}/cmd_vel"]
         with xmlrpc.client.ServerProxy(roscore.uri) as master:
             found: object = master.lookupNode("/test", nodes[0])
@@ -155,48 +157,48 @@ def test_an_adapter_that_ros_shuts_down_stops_the_base_first(roscore: RosCore) -
             taken.extend(body.commands())
             return bool(taken) and taken[-1].is_zero
 
-        await stage.until(stands)
-        await stage.until(lambda: not stage.heard.is_up)
-        await stage.until(lambda: stage.heard.is_up)
+        await harness.until(stands)
+        await harness.until(lambda: not harness.sink.is_up)
+        await harness.until(lambda: harness.sink.is_up)
 
     play(RosRobot(roscore), story)
 
 
 def test_who_was_killed_publishes_no_more_though_the_master_lists_him(roscore: RosCore) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
         other = body.make({})
-        second = asyncio.create_task(other.run(heard_too := Heard()))
-        await stage.until(lambda: not stage.heard.is_up)
-        await stage.until(lambda: bool(heard_too.states) and "someone" in why(heard_too))
+        second = asyncio.create_task(other.run(heard_too := CollectingSink()))
+        await harness.until(lambda: not harness.sink.is_up)
+        await harness.until(lambda: bool(heard_too.states) and "someone" in why(heard_too))
         os.kill(adapter(other), signal.SIGKILL)
         second.cancel()
         await asyncio.gather(second, return_exceptions=True)
-        await stage.until(lambda: stage.heard.is_up)
+        await harness.until(lambda: harness.sink.is_up)
         assert len(roscore.topics()[f"{body.namespace}/cmd_vel"]) > 1
 
     play(RosRobot(roscore), story)
 
 
 def test_a_base_that_connects_while_driving_gets_zero_first(roscore: RosCore) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
-        await drive(stage, body)
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        await drive(harness, body)
 
         def second() -> RosRobot:
             return RosRobot(roscore, "--name", "second", namespace=body.namespace)
 
         starting = asyncio.create_task(asyncio.to_thread(second))
         while not starting.done():
-            stage.driver.send(Twist(0.1), 1, 1)
+            harness.driver.send(Twist(0.1), 1, 1)
             await asyncio.sleep(0.05)
         base, taken = starting.result(), list[Twist]()
 
         def drives() -> bool:
-            stage.driver.send(Twist(0.1), 1, 1)
+            harness.driver.send(Twist(0.1), 1, 1)
             taken.extend(base.commands())
             return any(not twist.is_zero for twist in taken)
 
         try:
-            await stage.until(drives)
+            await harness.until(drives)
         finally:
             base.close()
         assert taken[0].is_zero

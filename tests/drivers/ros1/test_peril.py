@@ -22,7 +22,7 @@ from swarmd.drivers.ros1 import driver as ros1
 from swarmd.drivers.ros1 import wire
 from swarmd.drivers.ros1.adapter_process import SILENCE, STOPPING
 from swarmd.drivers.ros1.driver import STANDS
-from swarmd.testing.driver_contract import Heard, Stage
+from swarmd.testing.driver_contract import CollectingSink, DriverHarness
 from swarmd.testing.driver_rig import is_running
 from tests.drivers.ros1.rig import RosRobot, robot
 from tests.drivers.ros1.test_life import adapter, drive, guarded, play
@@ -30,17 +30,19 @@ from tests.support.processes import CAP, children, wait_until
 from tests.support.roscore import RosCore
 
 
-async def moving(stage: Stage, seconds: float, condition: Callable[[], bool]) -> list[Twist]:
+async def moving(
+    harness: DriverHarness, seconds: float, condition: Callable[[], bool]
+) -> list[Twist]:
     """Command a velocity 20 times a second until the condition holds, and for seconds more."""
     taken: list[Twist] = []
 
     def has_come() -> bool:
-        stage.driver.send(Twist(0.1), 1, 1)
-        assert isinstance(stage.rig, RosRobot)
-        taken.extend(stage.rig.commands())
+        harness.driver.send(Twist(0.1), 1, 1)
+        assert isinstance(harness.rig, RosRobot)
+        taken.extend(harness.rig.commands())
         return condition()
 
-    await stage.until(has_come)
+    await harness.until(has_come)
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
         has_come()
@@ -51,20 +53,20 @@ async def moving(stage: Stage, seconds: float, condition: Callable[[], bool]) ->
 def test_who_else_drives_is_left_alone_after_zeros_and_named_once_in_the_log(
     roscore: RosCore, caplog: pytest.LogCaptureFixture
 ) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
-        await drive(stage, body)
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        await drive(harness, body)
         other = body.make({})
-        second = asyncio.create_task(other.run(Heard()))
-        await moving(stage, 0.0, lambda: not stage.heard.is_up)
-        told = await moving(stage, STANDS + SILENCE, lambda: True)
+        second = asyncio.create_task(other.run(CollectingSink()))
+        await moving(harness, 0.0, lambda: not harness.sink.is_up)
+        told = await moving(harness, STANDS + SILENCE, lambda: True)
         while not told[0].is_zero:  # sent before
             del told[0]
         assert len(told) > 10
         assert all(twist.is_zero for twist in told)
-        assert not await moving(stage, 3.0 * SILENCE, lambda: not body.commands())
+        assert not await moving(harness, 3.0 * SILENCE, lambda: not body.commands())
         second.cancel()
         await asyncio.gather(second, return_exceptions=True)
-        await stage.until(lambda: stage.heard.is_up)
+        await harness.until(lambda: harness.sink.is_up)
 
     with caplog.at_level("INFO", "swarmd.drivers.ros1.driver"):
         play(RosRobot(roscore), story)
@@ -91,20 +93,20 @@ def test_a_base_is_not_left_alone_for_longer_the_oftener_its_adapter_dies(
     monkeypatch.setattr(ros1, "FIRST_PAUSE", 0.5)
     monkeypatch.setattr(ros1, "LONGEST_PAUSE", 100.0)
 
-    async def story(stage: Stage, body: RosRobot) -> None:
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
         for _ in range(7):
-            await drive(stage, body)
-            os.kill(adapter(stage.driver), signal.SIGKILL)
-            await stage.until(lambda: not stage.heard.is_up)
+            await drive(harness, body)
+            os.kill(adapter(harness.driver), signal.SIGKILL)
+            await harness.until(lambda: not harness.sink.is_up)
             body.commands()
-            assert (await stage.command()).is_zero
-            await stage.until(lambda: stage.heard.is_up)
+            assert (await harness.command()).is_zero
+            await harness.until(lambda: harness.sink.is_up)
 
     play(RosRobot(roscore), story)
 
 
 def test_who_connects_and_says_nothing_keeps_no_base_away(roscore: RosCore) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
         topic = f"{body.namespace}/cmd_vel"
         port = _port_of(roscore, topic)
         with (
@@ -112,13 +114,13 @@ def test_who_connects_and_says_nothing_keeps_no_base_away(roscore: RosCore) -> N
             socket.create_connection(("127.0.0.1", port)) as noisy,
         ):
             noisy.send(b"\xff" * 2000)
-            body.die()
-            await moving(stage, 0.0, lambda: not stage.heard.is_up)
-            await asyncio.to_thread(body.rise)
+            body.disconnect()
+            await moving(harness, 0.0, lambda: not harness.sink.is_up)
+            await asyncio.to_thread(body.reconnect)
             body.do("rate", hz=10)
-            await stage.until(lambda: stage.heard.is_up)
-            stage.driver.send(Twist(0.1), 1, 1)
-            assert (await stage.command()).is_zero
+            await harness.until(lambda: harness.sink.is_up)
+            harness.driver.send(Twist(0.1), 1, 1)
+            assert (await harness.command()).is_zero
 
     play(RosRobot(roscore), story)
 
@@ -168,24 +170,24 @@ def test_a_master_that_hangs_stops_the_robot_until_it_answers(
 ) -> None:
     with RosCore(tmp_path, is_whole=False) as core:
 
-        async def story(stage: Stage, body: RosRobot) -> None:
-            await drive(stage, body)
-            first = adapter(stage.driver)
+        async def story(harness: DriverHarness, body: RosRobot) -> None:
+            await drive(harness, body)
+            first = adapter(harness.driver)
             core.send(signal.SIGSTOP)
             try:
-                taken = await moving(stage, 1.0, lambda: not stage.heard.is_up)
+                taken = await moving(harness, 1.0, lambda: not harness.sink.is_up)
                 assert taken[-1].is_zero
-                said = stage.heard.states[-1][1]
+                said = harness.sink.states[-1][1]
                 assert f"no ROS master at {core.uri} (timed out); start roscore" in said
             finally:
                 core.send(signal.SIGCONT)
-            await stage.until(lambda: stage.heard.is_up)
+            await harness.until(lambda: harness.sink.is_up)
             body.commands()
-            stage.driver.send(Twist(0.1), 1, 1)
-            assert (await stage.command()).is_zero
-            assert adapter(stage.driver) == first
+            harness.driver.send(Twist(0.1), 1, 1)
+            assert (await harness.command()).is_zero
+            assert adapter(harness.driver) == first
             core.send(signal.SIGSTOP)
-            await stage.end()
+            await harness.end()
             assert not is_running(first)
             core.send(signal.SIGCONT)
 
@@ -193,15 +195,15 @@ def test_a_master_that_hangs_stops_the_robot_until_it_answers(
 
 
 def test_a_message_without_an_end_fills_no_memory(roscore: RosCore) -> None:
-    async def story(stage: Stage, body: RosRobot) -> None:
-        await drive(stage, body)
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        await drive(harness, body)
         with contextlib.closing(Liar(roscore, f"{body.namespace}/scan")) as liar:
-            await stage.until(lambda: not liar.is_alive())
-        status = Path(f"/proc/{adapter(stage.driver)}/status").read_text()
+            await harness.until(lambda: not liar.is_alive())
+        status = Path(f"/proc/{adapter(harness.driver)}/status").read_text()
         peak = int(status.partition("VmHWM:")[2].split()[0])  # kB
         assert peak < 1 << 20
-        known = len(stage.heard.scans)
-        await stage.until(lambda: stage.heard.is_up and len(stage.heard.scans) > known)
+        known = len(harness.sink.scans)
+        await harness.until(lambda: harness.sink.is_up and len(harness.sink.scans) > known)
 
     play(RosRobot(roscore), story)
 

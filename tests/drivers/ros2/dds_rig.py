@@ -67,10 +67,10 @@ class DdsRobot(BridgedRobot):
             self.node.close()
             self.node = None
 
-    def rise(self) -> None:
+    def reconnect(self) -> None:
         self.bridge.start()
 
-    def die(self) -> None:
+    def disconnect(self) -> None:
         self.bridge.kill()
 
     def put(self, topic: str, message: Any) -> None:

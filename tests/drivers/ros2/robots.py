@@ -55,7 +55,7 @@ class Robot:
         self._lock = threading.Lock()
         self._commands: list[zenoh.Sample] = []
         self._spoken = 0
-        self.rise()
+        self.reconnect()
 
     def make(self, options: Mapping[str, Value]) -> RosDriver:
         raise NotImplementedError
@@ -66,28 +66,28 @@ class Robot:
     def put(self, topic: str, message: Any) -> None:
         raise NotImplementedError
 
-    def rise(self) -> None:
+    def reconnect(self) -> None:
         self.hub = open_session("router", "listen/endpoints", self.endpoint)
         self._tokens: list[zenoh.LivelinessToken] = []
         self.hub.declare_subscriber(self.command_key(), self._on_command)
 
-    def die(self) -> None:
+    def disconnect(self) -> None:
         self.hub.close()
 
-    def speak(self) -> None:
+    def publish(self) -> None:
         self.put("scan", scan(self._stamp()))
         self.put("odom", odometry(self._stamp()))
 
-    def say(self, given: Scan) -> None:
+    def publish_scan(self, given: Scan) -> None:
         n = len(given.ranges)
         first, step = float(given.bearings[0]), 2.0 * math.pi / n
         told = {"angle_min": first, "angle_increment": step, "angle_max": first + (n - 1) * step}
         self.put("scan", scan(given.stamp + 1000.0, given.ranges.tolist(), **told))
 
-    def move(self) -> None:
+    def publish_odometry(self) -> None:
         self.put("odom", odometry(self._stamp()))
 
-    def garble(self) -> None:
+    def publish_garbage(self) -> None:
         whole = scan(self._stamp()).serialize()
         for topic, valid in (("scan", whole), ("odom", odometry(1.0).serialize())):
             for payload in (b"", b"\xff" * 80, valid[: len(valid) // 2], valid + bytes(99)):

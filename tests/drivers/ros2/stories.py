@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Mapping
 
 from swarmd.core.values import Value
 from swarmd.driver_api.driver import Finding
-from swarmd.testing.driver_contract import CAP, Heard, Stage
+from swarmd.testing.driver_contract import CAP, CollectingSink, DriverHarness
 from tests.drivers.ros2.robots import Robot
 
 PACE = 0.01
@@ -15,7 +15,7 @@ PACE = 0.01
 
 def play(
     robot: Robot,
-    story: Callable[[Stage], Awaitable[None]],
+    story: Callable[[DriverHarness], Awaitable[None]],
     *,
     connected: bool = True,
     **options: Value,
@@ -23,14 +23,14 @@ def play(
     """Run a story with a driver that has found its robot (or not yet)."""
 
     async def run() -> None:
-        driver, heard = robot.make(options), Heard()
-        stage = Stage(robot, driver, heard, asyncio.create_task(driver.run(heard)))
+        driver, heard = robot.make(options), CollectingSink()
+        harness = DriverHarness(robot, driver, heard, asyncio.create_task(driver.run(heard)))
         try:
             if connected:
-                await stage.connect()
-            await story(stage)
+                await harness.connect()
+            await story(harness)
         finally:
-            await stage.end()
+            await harness.end()
             robot.close()
 
     asyncio.run(run())
@@ -59,6 +59,6 @@ def check(
         robot.close()
 
 
-def told(stage: Stage, words: str, *, is_up: bool | None = None) -> bool:
+def told(harness: DriverHarness, words: str, *, is_up: bool | None = None) -> bool:
     """Whether the driver has said that of its base."""
-    return any(words in text and is_up in (None, up) for up, text in stage.heard.states)
+    return any(words in text and is_up in (None, up) for up, text in harness.sink.states)

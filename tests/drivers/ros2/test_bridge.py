@@ -19,7 +19,7 @@ from swarmd.core.values import Twist
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros2.dds_bridge_emulator import BridgedVoice
 from swarmd.drivers.ros2.emulator import End
-from swarmd.testing.driver_contract import CAP, DriverContract, Stage
+from swarmd.testing.driver_contract import CAP, DriverContract, DriverHarness
 from tests.drivers.ros2.dds_rig import DdsRobot
 from tests.drivers.ros2.robots import open_session
 from tests.drivers.ros2.stories import check, play, told
@@ -39,22 +39,22 @@ class TestContract(DriverContract):
         return DdsRobot()
 
 
-async def moves(stage: Stage) -> None:
+async def moves(harness: DriverHarness) -> None:
     """Until the base is told to move."""
     taken: list[Twist] = []
 
     def is_moving() -> bool:
-        stage.driver.send(Twist(0.1, -0.2), 1, 1)
-        taken.extend(stage.rig.commands())
+        harness.driver.send(Twist(0.1, -0.2), 1, 1)
+        taken.extend(harness.rig.commands())
         return bool(taken) and taken[-1] == Twist(0.1, -0.2)
 
-    await stage.until(is_moving, speaking=True)
+    await harness.until(is_moving, speaking=True)
     assert taken[0].is_zero
 
 
-async def tells(stage: Stage, words: str) -> None:
+async def tells(harness: DriverHarness, words: str) -> None:
     """Until the driver says that of a base that is lost."""
-    await stage.until(lambda: told(stage, words, is_up=False), speaking=True)
+    await harness.until(lambda: told(harness, words, is_up=False), speaking=True)
 
 
 @pytest.mark.parametrize(
@@ -71,14 +71,14 @@ def test_a_base_may_want_stamped_commands() -> None:
 def test_a_robot_that_leaves_and_returns_gets_zero_first() -> None:
     robot = DdsRobot()
 
-    async def story(stage: Stage) -> None:
-        await moves(stage)
+    async def story(harness: DriverHarness) -> None:
+        await moves(harness)
         robot.stop()
-        await stage.until(lambda: not stage.heard.is_up)
-        await tells(stage, "no /scan")
-        stage.driver.send(Twist(0.1), 1, 1)
+        await harness.until(lambda: not harness.sink.is_up)
+        await tells(harness, "no /scan")
+        harness.driver.send(Twist(0.1), 1, 1)
         robot.start()
-        await moves(stage)
+        await moves(harness)
 
     play(robot, story)
 
@@ -86,12 +86,12 @@ def test_a_robot_that_leaves_and_returns_gets_zero_first() -> None:
 def test_after_a_bridge_that_is_restarted_at_once_the_first_command_is_zero() -> None:
     robot = DdsRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         for _ in range(3):
-            await moves(stage)
-            robot.die()
+            await moves(harness)
+            robot.disconnect()
             robot.commands()
-            robot.rise()
+            robot.reconnect()
 
     play(robot, story)
 
@@ -99,20 +99,20 @@ def test_after_a_bridge_that_is_restarted_at_once_the_first_command_is_zero() ->
 def test_a_frozen_bridge_is_told_and_nothing_late_moves_the_robot() -> None:
     robot = DdsRobot()
 
-    async def story(stage: Stage) -> None:
-        await moves(stage)
+    async def story(harness: DriverHarness) -> None:
+        await moves(harness)
         robot.bridge.freeze()
         for _ in range(20):
-            stage.driver.send(Twist(0.1), 1, 1)
+            harness.driver.send(Twist(0.1), 1, 1)
             await asyncio.sleep(0.05)
-        await stage.until(lambda: not stage.heard.is_up, speaking=True)
+        await harness.until(lambda: not harness.sink.is_up, speaking=True)
         robot.commands()
         robot.bridge.thaw()
-        assert (await stage.command()).is_zero
+        assert (await harness.command()).is_zero
         await asyncio.sleep(1.0)
         assert all(twist.is_zero for twist in robot.commands())
-        await stage.connect()
-        await moves(stage)
+        await harness.connect()
+        await moves(harness)
 
     play(robot, story)
 
@@ -122,18 +122,18 @@ def test_a_base_that_crashed_and_is_back_is_stopped_before_the_bridge_forgets_it
     robot.stop()
     told_to: list[str] = []
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         def is_told(speed: str) -> bool:
-            stage.driver.send(Twist(0.1), 1, 1)
+            harness.driver.send(Twist(0.1), 1, 1)
             return told_to[-1:] == [speed]
 
         with base_process(robot.domain, told_to):
-            await stage.until(lambda: is_told("0.1"))
+            await harness.until(lambda: is_told("0.1"))
         told_to.clear()
         with base_process(robot.domain, told_to):
-            await stage.until(lambda: is_told("0.1") or not stage.heard.is_up)
-            await stage.until(lambda: told(stage, "/base crashed and is back", is_up=False))
-            await stage.until(lambda: told_to[-1:] == ["0.0"])
+            await harness.until(lambda: is_told("0.1") or not harness.sink.is_up)
+            await harness.until(lambda: told(harness, "/base crashed and is back", is_up=False))
+            await harness.until(lambda: told_to[-1:] == ["0.0"])
 
     play(robot, story, connected=False)
 
@@ -163,14 +163,14 @@ def test_a_base_that_leaves_while_its_lidar_stays_gets_zero_first() -> None:
     robot = DdsRobot(says={})
     lidar = DdsNode(robot.domain, "lidar", {"/scan": dds_types.LaserScan})
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         stop_speaking = asyncio.create_task(_spin(lidar))
-        await moves(stage)
+        await moves(harness)
         robot.stop()
-        await tells(stage, "nobody subscribes to /cmd_vel")
-        stage.driver.send(Twist(0.1), 1, 1)
+        await tells(harness, "nobody subscribes to /cmd_vel")
+        harness.driver.send(Twist(0.1), 1, 1)
         robot.start()
-        await moves(stage)
+        await moves(harness)
         stop_speaking.cancel()
 
     play(robot, story, connected=False)
@@ -195,14 +195,14 @@ def test_a_base_that_wants_another_type_is_told_nothing(is_stamped: bool) -> Non
     """The bridge hands on bytes as they are: a base would take a stamped twist for 1e180 m/s."""
     robot = DdsRobot(is_stamped=is_stamped)
 
-    async def story(stage: Stage) -> None:
-        await tells(stage, "/cmd_vel wants geometry_msgs/msg/Twist")
+    async def story(harness: DriverHarness) -> None:
+        await tells(harness, "/cmd_vel wants geometry_msgs/msg/Twist")
         for _ in range(20):
-            stage.driver.send(Twist(0.1), 1, 1)
-            robot.speak()
+            harness.driver.send(Twist(0.1), 1, 1)
+            robot.publish()
             await asyncio.sleep(0.02)
         assert not robot.commands()
-        assert not stage.heard.is_up
+        assert not harness.sink.is_up
 
     wrong = "twist" if is_stamped else "twist_stamped"
     play(robot, story, connected=False, cmd_vel_type=wrong)
@@ -212,16 +212,16 @@ def test_someone_elses_command_is_told() -> None:
     robot = DdsRobot()
     joystick = DdsNode(robot.domain, "joystick", {"/cmd_vel": dds_types.Twist})
 
-    async def story(stage: Stage) -> None:
-        await moves(stage)
+    async def story(harness: DriverHarness) -> None:
+        await moves(harness)
 
         def is_lost() -> bool:
             joystick.say("/cmd_vel", dds_types.Twist(dds_types.Vector3(0.3)))
-            return not stage.heard.is_up
+            return not harness.sink.is_up
 
-        await stage.until(is_lost, speaking=True)
-        assert told(stage, "someone else drives this robot", is_up=False)
-        await stage.until(lambda: stage.heard.is_up, speaking=True)
+        await harness.until(is_lost, speaking=True)
+        assert told(harness, "someone else drives this robot", is_up=False)
+        await harness.until(lambda: harness.sink.is_up, speaking=True)
 
     play(robot, story)
     joystick.close()
@@ -230,10 +230,10 @@ def test_someone_elses_command_is_told() -> None:
 def test_a_scan_of_another_type_is_told() -> None:
     robot = DdsRobot(says={"scan": dds_types.TwistStamped, "odom": dds_types.Odometry})
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         wanted = "/scan carries geometry_msgs/msg/TwistStamped; wanted is sensor_msgs/msg/LaserScan"
-        await stage.until(lambda: told(stage, wanted), speaking=True)
-        assert not stage.heard.scans
+        await harness.until(lambda: told(harness, wanted), speaking=True)
+        assert not harness.sink.scans
 
     play(robot, story, connected=False)
 
@@ -254,7 +254,7 @@ def test_the_bridge_announces_and_says_what_the_stand_in_does() -> None:
     )
 
     def is_all_there() -> bool:
-        robot.speak()
+        robot.publish()
         return len(tokens) == len(ends) and bool(samples)
 
     wait_until(is_all_there, "three tokens and a scan")
@@ -269,13 +269,13 @@ def test_the_bridge_announces_and_says_what_the_stand_in_does() -> None:
 def test_a_restarted_bridges_announcements_are_gone_with_it() -> None:
     robot = DdsRobot()
 
-    async def story(stage: Stage) -> None:
-        await moves(stage)
-        robot.die()
-        await tells(stage, "nothing answers at")
+    async def story(harness: DriverHarness) -> None:
+        await moves(harness)
+        robot.disconnect()
+        await tells(harness, "nothing answers at")
         robot.stop()
-        robot.rise()
-        await tells(stage, "announces no topic at all")
+        robot.reconnect()
+        await tells(harness, "announces no topic at all")
 
     play(robot, story)
 
@@ -315,7 +315,7 @@ def test_check_tells(
     make: Callable[[], DdsRobot], options: dict[str, str], wanted: dict[str, str]
 ) -> None:
     robot = make()
-    found = check(robot, robot.speak, seconds=3.0 if wanted else CAP, **options)
+    found = check(robot, robot.publish, seconds=3.0 if wanted else CAP, **options)
     assert found["connection"].is_well
     for subject, text in wanted.items():
         assert not found[subject].is_well
@@ -338,7 +338,7 @@ def test_check_tells_of_who_may_command_and_of_who_does(speed: float | None) -> 
     joystick = DdsNode(robot.domain, "joystick", {"/cmd_vel": dds_types.Twist})
 
     def speak() -> None:
-        robot.speak()
+        robot.publish()
         if speed is not None:
             joystick.say("/cmd_vel", dds_types.Twist(dds_types.Vector3(speed)))
 

@@ -21,7 +21,7 @@ from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros import from_ros as conversion
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2.driver import RosDriver
-from swarmd.testing.driver_contract import Stage, on_stage
+from swarmd.testing.driver_contract import DriverHarness, running_driver
 from tests.drivers.ros2 import robots
 from tests.support import dds_types
 from tests.support.dds_node import DdsNode
@@ -51,7 +51,7 @@ class DdsRobot:
     def close(self) -> None:
         self.node.close()
 
-    def speak(self) -> None:
+    def publish(self) -> None:
         self._spoken += 1
         stamp = dds_types.Time(self._spoken, 0)
         step = 2.0 * math.pi / 360
@@ -103,32 +103,32 @@ def test_scans_come_in_and_commands_go_out_over_dds() -> None:
     gateway = Gateway(number, endpoint)
     robot = DdsRobot(number, endpoint)
 
-    async def story(stage: Stage) -> None:
-        await stage.until(lambda: len(stage.heard.scans) >= 3, speaking=True)
-        scan = stage.heard.scans[-1]
+    async def story(harness: DriverHarness) -> None:
+        await harness.until(lambda: len(harness.sink.scans) >= 3, speaking=True)
+        scan = harness.sink.scans[-1]
         assert scan.ranges[100] == pytest.approx(1.1)
         taken: list[Twist] = []
 
         def moves() -> bool:
-            stage.driver.send(Twist(0.1, -0.2), 1, 1)
+            harness.driver.send(Twist(0.1, -0.2), 1, 1)
             taken.extend(robot.commands())
             return bool(taken) and not taken[-1].is_zero
 
-        await stage.until(moves, speaking=True)
+        await harness.until(moves, speaking=True)
         assert taken[0].is_zero
         assert taken[-1] == Twist(0.1, -0.2)
-        await stage.end()
+        await harness.end()
 
         def stands() -> bool:
             taken.extend(robot.commands())
             return taken[-1].is_zero
 
-        await stage.until(stands)
+        await harness.until(stands)
 
     async def run() -> None:
-        async with on_stage(robot) as stage:
-            await stage.connect()
-            await story(stage)
+        async with running_driver(robot) as harness:
+            await harness.connect()
+            await story(harness)
 
     try:
         asyncio.run(run())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Pose, Twist, Value
-from swarmd.testing.driver_contract import DriverContract, Stage
+from swarmd.testing.driver_contract import DriverContract, DriverHarness
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.robots import BridgedRobot
 from tests.drivers.ros2.stories import check, play, told
@@ -29,16 +29,16 @@ class TestStampedContract(DriverContract):
 def test_all_senses_arrive_with_their_meaning() -> None:
     robot = BridgedRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         ranges = [1.0 + 0.001 * i for i in range(250)]
         robot.put("scan", robots.scan(500.0, ranges))
         robot.put("odom", robots.odometry(501.0, x=2.0, yaw=1.0))
         robot.put("imu", second.Imu(orientation=second.Quaternion(z=1.0, w=0.0)))
         robot.put("battery_state", second.BatteryState(voltage=11.5, percentage=0.5))
-        heard = stage.heard
-        await stage.until(lambda: bool(heard.values) and "battery" in heard.values[-1])
-        await stage.until(lambda: heard.odometries[-1].stamp == 501.0)
-        await stage.until(lambda: heard.scans[-1].stamp == 500.0)
+        heard = harness.sink
+        await harness.until(lambda: bool(heard.values) and "battery" in heard.values[-1])
+        await harness.until(lambda: heard.odometries[-1].stamp == 501.0)
+        await harness.until(lambda: heard.scans[-1].stamp == 500.0)
         np.testing.assert_allclose(heard.scans[-1].ranges, ranges, rtol=1e-6)
         pose = heard.odometries[-1].pose
         assert pose.x == 2.0
@@ -52,13 +52,13 @@ def test_all_senses_arrive_with_their_meaning() -> None:
 def test_topics_stand_behind_the_namespace() -> None:
     robot = BridgedRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         await asyncio.sleep(0.2)
-        robot.speak()
+        robot.publish()
         robot.put("r/scan", robots.scan(1.0))
-        await stage.until(lambda: stage.heard.is_up)
-        assert len(stage.heard.scans) <= 1
-        assert not stage.heard.odometries
+        await harness.until(lambda: harness.sink.is_up)
+        assert len(harness.sink.scans) <= 1
+        assert not harness.sink.odometries
 
     play(robot, story, connected=False, namespace="{robot}")
 
@@ -68,7 +68,7 @@ def test_seven_ranges_are_one_scan() -> None:
     degrees = {"p/l2": 40.0, "p/l1": 20.0, "p/c": 0.0, "p/r1": -20.0, "p/r2": -40.0}
     ranges: dict[str, Value] = {**degrees, "p/bl": 150.0, "p/br": [-150.0, 0.05]}
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         stamps = iter(range(1, 10_000))
 
         def has_scans() -> bool:
@@ -76,10 +76,10 @@ def test_seven_ranges_are_one_scan() -> None:
             for i, name in enumerate(ranges):
                 message = second.Range(header=second.stamped(stamp), range=0.02 * (i + 1))
                 robot.put(name, message)
-            return len(stage.heard.scans) >= 3
+            return len(harness.sink.scans) >= 3
 
-        await stage.until(has_scans)
-        scan = max(stage.heard.scans, key=lambda scan: np.isfinite(scan.ranges).sum())
+        await harness.until(has_scans)
+        scan = max(harness.sink.scans, key=lambda scan: np.isfinite(scan.ranges).sum())
         wanted = [0.02, 0.04, 0.06, 0.08, 0.10, 0.12, 0.14 + 0.05]
         np.testing.assert_allclose(scan.ranges, wanted, rtol=1e-5)
         np.testing.assert_allclose(np.degrees(scan.bearings), [40, 20, 0, -20, -40, 150, -150])
@@ -90,8 +90,8 @@ def test_seven_ranges_are_one_scan() -> None:
 def test_stamped_commands_are_in_the_frame_asked_for() -> None:
     robot = BridgedRobot(is_stamped=True)
 
-    async def story(stage: Stage) -> None:
-        stage.driver.send(Twist(0.1), 1, 1)
+    async def story(harness: DriverHarness) -> None:
+        harness.driver.send(Twist(0.1), 1, 1)
         samples = robot.samples()
         while not samples:
             await asyncio.sleep(0.01)
@@ -106,24 +106,24 @@ def test_stamped_commands_are_in_the_frame_asked_for() -> None:
 def test_someone_elses_command_is_told_and_nothing_is_commanded_meanwhile() -> None:
     robot = BridgedRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         for _ in range(3):
-            stage.driver.send(Twist(0.1), 1, 1)
+            harness.driver.send(Twist(0.1), 1, 1)
 
         def is_lost() -> bool:
             robot.put("cmd_vel", robots.command(0.2))
-            return not stage.heard.is_up
+            return not harness.sink.is_up
 
-        await stage.until(is_lost, speaking=True)
-        assert told(stage, "someone else drives this robot", is_up=False)
+        await harness.until(is_lost, speaking=True)
+        assert told(harness, "someone else drives this robot", is_up=False)
         await asyncio.sleep(0.2)
         robot.samples()
-        stage.driver.send(Twist(0.1), 2, 2)
+        harness.driver.send(Twist(0.1), 2, 2)
         await asyncio.sleep(0.2)
         assert not robot.commands()
-        await stage.connect()
-        stage.driver.send(Twist(0.1), 3, 3)
-        assert (await stage.command()).is_zero
+        await harness.connect()
+        harness.driver.send(Twist(0.1), 3, 3)
+        assert (await harness.command()).is_zero
 
     play(robot, story)
 
@@ -134,17 +134,17 @@ def test_a_base_that_is_started_anew_in_no_time_gets_zero_first() -> None:
     token = f"@/{zid}/@ros2_lv/MS/cmd_vel/geometry_msgs§msg§Twist/:1::0,10"
     base = robot.hub.liveliness().declare_token(token)
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         for _ in range(2):
-            stage.driver.send(Twist(0.1), 1, 1)
+            harness.driver.send(Twist(0.1), 1, 1)
         base.undeclare()
         robot.announce(token)
         await asyncio.sleep(0.3)
-        robot.speak()
-        assert stage.heard.is_up
+        robot.publish()
+        assert harness.sink.is_up
         robot.commands()
-        stage.driver.send(Twist(0.1), 2, 2)
-        assert (await stage.command()).is_zero
+        harness.driver.send(Twist(0.1), 2, 2)
+        assert (await harness.command()).is_zero
 
     play(robot, story)
 
@@ -152,12 +152,12 @@ def test_a_base_that_is_started_anew_in_no_time_gets_zero_first() -> None:
 def test_someone_elses_zeros_are_nobodys_drive() -> None:
     robot = BridgedRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         for _ in range(20):
             robot.put("cmd_vel", robots.command(0.0))
-            robot.speak()
+            robot.publish()
             await asyncio.sleep(0.01)
-        assert stage.heard.is_up
+        assert harness.sink.is_up
 
     play(robot, story)
 
@@ -165,12 +165,12 @@ def test_someone_elses_zeros_are_nobodys_drive() -> None:
 def test_commands_of_its_own_are_not_taken_for_anothers() -> None:
     robot = BridgedRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         for _ in range(30):
-            stage.driver.send(Twist(0.1), 1, 1)
-            robot.speak()
+            harness.driver.send(Twist(0.1), 1, 1)
+            robot.publish()
             await asyncio.sleep(0.01)
-        assert stage.heard.is_up
+        assert harness.sink.is_up
 
     play(robot, story)
 
@@ -178,11 +178,11 @@ def test_commands_of_its_own_are_not_taken_for_anothers() -> None:
 def test_a_scan_with_nan_and_zeros_passes_as_it_is() -> None:
     robot = BridgedRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         robot.put("scan", robots.scan(900.0, [math.nan, 0.0, math.inf, 1.0] * 90))
-        await stage.until(lambda: stage.heard.scans[-1].stamp == 900.0)
+        await harness.until(lambda: harness.sink.scans[-1].stamp == 900.0)
         wanted = [math.nan, 0.0, math.inf, 1.0] * 90
-        np.testing.assert_array_equal(stage.heard.scans[-1].ranges, wanted)
+        np.testing.assert_array_equal(harness.sink.scans[-1].ranges, wanted)
 
     play(robot, story)
 
@@ -190,17 +190,17 @@ def test_a_scan_with_nan_and_zeros_passes_as_it_is() -> None:
 def test_odometry_that_is_not_finite_is_counted() -> None:
     robot = BridgedRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         robot.put("odom", robots.odometry(900.0, x=math.nan))
-        await stage.until(lambda: "odometry" in stage.heard.lost)
-        assert all(odometry.pose != Pose(math.nan) for odometry in stage.heard.odometries)
+        await harness.until(lambda: "odometry" in harness.sink.lost)
+        assert all(odometry.pose != Pose(math.nan) for odometry in harness.sink.odometries)
 
     play(robot, story)
 
 
 def test_check_tells_rates_types_and_clocks() -> None:
     robot = BridgedRobot()
-    found = check(robot, robot.speak)
+    found = check(robot, robot.publish)
     assert all(finding.is_well for finding in found.values())
     assert "zenoh-bridge-ros2dds at tcp/" in found["connection"].text
     assert "/scan (sensor_msgs/msg/LaserScan): " in found["scan"].text
@@ -211,7 +211,7 @@ def test_check_tells_rates_types_and_clocks() -> None:
 
 def test_check_without_a_bridge_says_what_to_start() -> None:
     robot = BridgedRobot()
-    robot.die()
+    robot.disconnect()
     found = check(robot, seconds=1.5)
     assert list(found) == ["connection"]
     assert "start zenoh-bridge-ros2dds" in found["connection"].text
@@ -241,7 +241,7 @@ def test_check_of_a_silent_topic_goes_by_what_is_announced(
 ) -> None:
     robot = BridgedRobot()
     announce(robot, "MP", topic, kind)
-    found = check(robot, robot.move, seconds=1.0)
+    found = check(robot, robot.publish_odometry, seconds=1.0)
     assert not found["scan"].is_well
     assert wanted in found["scan"].text
 
@@ -256,7 +256,7 @@ def test_check_tells_of_somebody_without_a_name_who_may_command() -> None:
     robot = BridgedRobot()
     announce(robot, "MP", "cmd_vel", "geometry_msgs/msg/Twist")
     announce(robot, "MS", "cmd_vel", "geometry_msgs/msg/Twist")
-    found = check(robot, robot.speak)
+    found = check(robot, robot.publish)
     zid = str(robot.hub.zid())
     assert found["others"].is_well
     assert found["others"].text.startswith(f"a node behind bridge {zid[:8]} may publish /cmd_vel")
@@ -265,7 +265,7 @@ def test_check_tells_of_somebody_without_a_name_who_may_command() -> None:
 def test_check_of_a_base_that_wants_stamped_commands_says_so() -> None:
     robot = BridgedRobot()
     announce(robot, "MS", "cmd_vel", "geometry_msgs/msg/TwistStamped")
-    found = check(robot, robot.speak)
+    found = check(robot, robot.publish)
     assert not found["cmd_vel"].is_well
     assert "set driver_options.cmd_vel_type: twist_stamped" in found["cmd_vel"].text
 
@@ -280,7 +280,7 @@ def test_check_tells_of_others_who_command() -> None:
     robot = BridgedRobot()
 
     def speak() -> None:
-        robot.speak()
+        robot.publish()
         robot.put("cmd_vel", robots.command(0.0))
 
     found = check(robot, speak)
@@ -292,7 +292,7 @@ def test_check_tells_of_a_clock_that_stands_still() -> None:
     robot = BridgedRobot()
 
     def speak() -> None:
-        robot.move()
+        robot.publish_odometry()
         robot.put("scan", robots.scan(5.0))
 
     found = check(robot, speak)
@@ -304,7 +304,7 @@ def test_check_tells_of_a_message_that_cannot_be_read() -> None:
     robot = BridgedRobot()
 
     def speak() -> None:
-        robot.move()
+        robot.publish_odometry()
         robot.put("scan", b"\x00\x01\x00\x00rubbish")
 
     found = check(robot, speak, seconds=1.2)
@@ -316,7 +316,7 @@ def test_check_tells_of_a_scan_that_does_not_look_around() -> None:
     robot = BridgedRobot()
 
     def speak() -> None:
-        robot.move()
+        robot.publish_odometry()
         stamp = robot._stamp()
         robot.put("scan", robots.scan(stamp, [1.0] * 90, angle_increment=math.radians(1.0)))
 
@@ -328,22 +328,22 @@ def test_what_is_missing_is_told_while_it_runs_too() -> None:
     robot = BridgedRobot()
     announce(robot, "MP", "bot1§scan", "sensor_msgs/msg/LaserScan")
 
-    async def story(stage: Stage) -> None:
-        await stage.until(lambda: told(stage, "no /scan, but /bot1/scan", is_up=False))
-        robot.move()
-        await stage.until(lambda: stage.heard.is_up)
+    async def story(harness: DriverHarness) -> None:
+        await harness.until(lambda: told(harness, "no /scan, but /bot1/scan", is_up=False))
+        robot.publish_odometry()
+        await harness.until(lambda: harness.sink.is_up)
 
         def is_told() -> bool:
-            robot.move()
-            return told(stage, "no /scan, but /bot1/scan", is_up=True)
+            robot.publish_odometry()
+            return told(harness, "no /scan, but /bot1/scan", is_up=True)
 
-        await stage.until(is_told)
+        await harness.until(is_told)
 
     play(robot, story, connected=False)
 
 
 def test_check_of_a_battery_that_is_silent_says_that_it_is_not_needed() -> None:
     robot = BridgedRobot()
-    found = check(robot, robot.speak, seconds=1.5, battery="battery_state")
+    found = check(robot, robot.publish, seconds=1.5, battery="battery_state")
     assert found["battery"].is_well
     assert "not heard, and not needed to drive: no /battery_state" in found["battery"].text

@@ -9,7 +9,7 @@ import zenoh
 
 from swarmd.core.values import Twist
 from swarmd.drivers.ros2.duplicate_nodes import twin_of
-from swarmd.testing.driver_contract import Stage
+from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2.robots import BridgedRobot
 from tests.drivers.ros2.stories import play, told
 
@@ -54,7 +54,7 @@ def test_a_base_that_crashed_and_is_back_is_stopped_while_it_can_be() -> None:
 
     robot.hub.declare_queryable(f"{where}/**", on_query)
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         taken: list[Twist] = []
 
         def is_told_to_stand(*, wanted: bool) -> bool:
@@ -62,13 +62,13 @@ def test_a_base_that_crashed_and_is_back_is_stopped_while_it_can_be() -> None:
             return bool(taken) and taken[-1].is_zero == wanted
 
         for _ in range(2):
-            stage.driver.send(Twist(0.1), 1, 1)
-        await stage.until(lambda: is_told_to_stand(wanted=False))
+            harness.driver.send(Twist(0.1), 1, 1)
+        await harness.until(lambda: is_told_to_stand(wanted=False))
         known[f"{where}/02/base"] = BASE
-        await stage.until(lambda: not stage.heard.is_up, speaking=True)
-        assert told(stage, "/base crashed and is back", is_up=False)
-        await stage.until(lambda: is_told_to_stand(wanted=True))
+        await harness.until(lambda: not harness.sink.is_up, speaking=True)
+        assert told(harness, "/base crashed and is back", is_up=False)
+        await harness.until(lambda: is_told_to_stand(wanted=True))
         del known[f"{where}/01/base"]
-        await stage.until(lambda: stage.heard.is_up, speaking=True)
+        await harness.until(lambda: harness.sink.is_up, speaking=True)
 
     play(robot, story)

@@ -29,7 +29,7 @@ from swarmd.drivers.ros2.subscriptions import Subscriptions
 from swarmd.plugins import load_driver, load_emulator
 from swarmd.settings.driver_options import BaseOptions, stops_after
 from swarmd.settings.platforms import load_platform
-from swarmd.testing.driver_contract import Heard
+from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2.robots import HASHES
 from tests.support import second_codec as second
 from tests.support.processes import wait_until
@@ -115,7 +115,7 @@ def test_a_turned_lidar_begins_where_it_looks() -> None:
 def test_a_lidar_however_mounted_is_heard_as_it_was_said(hangs: bool) -> None:
     options, said = RosOptions(scan_yaw_deg=70.0, scan_upside_down=hangs), sweep(BURGER)
     (message,) = LaserVoice(options, BURGER).say(said)
-    heard = Heard()
+    heard = CollectingSink()
     Subscriptions(options, BURGER).take("scan", cdr.encode(message), 0.0)(heard)
     off = np.abs(np.exp(1j * heard.scans[0].bearings) - np.exp(1j * said.bearings))
     assert off.max() < 1e-5
@@ -165,7 +165,7 @@ def test_each_publisher_of_a_node_counts_for_itself() -> None:
 
 def test_a_driver_hears_its_robot_as_it_spoke_and_commands_no_other(stage: Stage) -> None:
     async def story() -> None:
-        driver, heard = stage.driver("r-2"), Heard()
+        driver, heard = stage.driver("r-2"), CollectingSink()
         task = asyncio.create_task(driver.run(heard))
         seq = 0
         try:

@@ -14,7 +14,7 @@ import zenoh
 from swarmd.core.values import Twist
 from swarmd.drivers.ros.messages import dds_name
 from swarmd.drivers.ros2.session import open_session
-from swarmd.testing.driver_contract import CAP, Stage
+from swarmd.testing.driver_contract import CAP, DriverHarness
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
 from tests.drivers.ros2.stories import check, play, told
@@ -43,22 +43,22 @@ def announce(robot: Robot, what: str, topic: str, kind: str, node: str = "base")
         )
 
 
-async def stays_lost(stage: Stage, words: str) -> None:
+async def stays_lost(harness: DriverHarness, words: str) -> None:
     """It says so, and whatever is commanded meanwhile does not reach the base."""
 
     def is_told() -> bool:
-        stage.driver.send(Twist(0.1), 1, 1)
-        return told(stage, words, is_up=False)
+        harness.driver.send(Twist(0.1), 1, 1)
+        return told(harness, words, is_up=False)
 
-    await stage.until(is_told, speaking=True)
+    await harness.until(is_told, speaking=True)
     await asyncio.sleep(0.1)
-    stage.rig.commands()
+    harness.rig.commands()
     for _ in range(10):
-        stage.driver.send(Twist(0.1), 1, 1)
-        stage.rig.speak()
+        harness.driver.send(Twist(0.1), 1, 1)
+        harness.rig.publish()
         await asyncio.sleep(0.01)
-    assert not stage.heard.is_up
-    assert all(twist.is_zero for twist in stage.rig.commands())
+    assert not harness.sink.is_up
+    assert all(twist.is_zero for twist in harness.rig.commands())
 
 
 @pytest.mark.parametrize("make", MAKERS)
@@ -66,12 +66,12 @@ def test_a_base_that_wants_another_type_is_not_commanded(make: Callable[[], Robo
     robot = make()
     announce(robot, "MS", "cmd_vel", STAMPED)
 
-    async def story(stage: Stage) -> None:
-        await stays_lost(stage, "set driver_options.cmd_vel_type: twist_stamped")
+    async def story(harness: DriverHarness) -> None:
+        await stays_lost(harness, "set driver_options.cmd_vel_type: twist_stamped")
         announce(robot, "MS", "cmd_vel", TWIST)
-        await stage.connect()
-        stage.driver.send(Twist(0.1), 1, 1)
-        assert (await stage.command()).is_zero
+        await harness.connect()
+        harness.driver.send(Twist(0.1), 1, 1)
+        assert (await harness.command()).is_zero
 
     play(robot, story, connected=False)
 
@@ -80,11 +80,11 @@ def test_a_base_that_wants_another_type_is_not_commanded(make: Callable[[], Robo
 def test_a_base_that_turns_out_to_want_another_type_is_let_go(make: Callable[[], Robot]) -> None:
     robot = make()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         for seq in range(2):
-            stage.driver.send(Twist(0.1), seq, seq)
+            harness.driver.send(Twist(0.1), seq, seq)
         announce(robot, "MS", "cmd_vel", STAMPED)
-        await stays_lost(stage, f"/cmd_vel wants {STAMPED}, not {TWIST}")
+        await stays_lost(harness, f"/cmd_vel wants {STAMPED}, not {TWIST}")
 
     play(robot, story)
 
@@ -92,21 +92,21 @@ def test_a_base_that_turns_out_to_want_another_type_is_let_go(make: Callable[[],
 def test_the_last_zero_is_zero_also_to_a_base_that_takes_it_for_a_twist() -> None:
     robot = BridgedRobot(is_stamped=True)
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         for seq in range(2):
-            stage.driver.send(Twist(0.1), seq, seq)
-        await stage.until(lambda: bool(robot.samples()))
+            harness.driver.send(Twist(0.1), seq, seq)
+        await harness.until(lambda: bool(robot.samples()))
         robot.samples()
         announce(robot, "MS", "cmd_vel", TWIST)
-        await stage.until(lambda: not stage.heard.is_up, speaking=True)
-        await stage.end()
+        await harness.until(lambda: not harness.sink.is_up, speaking=True)
+        await harness.end()
         said: list[bytes] = []
 
         def is_told() -> bool:
             said.extend(sample.payload.to_bytes() for sample in robot.samples())
             return len(said) >= 2
 
-        await stage.until(is_told)
+        await harness.until(is_told)
         for payload in said[-2:]:
             taken = robots.twist(payload[:52], is_stamped=False)
             assert max(abs(taken.linear), abs(taken.angular), abs(taken.lateral)) < 1e-9
@@ -117,7 +117,7 @@ def test_the_last_zero_is_zero_also_to_a_base_that_takes_it_for_a_twist() -> Non
 def test_a_type_of_command_that_nobody_knows_is_told_too() -> None:
     robot = BridgedRobot()
     announce(robot, "MS", "cmd_vel", "my_msgs/msg/Wheels")
-    found = check(robot, robot.speak)
+    found = check(robot, robot.publish)
     assert "wants my_msgs/msg/Wheels" in found["cmd_vel"].text
     assert found["cmd_vel"].text.endswith("set driver_options.cmd_vel, or cmd_vel_type")
 
@@ -127,12 +127,12 @@ def test_a_robot_whose_base_takes_no_commands_is_lost() -> None:
     announce(robot, "MP", "scan", LASER)
     announce(robot, "MS", "bot1/cmd_vel", TWIST)
     words = "nobody subscribes to /cmd_vel, but to /bot1/cmd_vel; correct driver_options.namespace"
-    play(robot, lambda stage: stays_lost(stage, words), connected=False)
+    play(robot, lambda harness: stays_lost(harness, words), connected=False)
 
 
 def test_check_does_not_take_its_own_ear_for_the_bases() -> None:
     robot = Deaf()
-    found = check(robot, robot.speak)
+    found = check(robot, robot.publish)
     assert not found["cmd_vel"].is_well
     assert found["cmd_vel"].text.startswith("nobody subscribes to /cmd_vel; start the base, or")
 
@@ -143,19 +143,19 @@ def test_after_a_hub_that_is_started_anew_in_no_time_the_first_command_is_zero(
 ) -> None:
     robot = make()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         until = asyncio.get_running_loop().time() + 0.5  # it has looked whom it is linked to
         while asyncio.get_running_loop().time() < until:
-            stage.driver.send(Twist(0.1), 1, 1)
-            robot.speak()
+            harness.driver.send(Twist(0.1), 1, 1)
+            robot.publish()
             await asyncio.sleep(0.01)
-        robot.die()
-        robot.rise()
-        await stage.until(lambda: told(stage, "was started anew", is_up=False), speaking=True)
-        await stage.until(lambda: stage.heard.is_up, speaking=True)
+        robot.disconnect()
+        robot.reconnect()
+        await harness.until(lambda: told(harness, "was started anew", is_up=False), speaking=True)
+        await harness.until(lambda: harness.sink.is_up, speaking=True)
         robot.commands()
-        stage.driver.send(Twist(0.1), 2, 2)
-        assert (await stage.command()).is_zero
+        harness.driver.send(Twist(0.1), 2, 2)
+        assert (await harness.command()).is_zero
 
     play(robot, story)
 
@@ -168,8 +168,8 @@ def test_one_cause_is_one_line_in_the_log(
     announce(robot, "MP", "bot1/scan", LASER)
     announce(robot, "MP", "bot1/odom", "nav_msgs/msg/Odometry")
 
-    async def story(stage: Stage) -> None:
-        await stage.until(lambda: told(stage, "no /scan, but /bot1/scan of that type; correct"))
+    async def story(harness: DriverHarness) -> None:
+        await harness.until(lambda: told(harness, "no /scan, but /bot1/scan of that type; correct"))
         await asyncio.sleep(2.5)  # it looks again
 
     play(robot, story, connected=False)
@@ -183,13 +183,13 @@ def test_what_cannot_be_read_is_one_line_however_it_varies(
 ) -> None:
     robot = BridgedRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         caplog.clear()
         until = asyncio.get_running_loop().time() + 6.0
         count = 0
         while asyncio.get_running_loop().time() < until:
             count += 1
-            robot.move()
+            robot.publish_odometry()
             robot.put("scan", bytes([0, 1, 0, 0]) + bytes(count))
             await asyncio.sleep(0.02)
 
@@ -203,13 +203,13 @@ def test_what_cannot_be_read_is_one_line_however_it_varies(
 def test_stamps_that_stand_still_are_told_while_it_runs() -> None:
     robot = BridgedRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         def is_told() -> bool:
-            robot.move()
+            robot.publish_odometry()
             robot.put("scan", robots.scan(5.0))
-            return told(stage, "all with the stamp 5; look at the sensor", is_up=True)
+            return told(harness, "all with the stamp 5; look at the sensor", is_up=True)
 
-        await stage.until(is_told)
+        await harness.until(is_told)
 
     play(robot, story)
 
@@ -217,13 +217,15 @@ def test_stamps_that_stand_still_are_told_while_it_runs() -> None:
 def test_sweeps_that_do_not_look_around_are_told_while_it_runs() -> None:
     robot = BridgedRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         def is_told() -> bool:
-            robot.move()
+            robot.publish_odometry()
             robot.put("scan", robots.scan(robot._stamp(), [1.0] * 180, angle_increment=0.0174))
-            return told(stage, "180 rays that leave too wide a sector unseen; look at", is_up=True)
+            return told(
+                harness, "180 rays that leave too wide a sector unseen; look at", is_up=True
+            )
 
-        await stage.until(is_told)
+        await harness.until(is_told)
 
     play(robot, story)
 
@@ -235,7 +237,7 @@ def checked_stamps(stamp: Callable[[int], float], seconds: float = 2.0) -> str:
     def speak() -> None:
         nonlocal count
         count += 1
-        robot.move()
+        robot.publish_odometry()
         if count % 4 == 0:
             robot.put("scan", robots.scan(stamp(count // 4)))
 
@@ -256,7 +258,7 @@ def test_two_nodes_that_publish_the_scan_are_told() -> None:
     robot = ZenohRobot()
     for node in ("lidar", "other"):
         announce(robot, "MP", "scan", LASER, node)
-    found = check(robot, robot.speak)
+    found = check(robot, robot.publish)
     assert found["odometry"].is_well
     assert found["scan"].text.startswith("2 publish /scan: /lidar, /other; end all but one, or")
 
@@ -265,7 +267,7 @@ def test_what_cannot_be_read_among_what_can_is_told() -> None:
     robot = BridgedRobot()
 
     def speak() -> None:
-        robot.speak()
+        robot.publish()
         robot.put("scan", robots.scan(1.0, [1.0], angle_min=math.nan))
 
     assert "/scan: cannot be read" in check(robot, speak)["scan"].text
@@ -276,7 +278,7 @@ def test_names_that_are_none_make_no_second_line(make: Callable[[], Robot]) -> N
     robot = make()
     announce(robot, "MP", "bot1/scan\nok    scan", LASER)
     announce(robot, "MP", "bot1/" + 2000 * "x", LASER)
-    found = check(robot, robot.move, seconds=1.0)
+    found = check(robot, robot.publish_odometry, seconds=1.0)
     assert "announces no topic at all" in found["scan"].text
     assert found["scan"].text.isprintable()
 
@@ -285,7 +287,7 @@ def test_a_type_that_is_none_makes_no_second_line() -> None:
     robot = ZenohRobot()
 
     def speak() -> None:
-        robot.move()
+        robot.publish_odometry()
         robot.put_on(f"0/scan/ok\nok/{robots.HASHES['LaserScan']}", b"")
 
     assert "said on key '0/scan/ok\\nok/RIHS" in check(robot, speak, seconds=1.0)["scan"].text

@@ -19,7 +19,7 @@ from swarmd.core.values import Platform, Twist, Value
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2 import driver as ros_driver
 from swarmd.drivers.ros2.driver import RosDriver
-from swarmd.testing.driver_contract import Heard
+from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2 import robots
 from tests.support import hand_clock as handclock
 from tests.support import second_codec as second
@@ -88,7 +88,7 @@ class Scene:
     """A driver that runs, the session that it has opened, and what it has told."""
 
     def __init__(self, driver: RosDriver, session: Session) -> None:
-        self.driver, self.session, self.heard = driver, session, Heard()
+        self.driver, self.session, self.heard = driver, session, CollectingSink()
         self.task = asyncio.create_task(driver.run(self.heard))
 
     @property

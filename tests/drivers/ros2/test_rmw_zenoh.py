@@ -11,7 +11,7 @@ import zenoh
 from swarmd.core.values import Twist
 from swarmd.drivers.ros.messages import dds_name
 from swarmd.drivers.ros2 import rmw_zenoh
-from swarmd.testing.driver_contract import DriverContract, Stage
+from swarmd.testing.driver_contract import DriverContract, DriverHarness
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.robots import ZenohRobot
 from tests.drivers.ros2.stories import check, play, told
@@ -35,15 +35,15 @@ def tokens(robot: ZenohRobot) -> list[str]:
 def test_a_command_carries_sequence_time_and_the_gid_of_our_token() -> None:
     robot = ZenohRobot(domain=5)
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         taken: list[zenoh.Sample] = []
 
         def has_two() -> bool:
-            stage.driver.send(Twist(0.1), 1, 1)
+            harness.driver.send(Twist(0.1), 1, 1)
             taken.extend(robot.samples())
             return len(taken) >= 2
 
-        await stage.until(has_two, speaking=True)
+        await harness.until(has_two, speaking=True)
         read = [struct.unpack("<qqB16s", s.attachment.to_bytes()) for s in taken if s.attachment]
         assert [r[0] for r in read] == list(range(read[0][0], read[0][0] + len(taken)))
         said = [token for token in tokens(robot) if "/MP/" in token]
@@ -58,8 +58,8 @@ def test_a_command_carries_sequence_time_and_the_gid_of_our_token() -> None:
 def test_it_is_a_node_of_the_graph_while_it_runs(is_humble: bool) -> None:
     robot = ZenohRobot(is_humble=is_humble)
 
-    async def story(stage: Stage) -> None:
-        await stage.until(lambda: len(tokens(robot)) == 4, speaking=True)
+    async def story(harness: DriverHarness) -> None:
+        await harness.until(lambda: len(tokens(robot)) == 4, speaking=True)
         node, *ends = tokens(robot)
         assert node.endswith("/0/0/NN/%/%/swarmd")
         parts = [token.split("/") for token in ends]
@@ -67,8 +67,8 @@ def test_it_is_a_node_of_the_graph_while_it_runs(is_humble: bool) -> None:
         assert [part[9] for part in parts] == ["%scan", "%odom", "%cmd_vel"]
         hashes = [part[11] for part in parts]
         assert (hashes == ["TypeHashNotSupported"] * 3) == is_humble
-        await stage.end()
-        await stage.until(lambda: not tokens(robot))
+        await harness.end()
+        await harness.until(lambda: not tokens(robot))
 
     play(robot, story)
 
@@ -76,13 +76,13 @@ def test_it_is_a_node_of_the_graph_while_it_runs(is_humble: bool) -> None:
 def test_a_token_that_is_none_ends_nothing() -> None:
     robot = ZenohRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         crashes: list[object] = []
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda _, context: crashes.append(context))
-        await stage.connect()
-        heard = len(stage.heard.scans)
-        await stage.until(lambda: len(stage.heard.scans) > heard + 2, speaking=True)
+        await harness.connect()
+        heard = len(harness.sink.scans)
+        await harness.until(lambda: len(harness.sink.scans) > heard + 2, speaking=True)
         assert not crashes
 
     declare = robot.hub.liveliness().declare_token
@@ -99,7 +99,7 @@ def test_who_only_looks_is_no_node() -> None:
     seen: list[str] = []
 
     def speak() -> None:
-        robot.speak()
+        robot.publish()
         seen.extend(tokens(robot))
 
     found = check(robot, speak)
@@ -113,21 +113,21 @@ def test_nodes_that_are_peers_of_the_router_are_heard_and_commanded() -> None:
     taken: list[zenoh.Sample] = []
     node.declare_subscriber(robot.command_key(), taken.append)
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         stamps = iter(range(1, 10_000))
 
         def is_up() -> bool:
             node.put(robot.key("scan", "LaserScan"), robots.scan(float(next(stamps))).serialize())
-            return stage.heard.is_up
+            return harness.sink.is_up
 
-        await stage.until(is_up)
+        await harness.until(is_up)
 
         def is_commanded() -> bool:
             is_up()
-            stage.driver.send(Twist(0.1), 1, 1)
+            harness.driver.send(Twist(0.1), 1, 1)
             return len(taken) > 1
 
-        await stage.until(is_commanded)
+        await harness.until(is_commanded)
 
     try:
         play(robot, story, connected=False)
@@ -148,15 +148,15 @@ def test_nodes_that_are_peers_of_the_router_are_heard_and_commanded() -> None:
 def test_another_type_or_hash_is_dropped_and_told(key: str, wanted: str) -> None:
     robot = ZenohRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         def is_told() -> bool:
             robot.put_on(key, robots.scan(1.0).serialize())
-            return told(stage, wanted)
+            return told(harness, wanted)
 
-        await stage.until(is_told)
-        assert not stage.heard.is_up
-        assert not stage.heard.scans
-        assert set(stage.heard.lost) <= {"scan:type", "scan:type:overtaken"}
+        await harness.until(is_told)
+        assert not harness.sink.is_up
+        assert not harness.sink.scans
+        assert set(harness.sink.lost) <= {"scan:type", "scan:type:overtaken"}
 
     play(robot, story, connected=False)
 
@@ -164,13 +164,13 @@ def test_another_type_or_hash_is_dropped_and_told(key: str, wanted: str) -> None
 def test_another_topic_below_the_scans_is_not_heard() -> None:
     robot = ZenohRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         for _ in range(20):
             key = robot.key("scan/front", "LaserScan")
             robot.put_on(key, robots.scan(1.0).serialize())
             await asyncio.sleep(0.01)
-        assert not stage.heard.lost
-        assert not stage.heard.is_up
+        assert not harness.sink.lost
+        assert not harness.sink.is_up
 
     play(robot, story, connected=False)
 
@@ -179,7 +179,7 @@ def test_check_tells_of_a_wrong_hash() -> None:
     robot = ZenohRobot()
 
     def speak() -> None:
-        robot.move()
+        robot.publish_odometry()
         key = f"0/scan/{dds_name('sensor_msgs/msg/LaserScan')}/RIHS01_{'0' * 64}"
         robot.put_on(key, robots.scan(1.0).serialize())
 
@@ -206,7 +206,7 @@ def test_check_finds_the_topic_in_another_domain_than_some_nodes() -> None:
     announce(robot, 0, "MP", "rosout", "rcl_interfaces/msg/Log")
     announce(robot, 0, "MP", "bot1%scan", "sensor_msgs/msg/LaserScan")
     announce(robot, 30, "MP", "scan", "sensor_msgs/msg/LaserScan")
-    found = check(robot, robot.move, seconds=0.7)
+    found = check(robot, robot.publish_odometry, seconds=0.7)
     assert "no /scan in domain 0, but in 30; correct driver_options.domain" in found["scan"].text
 
 
@@ -217,7 +217,7 @@ def test_check_without_any_node_says_how_they_are_started() -> None:
 
 def test_check_without_a_router_says_what_to_start() -> None:
     robot = ZenohRobot()
-    robot.die()
+    robot.disconnect()
     found = check(robot, seconds=1.2)
     assert "rmw_zenohd" in found["connection"].text
 
@@ -225,7 +225,7 @@ def test_check_without_a_router_says_what_to_start() -> None:
 def test_check_names_a_node_that_may_command_too() -> None:
     robot = ZenohRobot()
     announce(robot, 0, "MP", "cmd_vel", "geometry_msgs/msg/Twist")
-    found = check(robot, robot.speak)
+    found = check(robot, robot.publish)
     assert found["others"].is_well
     assert "/teleop may publish /cmd_vel too" in found["others"].text
 

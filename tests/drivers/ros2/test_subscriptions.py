@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from swarmd.core.errors import CodecError
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros2.subscriptions import Subscriptions
-from swarmd.testing.driver_contract import Heard
+from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2 import robots
 from tests.support import second_codec as second
 
@@ -43,7 +43,7 @@ def test_whatever_is_said_is_a_value_or_the_one_error(
     @settings(max_examples=150, deadline=None)
     @given(values)
     def check(value: Any) -> None:
-        heard = Heard()
+        heard = CollectingSink()
         with suppress(CodecError):
             Subscriptions(OPTIONS, robots.PLATFORM).take(name, value.serialize(), 0.0)(heard)
         assert all(np.isfinite(scan.bearings).all() for scan in heard.scans)
@@ -70,14 +70,14 @@ def test_what_is_needed_and_silent_is_missing() -> None:
 
 
 def test_scans_are_counted_by_arrival() -> None:
-    hearing, heard = Subscriptions(OPTIONS, robots.PLATFORM), Heard()
+    hearing, heard = Subscriptions(OPTIONS, robots.PLATFORM), CollectingSink()
     for stamp in (3.0, 1.0, 1.0):
         hearing.take("scan", robots.scan(stamp).serialize(), 0.0)(heard)
     assert [(scan.seq, scan.stamp) for scan in heard.scans] == [(1, 3.0), (2, 1.0), (3, 1.0)]
 
 
 def test_a_ring_stands_for_the_scan() -> None:
-    hearing, heard = Subscriptions(RING, robots.PLATFORM), Heard()
+    hearing, heard = Subscriptions(RING, robots.PLATFORM), CollectingSink()
     assert "scan" not in hearing.senses
     for name, metres in (("ranges.a", 0.5), ("ranges.b", 0.25)):
         message = second.OlderRange(header=second.stamped(1.0), range=metres)
@@ -86,14 +86,14 @@ def test_a_ring_stands_for_the_scan() -> None:
 
 
 def test_readings_of_several_sensors_are_told_together() -> None:
-    hearing, heard = Subscriptions(OPTIONS, robots.PLATFORM), Heard()
+    hearing, heard = Subscriptions(OPTIONS, robots.PLATFORM), CollectingSink()
     hearing.take("imu", second.Imu().serialize(), 0.0)(heard)
     hearing.take("battery", second.BatteryState(percentage=0.5).serialize(), 0.0)(heard)
     assert heard.values[-1] == {"yaw": 0.0, "battery": 0.5, "battery_voltage": 0.0}
 
 
 def test_the_lidars_turn_is_in_degrees_counted_to_the_left() -> None:
-    heard = Heard()
+    heard = CollectingSink()
     turned = Subscriptions(RosOptions(scan_yaw_deg=90.0), robots.PLATFORM)
     turned.take("scan", robots.scan(1.0, [1.0] * 4).serialize(), 0.0)(heard)
     assert np.degrees(heard.scans[0].bearings[:2]).tolist() == pytest.approx([90.0, -180.0])

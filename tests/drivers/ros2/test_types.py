@@ -6,7 +6,7 @@ import asyncio
 import threading
 
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
-from swarmd.testing.driver_contract import CAP, Heard
+from swarmd.testing.driver_contract import CAP, CollectingSink
 from tests.drivers.ros2.robots import BridgedRobot
 from tests.support import second_codec as second
 
@@ -19,10 +19,10 @@ def test_what_a_base_wants_is_known_before_it_is_heard() -> None:
 
     def speak() -> None:
         while not is_ending.wait(0.0003):
-            robot.speak()
+            robot.publish()
 
     async def run() -> bool:
-        driver, heard = robot.make({"cmd_vel_type": "twist_stamped"}), Heard()
+        driver, heard = robot.make({"cmd_vel_type": "twist_stamped"}), CollectingSink()
         running = asyncio.create_task(driver.run(heard))
         async with asyncio.timeout(CAP):
             while len(heard.states) < 2:

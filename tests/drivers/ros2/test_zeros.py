@@ -11,7 +11,7 @@ from swarmd.core.values import Twist
 from swarmd.driver_api.driver import Stopping
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2.session import open_session
-from swarmd.testing.driver_contract import CAP, Stage
+from swarmd.testing.driver_contract import CAP, DriverHarness
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.robots import BridgedRobot
 from tests.drivers.ros2.stories import play, told
@@ -38,11 +38,11 @@ def test_a_stopper_can_say_zero_to_this_base() -> None:
 
 def test_a_stopper_finds_a_base_that_comes_later() -> None:
     robot = BridgedRobot()
-    robot.die()
+    robot.disconnect()
     sender = ros2dds.make_zero_sender(robot="r", given=dict(robot.options({})))
     sender.open()
     sender.send_zero()
-    robot.rise()
+    robot.reconnect()
     taken: list[Twist] = []
     while not taken:
         sender.send_zero()
@@ -54,10 +54,10 @@ def test_a_stopper_finds_a_base_that_comes_later() -> None:
 
 def test_a_stopper_connects_to_a_base_that_comes_later_before_it_has_to_say_zero() -> None:
     robot = BridgedRobot()
-    robot.die()
+    robot.disconnect()
     sender = ros2dds.make_zero_sender(robot="r", given=dict(robot.options({})))
     sender.open()
-    robot.rise()
+    robot.reconnect()
     wait_until(lambda: bool(robot.hub.info.transports()), "it is connected", CAP)
     sender.close()
     robot.close()
@@ -66,15 +66,15 @@ def test_a_stopper_connects_to_a_base_that_comes_later_before_it_has_to_say_zero
 def test_a_robot_whose_link_is_back_is_told_zero_though_its_sensors_are_silent() -> None:
     robot = BridgedRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         for seq in range(3):
-            stage.driver.send(Twist(0.1), seq, seq)
-        while (await stage.command()).is_zero:
+            harness.driver.send(Twist(0.1), seq, seq)
+        while (await harness.command()).is_zero:
             pass
-        robot.die()
-        await stage.until(lambda: not stage.heard.is_up)
-        robot.rise()
-        assert (await stage.command()).is_zero
+        robot.disconnect()
+        await harness.until(lambda: not harness.sink.is_up)
+        robot.reconnect()
+        assert (await harness.command()).is_zero
 
     play(robot, story)
 
@@ -82,14 +82,14 @@ def test_a_robot_whose_link_is_back_is_told_zero_though_its_sensors_are_silent()
 def test_zeros_of_someone_else_that_do_not_end_are_told_of() -> None:
     robot = BridgedRobot()
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         began = asyncio.get_running_loop().time()
 
         def is_told() -> bool:
             robot.put("cmd_vel", robots.command(0.0))
-            return told(stage, "someone else tells this robot to stand", is_up=True)
+            return told(harness, "someone else tells this robot to stand", is_up=True)
 
-        await stage.until(is_told, speaking=True)
+        await harness.until(is_told, speaking=True)
         assert asyncio.get_running_loop().time() - began > 2.5, "a stopper of ours ends before"
 
     play(robot, story)
@@ -107,13 +107,13 @@ def test_its_session_is_closed_though_the_last_zero_cannot_be_sent(
 
     monkeypatch.setattr("swarmd.drivers.ros2.driver.open_session", opened)
 
-    async def story(stage: Stage) -> None:
+    async def story(harness: DriverHarness) -> None:
         def fail(twist: Twist) -> None:
             raise RuntimeError("broken")
 
-        stage.driver.send(Twist(0.1), 1, 1)
-        monkeypatch.setattr(stage.driver, "_put", fail)
-        await stage.end()
+        harness.driver.send(Twist(0.1), 1, 1)
+        monkeypatch.setattr(harness.driver, "_put", fail)
+        await harness.end()
         assert [session.is_closed() for session in sessions] == [True]
 
     play(BridgedRobot(), story)

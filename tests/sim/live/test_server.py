@@ -41,7 +41,7 @@ def world(*options: str) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
             process.kill()
 
 
-class Heard:
+class CollectingSink:
     """A sink that keeps what came last and lets a test wait for what it needs."""
 
     def __init__(self) -> None:
@@ -88,7 +88,7 @@ def test_a_robot_drives_by_its_driver_and_stops_when_the_driver_falls_silent(
     trace = tmp_path / "run.npz"
 
     async def story(endpoint: str) -> None:
-        heard = Heard()
+        heard = CollectingSink()
         driver = SimulatedDriver(
             swarm="s", robot="a", platform=load_platform("waffle_pi"),
             options={"endpoint": endpoint},
@@ -144,7 +144,7 @@ asyncio.run(drive())
 @pytest.mark.integration
 def test_a_frozen_driver_stops_its_own_body_and_no_other_is_cut_off() -> None:
     async def story(endpoint: str, frozen: subprocess.Popen[bytes]) -> None:
-        heard = Heard()
+        heard = CollectingSink()
         driver = SimulatedDriver(
             swarm="s", robot="b", platform=load_platform("burger"), options={"endpoint": endpoint}
         )
