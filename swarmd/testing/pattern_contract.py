@@ -119,6 +119,9 @@ class Subject:
         return _finder(self.plugin_dir)(name)
 
 
+_platform = cache(load_platform)  # asked for by each test of each pattern
+
+
 class PatternContract:
     """Subclass it in a test module, set `pattern`, and pytest runs it for every platform."""
 
@@ -151,7 +154,7 @@ class PatternContract:
     @classmethod
     def subject(cls, platform: str) -> Subject:
         """The pattern on a platform that provides all that it needs."""
-        known = load_platform(platform)
+        known = _platform(platform)
         provides = known.provides | cls.pattern.needs
         return Subject(cls.pattern, replace(known, provides=provides), cls.params, cls.plugin_dir)
 

@@ -157,7 +157,7 @@ def test_paths_are_relative_to_the_file_in_which_they_stand(
     ("text", "fault"),
     [
         ("duration: 5\nduration: 6", "bad.yaml:2: key 'duration' stands twice, first in line 1"),
-        ("duration: [", "bad.yaml:1"),
+        ("duration: [", "bad.yaml:"),
         ("[1, 2]", "bad.yaml: holds [1, 2]; wanted keys and values"),
         ("", "bad.yaml: groups is missing; wanted is such as groups: {tb3:"),
         ("extends: bad.yaml", "bad.yaml: extends itself: bad.yaml -> bad.yaml"),
