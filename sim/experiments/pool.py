@@ -256,7 +256,9 @@ BEAT = 0.25  # s between two words of progress
 def main(descriptor: int, parent: int) -> None:
     """Do jobs until there are no more."""
     die_with_parent(parent)
-    import swarmd.sim.experiments.pool  # noqa: F401  # once, for all the forks
+    # Loaded once, for all the forks: what a job imports, and what metrics import lazily.
+
+    import swarmd.sim.experiments.pool  # noqa: F401
 
     with Connection(descriptor) as connection:
         while True:

@@ -44,6 +44,7 @@ def made_with() -> dict[str, str]:
         "python": platform.python_version(),
         "numpy": np.__version__,
         "mujoco": mujoco.__version__,
+        "scipy": version("scipy"),
         "msgspec": msgspec.__version__,
         "machine": f"{platform.system()} {platform.machine()}",
         "simd": " ".join((*simd.get("baseline", ()), *simd.get("found", ()))),

@@ -1,4 +1,4 @@
-"""Means, medians and shares with their 95 % intervals, by resampling; numpy alone.
+"""Means, medians and shares with their 95 % intervals.
 
 Intervals of a mean are bias-corrected and accelerated (BCa: Efron & Tibshirani, An Introduction to
 the Bootstrap, 1993, chapter 14.3), those of a median are percentile intervals (chapter 13.3): the
@@ -9,13 +9,16 @@ gives an interval of no width.
 With few values bootstrap intervals are too narrow (Efron & Tibshirani 1993, chapter 14). Measured
 here with normal and exponential values, 95 % intervals of a mean hold it in 79 % of the cases
 with 5 values, in 87 % with 10, and in 92 % with 20.
+
+scipy.stats does the work. It is imported on the first interval: it takes most of a second.
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from statistics import NormalDist
+from functools import cache
 
 import numpy as np
 
@@ -30,10 +33,7 @@ METHOD = (
     " Wilson's score (1927) for shares"
 )
 _SEED = 1993
-_CHUNK = 2_000_000  # numbers resampled at a time: 16 MB
-
-Statistic = Callable[[Array], Array]
-"""From samples (k, n) to their statistic (k,)."""
+_BATCH = 2_000_000  # numbers resampled at a time: 16 MB
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,23 +89,14 @@ def summarize(values: Array, *, is_share: bool = False) -> Summary:
 
 def mean_interval(values: Array) -> Interval | None:
     """The BCa interval of the mean of values (n,); None below two values or for infinite ones."""
-    if values.size < 2 or not np.isfinite(values).all():
-        return None
-    if np.ptp(values) == 0.0:
+    if values.size >= 2 and np.isfinite(values).all() and np.ptp(values) == 0.0:
         return Interval(float(values[0]), float(values[0]))
-    means = _resampled(values, _means)
-    # The jackknife's means are linear in the values, so the acceleration (14.15) needs no loop.
-    away = values - values.mean()
-    scale = float((away**2).sum())
-    acceleration = float((away**3).sum()) / (6.0 * scale**1.5) if scale > 0.0 else 0.0
-    return _bca(means, float(values.mean()), acceleration)
+    return _bootstrap((values,), np.mean, "BCa")
 
 
 def median_interval(values: Array) -> Interval | None:
     """The percentile interval of the median of values (n,); None as for `mean_interval`."""
-    if values.size < 2 or not np.isfinite(values).all():
-        return None
-    return _between(_resampled(values, _medians), (1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0)
+    return _bootstrap((values,), np.median, "percentile")
 
 
 def difference_interval(a: Array, b: Array) -> Interval | None:
@@ -113,60 +104,45 @@ def difference_interval(a: Array, b: Array) -> Interval | None:
 
     Percentile interval (Efron & Tibshirani 1993, chapter 8.3 for two samples); None as above.
     """
-    if min(a.size, b.size) < 2 or not (np.isfinite(a).all() and np.isfinite(b).all()):
-        return None
-    apart = _resampled(b, _means, stream=1) - _resampled(a, _means, stream=0)
-    return _between(apart, (1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0)
+
+    def difference(a: Array, b: Array, axis: int) -> Array:
+        return np.asarray(b.mean(axis=axis) - a.mean(axis=axis))
+
+    return _bootstrap((a, b), difference, "percentile")
 
 
+@cache
 def wilson(count: int, n: int) -> Interval:
     """Wilson's interval of a share of which `count` of `n` were seen; ValueError if n is 0."""
+    from scipy.stats import binomtest
+
     if n < 1:
         raise ValueError("a share of nothing has no interval")
-    z = NormalDist().inv_cdf((1.0 + LEVEL) / 2.0)
-    share = count / n
-    middle = share + z * z / (2.0 * n)
-    reach = z * (share * (1.0 - share) / n + z * z / (4.0 * n * n)) ** 0.5
-    low, high = ((middle + sign * reach) / (1.0 + z * z / n) for sign in (-1.0, 1.0))
-    return Interval(0.0 if count == 0 else max(low, 0.0), 1.0 if count == n else min(high, 1.0))
+    found = binomtest(count, n).proportion_ci(LEVEL, method="wilson")
+    return Interval(float(found.low), float(found.high))
 
 
-def _resampled(values: Array, statistic: Statistic, stream: int = 0) -> Array:
-    """The statistic of RESAMPLES samples, drawn with replacement; the same draws every time."""
-    rng = np.random.default_rng([_SEED, stream])
-    rows = max(1, _CHUNK // values.size)
-    parts = [
-        statistic(values[rng.integers(values.size, size=(min(rows, RESAMPLES - k), values.size))])
-        for k in range(0, RESAMPLES, rows)
-    ]
-    return np.concatenate(parts)
+def _bootstrap(
+    samples: tuple[Array, ...], statistic: Callable[..., Array], method: str
+) -> Interval | None:
+    """A bootstrap interval from the same draws on every call."""
+    from scipy.stats import DegenerateDataWarning, bootstrap
 
-
-def _bca(replicates: Array, value: float, acceleration: float) -> Interval:
-    """The BCa interval (Efron & Tibshirani 1993, 14.9 to 14.14).
-
-    Replicates that equal `value` count half below it, as is usual for values with ties.
-    """
-    normal = NormalDist()
-    below = float((replicates < value).mean() + 0.5 * (replicates == value).mean())
-    if not 0.0 < below < 1.0:
-        return _between(replicates, (1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0)
-    bias = normal.inv_cdf(below)
-    ends = []
-    for share in ((1.0 - LEVEL) / 2.0, (1.0 + LEVEL) / 2.0):
-        z = bias + normal.inv_cdf(share)
-        ends.append(normal.cdf(bias + z / (1.0 - acceleration * z)))
-    return _between(replicates, *ends)
-
-
-def _between(replicates: Array, low: float, high: float) -> Interval:
-    ends = np.quantile(replicates, (low, high))
-    return Interval(float(ends[0]), float(ends[1]))
-
-
-def _means(samples: Array) -> Array:
-    return np.asarray(samples.mean(axis=1), dtype=np.float64)
-
-
-def _medians(samples: Array) -> Array:
-    return np.asarray(np.median(samples, axis=1), dtype=np.float64)
+    if any(values.size < 2 or not np.isfinite(values).all() for values in samples):
+        return None
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DegenerateDataWarning)
+        found = bootstrap(
+            samples,
+            statistic,
+            n_resamples=RESAMPLES,
+            batch=max(1, _BATCH // sum(values.size for values in samples)),
+            vectorized=True,
+            axis=-1,
+            confidence_level=LEVEL,
+            method=method,
+            rng=np.random.default_rng([_SEED, 0]),
+        ).confidence_interval
+    if method == "BCa" and np.isnan((found.low, found.high)).any():
+        return _bootstrap(samples, statistic, "percentile")
+    return Interval(float(found.low), float(found.high))

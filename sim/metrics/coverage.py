@@ -76,8 +76,8 @@ def covered_area(trace: Trace, radius: float = COVER, cell: float = CELL) -> flo
 def hull_areas(trace: Trace) -> Array:
     """(T,) the area in m2 of the convex hull of the robots' axle centres; NaN if none is present.
 
-    Hull by Andrew's monotone chain (Andrew 1979, Inf. Process. Lett. 9), area by the shoelace
-    formula; 0 for fewer than three robots or robots in a row.
+    0 for fewer than three robots or robots in a row. Hull by Qhull (Barber, Dobkin and Huhdanpaa
+    1996, ACM Trans. Math. Softw. 22).
     """
     is_present = presence(trace)
     areas = np.empty(len(trace.t))
@@ -108,27 +108,14 @@ def _in_arena(
 
 
 def _hull_area(place: Array) -> float:
-    if len(place) == 0:
-        return float("nan")
-    points = sorted(map(tuple, place.tolist()))
-    ring = [*_chain(points), *_chain(points[::-1])]
-    twice = sum(
-        ax * by - ay * bx for (ax, ay), (bx, by) in zip(ring, [*ring[1:], ring[0]], strict=True)
-    )
-    return twice / 2.0
+    from scipy.spatial import ConvexHull, QhullError
 
-
-def _chain(points: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
-    """The lower half of the hull of sorted points, without its last point."""
-    chain: list[tuple[float, ...]] = []
-    for x, y in points:
-        while len(chain) >= 2:
-            (ax, ay), (bx, by) = chain[-2], chain[-1]
-            if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0.0:
-                break
-            chain.pop()
-        chain.append((x, y))
-    return chain[:-1] if len(chain) > 1 else chain
+    if len(place) < 3:
+        return 0.0 if len(place) else float("nan")
+    try:
+        return float(ConvexHull(place).volume)  # of a hull in the plane, `area` is its perimeter
+    except QhullError:  # all in one place or on one line
+        return 0.0
 
 
 METRICS = (
@@ -144,7 +131,7 @@ METRICS = (
         "hull_area_end",
         "m2",
         "convex hull of the robots at the end",
-        "Andrew 1979, Inf. Process. Lett. 9 (hull)",
+        "Barber et al. 1996, ACM TOMS 22 (Qhull)",
         hull_area,
         hull_areas,
     ),

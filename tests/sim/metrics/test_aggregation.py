@@ -76,7 +76,7 @@ def test_an_absent_robot_is_in_no_cluster_and_joins_none(run: Run, line: Line) -
     assert aggregation.largest_cluster_share(trace, link=1.0).tolist() == [0.5]
 
 
-@pytest.mark.parametrize("n", [12, pairs.FEW + 30])
+@pytest.mark.parametrize("n", [12, 70])
 def test_clusters_agree_with_a_walk_through_the_graph(run: Run, n: int) -> None:
     rng = np.random.default_rng(2)
     pose = np.zeros((20, n, 3))
@@ -97,7 +97,7 @@ def test_clusters_agree_with_a_walk_through_the_graph(run: Run, n: int) -> None:
 
 def test_clusters_of_more_robots_and_instants_than_are_worked_on_at_once(run: Run) -> None:
     n = 100
-    pose = np.zeros((3 * pairs.AT_ONCE // n, n, 3))
+    pose = np.zeros((3 * pairs.MAX_POINTS // n, n, 3))
     pose[:, n // 2 :, 0] = 5.0
     trace = run(pose)
     assert (aggregation.clusters(trace, 1.0) == [0] * 50 + [50] * 50).all()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import importlib
 import math
 import pkgutil
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -157,3 +159,9 @@ def test_each_metric_is_listed_once() -> None:
     assert sorted(row[0] for row in rows) == listed  # each once
     assert all(name.isidentifier() and name == name.lower() for name, *_ in rows)
     assert all(all(row) for row in rows)
+
+
+def test_listing_metrics_does_not_import_scipy() -> None:
+    code = "import sys; import swarmd.sim.metrics.catalog, swarmd.sim.experiments.statistics;"
+    code += "sys.exit('scipy' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
