@@ -32,16 +32,19 @@ def pytest_unconfigure() -> None:
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Deselect tests marked `evidence` unless `-m` names the marker or an argument one test.
+    """Deselect tests marked `evidence` unless `-m` or a test's id asks for them; long files first.
 
-    A default `-m "not evidence"` in pyproject.toml would be lost under any other `-m`.
+    A default `-m "not evidence"` in pyproject.toml would be lost under any other `-m`. Files with
+    integration tests and studies start first, so that no worker ends long after the others.
     """
-    if "evidence" in config.option.markexpr or any("::" in argument for argument in config.args):
-        return
-    evidence = [item for item in items if item.get_closest_marker("evidence")]
-    if evidence:
+    is_named = any("::" in argument for argument in config.args)
+    if "evidence" not in config.option.markexpr and not is_named:
+        evidence = [item for item in items if item.get_closest_marker("evidence")]
         config.hook.pytest_deselected(items=evidence)
         items[:] = [item for item in items if not item.get_closest_marker("evidence")]
+    long = {item.path for item in items if item.get_closest_marker("integration")}
+    long |= {item.path for item in items if "studies" in item.path.parts}
+    items.sort(key=lambda item: item.path not in long)
 
 
 class Namespaces:

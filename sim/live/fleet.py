@@ -157,7 +157,7 @@ def world_command(spec: FleetSpec) -> list[str]:
     command += ["--endpoint", "tcp/127.0.0.1:0", "--realism", spec.realism]
     command += ["--lidar-visibility", spec.lidar_visibility]
     if spec.emulator is not None:
-        command += ["--emulate", spec.emulator, "--emulate-endpoint", "tcp/127.0.0.1:0"]
+        command += ["--emulator", spec.emulator, "--emulator-endpoint", "tcp/127.0.0.1:0"]
     command += [] if spec.radio_range is None else ["--radio-range", str(spec.radio_range)]
     command += ["--trace", str(spec.trace)] if spec.trace else []
     return command + (["--seconds", str(spec.seconds)] if spec.seconds else [])

@@ -125,7 +125,7 @@ def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
 def _make_dialect(options: argparse.Namespace, robots: Mapping[str, Platform]) -> EmulatorTransport:
     if options.radio_range is not None:
         raise ConfigError(
-            f"--radio-range and --emulate {options.emulator}: no robot says there whom it hears;"
+            f"--radio-range and --emulator {options.emulator}: no robot says there whom it hears;"
             " leave one of the two out"
         )
     return EmulatorTransport(load_emulator(options.emulator), robots, options.emulator_endpoint)
@@ -207,9 +207,9 @@ def _parser() -> argparse.ArgumentParser:
     add("--layout", default="grid:1.0", help="row, paper, grid, ring, random or list, with :size")
     add("--seed", type=int, default=0, help="of random layouts and of noise")
     add("--endpoint", default="tcp/127.0.0.1:7790", help="where drivers dial; port 0: any")
-    add("--emulate", metavar="NAME", help="bodies speak as the robots of this driver do")
+    add("--emulator", metavar="NAME", help="bodies speak as the robots of this driver do")
     add(
-        "--emulate-endpoint",
+        "--emulator-endpoint",
         default="tcp/127.0.0.1:7447",
         metavar="ENDPOINT",
         help="where the drivers of a dialect dial; port 0: any",

@@ -21,7 +21,7 @@ from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace, load_trace
 from tests.support.processes import wait_until
 
-SECONDS = 5.0
+SECONDS = 3.0
 WITHIN = 0.05
 PHASES = range(5)
 TRIES = 4
@@ -68,7 +68,7 @@ def live(pattern: str, poses: Poses, folder: Path) -> Trace:
             outcome = operator.request("run", epochs, {"pattern": pattern, "params": {}})
             assert len(outcome.applied) == len(robots), outcome.line
             watch = Watch(world)
-            while (state := watch.wait()).recorded < SECONDS + 2.0:
+            while (state := watch.wait()).recorded < SECONDS + 1.0:
                 watch.wait(since=state.time)
             world.ask("finish")
     return load_trace(trace)
@@ -149,7 +149,7 @@ def test_voters_with_daemons_come_to_agree_too_and_stay_so(tmp_path: Path) -> No
         with WorldView(swarm, fleet.endpoint) as world:
             watch = Watch(world)
             since = watch.wait().time
-            while (state := watch.wait()).time < since + 3.0:
+            while (state := watch.wait()).time < since + 1.5:
                 watch.wait(since=state.time)
         assert agreed(opinions(operator))
 
