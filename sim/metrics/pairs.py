@@ -82,7 +82,8 @@ def components(nodes: int, a: Ints, b: Ints) -> Ints:
     edges = coo_array((np.ones(len(a), dtype=np.int8), (a, b)), shape=(nodes, nodes))
     label = connected_components(edges, directed=False)[1]
     lowest: Ints = np.unique(label, return_index=True)[1]
-    return lowest[label]
+    named: Ints = lowest[label]
+    return named
 
 
 def _diagonal(where: Array) -> float:
