@@ -14,7 +14,7 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import Array
 from swarmd.sim.experiments.results import Results, load_results, unit_of
 from swarmd.sim.experiments.statistics import LEVEL, Interval, difference_interval, mean_interval
-from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.metrics.catalog import METRICS, is_time_to_event
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,11 +28,13 @@ class Side:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """How one metric differs: `difference` is the mean of `b` less that of `a`.
+    """How one metric differs: `difference` is the mean of `b` less the mean of `a`.
 
-    `interval` holds the difference in 95 % of such comparisons. `is_paired`: taken seed by seed.
-    All but `n_a` and `n_b` are None where a side has no values, `interval` also below two.
-    `better` is the side that is better, None if they do not differ or neither way is good as such.
+    `interval` is the 95 % interval of the difference. `is_paired`: the difference is taken seed by
+    seed. `n_a` and `n_b` count the runs with a value. All others are None where a side has no
+    value, `interval` also below two. `better` is the better side; None if the sides do not differ,
+    or if neither direction is good as such. `never_a` and `never_b` count the runs in which the
+    event of a time to an event never happened; with such runs there is no difference of means.
     """
 
     metric: str
@@ -45,6 +47,8 @@ class Difference:
     interval: Interval | None
     is_paired: bool
     better: Literal["a", "b"] | None
+    never_a: int = 0
+    never_b: int = 0
 
     @property
     def differs(self) -> bool:
@@ -53,7 +57,10 @@ class Difference:
 
     @property
     def conclusion(self) -> str:
-        """In a word or two."""
+        """The result of the comparison in a few words."""
+        if self.never_a or self.never_b:
+            of_a, of_b = self.n_a + self.never_a, self.n_b + self.never_b
+            return f"never: {self.never_a} of {of_a}, {self.never_b} of {of_b}"
         if self.difference is None:
             return "-"
         if self.interval is None:
@@ -123,6 +130,22 @@ def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, A
 
 def _difference(a: Side, b: Side, name: str) -> Difference:
     left, right = a.results.metric(name, a.variant), b.results.metric(name, b.variant)
+    never_a, never_b = int(np.isnan(left).sum()), int(np.isnan(right).sum())
+    if is_time_to_event(name) and (never_a or never_b):
+        return Difference(
+            metric=name,
+            unit=unit_of(name),
+            n_a=left.size - never_a,
+            n_b=right.size - never_b,
+            mean_a=None,
+            mean_b=None,
+            difference=None,
+            interval=None,
+            is_paired=False,
+            better=None,
+            never_a=never_a,
+            never_b=never_b,
+        )
     is_paired = set(a.results.plan.seeds) == set(b.results.plan.seeds)
     if is_paired:
         seeds = a.results.seeds(a.variant), b.results.seeds(b.variant)

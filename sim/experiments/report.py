@@ -1,4 +1,4 @@
-"""Statistics as a reader wants them: tables of words."""
+"""Statistics as tables of text."""
 
 from __future__ import annotations
 
@@ -12,18 +12,21 @@ NOTHING = "-"
 
 
 def summary_rows(summary: Mapping[str, Summary]) -> list[tuple[str, ...]]:
-    """A row of words for each metric; a metric that is 0 or 1 has the interval of its share."""
+    """A row of cells for each metric; a metric that is 0 or 1 has the interval of its share.
+
+    A time to an event that never happened in some runs has their number instead of a mean.
+    """
     return [
         (
             name,
             (METRICS[name].unit if name in METRICS else "") or NOTHING,
-            number(one.mean),
+            f"{one.never} of {one.n + one.never} never" if one.never else number(one.mean),
             interval(one.mean_interval if one.share is None else one.share_interval),
             number(one.median) if one.share is None else NOTHING,
             interval(one.median_interval if one.share is None else None),
             number(one.min),
             number(one.max),
-            str(one.n),
+            str(one.n + (one.never or 0)),
         )
         for name, one in summary.items()
     ]

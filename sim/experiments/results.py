@@ -16,7 +16,7 @@ from swarmd.sim.experiments.plan import Plan, Run
 from swarmd.sim.experiments.report import summary_lines
 from swarmd.sim.experiments.statistics import LEVEL, METHOD, Summary, summarize
 from swarmd.sim.experiments.store import Row, read_failures, read_table, trace_path
-from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.metrics.catalog import METRICS, is_time_to_event
 from swarmd.sim.trace import Trace, load_trace
 
 YES_OR_NO = "0 or 1"
@@ -118,7 +118,11 @@ class Results:
                 raise ConfigError(f"{text}; name one")
             variant = self.variants[0]
         return {
-            name: summarize(self.metric(name, variant), is_share=unit_of(name) == YES_OR_NO)
+            name: summarize(
+                self.metric(name, variant),
+                is_share=unit_of(name) == YES_OR_NO,
+                is_time_to_event=is_time_to_event(name),
+            )
             for name in names or self.metrics
         }
 

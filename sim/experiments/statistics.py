@@ -49,10 +49,12 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What `n` values of a metric come to; all but `n` are None if there is no value.
+    """Statistics of the `n` values of a metric; all others are None if there is no value.
 
-    Intervals are None below two values. `share` is how many of the values are 1, with its
-    interval, for values that can but be 0 or 1.
+    Intervals are None below two values. `share`, of values that are 0 or 1, is the share of ones.
+    `never`, of times to an event, counts the runs in which the event never happened. If there are
+    such runs, mean and intervals are None: a mean of the other runs would be biased. The median
+    is of all runs, and None if at least half of them never had the event.
     """
 
     n: int
@@ -64,16 +66,27 @@ class Summary:
     max: float | None = None
     share: float | None = None
     share_interval: Interval | None = None
+    never: int | None = None
 
 
-def summarize(values: Array, *, is_share: bool = False) -> Summary:
-    """The summary of values (n,), of which NaN ones are left out.
+def summarize(values: Array, *, is_share: bool = False, is_time_to_event: bool = False) -> Summary:
+    """The summary of values (n,), without those that are NaN.
 
-    `is_share`: they can but be 0 or 1. That a count was 0 in every run does not make it a share.
+    `is_share`: the metric is 0 or 1 by definition; counts that happen to be 0 and 1 are no share.
+    `is_time_to_event`: NaN means that the event never happened.
     """
     kept = values[~np.isnan(values)]
+    never = values.size - kept.size if is_time_to_event else None
     if not kept.size:
-        return Summary(n=0)
+        return Summary(n=0, never=never)
+    if never:
+        median = float(np.median(np.where(np.isnan(values), np.inf, values)))
+        return Summary(
+            n=kept.size,
+            median=median if np.isfinite(median) else None,
+            min=float(kept.min()),
+            never=never,
+        )
     return Summary(
         n=kept.size,
         mean=float(kept.mean()),
@@ -84,6 +97,7 @@ def summarize(values: Array, *, is_share: bool = False) -> Summary:
         max=float(kept.max()),
         share=float(kept.mean()) if is_share else None,
         share_interval=wilson(int(kept.sum()), kept.size) if is_share else None,
+        never=never,
     )
 
 
@@ -130,7 +144,8 @@ def _bootstrap(
 
     if any(values.size < 2 or not np.isfinite(values).all() for values in samples):
         return None
-    with warnings.catch_warnings():
+    # Almost equal values have no acceleration: 0 / 0.
+    with np.errstate(invalid="ignore"), warnings.catch_warnings():
         warnings.simplefilter("ignore", DegenerateDataWarning)
         found = bootstrap(
             samples,

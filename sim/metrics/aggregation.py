@@ -249,6 +249,7 @@ METRICS = (
         "until first all are in one cluster and half as far from the centroid as at the start",
         "ours",
         _linked_value(gather_time),
+        is_time_to_event=True,
     ),
     Metric(
         "nearest_neighbor_median_late",

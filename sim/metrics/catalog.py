@@ -75,6 +75,11 @@ def metric_of(name: str) -> Metric:
     return METRICS[name]
 
 
+def is_time_to_event(name: str) -> bool:
+    """Whether a metric is the time to an event that may never happen in a run."""
+    return name in METRICS and METRICS[name].is_time_to_event
+
+
 def table() -> list[tuple[str, str, str, str]]:
     """(name, unit, meaning, source) of all metrics, for a reader."""
     return [(one.name, one.unit or "-", one.meaning, one.source) for one in METRICS.values()]

@@ -76,6 +76,7 @@ METRICS = (
         consensus_time,
         None,
         "less",
+        is_time_to_event=True,
     ),
     Metric(
         "consensus_share",

@@ -24,6 +24,7 @@ class Metric:
     `value` of a trace, None if it has none. `series` (T,) is what it was at each instant, NaN
     where unknown, None as a whole if the trace lacks what it needs; a metric without is one
     number of a whole run. `better` says which way is good whatever the task; None if that depends.
+    `is_time_to_event`: the value is a duration in s, None where the event never happened.
     """
 
     name: str
@@ -33,6 +34,7 @@ class Metric:
     value: Value
     series: Series | None = None
     better: Better | None = None
+    is_time_to_event: bool = False
 
 
 def at_start(series: Series) -> Value:

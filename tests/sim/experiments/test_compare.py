@@ -196,3 +196,11 @@ def test_sides_that_cannot_be_are_one_line(a: str, b: str, fault: str) -> None:
     with pytest.raises(ConfigError) as caught:
         sides(a, b)
     assert fault in str(caught.value)
+
+
+def test_times_that_some_runs_never_reached_are_not_subtracted() -> None:
+    never: dict[int, float | None] = {0: 10.0, 1: None, 2: 12.0}
+    found = only(side(never, "gather_time"), side(of(np.array([9.0, 8.0, 7.0])), "gather_time"))
+    assert (found.never_a, found.never_b, found.mean_a, found.difference) == (1, 0, None, None)
+    assert not found.differs
+    assert found.conclusion == "never: 1 of 3, 0 of 3"

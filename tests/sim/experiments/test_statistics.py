@@ -151,3 +151,16 @@ def test_infinite_values_have_a_mean_but_no_interval() -> None:
     found = summarize(np.array([1.0, 2.0, np.inf]))
     assert found.mean == np.inf
     assert found.mean_interval is None
+
+
+def test_a_time_that_some_runs_never_reached_has_a_median_and_no_mean() -> None:
+    found = summarize(np.array([10.0, 20.0, np.nan]), is_time_to_event=True)
+    assert (found.n, found.never, found.median) == (2, 1, 20.0)
+    assert (found.mean, found.mean_interval, found.median_interval) == (None, None, None)
+    mostly_never = summarize(np.array([10.0, np.nan, np.nan]), is_time_to_event=True)
+    assert (mostly_never.median, mostly_never.never) == (None, 2)
+
+
+def test_a_time_that_every_run_reached_has_a_mean() -> None:
+    found = summarize(np.array([10.0, 20.0]), is_time_to_event=True)
+    assert (found.mean, found.never) == (15.0, 0)
