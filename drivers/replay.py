@@ -16,6 +16,7 @@ from msgspec import Meta, Struct
 
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
+from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, Sink
 from swarmd.driver_api.hw_codec import (
     decode_neighbors,
@@ -57,9 +58,7 @@ class ReplayDriver:
         self._spec = platform.scan
         self._recording = read_recording(self._path)
         self._after, self._span = _extent(self._path, self._recording, platform)
-        self._is_up = False
-        self._owes_zero = True
-        self._has_sent = False
+        self._gate = CommandGate()
         self._commands: Counter[str] = Counter()
         self.taken: deque[Twist] = deque(maxlen=KEPT)
 
@@ -81,20 +80,16 @@ class ReplayDriver:
             self._lose(sink, f"{self._path.name} has ended; option loop=true plays it again")
             await asyncio.Event().wait()
         finally:
-            if self._has_sent:
+            if self._gate.end():
                 self._take(ZERO)
-            self._is_up, self._owes_zero, self._has_sent = False, True, False
             moving = self._commands["moving"]
             log.info("took %d commands, %d to move", self._commands.total(), moving)
 
     def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         """Take a command, as a base would: dropped while lost, zero the first time it is back."""
-        if not self._is_up:
-            return
-        if self._owes_zero:
-            self._owes_zero, twist = False, ZERO
-        self._has_sent = True
-        self._take(twist)
+        command = self._gate.filter(twist)
+        if command is not None:
+            self._take(command)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """What the recording holds."""
@@ -155,13 +150,12 @@ class ReplayDriver:
                 self._lose(sink, f"as recorded: {text}")
 
     def _find(self, sink: Sink) -> None:
-        if not self._is_up:
-            self._is_up = self._owes_zero = True
+        if not self._gate.is_open:
+            self._gate.open()
             sink.state(True, f"plays {self._path}")
 
     def _lose(self, sink: Sink, text: str) -> None:
-        self._is_up = False
-        if self._has_sent:
+        if self._gate.close(asyncio.get_running_loop().time()):
             self._take(ZERO)
         sink.state(False, text)
 

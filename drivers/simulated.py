@@ -13,6 +13,7 @@ import zenoh
 from swarmd.core import keys
 from swarmd.core.errors import CodecError, ConfigError, unknown
 from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
+from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, NullSink, SenderSpec, Sink
 from swarmd.driver_api.hw_codec import (
     decode_neighbors,
@@ -45,9 +46,7 @@ class SimulatedDriver:
         self._robot, self._swarm, self._platform = robot, swarm, platform
         self._endpoint = _endpoint(options)
         self._commands: zenoh.Publisher | None = None
-        self._is_up = False
-        self._owes_zero = True
-        self._has_sent = False
+        self._gate = CommandGate()
         self._heard = -math.inf
 
     async def run(self, sink: Sink) -> None:
@@ -70,22 +69,17 @@ class SimulatedDriver:
         finally:
             inbox.close()
             try:
-                if self._has_sent:  # who only looked must not interrupt the daemon that drives
+                if self._gate.end():
                     self._put(ZERO, -1, -1)
             finally:  # an open session would keep the process for ever
-                self._commands, self._is_up, self._owes_zero = None, False, True
-                self._has_sent = False
+                self._commands = None
                 session.close()
 
     def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         """Send a safe command; dropped while the body is lost, zero the first time it is back."""
-        if not self._is_up:
-            return
-        if self._owes_zero:
-            self._owes_zero = False
-            twist = ZERO
-        self._has_sent = True
-        self._put(twist, scan_seq, requested_scan_seq)
+        command = self._gate.filter(twist)
+        if command is not None:
+            self._put(command, scan_seq, requested_scan_seq)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """Whether scans and odometry come and commands have a taker; moves nothing."""
@@ -149,8 +143,8 @@ class SimulatedDriver:
             sink.dropped(f"hw/{name}")
             return
         self._heard = asyncio.get_running_loop().time()
-        if not self._is_up:
-            self._is_up = self._owes_zero = True
+        if not self._gate.is_open:
+            self._gate.open()
             sink.state(True, f"body at {self._endpoint}")
         deliver()
 
@@ -164,9 +158,8 @@ class SimulatedDriver:
         return partial(sink.readings, decode_readings(payload))
 
     def _watch(self, sink: Sink, now: float) -> None:
-        if self._is_up and now - self._heard > SILENCE:
-            self._is_up = False
-            if self._has_sent:
+        if self._gate.is_open and now - self._heard > SILENCE:
+            if self._gate.close(now):
                 self._put(ZERO, -1, -1)
             sink.state(False, f"nothing from {self._endpoint} for {SILENCE:g} s")
 

@@ -366,7 +366,7 @@ def load_rospy() -> Any:
 def main() -> None:
     """Serve the driver at the other end of standard input."""
     config = json.loads(sys.argv[1])
-    reach = importlib.import_module("ros1_master").Master  # beside this file
+    reach = importlib.import_module("master").Master  # beside this file
     master = reach(config["master"], "/" + config["name"])
     del sys.path[0]  # this folder: its modules are not for this interpreter
     os.set_blocking(2, False)

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from swarmd.core.errors import CodecError, DriverError
 from swarmd.core.values import ZERO, Platform, ScanSpec, Twist, Value
+from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, SenderSpec, Sink
 from swarmd.drivers.ros.from_ros import (
     RangeRing,
@@ -43,9 +44,6 @@ FIRST_PAUSE, LONGEST_PAUSE = 0.1, 5.0
 
 After one that had its base always the first: the base may keep its velocity until the next one.
 """
-
-STANDS = 2.0
-"""Seconds for which a base that counts as lost is told to stand; then others may have it."""
 
 _WATCH_PERIOD = 0.1
 _ENOUGH = 3  # messages of each sense, for a check
@@ -73,10 +71,8 @@ class Ros1Driver:
         self._said: tuple[bool, str] = (False, "")
         self._said_at = math.inf
         self._logged = ""
-        self._is_up = self._was_up = False
-        self._fell = -math.inf
-        self._owes_zero = True
-        self._has_sent = False
+        self._gate = CommandGate()
+        self._was_up = False
         self._count = 0
         self._end = ""
         self._is_planned = False
@@ -106,23 +102,20 @@ class Ros1Driver:
                 pause = min(2.0 * pause, LONGEST_PAUSE)
         finally:
             self._sink, self._said, self._logged = None, (False, ""), ""
-            self._has_sent, self._fell = False, -math.inf
+            self._gate.end()
 
     def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
-        """Send a safe command; zero the first time that the base is back.
+        """Send a safe command; dropped while the base is lost, zero the first time it is back.
 
-        Dropped while the base is lost, but that it is told to stand at first: whoever else drives
-        it must not have the adapter against him, which would take silence for a guardian's.
+        For the first 2 s of a loss each command is sent as zero. The adapter then knows that the
+        base stands; after a moving command it would take the silence for that of a dead daemon and
+        send zeros against the node that drives the base next.
         """
-        if not self._is_up:
-            if time.monotonic() - self._fell < STANDS:
-                self._put(ZERO)
-            return
-        if self._owes_zero:
-            self._owes_zero = False
-            twist = ZERO
-        self._has_sent = True
-        self._put(twist)
+        command = self._gate.filter(twist)
+        if command is None and self._gate.repeats_zero(time.monotonic()):
+            command = ZERO
+        if command is not None:
+            self._put(command)
 
     def _put(self, twist: Twist) -> None:
         if self._child is None:
@@ -185,7 +178,8 @@ class Ros1Driver:
         return self._end or f"the adapter {end}"
 
     def _forget_base(self) -> None:
-        self._child, self._is_up, self._owes_zero = None, False, True
+        self._child = None
+        self._gate.cut()
 
     def _config(self, drives: bool) -> dict[str, Any]:
         options, view = self._options, self._view
@@ -205,7 +199,7 @@ class Ros1Driver:
             }
             if drives
             else None,
-            "holds": drives and self._has_sent,
+            "holds": drives and self._gate.has_sent,
         }
 
     # What the adapter tells
@@ -240,9 +234,9 @@ class Ros1Driver:
             self.on_dropped(sense.name)
             return
         sense.hear(stamp, detail, now)
-        if not self._is_up:
+        if not self._gate.is_open:
             self._judge()
-        if self._is_up and self._sink is not None:
+        if self._gate.is_open and self._sink is not None:
             deliver(self._sink)
 
     def on_dropped(self, what: str) -> None:
@@ -257,17 +251,17 @@ class Ros1Driver:
         missing = self._end or self._view.missing(asyncio.get_running_loop().time())
         if missing:
             self._say(False, missing)
-        elif not self._is_up:
-            self._owes_zero = True
+        elif not self._gate.is_open:
             topic, node = self._view.command_topic, self._view.state
             others = f", as is {', '.join(node.others)}" if node and node.others else ""
             self._say(True, f"drives on {topic} at {self._options.master_uri}{others}")
 
     def _say(self, is_up: bool, text: str) -> None:
-        now, was_up, self._is_up = time.monotonic(), self._is_up, is_up
+        now, was_up = time.monotonic(), self._gate.is_open
         self._was_up |= is_up
-        if was_up and not is_up and self._has_sent:
-            self._fell = now
+        if is_up and not was_up:
+            self._gate.open()
+        elif not is_up and self._gate.close(now):
             self._put(ZERO)
         if self._sink is not None and self._said != (is_up, text):
             self._said, self._said_at = (is_up, text), now

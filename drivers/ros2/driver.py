@@ -13,6 +13,7 @@ import zenoh
 from swarmd.core.errors import CodecError
 from swarmd.core.threads import hand_over
 from swarmd.core.values import ZERO, Platform, Twist
+from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, NullSink, SenderSpec, Sink
 from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.ros import cdr
@@ -43,9 +44,6 @@ SILENCE = 1.0
 OTHERS_LAST = 2.0
 """Seconds for which somebody else's command keeps this driver from commanding."""
 
-ZEROS_LAST = 2.0
-"""Seconds for which a lost robot is told zero: from its loss, and from when its link is back."""
-
 ZEROS_OF_OTHERS = 3.0
 """Seconds after which zeros that others say are told of: longer than our own stopper's."""
 
@@ -60,9 +58,6 @@ class RosDriver:
     """Talks to one robot through the hub at `options.endpoint`."""
 
     is_simulated = False
-    _is_up: bool
-    _has_sent: bool
-    _owes_zero: bool
 
     def __init__(
         self,
@@ -89,13 +84,9 @@ class RosDriver:
 
     def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         """Send a safe command; dropped while the base is lost, zero the first time it is back."""
-        if not self._is_up:
-            return
-        if self._owes_zero:
-            self._owes_zero = False
-            twist = ZERO
-        self._has_sent = True
-        self._put(twist, self._options.cmd_vel_frame)
+        command = self._gate.filter(twist)
+        if command is not None:
+            self._put(command, self._options.cmd_vel_frame)
 
     def zero_sender(self) -> SenderSpec:
         """How a stopper says zero to this base."""
@@ -138,9 +129,8 @@ class RosDriver:
         self._graph: dict[str, Endpoint] = {}
         self._hubs: frozenset[str] = frozenset()
         self._census = DuplicateNodes(self._scheme.nodes, self._cmd_vel)
-        self._is_up = self._has_sent = self._was_linked = False
-        self._owes_zero = True
-        self._zeros_end = -math.inf
+        self._gate = CommandGate()
+        self._was_linked = False
         self._other_at = self._other_zero_at = self._other_zeros_from = -math.inf
         self._other_commands = 0
         self._told: tuple[bool, str] | None = None
@@ -166,7 +156,7 @@ class RosDriver:
         finally:
             inbox.close()
             try:
-                if self._has_sent:  # who only looked must not interrupt the daemon that drives
+                if self._gate.end():
                     self._put(ZERO, frame="")
             finally:  # an open session would keep the process for ever
                 self._reset()
@@ -208,7 +198,7 @@ class RosDriver:
         elif not is_there:
             self._graph.pop(token, None)
             if not end.is_publisher and end.topic == self._cmd_vel:
-                self._owes_zero = True  # who comes in its place must not begin by moving
+                self._gate.require_zero()
 
     def _others(self) -> tuple[Endpoint, ...]:
         """What is announced, but for our own tokens."""
@@ -231,7 +221,7 @@ class RosDriver:
                 sink.dropped(name)
                 return
             self._rise(sink, looks_only, now)
-            if self._is_up:
+            if self._gate.is_open:
                 deliver(sink)
 
     def _on_command(self, sink: Sink, name: str, payload: bytes, now: float) -> None:
@@ -247,7 +237,7 @@ class RosDriver:
             except CodecError:
                 pass  # not what we would say: it may well move the robot
         self._other_at = now
-        if self._is_up:
+        if self._gate.is_open:
             self._fall(sink, self._driven_by_others())
 
     def _driven_by_others(self) -> str:
@@ -257,9 +247,9 @@ class RosDriver:
         )
 
     def _rise(self, sink: Sink, looks_only: bool, now: float) -> None:
-        if self._is_up or self._hearing.heard_at < now or self._obstacle(now):
+        if self._gate.is_open or self._hearing.heard_at < now or self._obstacle(now):
             return
-        self._is_up = self._owes_zero = True
+        self._gate.open()
         self._tell(sink, True, self._place())
         if not looks_only and not self._tokens and self._session is not None:
             topics = [(s.topic, s.kind) for s in self._hearing.senses.values()]
@@ -268,8 +258,7 @@ class RosDriver:
                 self._tokens.append(self._session.liveliness().declare_token(token))
 
     def _fall(self, sink: Sink, text: str) -> None:
-        self._is_up = False
-        if self._has_sent:
+        if self._gate.close(asyncio.get_running_loop().time()):
             self._put(ZERO, frame="")  # without a name in it, it is zero as a Twist too
         self._tell(sink, False, text)
 
@@ -278,35 +267,29 @@ class RosDriver:
         self._hubs = hubs or before
         silent = now - self._hearing.heard_at
         if hubs and (not self._was_linked or hubs != before):
-            self._zeros_end = now + ZEROS_LAST
+            self._gate.repeat_zero(now)
         self._was_linked = bool(hubs)
-        if self._is_up and not hubs:
+        if self._gate.is_open and not hubs:
             self._fall(sink, unheard(self._scheme, self._options.endpoint))
-        elif self._is_up and before and hubs != before:
+        elif self._gate.is_open and before and hubs != before:
             self._fall(sink, f"{self._place()} was started anew")
-        elif self._is_up and silent > self._silence:
-            self._zeros_end = now + ZEROS_LAST
+        elif self._gate.is_open and silent > self._silence:
             self._fall(sink, f"no scan and no odometry from {self._place()} for {silent:.1f} s")
-        elif self._is_up and (obstacle := self._obstacle(now)):
+        elif self._gate.is_open and (obstacle := self._obstacle(now)):
             self._fall(sink, obstacle)
-        elif self._has_sent and not self._is_up and now < self._zeros_end:
-            self._repeat_zero(now)
+        elif self._gate.repeats_zero(now) and now - self._other_at >= OTHERS_LAST:
+            self._put(ZERO, frame="")
         if now - self._told_at >= _PATIENCE and now - opened >= _PATIENCE:
             self._explain(sink, now, is_linked=bool(hubs))
-
-    def _repeat_zero(self, now: float) -> None:
-        """It may still drive as it was told last: nobody could tell it, or the zero was lost."""
-        if now - self._other_at >= OTHERS_LAST:
-            self._put(ZERO, frame="")
 
     def _explain(self, sink: Sink, now: float, *, is_linked: bool) -> None:
         """Say anew why it is lost, or what is missing although it is there."""
         if is_linked:
             is_heard = now - self._hearing.heard_at <= self._silence
             obstacle = self._obstacle(now) if is_heard or now - self._other_at < OTHERS_LAST else ""
-            self._tell(sink, self._is_up, obstacle or self._trouble(now) or self._place())
+            self._tell(sink, self._gate.is_open, obstacle or self._trouble(now) or self._place())
         else:
-            self._tell(sink, self._is_up, unheard(self._scheme, self._options.endpoint))
+            self._tell(sink, self._gate.is_open, unheard(self._scheme, self._options.endpoint))
 
     def _obstacle(self, now: float) -> str:
         """Why this base is not to be commanded although it is heard; empty if nothing is."""

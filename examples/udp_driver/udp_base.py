@@ -29,6 +29,7 @@ from swarmd.core.values import (
     Twist,
     Value,
 )
+from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, SenderSpec, Sink
 
 SILENCE = 1.0
@@ -74,8 +75,7 @@ class UdpDriver:
         self._link: asyncio.DatagramTransport | None = None
         self._heard = -math.inf
         self._seq = 0
-        self._is_up = self._has_sent = False
-        self._owes_zero = True
+        self._gate = CommandGate()
 
     async def run(self, sink: Sink) -> None:
         """Feed the sink until cancelled; zero on the way out."""
@@ -88,21 +88,21 @@ class UdpDriver:
             while True:
                 self._link.sendto(msgspec.msgpack.encode({}))
                 await asyncio.sleep(HELLO)
-                if self._is_up and loop.time() - self._heard > SILENCE:
-                    self._is_up = False
-                    self._put(ZERO)  # it may hear, though it says nothing
+                if self._gate.is_open and loop.time() - self._heard > SILENCE:
+                    if self._gate.close(loop.time()):
+                        self._put(ZERO)
                     sink.state(False, f"nothing from {self._base} for {SILENCE:g} s")
         finally:
-            if self._has_sent:  # whoever only looked must not stop who drives
+            if self._gate.end():
                 self._put(ZERO)
             self._link.close()
-            self._link, self._is_up, self._has_sent = None, False, False
+            self._link = None
 
     def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         """Send a safe command: dropped while the base is lost, zero the first time it is back."""
-        if self._is_up:
-            self._put(ZERO if self._owes_zero else twist)
-            self._owes_zero, self._has_sent = False, True
+        command = self._gate.filter(twist)
+        if command is not None:
+            self._put(command)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """Whether scans and odometry come; commands nothing."""
@@ -134,8 +134,8 @@ class UdpDriver:
             sink.dropped("garbage")
             return
         self._heard = asyncio.get_running_loop().time()
-        if not self._is_up:
-            self._is_up = self._owes_zero = True
+        if not self._gate.is_open:
+            self._gate.open()
             sink.state(True, f"base at {self._base}")
         if isinstance(value, Scan):
             sink.scan(value)

@@ -170,16 +170,16 @@ def test_takes_every_kind_of_deadman(command_timeout: Value) -> None:
 @pytest.mark.parametrize(
     ("options", "fault"),
     [
-        ({"command_timeout": "never"}, "here: deadman is 'never'; wanted "),
+        ({"command_timeout": "never"}, "here: command_timeout is 'never'; wanted "),
         (
             {"command_timeout": 5.0},
-            "here: deadman is 5.0; wanted a number of at least 0.1 and up to 2",
+            "here: command_timeout is 5.0; wanted a number of at least 0.1 and up to 2",
         ),
-        ({"command_timeout": True}, "here: deadman is True; wanted "),
+        ({"command_timeout": True}, "here: command_timeout is True; wanted "),
         ({"idle_output": "off"}, "here: idle_output is 'off'; wanted "),
         (
             {"command_timeout": "none", "idle_output": "silent"},
-            "here: idle_output is silent, but deadman",
+            "here: idle_output is silent, but command_timeout",
         ),
     ],
 )

@@ -23,7 +23,7 @@ SLACK = 2.0  # s beyond the 0.4 and a beat, for a starved machine
 
 def adapters(daemon: DaemonProcess) -> list[int]:
     def is_one(pid: int) -> bool:
-        return b"ros1_adapter" in Path(f"/proc/{pid}/cmdline").read_bytes()
+        return b"adapter_process" in Path(f"/proc/{pid}/cmdline").read_bytes()
 
     return [pid for pid in children(daemon.process.pid) if is_one(pid)]
 

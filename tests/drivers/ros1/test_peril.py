@@ -18,10 +18,10 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from swarmd.core.values import Twist
+from swarmd.driver_api.command_gate import ZERO_REPEAT_TIME
 from swarmd.drivers.ros1 import driver as ros1
 from swarmd.drivers.ros1 import wire
 from swarmd.drivers.ros1.adapter_process import SILENCE, STOPPING
-from swarmd.drivers.ros1.driver import STANDS
 from swarmd.testing.driver_contract import CollectingSink, DriverHarness
 from swarmd.testing.driver_rig import is_running
 from tests.drivers.ros1.rig import RosRobot, robot
@@ -58,7 +58,7 @@ def test_who_else_drives_is_left_alone_after_zeros_and_named_once_in_the_log(
         other = body.make({})
         second = asyncio.create_task(other.run(CollectingSink()))
         await moving(harness, 0.0, lambda: not harness.sink.is_up)
-        told = await moving(harness, STANDS + SILENCE, lambda: True)
+        told = await moving(harness, ZERO_REPEAT_TIME + SILENCE, lambda: True)
         while not told[0].is_zero:  # sent before
             del told[0]
         assert len(told) > 10

@@ -1,0 +1,130 @@
+"""The command gate: zero first after each (re)connect, zeros after a loss, nothing while lost."""
+
+from __future__ import annotations
+
+import itertools
+import random
+
+import pytest
+
+from swarmd.core.values import ZERO, Twist
+from swarmd.driver_api.command_gate import ZERO_REPEAT_TIME, CommandGate
+
+AHEAD = Twist(0.1, -0.2)
+
+
+def moving_gate() -> CommandGate:
+    """A gate of a connected base whose last command moves."""
+    gate = CommandGate()
+    gate.open()
+    gate.filter(ZERO)
+    assert gate.filter(AHEAD) == AHEAD
+    return gate
+
+
+def test_commands_are_dropped_before_the_base_is_connected() -> None:
+    gate = CommandGate()
+    assert gate.filter(AHEAD) is None
+    assert not gate.is_open
+    assert not gate.has_sent
+
+
+def test_the_first_command_is_zero_and_the_next_as_requested() -> None:
+    gate = CommandGate()
+    gate.open()
+    assert [gate.filter(AHEAD), gate.filter(AHEAD), gate.filter(ZERO)] == [ZERO, AHEAD, ZERO]
+
+
+def test_the_first_command_after_a_reconnect_is_zero() -> None:
+    gate = moving_gate()
+    gate.close(10.0)
+    assert gate.filter(AHEAD) is None
+    gate.open()
+    assert gate.filter(AHEAD) == ZERO
+    assert gate.filter(AHEAD) == AHEAD
+
+
+def test_a_connected_base_gets_zero_first_when_its_subscriber_changes() -> None:
+    gate = moving_gate()
+    gate.require_zero()
+    assert [gate.filter(AHEAD), gate.filter(AHEAD)] == [ZERO, AHEAD]
+
+
+def test_a_lost_base_is_sent_zero_and_again_for_a_while() -> None:
+    gate = moving_gate()
+    assert not gate.repeats_zero(9.9)
+    assert gate.close(10.0)
+    assert gate.repeats_zero(10.0)
+    assert gate.repeats_zero(10.0 + ZERO_REPEAT_TIME - 1e-6)
+    assert not gate.repeats_zero(10.0 + ZERO_REPEAT_TIME)
+
+
+def test_a_base_is_lost_once() -> None:
+    gate = moving_gate()
+    assert gate.close(10.0)
+    assert not gate.close(11.0)
+    assert not gate.repeats_zero(10.0 + ZERO_REPEAT_TIME)
+
+
+def test_zeros_begin_anew_when_a_link_is_back() -> None:
+    gate = moving_gate()
+    gate.close(10.0)
+    gate.repeat_zero(20.0)
+    assert gate.repeats_zero(20.0 + ZERO_REPEAT_TIME - 1e-6)
+    assert not gate.repeats_zero(20.0 + ZERO_REPEAT_TIME)
+
+
+def test_zeros_are_not_repeated_to_a_base_that_is_back() -> None:
+    gate = moving_gate()
+    gate.close(10.0)
+    gate.open()
+    assert not gate.repeats_zero(10.1)
+
+
+def test_a_driver_that_sent_no_command_sends_no_zero() -> None:
+    gate = CommandGate()
+    gate.open()
+    gate.repeat_zero(9.0)
+    assert not gate.close(10.0)
+    assert not gate.repeats_zero(10.1)
+    assert not gate.end()
+
+
+@pytest.mark.parametrize("is_lost", [False, True])
+def test_a_driver_that_sent_a_command_ends_with_zero(is_lost: bool) -> None:
+    gate = moving_gate()
+    if is_lost:
+        gate.close(10.0)
+    assert gate.end()
+    assert not gate.end()
+    assert gate.filter(AHEAD) is None
+    gate.open()
+    assert gate.filter(AHEAD) == ZERO
+
+
+def test_a_cut_connection_repeats_no_zero_and_remembers_that_it_sent() -> None:
+    gate = moving_gate()
+    gate.close(10.0)
+    gate.cut()
+    assert not gate.repeats_zero(10.1)
+    assert gate.has_sent
+    assert gate.filter(AHEAD) is None
+    gate.open()
+    assert gate.filter(AHEAD) == ZERO
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_motion_is_published_only_after_a_zero_of_this_connection(seed: int) -> None:
+    random_, gate, zeros = random.Random(seed), CommandGate(), 0
+    for step in itertools.islice(itertools.count(), 500):
+        event = random_.choice(("open", "close", "cut", "require_zero", "end", *["send"] * 5))
+        if event == "send":
+            published = gate.filter(AHEAD)
+            assert (published is None) == (not gate.is_open)
+            assert published != AHEAD or zeros
+            zeros += published == ZERO
+        elif event == "close":
+            gate.close(0.1 * step)
+        else:
+            getattr(gate, event)()
+            zeros = zeros if event in ("cut", "end") else 0
