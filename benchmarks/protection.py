@@ -172,9 +172,8 @@ def rows() -> Iterator[Row]:
     decode = partial(decode_scan, spec=platform.scan)
     yield Row("scan decoded from the wire", measure(map(decode, cycle(wires)).__next__))
     frames = [Step(1, Inputs(now=0.0, dt=0.1, scan=scan, is_new_scan=True)) for scan in scans]
-    encode = partial(encode_command, origins={})
-    yield Row("step encoded for the host", measure(map(encode, cycle(frames)).__next__))
-    sent = [encode(frame) for frame in frames]
+    yield Row("step encoded for the host", measure(map(encode_command, cycle(frames)).__next__))
+    sent = [encode_command(frame) for frame in frames]
     yield Row("step decoded by the host", measure(map(decode_command, cycle(sent)).__next__))
     yield from live_rows(platform, scans)
 

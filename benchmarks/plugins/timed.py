@@ -32,10 +32,10 @@ class Timed(Attraction):
     def _on_frame(self, decode: Callable[[bytes], Any]) -> Callable[[bytes], Any]:
         def decode_stamped(frame: bytes) -> Any:
             came = monotonic_ns()
-            command, origins = decode(frame)
+            command = decode(frame)
             if isinstance(command, Step):
                 self._came = came
-            return command, origins
+            return command
 
         return decode_stamped
 

@@ -1,26 +1,29 @@
-"""What the guardian and its pattern host tell each other, by values.
+"""Messages between the daemon and its pattern host.
 
-Each carries the generation it was made for; those of another generation are dropped.
+The tagged ones cross the socket (`swarmd.pattern_host.wire`). Each carries the generation of the
+run that it belongs to; messages of another generation are dropped.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from typing import Annotated
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from swarmd.core.values import Inputs, Outputs, Platform, Scalar, TouchZone, Value
 
 Layers = tuple[tuple[str, Mapping[str, Value]], ...]
+ParamSources = Mapping[str, tuple[Scalar | None, str]]
+"""Parameters by name: the value, and the layer that it comes from."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Load:
+class Load(Struct, frozen=True, eq=False, array_like=True, tag="load"):
     """Load a pattern. `layers`: parameters by source, weakest first, above its defaults.
 
-    `is_fresh`: in a new host, since the present one hangs. `until`: conditions of which any ends
-    the run, as `swarmd.kit.conditions` reads them.
+    `is_fresh`: load it in a new host, because the present one hangs. `until`: conditions, the first
+    of which to hold ends the run (`swarmd.kit.conditions`). `origins`: where each pattern is
+    found, name -> (module:Class or path, whether it is a file); the runner fills it in.
     """
 
     generation: int
@@ -31,17 +34,17 @@ class Load:
     seed: int
     is_fresh: bool = False
     until: tuple[str, ...] = ()
+    origins: Mapping[str, tuple[str, bool]] = {}
 
 
-class Step(Struct, frozen=True, eq=False):
+class Step(Struct, frozen=True, eq=False, array_like=True, tag="step"):
     """Step the loaded pattern once."""
 
     generation: int
     inputs: Inputs
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SetParams:
+class SetParams(Struct, frozen=True, eq=False, array_like=True, tag="set"):
     """Change parameters of the loaded pattern between two steps."""
 
     generation: int
@@ -49,55 +52,55 @@ class SetParams:
     values: Mapping[str, Value]
 
 
-@dataclass(frozen=True, slots=True)
-class KillHost:
-    """End the host; a fresh one is started for the next Load."""
+class KillHost(Struct, frozen=True):
+    """End the host; the next Load starts a fresh one."""
 
     reason: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StartTrial:
-    """Load a pattern in a new process beside the host, only to see whether that can be done.
+class StartTrial(Struct, frozen=True, eq=False):
+    """Load a pattern in a new process beside the host, to learn whether it can be loaded.
 
-    `load.generation` numbers the trial. Nothing of it is stepped, and its process ends with it.
+    `load.generation` numbers the trial. The pattern is not stepped, and its process ends with the
+    trial.
     """
 
     load: Load
 
 
-@dataclass(frozen=True, slots=True)
-class CancelTrial:
-    """End the trial that is under way; nothing more is told of it."""
+class CancelTrial(Struct, frozen=True):
+    """End the trial under way; no TrialDone follows."""
 
     reason: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Loaded:
-    """The pattern is loaded and will be stepped. `params`: name -> (value, source).
+class Loaded(Struct, frozen=True, eq=False, array_like=True, tag="loaded"):
+    """The pattern is loaded and can be stepped.
 
-    `touches`: where it asks to touch what is near. `took`: seconds that loading took.
+    `rate`: steps per second. `touches`: the zone in which it asks to touch obstacles. `took`:
+    seconds that loading took.
     """
 
     generation: int
-    rate: float
+    rate: Annotated[float, Meta(ge=0.1, le=1000.0)]
     channels: frozenset[str]
-    params: Mapping[str, tuple[Scalar | None, str]]
+    params: ParamSources
     touches: TouchZone | None = None
-    took: float = 0.0
+    took: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class LoadRefused:
+class LoadRefused(Struct, frozen=True, array_like=True, tag="refused"):
     """The pattern cannot be loaded on this robot, or not with these parameters."""
 
     generation: int
     text: str
 
 
-class Stepped(Struct, frozen=True, eq=False):
-    """One step's outputs. `scan_seq`: the scan the step used, -1 for none."""
+class Stepped(Struct, frozen=True, eq=False, array_like=True, tag="stepped"):
+    """Outputs of one step. `scan_seq`: the scan that it used, -1 for none.
+
+    `dropped`: received messages left out because their value has not the channel's type.
+    """
 
     generation: int
     outputs: Outputs
@@ -105,9 +108,8 @@ class Stepped(Struct, frozen=True, eq=False):
     dropped: int = 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ParamsSet:
-    """The answer to SetParams: all parameters now in force; none if it was refused.
+class ParamsSet(Struct, frozen=True, eq=False, array_like=True, tag="params"):
+    """Answer to SetParams: all parameters now in force; none if it was refused.
 
     `text`: why it was refused, or a note for the operator.
     """
@@ -115,32 +117,33 @@ class ParamsSet:
     generation: int
     request: str
     text: str
-    params: Mapping[str, tuple[Scalar | None, str]] = field(default_factory=dict)
+    params: ParamSources = {}
 
 
-@dataclass(frozen=True, slots=True)
-class PatternFailed:
-    """A step raised; the pattern is not to be stepped again."""
-
-    generation: int
-    text: str
-
-
-@dataclass(frozen=True, slots=True)
-class HostDied:
-    """The host has ended, whatever it was doing."""
+class PatternFailed(Struct, frozen=True, array_like=True, tag="failed"):
+    """A step raised; the pattern must not be stepped again."""
 
     generation: int
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class TrialDone:
-    """How a trial went: `text` is empty if the pattern can be loaded, else it says why not."""
+class HostDied(Struct, frozen=True):
+    """The host process has ended by itself."""
 
     generation: int
     text: str
 
 
-HostCommand = Load | Step | SetParams | KillHost | StartTrial | CancelTrial
-HostEvent = Loaded | LoadRefused | Stepped | ParamsSet | PatternFailed | HostDied | TrialDone
+class TrialDone(Struct, frozen=True):
+    """Result of a trial: `text` is empty if the pattern could be loaded, else the reason."""
+
+    generation: int
+    text: str
+
+
+# What crosses the socket; the daemon's runner answers the others itself.
+SentCommand = Load | Step | SetParams
+SentEvent = Loaded | LoadRefused | Stepped | ParamsSet | PatternFailed
+
+HostCommand = SentCommand | KillHost | StartTrial | CancelTrial
+HostEvent = SentEvent | HostDied | TrialDone

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from msgspec import Struct
@@ -18,11 +18,14 @@ from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 Scalar: TypeAlias = bool | int | float | str
-# What a pattern may say to its neighbours: msgpack's own types.
-Value: TypeAlias = "bool | int | float | str | bytes | list[Value] | dict[str, Value] | None"
+# A value of a parameter or message: MessagePack's own types.
+if TYPE_CHECKING:
+    Value: TypeAlias = "bool | int | float | str | bytes | list[Value] | dict[str, Value] | None"
+else:
+    Value = Any  # msgspec decodes no union of str and bytes
 
 
-class Twist(Struct, frozen=True):
+class Twist(Struct, frozen=True, array_like=True):
     """A velocity in the base frame: linear and lateral in m/s, angular in rad/s."""
 
     linear: float = 0.0
@@ -47,7 +50,7 @@ class Twist(Struct, frozen=True):
 ZERO = Twist()
 
 
-class TouchZone(Struct, frozen=True):
+class TouchZone(Struct, frozen=True, array_like=True):
     """Where and how fast a robot may close on what it touches, for patterns that push or dock.
 
     The directions in which its outline may press, `bearing` +- `half_width` in rad, of the shortest
@@ -59,7 +62,7 @@ class TouchZone(Struct, frozen=True):
     speed: float
 
 
-class Pose(Struct, frozen=True):
+class Pose(Struct, frozen=True, array_like=True):
     """Position in m and yaw in rad, in the frame the owner of the value names."""
 
     x: float = 0.0
@@ -90,7 +93,7 @@ class Scan:
     range_max: float
 
 
-class Odometry(Struct, frozen=True):
+class Odometry(Struct, frozen=True, array_like=True):
     """Pose in the odometry frame and measured twist in the base frame."""
 
     stamp: float
@@ -98,7 +101,7 @@ class Odometry(Struct, frozen=True):
     twist: Twist
 
 
-class Neighbor(Struct, frozen=True):
+class Neighbor(Struct, frozen=True, array_like=True):
     """A robot that is near, as far as it is sensed.
 
     `age` is the time in s since it was heard, to within 0.5 s; `distance` in m, `bearing` and
@@ -112,7 +115,7 @@ class Neighbor(Struct, frozen=True):
     heading: float | None = None
 
 
-class Message(Struct, frozen=True):
+class Message(Struct, frozen=True, array_like=True):
     """What a neighbour's pattern said; `sender` comes from the key, never from the payload."""
 
     sender: str
@@ -202,7 +205,7 @@ class Platform:
     body: Mapping[str, float] = field(default_factory=dict)
 
 
-class Inputs(Struct, frozen=True, eq=False):
+class Inputs(Struct, frozen=True, eq=False, array_like=True):
     """All that a pattern gets for one step.
 
     `now` in s on the robot's monotonic clock, `dt` the time since its last step (0 at the
@@ -220,7 +223,7 @@ class Inputs(Struct, frozen=True, eq=False):
     readings: Mapping[str, float] = {}
 
 
-class Outputs(Struct, frozen=True):
+class Outputs(Struct, frozen=True, array_like=True):
     """What a pattern gives back from one step.
 
     `twist` None: no wish, the robot stands. `messages` by channel. `report` shows up in

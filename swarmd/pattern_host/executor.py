@@ -1,7 +1,7 @@
-"""Where a pattern performs: loads it, steps it, changes its parameters; answers by values.
+"""Loads a pattern, steps it and changes its parameters: one event for each command.
 
-The pattern host runs one in a child process, the inline runner one in its own. This is the only
-place that calls a plugin's code.
+The pattern host runs one executor in a child process, the inline runner one in its own. No other
+module calls the code of a plugin during a run.
 """
 
 from __future__ import annotations
@@ -9,25 +9,27 @@ from __future__ import annotations
 import math
 import traceback
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
 from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.host_messages import (
-    HostEvent,
     Load,
     Loaded,
     LoadRefused,
+    ParamSources,
     ParamsSet,
     PatternFailed,
+    SentCommand,
+    SentEvent,
     SetParams,
     Step,
     Stepped,
 )
-from swarmd.core.values import Inputs, Message, Outputs, Platform, Scalar, Twist
+from swarmd.core.values import Inputs, Message, Outputs, Platform, Twist
 from swarmd.kit.condition_state import Ending, ending_of
 from swarmd.kit.factory import Assembled, Find, assemble, full_layers
 from swarmd.kit.params import Params, build, schema
@@ -44,8 +46,8 @@ class PatternExecutor:
         self._assembled: Assembled | None = None
         self._ending: Ending | None = None
 
-    def handle(self, command: Load | Step | SetParams) -> HostEvent | None:
-        """Carry a command out; None if it is for another generation."""
+    def handle(self, command: SentCommand) -> SentEvent | None:
+        """Carry a command out; None if it belongs to another generation."""
         if isinstance(command, Load):
             return self._on_load(command)
         if self._load is None or command.generation != self._load.generation:
@@ -54,7 +56,7 @@ class PatternExecutor:
             return self._on_step(command)
         return self._on_set(command)
 
-    def _on_load(self, load: Load) -> HostEvent:
+    def _on_load(self, load: Load) -> SentEvent:
         assembled = _guard(
             lambda: assemble(
                 load.pattern,
@@ -76,11 +78,11 @@ class PatternExecutor:
         rate = float(pattern.rate)
         return Loaded(load.generation, rate, channels, assembled.params, pattern.touches)
 
-    def _on_step(self, step: Step) -> HostEvent:
+    def _on_step(self, step: Step) -> SentEvent:
         assert self._assembled is not None
         pattern = self._assembled.pattern
         inputs, dropped = _typed(step.inputs, pattern.channels)
-        outputs = _guard(lambda: _plain(pattern.step(inputs)))
+        outputs = _guard(lambda: checked_outputs(pattern.step(inputs), pattern.channels))
         if isinstance(outputs, str):
             return PatternFailed(step.generation, outputs)
         if self._ending is not None:
@@ -88,13 +90,13 @@ class PatternExecutor:
         scan_seq = -1 if inputs.scan is None else inputs.scan.seq
         return Stepped(step.generation, outputs, scan_seq, dropped)
 
-    def _on_set(self, command: SetParams) -> HostEvent:
+    def _on_set(self, command: SetParams) -> SentEvent:
         assert self._assembled is not None
         assert self._load is not None
         pattern, load = self._assembled.pattern, self._load
         layers = (*load.layers, ("runtime", command.values))
 
-        def change() -> Mapping[str, tuple[Scalar | None, str]]:
+        def change() -> ParamSources:
             whole = full_layers(type(pattern), load.platform, layers)
             params, sources = build(type(pattern).params_type, whole)
             pattern.update(params)
@@ -109,11 +111,59 @@ class PatternExecutor:
         return ParamsSet(command.generation, command.request, note, sources)
 
 
+def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
+    """A step's outputs in Python's own types.
+
+    Raises TypeError if they are no Outputs, the command is no Twist, or a value on a declared
+    channel is not of the channel's type. Report values that are no scalars are left out.
+    """
+    if not isinstance(outputs, Outputs):
+        raise TypeError(f"step gave {named(outputs)}; wanted is Outputs")
+    twist = outputs.twist
+    if twist is not None:
+        if not isinstance(twist, Twist):
+            raise TypeError(f"the command is {named(twist)}; wanted is a Twist or None")
+        twist = Twist(float(twist.linear), float(twist.angular), float(twist.lateral))
+    messages = {}
+    for channel, said in outputs.messages.items():
+        value, kind = _plain(said), channels.get(channel)
+        if kind is not None:
+            try:
+                value = msgspec.convert(value, kind)
+            except msgspec.ValidationError:
+                wanted = f"channels declares {kind.__name__}"
+                raise TypeError(f"channel {channel!r} got {named(value)}; {wanted}") from None
+        messages[str(channel)] = value
+    report = {str(name): _plain(value) for name, value in outputs.report.items()}
+    return Outputs(
+        twist=twist,
+        messages=messages,
+        report={k: v for k, v in report.items() if isinstance(v, bool | int | float | str)},
+        done=None if outputs.done is None else str(outputs.done),
+    )
+
+
+def named(value: object) -> str:
+    """A value's type as a message names it: `None`, `a tuple`, `an int`."""
+    kind = type(value).__name__
+    if value is None:
+        return "None"
+    return f"an {kind}" if kind[0] in "aeiouAEIOU" else f"a {kind}"
+
+
+def in_one_line(error: BaseException) -> str:
+    """What was raised, and where: `ZeroDivisionError: division by zero (shy.py:12)`."""
+    text = str(error)
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    file, line = frame.filename, frame.lineno
+    if isinstance(error, SyntaxError) and error.filename:  # raised before there was a frame
+        text, file, line = error.msg, error.filename, error.lineno
+    text = " ".join(text.split())
+    return f"{type(error).__name__}: {text[:200]} ({file.rsplit('/', 1)[-1]}:{line})"
+
+
 def _beyond_limits(
-    params_type: type[Params],
-    changed: Iterable[str],
-    params: Mapping[str, tuple[Scalar | None, str]],
-    platform: Platform,
+    params_type: type[Params], changed: Iterable[str], params: ParamSources, platform: Platform
 ) -> str:
     """A note on the changed speeds that the base cannot reach; empty without one."""
     limits = {"m/s": platform.limits.linear, "rad/s": platform.limits.angular}
@@ -129,7 +179,7 @@ def _beyond_limits(
 
 
 def _guard(call: Callable[[], T]) -> T | str:
-    """What the call gives, or one line for what it raised. Being out of memory is not caught."""
+    """The result of the call, or one line about what it raised. MemoryError is not caught."""
     try:
         return call()
     except MemoryError:
@@ -140,19 +190,8 @@ def _guard(call: Callable[[], T]) -> T | str:
         return in_one_line(error)
 
 
-def in_one_line(error: BaseException) -> str:
-    """What was raised, and where: `ZeroDivisionError: division by zero (shy.py:12)`."""
-    text = str(error)
-    frame = traceback.extract_tb(error.__traceback__)[-1]
-    file, line = frame.filename, frame.lineno
-    if isinstance(error, SyntaxError) and error.filename:  # raised before there was a frame
-        text, file, line = error.msg, error.filename, error.lineno
-    text = " ".join(text.split())
-    return f"{type(error).__name__}: {text[:200]} ({file.rsplit('/', 1)[-1]}:{line})"
-
-
 def _typed(inputs: Inputs, channels: Mapping[str, type]) -> tuple[Inputs, int]:
-    """The inputs with only the messages of their channel's type, and how many were left out."""
+    """The inputs without messages that lack their channel's type, and how many were left out."""
     if not inputs.messages:
         return inputs, 0
     kept: list[Message] = []
@@ -161,30 +200,11 @@ def _typed(inputs: Inputs, channels: Mapping[str, type]) -> tuple[Inputs, int]:
         if kind is None:
             continue
         try:
-            kept.append(
-                msgspec.structs.replace(message, value=msgspec.convert(message.value, kind))
-            )
+            kept.append(replace(message, value=msgspec.convert(message.value, kind)))
         except msgspec.ValidationError:
             continue
-    return msgspec.structs.replace(inputs, messages=tuple(kept)), len(inputs.messages) - len(kept)
+    return replace(inputs, messages=tuple(kept)), len(inputs.messages) - len(kept)
 
 
-def _plain(outputs: object) -> Outputs:
-    """The outputs in Python's own types; TypeError if a pattern gave something else."""
-    if not isinstance(outputs, Outputs):
-        raise TypeError(f"step gave {type(outputs).__name__}; wanted is Outputs")
-    twist = outputs.twist
-    if twist is not None:
-        if not isinstance(twist, Twist):
-            raise TypeError(f"the wish is {type(twist).__name__}; wanted is Twist or None")
-        twist = Twist(float(twist.linear), float(twist.angular), float(twist.lateral))
-    return Outputs(
-        twist=twist,
-        messages={str(name): _item(value) for name, value in outputs.messages.items()},
-        report={str(name): _item(value) for name, value in outputs.report.items()},
-        done=None if outputs.done is None else str(outputs.done),
-    )
-
-
-def _item(value: Any) -> Any:
+def _plain(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) else value

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import logging
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
+
+from msgspec.structs import replace
 
 from swarmd.core.errors import CodecError, PluginError, unknown
 from swarmd.core.host_messages import (
@@ -122,7 +125,9 @@ class ProcessRunner:
                 self._replace()
         self._generation = command.generation
         try:
-            frame = encode_command(command, self._origins(command))
+            frame = encode_command(
+                self._with_origins(command) if isinstance(command, Load) else command
+            )
         except (PluginError, CodecError) as error:
             kind = LoadRefused if isinstance(command, Load) else PatternFailed
             self._events.append(kind(command.generation, str(error)))
@@ -177,24 +182,25 @@ class ProcessRunner:
             self._pause = min(2.0 * self._pause, LAST_RESPAWN)
         self._wake()
 
-    def _origins(self, command: HostCommand) -> Mapping[str, tuple[str, bool]]:
-        if not isinstance(command, Load):
-            return {}
+    def _with_origins(self, load: Load) -> Load:
         found = pattern_names(self._plugin_dir, self._installed)
-        if command.pattern not in found:  # perhaps installed meanwhile; reading that takes 2 ms
+        if load.pattern not in found:  # perhaps installed meanwhile; reading that takes 2 ms
             self._installed = installed_patterns()
             found = pattern_names(self._plugin_dir, self._installed)
-        if command.pattern not in found:
-            raise PluginError(unknown("pattern", command.pattern, found))
-        check_single(command.pattern, found[command.pattern])
-        return {name: (origin.value, origin.is_file) for name, origin in found.items()}
+        if load.pattern not in found:
+            raise PluginError(unknown("pattern", load.pattern, found))
+        check_single(load.pattern, found[load.pattern])
+        origins = {name: (origin.value, origin.is_file) for name, origin in found.items()}
+        # Options of drivers may hold what plugin code has no business with.
+        platform = dataclasses.replace(load.platform, drivers={})
+        return replace(load, origins=origins, platform=platform)
 
     def _try(self, load: Load) -> None:
         log.info("trying new code of %s", load.pattern)
         self._installed = installed_patterns()  # a new version may have it elsewhere
         number = load.generation
         try:
-            frame = encode_command(load, self._origins(load))
+            frame = encode_command(self._with_origins(load))
             self._trial = Trial(self._loop, number, frame, self._on_tried, self.buried)
         except (PluginError, CodecError, OSError) as error:
             self._events.append(TrialDone(number, str(error)))

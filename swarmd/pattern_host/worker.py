@@ -15,7 +15,8 @@ import resource
 import socket
 import sys
 import time
-from dataclasses import replace
+
+from msgspec.structs import replace
 
 from swarmd.core.errors import CodecError
 from swarmd.core.host_messages import Load, Loaded, PatternFailed
@@ -62,10 +63,10 @@ def _serve(daemon: socket.socket) -> None:
     finder = PatternLoader({})
     stage = PatternExecutor(finder)
     while frame := daemon.recv(1 << 18):
-        command, origins = decode_command(frame)
+        command = decode_command(frame)
         if isinstance(command, Load):
             _limit_memory(_size() + LOAD_LIMIT)
-            finder.begin(origins)
+            finder.begin(command.origins)
         began = time.monotonic()
         event = stage.handle(command)
         if isinstance(event, Loaded):

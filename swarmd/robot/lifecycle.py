@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
 from swarmd.core.host_messages import (
     CancelTrial,
@@ -307,7 +307,7 @@ class Lifecycle:
         hosting = self.hosting
         load = self.load_of(hosting.generation, pattern, layers)
         until = () if hosting.loading is None else hosting.loading.until
-        turn.host = self._load = replace(load, is_fresh=hosting.is_outdated, until=until)
+        turn.host = self._load = structs.replace(load, is_fresh=hosting.is_outdated, until=until)
         hosting.is_outdated = False
 
     def load_of(self, generation: int, pattern: str, layers: Layers) -> Load:
@@ -377,7 +377,7 @@ class Lifecycle:
             return
         self.note(f"the pattern before {hosting.loading.pattern} {text}", turn.now)
         hosting.loading = replace(hosting.loading, since=turn.now)
-        turn.host = replace(self._load, is_fresh=True)
+        turn.host = structs.replace(self._load, is_fresh=True)
 
     def _held(self, hold: Reason | None, turn: Turn) -> Reason | None:
         if hold is None and self.hosting.is_restarting:

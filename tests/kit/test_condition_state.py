@@ -131,6 +131,6 @@ def test_what_is_no_condition_is_refused_and_nothing_moves(until: Any, words: st
 
 def test_the_host_is_told() -> None:
     load = Load(3, "drive", (), "r1", WAFFLE, 5, until=("done", "timeout:3"))
-    again, _ = decode_command(encode_command(load, {}))
+    again = decode_command(encode_command(load))
     assert isinstance(again, Load)
     assert again.until == ("done", "timeout:3")

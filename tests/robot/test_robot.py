@@ -308,7 +308,7 @@ def test_a_flood_of_messages_keeps_the_newest_and_is_counted() -> None:
         story.robot.on_message("tb3-02", "listener/count", [n, "x" * 900], story.now)
     story.advance(0.1)
     step = next(command for command in story.sent if isinstance(command, Step))
-    assert len(encode_command(step, {})) < MAX_FRAME
+    assert len(encode_command(step)) < MAX_FRAME
     assert step.inputs.messages[-1].value[0] == 999  # type: ignore[index]  # as sent above
     dropped = story.status.health.dropped
     assert dropped["msg:inbox_full"] + len(step.inputs.messages) == 1000
