@@ -135,7 +135,7 @@ def test_a_pattern_that_keeps_raising_is_restarted_with_backoff_then_quarantined
         ("hoarder", "its process needed more memory than it may have"),
         ("quitter", "its process ended with code 0"),
         ("crasher", "its process was killed by SIGSEGV"),
-        ("babbler", "the pattern host said something unreadable"),
+        ("babbler", "the pattern host sent an unreadable frame"),
     ],
 )
 def test_a_pattern_that_keeps_ending_its_host_is_quarantined_for_the_right_reason(

@@ -1,0 +1,76 @@
+"""Outputs of a step: what an executor takes, turns into plain types, or calls a fault."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.core.host_messages import Load, Loaded, PatternFailed, SentEvent, Step, Stepped
+from swarmd.core.values import Inputs, Outputs, Twist
+from swarmd.kit.behavior import Pattern
+from swarmd.kit.params import Params
+from swarmd.pattern_host.executor import PatternExecutor
+from swarmd.settings.settings import load_platform
+
+
+def step_giving(outputs: Any, channels: Mapping[str, type]) -> SentEvent | None:
+    """The executor's answer to a step of a pattern that gives these outputs."""
+
+    class Giver(Pattern[Params]):
+        needs = frozenset[str]()
+
+        def step(self, inputs: Inputs) -> Outputs:
+            return outputs  # type: ignore[no-any-return]
+
+    Giver.channels = channels
+    executor = PatternExecutor(lambda name: Giver)
+    loaded = executor.handle(Load(1, "giver", (), "r1", load_platform("burger"), 1))
+    assert isinstance(loaded, Loaded)
+    return executor.handle(Step(1, Inputs(now=0.0, dt=0.0)))
+
+
+@pytest.mark.parametrize(
+    ("kind", "value", "sent"),
+    [
+        (float, 1, 1.0),
+        (float, np.float32(0.5), 0.5),
+        (int, np.int64(3), 3),
+        (bool, np.bool_(True), True),
+        (list, (1, 2), [1, 2]),
+    ],
+)
+def test_messages_are_sent_as_the_type_of_their_channel(
+    kind: type, value: Any, sent: object
+) -> None:
+    answer = step_giving(Outputs(messages={"word": value}), {"word": kind})
+    assert isinstance(answer, Stepped)
+    assert answer.outputs.messages == {"word": sent}
+    assert type(answer.outputs.messages["word"]) is type(sent)
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [(float, "0.5"), (int, 0.5), (int, True), (str, b"x"), (dict, [1]), (float, None)],
+)
+def test_a_message_of_another_type_than_its_channel_is_a_fault(kind: type, value: Any) -> None:
+    answer = step_giving(Outputs(messages={"word": value}), {"word": kind})
+    assert isinstance(answer, PatternFailed)
+    assert "'word'" in answer.text
+    assert kind.__name__ in answer.text
+
+
+@pytest.mark.parametrize("outputs", [None, Twist(0.1), Outputs(twist=(0.1, 0.0))])  # type: ignore[arg-type]  # the mistake
+def test_a_step_that_gives_anything_but_outputs_is_a_fault(outputs: object) -> None:
+    answer = step_giving(outputs, {})
+    assert isinstance(answer, PatternFailed)
+    assert "TypeError" in answer.text
+
+
+def test_commands_and_reports_are_made_plain() -> None:
+    given = Outputs(Twist(np.float64(0.1), 1), report={"a": np.int64(1), "b": [1]})  # type: ignore[dict-item]  # the mistake
+    answer = step_giving(given, {})
+    assert isinstance(answer, Stepped)
+    assert answer.outputs == Outputs(Twist(0.1, 1.0), report={"a": 1})
