@@ -1,4 +1,4 @@
-"""`swarmctl exp measure`: the metrics of traces, wherever they come from."""
+"""`swarmctl exp measure`: the metrics of recorded traces."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ from swarmd.sim.cli.options import chosen_metrics
 @click.argument(
     "files", metavar="TRACE.npz..", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
-@click.option(
-    "--metrics", metavar="A,B,..", help="These metrics alone; see `swarmctl exp metrics`."
-)
+@click.option("--metrics", metavar="A,B,..", help="Only these metrics; see `swarmctl exp metrics`.")
 @click.option(
     "-o", "--output", type=click.Choice(["table", "json"]), help="Form of the answer [table]."
 )
@@ -25,9 +23,9 @@ from swarmd.sim.cli.options import chosen_metrics
 def measure(
     ctx: click.Context, files: tuple[Path, ...], metrics: str | None, output: str | None
 ) -> None:
-    """Measure runs by their traces: of experiments, of `swarmctl demo`, of a world's recording.
+    """Compute metrics of traces: of experiments, of `swarmctl demo`, of a recorded world.
 
-    A live trace knows nothing of wishes: metrics that need them are left empty.
+    A live trace has no requested commands: metrics that need them stay empty.
     """
     from swarmd.sim.experiments.report import number
     from swarmd.sim.metrics import catalog

@@ -1,4 +1,4 @@
-"""What several verbs share: which robots, where, which metrics, and what must be installed."""
+"""Options of several verbs: robots, arena, layout, metrics; and a check for missing libraries."""
 
 from __future__ import annotations
 
@@ -23,58 +23,60 @@ MAX_ROBOTS = 50
 
 _OPTIONS = (
     click.option(
-        "-n", "count", type=click.IntRange(1, MAX_ROBOTS), default=7, help="How many robots [7]."
+        "-n", "count", type=click.IntRange(1, MAX_ROBOTS), default=7, help="Number of robots [7]."
     ),
-    click.option("--platform", default="waffle_pi", show_default=True, help="Which kind."),
+    click.option(
+        "--platform", default="waffle_pi", show_default=True, help="A platform, or a .yaml file."
+    ),
     click.option(
         "--arena",
         metavar="LxW[,THING]",
-        help="Size in m, such as 6x6, then things in it, such as ,box:x:y:l:w:deg or ,pole:x:y:r;"
-        " ,box:x:y:l:w:deg:kg can be pushed, ,segment:x1:y1:x2:y2 is an inner wall.",
+        help="Size in m, such as 6x6, then obstacles: ,box:x:y:l:w:deg or ,pole:x:y:r or"
+        " ,segment:x1:y1:x2:y2 (an inner wall); robots can push a ,box:x:y:l:w:deg:kg.",
     ),
     click.option(
         "--layout",
         metavar="NAME[:SIZE]",
-        help="Where they start: row, paper, grid, ring, random or list.",
+        help="Start poses: row, paper, grid, ring, random or list.",
     ),
     click.option(
         "--seed",
         type=click.IntRange(min=0),
         default=0,
         show_default=True,
-        help="Of random layouts.",
+        help="Seed of random layouts.",
     ),
     click.option(
         "--realism",
         type=click.Choice(["realistic", "ideal"]),
         default="realistic",
         show_default=True,
-        help="Noise and delays of sensors and bases, or none.",
+        help="With noise and delays of sensors and bases, or without.",
     ),
     click.option(
         "--lidar-visibility",
         type=click.Choice(["body", "real"]),
         default="body",
         show_default=True,
-        help="Lidars see whole robots, or what stands at their height.",
+        help="Lidars detect whole robots, or only the parts at the height of the lidar.",
     ),
     click.option(
         "--radio-range",
         type=click.FloatRange(min=0.0, min_open=True),
         metavar="M",
-        help="Robots further apart do not hear each other [all do].",
+        help="Robots farther apart than this do not receive each other [no limit].",
     ),
     click.option(
         "--emulate",
+        "emulator",
         metavar="NAME",
-        help="Bodies speak as the robots of this driver do, such as ros2dds, and daemons drive"
-        " them with it.",
+        help="Simulate the wire protocol of this driver, such as ros2dds; daemons use that driver.",
     ),
     click.option(
         "--plugin-dir",
         type=click.Path(exists=True, file_okay=False, path_type=Path),
         envvar="SWARM_PLUGIN_DIR",
-        help="Folder of one-file patterns besides the installed ones [$SWARM_PLUGIN_DIR].",
+        help="Folder of one-file patterns, in addition to the installed ones [$SWARM_PLUGIN_DIR].",
     ),
 )
 
@@ -88,7 +90,7 @@ def fleet_options(function: Function) -> Function:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorldOptions:
-    """What `fleet_options` asks for, as it was given."""
+    """The values of `fleet_options`, as given."""
 
     count: int
     platform: str
@@ -103,12 +105,12 @@ class WorldOptions:
 
 
 def fleet_for(options: WorldOptions, swarm: str, folder: Path) -> FleetSpec:
-    """The fleet that is wanted; ConfigError if it cannot be."""
+    """The fleet of these options; ConfigError if an option is wrong."""
     from swarmd.sim.live.fleet import FleetSpec
 
-    check_dialect(options)
+    check_emulator(options)
     kind, robots = robots_for(options.platform, options.count)
-    arena, layout = stage_for(kind, options.count, options.arena, options.layout, options.seed)
+    arena, layout = place_for(kind, options.count, options.arena, options.layout, options.seed)
     return FleetSpec(
         swarm=swarm,
         robots=robots,
@@ -124,8 +126,8 @@ def fleet_for(options: WorldOptions, swarm: str, folder: Path) -> FleetSpec:
     )
 
 
-def check_dialect(options: WorldOptions) -> None:
-    """PluginError if the dialect is none or its needs are missing; ConfigError if it cannot be."""
+def check_emulator(options: WorldOptions) -> None:
+    """PluginError if the emulator is unknown or lacks a library; ConfigError beside radio range."""
     if options.emulator is None:
         return
     from swarmd.plugins import load_emulator
@@ -133,13 +135,13 @@ def check_dialect(options: WorldOptions) -> None:
     load_emulator(options.emulator)
     if options.radio_range is not None:
         raise ConfigError(
-            f"--radio-range and --emulate {options.emulator}: no robot says there whom it hears;"
-            " leave one of the two out"
+            f"--radio-range and --emulate {options.emulator}: emulated robots do not report which"
+            " robots they receive; leave one of the two out"
         )
 
 
 def need(*modules: str) -> None:
-    """PluginError with the line that installs them, if one of `modules` is not there."""
+    """PluginError with the command that installs it, for the first module that is missing."""
     for module in modules:
         if find_spec(module) is None:
             raise PluginError(
@@ -149,19 +151,19 @@ def need(*modules: str) -> None:
 
 
 def chosen_metrics(text: str | None) -> tuple[str, ...] | None:
-    """The metrics of `--metrics A,B`; ConfigError with the nearest name for one that is none."""
+    """The metrics of `--metrics A,B`; ConfigError with the nearest name for an unknown one."""
     if text is None:
         return None
     from swarmd.sim.metrics.catalog import metric_of
 
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     if not names:
-        raise ConfigError("--metrics names none; see `swarmctl exp metrics`")
+        raise ConfigError("--metrics is empty; see `swarmctl exp metrics`")
     return tuple(metric_of(name).name for name in names)
 
 
 def robots_for(platform: str, count: int) -> tuple[Platform, dict[str, str]]:
-    """The platform, and its name or file by robot id; ConfigError if robots cannot be named so."""
+    """The platform, and its name or file by robot id; ConfigError if that gives no valid ids."""
     from swarmd.settings.platforms import load_platform
     from swarmd.sim.live.fleet import robot_ids
 
@@ -171,19 +173,19 @@ def robots_for(platform: str, count: int) -> tuple[Platform, dict[str, str]]:
     ids = robot_ids(kind.name, count)
     if not all(map(is_id, ids)):
         raise ConfigError(
-            f"--platform {platform!r}: its robots would be named {ids[0]!r}, which is no robot id;"
+            f"--platform {platform!r}: {ids[0]!r} would be no valid robot id;"
             " name the file with a-z, 0-9, _ and - only, such as my_bot.yaml"
         )
     return kind, dict.fromkeys(ids, platform)
 
 
-def stage_for(
+def place_for(
     platform: Platform, count: int, arena: str | None, layout: str | None, seed: int
 ) -> tuple[str, str]:
-    """Arena and layout as wanted, or such as suit the platform; ConfigError if they cannot be.
+    """Arena and layout as given, else suited to the platform; ConfigError if the robots do not fit.
 
-    The usual arena is 1.8 times as wide as the sensor reaches, so that a robot sees some others and
-    none sees all, and gives each robot room for three protection thresholds squared.
+    The default arena is 1.8 times as wide as the range of the lidar, so that a robot detects some
+    of the others but not all, and has at least (3 protection thresholds)^2 of room for each robot.
     """
     from swarmd.sim.world.arena import parse_arena
     from swarmd.sim.world.layouts import parse_layout

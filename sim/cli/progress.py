@@ -1,52 +1,52 @@
-"""How far an experiment is, on stderr, and what ends it early."""
+"""Progress of an experiment on stderr, and an orderly end on SIGTERM."""
 
 from __future__ import annotations
 
 import signal
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from swarmd.cli.output import has_colour, warn
+from swarmd.cli.output import has_colour, seconds, warn
 
 OnProgress = Callable[[int, int, int], None]
-LINES = 10  # at most, where there is no terminal
+MAX_LINES = 10  # where there is no terminal, besides the first two
 
 
 @contextmanager
-def progress() -> Iterator[OnProgress]:
-    """Something to be told how many runs are done, of how many, and how many failed.
+def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress]:
+    """A function that takes how many runs are finished, of how many, and how many failed.
 
-    It shows a bar on a terminal, else a line for each tenth.
+    On a terminal it shows a bar, elsewhere a line for each tenth. Both show the time left, from
+    the first run on that finishes.
     """
+    left = _TimeLeft(clock)
     if not sys.stderr.isatty():
-        yield _Lines().tell
+        yield _Lines(left).show
         return
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
     console = Console(stderr=True, no_color=not has_colour(True))
-    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("runs{task.fields[lost]}"))
-    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
-        task = bar.add_task("", total=None, lost="")
+    columns = (BarColumn(), MofNCompleteColumn(), TextColumn("runs{task.fields[notes]}"))
+    with Progress(*columns, console=console, transient=True) as bar:
+        task = bar.add_task("", total=None, notes="")
 
-        def tell(done: int, total: int, failed: int) -> None:
-            lost = f", {failed} failed" if failed else ""
-            bar.update(task, completed=done, total=total, lost=lost)
+        def show(done: int, total: int, failed: int) -> None:
+            notes = _failed(failed) + left.text(done, total)
+            bar.update(task, completed=done, total=total, notes=notes)
 
-        yield tell
+        yield show
 
 
 @contextmanager
 def ends_on_sigterm() -> Iterator[None]:
-    """SIGTERM ends what is within through its `finally` blocks. SIGHUP stays: it may be ignored."""
+    """Within it SIGTERM raises SystemExit, so that `finally` blocks run.
+
+    SIGHUP keeps its handler: it may be ignored on purpose.
+    """
 
     def leave(number: int, frame: FrameType | None) -> None:
         raise SystemExit(128 + number)
@@ -58,15 +58,45 @@ def ends_on_sigterm() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
+class _TimeLeft:
+    """The time left, from the mean over the runs that have finished since the start.
+
+    Rich's own estimate needs two samples some time apart: with few long runs it comes late.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._start: tuple[float, int] | None = None
+
+    def text(self, done: int, total: int) -> str:
+        """Such as `, about 5 min left`; empty before the first run and after the last."""
+        now = self._clock()
+        if self._start is None:
+            self._start = now, done  # those of before, if an experiment is resumed
+        began, before = self._start
+        if done <= before or done >= total:
+            return ""
+        return f", about {seconds((now - began) / (done - before) * (total - done))} left"
+
+
 class _Lines:
-    """A line each time another tenth is done."""
+    """A line for the start, for the first run and for each tenth."""
 
-    def __init__(self) -> None:
-        self._told = -1
+    def __init__(self, left: _TimeLeft) -> None:
+        self._left = left
+        self._first: int | None = None
+        self._part = -1
 
-    def tell(self, done: int, total: int, failed: int) -> None:
-        """Say it, if it is worth a line."""
-        part = LINES * done // total if total else LINES
-        if part > self._told:
-            self._told = part
-            warn(f"{done} of {total} runs{f', {failed} failed' if failed else ''}")
+    def show(self, done: int, total: int, failed: int) -> None:
+        """Print a line if there is enough news."""
+        left = self._left.text(done, total)
+        if self._first is None:
+            self._first = done
+        part = MAX_LINES * done // total if total else MAX_LINES
+        if part > self._part or done == self._first + 1:
+            self._part = part
+            warn(f"{done} of {total} runs{_failed(failed)}{left}")
+
+
+def _failed(count: int) -> str:
+    return f", {count} failed" if count else ""

@@ -1,4 +1,4 @@
-"""`swarmctl sim up`: a world and its daemons, until Ctrl-C."""
+"""`swarmctl sim up`: a simulated world and its daemons, until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from swarmd.network.operator import Operator
     from swarmd.sim.live.fleet import Fleet, FleetSpec
 
-LOOK = 1.0  # s between two looks at the processes
+CHECK_PERIOD = 1.0  # s between two checks of the processes
 
 
 @click.group()
@@ -39,7 +39,7 @@ def sim() -> None:
     "--keep",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="DIR",
-    help="Logs and latches stay here, and latches count at the next start.",
+    help="Keep logs and latches in this folder; the next start loads the latches.",
 )
 @click.pass_context
 def up(
@@ -51,7 +51,7 @@ def up(
 ) -> None:
     """Start a world and a daemon for each robot; Ctrl-C ends them all.
 
-    The robots come up idle. Work them from another terminal with the ordinary verbs of swarmctl.
+    The robots start idle. Command them from another terminal with the other verbs of swarmctl.
     """
     need("mujoco")
     from swarmd.core.keys import check_id
@@ -64,62 +64,65 @@ def up(
 
 
 def serve(spec: FleetSpec) -> None:
-    """Keep a fleet up until Ctrl-C or SIGTERM; SwarmError if it cannot be, or its world ends."""
+    """Run a fleet until Ctrl-C or SIGTERM; SwarmError if it cannot start, or its world ends."""
     from swarmd.network.operator import Operator
     from swarmd.network.session import SessionSettings
+    from swarmd.sim.live.demo_run import await_robots, statuses_of
     from swarmd.sim.live.fleet import Fleet, end_on_signals
-    from swarmd.sim.live.show import await_up
 
     end_on_signals()
     with Operator(SessionSettings(swarm=spec.swarm)) as operator:
-        refuse_taken(operator, spec.robots)
+        _refuse_taken_names(operator, spec.robots)
         with Fleet(spec) as fleet:
-            await_up(operator, fleet, tuple(spec.robots))
-            tell(spec)
+            up = statuses_of(await_robots(operator, fleet, tuple(spec.robots)))
+            for robot in spec.robots:
+                if robot not in up or not up[robot].health.driver_up:
+                    warn(f"{robot} is not up yet; its log: {spec.folder}/{robot}.log")
+            _print_usage(spec)
             with suppress(KeyboardInterrupt):
-                watch(fleet)
+                _report_ends(fleet)
             click.echo("ending all")
 
 
-def watch(fleet: Fleet) -> NoReturn:
-    """Tell of daemons that end; SwarmError if the world does.
-
-    The others go on: to kill a robot is one of the things a simulated swarm is for.
-    """
-    from swarmd.sim.live.fleet import WORLD
-
-    told: set[str] = set()
-    while True:
-        fleet.check(WORLD)
-        for name, line in fleet.ended().items():
-            if name not in told:
-                told.add(name)
-                warn(f"{line}; to start it again: swarmd --config {fleet.spec.folder}/{name}.yaml")
-        time.sleep(LOOK)
-
-
-def refuse_taken(operator: Operator, robots: Collection[str]) -> None:
+def _refuse_taken_names(operator: Operator, robots: Collection[str]) -> None:
     """ConfigError if robots of these names are alive in the swarm."""
     taken = sorted(set(operator.members().alive) & set(robots))
     if taken:
         raise ConfigError(
             f"swarm {operator.settings.swarm!r} already has {', '.join(taken)};"
-            " end those, or take another name: swarmctl sim up --swarm NAME"
+            " end those, or use another swarm: swarmctl sim up --swarm NAME"
         )
 
 
-def tell(spec: FleetSpec) -> None:
-    """What there is now, and what a second terminal can do with it."""
+def _report_ends(fleet: Fleet) -> NoReturn:
+    """Report each daemon that ends, once; SwarmError if the world does.
+
+    The other daemons keep running: users kill robots of a simulated swarm on purpose.
+    """
+    from swarmd.sim.live.fleet import WORLD
+
+    reported: set[str] = set()
+    while True:
+        fleet.check(WORLD)
+        for name, line in fleet.ended().items():
+            if name not in reported:
+                reported.add(name)
+                warn(f"{line}; to start it again: swarmd --config {fleet.spec.folder}/{name}.yaml")
+        time.sleep(CHECK_PERIOD)
+
+
+def _print_usage(spec: FleetSpec) -> None:
+    """Print the robots, and commands for a second terminal."""
     swarmctl = "swarmctl" if spec.swarm == DEFAULT_SWARM else f"SWARM={spec.swarm} swarmctl"
     names = list(spec.robots)
     click.echo(f"{len(names)} robots are up in swarm {spec.swarm}: {names[0]} to {names[-1]}")
     print_section(
         "In another terminal:",
         [
-            (f"{swarmctl} members", "who is there, and how they are"),
-            (f"{swarmctl} run attraction --all", "gather"),
-            (f"{swarmctl} describe {names[0]}", "all about one robot"),
-            (f"{swarmctl} stop", "all stand"),
+            (f"{swarmctl} members", "all robots and their states"),
+            (f"{swarmctl} run attraction --all", "the robots gather"),
+            (f"{swarmctl} describe {names[0]}", "one robot in detail"),
+            (f"{swarmctl} stop", "all robots stop"),
         ],
     )
     click.echo(f"Logs: {spec.folder}/  Ctrl-C ends everything.")
@@ -127,7 +130,7 @@ def tell(spec: FleetSpec) -> None:
 
 @contextmanager
 def _folder(keep: Path | None) -> Iterator[Path]:
-    """The folder for logs and state: `keep`, or a new one that stays only if something failed."""
+    """The folder for logs and state: `keep`, or a temporary one that stays only after a failure."""
     if keep is not None:
         yield keep
         return

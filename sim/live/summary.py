@@ -46,13 +46,14 @@ class Numbers:
 class Summary:
     """A finished demo. `problems` is empty if all robots ran to the end and none touched another.
 
-    `seconds_to_moving` counts from the start of the command until all robots moved; None if they
-    did not all move. `duty` by robot.
+    `late` robots started only when they were asked again. `seconds_to_moving` counts from the
+    start of the command until all robots moved; None if they did not all move. `duty` by robot.
     """
 
     pattern: str
     platform: str
     robots: tuple[str, ...]
+    late: tuple[str, ...] = ()
     arena: str
     layout: str
     seed: int
@@ -78,6 +79,7 @@ class Summary:
             ("robots", f"{len(self.robots)} {self.platform}, {self.pattern}, {self.arena} m"),
             ("simulated time", f"{n.seconds:.1f} s, {n.real_time_factor:.2f} times real time"),
             ("all moving after", "not all moved" if moving is None else f"{moving:.1f} s"),
+            *([("started late", ", ".join(self.late))] if self.late else []),
             ("distance to centroid", f"{n.centroid_before:.2f} m -> {n.centroid_after:.2f} m"),
             ("clusters", f"{n.clusters_before} -> {n.clusters_after}"),
             ("largest cluster", f"{n.largest_cluster} of {len(self.robots)}"),

@@ -35,8 +35,8 @@ from swarmd.core.values import Platform
 from swarmd.driver_api.hw_codec import encode_command
 from swarmd.network.session import open_with
 from swarmd.settings.platforms import load_platform
+from swarmd.sim.live.demo_run import WorldWatcher
 from swarmd.sim.live.link import WorldView, dialling
-from swarmd.sim.live.show import Watch
 from swarmd.sim.live.state import WorldState
 from swarmd.sim.trace import Trace, load_trace
 from swarmd.sim.world.arena import Arena
@@ -136,7 +136,7 @@ class Course:
             self._left.enter_context(self.swarm)
             endpoint = self.swarm.endpoint
             self._world = self._left.enter_context(WorldView(self.swarm.name, endpoint))
-            self._watch = Watch(self._world)
+            self._watch = WorldWatcher(self._world)
             self._steering = self._left.enter_context(_steering(endpoint))
         except BaseException:
             self._left.close()

@@ -14,9 +14,9 @@ import pytest
 from swarmd.core.values import Array
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings
+from swarmd.sim.live.demo_run import WorldWatcher, statuses_of
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_command
 from swarmd.sim.live.link import WorldView
-from swarmd.sim.live.show import Watch, statuses_of
 from swarmd.sim.live.state import WorldState
 from swarmd.testing.driver_rig import is_running
 from tests.support.processes import children, unique_swarm, wait_until, watchdogs
@@ -44,7 +44,7 @@ class Show:
 
     def __init__(self, spec: FleetSpec, fleet: Fleet, operator: Operator, view: WorldView) -> None:
         self.spec, self.fleet, self.operator = spec, fleet, operator
-        self._watch = Watch(view)
+        self._watch = WorldWatcher(view)
 
     def run(self, pattern: str, **params: float) -> None:
         robots = tuple(self.spec.robots)

@@ -16,8 +16,8 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.messages import State
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings
+from swarmd.sim.live.demo_run import await_robots, statuses_of
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_command
-from swarmd.sim.live.show import await_up, statuses_of
 from tests.support.processes import children, unique_swarm, wait_until
 
 READY = Ready("tcp/127.0.0.1:1", "simulated", {"endpoint": "tcp/127.0.0.1:1"})
@@ -56,7 +56,7 @@ def all_gone(pids: set[int]) -> bool:
 @contextmanager
 def up(spec: FleetSpec) -> Iterator[Fleet]:
     with Fleet(spec) as fleet, Operator(SessionSettings(swarm=spec.swarm)) as operator:
-        view = await_up(operator, fleet, tuple(spec.robots))
+        view = await_robots(operator, fleet, tuple(spec.robots))
         assert {s.state for s in statuses_of(view).values()} == {State.IDLE}
         yield fleet
 
@@ -154,4 +154,4 @@ def test_a_daemon_that_does_not_come_up_ends_the_wait(tmp_path: Path) -> None:
     with Fleet(spec) as fleet, Operator(SessionSettings(swarm=spec.swarm)) as operator:
         os.kill(fleet.pids["tb3-01"], signal.SIGKILL)
         with pytest.raises(SwarmError, match=r"tb3-01 was killed by SIGKILL: "):
-            await_up(operator, fleet, tuple(spec.robots))
+            await_robots(operator, fleet, tuple(spec.robots))

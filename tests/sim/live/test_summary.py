@@ -8,42 +8,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from msgspec.structs import replace
 
-from swarmd.core.messages import DecisionSummary, Epoch, Health, Reason, State, Status
+from swarmd.core.messages import DecisionSummary, Health, Reason, State
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.summary import Summary, duties, mean_duty, numbers_of, problems_of
 from swarmd.sim.trace import Recorder, Trace
+from tests.sim.live.statuses import status
 
 BURGER = load_platform("burger")
-
-
-def status(robot: str, **changes: Any) -> Status:
-    plain = Status(
-        robot=robot,
-        instance="abc",
-        platform="waffle_pi",
-        driver="simulated",
-        host="here",
-        profile="dev",
-        is_secured=False,
-        state=State.RUNNING,
-        reason=None,
-        detail="",
-        pattern="attraction",
-        generation=1,
-        since=0.0,
-        epoch=Epoch("abc", 1),
-        changed_by="",
-        latches={},
-        labels=(),
-        params={},
-        report={},
-        decision=DecisionSummary(),
-        health=Health(),
-        uptime=1.0,
-    )
-    return replace(plain, **changes)
 
 
 def problem(**end: Any) -> tuple[str, ...]:

@@ -8,44 +8,11 @@ import math
 import pytest
 from rich.console import Console
 
-from swarmd.core.messages import (
-    DecisionSummary,
-    Epoch,
-    Health,
-    Reason,
-    State,
-    Status,
-)
+from swarmd.core.messages import Reason, State
 from swarmd.sim.live.view import Scene, cell_of, map_of, map_size, render
+from tests.sim.live.statuses import status
 
 ARENA = (6.0, 3.0)
-
-
-def status(robot: str, state: State = State.RUNNING, reason: Reason | None = None) -> Status:
-    return Status(
-        robot=robot,
-        instance="abc",
-        platform="waffle_pi",
-        driver="simulated",
-        host="here",
-        profile="dev",
-        is_secured=False,
-        state=state,
-        reason=reason,
-        detail="",
-        pattern="attraction",
-        generation=1,
-        since=0.0,
-        epoch=Epoch("abc", 1),
-        changed_by="",
-        latches={},
-        labels=(),
-        params={},
-        report={},
-        decision=DecisionSummary(min_gap=0.62),
-        health=Health(scan_rate=5.0, loop_p99=0.0031),
-        uptime=1.0,
-    )
 
 
 def shown(scene: Scene, width: int = 140, height: int = 30) -> str:
@@ -67,7 +34,7 @@ def test_a_row_holds_what_the_robot_said() -> None:
 
 
 def test_a_standing_robot_shows_its_reason() -> None:
-    stopped = status("a", State.STOPPED, Reason.PATTERN_RESTARTING)
+    stopped = status("a", state=State.STOPPED, reason=Reason.PATTERN_RESTARTING)
     text = shown(Scene("t", ARENA, {"a": (0.0, 0.0, 0.0)}, {"a": stopped}))
     assert "pattern_restarting" in text
 
@@ -129,7 +96,7 @@ def crowd(*standing: int) -> Scene:
     statuses = {name: status(name) for name in names[:-1]}
     for i in standing:
         name = f"tb3-{i:02d}"
-        statuses[name] = status(name, State.STOPPED, Reason.NO_SCAN)
+        statuses[name] = status(name, state=State.STOPPED, reason=Reason.NO_SCAN)
     poses = {name: (0.1 * i - 1.5, 0.0, 0.0) for i, name in enumerate(names)}
     return Scene("attraction", ARENA, poses, statuses, footer="the end")
 

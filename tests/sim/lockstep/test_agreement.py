@@ -12,9 +12,9 @@ import pytest
 from swarmd.core.values import Array
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings
+from swarmd.sim.live.demo_run import WorldWatcher, await_robots
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.link import WorldView
-from swarmd.sim.live.show import Watch, await_up
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.consensus import consensus_time
 from swarmd.sim.scenarios.scenariofile import scenario_of
@@ -61,13 +61,13 @@ def live(pattern: str, poses: Poses, folder: Path) -> Trace:
         trace=trace,
     )
     with Operator(SessionSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:
-        view = await_up(operator, fleet, tuple(robots))
+        view = await_robots(operator, fleet, tuple(robots))
         with WorldView(swarm, fleet.endpoint) as world:
             world.ask("start")
             epochs = view.epochs(tuple(robots))
             outcome = operator.request("run", epochs, {"pattern": pattern, "params": {}})
             assert len(outcome.applied) == len(robots), outcome.line
-            watch = Watch(world)
+            watch = WorldWatcher(world)
             while (state := watch.wait()).recorded < SECONDS + 1.0:
                 watch.wait(since=state.time)
             world.ask("finish")
@@ -142,12 +142,12 @@ def test_voters_with_daemons_come_to_agree_too_and_stay_so(tmp_path: Path) -> No
         layout="grid:1.5",
     )
     with Operator(SessionSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:
-        epochs = await_up(operator, fleet, ids).epochs(ids)
+        epochs = await_robots(operator, fleet, ids).epochs(ids)
         run = {"pattern": "majority_rule", "params": VOTE}
         assert len(operator.request("run", epochs, run).applied) == len(ids)
         wait_until(lambda: agreed(opinions(operator)), "agreed", PATIENCE)
         with WorldView(swarm, fleet.endpoint) as world:
-            watch = Watch(world)
+            watch = WorldWatcher(world)
             since = watch.wait().time
             while (state := watch.wait()).time < since + 1.5:
                 watch.wait(since=state.time)

@@ -1,0 +1,165 @@
+"""The course of a demo: states of the world, and robots that start late or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, cast
+
+import pytest
+
+from swarmd.core.errors import ConfigError, NetworkError, SwarmError
+from swarmd.core.messages import Code, Condition, Epoch, Member, Reply, State
+from swarmd.network.discovery import MembersView
+from swarmd.network.operator import Operator
+from swarmd.network.outcome import Outcome
+from swarmd.sim.live.demo_run import DemoSettings, Started, WorldWatcher, start_pattern
+from swarmd.sim.live.link import WorldView
+from swarmd.sim.live.state import WorldState
+from tests.sim.live.statuses import status
+
+ROBOTS = ("a", "b", "c")
+SETTINGS = DemoSettings(pattern="drive", params={}, seconds=1.0, platform="burger")
+
+
+class FakeWorld:
+    """A world whose states a test sends."""
+
+    def __init__(self) -> None:
+        self.send: Callable[[WorldState], None] = lambda state: None
+
+    def watch(self, handler: Callable[[WorldState], None]) -> None:
+        self.send = handler
+
+
+class FakeOperator:
+    """Gives prepared answers: for each round of `run` a code by robot; None: no answer.
+
+    A robot that applied is seen running from then on, as is each in `running`.
+    """
+
+    def __init__(self, *rounds: Mapping[str, Code | None]) -> None:
+        self._rounds = iter(rounds)
+        self.asked: list[tuple[str, ...]] = []
+        self.running: set[str] = set()
+
+    def request(self, verb: str, targets: Mapping[str, Epoch | None], args: Any) -> Outcome:
+        self.asked.append(tuple(targets))
+        codes = next(self._rounds)
+        replies = {
+            robot: Reply(id="1", robot=robot, code=code, text=f"{robot} says {code}")
+            for robot in targets
+            if (code := codes[robot]) is not None
+        }
+        self.running |= {robot for robot, code in codes.items() if code is Code.APPLIED}
+        return Outcome(replies, missing=tuple(sorted(set(targets) - replies.keys())))
+
+    def members(self) -> MembersView:
+        return MembersView({robot: self._member(robot) for robot in ROBOTS})
+
+    def _member(self, robot: str) -> Member:
+        state = State.RUNNING if robot in self.running else State.IDLE
+        seen = status(robot, state=state, pattern="drive")
+        return Member(
+            robot=robot, instance=seen.instance, condition=Condition.ALIVE, age=0.0, status=seen
+        )
+
+
+def start(operator: FakeOperator) -> Started:
+    return start_pattern(cast(Operator, operator), operator.members(), ROBOTS, SETTINGS)
+
+
+def state(time: float, *xs: float) -> WorldState:
+    n = len(xs)
+    return WorldState(
+        time=time,
+        real_time_factor=1.0,
+        arena=(4.0, 4.0),
+        ids=tuple("abc"[:n]),
+        poses=tuple((x, 0.0, 0.0) for x in xs),
+        twists=((0.0, 0.0, 0.0),) * n,
+        commanded=(True,) * n,
+        contacts=0,
+        arena_contacts=0,
+        is_recording=True,
+        recorded=time,
+        overruns=0,
+        dropped=0,
+    )
+
+
+@pytest.fixture
+def world() -> FakeWorld:
+    return FakeWorld()
+
+
+@pytest.fixture
+def watcher(world: FakeWorld) -> WorldWatcher:
+    return WorldWatcher(cast(WorldView, world), timeout=0.0)
+
+
+def test_the_newest_state_is_given(world: FakeWorld, watcher: WorldWatcher) -> None:
+    world.send(state(1.0, 0.0))
+    world.send(state(2.0, 0.0))
+    assert watcher.wait().time == 2.0
+    assert watcher.wait(since=1.5).time == 2.0
+
+
+def test_a_world_without_new_states_is_an_error(world: FakeWorld, watcher: WorldWatcher) -> None:
+    world.send(state(1.0, 0.0))
+    with pytest.raises(NetworkError):
+        watcher.wait(since=1.0)
+
+
+def test_all_have_moved_once_each_has(world: FakeWorld, watcher: WorldWatcher) -> None:
+    watcher.begin(state(0.0, 0.0, 1.0))
+    world.send(state(0.1, 0.01, 1.0))
+    assert watcher.all_moved_at is None
+    world.send(state(0.2, 0.0, 1.0005))  # the first is back at its start; the second has not moved
+    assert watcher.all_moved_at is None
+    world.send(state(0.3, 0.0, 1.002))
+    assert watcher.all_moved_at is not None
+
+
+def test_all_robots_are_started_with_one_request() -> None:
+    operator = FakeOperator(dict.fromkeys(ROBOTS, Code.APPLIED))
+    assert start(operator) == Started(ROBOTS, (), {})
+    assert operator.asked == [ROBOTS]
+
+
+def test_robots_that_fail_or_do_not_answer_are_asked_again() -> None:
+    operator = FakeOperator(
+        {"a": Code.APPLIED, "b": Code.FAILED, "c": None},
+        {"b": Code.APPLIED, "c": None},
+        {"c": Code.APPLIED},
+    )
+    assert start(operator) == Started(ROBOTS, ("b", "c"), {})
+    assert operator.asked == [ROBOTS, ("b", "c"), ("c",)]
+
+
+def test_a_robot_that_runs_without_an_answer_is_not_asked_again() -> None:
+    operator = FakeOperator({"a": Code.APPLIED, "b": Code.APPLIED, "c": None}, {})
+    operator.running = {"c"}
+    assert start(operator) == Started(ROBOTS, ("c",), {})
+    assert "c" not in operator.asked[-1]
+
+
+def test_the_demo_goes_on_without_robots_that_do_not_start() -> None:
+    lost = {"b": Code.FAILED, "c": None}
+    started = start(FakeOperator({"a": Code.APPLIED, **lost}, lost, lost))
+    assert (started.robots, started.late) == (("a",), ())
+    assert started.missing == {"b": "b says failed", "c": "no answer"}
+
+
+def test_if_none_starts_the_error_has_each_failure_in_its_own_words() -> None:
+    answers = {"a": Code.FAILED, "b": Code.FAILED, "c": None}
+    with pytest.raises(SwarmError) as caught:
+        start(FakeOperator(answers, answers, answers))
+    for text in ("a: a says failed", "b: b says failed", "c: no answer"):
+        assert text in str(caught.value)
+
+
+def test_a_request_that_all_refuse_is_not_repeated() -> None:
+    operator = FakeOperator(dict.fromkeys(ROBOTS, Code.REFUSED))
+    with pytest.raises(ConfigError, match="a: a says refused"):
+        start(operator)
+    assert len(operator.asked) == 1
