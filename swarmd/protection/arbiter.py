@@ -1,6 +1,6 @@
-"""What every protection mode implements, and how a mode is made from a platform.
+"""Protection: the only path from a requested command to the command that the driver gets.
 
-The fail-safe front: the one way from a wish to a driver's command, whatever the mode.
+`Protection` enforces limits and holds, whatever the mode; an `Arbiter` implements one mode.
 """
 
 from __future__ import annotations
@@ -17,28 +17,32 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Platform, Scan, TouchZone, Twist
 from swarmd.protection.barrier import Barrier
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, ModeDecision, Permit
-from swarmd.protection.footprint import Footprint, Sight
+from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import Off, PotentialField, StopZone
 from swarmd.protection.recovery import Clearance, Recovery
 
+_CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery corridor must allow
+_STOPPED = ModeDecision(ZERO, is_active=False)
+_ZERO_TOLERANCE = 1e-9  # m/s or rad/s: what rounding leaves of a zero command
+
 
 class Arbiter(Protocol):
-    """One mode. It is asked only when the fail-safe front has found nothing that forbids motion."""
+    """One protection mode. `Protection` calls it only when no hold forbids motion."""
 
     mode: str
 
     def clearance(self, speed: float) -> Clearance | None:
-        """The room that it takes to drive at `speed` m/s unhindered; None: it never blocks."""
+        """The room that driving at `speed` m/s takes; None if the mode never blocks a robot."""
 
-    def observe(self, scan: Scan, sight: Sight, moment: DecisionContext) -> None:
-        """Take in a new scan: all its geometry, once. `sight` says where its rays end."""
+    def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
+        """Take in a new scan; the mode computes its geometry here, once per scan."""
 
     def decide(
-        self, requested: Twist, moment: DecisionContext, *, command: Twist, touch: TouchZone | None
+        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
-        """The safe command for a wish within limits; the moment has a scan.
+        """The safe command for a requested one within the limits; the context has a scan age.
 
-        `command` is the one in force. `touch`: where the running pattern may touch what is near.
+        `command` is the present safe command, `touch` the zone in which contact is granted.
         """
 
 
@@ -50,98 +54,94 @@ MODES: Mapping[str, Callable[[Platform], Arbiter]] = MappingProxyType(
         "off": Off,
     }
 )
-"""How the arbiter of each mode is made."""
+"""The arbiter of each mode."""
 
 
 def make_arbiter(platform: Platform) -> Arbiter:
-    """The mode that the platform's file names; ConfigError if there is none such."""
+    """The arbiter of the mode in the platform file; ConfigError if there is no such mode."""
     mode = str(platform.protection.get("mode", "barrier"))
     if mode not in MODES:
         raise ConfigError(f"platform {platform.name}: {unknown('protection mode', mode, MODES)}")
     return MODES[mode](platform)
 
 
-_EASE = 0.95  # of the top speed is what a way must allow to be led along it
-_STAND = ModeDecision(ZERO, is_active=False)
-_NOTHING = 1e-9  # m/s or rad/s: what rounding leaves of a command to stand
-
-
 class Protection:
-    """Decides on every scan, every wish and every tick; never off, pure but for what it has seen.
+    """Decides on the safe command of one robot; never off. Its state comes from its calls alone.
 
-    `seed` decides to which sides it leads around what is in the way.
+    `seed` decides the side on which recovery passes an obstacle.
     """
 
     def __init__(self, platform: Platform, seed: str = "") -> None:
         self._platform = platform
         self._arbiter = make_arbiter(platform)
         self._footprint = Footprint(platform.footprint)
-        self._sight = Sight(platform.scan)
+        self._geometry = ScanGeometry(platform.scan)
         self._scan_seq = -1
         self._min_gap: float | None = None
         self._scan: Scan | None = None
         self._safe = ZERO
-        clearance = self._arbiter.clearance(_EASE * platform.limits.linear)
+        clearance = self._arbiter.clearance(_CORRIDOR_SPEED_SHARE * platform.limits.linear)
         self._recovery = None if clearance is None else Recovery(clearance, platform.limits, seed)
 
     @property
     def mode(self) -> str:
-        """The mode's name."""
+        """The name of the mode."""
         return self._arbiter.mode
 
-    def observe(self, scan: Scan, moment: DecisionContext) -> None:
-        """Take in a conditioned scan: its geometry is computed here, once."""
+    def observe(self, scan: Scan, context: DecisionContext) -> None:
+        """Take in a conditioned scan."""
         self._scan_seq, self._scan = scan.seq, scan
-        self._min_gap = self._footprint.min_gap(scan, self._sight)
-        self._arbiter.observe(scan, self._sight, moment)
+        self._min_gap = self._footprint.min_gap(scan, self._geometry)
+        self._arbiter.observe(scan, self._geometry, context)
 
     def decide(
         self,
         requested: Twist | None,
-        moment: DecisionContext,
+        context: DecisionContext,
         *,
         is_running: bool,
         hold: Reason | None,
         permit: Permit = NO_PERMIT,
     ) -> Decision:
-        """The safe command for a wish (None: stands), with its grounds.
+        """The safe command for a requested one (None: zero), with its reasons.
 
-        Exactly zero outside `running`, under any hold and before the first scan. The limits are
-        applied to the wish, so that an arbiter can rely on them, and to what it gives back.
+        Exactly zero outside `running`, under any hold and before the first scan. The limits apply
+        to the requested command, so that an arbiter can rely on them, and to the result.
         """
         limits = self._platform.limits
         wanted = limits.clip(requested) if requested is not None and requested.is_finite else ZERO
-        if is_running and hold is None and moment.scan_age is None:
+        if is_running and hold is None and context.scan_age is None:
             hold = Reason.NO_SCAN
         if not is_running or hold is not None:
             if self._recovery is not None:
                 self._recovery.reset()
-            return self._decision(wanted, _STAND, hold, moment)
-        asked = wanted
+            return self._decision(wanted, _STOPPED, hold, context)
+        judged = wanted
         if self._recovery is not None and permit.may_recover:
-            asked = limits.clip(self._recovery.instead(wanted, self._safe, moment, self._points))
-        decision = self._arbiter.decide(asked, moment, command=self._safe, touch=permit.touch)
+            replacement = self._recovery.replacement(wanted, self._safe, context, self._points)
+            judged = limits.clip(replacement)
+        decision = self._arbiter.decide(judged, context, command=self._safe, touch=permit.touch)
         if decision.twist is not wanted and not decision.twist.is_finite:
             decision = ModeDecision(ZERO, is_active=True, rows=decision.rows)
-        elif asked is not wanted:
+        elif judged is not wanted:
             decision = replace(decision, is_active=True)
         reason = None
-        if _stands(decision.twist):
+        if _is_stopped(decision.twist):
             reason = Reason.PROTECTION if decision.is_active else Reason.NO_REQUESTED_COMMAND
-        return self._decision(wanted, decision, reason, moment)
+        return self._decision(wanted, decision, reason, context)
 
     def _points(self) -> Array:
-        """(k, 2) what the last scan shows of the ways around, in the base frame in m."""
+        """(k, 2) returns of the last scan within the lookahead, in the base frame in m."""
         if self._scan is None or self._recovery is None:
             return np.empty((0, 2))
-        return self._sight.points(self._scan, self._recovery.sight)
+        return self._geometry.points(self._scan, self._recovery.lookahead)
 
     def _decision(
         self,
         requested: Twist,
         decision: ModeDecision,
         reason: Reason | None,
-        moment: DecisionContext,
+        context: DecisionContext,
     ) -> Decision:
         self._safe = self._platform.limits.clip(decision.twist)
         return Decision(
@@ -152,11 +152,11 @@ class Protection:
             is_active=decision.is_active,
             rows=decision.rows,
             min_gap=self._min_gap,
-            scan_age=moment.scan_age,
+            scan_age=context.scan_age,
             scan_seq=self._scan_seq,
-            is_recovering=self._recovery is not None and self._recovery.is_leading,
+            is_recovering=self._recovery is not None and self._recovery.is_active,
         )
 
 
-def _stands(twist: Twist) -> bool:
-    return max(abs(twist.linear), abs(twist.angular), abs(twist.lateral)) <= _NOTHING
+def _is_stopped(twist: Twist) -> bool:
+    return max(abs(twist.linear), abs(twist.angular), abs(twist.lateral)) <= _ZERO_TOLERANCE

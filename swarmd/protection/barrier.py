@@ -1,16 +1,16 @@
-"""Mode `barrier`: the command nearest to the wish with which the robot can always still stop.
+"""Mode `barrier`: the command nearest to the requested one from which the robot can still stop.
 
-For every return of the lidar that is near, the speed at which the outline closes on it is linear
-in the twist, A (v, w), and must not exceed a cap (`caps.py`) from which the robot can still stop
-before the two touch, while the other comes on at its assumed speed. The command is the one within
-these half-planes that is nearest to the wish, less what would not stay clear until the robot stands
-(`sweep.py`). To stand still always is one of them, moving away is free but for a creep in touch,
-and where nothing is near a wish passes as it is, to the last bit.
+The speed at which the outline closes on a near return is linear in the twist. It must not exceed a
+cap from which the robot can still stop before the two touch, while the obstacle approaches at its
+assumed speed (constraints.py). The command is the one within these half-planes that is nearest to
+the requested one (projection.py), reduced if the outline would not stay clear while the robot
+brakes (stopping.py). The zero command always satisfies the constraints, moving away is free except
+for a creep speed in contact, and far from obstacles a requested command passes bit by bit.
 
-Sources: control barrier functions as filters of a wish (Ames, Xu, Grizzle and Tabuada, IEEE TAC
-2017); for swarms Wang, Ames and Egerstedt, IEEE T-RO 2017; no fault of one's own at contact,
-"passive safety": Mitsch, Ghorbal, Vogelbacher and Platzer, IJRR 2017. Unlike theirs, all is taken
-from the robot's own lidar and odometry. What is promised, and what is not, is in docs/safety.md.
+Sources: control barrier functions as command filters (Ames, Xu, Grizzle and Tabuada, IEEE TAC
+2017); for swarms Wang, Ames and Egerstedt, IEEE T-RO 2017; "passive safety", no own fault at
+contact: Mitsch, Ghorbal, Vogelbacher and Platzer, IJRR 2017. Unlike theirs, all inputs come from
+the robot's own lidar and odometry. docs/safety.md states what holds and under which assumptions.
 """
 
 from __future__ import annotations
@@ -23,79 +23,85 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import ZERO, Array, Platform, Pose, Scan, ScanSpec, TouchZone, Twist
-from swarmd.protection.blind_zone import NearMemory, near_memory
+from swarmd.protection.blind_zone import BlindZoneMemory, blind_zone_memory
 from swarmd.protection.constraints import (
-    BOX,
-    Reach,
-    Rows,
-    bounding,
-    covered,
+    LIMIT_BOX,
+    BindingRange,
+    Constraints,
+    concatenated,
+    direction_and_speed,
     envelope,
     half_planes,
-    joined,
-    most,
+    in_touch_zone,
+    linear_limit,
     passive_caps,
     placed,
-    pressing,
     reciprocal_caps,
-    sliding,
-    split,
+    report,
+    side_constraints,
+    touch_directions,
 )
-from swarmd.protection.dead_reckoning import REACTION, TRUSTED, Motion, relative
+from swarmd.protection.dead_reckoning import (
+    MAX_EXTRAPOLATION,
+    REACTION_TIME,
+    DeadReckoning,
+    relative,
+)
 from swarmd.protection.decision import DecisionContext, ModeDecision
-from swarmd.protection.footprint import Facing, Footprint, Sight
+from swarmd.protection.footprint import Footprint, ScanGeometry, Separations
 from swarmd.protection.projection import Point, nearest_feasible
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import BarrierSettings
-from swarmd.protection.stopping import Braking
+from swarmd.protection.stopping import StopCheck
 
 TICK = 0.05
 """Seconds until the next decision, at the latest."""
 
-CREEP = 0.015
-"""m/s: the fastest that any corner moves in touch, where not all is seen of what it touches."""
+CREEP_SPEED = 0.015
+"""m/s: the fastest corner in contact, where part of the obstacle may be unseen."""
 
-_LEAST_BRAKING = 0.02  # m/s2, for rows that hardly any motion closes
-_SAME_TIME = 1e-6  # s, for the rounding of ages
+_MIN_BRAKING = 0.02  # m/s2, for constraints that hardly any motion closes
+_AGE_TOLERANCE = 1e-6  # s, for the rounding of ages
+_MAX_ENVELOPES = 8  # kept at a time: a holonomic base moves in any direction
 
 
-class _Seen(NamedTuple):
-    """What one scan shows of what is near, in the base frame of the moment it was taken.
+class _NearObstacles(NamedTuple):
+    """The near obstacles of one scan, in the base frame at the time it was taken.
 
-    Points `x`, `y` (k,) m, those with the smallest `gaps` (k,) m first. The first c of them lie on
-    the outline, along rays that are too close to measure; `ways` (c, 2) are the directions of
-    these rays. `is_near`: the envelope is in force.
+    Points `x`, `y` (k,) m in the order of rising `gaps` (k,) m. The first c of them lie on the
+    outline, along the unit vectors `rays` (c, 2) of returns that are too close to measure.
+    `is_near`: an obstacle is so near that the envelope applies.
     """
 
     x: Array
     y: Array
     gaps: Array
-    ways: Array
+    rays: Array
     is_near: bool
 
 
-_Occasion: TypeAlias = tuple[DecisionContext, Point, TouchZone | None]
+_Situation: TypeAlias = tuple[DecisionContext, Point, TouchZone | None]
 
 
-class _Bounds(NamedTuple):
-    """What bounds a command on an occasion: `rows`, the first `points` of them one for each point.
+class _Feasible(NamedTuple):
+    """The feasible commands of a situation: `rows`, the first `points` of them one per obstacle.
 
-    `normals` (r, 2) and `caps` (r,) hold the rows and the envelope, in speeds over their limits.
+    `normals` (r, 2) and `caps` (r,): the constraints and the envelope, in speeds over their limits.
     """
 
-    occasion: _Occasion
-    rows: Rows
+    situation: _Situation
+    rows: Constraints
     points: int
     normals: Array
     caps: Array
 
 
-_NO_WAYS = np.empty((0, 2))
-_NOTHING = _Seen(np.empty(0), np.empty(0), np.empty(0), _NO_WAYS, is_near=False)
+_NO_RAYS = np.empty((0, 2))
+_NO_OBSTACLES = _NearObstacles(np.empty(0), np.empty(0), np.empty(0), _NO_RAYS, is_near=False)
 
 
 class Barrier:
-    """See the module. Units: m, s, rad."""
+    """The arbiter of mode `barrier`. Units: m, s, rad."""
 
     mode = "barrier"
 
@@ -110,34 +116,37 @@ class Barrier:
         self._limits, self._spec = platform.limits, platform.scan
         self._outline = Footprint(platform.footprint)
         self._offset = platform.scan.offset
-        self._speed = settings.surface_speed or settings.others_speed
+        self._surface_speed = settings.surface_speed or settings.others_speed
         self._envelopes: dict[tuple[Point, float], tuple[Array, Array]] = {}
-        self._known: _Bounds | None = None
-        self._motion = Motion(settings.braking_linear, settings.braking_angular)
+        self._feasible: _Feasible | None = None
+        self._dead_reckoning = DeadReckoning(settings.braking_linear, settings.braking_angular)
         own = max(self._limits.linear, self._limits.lateral)
-        self._memory = near_memory(platform.scan, settings.others_speed + own)
+        self._memory = blind_zone_memory(platform.scan, settings.others_speed + own)
         self._radius = float(np.hypot(*platform.footprint.T).max())
-        self._braking = Braking(
+        self._stop_check = StopCheck(
             self._outline, settings.braking_linear, settings.braking_angular, TICK
         )
-        self._touched = settings.margin + settings.unseen_extent + self._hidden_gap(platform.scan)
-        self._seen, self._taken_at, self._taken = _NOTHING, Pose(), -math.inf
-        self._lag, self._restarts = 0.0, 0
+        self._contact_gap = (
+            settings.margin + settings.unseen_extent + self._hidden_gap(platform.scan)
+        )
+        self._obstacles, self._taken_at, self._taken = _NO_OBSTACLES, Pose(), -math.inf
+        self._lag, self._clock_resets = 0.0, 0
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
-        self._reach = Reach(platform, settings, TICK)
-        stale = platform.scan.stale_after + platform.scan.latency + REACTION
-        self._furthest = self._reach.after(stale)
-        within = self._reach.at_rest(self._speed) + settings.others_speed * stale
+        self._binding_range = BindingRange(platform, settings, TICK)
+        stale = platform.scan.stale_after + platform.scan.latency + REACTION_TIME
+        self._furthest = self._binding_range.for_scan_age(stale)
+        within = self._binding_range.for_fresh_scan(self._surface_speed)
+        within += settings.others_speed * stale
         given_within = settings.envelope_within
         self._within = within if given_within is None else given_within
 
     def clearance(self, speed: float) -> Clearance:
-        """Where a row would not yet keep it below that speed ahead, nor hold it up beside."""
+        """The clearance needed to drive at `speed`: ahead, and to each side."""
         settings, braking = self._settings, np.array([self._settings.braking_linear])
-        age = 0.5 / self._spec.rate + self._spec.latency + REACTION
+        age = 0.5 / self._spec.rate + self._spec.latency + REACTION_TIME
 
         def fastest(distance: float) -> float:
-            """The speed ahead that something at a distance from the axle leaves."""
+            """The speed ahead that an obstacle at a distance from the axle allows."""
             gap = distance - float(self._outline.corners[:, 0].max())
             room = np.array([gap - settings.margin - settings.unseen_extent])
             caps = self._caps(room, braking, age)
@@ -151,92 +160,96 @@ class Barrier:
         beside += settings.margin + settings.unseen_extent + 0.06
         return Clearance(float(ahead), max(beside, settings.keep_out or 0.0))
 
-    def observe(self, scan: Scan, sight: Sight, moment: DecisionContext) -> None:
-        """Take in a new scan: which of its points are near enough to matter.
+    def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
+        """Take in a new scan: find the returns that are near enough to constrain the robot.
 
-        One that lacks a sector is as old as what is remembered of that. Unless it is newer than the
-        one before even so, that one stays: dead-reckoned, which what is remembered is not.
+        A scan that lacks a sector has the age of what the conditioner remembers of that sector. A
+        scan that is not newer than the last one by this age is ignored: the last one is
+        dead-reckoned, the remembered sector is not.
         """
-        self._motion.update(moment)
-        latency, age = self._spec.latency, moment.scan_age or 0.0
-        taken = moment.now - latency - age
-        if age > 0.0 and taken < self._taken + _SAME_TIME:
+        self._dead_reckoning.update(context)
+        latency, age = self._spec.latency, context.scan_age or 0.0
+        taken = context.now - latency - age
+        if age > 0.0 and taken < self._taken + _AGE_TOLERANCE:
             return
-        pose = self._motion.pose(moment, latency)
+        pose = self._dead_reckoning.pose(context, latency)
         if self._memory is not None:
             moved = relative(pose, self._taken_at)
-            self._memory.update(scan, sight, moved, max(taken - self._taken, 0.0))
+            self._memory.update(scan, geometry, moved, max(taken - self._taken, 0.0))
         self._taken_at, self._taken = pose, taken
-        self._lag, self._restarts = age, self._motion.restarts
-        self._seen, self._known = self._look(scan, sight), None
+        self._lag, self._clock_resets = age, self._dead_reckoning.clock_resets
+        self._obstacles, self._feasible = self._near_obstacles(scan, geometry), None
 
     def decide(
-        self, requested: Twist, moment: DecisionContext, *, command: Twist, touch: TouchZone | None
+        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
-        """The command nearest to the wish within all rows; the wish itself if it violates none."""
-        self._motion.update(moment)
-        seen = self._seen
-        is_free = touch is None and not (seen.is_near or len(seen.x))
+        """The feasible command nearest to `requested`; `requested` itself if it is feasible."""
+        self._dead_reckoning.update(context)
+        obstacles = self._obstacles
+        is_free = touch is None and not (obstacles.is_near or len(obstacles.x))
         if requested.is_zero or is_free:
             return ModeDecision(requested, is_active=False)
-        if self._restarts != self._motion.restarts:
-            return ModeDecision(ZERO, is_active=True)  # until a scan is placed anew
-        along, speed = split(requested)
-        limits = most(self._limits, along), self._limits.angular
-        bounds = self._bounds((moment, along, touch), command, limits)
+        if self._clock_resets != self._dead_reckoning.clock_resets:
+            return ModeDecision(ZERO, is_active=True)  # the last scan has no valid pose any more
+        along, speed = direction_and_speed(requested)
+        limits = linear_limit(self._limits, along), self._limits.angular
+        feasible = self._feasible_commands((context, along, touch), command, limits)
         wanted = speed / limits[0], requested.angular / limits[1]
-        point, tight = nearest_feasible(wanted, BOX, bounds.normals, bounds.caps)
+        point, tight = nearest_feasible(wanted, LIMIT_BOX, feasible.normals, feasible.caps)
         s, angular = point[0] * limits[0], point[1] * limits[1]
-        s, angular = self._swept(s, angular, bounds)
+        s, angular = self._with_clear_stop(s, angular, feasible)
         if point == wanted and (s, angular) == (point[0] * limits[0], point[1] * limits[1]):
             return ModeDecision(requested, is_active=False)
-        if not tight and bounds.points:  # what is met only while braking: the nearest, most likely
-            tight = [int(bounds.rows.gaps[: bounds.points].argmin())]
+        if not tight and feasible.points:  # limited by the stop alone: report the nearest obstacle
+            tight = [int(feasible.rows.gaps[: feasible.points].argmin())]
         twist = Twist(s * along[0], angular, s * along[1])
-        return ModeDecision(twist, is_active=True, rows=bounding(bounds.rows, tight, self._outline))
+        return ModeDecision(twist, is_active=True, rows=report(feasible.rows, tight, self._outline))
 
-    def _bounds(self, occasion: _Occasion, command: Twist, limits: Point) -> _Bounds:
-        """What bounds any command now; worked out once for all wishes of the same time."""
-        if self._known is None or self._known.occasion != occasion:
-            moment, along, touch = occasion
-            rows, count = self._rows(self._seen, moment, command, along, touch)
-            half_planes = self._half_planes(rows, along, limits)
-            self._known = _Bounds(occasion, rows, count, *half_planes)
-        return self._known
+    def _feasible_commands(self, situation: _Situation, command: Twist, limits: Point) -> _Feasible:
+        """The feasible commands, computed once for all requested commands of one situation."""
+        if self._feasible is None or self._feasible.situation != situation:
+            context, along, touch = situation
+            rows, count = self._constraints(self._obstacles, context, command, along, touch)
+            bounds = self._half_planes(rows, along, limits)
+            self._feasible = _Feasible(situation, rows, count, *bounds)
+        return self._feasible
 
-    def _swept(self, s: float, angular: float, bounds: _Bounds) -> tuple[float, float]:
+    def _with_clear_stop(
+        self, s: float, angular: float, feasible: _Feasible
+    ) -> tuple[float, float]:
         """The speeds, or less if the outline would not stay clear while the robot brakes."""
-        moment, along, touch = bounds.occasion
-        settings, first = self._settings, len(self._seen.ways)
-        radius, age = self._radius, moment.now - self._taken + REACTION
+        context, along, touch = feasible.situation
+        settings, first = self._settings, len(self._obstacles.rays)
+        radius, age = self._radius, context.now - self._taken + REACTION_TIME
         seconds = TICK + max(
             abs(s) / settings.braking_linear, abs(angular) / settings.braking_angular
         )
-        free = self._free(moment)
+        free = self._free(context)
         others = settings.others_speed if settings.responsibility == "passive" else 0.0
         reached = free + others * (age + seconds) + (abs(s) + abs(angular) * radius) * seconds
-        rows = bounds.rows
-        near = np.flatnonzero(rows.gaps[first : bounds.points] <= reached) + first
+        rows = feasible.rows
+        near = np.flatnonzero(rows.gaps[first : feasible.points] <= reached) + first
         if not len(near):
             return s, angular
         if touch is not None:
-            near = near[~covered(self._outline.facing(rows.x[near], rows.y[near]), touch)]
+            separations = self._outline.separations(rows.x[near], rows.y[near])
+            near = near[~in_touch_zone(separations, touch)]
         points = np.stack((rows.x[near], rows.y[near]), axis=1)
         need = np.array((free + others * age, others))
-        speeds = self._braking.clear(
+        speeds = self._stop_check.limited(
             np.array((s, angular)), np.array(along), points, rows.gaps[near], need
         )
         return float(speeds[0]), float(speeds[1])
 
-    def _half_planes(self, rows: Rows, along: Point, limits: Point) -> tuple[Array, Array]:
-        """Those of the rows and then those of the envelope, in speeds over their limits."""
+    def _half_planes(self, rows: Constraints, along: Point, limits: Point) -> tuple[Array, Array]:
+        """Normals and caps of the constraints and the envelope, in speeds over their limits."""
         normals = np.array((rows.linear * limits[0], rows.lever * limits[1])).T
-        if not self._seen.is_near:
+        if not self._obstacles.is_near:
             return normals, rows.caps
-        is_touching = bool(((rows.gaps <= self._touched) & (rows.caps <= 0.0)).any())
-        key = along, CREEP if is_touching else self._speed
+        is_touching = bool(((rows.gaps <= self._contact_gap) & (rows.caps <= 0.0)).any())
+        key = along, CREEP_SPEED if is_touching else self._surface_speed
         if key not in self._envelopes:
-            if len(self._envelopes) > 8:  # of a base that moves in any direction
+            if len(self._envelopes) > _MAX_ENVELOPES:
                 self._envelopes.clear()
             self._envelopes[key] = half_planes(
                 envelope(self._outline.corners, along, limits, key[1])
@@ -244,55 +257,58 @@ class Barrier:
         more, caps = self._envelopes[key]
         return np.concatenate((normals, more)), np.concatenate((rows.caps, caps))
 
-    def _rows(
+    def _constraints(
         self,
-        seen: _Seen,
-        moment: DecisionContext,
+        obstacles: _NearObstacles,
+        context: DecisionContext,
         command: Twist,
         along: Point,
         touch: TouchZone | None,
-    ) -> tuple[Rows, int]:
-        """All rows, those of the near points first, and how many these are."""
-        frame = relative(self._taken_at, self._motion.ahead(moment, command))
-        age = moment.now - self._taken + REACTION
-        some = int(seen.gaps.searchsorted(self._reach.after(age)))
-        x, y = placed(seen.x[:some], seen.y[:some], frame)
-        facing = self._outline.facing(x, y)
-        free = self._free(moment)
-        room = facing.gap - free
-        rows = self._limit(facing, room, x, y, along, age)
-        rest = 0.5 * (facing.gap - self._touched) / (age + TICK)
-        rows = joined(rows, sliding(rows, facing, self._outline.corners, along, rest, CREEP))
+    ) -> tuple[Constraints, int]:
+        """All constraints, first one for each near point, and the number of these points."""
+        frame = relative(self._taken_at, self._dead_reckoning.predicted_pose(context, command))
+        age = context.now - self._taken + REACTION_TIME
+        count = int(obstacles.gaps.searchsorted(self._binding_range.for_scan_age(age)))
+        x, y = placed(obstacles.x[:count], obstacles.y[:count], frame)
+        separations = self._outline.separations(x, y)
+        free = self._free(context)
+        room = separations.gap - free
+        rows = self._point_constraints(separations, room, x, y, along, age)
+        rest = 0.5 * (separations.gap - self._contact_gap) / (age + TICK)
+        corners = self._outline.corners
+        rows = concatenated(
+            rows, side_constraints(rows, separations, corners, along, rest, CREEP_SPEED)
+        )
         if self._settings.unseen_extent > 0.0:
-            touched = len(seen.ways)  # where these are on the outline is a guess
-            beyond = facing.gap[touched:], x[touched:], y[touched:]
-            rows = joined(rows, self._corners(*beyond, along, age, free))
-        if len(seen.ways):
-            rows = self._with_contacts(rows, seen, frame, along)
+            contacts = len(obstacles.rays)  # their places on the outline are a guess
+            beyond = separations.gap[contacts:], x[contacts:], y[contacts:]
+            rows = concatenated(rows, self._corner_constraints(*beyond, along, age, free))
+        if len(obstacles.rays):
+            rows = self._with_contacts(rows, obstacles, frame, along)
         if self._settings.keep_out is not None:
             rows = self._with_keep_out(rows, self._settings.keep_out, along, age)
         if touch is not None:
-            rows = self._allowed(rows, touch, along)
+            rows = self._with_touch_zone(rows, touch, along)
         return rows, len(x)
 
-    def _limit(
-        self, facing: Facing, room: Array, x: Array, y: Array, along: Point, age: float
-    ) -> Rows:
-        """The rows of points at `x`, `y` (k,) that the outline faces so, with so much room (k,)."""
-        linear = facing.nx * along[0] + facing.ny * along[1]
+    def _point_constraints(
+        self, separations: Separations, room: Array, x: Array, y: Array, along: Point, age: float
+    ) -> Constraints:
+        """The constraints of points at `x`, `y` (k,) with so much room (k,) in m."""
+        linear = separations.nx * along[0] + separations.ny * along[1]
         braking = np.abs(linear) * self._settings.braking_linear
-        braking += np.abs(facing.lever) * self._settings.braking_angular
-        np.maximum(braking, _LEAST_BRAKING, out=braking)
+        braking += np.abs(separations.lever) * self._settings.braking_angular
+        np.maximum(braking, _MIN_BRAKING, out=braking)
         caps = self._caps(room, braking, age)
-        return Rows(linear, facing.lever, caps, x, y, facing.gap)
+        return Constraints(linear, separations.lever, caps, x, y, separations.gap)
 
-    def _corners(
+    def _corner_constraints(
         self, gaps: Array, x: Array, y: Array, along: Point, age: float, free: float
-    ) -> Rows:
-        """Rows of the robot's own corners for what reaches further than is seen of it.
+    ) -> Constraints:
+        """Constraints of each own corner, for obstacles that extend beyond their visible part.
 
-        Then the nearest place of the outline is not the only one that can meet it: a corner that
-        sweeps past may as well.
+        Then the nearest place of the outline is not the only one that can touch the obstacle: a
+        corner that swings past it can, too.
         """
         near = np.flatnonzero(gaps <= 2.0 * free + self._settings.others_speed * (age + TICK))
         corners = self._outline.corners
@@ -302,8 +318,8 @@ class Barrier:
         dx, dy = x - own_x, y - own_y
         distance = np.maximum(np.hypot(dx, dy), 1e-9)
         nx, ny = dx / distance, dy / distance
-        facing = Facing(distance, nx, ny, own_x * ny - own_y * nx)
-        return self._limit(facing, distance - free, x, y, along, age)
+        separations = Separations(distance, nx, ny, own_x * ny - own_y * nx)
+        return self._point_constraints(separations, distance - free, x, y, along, age)
 
     def _caps(self, room: Array, braking: Array, unseen: float) -> Array:
         settings = self._settings
@@ -311,56 +327,68 @@ class Barrier:
             return reciprocal_caps(room, braking, unseen, TICK)
         return passive_caps(room, braking, settings.others_speed, unseen, TICK)
 
-    def _with_contacts(self, rows: Rows, seen: _Seen, frame: Pose, along: Point) -> Rows:
-        """What is too close to measure counts as touching, and may not be closed on along its ray.
+    def _with_contacts(
+        self, rows: Constraints, obstacles: _NearObstacles, frame: Pose, along: Point
+    ) -> Constraints:
+        """Returns too close to measure count as contact: cap 0, also along their rays.
 
-        Without the latter a corner that grazes a slanted surface has only a row across its way.
+        Without the constraint along the ray, a corner that grazes a slanted surface would have only
+        a constraint across its path.
         """
-        count = len(seen.ways)
+        count = len(obstacles.rays)
         caps = rows.caps.copy()
         caps[:count] = 0.0
         cos, sin = math.cos(frame.yaw), math.sin(frame.yaw)
-        nx = cos * seen.ways[:, 0] - sin * seen.ways[:, 1]
-        ny = sin * seen.ways[:, 0] + cos * seen.ways[:, 1]
+        nx = cos * obstacles.rays[:, 0] - sin * obstacles.rays[:, 1]
+        ny = sin * obstacles.rays[:, 0] + cos * obstacles.rays[:, 1]
         x, y = rows.x[:count], rows.y[:count]
         zeros = np.zeros(len(x))
-        return joined(
+        return concatenated(
             rows._replace(caps=caps),
-            Rows(nx * along[0] + ny * along[1], x * ny - y * nx, zeros, x, y, zeros),
+            Constraints(nx * along[0] + ny * along[1], x * ny - y * nx, zeros, x, y, zeros),
         )
 
-    def _with_keep_out(self, rows: Rows, radius: float, along: Point, age: float) -> Rows:
-        """Nothing is let into the circle around a sensor that is blind nearby, by half each."""
+    def _with_keep_out(
+        self, rows: Constraints, radius: float, along: Point, age: float
+    ) -> Constraints:
+        """Constraints that keep the circle around a sensor with a blind zone free.
+
+        Each of two robots keeps out of the circle by half of the distance.
+        """
         dx, dy = rows.x - self._offset[0], rows.y - self._offset[1]
         distance = np.maximum(np.hypot(dx, dy), 1e-9)
         nx, ny = dx / distance, dy / distance
         linear = nx * along[0] + ny * along[1]
-        lever = self._offset[0] * ny - self._offset[1] * nx  # of the circle's own turn: none else
+        lever = self._offset[0] * ny - self._offset[1] * nx  # of the centre: a circle has no corner
         settings = self._settings
         braking = np.abs(linear) * settings.braking_linear
         braking += np.abs(lever) * settings.braking_angular
-        np.maximum(braking, _LEAST_BRAKING, out=braking)
+        np.maximum(braking, _MIN_BRAKING, out=braking)
         caps = reciprocal_caps(distance - radius, braking, age, TICK)
-        return joined(rows, Rows(linear, lever, caps, rows.x, rows.y, rows.gaps))
+        return concatenated(rows, Constraints(linear, lever, caps, rows.x, rows.y, rows.gaps))
 
-    def _allowed(self, rows: Rows, touch: TouchZone, along: Point) -> Rows:
-        """The rows, with what the outline faces in the sector closed on as fast as is granted.
+    def _with_touch_zone(self, rows: Constraints, touch: TouchZone, along: Point) -> Constraints:
+        """The constraints with the speed of the touch zone granted for obstacles in its sector.
 
-        By the way the outline faces it: from the axle a box that is being pushed is wider than any
-        sector. Nothing may be faster that way, for what is pushed is not always seen.
+        The direction from the outline decides, not the bearing from the axle: seen from the axle a
+        pushed box is wider than any sector. No corner may move faster in the zone's directions,
+        since a pushed object is not always seen.
         """
-        facing = self._outline.facing(rows.x, rows.y)
-        caps = np.where(covered(facing, touch), np.maximum(rows.caps, touch.speed), rows.caps)
-        nx, ny, x, y = pressing(self._outline.corners, touch)
-        speeds, gaps = np.full(len(x), touch.speed), np.full(len(x), np.inf)  # of nothing seen
+        separations = self._outline.separations(rows.x, rows.y)
+        is_inside = in_touch_zone(separations, touch)
+        caps = np.where(is_inside, np.maximum(rows.caps, touch.speed), rows.caps)
+        nx, ny, x, y = touch_directions(self._outline.corners, touch)
+        speeds, gaps = np.full(len(x), touch.speed), np.full(len(x), np.inf)  # without a return
         linear, lever = nx * along[0] + ny * along[1], x * ny - y * nx
-        return joined(rows._replace(caps=caps), Rows(linear, lever, speeds, x, y, gaps))
+        return concatenated(
+            rows._replace(caps=caps), Constraints(linear, lever, speeds, x, y, gaps)
+        )
 
-    def _look(self, scan: Scan, sight: Sight) -> _Seen:
-        """What matters of a scan: returns within reach, and rays that are too close to measure."""
+    def _near_obstacles(self, scan: Scan, geometry: ScanGeometry) -> _NearObstacles:
+        """The returns that can bind the robot, and the rays that are too close to measure."""
         within = max(self._within, self._furthest) + self._outer
         shown = np.flatnonzero((scan.ranges <= within) & (scan.ranges > -np.inf))
-        points = sight.ends(scan, shown)
+        points = geometry.points_of_rays(scan, shown)
         gaps = self._outline.gaps(points)
         bearings = scan.bearings[scan.ranges == -np.inf]
         if self._memory is not None and len(self._memory.bearings):
@@ -372,35 +400,36 @@ class Barrier:
         order = np.argsort(gaps)[: np.count_nonzero(gaps <= self._furthest)]
         gaps, (x, y) = gaps.take(order), points.take(order, axis=0).T
         if not len(bearings):
-            return _Seen(x, y, gaps, _NO_WAYS, is_near)
-        ways = np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
-        depths = self._outline.along_rays(self._offset, ways)
-        touched = (self._offset + depths[:, None] * ways).T
-        x, y = np.concatenate((touched[0], x)), np.concatenate((touched[1], y))
-        return _Seen(x, y, np.concatenate((np.zeros(len(ways)), gaps)), ways, is_near)
+            return _NearObstacles(x, y, gaps, _NO_RAYS, is_near)
+        rays = np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
+        depths = self._outline.along_rays(self._offset, rays)
+        contacts = (self._offset + depths[:, None] * rays).T
+        x, y = np.concatenate((contacts[0], x)), np.concatenate((contacts[1], y))
+        gaps = np.concatenate((np.zeros(len(rays)), gaps))
+        return _NearObstacles(x, y, gaps, rays, is_near)
 
-    def _remembered(self, memory: NearMemory) -> tuple[Array, Array]:
-        """Bearings (k,) of what may touch the robot in its blind zone, and where (m, 2) else."""
-        ways = np.stack((np.cos(memory.bearings), np.sin(memory.bearings)), axis=1)
-        outline = self._outline.along_rays(self._offset, ways)
+    def _remembered(self, memory: BlindZoneMemory) -> tuple[Array, Array]:
+        """Bearings (k,) of hidden obstacles that may touch the robot, points (m, 2) of others."""
+        rays = np.stack((np.cos(memory.bearings), np.sin(memory.bearings)), axis=1)
+        outline = self._outline.along_rays(self._offset, rays)
         is_beyond = memory.nearest > outline
-        points = self._offset + memory.nearest[is_beyond, None] * ways[is_beyond]
+        points = self._offset + memory.nearest[is_beyond, None] * rays[is_beyond]
         return memory.bearings[~is_beyond], points
 
     def _hidden_gap(self, spec: ScanSpec) -> float:
-        """m from the outline up to which something may be while it touches it where none sees."""
+        """m from the outline within which an obstacle may be that touches the robot unseen."""
         if spec.near == "reported" or self._settings.keep_out is not None:
             return 0.0
         angles = np.linspace(-np.pi, np.pi, 73)
-        ways = np.stack((np.cos(angles), np.sin(angles)), axis=1)
-        nearest = float(self._outline.along_rays(self._offset, ways).min())
+        rays = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+        nearest = float(self._outline.along_rays(self._offset, rays).min())
         return max(spec.range_min - nearest, 0.0)
 
-    def _free(self, moment: DecisionContext) -> float:
-        """m that must stay free beside what is seen, for what is not and where it may be instead.
+    def _free(self, context: DecisionContext) -> float:
+        """m that must stay free around each return, for unseen parts and unknown motion.
 
-        Odometry may be old, and what a lacking sector holds is not dead-reckoned to the scan.
+        Odometry may be old, and the remembered part of a scan is not dead-reckoned.
         """
-        late = max((moment.odometry_age or 0.0) - TRUSTED, 0.0)
-        blurred = (late + self._lag) * self._speed
+        late = max((context.odometry_age or 0.0) - MAX_EXTRAPOLATION, 0.0)
+        blurred = (late + self._lag) * self._surface_speed
         return self._settings.margin + self._settings.unseen_extent + blurred

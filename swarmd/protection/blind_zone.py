@@ -1,4 +1,19 @@
-"""Where something has come too near to be seen, for a sensor that says nothing of it."""
+"""Memory of obstacles in the blind zone of a sensor that reports nothing closer than range_min.
+
+Such a sensor gives no return for an obstacle inside its blind zone. So a ray with a return proves
+its part of the zone empty; a ray without one may be hidden or see nothing. `BlindZoneMemory` works
+by these rules:
+
+- An obstacle becomes hidden when it was near the rim, may have crossed it, no return lies near its
+  place any more, and the rays there are empty. It then approaches unseen at the assumed speed.
+- An obstacle too wide to vanish continues inside where returns show it crossing the rim: at one
+  end of an empty sector, the part seen there last becomes hidden; at both ends, the obstacle fills
+  the sector, no nearer than a square corner between the ends.
+- A hidden obstacle moves with its empty sector and fills it unless the sector is too wide.
+- It is forgotten once returns show its place to be empty, once it reappears, or once the robot has
+  moved away; without these exits a memory would hold the robot for ever. It does not expire by
+  time, since a robot may be held in contact for minutes.
+"""
 
 from __future__ import annotations
 
@@ -11,31 +26,31 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from swarmd.core.values import Array, Pose, Scan, ScanSpec
-from swarmd.protection.footprint import Sight
+from swarmd.protection.footprint import ScanGeometry
 
-_BRIEFLY = 2.0  # s for which something is remembered in a shadow too narrow for a robot
-_LEFT = 2.0  # of range_min: who has gone that far has left behind what was within it
-_NOISE = 0.03  # m
-_DEEP = 0.6  # of range_min: nearer to the sensor than that nothing is expected to move about
-_SHAPE = 0.05  # m that what is seen of something may change beside its motion
-_ENOUGH = 720  # returns nearby are enough: they are within 1 cm of one another then
-_RUN = 4  # rays side by side without a return: fewer are lost ones
-_LEAST = 0.07  # m across: no robot that a lidar sees is smaller
-_WIDEST = math.radians(120.0)  # a shadow wider than that is open space
-_FACE = math.pi  # a face that is near hides less of the horizon than that
-_BESIDE = 8  # rays, at most, that tell how what is seen goes on
-_COMES = 0.02  # m by which it comes nearer over these, more than noise does
-_STEEP = 0.06  # m a ray at most by which it does
-_FLAT = math.radians(20.0)  # half a shadow: what fills a narrower one is nearly level at its ends
+_NARROW_MEMORY = 2.0  # s for which an empty sector too narrow for a robot is remembered
+_FORGET_DISTANCE = 2.0  # of range_min: a robot that moved this far has left hidden obstacles behind
+_RANGE_NOISE = 0.03  # m
+_MIN_HIDDEN_RANGE = 0.6  # of range_min: closer than this, obstacles do not move sideways
+_SHAPE_CHANGE = 0.05  # m by which the visible part of an obstacle may change beside its motion
+_MAX_POINTS = 720  # near returns compared: they lie within 1 cm of one another then
+_MIN_EMPTY_RUN = 4  # rays side by side without a return; fewer are drop-outs
+_MIN_WIDTH = 0.07  # m: no robot that a lidar sees is narrower
+_MAX_SECTOR = math.radians(120.0)  # a wider empty sector is open space
+_MAX_FACE = math.pi  # a near face hides less of the horizon than this
+_EDGE_RAYS = 8  # beside an empty sector, at most, from which a face is extrapolated
+_MIN_APPROACH = 0.02  # m by which a face approaches over these rays, more than noise does
+_MAX_SLOPE = 0.06  # m per ray by which a face approaches at most
+_FLAT = math.radians(20.0)  # half width: an obstacle in a narrower sector is level at its ends
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 
-class _Shadow(NamedTuple):
-    """Rays without a return, side by side, and at how many of its ends what is seen goes inside.
+class _EmptySector(NamedTuple):
+    """Neighbouring rays without a return, and at how many of its ends a face crosses the rim.
 
-    What goes inside at both ends comes no nearer to the sensor than `corner` m.
+    A face that crosses the rim at both ends is no nearer to the sensor than `corner` m.
     """
 
     rays: Indices
@@ -44,70 +59,57 @@ class _Shadow(NamedTuple):
 
 
 class _Hidden(NamedTuple):
-    """What hides, ray by ray or bearing by bearing (n,).
+    """Hidden obstacles, one element (n,) per ray or bearing.
 
-    For how long it has in a narrow shadow, in s; how near to the sensor it may be, in m; whether it
-    is the middle of a face whose ends are seen.
+    `ages` in s spent in a narrow sector, `nearest` m that it may be from the sensor; `is_face`: it
+    is the middle of a face whose ends are visible.
     """
 
-    worn: Array
+    ages: Array
     nearest: Array
     is_face: Mask
 
     def at(self, which: Mask | Indices) -> _Hidden:
-        """Some of them."""
-        return _Hidden(self.worn[which], self.nearest[which], self.is_face[which])
+        """The selected elements."""
+        return _Hidden(self.ages[which], self.nearest[which], self.is_face[which])
 
 
 _NONE = _Hidden(np.empty(0), np.empty(0), np.empty(0, np.bool_))
 
 
-class NearMemory:
-    """Where something hides in a blind zone, and how near it may be.
-
-    `bearings` (n,) rad are in the base frame of the last scan, `nearest` (n,) m from the sensor.
-
-    A sensor that is blind nearby gives no return for what is there. So a ray that has a return
-    proves its part of the blind zone empty, and one that has none may be hidden or see nothing.
-    Something is hidden once what was near the rim may have come inside, nothing is seen near its
-    place any more, and rays there have no return; unseen it comes nearer at the assumed speed.
-    What is too wide to vanish goes on inside where it is seen to cross the rim: at one end of a
-    shadow, what was seen in it last is hidden, at both ends it fills the shadow, and is no nearer
-    than a square corner between them. What is hidden moves with its shadow, fills it if that is not
-    too wide, and is forgotten once returns show its place to be empty, or it to be out again, or
-    once the robot has left: a memory that nothing clears would hold it for ever. It is not
-    forgotten in time, for who is held in touch may be so for minutes.
-    """
+class BlindZoneMemory:
+    """Hidden obstacles by their `bearings` (n,), in rad in the base frame of the last scan."""
 
     def __init__(self, range_min: float, speed: float, period: float) -> None:
-        """Blind within `range_min` m; things come nearer at up to `speed` m/s; `period` in s."""
+        """Blind within `range_min` m; obstacles approach at up to `speed` m/s; `period` s."""
         self._blind, self._speed, self._period = range_min, speed, period
-        self._narrow = 2.0 * math.asin(min(0.5 * _LEAST / range_min, 1.0))
+        self._narrow = 2.0 * math.asin(min(0.5 * _MIN_WIDTH / range_min, 1.0))
         self._near = np.empty((0, 2))
-        self._shadows = np.empty(0)
+        self._empty_bearings = np.empty(0)
         self._order, self._given, self._rising = np.empty(0, np.intp), np.empty(0), np.empty(0)
-        self._from = np.zeros(2)  # where it was when something came in last, in its own frame
+        self._entered_at = np.zeros(2)  # place of the robot at the last entry, in the base frame
         self._hidden = _NONE
         self.bearings = np.empty(0)
 
     @property
     def nearest(self) -> Array:
-        """(n,) m from the sensor: nothing that is hidden along the bearings can be nearer."""
+        """(n,) m from the sensor: no hidden obstacle along the bearings is nearer."""
         return self._hidden.nearest
 
-    def update(self, scan: Scan, sight: Sight, moved: Pose, seconds: float) -> None:
-        """Take in a scan, taken `seconds` after the one before; `moved` is the base since then."""
+    def update(self, scan: Scan, geometry: ScanGeometry, moved: Pose, seconds: float) -> None:
+        """Take in a scan, taken `seconds` after the last one; `moved` is the motion since then."""
         scan = self._ordered(scan)
-        step = self._speed * min(seconds, 5.0 * self._period) + _NOISE
+        step = self._speed * min(seconds, 5.0 * self._period) + _RANGE_NOISE
         is_near = (scan.ranges <= self._blind + 2.0 * step) & (scan.ranges > -np.inf)
-        points = sight.ends(scan, np.flatnonzero(is_near))
+        points = geometry.points_of_rays(scan, np.flatnonzero(is_near))
         if len(points) or len(self._near) or len(self.bearings):
-            self.bearings, self._hidden = self._find(scan, sight, points, moved, seconds, step)
-        self._near, self._shadows = points, scan.bearings[np.isinf(scan.ranges)]
+            found = self._find(scan, geometry, points, moved, seconds, step)
+            self.bearings, self._hidden = found
+        self._near, self._empty_bearings = points, scan.bearings[np.isinf(scan.ranges)]
 
     def _ordered(self, scan: Scan) -> Scan:
-        """The scan with its rays side by side as they lie side by side."""
-        if scan.bearings is not self._given:  # most sensors never change theirs
+        """The scan with its rays in the order of their bearings."""
+        if scan.bearings is not self._given:  # most sensors keep theirs
             self._given = self._rising = scan.bearings
             self._order = np.argsort(scan.bearings % (2.0 * np.pi), kind="stable")
             if (np.diff(self._order) != 1).any():
@@ -117,118 +119,128 @@ class NearMemory:
         return replace(scan, ranges=scan.ranges[self._order], bearings=self._rising)
 
     def _find(
-        self, scan: Scan, sight: Sight, points: Array, moved: Pose, seconds: float, step: float
+        self,
+        scan: Scan,
+        geometry: ScanGeometry,
+        points: Array,
+        moved: Pose,
+        seconds: float,
+        step: float,
     ) -> tuple[Array, _Hidden]:
-        """Where something hides now."""
+        """The bearings of hidden obstacles now; `step` is the m an obstacle can move per scan."""
         cos, sin = math.cos(moved.yaw), math.sin(moved.yaw)
-        self._from = np.array(((cos, sin), (-sin, cos))) @ (self._from - (moved.x, moved.y))
-        # That a ray is too close to measure can be but a guess, which does not last.
+        turn = np.array(((cos, sin), (-sin, cos)))
+        self._entered_at = turn @ (self._entered_at - (moved.x, moved.y))
+        # -inf counts as empty, too: that a ray is too close to measure may be a guess for a while.
         is_empty = _in_runs(np.isinf(scan.ranges))
         if not is_empty.any():
             return np.empty(0), _NONE
-        shadows = self._cast(is_empty, scan.ranges)
+        sectors = self._empty_sectors(is_empty, scan.ranges)
         inside = np.zeros(len(is_empty), np.bool_)
-        for shadow in shadows:
-            inside[shadow.rays] = shadow.crossings > 0
-        lost, is_gone = self._lost(points, moved, sight, step, scan.bearings, inside)
+        for sector in sectors:
+            inside[sector.rays] = sector.crossings > 0
+        lost, is_gone = self._vanished(points, moved, geometry, step, scan.bearings, inside)
         bearings = np.concatenate((self.bearings - moved.yaw, lost))
         if len(lost) or inside.any():
-            self._from = np.zeros(2)
+            self._entered_at = np.zeros(2)
         hidden = self._aged(seconds, is_gone, step)
-        shift = min(step / (_DEEP * self._blind), 0.25 * math.pi)
+        shift = min(step / (_MIN_HIDDEN_RANGE * self._blind), 0.25 * math.pi)
         empty = np.flatnonzero(is_empty)
         place, off = _nearest(scan.bearings[empty], bearings)
-        is_hidden = (off <= shift) & (hidden.worn < _BRIEFLY)
-        is_hidden &= bool(np.hypot(*self._from) < _LEFT * self._blind)
-        out = self._come_out(scan, moved.yaw, step)
+        is_hidden = (off <= shift) & (hidden.ages < _NARROW_MEMORY)
+        is_hidden &= bool(np.hypot(*self._entered_at) < _FORGET_DISTANCE * self._blind)
+        out = self._reappeared(scan, moved.yaw, step)
         if len(out):
             is_old = np.arange(len(bearings)) < len(self.bearings)
             is_hidden &= ~is_old | (_nearest(out, bearings)[1] > shift)
         rays, exact = empty[place[is_hidden]], scan.bearings.copy()
         found = _by_ray(len(exact), rays, hidden.at(is_hidden))
-        stays = off[is_hidden] <= math.pi / len(exact)  # else slow turns would be lost
+        stays = off[is_hidden] <= math.pi / len(exact)  # a slow turn would be lost in whole rays
         exact[rays[stays]] = bearings[is_hidden][stays]
-        _fill(found, shadows, self._narrow, seconds)
-        which = np.flatnonzero(found.worn < np.inf)
+        _fill(found, sectors, self._narrow, seconds)
+        which = np.flatnonzero(found.ages < np.inf)
         return exact[which], found.at(which)
 
     def _aged(self, seconds: float, is_gone: Mask, step: float) -> _Hidden:
-        """What hid before, so much later, and then what was lost since, gone or of a face (k,)."""
-        worn, nearest, is_face = self._hidden
+        """What was hidden before, `seconds` later, then what has vanished since (k,)."""
+        ages, nearest, is_face = self._hidden
         nearest = np.maximum(nearest - self._speed * seconds, 0.0)
         within = np.full(len(is_gone), self._blind - step)
         return _Hidden(
-            np.concatenate((worn, np.zeros(len(is_gone)))),
+            np.concatenate((ages, np.zeros(len(is_gone)))),
             np.concatenate((nearest, within)),
             np.concatenate((is_face & (nearest > 0.0), ~is_gone)),
         )
 
-    def _cast(self, is_empty: Mask, ranges: Array) -> list[_Shadow]:
-        """The shadows of a scan."""
+    def _empty_sectors(self, is_empty: Mask, ranges: Array) -> list[_EmptySector]:
+        """The empty sectors of a scan."""
         n = len(is_empty)
         start = int(is_empty.argmin())  # a ray with a return, if there is one
         order = (np.arange(n) + start) % n
         edges = np.flatnonzero(np.diff(np.concatenate(([0], is_empty[order].view(np.int8), [0]))))
-        shadows = []
+        sectors = []
         for first, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
             ends = (first - 1, -1), (end, 1)
             half = (end - first) * math.pi / n
             is_flat = half < _FLAT
             crossings = sum(
-                self._goes_inside(ranges, order[ray % n], way, is_flat) for ray, way in ends
+                self._crosses_rim(ranges, order[ray % n], direction, is_flat)
+                for ray, direction in ends
             )
             corner = max(self._blind * (math.cos(half) - math.sin(half)), 0.0)
-            shadows.append(_Shadow(order[first:end], crossings, corner))
-        return shadows
+            sectors.append(_EmptySector(order[first:end], crossings, corner))
+        return sectors
 
-    def _goes_inside(self, ranges: Array, ray: int, way: int, is_flat: bool) -> bool:
-        """Whether what a ray beside a shadow sees is within the rim one ray further into that.
+    def _crosses_rim(self, ranges: Array, ray: int, direction: int, is_flat: bool) -> bool:
+        """True if the face seen beside an empty sector lies within the rim one ray further in.
 
-        It goes on as it has come over the rays before, which are those in direction `way`; what
-        does not come nearer there ends there. `is_flat`: it need not be seen to come nearer.
+        The face is extrapolated from the rays beside `ray`, those in `direction`; a face that does
+        not approach there ends there. `is_flat`: the approach need not be visible.
         """
         if is_flat:
-            return bool(ranges[ray] <= self._blind + _STEEP)
-        near = ranges[(ray + way * np.arange(_BESIDE + 1)) % len(ranges)]
+            return bool(ranges[ray] <= self._blind + _MAX_SLOPE)
+        near = ranges[(ray + direction * np.arange(_EDGE_RAYS + 1)) % len(ranges)]
         near = np.where(np.isfinite(near), near, 1e9)
-        goes_on = np.abs(np.diff(near)) < 2.0 * _STEEP  # false beside what is not seen
-        count = int(goes_on.argmin()) if not goes_on.all() else _BESIDE
-        comes = float(near[count] - near[0])
-        if count < 3 or comes < _COMES:
+        is_smooth = np.abs(np.diff(near)) < 2.0 * _MAX_SLOPE  # false beside a ray without a return
+        count = int(is_smooth.argmin()) if not is_smooth.all() else _EDGE_RAYS
+        approach = float(near[count] - near[0])
+        if count < 3 or approach < _MIN_APPROACH:
             return False
-        return float(near[0]) - min(comes / count, _STEEP) <= self._blind + _NOISE
+        return float(near[0]) - min(approach / count, _MAX_SLOPE) <= self._blind + _RANGE_NOISE
 
-    def _come_out(self, scan: Scan, turned: float, step: float) -> Array:
-        """(k,) bearings of returns near the rim where there was none in the scan before."""
+    def _reappeared(self, scan: Scan, turned: float, step: float) -> Array:
+        """(k,) bearings of returns near the rim whose rays were empty in the last scan."""
         is_out = (scan.ranges <= self._blind + step) & (scan.ranges > -np.inf)
         bearings = scan.bearings[is_out]
-        if not len(bearings) or not len(self._shadows):
+        if not len(bearings) or not len(self._empty_bearings):
             return np.empty(0)
-        return bearings[_nearest(self._shadows - turned, bearings)[1] <= math.pi / len(is_out)]
+        off = _nearest(self._empty_bearings - turned, bearings)[1]
+        return bearings[off <= math.pi / len(is_out)]
 
-    def _lost(
+    def _vanished(
         self,
         points: Array,
         moved: Pose,
-        sight: Sight,
+        geometry: ScanGeometry,
         step: float,
         rays: Array,
         inside: Mask,
     ) -> tuple[Array, Mask]:
-        """(k,) bearings of what was near, may have come inside, and is not seen near by.
+        """(k,) bearings of earlier returns that may have crossed the rim and are not seen any more.
 
-        What is seen near by is part of it where its ray (n,) is in a shadow into which something
-        goes on: `inside` (n,). Then it is false of it (k,) that it has gone altogether.
+        A return that is still seen near its place counts, too, if its ray lies in an empty sector
+        which a face enters (`inside` (n,), for `rays` (n,)). The second array (k,) is false for it:
+        the obstacle has not vanished as a whole.
         """
         cos, sin = math.cos(moved.yaw), math.sin(moved.yaw)
         x, y = self._near[:, 0] - moved.x, self._near[:, 1] - moved.y
         x, y = cos * x + sin * y, cos * y - sin * x
-        ahead, left = sight.offset
+        ahead, left = geometry.offset
         is_lost = np.hypot(x - ahead, y - left) < self._blind + step
         x, y = x[is_lost], y[is_lost]
-        points = points[:: 1 + len(points) // _ENOUGH]
+        points = points[:: 1 + len(points) // _MAX_POINTS]
         away = np.hypot(points[:, 0] - x[:, None], points[:, 1] - y[:, None])
-        is_gone = away.min(axis=1, initial=np.inf) > step + _SHAPE
+        is_gone = away.min(axis=1, initial=np.inf) > step + _SHAPE_CHANGE
         bearings = np.arctan2(y - left, x - ahead)
         is_within = is_gone.copy()
         if inside.any():
@@ -236,42 +248,42 @@ class NearMemory:
         return bearings[is_within], is_gone[is_within]
 
 
-def near_memory(spec: ScanSpec, speed: float) -> NearMemory | None:
-    """What a sensor needs that tells nothing of what is too close; things come at `speed` m/s."""
+def blind_zone_memory(spec: ScanSpec, speed: float) -> BlindZoneMemory | None:
+    """The memory for obstacles at up to `speed` m/s; None if the sensor reports near obstacles."""
     if spec.near == "reported" or spec.range_min <= 0.0:
         return None
-    return NearMemory(spec.range_min, speed, 1.0 / spec.rate)
+    return BlindZoneMemory(spec.range_min, speed, 1.0 / spec.rate)
 
 
 def _by_ray(count: int, rays: Indices, hidden: _Hidden) -> _Hidden:
-    """What hides along each of so many rays; `worn` is inf where nothing does."""
-    worn, nearest = np.full(count, np.inf), np.full(count, np.inf)
+    """The hidden obstacle along each of `count` rays; `ages` is inf for a ray without one."""
+    ages, nearest = np.full(count, np.inf), np.full(count, np.inf)
     is_face = np.ones(count, np.bool_)
-    np.minimum.at(worn, rays, hidden.worn)
+    np.minimum.at(ages, rays, hidden.ages)
     np.minimum.at(nearest, rays, hidden.nearest)
     np.logical_and.at(is_face, rays, hidden.is_face)
-    return _Hidden(worn, nearest, is_face)
+    return _Hidden(ages, nearest, is_face)
 
 
-def _fill(found: _Hidden, shadows: list[_Shadow], narrow: float, seconds: float) -> None:
-    """Let what hides in a shadow fill it.
+def _fill(found: _Hidden, sectors: list[_EmptySector], narrow: float, seconds: float) -> None:
+    """Extend each hidden obstacle over its empty sector, in place.
 
-    A shadow too narrow to be a robot's fades soon, as that of an edge that has turned away.
+    A sector too narrow for a robot ages, like that of an edge that has turned away.
     """
-    n = len(found.worn)
-    for run, crossings, corner in shadows:
-        youngest = found.worn[run].min()
+    n = len(found.ages)
+    for run, crossings, corner in sectors:
+        youngest = found.ages[run].min()
         width = len(run) * 2.0 * math.pi / n
-        if crossings == 2 and width < _FACE:
-            found.worn[run] = 0.0
+        if crossings == 2 and width < _MAX_FACE:
+            found.ages[run] = 0.0
             found.nearest[run[found.is_face[run]]] = corner
-        elif youngest < np.inf and width <= _WIDEST:
-            found.worn[run] = 0.0 if crossings or width >= narrow else youngest + seconds
+        elif youngest < np.inf and width <= _MAX_SECTOR:
+            found.ages[run] = 0.0 if crossings or width >= narrow else youngest + seconds
             found.nearest[run] = found.nearest[run].min()
 
 
 def _nearest(bearings: Array, wanted: Array) -> tuple[Indices, Array]:
-    """For each of `wanted` (k,) the nearest of `bearings` (n,), and how far off it is, in rad."""
+    """For each of `wanted` (k,), the index of the nearest of `bearings` (n,) and the distance."""
     turn = 2.0 * np.pi
     order = np.argsort(bearings % turn)
     rising = bearings[order] % turn
@@ -284,11 +296,12 @@ def _nearest(bearings: Array, wanted: Array) -> tuple[Indices, Array]:
 
 
 def _in_runs(is_empty: Mask) -> Mask:
-    """True for rays without a return among at least `_RUN` such side by side."""
+    """True for empty rays in a run of at least `_MIN_EMPTY_RUN` side by side."""
     n = len(is_empty)
-    if n < _RUN or not is_empty.any():
+    if n < _MIN_EMPTY_RUN or not is_empty.any():
         return np.zeros(n, np.bool_)
-    around = np.concatenate((is_empty[1 - _RUN :], is_empty, is_empty[: _RUN - 1]))
-    windows = np.asarray(sliding_window_view(around, _RUN).all(axis=1))
-    found: Mask = np.asarray(sliding_window_view(windows, _RUN).any(axis=1))
+    length = _MIN_EMPTY_RUN
+    around = np.concatenate((is_empty[1 - length :], is_empty, is_empty[: length - 1]))
+    windows = np.asarray(sliding_window_view(around, length).all(axis=1))
+    found: Mask = np.asarray(sliding_window_view(windows, length).any(axis=1))
     return found

@@ -1,4 +1,4 @@
-"""How the robot has moved since a sweep was taken, and will have when a command takes effect."""
+"""Dead reckoning: motion since a scan was taken, and until a command takes effect."""
 
 from __future__ import annotations
 
@@ -8,66 +8,67 @@ from collections import deque
 from swarmd.core.values import Odometry, Pose, Twist
 from swarmd.protection.decision import DecisionContext
 
-REACTION = 0.05
-"""Seconds from a decision to the base's first move: one tick."""
+REACTION_TIME = 0.05
+"""Seconds from a decision to the first response of the base: one tick."""
 
-TRUSTED = 0.15
-"""Seconds for which the last measured twist says how the robot moves on: three periods."""
+MAX_EXTRAPOLATION = 0.15
+"""Seconds for which the last measured twist is extrapolated: three odometry periods."""
 
-_HISTORY = 40
+_HISTORY = 40  # readings
 
 
-class Motion:
-    """Dead reckoning with measured odometry; times in s on the odometry's own clock.
+class DeadReckoning:
+    """Poses from measured odometry, interpolated and extrapolated; times in s on its own clock.
 
-    Call `update` whenever a moment is at hand: it remembers the readings. `restarts` counts how
-    often its clock was set back: poses from before are worth nothing then.
+    `clock_resets` counts how often that clock went back: earlier poses are invalid after a reset.
     """
 
     def __init__(self, braking_linear: float, braking_angular: float) -> None:
-        """The base changes its speeds at least so fast, in m/s2 and rad/s2."""
+        """The base changes its speeds at least at these rates, in m/s2 and rad/s2."""
         self._braking = braking_linear, braking_angular
         self._readings: deque[Odometry] = deque(maxlen=_HISTORY)
-        self.restarts = 0
+        self.clock_resets = 0
 
-    def update(self, moment: DecisionContext) -> None:
-        """Remember the odometry of this moment, if it is new. A clock set back starts anew.
+    def update(self, context: DecisionContext) -> None:
+        """Record the odometry of the context if it is new.
 
-        One that stands still while what it stamps changes is no better.
+        A new reading whose stamp does not rise counts as a clock reset and clears the history.
         """
-        odometry, readings = moment.odometry, self._readings
+        odometry, readings = context.odometry, self._readings
         if odometry is None or (readings and odometry == readings[-1]):
             return
         if readings and odometry.stamp <= readings[-1].stamp:
             readings.clear()
-            self.restarts += 1
+            self.clock_resets += 1
         readings.append(odometry)
 
-    def pose(self, moment: DecisionContext, ago: float) -> Pose:
-        """Where the robot was `ago` s before the moment, in the odometry's frame."""
+    def pose(self, context: DecisionContext, ago: float) -> Pose:
+        """The pose `ago` s before the decision, in the odometry frame."""
         readings = self._readings
         if not readings:
             return Pose()
-        at = readings[-1].stamp + (moment.odometry_age or 0.0) - ago
+        at = readings[-1].stamp + (context.odometry_age or 0.0) - ago
         later = readings[-1]
         for reading in reversed(readings):
             if reading.stamp <= at:
                 if reading is later:
-                    return _moved(reading.pose, reading.twist, min(at - reading.stamp, TRUSTED))
+                    return _moved(
+                        reading.pose, reading.twist, min(at - reading.stamp, MAX_EXTRAPOLATION)
+                    )
                 return _between(reading, later, at)
             later = reading
         return _moved(later.pose, later.twist, at - later.stamp)
 
-    def ahead(self, moment: DecisionContext, command: Twist) -> Pose:
-        """Where the robot will be when the next command takes effect.
+    def predicted_pose(self, context: DecisionContext, command: Twist) -> Pose:
+        """The pose at which the next command takes effect, in the odometry frame.
 
-        From the last reading on it is taken to change over to `command`, the one in force, as
-        slowly as it may.
+        From the last reading on the robot approaches `command`, the present one, at the lowest
+        rates of change.
         """
         if not self._readings:
             return Pose()
         last = self._readings[-1]
-        seconds = min(moment.odometry_age or 0.0, TRUSTED) + REACTION
+        seconds = min(context.odometry_age or 0.0, MAX_EXTRAPOLATION) + REACTION_TIME
         linear, angular = self._braking
         twist = Twist(
             _mean(last.twist.linear, command.linear, linear, seconds),
@@ -78,14 +79,14 @@ class Motion:
 
 
 def relative(pose: Pose, frame: Pose) -> Pose:
-    """A pose seen from another, both in the same frame."""
+    """`pose` relative to `frame`, both given in the same frame."""
     dx, dy = pose.x - frame.x, pose.y - frame.y
     cos, sin = math.cos(frame.yaw), math.sin(frame.yaw)
     return Pose(cos * dx + sin * dy, cos * dy - sin * dx, pose.yaw - frame.yaw)
 
 
 def _moved(pose: Pose, twist: Twist, seconds: float) -> Pose:
-    """A pose after so long with a constant twist, along the chord of its arc."""
+    """The pose after `seconds` at a constant twist, along the chord of its arc."""
     turn = twist.angular * seconds
     yaw = pose.yaw + 0.5 * turn
     ahead, left = twist.linear * seconds, twist.lateral * seconds
@@ -96,6 +97,7 @@ def _moved(pose: Pose, twist: Twist, seconds: float) -> Pose:
 
 
 def _between(early: Odometry, late: Odometry, at: float) -> Pose:
+    """The pose at a time between two readings, by linear interpolation."""
     share = (at - early.stamp) / (late.stamp - early.stamp)
     a, b = early.pose, late.pose
     turn = math.remainder(b.yaw - a.yaw, 2.0 * math.pi)
@@ -103,7 +105,7 @@ def _between(early: Odometry, late: Odometry, at: float) -> Pose:
 
 
 def _mean(now: float, wanted: float, rate: float, seconds: float) -> float:
-    """The mean speed over so long, on a ramp from `now` to `wanted`."""
+    """The mean speed over `seconds` on a ramp of `rate` from `now` to `wanted`."""
     change = wanted - now
     ramp = abs(change) / rate
     if ramp >= seconds:

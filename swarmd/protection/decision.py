@@ -1,7 +1,4 @@
-"""When a decision is taken, and what the pattern in force may do.
-
-What the arbiter decided, and on what grounds.
-"""
+"""The inputs and the result of one decision of protection."""
 
 from __future__ import annotations
 
@@ -12,9 +9,9 @@ from swarmd.core.values import Odometry, TouchZone, Twist
 
 
 class DecisionContext(Struct, frozen=True):
-    """The time of a decision in s on the robot's clock, and how old what it rests on is then.
+    """The time of a decision in s on the robot's clock, and the age of its inputs at that time.
 
-    `scan_age` and `odometry_age` in s since they arrived; None: never.
+    `scan_age` and `odometry_age` in s since arrival; None: none has arrived.
     """
 
     now: float
@@ -24,7 +21,7 @@ class DecisionContext(Struct, frozen=True):
 
 
 class Permit(Struct, frozen=True):
-    """What the running pattern may: be helped when it is stuck, and touch things, where granted."""
+    """What the running pattern permits: recovery when it is blocked, and contact in `touch`."""
 
     may_recover: bool = False
     touch: TouchZone | None = None
@@ -33,11 +30,8 @@ class Permit(Struct, frozen=True):
 NO_PERMIT = Permit()
 
 
-__all__ = ["Decision", "ModeDecision", "Row"]
-
-
 class ModeDecision(Struct, frozen=True):
-    """An arbiter's answer to a wish; `is_active` if the wish did not pass as it was."""
+    """The command of a mode; `is_active` if it differs from the requested command."""
 
     twist: Twist
     is_active: bool
@@ -45,14 +39,14 @@ class ModeDecision(Struct, frozen=True):
 
 
 class Decision(Struct, frozen=True):
-    """A decision with its grounds.
+    """The safe command with its reasons.
 
-    `wish` is within the platform's limits, `safe` is what the driver gets. `reason` is the hold
-    that zeroed the command, or why the robot stands although it runs; None while it moves, and
-    outside `running`. `min_gap` in m from the footprint to the nearest return (None: nothing
-    seen), `scan_age` in s (None: no scan yet), `scan_seq` -1 without a scan. `is_recovering`: what
-    was judged is not the wish but a way around what blocks it. `rows`: what bounds the command,
-    the tightest first.
+    `requested` is clipped to the platform's limits; the driver gets `safe`. `reason` is the hold
+    that zeroed the command, or why a running robot does not move; None while it moves and outside
+    `running`. `rows` are the constraints that bind the command, the tightest first. `min_gap` in m
+    from the footprint to the nearest return (None: no return), `scan_age` in s (None: no scan yet),
+    `scan_seq` -1 without a scan. `is_recovering`: recovery replaced the requested command before
+    the mode judged it.
     """
 
     mode: str

@@ -1,4 +1,4 @@
-"""Distances between what a lidar sees and the robot's own outline."""
+"""Distances between the returns of a lidar and the robot's outline."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from swarmd.core.values import Array, Scan, ScanSpec
 
 
-class Facing(NamedTuple):
-    """How an outline and n points face each other: an element each, in the base frame.
+class Separations(NamedTuple):
+    """Distance, direction and lever of n points from an outline, each (n,), in the base frame.
 
-    `gap` m from the outline, 0 for points inside; `nx`, `ny` from the outline to the point, of
-    length 1; `lever` m: turning by 1 rad moves the outline's nearest place so far along them.
+    `gap` in m, 0 for points inside; `nx`, `ny` the unit vector from the nearest place of the
+    outline to the point; `lever` in m per rad: how far a turn moves that place along the vector.
     """
 
     gap: Array
@@ -24,8 +24,8 @@ class Facing(NamedTuple):
     lever: Array
 
 
-class Sight:
-    """Where the rays of one lidar end, in the base frame in m."""
+class ScanGeometry:
+    """The returns of one lidar as points in the base frame, in m."""
 
     def __init__(self, spec: ScanSpec) -> None:
         self.offset = spec.offset
@@ -34,16 +34,16 @@ class Sight:
         self._directions = np.empty((0, 2))
 
     def points(self, scan: Scan, within: float = np.inf) -> Array:
-        """(k, 2) points, one for each ray that sees something up to `within` m from the lidar.
+        """(k, 2) points of all returns up to `within` m from the lidar.
 
-        A ray that is too close to measure gives the point at range_min along it.
+        A return too close to measure gives the point at range_min along its ray.
         """
         is_seen = scan.ranges < np.inf if within == np.inf else scan.ranges <= within
-        return self.ends(scan, np.flatnonzero(is_seen))
+        return self.points_of_rays(scan, np.flatnonzero(is_seen))
 
-    def ends(self, scan: Scan, rays: NDArray[np.intp]) -> Array:
-        """(k, 2) the points of `rays` (k,), which all see something."""
-        if scan.bearings is not self._bearings:  # most sensors never change theirs
+    def points_of_rays(self, scan: Scan, rays: NDArray[np.intp]) -> Array:
+        """(k, 2) points of the rays with these indices (k,), which all have a return."""
+        if scan.bearings is not self._bearings:  # most sensors keep theirs
             self._bearings = scan.bearings
             self._directions = np.stack((np.cos(scan.bearings), np.sin(scan.bearings)), axis=1)
         distances = np.maximum(scan.ranges[rays], scan.range_min)
@@ -59,7 +59,7 @@ class Footprint:
         self._lengths = np.maximum(np.hypot(edges[:, 0], edges[:, 1]), 1e-12)
         along = edges / self._lengths[:, None]
         outward = np.stack((along[:, 1], -along[:, 0]), axis=1)
-        # One product gives a point's place along each edge and its height above it, both in m.
+        # One product gives a point's coordinate along each edge and its height above it, in m.
         self._axes = np.concatenate((along, outward))
         self._origins = np.einsum("ka,ka->k", self._axes, np.tile(self.corners, (2, 1)))[:, None]
         self._outward = outward
@@ -78,8 +78,8 @@ class Footprint:
         distances: Array = np.sqrt(squares)
         return distances
 
-    def facing(self, x: Array, y: Array) -> Facing:
-        """How the outline faces points at `x`, `y` (n,)."""
+    def separations(self, x: Array, y: Array) -> Separations:
+        """The separations of points at `x`, `y` (n,) from the outline."""
         k, n = len(self._lengths), len(x)
         placed = self._axes.dot(np.array((x, y)))
         placed -= self._origins
@@ -93,7 +93,7 @@ class Footprint:
         gap = np.sqrt(squares.take(cell))
         gap[above.max(axis=0) <= 0.0] = 0.0
         far, high = beyond.take(cell), above.take(cell)
-        # On the outline and inside it there is no way from it to the point: the edge's own counts.
+        # On and inside the outline the vector has no length: the edge's normal replaces it.
         at = gap < 1e-9
         if at.any():
             far[at], high[at] = 0.0, 1.0
@@ -104,10 +104,10 @@ class Footprint:
         nx, ny = far * along_x + high * along_y, far * along_y - high * along_x
         share = on.take(cell)
         lever = (start_x + share * along_x) * ny - (start_y + share * along_y) * nx
-        return Facing(gap, nx, ny, lever)
+        return Separations(gap, nx, ny, lever)
 
     def along_rays(self, place: tuple[float, float], directions: Array) -> Array:
-        """(n,) m from a place inside to the outline along `directions` (n, 2); 0 from outside."""
+        """(n,) m from an inner point to the outline along `directions` (n, 2); 0 from outside."""
         heights = self._origins[len(self._lengths) :, 0] - self._outward.dot(np.array(place))
         approach = directions.dot(self._outward.T)
         with np.errstate(divide="ignore"):
@@ -115,35 +115,35 @@ class Footprint:
         distances: Array = np.maximum(ways.min(axis=1), 0.0)
         return distances
 
-    def nearest(self, scan: Scan, sight: Sight) -> tuple[float, float] | None:
+    def nearest(self, scan: Scan, geometry: ScanGeometry) -> tuple[float, float] | None:
         """Gap in m and bearing in rad, from the axle, of the return nearest to the outline.
 
-        None if the scan shows nothing. What is too close to measure has no gap, and the bearing of
-        its ray. The outline lies between two circles around the lidar. So only a ray whose range is
-        within their difference of the smallest can show that point.
+        None without a return. A return too close to measure has gap 0 and the bearing of its ray.
+        The outline lies between two circles around the lidar, so only rays whose range exceeds the
+        smallest by at most the difference of the radii are examined.
         """
         nearest = float(scan.ranges.min(initial=np.inf))
         if nearest == np.inf:
             return None
         if nearest == -np.inf:
             return 0.0, float(scan.bearings[scan.ranges.argmin()])
-        inner, outer = self.circles(sight.offset)
+        inner, outer = self.circles(geometry.offset)
         within = max(max(nearest, scan.range_min) - inner, 0.0) + outer
-        points = sight.points(scan, within)
+        points = geometry.points(scan, within)
         gaps = self.gaps(points)
         index = int(gaps.argmin())
         x, y = points[index].tolist()
         return float(gaps[index]), math.atan2(y, x)
 
-    def min_gap(self, scan: Scan, sight: Sight) -> float | None:
-        """The smallest of the gaps to what a scan shows; None if it shows nothing."""
-        nearest = self.nearest(scan, sight)
+    def min_gap(self, scan: Scan, geometry: ScanGeometry) -> float | None:
+        """The gap in m to the nearest return; None without a return."""
+        nearest = self.nearest(scan, geometry)
         return None if nearest is None else nearest[0]
 
     def circles(self, place: tuple[float, float]) -> tuple[float, float]:
-        """The radii around a place within which all is outline, and beyond which nothing is.
+        """Radii of the largest circle within the outline and the smallest around it, about a place.
 
-        The first is less than 0 for a place outside.
+        The first is negative for a place outside.
         """
         if place not in self._known:
             at = np.array(place)

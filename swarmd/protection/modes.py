@@ -1,17 +1,6 @@
-"""Mode `off`: every wish passes. For simulated robots alone; a daemon refuses it for others.
+"""The three simple protection modes: `potential_field`, `stop_zone` and `off`.
 
-Mode `potential_field`: the paper's hardware protection layer.
-
-Source: Kaiser et al., ICRA 2022, section III: any obstacle within the threshold suppresses the
-pattern's command, and a repulsive potential field drives instead, at full speed. It promises
-nothing; it is here because it is the paper's. Our deviations: rays below range_min count as
-range_min (in the original they count as free), and the front holds the command within the limits.
-
-Mode `stop_zone`: two zones around the outline, one that slows the robot and one that stops it.
-
-As collision monitors of navigation stacks do it (Macenski et al., "The Marathon 2", IROS 2020, and
-the collision monitor of that project): it knows nothing of where the robot goes, so all motion is
-slowed or stopped alike. It cannot leave a stop zone by itself; the wish is not turned around.
+Mode `barrier`, the default, is in barrier.py.
 """
 
 from __future__ import annotations
@@ -19,37 +8,44 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
+from swarmd.core.messages import Row
 from swarmd.core.values import ZERO, Platform, Scan, TouchZone, Twist
-from swarmd.protection.decision import DecisionContext, ModeDecision, Row
-from swarmd.protection.footprint import Footprint, Sight
+from swarmd.protection.decision import DecisionContext, ModeDecision
+from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import StopZoneSettings
 from swarmd.sensing.potential_field import field_twist, potential_field
 
 
 class Off:
-    """Protects nothing. The front still holds the limits and gives zero under every hold."""
+    """Passes every requested command. Simulated robots only: a daemon refuses it for others."""
 
     mode = "off"
 
     def __init__(self, platform: Platform) -> None:
-        """Nothing is read from the platform."""
+        """The mode has no settings."""
 
     def clearance(self, speed: float) -> None:
-        """It never keeps a robot standing."""
+        """The mode never blocks a robot."""
 
-    def observe(self, scan: Scan, sight: Sight, moment: DecisionContext) -> None:
-        """Look at nothing."""
+    def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
+        """Scans have no effect."""
 
     def decide(
-        self, requested: Twist, moment: DecisionContext, *, command: Twist, touch: TouchZone | None
+        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
-        """The wish."""
+        """The requested command."""
         return ModeDecision(requested, is_active=False)
 
 
 class PotentialField:
-    """Evades while more than `rays` rays are nearer than `threshold` m (from the lidar)."""
+    """The hardware protection layer of the paper: evades near obstacles, without any guarantee.
+
+    Source: Kaiser et al., ICRA 2022, section III. More than `rays` returns within `threshold` m of
+    the lidar suppress the pattern's command, and a repulsive potential field drives instead, at
+    full speed. Our deviations: a return below range_min counts as one at range_min (in the original
+    it counts as free), and the arbiter clips the command to the limits.
+    """
 
     mode = "potential_field"
 
@@ -62,10 +58,10 @@ class PotentialField:
         self._evasion: Twist | None = None
 
     def clearance(self, speed: float) -> None:
-        """It never keeps a robot standing."""
+        """The mode never blocks a robot."""
 
-    def observe(self, scan: Scan, sight: Sight, moment: DecisionContext) -> None:
-        """Compute the evading command, or that there is nothing to evade."""
+    def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
+        """Compute the evading command, or None if nothing is near."""
         field = potential_field(
             scan.ranges,
             scan.bearings,
@@ -80,16 +76,21 @@ class PotentialField:
         self._evasion = field_twist(field.vector, self._limits.linear, self._limits.angular)
 
     def decide(
-        self, requested: Twist, moment: DecisionContext, *, command: Twist, touch: TouchZone | None
+        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
-        """The evading command if there is something to evade, else the wish."""
+        """The evading command if there is one, else the requested command."""
         if self._evasion is None:
             return ModeDecision(requested, is_active=False)
         return ModeDecision(self._evasion, is_active=True)
 
 
 class StopZone:
-    """Stops within `stop` m of the outline, gives a share of the wish within `slow` m."""
+    """Stops within `stop` m of the outline, and slows down within `slow` m.
+
+    After the collision monitor of navigation stacks (Macenski et al., "The Marathon 2", IROS 2020).
+    The mode does not know where the robot is going, so it slows or stops all motion alike. A robot
+    cannot leave a stop zone by itself: the requested command is never reversed.
+    """
 
     mode = "stop_zone"
 
@@ -100,19 +101,19 @@ class StopZone:
         self._nearest: tuple[float, float] | None = None
 
     def clearance(self, speed: float) -> Clearance:
-        """Out of both zones."""
+        """The room that keeps both zones free."""
         front, half = self._outline.corners[:, 0].max(), np.abs(self._outline.corners[:, 1]).max()
         slow = self._settings.slow
         return Clearance(float(front) + slow, float(half) + slow)
 
-    def observe(self, scan: Scan, sight: Sight, moment: DecisionContext) -> None:
+    def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Find the nearest return."""
-        self._nearest = self._outline.nearest(scan, sight)
+        self._nearest = self._outline.nearest(scan, geometry)
 
     def decide(
-        self, requested: Twist, moment: DecisionContext, *, command: Twist, touch: TouchZone | None
+        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
-        """The wish, a share of it, or zero."""
+        """The requested command, a share of it, or zero."""
         settings = self._settings
         if self._nearest is None or requested.is_zero:
             return ModeDecision(requested, is_active=False)

@@ -1,8 +1,8 @@
-"""The command nearest to a wish that keeps within half-planes: exact, for two variables.
+"""The command nearest to a requested one within half-planes: exact, for two variables.
 
-All is in a plane whose axes are the two speeds, each divided by its limit, so that "nearest" weighs
-them alike. A polygon is a list of its corners, counter-clockwise; all contain the origin, which is
-to stand still.
+The axes of the plane are the two speeds, each divided by its limit, so that "nearest" weighs them
+alike. A polygon is a list of its corners, counter-clockwise. Each polygon contains the origin, the
+zero command.
 """
 
 from __future__ import annotations
@@ -16,24 +16,25 @@ from swarmd.core.values import Array
 
 Point = tuple[float, float]
 
-EXACT = 1e-12
-"""By how much a row may be overstepped for the sake of rounding."""
+TOLERANCE = 1e-12
+"""By how much rounding may violate a constraint."""
 
 
 def nearest_feasible(
     requested: Point, polygon: Sequence[Point], normals: Array, caps: Array
 ) -> tuple[Point, list[int]]:
-    """The point of the polygon nearest to `wish` with normals @ point <= caps, and tight rows.
+    """The point nearest to `requested` in the polygon with normals @ point <= caps.
 
-    `normals` (k, 2), `caps` (k,) none below 0, so that the origin always is feasible. Rows are
-    taken in one by one, the one most violated first: what is nearest within some of the rows and
-    violates no other is nearest within all. Rows are tight that the point lies on.
+    Returns the point and the indices of the tight constraints, those that it lies on. `normals`
+    (k, 2); `caps` (k,) are at least 0, so that the origin is feasible. The loop adds the most
+    violated constraint each time: a point that is nearest within some of the constraints and
+    violates no other is nearest within all.
     """
     point = nearest(polygon, requested)
     for _ in range(len(caps)):
         excess = normals @ point - caps
         worst = int(excess.argmax())
-        if excess[worst] <= EXACT:
+        if excess[worst] <= TOLERANCE:
             break
         a, b = normals[worst]
         polygon = clipped(polygon, float(a), float(b), float(caps[worst]))
@@ -61,9 +62,9 @@ def clipped(polygon: Sequence[Point], a: float, b: float, cap: float) -> list[Po
 
 
 def nearest(polygon: Sequence[Point], requested: Point) -> Point:
-    """The point of a convex polygon that is nearest to `wish`: that itself if it is inside.
+    """The point of a convex polygon nearest to `requested`: itself if it is inside.
 
-    A polygon may be as thin as a line or a point, which have no inside.
+    A degenerate polygon (a line or a point) has no inside.
     """
     x, y = requested
     best, best_square = (0.0, 0.0), math.inf
@@ -82,4 +83,4 @@ def nearest(polygon: Sequence[Point], requested: Point) -> Point:
         if away < best_square:
             best, best_square = on, away
         x0, y0 = x1, y1
-    return requested if is_inside or best_square <= EXACT * EXACT else best
+    return requested if is_inside or best_square <= TOLERANCE * TOLERANCE else best

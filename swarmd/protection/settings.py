@@ -1,4 +1,4 @@
-"""What the arbiter can be told, by a platform's file alone: these structs are its schema."""
+"""The settings of the protection modes: the schema of `protection` in a platform file."""
 
 from __future__ import annotations
 
@@ -13,40 +13,53 @@ Mode = Literal["barrier", "potential_field", "stop_zone", "off"]
 
 
 class PotentialFieldSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Mode `potential_field`: threshold in m from the sensor; more than `rays` trigger it."""
+    """Mode `potential_field`."""
 
+    # m from the sensor within which a return repels. Higher: evades earlier, gets less done.
     threshold: Annotated[float, Meta(gt=0.0, le=1000.0)]
+    # Number of returns that does not trigger the evasion yet. Higher: ignores thin obstacles.
+    # Lower: reacts to noise.
     rays: Annotated[int, Meta(ge=0, le=10_000)]
+    # Added along x to the repulsion (no unit). Higher: keeps moving forward, also towards walls.
     forward_bias: Annotated[float, Meta(ge=0.0, le=100.0)]
 
 
 class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Mode `barrier`: what it assumes of others and of this base. Lengths in m, speeds in m/s.
+    """Mode `barrier`: assumptions about other objects and about this base."""
 
-    others_speed: the fastest that any point of another body's surface moves. unseen_extent: how
-    far other bodies reach beyond what the scan plane meets of them. margin: what is kept free
-    beside, for noise. braking_linear (m/s2) and braking_angular (rad/s2): what the base can do at
-    least. surface_speed: what no corner of this robot exceeds while something is within
-    `envelope_within` of its outline; None: others_speed, and as far as rows can bind.
-    responsibility: passive (others may come at others_speed) or reciprocal (each gives way by
-    half). keep_out: the radius of a circle around the sensor in which nothing may come, for one
-    that is blind nearby; None: no such circle.
-    """
-
+    # m/s, fastest surface of any other object. Higher: keeps larger gaps, is slower in a crowd.
+    # Lower than the truth: a faster object hits the robot while it still brakes.
     others_speed: Speed
+    # m by which objects extend beyond their part in the scan plane. Higher: keeps larger gaps.
+    # Lower than the truth: the robot hits the part that the lidar does not see.
     unseen_extent: Length
+    # m kept free for range noise. Higher: narrow passages close. Lower: noise leads to contact.
     margin: Length = 0.03
+    # m/s2, least deceleration of the base. Higher than the truth: the robot stops too late.
+    # Lower: it drives more slowly near every obstacle.
     braking_linear: Braking = 1.0
+    # rad/s2, least angular deceleration of the base. As `braking_linear`, for turns.
     braking_angular: Braking = 3.0
+    # m/s, fastest corner of this robot near an obstacle; None: `others_speed`. Higher than the
+    # `others_speed` of another robot: breaks that robot's assumption. Lower: slower turns.
     surface_speed: Speed | None = None
+    # m from the outline within which `surface_speed` applies; None: as far as a constraint can
+    # bind. Higher: slows down earlier. Lower: others meet a faster surface than they assume.
     envelope_within: Length | None = None
+    # passive: others may approach at `others_speed`. reciprocal: each of two uses half of the gap;
+    # gets more done, but leaves millimetres and fails unless all robots use it.
     responsibility: Literal["passive", "reciprocal"] = "passive"
+    # m, radius around the sensor that stays free, for a sensor with a blind zone; None: no circle.
+    # Higher: passes fewer gaps. Lower than the blind zone: obstacles enter it unseen.
     keep_out: Length | None = None
 
 
 class StopZoneSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Mode `stop_zone`: gaps in m within which it stops, or slows down to a share of the wish."""
+    """Mode `stop_zone`."""
 
+    # m from the outline within which the robot stops. Higher: stops farther away, and stays there.
     stop: Length = 0.10
+    # m from the outline within which it slows down. Higher: slower near walls.
     slow: Length = 0.25
+    # Share of the requested command within `slow`. Higher: less time to stop.
     slow_share: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.3

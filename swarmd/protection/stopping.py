@@ -1,9 +1,10 @@
-"""Where the outline gets to while the robot brakes: what rows, which are linear, do not know.
+"""Checks that the outline stays clear while the robot brakes, which linear constraints do not.
 
-A row bounds how fast the nearest place of the outline comes nearer now. But a corner swings around
-while a turn ends, and where one of two speeds opens what the other closes, one may end first. So
-the stop from a command is followed, as in the dynamic window approach (Fox, Burgard and Thrun,
-IEEE RAM 1997), with both brakes as weak as they may be, and with either of them ideal.
+A constraint bounds how fast the nearest place of the outline closes on an obstacle now. But a
+corner swings outwards while a turn ends, and of two speeds, one of which opens what the other
+closes, one may reach zero first. So the stop from a command is simulated, as in the dynamic window
+approach (Fox, Burgard and Thrun, IEEE RAM 1997): with both brakes as weak as assumed, and with
+either of them ideal.
 """
 
 from __future__ import annotations
@@ -13,22 +14,23 @@ import numpy as np
 from swarmd.core.values import Array
 from swarmd.protection.footprint import Footprint
 
-_STEPS = 4
+NEGLIGIBLE_SPEED = 0.015
+"""m/s: a contact at a closing speed up to this is not a fault of the robot."""
+
+_STEPS = 4  # poses of a simulated stop
 _GRID = (1.0, 0.75, 0.5, 0.25, 0.0)
-_SHARES = np.array(
+_SPEED_SHARES = np.array(
     sorted(
         ((a, b) for a in _GRID for b in _GRID if (a, b) != (1.0, 1.0)),
         key=lambda share: (1.0 - share[0]) ** 2 + (1.0 - share[1]) ** 2,
     )
 )
-"""Parts of the two speeds, those that are nearest to the whole first; the last is to stand."""
-_AT_ONCE = 4
-SLOW = 0.015
-"""m/s: who closes no faster is at no fault if he is touched."""
+"""Shares of the two speeds, those nearest to the whole first; the last is zero."""
+_BATCH_SIZE = 4  # shares checked together
 
 
-class Braking:
-    """The stops of a base that brakes at least at `linear` m/s2 and `angular` rad/s2."""
+class StopCheck:
+    """Checks stops of a base that brakes at least at `linear` m/s2 and `angular` rad/s2."""
 
     def __init__(self, outline: Footprint, linear: float, angular: float, tick: float) -> None:
         """A command holds for `tick` s."""
@@ -36,27 +38,30 @@ class Braking:
         self._brakes = np.array(((linear, angular), (np.inf, angular), (linear, np.inf)))
         self._tick = tick
 
-    def clear(self, speeds: Array, along: Array, points: Array, gaps: Array, free: Array) -> Array:
-        """(2,) the nearest to `speeds` of quarters of each, whose stops keep clear.
+    def limited(
+        self, speeds: Array, along: Array, points: Array, gaps: Array, free: Array
+    ) -> Array:
+        """(2,) `speeds`, or the nearest combination of quarters of them whose stops stay clear.
 
-        `speeds` (2,) along `along` (2,) in m/s, and rad/s. `points` (k, 2) are in the base frame,
-        `gaps` (k,) m from the outline; `free` (2,) m and m/s is the gap within which the outline
-        must not close on a point, and how fast that grows. Standing still is always clear.
+        `speeds` (2,) in m/s along the unit vector `along` (2,) and in rad/s. `points` (k, 2) in the
+        base frame, at `gaps` (k,) m from the outline. `free` (2,): the gap in m within which the
+        outline must not close on a point, and the rate in m/s at which that gap grows. The zero
+        command is always clear.
         """
         if self._is_clear(speeds[None], along, points, gaps, free)[0]:
             return speeds
-        for first in range(0, len(_SHARES), _AT_ONCE):  # mostly one of the first is
-            some: Array = _SHARES[first : first + _AT_ONCE] * speeds
-            found = np.flatnonzero(self._is_clear(some, along, points, gaps, free))
+        for first in range(0, len(_SPEED_SHARES), _BATCH_SIZE):  # mostly one of the first is clear
+            candidates: Array = _SPEED_SHARES[first : first + _BATCH_SIZE] * speeds
+            found = np.flatnonzero(self._is_clear(candidates, along, points, gaps, free))
             if len(found):
-                chosen: Array = some[found[0]]
+                chosen: Array = candidates[found[0]]
                 return chosen
         return np.zeros(2)
 
     def _is_clear(
         self, speeds: Array, along: Array, points: Array, gaps: Array, free: Array
     ) -> Array:
-        """(c,) true for those of `speeds` (c, 2) from which every stop keeps clear."""
+        """(c,) true for those of `speeds` (c, 2) from which every stop stays clear."""
         poses, times, step = self._stops(speeds, along)
         cos, sin = np.cos(poses[..., 2:]), np.sin(poses[..., 2:])
         dx, dy = points[:, 0] - poses[..., :1], points[:, 1] - poses[..., 1:2]
@@ -67,19 +72,19 @@ class Braking:
             (np.broadcast_to(gaps, left[:, :, :1].shape), left[:, :, :-1]), axis=2
         )
         is_free = left >= free[0] + free[1] * times.reshape(shape[:3])[..., None]
-        is_free |= before - left <= SLOW * step[..., None]
+        is_free |= before - left <= NEGLIGIBLE_SPEED * step[..., None]
         clear: Array = is_free.all(axis=(1, 2, 3))
         return clear
 
     def _stops(self, speeds: Array, along: Array) -> tuple[Array, Array, Array]:
-        """Poses (c, s, 3) on the ways to rest from each of `speeds` (c, 2), when (c, s), and dt."""
+        """Poses (c, s, 3) and times (c, s) of the stops from `speeds` (c, 2), and the time step."""
         v, w = np.abs(speeds[:, None, None, 0]), np.abs(speeds[:, None, None, 1])
         b_v, b_w = self._brakes[:, 0, None], self._brakes[:, 1, None]
         last = self._tick + np.maximum(v / b_v, w / b_w)
         step = last / _STEPS
         braked = np.maximum(step * (np.arange(_STEPS) + 0.5) - self._tick, 0.0)
-        moves = np.maximum(v - _times(b_v, braked), 0.0) * step * np.sign(speeds[:, None, None, 0])
-        turns = np.maximum(w - _times(b_w, braked), 0.0) * step * np.sign(speeds[:, None, None, 1])
+        moves = np.maximum(v - _shed(b_v, braked), 0.0) * step * np.sign(speeds[:, None, None, 0])
+        turns = np.maximum(w - _shed(b_w, braked), 0.0) * step * np.sign(speeds[:, None, None, 1])
         yaw = turns.cumsum(axis=2)
         middle = yaw - 0.5 * turns
         cos, sin = np.cos(middle), np.sin(middle)
@@ -91,8 +96,8 @@ class Braking:
         return poses, np.broadcast_to(times, x.shape).reshape(flat), step
 
 
-def _times(brake: Array, seconds: Array) -> Array:
-    """Speed shed after so many seconds; an ideal brake sheds all as soon as it is used."""
+def _shed(brake: Array, seconds: Array) -> Array:
+    """The speed lost after braking for `seconds`; an ideal (infinite) brake stops at once."""
     product = np.broadcast_to(brake, np.broadcast_shapes(brake.shape, seconds.shape))
     shed: Array = np.where(seconds > 0.0, np.where(np.isinf(product), 1e9, product) * seconds, 0.0)
     return shed

@@ -99,7 +99,7 @@ class Robot:
         turn = self._enter(now)
         turn.is_new_scan = self._sensors.on_scan(scan, now)
         if turn.is_new_scan and self._sensors.scan is not None:
-            self._protection.observe(self._sensors.scan, self._sensors.moment(now))
+            self._protection.observe(self._sensors.scan, self._sensors.context(now))
         return self._settle(turn)
 
     def on_odometry(self, odometry: Odometry, now: float) -> None:
@@ -244,7 +244,7 @@ class Robot:
         running = self._lifecycle.hosting.running
         return self._protection.decide(
             None if running is None else running.requested.twist,
-            self._sensors.moment(now),
+            self._sensors.context(now),
             is_running=self._lifecycle.is_running and running is not None,
             hold=hold,
             permit=self._lifecycle.permit,

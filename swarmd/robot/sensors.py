@@ -136,7 +136,7 @@ class Sensors:
         """
         return None if self._scan_at is None else now - self._scan_at
 
-    def moment(self, now: float) -> DecisionContext:
+    def context(self, now: float) -> DecisionContext:
         """What a decision at `now` rests on."""
         odometry_age = None if self._odometry_at is None else now - self._odometry_at
         return DecisionContext(now, self.scan_age(now), self.odometry, odometry_age)

@@ -45,8 +45,8 @@ def decide(
     hold: Reason | None = None,
     scan_age: float | None = 0.05,
 ) -> Decision:
-    moment = DecisionContext(0.0, scan_age)
-    return protection.decide(requested, moment, is_running=is_running, hold=hold)
+    context = DecisionContext(0.0, scan_age)
+    return protection.decide(requested, context, is_running=is_running, hold=hold)
 
 
 @pytest.fixture(params=MODES)

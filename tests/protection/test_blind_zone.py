@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Pose
-from swarmd.protection.blind_zone import NearMemory
-from swarmd.protection.footprint import Sight
+from swarmd.protection.blind_zone import BlindZoneMemory
+from swarmd.protection.footprint import ScanGeometry
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
 
 JACKAL = load_platform("jackal")
-SIGHT = Sight(JACKAL.scan)
+SIGHT = ScanGeometry(JACKAL.scan)
 PERIOD = 0.1
 SPEED = 1.1
 WIDE = range(-4, 5)
 
 
 def look(
-    memory: NearMemory,
+    memory: BlindZoneMemory,
     near: Sequence[int] = (),
     *,
     distance: float = 0.85,
@@ -45,16 +45,16 @@ def look(
     return sorted(round(degrees) for degrees in np.degrees(memory.bearings).tolist())
 
 
-def hiding() -> NearMemory:
+def hiding() -> BlindZoneMemory:
     """One that has seen something near ahead, and then nothing there."""
-    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE)
     look(memory, empty=WIDE)
     return memory
 
 
 def test_what_was_near_and_vanishes_is_hidden() -> None:
-    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     assert look(memory, WIDE) == []
     assert look(memory, empty=WIDE) == list(WIDE)
 
@@ -79,7 +79,7 @@ def test_what_has_vanished_comes_nearer_unseen_at_the_assumed_speed() -> None:
     assert (memory.nearest == 0.0).all()
 
 
-def face(memory: NearMemory, distance: float, first: int = -90, last: int = 90) -> list[int]:
+def face(memory: BlindZoneMemory, distance: float, first: int = -90, last: int = 90) -> list[int]:
     """One more scan, of a face across the way ahead, from `first` to `last` degrees of it."""
     degrees = np.arange(first, last + 1)
     ranges = np.full(360, math.inf)
@@ -94,7 +94,7 @@ def face(memory: NearMemory, distance: float, first: int = -90, last: int = 90) 
 @pytest.mark.parametrize("speed", [0.02, 0.1, 0.6])
 def test_a_wide_face_that_comes_near_goes_on_between_where_it_is_seen(speed: float) -> None:
     """None of its points vanishes without another one beside it that is still seen."""
-    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     for distance in np.arange(1.0, 0.35, -speed * PERIOD):
         half = math.degrees(math.acos(min(distance / JACKAL.scan.range_min, 1.0)))
         inside = face(memory, float(distance))
@@ -110,7 +110,7 @@ def test_a_wide_face_that_comes_near_goes_on_between_where_it_is_seen(speed: flo
 
 
 def test_the_end_of_a_face_that_comes_in_is_hidden_as_far_as_it_was_seen() -> None:
-    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     for distance in np.arange(1.0, 0.45, -0.03):
         inside = face(memory, float(distance), 0, 90)
     assert set(range(5, 55)) <= set(inside)
@@ -122,13 +122,13 @@ def test_the_end_of_a_face_that_comes_in_is_hidden_as_far_as_it_was_seen() -> No
 
 @pytest.mark.parametrize("distance", [1.1, 2.0])
 def test_what_was_not_near_has_gone(distance: float) -> None:
-    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, distance=distance)
     assert look(memory, empty=WIDE) == []
 
 
 def test_nothing_is_hidden_where_nothing_was() -> None:
-    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE)
     assert look(memory, WIDE, empty=range(100, 140)) == []
 
@@ -153,7 +153,7 @@ def test_a_return_nearby_shows_that_it_is_out_again() -> None:
 
 def test_what_has_come_out_beside_is_not_inside_as_well() -> None:
     """In the open nothing is seen where it was, before it came or after it has gone."""
-    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, beyond=math.inf)
     assert look(memory, beyond=math.inf) == list(WIDE)
     assert look(memory, range(5, 14), beyond=math.inf) == []
@@ -161,7 +161,7 @@ def test_what_has_come_out_beside_is_not_inside_as_well() -> None:
 
 def test_what_stands_near_by_is_not_what_has_come_out() -> None:
     """Another leg on either side of the shadow was there before: it is not the one that hides."""
-    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     near, legs = range(-1, 3), [*range(-24, -13), *range(15, 26)]
     look(memory, [*near, *legs])
     for _ in range(5):
@@ -169,7 +169,7 @@ def test_what_stands_near_by_is_not_what_has_come_out() -> None:
 
 
 def test_what_vanishes_before_a_wall_a_little_beyond_is_hidden() -> None:
-    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, distance=0.85, beyond=1.05)
     for _ in range(20):
         assert look(memory, empty=WIDE, beyond=1.05) == list(WIDE)
@@ -177,7 +177,7 @@ def test_what_vanishes_before_a_wall_a_little_beyond_is_hidden() -> None:
 
 def test_slow_turns_are_not_lost() -> None:
     """Half a degree a scan is less than from ray to ray."""
-    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, beyond=math.inf)
     look(memory, beyond=math.inf)
     for _ in range(120):
@@ -187,7 +187,7 @@ def test_slow_turns_are_not_lost() -> None:
 
 def test_what_is_narrower_than_a_robot_is_forgotten_soon() -> None:
     """The edge of something that has turned away casts such a shadow."""
-    memory, shadow = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD), range(4)
+    memory, shadow = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD), range(4)
     look(memory, shadow)
     seconds = 0.0
     while look(memory, empty=shadow):
@@ -200,7 +200,7 @@ def test_what_is_narrower_than_a_robot_is_forgotten_soon() -> None:
 @pytest.mark.parametrize("width", [6, 9])
 def test_it_is_not_forgotten_in_time(width: int, beyond: float) -> None:
     """A Jackal's own lidar is 8.5 cm across: 6 degrees at the rim."""
-    memory, shadow = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD), range(width)
+    memory, shadow = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD), range(width)
     look(memory, shadow, beyond=beyond)
     for _ in range(1000):
         assert set(shadow) <= set(look(memory, empty=shadow, seconds=0.5, beyond=beyond))
@@ -229,6 +229,6 @@ def test_it_stays_where_it_is_when_the_robot_turns() -> None:
 
 
 def test_one_ray_that_is_lost_hides_nothing() -> None:
-    memory = NearMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE)
     assert look(memory, range(-4, 4), empty=range(4, 5)) == []

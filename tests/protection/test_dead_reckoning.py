@@ -8,7 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmd.core.values import ZERO, Odometry, Pose, Twist
-from swarmd.protection.dead_reckoning import REACTION, TRUSTED, Motion, relative
+from swarmd.protection.dead_reckoning import (
+    MAX_EXTRAPOLATION,
+    REACTION_TIME,
+    DeadReckoning,
+    relative,
+)
 from swarmd.protection.decision import DecisionContext
 from tests.support.filter_sim import placed
 
@@ -27,9 +32,9 @@ def arc(twist: Twist, time: float) -> Pose:
     return Pose(v / w * math.sin(turn), v / w * (1.0 - math.cos(turn)), turn)
 
 
-def driven(twist: Twist, until: float = 1.0) -> tuple[Motion, Odometry]:
+def driven(twist: Twist, until: float = 1.0) -> tuple[DeadReckoning, Odometry]:
     """One that has driven with a constant twist, and its last reading."""
-    motion, reading = Motion(1.0, 3.0), Odometry(0.0, Pose(), twist)
+    motion, reading = DeadReckoning(1.0, 3.0), Odometry(0.0, Pose(), twist)
     for n in range(round(until / PERIOD) + 1):
         reading = Odometry(n * PERIOD, arc(twist, n * PERIOD), twist)
         motion.update(DecisionContext(n * PERIOD, 0.0, reading, 0.0))
@@ -69,9 +74,9 @@ def test_what_is_seen_from_one_pose_is_placed_where_it_is_from_another(
 )
 def test_ahead_it_ramps_to_the_command_in_force(now: float, command: float, age: float) -> None:
     motion, last = driven(Twist(now))
-    ahead = motion.ahead(DecisionContext(1.0 + age, 0.0, last, age), Twist(command))
+    ahead = motion.predicted_pose(DecisionContext(1.0 + age, 0.0, last, age), Twist(command))
     speed, x, dt = now, last.pose.x, 1e-5
-    for _ in range(round((age + REACTION) / dt)):
+    for _ in range(round((age + REACTION_TIME) / dt)):
         speed += min(max(command - speed, -1.0 * dt), 1.0 * dt)
         x += speed * dt
     assert ahead.x == pytest.approx(x, abs=1e-5)
@@ -79,8 +84,8 @@ def test_ahead_it_ramps_to_the_command_in_force(now: float, command: float, age:
 
 def test_a_reading_that_is_old_is_not_trusted_for_ever() -> None:
     motion, last = driven(Twist(0.2))
-    ahead = motion.ahead(DecisionContext(3.0, 0.0, last, 2.0), Twist(0.2))
-    assert ahead.x == pytest.approx(last.pose.x + 0.2 * (TRUSTED + REACTION))
+    ahead = motion.predicted_pose(DecisionContext(3.0, 0.0, last, 2.0), Twist(0.2))
+    assert ahead.x == pytest.approx(last.pose.x + 0.2 * (MAX_EXTRAPOLATION + REACTION_TIME))
 
 
 def test_a_clock_that_jumps_back_begins_anew() -> None:
@@ -88,14 +93,14 @@ def test_a_clock_that_jumps_back_begins_anew() -> None:
     again = Odometry(0.3, Pose(7.0), ZERO)
     motion.update(DecisionContext(9.0, 0.0, again, 0.0))
     assert motion.pose(DecisionContext(9.0, 0.0, again, 0.0), 0.2) == Pose(7.0)
-    assert motion.restarts == 1
+    assert motion.clock_resets == 1
 
 
 def test_one_clock_that_goes_on_is_no_restart() -> None:
     motion, last = driven(Twist(0.2))
     for reading in (last, Odometry(last.stamp, last.pose, last.twist)):  # as it may come again
         motion.update(DecisionContext(1.1, 0.0, reading, 0.1))
-    assert motion.restarts == 0
+    assert motion.clock_resets == 0
     assert near(motion.pose(DecisionContext(1.1, 0.0, last, 0.1), 0.5), Pose(0.2 * 0.6), 1e-9)
 
 
@@ -103,21 +108,21 @@ def test_a_stamp_that_stands_still_while_the_robot_moves_begins_anew() -> None:
     motion, last = driven(Twist(0.2))
     again = Odometry(last.stamp, Pose(7.0), last.twist)
     motion.update(DecisionContext(1.1, 0.0, again, 0.0))
-    assert motion.restarts == 1
+    assert motion.clock_resets == 1
     assert motion.pose(DecisionContext(1.1, 0.0, again, 0.0), 0.0) == Pose(7.0)
 
 
 def test_without_any_reading_it_stands_at_the_origin() -> None:
-    motion = Motion(1.0, 3.0)
+    motion = DeadReckoning(1.0, 3.0)
     assert (
         motion.pose(DecisionContext(1.0), 0.1)
-        == motion.ahead(DecisionContext(1.0), Twist(0.2))
+        == motion.predicted_pose(DecisionContext(1.0), Twist(0.2))
         == Pose()
     )
 
 
 def test_headings_are_joined_the_short_way_round() -> None:
-    motion = Motion(1.0, 3.0)
+    motion = DeadReckoning(1.0, 3.0)
     for stamp, yaw in ((0.0, 3.1), (0.1, -3.1)):
         motion.update(DecisionContext(stamp, 0.0, Odometry(stamp, Pose(0.0, 0.0, yaw), ZERO), 0.0))
     last = Odometry(0.1, Pose(0.0, 0.0, -3.1), ZERO)

@@ -10,7 +10,7 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Odometry, Pose, Scan, TouchZone, Twist
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import DecisionContext, ModeDecision
-from swarmd.protection.footprint import Sight
+from swarmd.protection.footprint import ScanGeometry
 from swarmd.settings.platforms import load_platform
 
 BURGER = load_platform("burger")
@@ -27,11 +27,11 @@ class Says:
     def clearance(self, speed: float) -> None:
         """It never blocks."""
 
-    def observe(self, scan: Scan, sight: Sight, moment: DecisionContext) -> None:
+    def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """It looks at nothing."""
 
     def decide(
-        self, requested: Twist, moment: DecisionContext, *, command: Twist, touch: TouchZone | None
+        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
         """Always the same."""
         return ModeDecision(self._twist, is_active=True)
@@ -41,8 +41,8 @@ def handed_on(twist: Twist) -> tuple[Twist, Reason | None]:
     """The command, and why it is zero if it is."""
     protection = Protection(BURGER)
     protection._arbiter = Says(twist)
-    moment = DecisionContext(1.0, 0.1, Odometry(1.0, Pose(), ZERO), 0.0)
-    decision = protection.decide(Twist(0.1), moment, is_running=True, hold=None)
+    context = DecisionContext(1.0, 0.1, Odometry(1.0, Pose(), ZERO), 0.0)
+    decision = protection.decide(Twist(0.1), context, is_running=True, hold=None)
     return decision.safe, decision.reason
 
 

@@ -12,21 +12,21 @@ from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import FilterSim, box, under_barrier
 
 BURGER = under_barrier(load_platform("burger"))
-SLOW = 0.05
-AHEAD = Permit(touch=TouchZone(0.0, math.radians(20.0), SLOW))
+NEGLIGIBLE_SPEED = 0.05
+AHEAD = Permit(touch=TouchZone(0.0, math.radians(20.0), NEGLIGIBLE_SPEED))
 
 
 def test_it_touches_what_is_in_its_sector_and_no_faster_than_it_may() -> None:
     ride = FilterSim(BURGER, [box(0.2, 0.12, Pose(0.5))]).run(Twist(0.22), 12.0, AHEAD)
     assert ride.touch is not None
-    assert ride.touch.speed == pytest.approx(SLOW, abs=0.002)
+    assert ride.touch.speed == pytest.approx(NEGLIGIBLE_SPEED, abs=0.002)
 
 
 def test_what_comes_into_its_sector_is_met_no_faster() -> None:
     comes = box(0.2, 0.12, Pose(0.9), velocity=(-0.2, 0.0))
     ride = FilterSim(BURGER, [comes]).run(Twist(0.22), 12.0, AHEAD)
     assert ride.touch is not None
-    assert ride.touch.speed <= SLOW + 0.002
+    assert ride.touch.speed <= NEGLIGIBLE_SPEED + 0.002
 
 
 @pytest.mark.parametrize("way", [math.pi, 2.0, -2.0])

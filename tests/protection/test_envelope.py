@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmd.core.values import Array, Platform
-from swarmd.protection.constraints import BOX, envelope, half_planes
+from swarmd.protection.constraints import LIMIT_BOX, envelope, half_planes
 from swarmd.protection.projection import nearest, nearest_feasible
 from swarmd.settings.settings import load_platform
 
@@ -86,5 +86,5 @@ def test_its_half_planes_are_the_polygon(
 ) -> None:
     polygon = [tuple(point) for point in polygon_of(platform, speed).tolist()]
     normals, caps = half_planes(polygon)
-    allowed, _ = nearest_feasible((v, w), BOX, normals, caps)
+    allowed, _ = nearest_feasible((v, w), LIMIT_BOX, normals, caps)
     assert allowed == pytest.approx(nearest(polygon, (v, w)), abs=1e-9)

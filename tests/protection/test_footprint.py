@@ -6,9 +6,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmd.core.values import Array, Scan, ScanSpec
-from swarmd.protection.footprint import Footprint, Sight
+from swarmd.protection.footprint import Footprint, ScanGeometry
 
-BOX = Footprint(np.array([[-0.2, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.2, 0.1]]))
+LIMIT_BOX = Footprint(np.array([[-0.2, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.2, 0.1]]))
 
 
 @pytest.mark.parametrize(
@@ -22,14 +22,14 @@ BOX = Footprint(np.array([[-0.2, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.2, 0.1]]))
     ],
 )
 def test_gap_is_the_distance_to_the_outline(point: tuple[float, float], gap: float) -> None:
-    assert BOX.gaps(np.array([point]))[0] == pytest.approx(gap, abs=1e-12)
+    assert LIMIT_BOX.gaps(np.array([point]))[0] == pytest.approx(gap, abs=1e-12)
 
 
 @given(st.floats(-3, 3), st.floats(-3, 3))
 def test_gap_agrees_with_the_distance_to_an_axis_aligned_box(x: float, y: float) -> None:
     dx = max(-0.2 - x, 0.0, x - 0.1)
     dy = max(-0.1 - y, 0.0, y - 0.1)
-    assert BOX.gaps(np.array([[x, y]]))[0] == pytest.approx(np.hypot(dx, dy), abs=1e-9)
+    assert LIMIT_BOX.gaps(np.array([[x, y]]))[0] == pytest.approx(np.hypot(dx, dy), abs=1e-9)
 
 
 def test_points_are_seen_from_where_the_sensor_is() -> None:
@@ -37,26 +37,26 @@ def test_points_are_seen_from_where_the_sensor_is() -> None:
     spec = ScanSpec(bearings, 5.0, 0.12, 3.5, offset=(-0.064, 0.0))
     scan = Scan(1, 0.0, np.array([1.0, -np.inf, np.inf, 2.0]), bearings, 0.12, 3.5)
     expected = [[0.936, 0.0], [-0.064, 0.12], [-0.064, -2.0]]
-    sight = Sight(spec)
-    assert sight.points(scan) == pytest.approx(np.array(expected), abs=1e-12)
+    geometry = ScanGeometry(spec)
+    assert geometry.points(scan) == pytest.approx(np.array(expected), abs=1e-12)
     fewer = Scan(2, 0.1, np.array([1.0, 0.5]), bearings[1:3], 0.12, 3.5)
     expected = [[-0.064, 1.0], [-0.564, 0.0]]
-    assert sight.points(fewer) == pytest.approx(np.array(expected), abs=1e-12)
+    assert geometry.points(fewer) == pytest.approx(np.array(expected), abs=1e-12)
 
 
-def seen(points: Array, offset: tuple[float, float]) -> tuple[Scan, Sight]:
+def seen(points: Array, offset: tuple[float, float]) -> tuple[Scan, ScanGeometry]:
     """A scan whose rays end at the points."""
     x, y = (points - offset).T
     bearings = np.arctan2(y, x)
     spec = ScanSpec(bearings, 5.0, 0.0, 10.0, offset=offset)
-    return Scan(1, 0.0, np.hypot(x, y), bearings, 0.0, 10.0), Sight(spec)
+    return Scan(1, 0.0, np.hypot(x, y), bearings, 0.0, 10.0), ScanGeometry(spec)
 
 
 def test_no_point_has_no_gap() -> None:
-    assert BOX.min_gap(*seen(np.empty((0, 2)), (0.0, 0.0))) is None
-    scan, sight = seen(np.array([[1.0, 0.0]]), (0.0, 0.0))
+    assert LIMIT_BOX.min_gap(*seen(np.empty((0, 2)), (0.0, 0.0))) is None
+    scan, geometry = seen(np.array([[1.0, 0.0]]), (0.0, 0.0))
     nothing = Scan(1, 0.0, np.array([np.inf]), scan.bearings, 0.0, 10.0)
-    assert BOX.min_gap(nothing, sight) is None
+    assert LIMIT_BOX.min_gap(nothing, geometry) is None
 
 
 @given(
@@ -67,7 +67,9 @@ def test_the_smallest_gap_is_that_of_all_points(
     points: list[tuple[float, float]], offset: tuple[float, float]
 ) -> None:
     some = np.array(points)
-    assert BOX.min_gap(*seen(some, offset)) == pytest.approx(BOX.gaps(some).min(), abs=1e-9)
+    assert LIMIT_BOX.min_gap(*seen(some, offset)) == pytest.approx(
+        LIMIT_BOX.gaps(some).min(), abs=1e-9
+    )
 
 
 @pytest.mark.parametrize("turn", np.linspace(0.0, 6.0, 13))

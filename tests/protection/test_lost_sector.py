@@ -40,11 +40,11 @@ def drive(platform: Platform, ages: list[float | None], *, distance: float = 0.5
         age = ages[seq] if rest == 0 else None
         if age is not None:
             known = now - age
-        moment = DecisionContext(now, now - known, odometry, 0.0)
+        context = DecisionContext(now, now - known, odometry, 0.0)
         if age is not None:
             x = distance - SPEED * (known - 10.0 - platform.scan.latency)
-            protection.observe(wall(platform, seq, x), moment)
-        decisions.append(protection.decide(AHEAD, moment, is_running=True, hold=None))
+            protection.observe(wall(platform, seq, x), context)
+        decisions.append(protection.decide(AHEAD, context, is_running=True, hold=None))
     return decisions
 
 

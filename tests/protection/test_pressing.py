@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmd.core.values import Array, TouchZone
-from swarmd.protection.constraints import pressing
+from swarmd.protection.constraints import touch_directions
 from swarmd.settings.settings import load_platform
 
 BURGER = load_platform("burger").footprint
@@ -19,7 +19,7 @@ SPEED = st.floats(-2.0, 2.0)
 
 def pushing(corners: Array, zone: TouchZone, v: float, w: float) -> float:
     """The highest speed in m/s at which the outline presses, as the rows have it."""
-    press = pressing(corners, zone)
+    press = touch_directions(corners, zone)
     return float((press.nx * (v - w * press.y) + press.ny * w * press.x).max())
 
 
@@ -42,7 +42,7 @@ def test_the_foremost_corner_counts(
 
 
 def test_both_ends_of_a_face_count() -> None:
-    press = pressing(BURGER, TouchZone(0.0, math.radians(1.0), 0.1))
+    press = touch_directions(BURGER, TouchZone(0.0, math.radians(1.0), 0.1))
     ahead = {(x, y) for nx, x, y in zip(press.nx, press.x, press.y, strict=True) if nx > 0.9999999}
     assert ahead == {(0.038, -0.089), (0.038, 0.089)}
 

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from swarmd.core.values import Array
 from swarmd.protection.projection import clipped, nearest, nearest_feasible
 
-BOX = ((1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0))
+LIMIT_BOX = ((1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0))
 OCTAGON = tuple((float(np.cos(a)), float(np.sin(a))) for a in np.pi / 4 * np.arange(8))
 COMPONENT = st.floats(-1, 1)
 REQUESTED = st.tuples(COMPONENT, COMPONENT)
-POLYGON = st.sampled_from([BOX, OCTAGON])
+POLYGON = st.sampled_from([LIMIT_BOX, OCTAGON])
 ANGLE = st.floats(-4, 4)
 CLEAR_ANGLE = st.integers(-400, 400).map(lambda n: 0.01 * n)
 CAP = st.one_of(st.just(0.0), st.floats(1e-3, 1.5))
@@ -25,10 +25,10 @@ CLEAR_ROWS = st.lists(st.tuples(CLEAR_ANGLE, LENGTH, CAP), max_size=10)
 
 RequestedCommand = tuple[float, float]
 Polygon = tuple[RequestedCommand, ...]
-Rows = list[tuple[float, float, float]]
+Constraints = list[tuple[float, float, float]]
 
 
-def half_planes(rows: Rows) -> tuple[Array, Array]:
+def half_planes(rows: Constraints) -> tuple[Array, Array]:
     """Normals (k, 2) and caps (k,) of (angle, length, cap)."""
     angles, lengths, caps = np.array(rows).reshape(-1, 3).T
     normals = lengths[:, None] * np.stack((np.cos(angles), np.sin(angles)), axis=1)
@@ -51,7 +51,7 @@ def solver(requested: RequestedCommand, polygon: Polygon, normals: Array, caps: 
 
 @given(REQUESTED, POLYGON, CLEAR_ROWS)
 def test_agrees_with_a_solver_of_quadratic_programs(
-    requested: RequestedCommand, polygon: Polygon, rows: Rows
+    requested: RequestedCommand, polygon: Polygon, rows: Constraints
 ) -> None:
     normals, caps = half_planes(rows)
     point, _ = nearest_feasible(requested, polygon, normals, caps)
@@ -61,13 +61,13 @@ def test_agrees_with_a_solver_of_quadratic_programs(
 def test_rows_that_are_almost_parallel_meet_where_rounding_lets_them() -> None:
     """Anywhere within what rounding may overstep over the angle between; solvers give up there."""
     normals, caps = half_planes([(0.0, 1.0, 0.0), (1e-6, 2.0, 0.0)])
-    point, _ = nearest_feasible((0.5, 0.0), BOX, normals, caps)
+    point, _ = nearest_feasible((0.5, 0.0), LIMIT_BOX, normals, caps)
     assert point == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
 @given(REQUESTED, POLYGON, ROWS)
 def test_no_row_is_overstepped_and_the_polygon_is_not_left(
-    requested: RequestedCommand, polygon: Polygon, rows: Rows
+    requested: RequestedCommand, polygon: Polygon, rows: Constraints
 ) -> None:
     normals, caps = half_planes(rows)
     point, _ = nearest_feasible(requested, polygon, normals, caps)
@@ -76,9 +76,9 @@ def test_no_row_is_overstepped_and_the_polygon_is_not_left(
 
 
 @given(REQUESTED, ROWS)
-def test_no_point_of_a_fine_grid_is_nearer(requested: RequestedCommand, rows: Rows) -> None:
+def test_no_point_of_a_fine_grid_is_nearer(requested: RequestedCommand, rows: Constraints) -> None:
     normals, caps = half_planes(rows)
-    point, _ = nearest_feasible(requested, BOX, normals, caps)
+    point, _ = nearest_feasible(requested, LIMIT_BOX, normals, caps)
     axis = np.linspace(-1.0, 1.0, 81)
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     allowed = grid[(grid @ normals.T <= caps).all(axis=1)]
@@ -88,7 +88,7 @@ def test_no_point_of_a_fine_grid_is_nearer(requested: RequestedCommand, rows: Ro
 
 @given(REQUESTED, POLYGON, ROWS)
 def test_a_feasible_wish_is_given_back_as_it_is(
-    requested: RequestedCommand, polygon: Polygon, rows: Rows
+    requested: RequestedCommand, polygon: Polygon, rows: Constraints
 ) -> None:
     normals, caps = half_planes(rows)
     inside = nearest(polygon, (0.9 * requested[0], 0.9 * requested[1]))
@@ -99,22 +99,22 @@ def test_a_feasible_wish_is_given_back_as_it_is(
 
 @given(REQUESTED, ROWS, st.randoms(use_true_random=False))
 def test_order_and_repetition_of_rows_do_not_matter(
-    requested: RequestedCommand, rows: Rows, random: object
+    requested: RequestedCommand, rows: Constraints, random: object
 ) -> None:
     shuffled = [*rows, *rows[: len(rows) // 2]]
     random.shuffle(shuffled)  # type: ignore[attr-defined]  # a random.Random
-    point, _ = nearest_feasible(requested, BOX, *half_planes(rows))
-    assert nearest_feasible(requested, BOX, *half_planes(shuffled))[0] == pytest.approx(
+    point, _ = nearest_feasible(requested, LIMIT_BOX, *half_planes(rows))
+    assert nearest_feasible(requested, LIMIT_BOX, *half_planes(shuffled))[0] == pytest.approx(
         point, abs=1e-9
     )
 
 
 @given(REQUESTED, ROWS, st.tuples(ANGLE, st.floats(0.05, 3.0), CAP))
 def test_one_row_more_never_brings_it_nearer_to_the_wish(
-    requested: RequestedCommand, rows: Rows, more: tuple[float, float, float]
+    requested: RequestedCommand, rows: Constraints, more: tuple[float, float, float]
 ) -> None:
-    point, _ = nearest_feasible(requested, BOX, *half_planes(rows))
-    fewer, _ = nearest_feasible(requested, BOX, *half_planes([*rows, more]))
+    point, _ = nearest_feasible(requested, LIMIT_BOX, *half_planes(rows))
+    fewer, _ = nearest_feasible(requested, LIMIT_BOX, *half_planes([*rows, more]))
     assert (
         np.hypot(*np.subtract(fewer, requested)) >= np.hypot(*np.subtract(point, requested)) - 1e-9
     )
@@ -122,19 +122,19 @@ def test_one_row_more_never_brings_it_nearer_to_the_wish(
 
 def test_tight_rows_are_those_that_bind() -> None:
     normals, caps = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]), np.array([0.25, 0.5, 0.0])
-    point, tight = nearest_feasible((1.0, 0.2), BOX, normals, caps)
+    point, tight = nearest_feasible((1.0, 0.2), LIMIT_BOX, normals, caps)
     assert point == pytest.approx((0.25, 0.2), abs=1e-12)
     assert tight == [0]
 
 
 def test_between_two_that_allow_nothing_towards_them_one_may_still_turn() -> None:
     normals = np.array([[1.0, 0.0], [-1.0, 0.0]])
-    point, _ = nearest_feasible((0.7, 0.4), BOX, normals, np.zeros(2))
+    point, _ = nearest_feasible((0.7, 0.4), LIMIT_BOX, normals, np.zeros(2))
     assert point == pytest.approx((0.0, 0.4), abs=1e-12)
 
 
 def test_a_line_through_the_middle_halves_a_polygon() -> None:
-    half = clipped(BOX, 1.0, 0.0, 0.0)
+    half = clipped(LIMIT_BOX, 1.0, 0.0, 0.0)
     assert sorted(half) == [(-1.0, -1.0), (-1.0, 1.0), (0.0, -1.0), (0.0, 1.0)]
     quarter = clipped(half, -1.0, 0.0, 0.5)
     assert sorted(quarter) == [(-0.5, -1.0), (-0.5, 1.0), (0.0, -1.0), (0.0, 1.0)]

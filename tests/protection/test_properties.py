@@ -107,9 +107,9 @@ def test_whatever_comes_in_what_comes_out_is_finite_and_within_limits(
     clean = np.where(clean > platform.scan.range_max, math.inf, clean)
     scan = scan_from(platform, clean, platform.scan.bearings)
     for at in (5.0, 5.2):
-        moment = DecisionContext(at, age, odometry, age)
-        protection.observe(scan, moment)
-        safe = protection.decide(requested, moment, is_running=True, hold=None).safe
+        context = DecisionContext(at, age, odometry, age)
+        protection.observe(scan, context)
+        safe = protection.decide(requested, context, is_running=True, hold=None).safe
         assert safe.is_finite
         assert platform.limits.clip(safe) == safe
 
@@ -321,7 +321,7 @@ def within(platform: Platform, scan: Scan, ray: int, zone: TouchZone) -> bool:
     way = np.array([math.cos(bearing), math.sin(bearing)])
     is_seen = math.isfinite(scan.ranges[ray])
     place = platform.scan.offset + scan.ranges[ray] * way if is_seen else edge_along(platform, way)
-    facing = Footprint(platform.footprint).facing(place[:1], place[1:])
-    way_there = math.atan2(float(facing.ny[0]), float(facing.nx[0]))
+    separations = Footprint(platform.footprint).separations(place[:1], place[1:])
+    way_there = math.atan2(float(separations.ny[0]), float(separations.nx[0]))
     off = math.remainder(way_there - zone.bearing, 2.0 * math.pi)
     return abs(off) <= zone.half_width + 1e-6

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from swarmd.core.values import Odometry, Platform, Pose, Twist
 from swarmd.protection.barrier import TICK, Barrier
-from swarmd.protection.constraints import Reach
+from swarmd.protection.constraints import BindingRange
 from swarmd.protection.decision import DecisionContext
-from swarmd.protection.footprint import Sight
+from swarmd.protection.footprint import ScanGeometry
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.filter_sim import under_barrier
@@ -32,10 +32,10 @@ BEGIN = 10.0
 FAR = 100.0
 
 
-class Everywhere(Reach):
+class Everywhere(BindingRange):
     """Says of anything that it may bind."""
 
-    def after(self, age: float) -> float:
+    def for_scan_age(self, age: float) -> float:
         return FAR
 
 
@@ -45,7 +45,7 @@ class SeesAll(Barrier):
     def __init__(self, platform: Platform) -> None:
         super().__init__(platform)
         assert self._furthest < FAR
-        self._reach = Everywhere(platform, self._settings, TICK)
+        self._binding_range = Everywhere(platform, self._settings, TICK)
         self._furthest = FAR
 
 
@@ -69,7 +69,7 @@ def decided(
     before = DecisionContext(BEGIN - 0.1, None, driving(twist, -0.1), 0.0)
     barrier.decide(twist, before, command=twist, touch=None)
     now = DecisionContext(BEGIN, 0.0, driving(twist, 0.0), 0.0)
-    barrier.observe(scan, Sight(platform.scan), now)
+    barrier.observe(scan, ScanGeometry(platform.scan), now)
     later = now if age == 0.0 else DecisionContext(BEGIN + age, age, driving(twist, age), 0.0)
     return barrier.decide(twist, later, command=twist, touch=None).twist
 

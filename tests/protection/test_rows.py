@@ -5,7 +5,7 @@ import math
 import pytest
 
 from swarmd.core.values import Limits
-from swarmd.protection.constraints import most
+from swarmd.protection.constraints import linear_limit
 
 
 @pytest.mark.parametrize(
@@ -15,4 +15,4 @@ def test_the_limit_of_a_direction_is_that_of_the_component_that_meets_its_own(
     degrees: float, limit: float
 ) -> None:
     along = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
-    assert most(Limits(0.5, 2.0, 0.2), along) == pytest.approx(limit, abs=1e-4)
+    assert linear_limit(Limits(0.5, 2.0, 0.2), along) == pytest.approx(limit, abs=1e-4)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Scan, Twist
-from swarmd.protection.barrier import CREEP, TICK
-from swarmd.protection.dead_reckoning import REACTION
+from swarmd.protection.barrier import CREEP_SPEED, TICK
+from swarmd.protection.dead_reckoning import REACTION_TIME
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.filter_sim import decided, under_barrier
@@ -37,8 +37,8 @@ def beside(gap: float, side: float) -> Scan:
 def test_the_nearer_it_is_the_slower_it_is_passed(side: float, way: float) -> None:
     """Half of what is left beyond touch each, until both have looked again; 60 degrees aside."""
     for gap in (0.02, 0.05, 0.07, 0.09):
-        seconds = WAFFLE.scan.latency + REACTION + TICK
-        closing = max(0.5 * (gap - TOUCH) / seconds, CREEP)
+        seconds = WAFFLE.scan.latency + REACTION_TIME + TICK
+        closing = max(0.5 * (gap - TOUCH) / seconds, CREEP_SPEED)
         safe = decided(WAFFLE, beside(gap, side), Twist(way * TOP)).safe
         corner = np.array((FRONT if way > 0.0 else REAR, side * HALF_WIDTH))
         aside = np.array((way * math.sin(ASIDE), side * math.cos(ASIDE)))

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from swarmd.core.values import Array, Platform, Pose
 from swarmd.protection.footprint import Footprint
-from swarmd.protection.stopping import SLOW, Braking
+from swarmd.protection.stopping import NEGLIGIBLE_SPEED, StopCheck
 from swarmd.settings.platforms import load_platform
 from tests.support.filter_sim import outline_point, placed
 
@@ -34,8 +34,8 @@ def cleared(
 ) -> tuple[float, float]:
     """What is left of the speeds beside points in the base frame."""
     outline, seen = Footprint(platform.footprint), np.array(points).reshape(-1, 2)
-    braking = Braking(outline, LINEAR, ANGULAR, TICK)
-    left = braking.clear(
+    check = StopCheck(outline, LINEAR, ANGULAR, TICK)
+    left = check.limited(
         np.array(speeds), np.array(along), seen, outline.gaps(seen), np.array(free)
     )
     return float(left[0]), float(left[1])
@@ -87,9 +87,15 @@ def test_of_speeds_that_cancel_one_may_end_first(way: float) -> None:
 
 
 def test_who_closes_at_a_creep_goes_on() -> None:
-    assert cleared((0.9 * SLOW, 0.0), (FRONT + 0.001, 0.0)) == (0.9 * SLOW, 0.0)
-    assert cleared((0.0, 0.9 * SLOW / 0.14), (0.0, HALF + 0.001)) == (0.0, 0.9 * SLOW / 0.14)
-    assert cleared((2.0 * SLOW, 0.0), (FRONT + 0.001, 0.0))[0] < SLOW
+    assert cleared((0.9 * NEGLIGIBLE_SPEED, 0.0), (FRONT + 0.001, 0.0)) == (
+        0.9 * NEGLIGIBLE_SPEED,
+        0.0,
+    )
+    assert cleared((0.0, 0.9 * NEGLIGIBLE_SPEED / 0.14), (0.0, HALF + 0.001)) == (
+        0.0,
+        0.9 * NEGLIGIBLE_SPEED / 0.14,
+    )
+    assert cleared((2.0 * NEGLIGIBLE_SPEED, 0.0), (FRONT + 0.001, 0.0))[0] < NEGLIGIBLE_SPEED
 
 
 def test_who_moves_away_goes_on_however_near_it_is() -> None:
@@ -159,7 +165,7 @@ def test_however_it_brakes_it_closes_on_nothing_within_what_must_stay_free(
     linear, angular = cleared(speeds, *seen, free=(free, 0.0), platform=platform)
     for at in seen:
         first = outline_point(platform.footprint, np.array(at))[0]
-        creeps = SLOW * (TICK + max(abs(linear) / LINEAR, abs(angular) / ANGULAR))
+        creeps = NEGLIGIBLE_SPEED * (TICK + max(abs(linear) / LINEAR, abs(angular) / ANGULAR))
         least = min(nearness(platform, np.array(at), linear, angular, better))
         assert least >= min(first, free) - creeps - SAG
 

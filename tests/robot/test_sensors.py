@@ -117,4 +117,4 @@ def test_odometry_that_is_not_finite_never_came(senses: Sensors, odometry: Odome
     senses.on_odometry(first, 10.0)
     senses.on_odometry(odometry, 10.2)
     assert senses.odometry is first
-    assert senses.moment(10.2).odometry_age == pytest.approx(0.2)
+    assert senses.context(10.2).odometry_age == pytest.approx(0.2)

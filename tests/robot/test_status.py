@@ -34,7 +34,7 @@ def story(tmp_path: Path) -> RobotHarness:
 def summary(
     story: RobotHarness, bearing_deg: float, distance: float, *, recovery: bool = False
 ) -> DecisionSummary:
-    """What it says after a moment with something 20 degrees wide in the way."""
+    """What it says after a context with something 20 degrees wide in the way."""
 
     def scans(seq: int, now: float) -> Scan:
         scan = empty_scan(story.platform, seq, now)

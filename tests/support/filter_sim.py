@@ -227,13 +227,13 @@ class FilterSim:
             _, scan = self._coming.pop(0)
             is_new = self.senses.on_scan(scan, self.time)
             if is_new and self.senses.scan is not None:
-                self.protection.observe(self.senses.scan, self.senses.moment(self.time))
+                self.protection.observe(self.senses.scan, self.senses.context(self.time))
         return is_new
 
     def _decide(self, requested: Twist, permit: Permit) -> Decision:
         decision = self.protection.decide(
             requested,
-            self.senses.moment(self.time),
+            self.senses.context(self.time),
             is_running=True,
             hold=self.senses.hold(self.time),
             permit=permit,
