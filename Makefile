@@ -8,7 +8,7 @@ ARGS ?=
 # nothing. 0: one after the other, in this process.
 JOBS ?= 3
 
-.PHONY: help demo test evidence check format bench paper safety outcomes voting lock clean
+.PHONY: help demo test evidence check format bench paper safety outcomes voting mutants lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -16,6 +16,7 @@ help:
 	@echo "make test    all tests                 (ARGS='-k scan' picks some, JOBS=0 one by one)"
 	@echo "make evidence  long tests and studies of outcomes, safety and the paper; hours on two cores"
 	@echo "make check   format, lint, types, and the wheel tried in a fresh environment"
+	@echo "make mutants small changes of the code and the tests that notice them; a night"
 	@echo "make bench   the measurements, beside their budgets (ARGS=latency picks one)"
 	@echo "make clean   removes .venv, build and caches"
 	@echo "PYTHON=python3.12 picks the interpreter."
@@ -62,6 +63,13 @@ safety: $(VENV)/tools
 	@$(BIN)/python -m studies.safety hours $(ARGS)
 	@$(BIN)/python -m studies.safety progress
 
+# Small changes of protection, robot and the ROS conversion, each with the tests that reach it. All
+# of them take a night; ARGS='swarmd.protection.projection*' selects some.
+mutants: $(VENV)/tools
+	@$(PIP) install --constraint constraints.txt 'mutmut>=3.8,<4'
+	@$(BIN)/mutmut run $(ARGS)
+	@$(BIN)/mutmut results
+
 $(VENV)/made:
 	@command -v $(PYTHON) >/dev/null || { echo \
 	  "no $(PYTHON) here; swarmd needs Python 3.11 or newer, try: make $(MAKECMDGOALS) PYTHON=python3.12" >&2; exit 1; }
@@ -97,5 +105,5 @@ lock:
 	mv build/constraints.txt constraints.txt
 
 clean:
-	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf $(VENV) build dist mutants *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
 	find swarmd patterns drivers sim config tests benchmarks examples -name __pycache__ -type d -prune -exec rm -rf {} +
