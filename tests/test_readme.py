@@ -12,8 +12,8 @@ from pathlib import Path
 import click
 import pytest
 
-from swarmd.cli import VERBS, cli
 from swarmd.cli.daemon import swarmd
+from swarmd.cli.swarmctl import VERBS, cli
 from swarmd.plugins import driver_names
 from swarmd.settings.platforms import platform_names
 

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from swarmd.cli.arguments import Duration, read_assignments
-from swarmd.cli.options import Console
+from swarmd.cli.options import CommonOptions
 from swarmd.cli.output import print_json, print_section, warn
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.options import WorldOptions, fleet_for, fleet_options, need
@@ -57,7 +57,7 @@ def demo(
     from swarmd.plugins import find_pattern
     from swarmd.sim.live.demo_run import DemoSettings
 
-    is_json = (output or (ctx.find_object(Console) or Console()).output) == "json"
+    is_json = (output or (ctx.find_object(CommonOptions) or CommonOptions()).output) == "json"
     options = WorldOptions(**world)
     settings = DemoSettings(
         pattern=pattern,

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from swarmd.cli.options import Console
+from swarmd.cli.options import CommonOptions
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.measure import measure
@@ -378,7 +378,7 @@ def _warn_of_few(counts: Iterable[int]) -> None:
 
 
 def _is_json(ctx: click.Context, output: str | None) -> bool:
-    return (output or (ctx.find_object(Console) or Console()).output) == "json"
+    return (output or (ctx.find_object(CommonOptions) or CommonOptions()).output) == "json"
 
 
 def _exit_code(results: Results) -> int:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from swarmd.cli.options import Console
+from swarmd.cli.options import CommonOptions
 from swarmd.cli.output import print_json, print_table
 from swarmd.sim.cli.options import chosen_metrics
 
@@ -33,7 +33,7 @@ def measure(
 
     names = chosen_metrics(metrics) or tuple(catalog.METRICS)
     measured = {str(file): catalog.measure(load_trace(file), names) for file in files}
-    if (output or (ctx.find_object(Console) or Console()).output) == "json":
+    if (output or (ctx.find_object(CommonOptions) or CommonOptions()).output) == "json":
         print_json("Measurements", {"traces": measured})
         return
     rows = [

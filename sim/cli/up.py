@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from swarmd.cli.options import DEFAULT_SWARM, Console
+from swarmd.cli.options import DEFAULT_SWARM, CommonOptions
 from swarmd.cli.output import print_section, warn
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.options import WorldOptions, fleet_for, fleet_options, need
@@ -56,7 +56,7 @@ def up(
     need("mujoco")
     from swarmd.core.keys import check_id
 
-    given = swarm or (ctx.find_object(Console) or Console()).swarm
+    given = swarm or (ctx.find_object(CommonOptions) or CommonOptions()).swarm
     name = check_id(given or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
     options = WorldOptions(**world)
     with _folder(keep) as folder:

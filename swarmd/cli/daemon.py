@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from swarmd.cli import run_cli
 from swarmd.cli.arguments import Value, read_assignments
+from swarmd.cli.swarmctl import run_cli
 from swarmd.core.errors import DriverError, IdHeldError, NetworkError, SwarmError
 from swarmd.core.processes import die_with_parent as tie_to
 

@@ -7,22 +7,22 @@ from msgspec import to_builtins
 
 from swarmd.cli.arguments import check_name
 from swarmd.cli.explain import activity, obstacles, why
-from swarmd.cli.options import Console, common
+from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_section, printable, seconds
-from swarmd.cli.send import meet
+from swarmd.cli.send import known_members
 from swarmd.core.messages import Condition, Member, Status
 
 
 @click.command()
 @click.argument("robot")
-@common
-def describe(console: Console, robot: str) -> None:
+@common_options
+def describe(options: CommonOptions, robot: str) -> None:
     """All about one ROBOT, and why it stands."""
-    with console.operator() as operator:
-        view = meet(operator)
+    with options.operator() as operator:
+        view = known_members(operator)
     check_name(robot, view.members)
     member = view.members[robot]
-    if console.is_json:
+    if options.is_json:
         print_json("Member", {"member": to_builtins(member), "why": why(member)})
         return
     click.echo(printable(f"{robot}: {why(member)}"))

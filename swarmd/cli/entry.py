@@ -10,7 +10,7 @@ INTERRUPTED = 130
 def swarmctl() -> None:
     """Run swarmctl and exit with its code."""
     try:
-        from swarmd.cli import main
+        from swarmd.cli.swarmctl import main
 
         main()
     except KeyboardInterrupt:

@@ -10,10 +10,10 @@ from msgspec import to_builtins
 
 from swarmd.cli.arguments import check_name
 from swarmd.cli.explain import activity
-from swarmd.cli.options import Console, common
+from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_table, printable, seconds
-from swarmd.cli.report import finish
-from swarmd.cli.send import meet
+from swarmd.cli.report import report_outcome
+from swarmd.cli.send import known_members
 from swarmd.core.messages import Condition, Member
 from swarmd.network.outcome import REFUSED
 
@@ -35,20 +35,20 @@ class Refused(click.ClickException):
 
 
 @click.group(invoke_without_command=True)
-@common
-def members(console: Console) -> None:
+@common_options
+def members(options: CommonOptions) -> None:
     """Who is in the swarm, and how they are.
 
     Robots that failed stay listed until they return or `members forget NAME` removes them.
     """
     ctx = click.get_current_context()
-    ctx.obj = console
+    ctx.obj = options
     if ctx.invoked_subcommand is not None:
         return
-    with console.operator() as operator:
-        view = meet(operator)
+    with options.operator() as operator:
+        view = known_members(operator)
     notes = tuple(health(view))
-    if console.is_json:
+    if options.is_json:
         rows = [to_builtins(member) for member in view.members.values()]
         roster = sorted(view.roster)
         print_json("Members", {"members": rows, "roster": roster, "notes": list(notes)})
@@ -60,16 +60,16 @@ def members(console: Console) -> None:
 
 @members.command()
 @click.argument("name")
-@common
-def forget(console: Console, name: str) -> None:
+@common_options
+def forget(options: CommonOptions, name: str) -> None:
     """Take a robot that failed or left off every list."""
-    with console.operator() as operator:
-        view = meet(operator)
+    with options.operator() as operator:
+        view = known_members(operator)
         check_name(name, view.members)
         if view.members[name].condition is Condition.ALIVE:
             raise Refused(f"{name} is alive; only robots that failed or left can be forgotten")
         outcome = operator.request("forget", view.epochs(view.alive), {"name": name})
-    finish(console, "members forget", outcome)
+    report_outcome(options, "members forget", outcome)
 
 
 def row(member: Member) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from swarmd.cli.options import Console, common
+from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, warn
 from swarmd.core.errors import PluginError
 from swarmd.core.processes import how_it_ended
@@ -32,8 +32,8 @@ def mission() -> None:
     envvar="SWARM_PLUGIN_DIR",
     help="Folder of one-file patterns [$SWARM_PLUGIN_DIR, else the folder of FILE].",
 )
-@common
-def check(console: Console, file: Path, platform: str, plugin_dir: Path | None) -> None:
+@common_options
+def check(options: CommonOptions, file: Path, platform: str, plugin_dir: Path | None) -> None:
     """Check the mission in FILE as a whole; moves nothing and needs no network.
 
     Every fault is a line with file, line and key. Exit code 2 if there is one.
@@ -41,7 +41,7 @@ def check(console: Console, file: Path, platform: str, plugin_dir: Path | None) 
     if not file.is_file():
         raise click.UsageError(f"{file} is no file; wanted is a mission's YAML file")
     faults = _ask(file, platform, plugin_dir or file.parent)
-    if console.is_json:
+    if options.is_json:
         print_json("Mission", {"file": str(file), "platform": platform, "faults": faults})
     elif not faults:
         click.echo(f"{file}: ok on {platform}")

@@ -51,7 +51,7 @@ _OPTIONS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Console:
+class CommonOptions:
     """The options common to all verbs; None or empty where not given."""
 
     swarm: str | None = None
@@ -67,7 +67,7 @@ class Console:
         """Whether the answer is to be JSON."""
         return self.output == "json"
 
-    def over(self, below: Console) -> Console:
+    def over(self, below: CommonOptions) -> CommonOptions:
         """These options where given, else those of `below`."""
         given = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name)}
         return replace(below, **given)
@@ -119,25 +119,25 @@ def root_options(function: Callable[P, R]) -> Callable[..., R]:
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> R:
         ctx = click.get_current_context()
-        ctx.obj = _taken(kwargs).over(ctx.obj or Console(config=_config_of_environment()))
+        ctx.obj = _taken(kwargs).over(ctx.obj or CommonOptions(config=_config_of_environment()))
         return function(*args, **kwargs)
 
     return _with_options(wrapper)
 
 
-def common(function: Callable[Concatenate[Console, P], R]) -> Callable[..., R]:
-    """Give a verb the common options, as a Console, as its first argument."""
+def common_options(function: Callable[Concatenate[CommonOptions, P], R]) -> Callable[..., R]:
+    """Give a verb the common options, as a CommonOptions, as its first argument."""
 
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> R:
-        below = click.get_current_context().find_object(Console) or Console()
+        below = click.get_current_context().find_object(CommonOptions) or CommonOptions()
         return function(_taken(kwargs).over(below), *args, **kwargs)
 
     return _with_options(wrapper)
 
 
-def _taken(kwargs: dict[str, Any]) -> Console:
-    return Console(**{field.name: kwargs.pop(field.name) for field in fields(Console)})
+def _taken(kwargs: dict[str, Any]) -> CommonOptions:
+    return CommonOptions(**{field.name: kwargs.pop(field.name) for field in fields(CommonOptions)})
 
 
 def _with_options(function: Function) -> Function:

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import click
 
 from swarmd.cli.arguments import read_assignments, read_targets, target_options
-from swarmd.cli.options import Console, common
+from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_table
-from swarmd.cli.report import finish
-from swarmd.cli.send import ask, choose, meet
+from swarmd.cli.report import report_outcome
+from swarmd.cli.send import expected_of, known_members, send
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Member
 
@@ -23,9 +23,9 @@ def param() -> None:
 @param.command("get")
 @target_options
 @click.option("-k", "--key", "keys", multiple=True, metavar="KEY", help="Only this one.")
-@common
+@common_options
 def get_params(
-    console: Console,
+    options: CommonOptions,
     names: tuple[str, ...],
     is_all: bool,
     exclude: tuple[str, ...],
@@ -33,11 +33,11 @@ def get_params(
 ) -> None:
     """The parameters in force, and where each comes from; without names of all robots."""
     targets = read_targets("param get", names, is_all, exclude, needed=False)
-    with console.operator() as operator:
-        view = meet(operator)
+    with options.operator() as operator:
+        view = known_members(operator)
     chosen = {name: view.members[name] for name in targets.select(view.members)}
     _check_keys(keys, chosen)
-    if console.is_json:
+    if options.is_json:
         print_json("Params", {"robots": {name: _plain(m, keys) for name, m in chosen.items()}})
         return
     rows = [
@@ -54,9 +54,9 @@ def get_params(
 @param.command("set")
 @target_options
 @click.option("-p", "params", multiple=True, metavar="KEY=VALUE", help="May be repeated.")
-@common
+@common_options
 def set_params(
-    console: Console,
+    options: CommonOptions,
     names: tuple[str, ...],
     is_all: bool,
     exclude: tuple[str, ...],
@@ -72,11 +72,11 @@ def set_params(
         raise click.UsageError("param set needs values; add KEY=VALUE, such as speed=0.15")
     values = read_assignments(words)
     targets = read_targets("param set", robots, is_all, exclude, needed=True)
-    with console.operator() as operator:
-        view = meet(operator)
-        expected = choose(view, targets)
-        outcome = ask(operator, view, "param", expected, {"set": values}, console.timeout)
-    finish(console, "param set", outcome)
+    with options.operator() as operator:
+        view = known_members(operator)
+        expected = expected_of(view, targets)
+        outcome = send(operator, view, "param", expected, {"set": values}, options.timeout)
+    report_outcome(options, "param set", outcome)
 
 
 def _check_keys(keys: tuple[str, ...], chosen: Mapping[str, Member]) -> None:

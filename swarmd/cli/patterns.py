@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from swarmd.cli.inspect import Row, describe_patterns
-from swarmd.cli.options import Console, common
+from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_section, print_table, printable
 
 _plugin_dir = click.option(
@@ -24,11 +24,11 @@ _platform = click.option(
 
 
 @click.group(invoke_without_command=True)
-@common
-def patterns(console: Console) -> None:
+@common_options
+def patterns(options: CommonOptions) -> None:
     """The patterns there are on this machine, and their parameters."""
     ctx = click.get_current_context()
-    ctx.obj = console
+    ctx.obj = options
     if ctx.invoked_subcommand is None:
         ctx.invoke(list_patterns)
 
@@ -36,11 +36,11 @@ def patterns(console: Console) -> None:
 @patterns.command("list")
 @_plugin_dir
 @_platform
-@common
-def list_patterns(console: Console, plugin_dir: Path | None, platform: str) -> None:
+@common_options
+def list_patterns(options: CommonOptions, plugin_dir: Path | None, platform: str) -> None:
     """All patterns, a line each."""
     rows = describe_patterns((), plugin_dir, platform)
-    if console.is_json:
+    if options.is_json:
         print_json("Patterns", {"patterns": rows})
         return
     table = [
@@ -60,13 +60,13 @@ def list_patterns(console: Console, plugin_dir: Path | None, platform: str) -> N
 @click.argument("name")
 @_plugin_dir
 @_platform
-@common
-def show_pattern(console: Console, name: str, plugin_dir: Path | None, platform: str) -> None:
+@common_options
+def show_pattern(options: CommonOptions, name: str, plugin_dir: Path | None, platform: str) -> None:
     """All about one pattern: what it needs, says, and can be told."""
     (row,) = describe_patterns((name,), plugin_dir, platform)
     if "error" in row:
         raise click.UsageError(row["error"])
-    if console.is_json:
+    if options.is_json:
         print_json("Pattern", {"pattern": row})
         return
     text = inspect.cleandoc(f"{name}: {row['text']}")

@@ -7,10 +7,10 @@ from pathlib import Path
 import click
 
 from swarmd.cli.arguments import read_targets, target_options
-from swarmd.cli.options import Console, common
+from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, printable
-from swarmd.cli.report import finish
-from swarmd.cli.send import ask, choose, meet
+from swarmd.cli.report import report_outcome
+from swarmd.cli.send import expected_of, known_members, send
 from swarmd.core.keys import is_id
 
 # A trial on a robot may take 10 s, and loading anew 3 s more.
@@ -38,8 +38,8 @@ def plugin() -> None:
     default="movement",
     help="What it begins as [movement].",
 )
-@common
-def new(console: Console, name: str, folder: Path, kind: str) -> None:
+@common_options
+def new(options: CommonOptions, name: str, folder: Path, kind: str) -> None:
     """Write a pattern, NAME.py, and its test, test_NAME.py: both pass as they are."""
     from swarmd.cli.plugin_template import write_plugin
 
@@ -49,7 +49,7 @@ def new(console: Console, name: str, folder: Path, kind: str) -> None:
         (f"pytest {written[1]}", "the same, and what yours is for"),
         (f"swarmctl demo --pattern {name} --plugin-dir {folder}", "robots that run it"),
     ]
-    if console.is_json:
+    if options.is_json:
         files = [str(path) for path in written]
         print_json("Plugin", {"name": name, "files": files, "next": [line for line, _ in steps]})
         return
@@ -62,8 +62,8 @@ def new(console: Console, name: str, folder: Path, kind: str) -> None:
 
 @plugin.command("check")
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@common
-def check(console: Console, file: Path) -> None:
+@common_options
+def check(options: CommonOptions, file: Path) -> None:
     """Check the pattern in FILE against the contract, a line for each point.
 
     The file is imported in a process of its own. `--timeout` is for each point [30s].
@@ -74,9 +74,9 @@ def check(console: Console, file: Path) -> None:
         raise click.UsageError(
             f"{file} is no .py; a mission is checked by `swarmctl mission check`"
         )
-    points = check_file(file, console.timeout or CHECKING)
+    points = check_file(file, options.timeout or CHECKING)
     bad = sum(not point.is_well for point in points)
-    if console.is_json:
+    if options.is_json:
         told = [
             {"point": point.name, "is_well": point.is_well, "text": point.text} for point in points
         ]
@@ -95,9 +95,9 @@ def check(console: Console, file: Path) -> None:
 @click.argument("name")
 @target_options
 @click.option("--run", "is_run", is_flag=True, help="Run again where it ran, as it was told to.")
-@common
+@common_options
 def reload(
-    console: Console,
+    options: CommonOptions,
     name: str,
     names: tuple[str, ...],
     is_all: bool,
@@ -114,8 +114,8 @@ def reload(
     if not is_id(name):
         raise click.UsageError(f"{name!r} is no pattern's name; see `swarmctl patterns`")
     args = {"pattern": name, "run": is_run}
-    with console.operator() as operator:
-        view = meet(operator)
-        expected = choose(view, targets)
-        outcome = ask(operator, view, "reload", expected, args, console.timeout or RELOADING)
-    finish(console, "plugin reload", outcome)
+    with options.operator() as operator:
+        view = known_members(operator)
+        expected = expected_of(view, targets)
+        outcome = send(operator, view, "reload", expected, args, options.timeout or RELOADING)
+    report_outcome(options, "plugin reload", outcome)

@@ -11,19 +11,19 @@ from swarmd.cli.output import NOTHING, print_json, print_table, warn
 from swarmd.network.outcome import USAGE, Outcome
 
 if TYPE_CHECKING:
-    from swarmd.cli.options import Console
+    from swarmd.cli.options import CommonOptions
 
 # How pattern hosts begin to refuse an unknown pattern or parameter, or a value out of range.
 _MISTAKE = re.compile(r"(no pattern|no parameter|parameters?) ")
 
 
-def finish(console: Console, verb: str, outcome: Outcome) -> NoReturn:
+def report_outcome(options: CommonOptions, verb: str, outcome: Outcome) -> NoReturn:
     """Print the outcome of a request and end with its exit code."""
     for line in outcome.warnings:
         warn(f"warning: {line}")
     for name in outcome.duplicates:
         warn(f"warning: {name} answered twice: two daemons hold this id; stop one of them")
-    if console.is_json:
+    if options.is_json:
         print_json("Outcome", {"verb": verb, **plain(outcome)})
         warn(outcome.line)
     else:
@@ -35,13 +35,13 @@ def finish(console: Console, verb: str, outcome: Outcome) -> NoReturn:
         if rows:
             print_table(("NAME", "ANSWER", "TEXT"), sorted(rows))
         click.echo(outcome.line)
-    fault = mistake(outcome)
+    fault = usage_fault(outcome)
     if fault:
         raise click.UsageError(fault)
     click.get_current_context().exit(outcome.exit_code)
 
 
-def mistake(outcome: Outcome) -> str:
+def usage_fault(outcome: Outcome) -> str:
     """What the operator got wrong, if that is why all robots refused; else empty.
 
     Only the robots know which patterns they have and what those can be told; all the same a word
@@ -63,7 +63,7 @@ def plain(outcome: Outcome) -> dict[str, Any]:
         "failed": list(outcome.failed),
         "missing": list(outcome.missing),
         "line": outcome.line,
-        "exit_code": USAGE if mistake(outcome) else outcome.exit_code,
+        "exit_code": USAGE if usage_fault(outcome) else outcome.exit_code,
         "seconds": round(outcome.seconds, 4),
         "replies": {
             name: {"code": reply.code.value, "text": reply.text}

@@ -8,10 +8,10 @@ from collections.abc import Iterable
 import click
 
 from swarmd.cli.arguments import read_targets, target_options
-from swarmd.cli.options import Console, common
+from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import warn
-from swarmd.cli.report import finish
-from swarmd.cli.send import ask, choose, meet
+from swarmd.cli.report import report_outcome
+from swarmd.cli.send import expected_of, known_members, send
 from swarmd.core.messages import Latch, Member
 
 
@@ -19,9 +19,9 @@ from swarmd.core.messages import Latch, Member
 @target_options
 @click.option("--reason", default="", help="Why it is safe again; shown by `describe`.")
 @click.option("-y", "--yes", is_flag=True, help="Do not ask back.")
-@common
+@common_options
 def reset(
-    console: Console,
+    options: CommonOptions,
     names: tuple[str, ...],
     is_all: bool,
     exclude: tuple[str, ...],
@@ -33,9 +33,9 @@ def reset(
     Only the emergency stops that are there now are cleared: one that comes meanwhile stays.
     """
     targets = read_targets("reset", names, is_all, exclude, needed=True)
-    with console.operator() as operator:
-        view = meet(operator)
-        expected = choose(view, targets)
+    with options.operator() as operator:
+        view = known_members(operator)
+        expected = expected_of(view, targets)
         latches = held_by(view.members[name] for name in expected.asked)
         for latch_id, latch in latches.items():
             text = f" ({latch.reason})" if latch.reason else ""
@@ -43,8 +43,8 @@ def reset(
         if not yes and sys.stdin.isatty() and not _confirmed(expected.asked):
             raise click.ClickException("nothing was sent")
         args = {"ids": sorted(latches), "reason": reason}
-        outcome = ask(operator, view, "reset", expected, args, console.timeout)
-    finish(console, "reset", outcome)
+        outcome = send(operator, view, "reset", expected, args, options.timeout)
+    report_outcome(options, "reset", outcome)
 
 
 def held_by(members: Iterable[Member]) -> dict[str, Latch]:

@@ -7,9 +7,9 @@ from typing import Any
 import click
 
 from swarmd.cli.arguments import Duration, read_assignments, read_targets, target_options
-from swarmd.cli.options import Console, common
-from swarmd.cli.report import finish
-from swarmd.cli.send import ask, choose, meet
+from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.report import report_outcome
+from swarmd.cli.send import expected_of, known_members, send
 from swarmd.core.keys import is_id
 
 
@@ -27,9 +27,9 @@ from swarmd.core.keys import is_id
     help="Finish when it holds: done, nearer:METRES, settled:REPORT:SECONDS, report:KEY=VALUE or"
     " timeout:SECONDS; given more than once, any of them.",
 )
-@common
+@common_options
 def run(
-    console: Console,
+    options: CommonOptions,
     pattern: str,
     names: tuple[str, ...],
     is_all: bool,
@@ -54,7 +54,7 @@ def run(
 
         parse_conditions(until)
         args["until"] = list(until)
-    with console.operator() as operator:
-        view = meet(operator)
-        outcome = ask(operator, view, "run", choose(view, targets), args, console.timeout)
-    finish(console, "run", outcome)
+    with options.operator() as operator:
+        view = known_members(operator)
+        outcome = send(operator, view, "run", expected_of(view, targets), args, options.timeout)
+    report_outcome(options, "run", outcome)

@@ -27,7 +27,7 @@ class Unreachable(click.ClickException):
     exit_code = UNREACHABLE
 
 
-def meet(operator: Operator) -> MembersView:
+def known_members(operator: Operator) -> MembersView:
     """Who is there; Unreachable, naming the swarms that can be seen, if nobody is."""
     view = operator.members()
     if not view.members:
@@ -46,7 +46,7 @@ def nobody(operator: Operator) -> Unreachable:
     return Unreachable(f"{text}, nor any other swarm {where}; start swarmd, or see --profile")
 
 
-def choose(view: MembersView, targets: Targets) -> Expected:
+def expected_of(view: MembersView, targets: Targets) -> Expected:
     """Whom a request to `targets` is for; NoTarget if that is nobody."""
     selected = targets.select(view.members.keys() | view.roster)
     expected = expected_to_run(view.members, view.roster, selected)
@@ -56,7 +56,7 @@ def choose(view: MembersView, targets: Targets) -> Expected:
     return expected
 
 
-def ask(
+def send(
     operator: Operator,
     view: MembersView,
     verb: str,
@@ -75,7 +75,7 @@ def ask(
     )
 
 
-def halt(
+def send_stop(
     operator: Operator,
     verb: Literal["stop", "estop"],
     targets: Targets,
@@ -90,7 +90,7 @@ def halt(
     outcome = operator.halt(verb, select=select, args=dict(args), timeout=timeout or HALTING)
     if outcome.targeted and set(targets.unseen) <= {*outcome.replies, *outcome.missing}:
         return outcome
-    view = meet(operator)
+    view = known_members(operator)
     if not outcome.targeted:
         targets.select(view.members.keys() | view.roster)
         raise NoTarget(f"no robot is there to be stopped: {NOBODY}")

@@ -5,28 +5,30 @@ from __future__ import annotations
 import click
 
 from swarmd.cli.arguments import read_targets, target_options
-from swarmd.cli.options import Console, common
-from swarmd.cli.report import finish
-from swarmd.cli.send import halt
+from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.report import report_outcome
+from swarmd.cli.send import send_stop
 
 
 @click.command()
 @target_options
-@common
-def stop(console: Console, names: tuple[str, ...], is_all: bool, exclude: tuple[str, ...]) -> None:
+@common_options
+def stop(
+    options: CommonOptions, names: tuple[str, ...], is_all: bool, exclude: tuple[str, ...]
+) -> None:
     """Stop robots; without names all of them. They need a `run` to move again."""
     targets = read_targets("stop", names, is_all, exclude, needed=False)
-    with console.operator() as operator:
-        outcome = halt(operator, "stop", targets, {}, console.timeout)
-    finish(console, "stop", outcome)
+    with options.operator() as operator:
+        outcome = send_stop(operator, "stop", targets, {}, options.timeout)
+    report_outcome(options, "stop", outcome)
 
 
 @click.command()
 @target_options
 @click.option("--reason", default="", help="Kept with the latch, and shown by `describe`.")
-@common
+@common_options
 def estop(
-    console: Console,
+    options: CommonOptions,
     names: tuple[str, ...],
     is_all: bool,
     exclude: tuple[str, ...],
@@ -39,6 +41,6 @@ def estop(
     targets = read_targets("estop", names, is_all, exclude, needed=False)
     # A stop of everyone is taken over by robots that join or return; one of some is not.
     args = {"scope": "swarm" if targets.is_everyone else "robots", "reason": reason}
-    with console.operator() as operator:
-        outcome = halt(operator, "estop", targets, args, console.timeout)
-    finish(console, "estop", outcome)
+    with options.operator() as operator:
+        outcome = send_stop(operator, "estop", targets, args, options.timeout)
+    report_outcome(options, "estop", outcome)

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.cli import cli, run_cli
 from swarmd.cli.inspect import LEAVES, PRINTS, Point, check_file, describe_patterns
+from swarmd.cli.swarmctl import cli, run_cli
 from swarmd.core.errors import PluginError, SwarmError
 from swarmd.pattern_host.inspect_plugin import LOADING, MIRRORED
 from swarmd.plugins import pattern_names

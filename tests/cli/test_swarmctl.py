@@ -11,14 +11,14 @@ from pathlib import Path
 import click
 import pytest
 
-from swarmd.cli import VERBS, run_cli
 from swarmd.cli.inspect import describe_patterns
+from swarmd.cli.swarmctl import VERBS, run_cli
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from tests.support.processes import unique_swarm
 
 LOADED = """
 import json, sys
-from swarmd.cli import main
+from swarmd.cli.swarmctl import main
 try:
     main(sys.argv[1:])
 finally:
@@ -41,7 +41,7 @@ MANY = [word for i in range(150) for word in ("-p", f"k{i}={'x' * 250}")]
 
 def swarmctl(*args: str | bytes, cwd: Path, **environ: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-c", "from swarmd.cli import main; main()", *args],
+        [sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()", *args],
         capture_output=True,
         text=True,
         cwd=cwd,
@@ -269,14 +269,14 @@ def test_every_error_is_one_line_with_its_code(
     def fail() -> None:
         raise error
 
-    from swarmd.cli import exit_code_of
+    from swarmd.cli.swarmctl import exit_code_of
 
     assert run_cli(fail, [], "swarmctl", exit_code_of) == code
     assert capsys.readouterr().err.count("\n") <= 2
 
 
 def test_a_reader_that_has_seen_enough_is_no_traceback(tmp_path: Path) -> None:
-    command = [sys.executable, "-c", "from swarmd.cli import main; main()", "--help"]
+    command = [sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()", "--help"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
         assert process.stderr is not None

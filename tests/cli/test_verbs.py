@@ -57,7 +57,7 @@ class Swarm:
     def ctl(self, *args: str) -> subprocess.CompletedProcess[str]:
         """A swarmctl command; its standard input is no terminal."""
         return subprocess.run(
-            [sys.executable, "-c", "from swarmd.cli import main; main()", *args],
+            [sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()", *args],
             capture_output=True,
             text=True,
             stdin=subprocess.DEVNULL,
@@ -274,7 +274,7 @@ def in_terminal(swarm: Swarm, act: Callable[[int, int], None], *args: str) -> tu
     pid, terminal = pty.fork()
     if pid == 0:
         os.chdir(swarm.home)
-        command = [sys.executable, "-c", "from swarmd.cli import main; main()", *args]
+        command = [sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()", *args]
         os.execve(sys.executable, command, swarm.environment)
     screen = b""
     try:

@@ -37,7 +37,7 @@ def test_the_page_shows_some() -> None:
 
 
 def ctl(*args: str) -> subprocess.CompletedProcess[str]:
-    code = "from swarmd.cli import main; main()"
+    code = "from swarmd.cli.swarmctl import main; main()"
     command = [sys.executable, "-c", code, *args]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 

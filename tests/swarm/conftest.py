@@ -27,7 +27,7 @@ from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
 
-SWARMCTL = (sys.executable, "-c", "from swarmd.cli import main; main()")
+SWARMCTL = (sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()")
 
 T = TypeVar("T", bound=msgspec.Struct)
 

@@ -10,7 +10,7 @@ import json
 import sys
 from pathlib import Path
 
-from swarmd.cli.options import Console
+from swarmd.cli.options import CommonOptions
 from swarmd.core.messages import Epoch
 from swarmd.network.operator import Operator
 
@@ -23,7 +23,7 @@ def run(operator: Operator, epochs: dict[str, Epoch | None]) -> dict[str, list[s
 
 def main() -> None:
     epochs: dict[str, Epoch | None] = {}
-    with Console(config=Path(sys.argv[1])).operator() as operator:
+    with CommonOptions(config=Path(sys.argv[1])).operator() as operator:
         for line in sys.stdin:
             answer: object
             if line.strip() == "look":

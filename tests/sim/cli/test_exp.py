@@ -15,7 +15,7 @@ from typing import Any
 
 import pytest
 
-from swarmd.cli import cli, exit_code_of, run_cli
+from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.errors import ConfigError
 from swarmd.sim.cli.exp import new_folder
 from tests.support.processes import children, wait_until
@@ -75,7 +75,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 @pytest.mark.parametrize("args", [["exp", "--help"], ["exp", "run", "--help"]])
 def test_help_loads_nothing_heavy(args: list[str]) -> None:
     code = (
-        "import sys\nfrom swarmd.cli import cli\n"
+        "import sys\nfrom swarmd.cli.swarmctl import cli\n"
         f"cli.main({args}, standalone_mode=False)\nprint(*sys.modules, file=sys.stderr)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

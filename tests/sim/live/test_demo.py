@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.cli import cli, exit_code_of, run_cli
+from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.errors import SwarmError
 from swarmd.sim.cli.demo import new_folder, report
 from swarmd.sim.live.summary import Numbers, Summary

@@ -1,0 +1,182 @@
+"""`swarmctl`: the operator's command line, one file a verb.
+
+A verb is imported when it is used. Verbs of plugins are looked for only if the core has none of
+that name, and for `--help`: reading the metadata of installed packages takes 40 ms and more.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from importlib import import_module
+from typing import Any, NoReturn, cast
+
+import click
+
+from swarmd.cli.options import root_options
+from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError, unknown
+
+# Verb -> where it is, and the line for --help, which is to import none of them.
+VERBS = {
+    "members": ("swarmd.cli.members:members", "Who is in the swarm, and how they are."),
+    "describe": ("swarmd.cli.describe:describe", "All about one robot, and why it stands."),
+    "patterns": ("swarmd.cli.patterns:patterns", "The patterns there are, and their parameters."),
+    "mission": ("swarmd.cli.mission:mission", "Check missions before robots run them."),
+    "run": ("swarmd.cli.run:run", "Start a pattern on robots."),
+    "stop": ("swarmd.cli.stop:stop", "Stop robots; without names all of them."),
+    "estop": ("swarmd.cli.stop:estop", "Emergency stop, latched; without names all robots."),
+    "reset": ("swarmd.cli.reset:reset", "Clear emergency stops and faults; moves nothing."),
+    "param": ("swarmd.cli.param:param", "Get or set parameters of running patterns."),
+    "plugin": ("swarmd.cli.plugin:plugin", "Write, check and reload patterns of your own."),
+}
+_EXIT_CODES = """\b
+Exit codes:
+  0  all robots that were meant have applied it
+  1  failed
+  2  usage, or no such pattern or parameter: nothing moved
+  3  partial: some applied it, some did not
+  4  no robot was meant
+  5  nobody answered in time
+  6  no daemon could be reached
+  7  refused
+  130  interrupted"""
+
+
+class Verbs(click.Group):
+    """Finds verbs by name: the core's own first, then those of plugins."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """All verbs; reads the metadata of installed packages."""
+        from swarmd import plugins
+
+        return [*VERBS, *(name for name in plugins.command_names() if name not in VERBS)]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The verb of that name, imported now; None if there is none."""
+        if cmd_name in VERBS:
+            module, _, attribute = VERBS[cmd_name][0].partition(":")
+            return cast(click.Command, getattr(import_module(module), attribute))
+        from swarmd import plugins
+
+        if cmd_name not in plugins.command_names():
+            return None
+        try:
+            return plugins.load_command(cmd_name)
+        except PluginError as error:
+            raise click.ClickException(str(error)) from error
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the verb; a plugin's that lacks a library says what installs it."""
+        try:
+            return super().invoke(ctx)
+        except ModuleNotFoundError as error:
+            verb, missing = ctx.invoked_subcommand, error.name
+            if verb is None or verb in VERBS or not missing or missing.startswith("swarmd"):
+                raise
+            from swarmd import plugins
+
+            raise click.ClickException(plugins.how_to_install(missing, verb)) from error
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The verb; UsageError names the nearest one there is."""
+        name = args[0]
+        if not name.startswith("-") and self.get_command(ctx, name) is None:
+            ctx.fail(unknown("verb", name, self.list_commands(ctx)))
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The verbs with a line each, without importing them."""
+        from swarmd import plugins
+
+        rows = [(name, text) for name, (_, text) in VERBS.items()]
+        rows += [
+            (name, plugins.command_summary(point))
+            for name, point in plugins.command_names().items()
+            if name not in VERBS
+        ]
+        with formatter.section("Verbs"):
+            formatter.write_dl(rows)
+
+
+def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> None:
+    if value:
+        from importlib.metadata import version
+
+        click.echo(f"swarmctl {version('swarmd')}")
+        ctx.exit()
+
+
+@click.group(
+    cls=Verbs, epilog=_EXIT_CODES, context_settings={"help_option_names": ["-h", "--help"]}
+)
+@click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_print_version,
+    help="Show the version and exit.",
+)
+@root_options
+def cli() -> None:
+    """Work a swarm of robots from any machine that its network reaches.
+
+    Targets are robot names, globs such as 'tb3-*' (quoted), or --all, less --exclude GLOB.
+    """
+
+
+def main(args: list[str] | None = None) -> NoReturn:
+    """Run swarmctl and exit with its code; every error is one line on stderr."""
+    sys.exit(run_cli(cli, args, "swarmctl", exit_code_of))
+
+
+def run_cli(
+    command: click.Command,
+    args: list[str] | None,
+    name: str,
+    code_of: Callable[[SwarmError], int],
+) -> int:
+    """The exit code of a command, its errors told on stderr."""
+    try:
+        return int(command.main(args, prog_name=name, standalone_mode=False) or 0)
+    except click.Abort:
+        click.echo("interrupted", err=True)
+        return 130
+    except click.exceptions.NoArgsIsHelpError as error:
+        click.echo(error.format_message(), err=True)
+        return error.exit_code
+    except click.UsageError as error:
+        where = error.ctx.command_path if error.ctx is not None else name
+        return _fail(f"{error.format_message()} (see {where} --help)", error.exit_code)
+    except click.ClickException as error:
+        return _fail(error.format_message(), error.exit_code)
+    except SwarmError as error:
+        return _fail(str(error), code_of(error))
+    except BrokenPipeError:  # the reader, such as `head`, has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:  # such as a full disk
+        import logging
+
+        logging.getLogger(__name__).debug("where it was raised", exc_info=True)
+        return _fail(_of_system(error), 1)
+
+
+def exit_code_of(error: SwarmError) -> int:
+    """2 for what the user can correct in words or files, 6 for an unreachable swarm, else 1."""
+    if isinstance(error, ConfigError | PluginError):
+        return 2
+    return 6 if isinstance(error, NetworkError) else 1
+
+
+def _of_system(error: OSError) -> str:
+    why = error.strerror or str(error) or type(error).__name__
+    return f"{error.filename}: {why}" if error.filename is not None else why
+
+
+def _fail(text: str, code: int) -> int:
+    click.echo(f"error: {' '.join(text.split())}", err=True)
+    return code
