@@ -1,1 +1,1 @@
-"""The rays of a scan: made to mean the same from every driver, and what they show."""
+"""Scans: conditioning of the rays of every driver, and features of conditioned scans."""

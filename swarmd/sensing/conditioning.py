@@ -1,7 +1,7 @@
-"""Conditioning: one function makes every driver's scan mean the same thing.
+"""Conditioning: gives the scans of every driver one meaning, or rejects them.
 
-Afterwards a range is a distance within [range_min, range_max], +inf (nothing seen) or -inf (too
-close to measure); no ray is unknown any more.
+A conditioned range is a distance within [range_min, range_max], +inf (no return) or -inf (too close
+to measure). No ray is unknown.
 """
 
 from __future__ import annotations
@@ -17,35 +17,37 @@ from swarmd.core.angles import wrap
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Odometry, Scan, ScanSpec
 
-FROZEN_AFTER = 3  # times that a noisy sensor repeats itself
-RING = 4  # sweeps that it may repeat: drivers give what is in their buffers
-TELLING = 8  # returns that a noisy sensor does not give twice, even of a scene that stands
-RESTARTED_AFTER = 3  # sweeps in order: then one that counts from below has been started anew
-DARK = 0.1  # of the rays: so many returns well within its range do not vanish from one sweep on
-MOVES_LINEAR = 0.02
-MOVES_ANGULAR = 0.05
-NEAR_MARGIN = 0.10  # an LDS ray that was this close to range_min may vanish into a zero
-NEAR_SECTOR = math.radians(3.0)
-NEAR_MEMORY = 1.0
-PACKET = 6  # rays that an LDS loses together
+MAX_REPEATS = 3  # repeats of a noisy sensor after which its scan counts as frozen
+COMPARED_SCANS = (
+    4  # last scans that a repeat is compared with: a driver may resend any of its buffers
+)
+MIN_DISTINCT_RETURNS = 8  # a noisy sensor never gives this many equal returns twice
+RESTART_SCANS = 3  # scans in order after which a lower sequence or stamp counts as a restart
+BLIND_SHARE = 0.1  # of the rays: this many far returns do not vanish from one scan to the next
+MOVES_LINEAR = 0.02  # m/s above which the robot counts as moving
+MOVES_ANGULAR = 0.05  # rad/s
+NEAR_MARGIN = 0.10  # m above range_min: an LDS ray this near may turn into a zero
+NEAR_SECTOR = math.radians(3.0)  # beside a near ray in which zeros may mean near
+NEAR_MEMORY = 1.0  # s for which a near ray explains zeros
+PACKET_RAYS = 6  # rays that an LDS loses together
 
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 
 @dataclass(slots=True)
-class _Memory:
-    """Per direction: the last known range, when it was known, and when it was last near."""
+class _RayMemory:
+    """Per ray: the last known range, when it was known, and when it was last near."""
 
     bearings: Array
     ranges: Array
     known_at: Array
     near_at: Array
 
-    def at(self, bearings: Array, turned: float) -> _Memory:
-        """The memory seen along other bearings by a sensor that has `turned` by that many rad.
+    def at(self, bearings: Array, turned: float) -> _RayMemory:
+        """The memory at other bearings, after the sensor has `turned` by that many rad.
 
-        Each is that of the nearest remembered ray.
+        Each ray takes the memory of the nearest remembered ray.
         """
         if not turned and (bearings is self.bearings or np.array_equal(bearings, self.bearings)):
             return self
@@ -63,42 +65,42 @@ class _Memory:
         too_far = np.minimum(off_left, off_right) > 2.0 * turn / len(order)
         known_at = np.where(too_far, -np.inf, self.known_at[nearest])
         near_at = np.where(too_far, -np.inf, self.near_at[nearest])
-        return _Memory(bearings, self.ranges[nearest], known_at, near_at)
+        return _RayMemory(bearings, self.ranges[nearest], known_at, near_at)
 
 
-def _blank(bearings: Array) -> _Memory:
+def _blank(bearings: Array) -> _RayMemory:
     n = len(bearings)
     never = np.full(n, -np.inf)
-    return _Memory(bearings, np.full(n, np.nan), never, never.copy())
+    return _RayMemory(bearings, np.full(n, np.nan), never, never.copy())
 
 
 class ScanConditioner:
-    """Conditions the scans of one sensor, remembering each ray for a moment.
+    """Conditions the scans of one sensor; fills unknown rays from a short memory of each ray.
 
-    What it remembers stays where it was as the sensor turns, as far as odometry tells.
+    The memory turns against the sensor, as far as odometry is available.
 
-    `take` returns the conditioned scan, or the reason why this one is none: INVALID_SCAN (lengths
-    differ, no rays, fewer than half known, a sector wider than `max_gap` unknown or, unless the
-    sensor never has any there, without rays; nothing seen any more where much was in the sweep
-    before) or FROZEN_SCAN (stamp or sequence does not rise; bit-identical scans of a noisy sensor).
+    `take` returns the conditioned scan or the reason to reject it. INVALID_SCAN: lengths differ, no
+    rays, fewer than half of the rays known, an unknown sector wider than `max_gap`, such a sector
+    without rays (unless the sensor never has rays there), or no return at all after a scan with
+    many far returns. FROZEN_SCAN: stamp or sequence does not rise, or a noisy sensor sends
+    bit-identical scans.
 
-    `known_at` is the time in s as of which the last scan it gave can be relied on: that of its
-    arrival, unless a sector wider than `max_gap` is remembered in it from earlier, or it only
-    repeats one that came before.
+    `known_at` is the time in s to which the last returned scan is valid: its arrival, unless a
+    sector wider than `max_gap` comes from the memory, or the scan repeats an earlier one.
     """
 
     def __init__(self, spec: ScanSpec, *, guesses_near: bool = True) -> None:
-        """`guesses_near`: zeros of an LDS beside what was near are taken for too close."""
+        """`guesses_near`: a zero of an LDS beside a near ray counts as too close."""
         self.known_at = -math.inf
         self._spec, self._guesses_near = spec, guesses_near
-        self._most = max(spec.max_gap, _widest_between(spec.bearings)) + 1e-9
+        self._max_sector = max(spec.max_gap, _widest_between_rays(spec.bearings)) + 1e-9
         self._memory = _blank(np.empty(0))
         self._last: Scan | None = None
         self._newest = (-math.inf, -math.inf)  # sequence and stamp
         self._in_order = 0
-        self._recent: deque[bytes] = deque(maxlen=RING)
+        self._recent: deque[bytes] = deque(maxlen=COMPARED_SCANS)
         self._identical = 0
-        self._far = 0  # returns well within its range, when it last saw anything
+        self._far_returns = 0  # far returns in the last scan that had any return
         self._yaw = math.nan
 
     def take(self, scan: Scan, odometry: Odometry | None, now: float) -> Scan | Reason:
@@ -108,18 +110,18 @@ class ScanConditioner:
         if scan.ranges.shape != scan.bearings.shape:
             return Reason.INVALID_SCAN
         is_known = scan.bearings is self._memory.bearings
-        if not is_known and not self._looks_around(scan.bearings):
+        if not is_known and not self._covers_sectors(scan.bearings):
             return Reason.INVALID_SCAN
-        if not self._follows(scan):
+        if not self._is_newer(scan):
             return Reason.FROZEN_SCAN
         if self._repeats(scan, odometry):
-            now = self.known_at  # it tells nothing new
-            if self._identical >= FROZEN_AFTER:
+            now = self.known_at  # a repeat holds nothing new
+            if self._identical >= MAX_REPEATS:
                 return Reason.FROZEN_SCAN
-        if self._goes_dark(scan.ranges):
+        if self._goes_blind(scan.ranges):
             return Reason.INVALID_SCAN
         memory = self._memory.at(scan.bearings, self._turned(odometry))
-        ranges = self._meanings(scan.ranges, memory, now)
+        ranges = self._interpreted(scan.ranges, memory, now)
         unknown = np.isnan(ranges)
         count = int(np.count_nonzero(unknown))
         self._remember(scan, ranges, unknown if count else None, memory, now)
@@ -135,11 +137,11 @@ class ScanConditioner:
                 if np.isnan(ranges).any():
                     return Reason.INVALID_SCAN
         spec = self._spec
-        ranges.flags.writeable = False  # it is remembered, and an inline pattern shares it
+        ranges.flags.writeable = False  # the memory and an inline pattern share it
         return Scan(scan.seq, scan.stamp, ranges, scan.bearings, spec.range_min, spec.range_max)
 
     def _turned(self, odometry: Odometry | None) -> float:
-        """How far the sensor has turned since the memory was; in whole rays, the rest is kept."""
+        """The turn of the sensor since the last call, in whole rays; the remainder is kept."""
         yaw = math.nan if odometry is None else odometry.pose.yaw
         turned = wrap(yaw - self._yaw)
         if not math.isfinite(turned):
@@ -150,25 +152,27 @@ class ScanConditioner:
         self._yaw += turned
         return turned
 
-    def _looks_around(self, bearings: Array) -> bool:
-        """Whether rays go wherever this sensor has any: where none goes nothing would be seen."""
-        return bool(np.isfinite(bearings).all()) and _widest_between(bearings) <= self._most
+    def _covers_sectors(self, bearings: Array) -> bool:
+        """True if the rays cover every sector that this sensor covers."""
+        return (
+            bool(np.isfinite(bearings).all()) and _widest_between_rays(bearings) <= self._max_sector
+        )
 
-    def _follows(self, scan: Scan) -> bool:
-        """Whether it was taken after all others; of a sensor that starts anew, after a few."""
+    def _is_newer(self, scan: Scan) -> bool:
+        """True if the scan is newer than all others, or in order after a restart of the sensor."""
         last, self._last = self._last, scan
         if not (scan.seq > self._newest[0] and scan.stamp > self._newest[1]):
             is_next = last is not None and scan.seq > last.seq and scan.stamp > last.stamp
             self._in_order = self._in_order + 1 if is_next else 0
-            if self._in_order < RESTARTED_AFTER:
+            if self._in_order < RESTART_SCANS:
                 return False
         self._in_order, self._newest = 0, (scan.seq, scan.stamp)
         return True
 
     def _repeats(self, scan: Scan, odometry: Odometry | None) -> bool:
-        """Whether the same comes again of a noisy sensor, which cannot be.
+        """True if a noisy sensor sends the same ranges again.
 
-        Where it sees next to nothing it can, unless it moves.
+        With hardly any return a repeat is possible, unless the robot moves.
         """
         if not self._spec.is_noisy:
             return False
@@ -179,28 +183,28 @@ class ScanConditioner:
             return False
         returns = int(np.count_nonzero(np.isfinite(scan.ranges) & (scan.ranges != 0.0)))
         is_moving = odometry is not None and _moves(odometry)
-        repeats = returns >= (1 if is_moving else TELLING)
+        repeats = returns >= (1 if is_moving else MIN_DISTINCT_RETURNS)
         self._identical += repeats
         return repeats
 
-    def _goes_dark(self, raw: Array) -> bool:
-        """Whether it sees nothing since a sweep in which it saw much that was not near.
+    def _goes_blind(self, raw: Array) -> bool:
+        """True if the scan has no return although the last one with returns had many far ones.
 
-        That is a sensor that is blind, not an open field. What comes nearer than it can see may
-        hide all the rest, but then that was near before.
+        Then the sensor is blind; the robot has not reached an open field. An obstacle in the blind
+        zone may hide everything else, but then its returns were near before.
         """
         spec = self._spec
         if ((raw > 0.0) & (raw <= spec.range_max) | (raw == -np.inf)).any():
             is_far = (raw > spec.range_min + NEAR_MARGIN) & (raw < 0.8 * spec.range_max)
-            self._far = int(np.count_nonzero(is_far))
+            self._far_returns = int(np.count_nonzero(is_far))
             return False
-        return self._far >= DARK * len(raw)
+        return self._far_returns >= BLIND_SHARE * len(raw)
 
-    def _known_at(self, scan: Scan, unknown: Mask, memory: _Memory, now: float) -> float:
-        """The latest time since when no sector wider than `max_gap` has gone unseen.
+    def _known_at(self, scan: Scan, unknown: Mask, memory: _RayMemory, now: float) -> float:
+        """The latest time from which on no sector wider than `max_gap` is unknown.
 
-        A zero that an LDS gives counts as seen: it may be a drop-out, and once it has lasted for
-        `stale_after` it means that nothing is there.
+        A zero of an LDS counts as known: it may be a drop-out, and after `stale_after` it stands
+        for no return.
         """
         is_lost = unknown & (scan.ranges != 0.0) if self._spec.zero == "lds" else unknown
         most = self._spec.max_gap + 1e-9
@@ -211,24 +215,24 @@ class ScanConditioner:
                 return float(time)
         return -math.inf
 
-    def _meanings(self, raw: Array, memory: _Memory, now: float) -> Array:
-        """+inf, -inf, NaN or a distance within the sensor's range, for each ray."""
+    def _interpreted(self, raw: Array, memory: _RayMemory, now: float) -> Array:
+        """Each ray as +inf, -inf, NaN (unknown) or a distance within the sensor's range."""
         spec = self._spec
         ranges = np.array(raw, dtype=np.float64)
         odd = np.flatnonzero(~((raw >= spec.range_min) & (raw <= spec.range_max)))
         if not len(odd):
             return ranges
-        said = ranges[odd]
-        means = np.where(said > spec.range_max, np.inf, np.nan)
-        means[(said > 0.0) & (said < spec.range_min) | (said == -np.inf)] = -np.inf
-        is_zero = said == 0.0
+        values = ranges[odd]
+        meanings = np.where(values > spec.range_max, np.inf, np.nan)
+        meanings[(values > 0.0) & (values < spec.range_min) | (values == -np.inf)] = -np.inf
+        is_zero = values == 0.0
         if is_zero.any():
-            means[is_zero] = self._zeros(odd[is_zero], memory, now)
-        ranges[odd] = means
+            meanings[is_zero] = self._interpreted_zeros(odd[is_zero], memory, now)
+        ranges[odd] = meanings
         return ranges
 
-    def _zeros(self, rays: Indices, memory: _Memory, now: float) -> Array:
-        """What a range of exactly 0 means, for each of `rays`."""
+    def _interpreted_zeros(self, rays: Indices, memory: _RayMemory, now: float) -> Array:
+        """The meaning of a range of exactly 0 for each of `rays`."""
         if self._spec.zero != "lds":
             meaning = {"too_close": -np.inf, "unknown": np.nan, "no_return": np.inf}
             return np.full(len(rays), meaning[self._spec.zero])
@@ -237,17 +241,17 @@ class ScanConditioner:
         was_near = _is_beside(memory.bearings[rays], memory.bearings[near])
         is_recent = memory.known_at[rays] >= now - self._spec.stale_after
         had_return = is_recent & np.isfinite(memory.ranges[rays])
-        # What is near hides more rays than a packet has; what was near in a lost one still is.
-        was_near &= ~(had_return & (_run_lengths(rays, len(memory.bearings)) <= PACKET))
+        # A short run over recent returns is a lost packet; a near obstacle hides more rays.
+        was_near &= ~(had_return & (_run_lengths(rays, len(memory.bearings)) <= PACKET_RAYS))
         return np.where(was_near, -np.inf, np.where(had_return, np.nan, np.inf))
 
     def _remember(
-        self, scan: Scan, ranges: Array, unknown: Mask | None, memory: _Memory, now: float
+        self, scan: Scan, ranges: Array, unknown: Mask | None, memory: _RayMemory, now: float
     ) -> None:
-        """Keep what is known; what is not (`unknown`, None: all is known) stays as it was.
+        """Store the known rays; `unknown` rays (None: all are known) keep their memory.
 
-        A zero does not renew what made it mean something near: else one passer-by would make an
-        open field too close, ray by ray and for good.
+        A zero does not count as a near ray. Otherwise one passing obstacle would turn an open field
+        into near returns, ray by ray and for good.
         """
         if unknown is None:
             kept, known_at = ranges, np.full(len(ranges), now)
@@ -257,7 +261,7 @@ class ScanConditioner:
         is_near = ranges < self._spec.range_min + NEAR_MARGIN  # false where unknown
         is_near &= scan.ranges != 0.0
         near_at = np.where(is_near, now, memory.near_at) if is_near.any() else memory.near_at
-        self._memory = _Memory(scan.bearings, kept, known_at, near_at)
+        self._memory = _RayMemory(scan.bearings, kept, known_at, near_at)
 
 
 def _moves(odometry: Odometry) -> bool:
@@ -270,7 +274,7 @@ def _moves(odometry: Odometry) -> bool:
 
 
 def _run_lengths(rays: Indices, n: int) -> Indices:
-    """(k,) how many of the rising `rays` (k,) of n around are side by side with each."""
+    """(k,) the length of the run of neighbours around each of the rising `rays` (k,) of n."""
     starts = np.flatnonzero(np.diff(rays, prepend=-2) > 1)
     lengths = np.diff(starts, append=len(rays))
     if len(starts) > 1 and rays[0] == 0 and rays[-1] == n - 1:
@@ -279,22 +283,22 @@ def _run_lengths(rays: Indices, n: int) -> Indices:
 
 
 def _is_beside(bearings: Array, near: Array) -> Mask:
-    """True for each of the bearings (k,) that is within NEAR_SECTOR of one of `near` (m,)."""
+    """True for each of the bearings (k,) within NEAR_SECTOR of one of `near` (m,)."""
     if not len(near):
         return np.zeros(len(bearings), dtype=np.bool_)
     off = np.abs((bearings[:, None] - near + math.pi) % (2.0 * math.pi) - math.pi)
     return np.asarray(off.min(axis=1) <= NEAR_SECTOR + 1e-9)
 
 
-def _widest_between(bearings: Array) -> float:
-    """The widest sector in rad between two rays side by side; a full turn with a single one."""
+def _widest_between_rays(bearings: Array) -> float:
+    """The widest angle in rad between neighbouring rays; a full turn for a single ray."""
     turn = 2.0 * math.pi
     rising = np.sort(bearings % turn)
     return float(np.diff(rising, append=rising[0] + turn).max())
 
 
 def _widest(unknown: Mask, bearings: Array) -> float:
-    """The widest unknown sector in rad, from known ray to known ray; 0 without one."""
+    """The widest unknown sector in rad, between known rays; 0 without unknown rays."""
     known = np.flatnonzero(~unknown)
     if not len(known):
         return math.inf
@@ -305,11 +309,11 @@ def _widest(unknown: Mask, bearings: Array) -> float:
     direction = math.copysign(1.0, math.remainder(bearings[-1] - bearings[-2], turn))
     ends = bearings[known[(before + 1) % len(known)]]
     back = (direction * (bearings[known[before]] - ends)) % turn
-    return float((turn - back).max())  # a full turn, not none, where a single ray is known
+    return float((turn - back).max())  # a full turn where a single ray is known
 
 
 def _bridge(ranges: Array, bearings: Array, max_gap: float) -> Array:
-    """Unknown sectors up to `max_gap` rad filled with the nearer of their edges."""
+    """The ranges with unknown sectors up to `max_gap` rad filled with the nearer edge."""
     unknown = np.isnan(ranges)
     if not unknown.any() or unknown.all():
         return ranges

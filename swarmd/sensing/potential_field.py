@@ -1,4 +1,4 @@
-"""Potential fields over the rays of a scan, as the ROS2swarm paper has them, vectorised.
+"""The potential fields of the ROS2swarm paper over the rays of a scan, vectorised.
 
 Source: Kaiser et al., "ROS2swarm - A ROS 2 Package for Swarm Robot Behaviors", ICRA 2022,
 doi 10.1109/ICRA46639.2022.9812417. Our deviation, off with `ignore_near=True`: a ray nearer than
@@ -15,12 +15,12 @@ import numpy as np
 
 from swarmd.core.values import ZERO, Array, Twist
 
-# repulsion: away from near rays; attraction: towards rays, far ones matter more;
-# attraction2: towards rays, near ones matter more. The paper's bias is forward, backward with
-# its negative value, and backward, in that order.
+# repulsion: away from near rays; attraction: towards rays, far rays weigh more; attraction2:
+# towards rays, near rays weigh more. The paper's bias points forward, backward (as a negative
+# value) and backward, in this order.
 FieldKind: TypeAlias = Literal["repulsion", "attraction", "attraction2"]
 
-# Shorter sums are rounding noise of rays that cancel: their direction means nothing.
+# A shorter sum is rounding noise of rays that cancel out; its direction is meaningless.
 _NO_DIRECTION = 1e-9
 
 
@@ -28,8 +28,8 @@ _NO_DIRECTION = 1e-9
 class FieldResult:
     """The sum over all rays. `vector` (2,): x forward, y left, no unit, bias included.
 
-    `count` is the number of rays that see something within range; `is_alone` is true if they
-    are no more than the ray threshold.
+    `count` is the number of returns within range; `is_alone` is true if it does not exceed the ray
+    threshold.
     """
 
     vector: Array
@@ -48,10 +48,10 @@ def potential_field(
     kind: FieldKind = "repulsion",
     ignore_near: bool = False,
 ) -> FieldResult:
-    """The field's vector, the number of rays within range, and whether those are too few.
+    """The vector of the field, the number of returns within range, and whether they are too few.
 
     `ranges` (n,) m and `bearings` (n,) rad. NaN never counts, +inf is out of range, -inf is near.
-    `range_min` must be below `range_max`, which then is the reach of the field in m; a ray weighs
+    `range_max` is the reach of the field in m and must exceed `range_min`; a ray weighs
     1 - r / range_max, or r / range_max for "attraction". `bias` is added along x (subtracted for
     "attraction2"). With a `range_max` of 0 nothing is within range.
     """
@@ -76,10 +76,10 @@ def potential_field(
 
 
 def field_twist(vector: Array, linear_max: float, angular_max: float) -> Twist:
-    """The paper's command along a field: full speed, only its direction varies.
+    """The command of the paper for a field: full speed, only the direction varies.
 
     With the unit vector u: linear = linear_max * u_x, angular = angular_max * asin(u_y); so
-    |angular| reaches 1.57 * angular_max (the arbiter clips), and a target behind means reverse.
+    |angular| reaches 1.57 * angular_max (the arbiter clips it), and a vector backward reverses.
     A zero or non-finite vector gives a zero twist.
     """
     x, y = float(vector[0]), float(vector[1])

@@ -1,8 +1,8 @@
-"""What the rays of a scan show: the nearest return, sectors, free gaps, objects.
+"""Features of a scan: the nearest return, sectors, free gaps, objects.
 
-Rays may come in any order, number and spacing. Everywhere: NaN is unknown and left out, +inf is
-nothing seen, and what is nearer than `range_min` (or -inf) counts as being at `range_min`. A scan
-of None, as before the first one, shows nothing. Bearings are returned within [-pi, pi).
+Rays may come in any order, number and spacing. NaN is unknown and left out, +inf is no return, and
+a range below `range_min` (or -inf) counts as `range_min`. A scan of None, as before the first scan,
+has no returns. Returned bearings are within [-pi, pi).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ T = TypeVar("T", bound=np.generic)
 
 _EMPTY = np.empty(0)
 _TWO_PI = 2.0 * math.pi
-_UNSEEN = 1e9  # m: rays that see nothing are as far as each other, and form runs of their own
+_UNSEEN = 1e9  # m: the range given to rays without a return, so that they form runs
 
 
 class Ray(NamedTuple):
@@ -43,8 +43,8 @@ class RayClusters:
     """Objects as runs of neighbouring rays, one element of each array per object.
 
     `ranges` (k,) m to the nearest ray, `bearings` (k,) rad of the middle, `widths` (k,) m across
-    the visible part, `counts` (k,) rays, `is_free` (k,) true if nothing nearer hides a side of it,
-    so that it is seen whole.
+    the visible part, `counts` (k,) rays, `is_free` (k,) true if no nearer object hides
+    a side of it.
     """
 
     ranges: Array
@@ -59,7 +59,7 @@ class RayClusters:
 
 
 def nearest(scan: Scan | None, *, bearing: float = 0.0, half_width: float = math.pi) -> Ray | None:
-    """The nearest return within `half_width` rad of a bearing; None if nothing is seen there."""
+    """The nearest return within `half_width` rad of a bearing; None without one."""
     ranges, layout = _known(scan)
     bearings = _wrapped(layout)
     if half_width < math.pi:
@@ -74,7 +74,7 @@ def nearest(scan: Scan | None, *, bearing: float = 0.0, half_width: float = math
 
 
 def sectors(scan: Scan | None, count: int) -> Array:
-    """The nearest range in each of `count` equal sectors (count,); +inf where nothing is seen.
+    """The nearest range in each of `count` equal sectors (count,); +inf without a return.
 
     Sector 0 is centred ahead, the others follow counter-clockwise.
     """
@@ -85,7 +85,7 @@ def sectors(scan: Scan | None, count: int) -> Array:
 
 
 def closest_points(scan: Scan | None, *, within: float, count: int = 24) -> Array:
-    """Where surfaces come closest: (k, 2) of range in m and bearing in rad.
+    """The points where surfaces come closest: (k, 2) of range in m and bearing in rad.
 
     One point per robot, and one per straight wall (the foot of the perpendicular): the local
     minima, among `count` equal sectors, of the ranges up to `within` m.
@@ -112,9 +112,9 @@ def closest_points(scan: Scan | None, *, within: float, count: int = 24) -> Arra
 
 
 def gaps(scan: Scan | None, *, beyond: float) -> list[Gap]:
-    """The free sectors, widest first: runs of rays that see nothing up to `beyond` m.
+    """The free sectors, widest first: runs of rays without a return up to `beyond` m.
 
-    Unknown rays are not free. A scan that is free all round is one gap of 2 pi ahead.
+    Unknown rays are not free. A scan without any return is one gap of 2 pi ahead.
     """
     if scan is None or not len(scan.ranges):
         return []
@@ -173,7 +173,7 @@ def _is_last(
 def _objects(
     ranges: Array, bearings: Array, ends: NDArray[np.int64], spacing: float
 ) -> RayClusters:
-    """The runs that end at `ends`; runs of rays that see nothing are left out."""
+    """The runs that end at `ends`; runs of rays without a return are left out."""
     starts = np.concatenate(([0], ends[:-1] + 1))
     lowest = np.minimum.reduceat(ranges, starts)
     seen = (lowest < _UNSEEN).nonzero()[0]
@@ -185,7 +185,7 @@ def _objects(
     return RayClusters(
         ranges=lowest,
         bearings=_wrap(bearings.take(first) + 0.5 * spread),
-        # What surrounds the robot, as a room does, has near ends and is wide all the same.
+        # An object around the robot, like a room, is wide although its ends are near each other.
         widths=np.maximum(chord, spread * lowest) + lowest * min(spacing, math.pi),
         counts=last - first + 1,
         is_free=(ranges.take(first - 1, mode="wrap") > near)
@@ -194,7 +194,7 @@ def _objects(
 
 
 def _known(scan: Scan | None) -> tuple[Array, bytes]:
-    """Ranges that are known, near ones at range_min, and the bytes of their bearings."""
+    """The known ranges, at least range_min, and the bytes of their bearings."""
     if scan is None:
         return _EMPTY, b""
     ranges, bearings = scan.ranges, scan.bearings
@@ -204,16 +204,16 @@ def _known(scan: Scan | None) -> tuple[Array, bytes]:
     return np.maximum(ranges, scan.range_min), bearings.tobytes()
 
 
-# Most sensors send the same bearings with each scan: what follows from them is remembered.
+# Most sensors send the same bearings with each scan, so values derived from them are cached.
 @lru_cache(maxsize=4)
 def _wrapped(layout: bytes) -> Array:
-    """The bearings within [-pi, pi); not to be written to."""
+    """The bearings within [-pi, pi); read-only."""
     return _wrap(np.frombuffer(layout))
 
 
 @lru_cache(maxsize=4)
 def _in_order(layout: bytes) -> tuple[NDArray[np.int64], Array, Array, float]:
-    """The order of rising bearings, these, the steps to the next, and the usual step."""
+    """The order of rising bearings, these bearings, the steps to the next, the median step."""
     order = np.argsort(_wrapped(layout), kind="stable")
     bearings = _wrapped(layout)[order]
     steps = _rolled(bearings, 1) - bearings
@@ -224,7 +224,7 @@ def _in_order(layout: bytes) -> tuple[NDArray[np.int64], Array, Array, float]:
 
 @lru_cache(maxsize=4)
 def _surfaces(layout: bytes, grazing: float) -> tuple[Array, NDArray[np.bool_]]:
-    """How much a surface at `grazing` rad rises to the next ray, and which rays are too far apart.
+    """The slope of a surface at `grazing` rad to the next ray, and which rays are too far apart.
 
     Up to two rays may be unknown in the middle of an object.
     """

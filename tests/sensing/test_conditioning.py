@@ -11,7 +11,7 @@ from hypothesis.extra.numpy import arrays
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
-from swarmd.sensing.conditioning import PACKET, ScanConditioner
+from swarmd.sensing.conditioning import PACKET_RAYS, ScanConditioner
 
 BEARINGS = np.radians(np.arange(0.0, 360.0, 1.0))
 SPEC = ScanSpec(BEARINGS, 5.0, 0.12, 3.5, is_noisy=False)
@@ -66,7 +66,9 @@ def test_an_lds_zero_is_too_close_where_something_was_near_just_before() -> None
     assert got[110] == 2.0  # a drop-out: the ray had a return, so it keeps its last range
 
 
-@pytest.mark.parametrize(("width", "is_lost"), [(1, True), (PACKET, True), (PACKET + 1, False)])
+@pytest.mark.parametrize(
+    ("width", "is_lost"), [(1, True), (PACKET_RAYS, True), (PACKET_RAYS + 1, False)]
+)
 @pytest.mark.parametrize("first", [97, 357], ids=["anywhere", "across the first ray"])
 def test_a_packet_that_an_lds_loses_beside_what_is_near_is_not_something_nearer(
     first: int, width: int, is_lost: bool
