@@ -25,9 +25,8 @@ from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.experiments.statistics import median_interval, wilson
 from swarmd.sim.metrics import aggregation
-from swarmd.sim.plots.bands import draw_series
+from swarmd.sim.plots.bands import Series, draw_series
 from swarmd.sim.plots.select import typical_first
-from swarmd.sim.plots.spread import Series
 from swarmd.sim.plots.trajectories import draw_trajectories
 from swarmd.sim.trace import Trace
 

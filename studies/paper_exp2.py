@@ -21,8 +21,7 @@ from swarmd.core.values import Array
 from swarmd.settings.settings import load_platform
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
-from swarmd.sim.plots.bands import draw_series
-from swarmd.sim.plots.spread import Series
+from swarmd.sim.plots.bands import Series, draw_series
 from swarmd.sim.plots.trajectories import draw_trajectories
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena

@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from swarmd.core.errors import SwarmError
-from swarmd.sim.plots.spread import (
-    MANY_RUNS,
-    Bands,
-    Series,
-    bands_of,
-    is_yes_or_no,
-    shares_of,
-    smoothed,
-)
+from swarmd.core.values import Array
+from swarmd.sim.experiments.statistics import wilson
 from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+Series = tuple[Array, Array]
+"""Of one run: instants (T,) in s, increasing, and values (T,); NaN where there is none."""
+
+MAX_INSTANTS = 600
+MANY_RUNS = 20
+"""From so many runs on, 95 % of them are not simply all of them."""
+_ROUNDING = 1e-9
 _STYLES = ("-", "--", ":", "-.")
-_MOST_OUTER = 3  # variants up to which their wide bands can be told apart
-_MOST_INNER = 7
+_MAX_OUTER = 3  # variants up to which their wide bands can be told apart
+_MAX_INNER = 7
 _PALE = {"facecolor": "white", "alpha": 0.7, "pad": 1.0, "linewidth": 0.0}
 
 
@@ -41,12 +44,11 @@ def draw_series(
 ) -> None:
     """Write a picture of a metric over time: .png, .svg or .pdf, by its suffix.
 
-    `groups`: the runs of each variant. A line tells the median of its runs; a dark band holds
-    half of them, a pale one 95 % (all, if they are fewer than 20); with many variants there is
-    room for fewer bands. If all values are 0 or 1 the line is the share of the runs that are at
-    1, and its band the 95 % interval of that. `target` is a dashed line, `events` are s and word
-    of dotted ones. Before all else a running mean is taken of each run over `smoothing` s, which
-    the picture says. SwarmError if there is nothing to draw.
+    `groups`: the runs of each variant. A line is the median of its runs. A dark band holds half of
+    the runs, a pale band 95 % (all, if there are fewer than 20); with many variants there are
+    fewer bands. If all values are 0 or 1, the line is the share of runs at 1 and the band its
+    95 % interval. `target` is a dashed line, `events` are dotted lines at times in s, with a
+    label. `smoothing`: s over which each run is averaged first. SwarmError without values.
     """
     figure = series_figure(
         groups,
@@ -89,6 +91,8 @@ def series_figure(
     for time, word in events:
         _paint_event(axes, time, word)
     axes.margins(x=0.01)
+    if is_count([run for runs in kept.values() for run in runs]) and not is_share:
+        axes.locator_params(axis="y", integer=True)
     axes.set_xlabel("time [s]")
     axes.set_ylabel(f"{label}: share of runs" if is_share else f"{label} [{unit or '1'}]")
     axes.set_title(title, fontsize=11, loc="left")
@@ -118,24 +122,124 @@ def _paint_event(axes: Axes, time: float, word: str) -> None:
 def _paint_variant(axes: Axes, bands: Bands, index: int, variants: int, label: str) -> None:
     colour = VARIANT_COLOURS[index % len(VARIANT_COLOURS)]
     style = _STYLES[index // len(VARIANT_COLOURS) % len(_STYLES)]
-    if bands.outer is not None and variants <= _MOST_OUTER:
+    if bands.outer is not None and variants <= _MAX_OUTER:
         axes.fill_between(bands.t, *bands.outer, color=colour, alpha=0.14, linewidth=0.0)
-    if bands.inner is not None and variants <= _MOST_INNER:
+    if bands.inner is not None and variants <= _MAX_INNER:
         axes.fill_between(bands.t, *bands.inner, color=colour, alpha=0.24, linewidth=0.0)
     axes.plot(bands.t, bands.middle, color=colour, linestyle=style, linewidth=1.8, zorder=3.0,
               label=label)  # fmt: skip
 
 
 def _reading(groups: Mapping[str, Sequence[Series]], *, is_share: bool) -> str:
-    """What lines and bands mean here."""
+    """A text that explains lines and bands."""
     counts = [len(runs) for runs in groups.values()]
     own = f", n = {counts[0]}" if len(groups) == 1 and counts[0] > 1 else ""
     if max(counts) == 1:
         return "one run each" if len(groups) > 1 else "one run"
-    is_wide = len(groups) <= _MOST_OUTER
+    is_wide = len(groups) <= _MAX_OUTER
     if is_share:
         return f"share of the runs{', band: its 95 % interval' if is_wide else ''}{own}"
-    words = ["50 %"] if max(counts) > 2 and len(groups) <= _MOST_INNER else []
+    words = ["50 %"] if max(counts) > 2 and len(groups) <= _MAX_INNER else []
     words += [] if not is_wide else ["95 %"] if min(counts) >= MANY_RUNS else ["all"]
     bands = f", bands: {' and '.join(words)} of the runs" if words else ""
     return f"line: median{bands}{own}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bands:
+    """Statistics of runs over time, (T,) each; NaN where no run has a value.
+
+    `inner` and `outer` are lower and upper bounds around `middle`; None for too few runs.
+    """
+
+    t: Array
+    middle: Array
+    inner: tuple[Array, Array] | None
+    outer: tuple[Array, Array] | None
+
+
+def bands_of(runs: Sequence[Series]) -> Bands:
+    """The median, the band of half of the runs, and that of 95 % of them, or all below 20 runs.
+
+    Runs are interpolated onto common instants, counts held. A run has no value after its end, and
+    infinite values are left out.
+    """
+    t = _common_instants([instants for instants, _ in runs])
+    at = _held if is_count(runs) else _interpolated
+    rows = np.stack([at(t, *run) for run in runs])
+    ends = (0.025, 0.975) if len(runs) >= MANY_RUNS else (0.0, 1.0)
+    found = np.full((5, len(t)), np.nan)
+    is_known = np.isfinite(rows).any(axis=0)
+    if is_known.any():
+        shares = (ends[0], 0.25, 0.5, 0.75, ends[1])
+        found[:, is_known] = np.nanquantile(rows[:, is_known], shares, axis=0)
+    low, lower, middle, upper, high = found
+    inner = (lower, upper) if len(runs) > 2 else None
+    return Bands(t, middle, inner, (low, high) if len(runs) > 1 else None)
+
+
+def shares_of(runs: Sequence[Series]) -> Bands:
+    """The share of runs at 1, of runs whose values are 0 or 1, with Wilson's interval."""
+    t = _common_instants([instants for instants, _ in runs])
+    rows = np.stack([_held(t, *run) for run in runs])
+    counts, ones = np.isfinite(rows).sum(axis=0), np.nansum(rows, axis=0)
+    found = np.full((3, len(t)), np.nan)
+    for at in np.flatnonzero(counts):
+        interval = wilson(round(ones[at]), int(counts[at]))
+        found[:, at] = ones[at] / counts[at], interval.low, interval.high
+    return Bands(t, found[0], None, (found[1], found[2]) if len(runs) > 1 else None)
+
+
+def smoothed(run: Series, seconds: float) -> Series:
+    """The run's running mean over so many seconds around each instant; NaN stays NaN."""
+    t, values = run
+    is_known = np.isfinite(values)
+    sums = np.concatenate(([0.0], np.cumsum(np.where(is_known, values, 0.0))))
+    counts = np.concatenate(([0], np.cumsum(is_known)))
+    first = np.searchsorted(t, t - seconds / 2.0 - _ROUNDING)
+    after = np.searchsorted(t, t + seconds / 2.0 + _ROUNDING, side="right")
+    total, count = sums[after] - sums[first], counts[after] - counts[first]
+    return t, np.where(is_known, total / np.maximum(count, 1), np.nan)
+
+
+def is_yes_or_no(runs: Sequence[Series]) -> bool:
+    """Whether the runs have values, and all of them are 0 or 1."""
+    known = _finite(runs)
+    return len(known) > 0 and bool(np.isin(known, (0.0, 1.0)).all())
+
+
+def is_count(runs: Sequence[Series]) -> bool:
+    """Whether the runs have values, and all of them are whole numbers."""
+    known = _finite(runs)
+    return len(known) > 0 and bool((known == np.round(known)).all())
+
+
+def _finite(runs: Sequence[Series]) -> Array:
+    return np.concatenate([np.zeros(0), *(values[np.isfinite(values)] for _, values in runs)])
+
+
+def _interpolated(t: Array, instants: Array, values: Array) -> Array:
+    if len(instants) == 0:
+        return np.full(len(t), np.nan)
+    finite = np.where(np.isfinite(values), values, np.nan)
+    return np.interp(t, instants, finite, left=np.nan, right=np.nan)
+
+
+def _held(t: Array, instants: Array, values: Array) -> Array:
+    """At each of `t` the latest value; NaN before the first instant and after the last."""
+    if len(instants) == 0:
+        return np.full(len(t), np.nan)
+    at = np.searchsorted(instants, t + _ROUNDING, side="right") - 1
+    is_within = (at >= 0) & (t <= instants[-1] + _ROUNDING) & np.isfinite(values[at])
+    held: Array = np.where(is_within, values[at], np.nan)
+    return held
+
+
+def _common_instants(of_runs: Sequence[Array]) -> Array:
+    first = of_runs[0]
+    if len(first) <= MAX_INSTANTS and all(np.array_equal(first, t) for t in of_runs):
+        return first
+    ends = [t[[0, -1]] for t in of_runs if len(t)]
+    longest = max(len(t) for t in of_runs)
+    start, stop = min(t[0] for t in ends), max(t[1] for t in ends)
+    return np.linspace(start, stop, min(longest, MAX_INSTANTS))

@@ -10,16 +10,17 @@ from textwrap import fill
 import numpy as np
 
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.values import Array
 from swarmd.sim.experiments.plan import Run
 from swarmd.sim.experiments.results import Results, load_results, unit_of
-from swarmd.sim.metrics.catalog import METRICS, metric_of
-from swarmd.sim.plots.bands import draw_series
-from swarmd.sim.plots.events import events_of
+from swarmd.sim.metrics.catalog import METRICS, is_time_to_event, metric_of
+from swarmd.sim.plots.bands import Series, draw_series
 from swarmd.sim.plots.intervals import Panel, draw_intervals
 from swarmd.sim.plots.overview import draw_overview
 from swarmd.sim.plots.select import (
     OVER_TIME,
     RUN_BY_RUN,
+    events_of,
     label_of,
     metrics_over_time,
     primary_metric,
@@ -28,7 +29,6 @@ from swarmd.sim.plots.select import (
     typical_first,
     worst_first,
 )
-from swarmd.sim.plots.spread import Series
 from swarmd.sim.plots.start_and_end import draw_start_and_end
 from swarmd.sim.plots.trajectories import draw_trajectories
 from swarmd.sim.trace import Trace
@@ -48,12 +48,14 @@ def draw_experiment(
 ) -> list[Path]:
     """Draw what an experiment's folder holds into `out`, by default its `plots`; the files made.
 
-    For each variant all runs at a glance, and a typical run (of the median) and the worst one (the
-    least typical, where it depends on the task which way is good) with their starts and ends;
-    metrics over time and run by run for all variants together.
-    `metrics`: those instead of the usual ones, of which the first tells runs apart; `seeds`: the
-    runs of those alone; `targets` by metric. A trace that is missing or damaged is one line of
-    warning. ConfigError for an unknown metric, seed or folder, SwarmError if nothing has finished.
+    For each variant: all runs in one picture, and a typical run (nearest to the median) and the
+    worst run, with their starts and ends. Where neither direction of the metric is good as such,
+    the least typical run is drawn instead of the worst. For all variants together: metrics over
+    time and run by run.
+
+    `metrics` replaces the default ones; the first of them selects the typical run. `seeds` limits
+    the runs. `targets` are by metric. A trace that is missing or damaged gives one warning.
+    ConfigError for an unknown metric, seed or folder, SwarmError if no run has finished.
     """
     gallery = _Gallery(folder, out, metrics, seeds, suffix)
     made = gallery.intervals(targets or {})
@@ -70,13 +72,13 @@ def draw_runs(
     seeds: Iterable[int] | None = None,
     suffix: str = ".png",
 ) -> list[Path]:
-    """Draw up to 25 runs of each variant at a glance; otherwise as `draw_experiment`."""
+    """Draw one picture of up to 25 runs for each variant; otherwise as `draw_experiment`."""
     gallery = _Gallery(folder, out, None, seeds, suffix)
     return [path for variant in gallery.variants for path in gallery.overview(variant)]
 
 
 class _Gallery:
-    """An experiment, and where its pictures go."""
+    """The pictures of one experiment."""
 
     def __init__(
         self,
@@ -92,9 +94,9 @@ class _Gallery:
         self._suffix = suffix
         self._runs = _chosen(self._results, folder, seeds)
         self._rows = {row["run"]: row for row in self._results.rows}
-        self._chief = primary_metric(self._results, self._metrics)
+        self._primary = primary_metric(self._results, self._metrics)
         self._scenario = Path(self._results.plan.scenario).stem
-        self._told: set[str] = set()
+        self._warned: set[str] = set()
         names = {run.variant.name for run in self._runs}
         self.variants = [name for name in self._results.variants if name in names]
         self._has_traces = (folder / "traces").is_dir()
@@ -111,7 +113,7 @@ class _Gallery:
                 is_share = unit == _YES_OR_NO
                 panels.append(
                     Panel(label=label_of(name), unit=unit, values=values, is_share=is_share,
-                          target=targets.get(name))
+                          target=targets.get(name), is_time_to_event=is_time_to_event(name))
                 )  # fmt: skip
         if not panels:
             return []
@@ -120,29 +122,31 @@ class _Gallery:
         return [path]
 
     def overview(self, variant: str) -> list[Path]:
-        """All runs of a variant at a glance."""
+        """All runs of a variant in one picture."""
         if not self._has_traces:
             return []
         runs = [
-            (f"seed {run.seed}{self._chief_words(run)}", lambda run=run: self._trace(run))
+            (f"seed {run.seed}{self._primary_value(run)}", lambda run=run: self._trace(run))
             for run in self._of(variant)
         ]
         path = self._path("runs", variant)
-        note = f"by seed: {label_of(self._chief)}" if self._chief else ""
+        note = f"by seed: {label_of(self._primary)}" if self._primary else ""
         draw_overview(runs, path, self._title(variant), note=note)
         return [path]
 
     def chosen_runs(self, variant: str) -> list[Path]:
-        """The ways, start and end of a typical run and of the worst one."""
+        """Paths, start and end of a typical run and of the worst one."""
         runs = self._of(variant)
         if not self._has_traces:
             return []
-        if self._chief is None:
+        if self._primary is None:
             return self._first_of(runs, "first")[0]
-        values = np.array([np.nan if v is None else v for v in self._values(self._chief, variant)])
+        values = np.array(
+            [np.nan if v is None else v for v in self._values(self._primary, variant)]
+        )
         nearest = [runs[k] for k in typical_first(values)]
         made, typical = self._first_of(nearest, "typical")
-        order, word = worst_first(values, self._chief)
+        order, word = worst_first(values, self._primary)
         # If the trace of the worst is lost, the next one is not the worst.
         worst = [runs[k] for k in order[:1] if runs[k] is not typical]
         return made + self._first_of(worst, word)[0]
@@ -160,32 +164,35 @@ class _Gallery:
                     _gather(found[name], run.variant.name or self._scenario, name, trace)
         made = []
         for name, groups in found.items():
-            if _says_something(groups) or (groups and self._metrics is not None):
+            if _varies(groups) or (groups and self._metrics is not None):
                 path = self._path(f"over_time_{stem_of(name)}")
-                draw_series(groups, path, label=label_of(stem_of(name)), unit=unit_of(name),
-                            title=self._scenario, target=targets.get(name),
+                is_event = is_time_to_event(name)
+                label = label_of(stem_of(name))
+                draw_series(groups, path, label=f"{label} reached" if is_event else label,
+                            unit=unit_of(name), title=self._scenario,
+                            target=None if is_event else targets.get(name),
                             events=next(iter(events)) if len(events) == 1 else (),
                             smoothing=smoothing_of(name))  # fmt: skip
                 made.append(path)
         return made
 
     def _first_of(self, runs: Sequence[Run], word: str) -> tuple[list[Path], Run | None]:
-        """Pictures of the first of the runs that has a trace, and which one that is."""
+        """Pictures of the first run with a trace, and that run."""
         for run in runs:
             trace = self._trace(run)
             if trace is not None:
                 title = f"{self._title(run.variant.name)}, seed {run.seed}"
-                title += f"\n{word} run{self._chief_words(run, has_name=True)}"
+                title += f"\n{word} run{self._primary_value(run, has_name=True)}"
                 name = word.replace(" ", "_")
-                ways = self._path(f"{name}_trajectories", run.variant.name)
+                paths = self._path(f"{name}_trajectories", run.variant.name)
                 ends = self._path(f"{name}_start_and_end", run.variant.name)
-                draw_trajectories(trace, ways, title, has_links=True)
+                draw_trajectories(trace, paths, title, has_links=True)
                 draw_start_and_end(trace, ends, title)
-                return [ways, ends], run
+                return [paths, ends], run
         return [], None
 
     def _trace(self, run: Run) -> Trace | None:
-        """The trace of a run; None, and one line the first time, if it cannot be drawn."""
+        """The trace of a run; None, and one warning a run, if it cannot be drawn."""
         try:
             trace = self._results.traces[run.id]
             if len(trace.t) and len(trace.ids):
@@ -193,8 +200,8 @@ class _Gallery:
             problem = f"{self._results.folder / 'traces' / run.id}.npz: holds no instant"
         except SwarmError as error:
             problem = str(error)
-        if run.id not in self._told:
-            self._told.add(run.id)
+        if run.id not in self._warned:
+            self._warned.add(run.id)
             _log.warning("%s; the run is left out", problem)
         return None
 
@@ -204,12 +211,12 @@ class _Gallery:
     def _values(self, metric: str, variant: str) -> list[float | None]:
         return [self._rows[run.id].get(metric) for run in self._of(variant)]
 
-    def _chief_words(self, run: Run, *, has_name: bool = False) -> str:
-        value = None if self._chief is None else self._rows[run.id][self._chief]
-        if self._chief is None or value is None:
+    def _primary_value(self, run: Run, *, has_name: bool = False) -> str:
+        value = None if self._primary is None else self._rows[run.id][self._primary]
+        if self._primary is None or value is None:
             return ""
-        unit = "" if unit_of(self._chief) in ("share", _YES_OR_NO) else unit_of(self._chief)
-        name = f"{label_of(self._chief)} " if has_name else ""
+        unit = "" if unit_of(self._primary) in ("share", _YES_OR_NO) else unit_of(self._primary)
+        name = f"{label_of(self._primary)} " if has_name else ""
         return f": {name}{value:.3g} {unit}".rstrip()
 
     def _title(self, variant: str) -> str:
@@ -237,13 +244,18 @@ def _chosen(results: Results, folder: Path, seeds: Iterable[int] | None) -> list
 
 
 def _gather(groups: dict[str, list[Series]], variant: str, metric: str, trace: Trace) -> None:
-    series = METRICS[metric].series
-    values = None if series is None else series(trace)
+    """Add the run's series; of a time to an event, 0 before the event and 1 from it on."""
+    found, t = METRICS[metric], trace.t - trace.t[0]
+    if found.is_time_to_event:
+        time = found.value(trace)
+        values: Array | None = np.zeros(len(t)) if time is None else (t >= time).astype(np.float64)
+    else:
+        values = None if found.series is None else found.series(trace)
     if values is not None and np.isfinite(values).any():
-        groups.setdefault(variant, []).append((trace.t - trace.t[0], values.astype(np.float64)))
+        groups.setdefault(variant, []).append((t, values.astype(np.float64)))
 
 
-def _says_something(groups: Mapping[str, Sequence[Series]]) -> bool:
-    """Whether the values are not one and the same all the time."""
+def _varies(groups: Mapping[str, Sequence[Series]]) -> bool:
+    """Whether the values are not all equal."""
     known = [values[np.isfinite(values)] for runs in groups.values() for _, values in runs]
     return bool(known) and bool(np.ptp(np.concatenate(known)) > 0.0)

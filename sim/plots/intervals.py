@@ -1,4 +1,4 @@
-"""Pictures of metrics by variant: every run a point, their mean with its 95 % interval."""
+"""Pictures of metrics by variant: a point for each run, and their mean with its 95 % interval."""
 
 from __future__ import annotations
 
@@ -11,21 +11,23 @@ import numpy as np
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array
-from swarmd.sim.experiments.statistics import mean_interval, wilson
+from swarmd.sim.experiments.statistics import summarize
 from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_READING = "a point: one run; diamond and bar: the mean and its 95 % interval"
+_EXPLANATION = "point: one run; diamond and bar: the mean and its 95 % interval"
+_MEDIAN = "; hollow diamond: the median, where some runs never had the event"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
     """A metric in a picture: `values` of each variant's runs, None where a run has none.
 
-    `is_share`: the values are 0 or 1, so their mean is a share of the runs.
+    `is_share`: the values are 0 or 1, and their mean is a share of the runs. `is_time_to_event`:
+    None means that the event never happened.
     """
 
     label: str
@@ -33,13 +35,15 @@ class Panel:
     values: Mapping[str, Sequence[float | None]]
     target: float | None = None
     is_share: bool = False
+    is_time_to_event: bool = False
 
 
 def draw_intervals(panels: Sequence[Panel], path: Path, title: str = "") -> None:
     """Write a picture of metrics by variant: .png, .svg or .pdf, by its suffix.
 
     One panel a metric, one row a variant: a point for every run, above them the mean as a diamond
-    with its 95 % interval (of a share: Wilson's). SwarmError if there is nothing to draw.
+    with its 95 % interval (of a share: Wilson's). Times to an event that never happened in some
+    runs have the median of all runs instead. SwarmError if there is nothing to draw.
     """
     save(intervals_figure(panels, title), path)
 
@@ -64,7 +68,7 @@ def intervals_figure(panels: Sequence[Panel], title: str = "") -> Figure:
         axes.remove()
     if title:
         figure.suptitle(title, fontsize=11)
-    figure.supxlabel(_READING, fontsize=8, color=GUIDE_COLOUR)
+    figure.supxlabel(_explanation(panels), fontsize=8, color=GUIDE_COLOUR)
     return figure
 
 
@@ -81,8 +85,7 @@ def _paint_panel(axes: Axes, panel: Panel, runs: Mapping[str, int]) -> None:
     for row, name in enumerate(runs):
         given = panel.values.get(name, ())
         values = np.array([np.nan if v is None else v for v in given], dtype=np.float64)
-        _paint_strip(axes, values, row, VARIANT_COLOURS[row % len(VARIANT_COLOURS)],
-                     is_share=panel.is_share)  # fmt: skip
+        _paint_strip(axes, values, row, panel)
     axes.set_yticks(range(len(runs)), [_row_label(*item) for item in runs.items()], fontsize=9)
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(runs) - 0.5, -0.6)
@@ -102,28 +105,45 @@ def _paint_panel(axes: Axes, panel: Panel, runs: Mapping[str, int]) -> None:
     axes.set_xlabel(", ".join(word for word in words if word), fontsize=9)
 
 
-def _paint_strip(axes: Axes, values: Array, row: int, colour: str, *, is_share: bool) -> None:
-    finite = values[np.isfinite(values)]
-    if not finite.size:
-        axes.text(0.5, row, "no value", transform=axes.get_yaxis_transform(), ha="center",
-                  va="center", fontsize=8, color=GUIDE_COLOUR)  # fmt: skip
+def _paint_strip(axes: Axes, values: Array, row: int, panel: Panel) -> None:
+    """Points, mean and interval of one variant."""
+    colour = VARIANT_COLOURS[row % len(VARIANT_COLOURS)]
+    beside = axes.get_yaxis_transform()
+    found = summarize(values, is_share=panel.is_share, is_time_to_event=panel.is_time_to_event)
+    if found.n == 0:
+        text = f"{found.never} of {values.size} never" if found.never else "no value"
+        axes.text(0.5, row, text, transform=beside, ha="center", va="center", fontsize=8,
+                  color=GUIDE_COLOUR)  # fmt: skip
         return
+    finite = values[np.isfinite(values)]
     axes.scatter(finite, row + 0.13 + _spread(finite.size), s=13.0, color=colour, alpha=0.45,
                  linewidths=0.0, zorder=2.0)  # fmt: skip
-    mean = float(finite.mean())
-    interval = wilson(int(finite.sum()), finite.size) if is_share else mean_interval(finite)
+    interval = found.share_interval if panel.is_share else found.mean_interval
     if interval is not None:
-        axes.plot(
-            [interval.low, interval.high], [row - 0.22] * 2, color=colour, linewidth=2.4, zorder=3.0
-        )
-    axes.scatter([mean], [row - 0.22], s=34.0, marker="D", color=colour, edgecolors="white",
-                 linewidths=0.7, zorder=4.0)  # fmt: skip
-    if finite.size < values.size:
-        note = f"{values.size - finite.size} without"
-        axes.text(1.0, row - 0.3, note, transform=axes.get_yaxis_transform(), ha="right",
-                  va="bottom", fontsize=7.5, color=GUIDE_COLOUR)  # fmt: skip
+        ends = [interval.low, interval.high]
+        axes.plot(ends, [row - 0.22] * 2, color=colour, linewidth=2.4, zorder=3.0)
+    middle = found.median if found.never else found.mean
+    if middle is not None:
+        face, edge = ("white", colour) if found.never else (colour, "white")
+        axes.scatter([middle], [row - 0.22], s=34.0, marker="D", color=face, edgecolors=edge,
+                     linewidths=1.2 if found.never else 0.7, zorder=4.0)  # fmt: skip
+    if found.n < values.size:
+        text = f"{found.never} of {values.size} never" if found.never else ""
+        axes.text(1.0, row - 0.3, text or f"{values.size - found.n} without", transform=beside,
+                  ha="right", va="bottom", fontsize=7.5, color=GUIDE_COLOUR)  # fmt: skip
+
+
+def _explanation(panels: Sequence[Panel]) -> str:
+    has_never = any(
+        value is None or np.isnan(value)
+        for panel in panels
+        if panel.is_time_to_event
+        for values in panel.values.values()
+        for value in values
+    )
+    return _EXPLANATION + (_MEDIAN if has_never else "")
 
 
 def _spread(n: int) -> Array:
-    """Offsets (n,) that keep points of one value apart: the golden ratio's even sequence."""
+    """Offsets (n,) that separate points of one value: a low-discrepancy sequence (golden ratio)."""
     return 0.3 * ((np.arange(n, dtype=np.float64) * 0.6180339887498949) % 1.0 - 0.5)

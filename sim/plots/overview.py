@@ -1,4 +1,4 @@
-"""Many runs in one picture, small, to see at a glance what happened."""
+"""Many runs in one picture, each small."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 from swarmd.core.errors import SwarmError
 from swarmd.sim.plots.scene import Extent, check_drawable, extent_of, prepare
-from swarmd.sim.plots.sheet import Layout, Sheet
-from swarmd.sim.plots.theme import GUIDE_COLOUR, save
+from swarmd.sim.plots.theme import GUIDE_COLOUR, new_figure, save
 from swarmd.sim.plots.trajectories import paint_run
 from swarmd.sim.trace import Trace
 
@@ -18,13 +17,13 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-MOST_RUNS = 25
-_SIDE = 2.3  # inches; the fewer there are, the larger
-_LARGER = ((2, 4.0), (6, 3.0))
-_LEGEND = "; outlines: starts; red: touches"
+MAX_RUNS = 25
+_SIDE = 2.3  # inches of a run's longer side
+_SIDES = ((2, 4.0), (6, 3.0))  # up to so many runs it is larger
+_LEGEND = "; outlines: starts; red: contacts"
 
 Load = Callable[[], Trace | None]
-"""Gives a run's trace when it is drawn, so that they need not be in memory together."""
+"""Loads a run's trace when it is drawn, so that the traces are not in memory together."""
 
 
 def draw_overview(
@@ -32,8 +31,8 @@ def draw_overview(
 ) -> None:
     """Write small pictures of up to 25 runs, each with its name: .png, .svg or .pdf, by its suffix.
 
-    A run whose trace is None is an empty place that says so. Drawn as by `draw_trajectories`, but
-    without legends and to one scale. `note` stands below. SwarmError if there is no run.
+    A run whose trace is None is an empty frame that says so. Drawn as by `draw_trajectories`, but
+    without legends and to one scale. `note` is text below. SwarmError if there is no run.
     """
     save(overview_figure(runs, title, note=note), path)
 
@@ -42,27 +41,29 @@ def overview_figure(runs: Sequence[tuple[str, Load]], title: str = "", *, note: 
     """The picture that `draw_overview` writes."""
     if not runs:
         raise SwarmError("there is no run: nothing to draw")
-    shown = runs[:MOST_RUNS]
+    shown = runs[:MAX_RUNS]
     columns = min(5, math.ceil(math.sqrt(len(shown))))
     rows = -(-len(shown) // columns)
     extent = _common_extent(shown)
-    side = next((inches for most, inches in _LARGER if len(shown) <= most), _SIDE)
+    side = next((inches for most, inches in _SIDES if len(shown) <= most), _SIDE)
     width, height = extent.panel(side) if extent else (side, side)
-    layout = Layout(width=width, height=height, rows=rows, columns=columns, left=0.15, right=0.15,
-                    bottom=0.35, top=0.2, across=0.12, down=0.3)  # fmt: skip
+    figure = new_figure(columns * (width + 0.1), rows * (height + 0.3) + 0.6, is_map=True)
+    grid = figure.subplots(rows, columns, squeeze=False)
+    for axes, (name, load) in zip(grid.flat, shown, strict=False):
+        axes.set_title(name, fontsize=8, pad=3.0)
+        _paint_small(axes, load(), extent, width)
+    for axes in grid.flat[len(shown) :]:
+        axes.remove()
     cut = "" if len(shown) == len(runs) else f"the first {len(shown)} of {len(runs)} runs"
     size = f"each frame {extent.width:.3g} m x {extent.height:.3g} m{_LEGEND}" if extent else ""
     below = "; ".join(part for part in (note, cut, size) if part)
-    sheet = Sheet(layout, title or f"{len(shown)} runs", note=below)
-    for index, (name, load) in enumerate(shown):
-        axes = sheet.map(*divmod(index, columns))
-        axes.set_title(name, fontsize=8, pad=3.0)
-        _paint_small(axes, load(), extent, width)
-    return sheet.figure
+    figure.suptitle(title or f"{len(shown)} runs", fontsize=11)
+    figure.supxlabel(below, fontsize=8, color=GUIDE_COLOUR)
+    return figure
 
 
 def _common_extent(runs: Sequence[tuple[str, Load]]) -> Extent | None:
-    """What all runs need, so that they are drawn to one scale; None if there is no trace."""
+    """An extent that holds every run, for one scale; None if there is no trace."""
     shown = []
     for _, load in runs:
         trace = load()

@@ -1,27 +1,31 @@
-"""What of an experiment is worth a picture: which metrics, and which of the runs."""
+"""Which metrics, runs and events of an experiment are drawn."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from swarmd.core.values import Array
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.trace import Trace
 
 OVER_TIME = (
     "mean_distance_to_centroid_late",
     "one_cluster_at_end",
     "largest_cluster",
+    "gather_time",
     "nearest_neighbor_median_late",
     "consensus_share",
+    "consensus_time",
     "radio_components_end",
     "minimum_gap",
     "mean_speed_late_share",
     "protection_duty_late",
 )
-"""The metrics that are drawn over time if nobody says which."""
+"""The metrics that are drawn over time by default."""
 
 RUN_BY_RUN = (
     *("mean_distance_to_centroid_30s", "mean_distance_to_centroid_late"),
@@ -30,51 +34,54 @@ RUN_BY_RUN = (
     *("robot_contacts", "arena_contacts", "box_contacts", "mean_speed_late_share"),
     *("protection_duty_late", "command_alteration"),
 )
-"""The metrics whose values are drawn run by run if nobody says which."""
+"""The metrics whose values are drawn run by run by default."""
 
-_CHIEF = (
+_PRIMARY = (
     *("consensus_share", "consensus_time", "mean_distance_to_centroid_late"),
     *RUN_BY_RUN,
 )
-_MOMENTS = ("_at_end", "_end", "_late", "_30s", "_start", "_peak")
+MAX_EVENTS = 12
+_TOO_CLOSE = 0.025  # of the duration: labels of closer events would overlap
+_SUFFIXES = ("_at_end", "_end", "_late", "_30s", "_start", "_peak")
 _FLICKERING = ("mean_speed", "protection_duty", "command_alteration")
 
 
 def label_of(metric: str) -> str:
-    """A metric's name as words."""
+    """A metric's name with blanks."""
     return metric.replace("_", " ")
 
 
 def stem_of(metric: str) -> str:
-    """A metric's name without the moment at which it is taken: what its series is of."""
-    for moment in _MOMENTS:
-        metric = metric.replace(moment, "")
+    """A metric's name without the time at which it is taken: the name of its series."""
+    for suffix in _SUFFIXES:
+        metric = metric.replace(suffix, "")
     return metric
 
 
 def smoothing_of(metric: str) -> float:
-    """Seconds over which a metric's series is averaged to be read; 0 if it can be read as it is.
+    """Seconds over which a metric's series is averaged; 0 without averaging.
 
-    What flickers from instant to instant, since it counts sweeps or differs places.
+    Series that count scans or differentiate positions change from instant to instant.
     """
     return 2.0 if metric.startswith(_FLICKERING) else 0.0
 
 
 def metrics_over_time(names: Sequence[str]) -> list[str]:
-    """Those that have a series, one for each that differs."""
+    """The metrics that can be drawn over time, one for each series."""
     by_stem: dict[str, str] = {}
     for name in names:
-        if name in METRICS and METRICS[name].series is not None:
+        metric = METRICS.get(name)
+        if metric is not None and (metric.series is not None or metric.is_time_to_event):
             by_stem.setdefault(stem_of(name), name)
     return list(by_stem.values())
 
 
 def primary_metric(results: Results, names: Sequence[str] | None) -> str | None:
-    """The metric by which runs are told apart: the first of `names` whose values differ.
+    """The metric that ranks runs: the first of `names` whose values differ.
 
-    Without names, of those that matter most; None if none has a value.
+    Without `names`, the first of a default list. None if no metric has a value.
     """
-    known = [name for name in (_CHIEF if names is None else names) if name in results.metrics]
+    known = [name for name in (_PRIMARY if names is None else names) if name in results.metrics]
     values = {name: results.metric(name) for name in known}
     has_value = [name for name in known if np.isfinite(values[name]).any()]
     differing = [name for name in has_value if np.ptp(_finite(values[name])) > 0.0]
@@ -82,7 +89,7 @@ def primary_metric(results: Results, names: Sequence[str] | None) -> str | None:
 
 
 def typical_first(values: Array) -> list[int]:
-    """Indices (runs,) by how far a value is from the median; those without one come last."""
+    """Indices (runs,) by distance from the median; runs without a value come last."""
     known = _finite(values)
     if not len(known):
         return list(range(len(values)))
@@ -91,9 +98,9 @@ def typical_first(values: Array) -> list[int]:
 
 
 def worst_first(values: Array, metric: str) -> tuple[list[int], str]:
-    """Indices from the worst on, and what the first is called.
+    """Indices from the worst run on, and the name of the first: "worst" or "least typical".
 
-    Where it depends on the task which way is good, that is the least typical one.
+    Where neither direction is good as such, runs are ranked by distance from the median.
     """
     better = METRICS[metric].better if metric in METRICS else None
     if better is None:
@@ -103,6 +110,23 @@ def worst_first(values: Array, metric: str) -> tuple[list[int], str]:
     return _order(-bad), "worst"
 
 
+def events_of(trace: Trace) -> tuple[tuple[float, str], ...]:
+    """Time in s and label of each event after the start; empty if there are too many to draw."""
+    found: list[tuple[float, list[str]]] = []
+    for event in trace.meta.get("events", ()):
+        at, word = float(event["at"]), _label(event, len(trace.ids))
+        if at <= 0.0:
+            continue
+        if found and at - found[-1][0] < _TOO_CLOSE * trace.duration:
+            if word not in found[-1][1]:
+                found[-1][1].append(word)
+        else:
+            found.append((at, [word]))
+    if len(found) > MAX_EVENTS:
+        return ()
+    return tuple((at, ", ".join(words)) for at, words in found)
+
+
 def _order(values: Array) -> list[int]:
     return [int(index) for index in np.argsort(values, kind="stable")]
 
@@ -110,3 +134,10 @@ def _order(values: Array) -> list[int]:
 def _finite(values: Array) -> Array:
     known: Array = values[np.isfinite(values)]
     return known
+
+
+def _label(event: Mapping[str, Any], n: int) -> str:
+    robots = event.get("robots") or ()
+    which = f"{len(robots)} robots" if len(robots) > 1 else "".join(robots)
+    words = [event["action"], event.get("pattern") or "", "" if len(robots) == n else which]
+    return " ".join(word for word in words if word)

@@ -1,14 +1,19 @@
-"""A run's first and last instant side by side, with the clusters that the robots form."""
+"""A run's first and last instant side by side, coloured by cluster or by opinion."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from swarmd.sim.metrics import pairs
-from swarmd.sim.metrics.aggregation import cluster_link
+from swarmd.sim.metrics.aggregation import cluster_link, clusters
+from swarmd.sim.metrics.consensus import OPINION
 from swarmd.sim.metrics.window import first, last, presence
-from swarmd.sim.plots.grouping import by_cluster, by_opinion, key_of, opinions_of
 from swarmd.sim.plots.scene import (
     check_drawable,
     cut_note,
@@ -19,13 +24,18 @@ from swarmd.sim.plots.scene import (
     paint_things,
     prepare,
 )
-from swarmd.sim.plots.sheet import Layout, Sheet
-from swarmd.sim.plots.theme import save
+from swarmd.sim.plots.theme import GUIDE_COLOUR, ROBOT_COLOURS, new_figure, save
 from swarmd.sim.trace import Trace
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+NO_COLOUR = "white"
+"""The colour of lone robots, and of robots without an opinion."""
+SMALL_COLOUR = "0.6"
+"""The colour of all groups beyond those with a colour of their own."""
+_MAX_COUNTED = 4  # opinions in a title
 
 
 def draw_start_and_end(
@@ -33,11 +43,11 @@ def draw_start_and_end(
 ) -> None:
     """Write a picture of the start beside the end: .png, .svg or .pdf, by its suffix.
 
-    Robots of one cluster (single linkage) have one colour, and thin lines join those within
-    `link` m of each other; the largest clusters have colours of their own, further ones are grey,
-    lone robots white. Without a `link` it is that of the metrics, twice the largest protection
-    threshold; if the trace does not say, all robots have one colour. Where robots report opinions,
-    these have the colours instead. Errors as for trajectories.
+    Robots of one cluster (single linkage) have one colour, and thin lines join robots within
+    `link` m of each other. The largest clusters have colours of their own, further ones are grey,
+    lone robots white. The default `link` is that of the metrics, twice the largest protection
+    threshold; if the trace has no threshold, all robots have one colour. If robots report
+    opinions, the colours show opinions instead. Errors as for `draw_trajectories`.
     """
     save(start_and_end_figure(trace, title, link=link), path)
 
@@ -48,26 +58,93 @@ def start_and_end_figure(trace: Trace, title: str = "", *, link: float | None = 
     reach = cluster_link(trace) if link is None else link
     extent = extent_of(trace)
     width, height = extent.panel(5.5 if len(trace.ids) <= 100 else 7.0)
-    is_wide = width > 1.6 * height
-    rows, columns = (2, 1) if is_wide else (1, 2)
-    layout = Layout(width=width, height=height, rows=rows, columns=columns, bottom=0.75, top=0.22,
-                    across=0.2, down=0.35)  # fmt: skip
+    rows, columns = (2, 1) if width > 1.6 * height else (1, 2)
+    size = columns * (width + 0.2) + 0.7, rows * (height + 0.4) + 1.1
+    figure = new_figure(*size, is_map=True)
     opinions, scale = opinions_of(trace), 72.0 * width / extent.width
-    sheet = Sheet(layout, title, note="" if opinions else _note(trace, reach))
-    for index, part in enumerate((first(trace), last(trace))):
-        axes = sheet.map(*((index, 0) if is_wide else (0, index)))
+    both = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, part, word in zip(
+        both.flat,
+        (first(trace), last(trace)),
+        ("start", f"end, {trace.duration:.0f} s"),
+        strict=True,
+    ):
         grouping = by_opinion(part, opinions) if opinions else by_cluster(part, reach)
         prepare(axes, extent)
         _paint_instant(axes, part, None if opinions else reach)
         paint_bodies(axes, part, 0, grouping.colours, is_filled=True, scale=scale)
-        word = f"end, {trace.duration:.0f} s" if index else "start"
-        axes.set_title(f"{word}: {grouping.words}", fontsize=10, pad=4.0)
-        axes.tick_params(labelleft=is_wide or not index, labelbottom=not is_wide or bool(index))
-        axes.set_xlabel("x [m]" if not is_wide or index else "")
-        axes.set_ylabel("y [m]" if is_wide or not index else "")
+        axes.set_title(f"{word}: {grouping.label}", fontsize=10, pad=4.0)
+    for axes in both[-1]:
+        axes.set_xlabel("x [m]")
+    for axes in both[:, 0]:
+        axes.set_ylabel("y [m]")
+    if title:
+        figure.suptitle(title, fontsize=11)
     if opinions:
-        sheet.legend_below(key_of(opinions), len(opinions))
-    return sheet.figure
+        _add_legend(figure, opinions)
+    else:
+        figure.supxlabel(_note(trace, reach), fontsize=8, color=GUIDE_COLOUR)
+    return figure
+
+
+@dataclass(frozen=True, slots=True)
+class Grouping:
+    """The colour (n,) of each robot, and a text that counts the groups."""
+
+    colours: list[str]
+    label: str
+
+
+def opinions_of(trace: Trace) -> list[float]:
+    """The opinions held at the first or the last instant, sorted; empty without a vote."""
+    opinion = trace.report.get(OPINION)
+    if opinion is None or not len(opinion):
+        return []
+    ends = opinion[[0, -1]]
+    return [float(value) for value in np.unique(ends[np.isfinite(ends)])]
+
+
+def by_opinion(part: Trace, opinions: Sequence[float]) -> Grouping:
+    """Robots by opinion at the first instant of `part`; each of `opinions` has its colour."""
+    held = np.where(presence(part), part.report[OPINION], np.nan)[0]
+    colour_of = dict.fromkeys(opinions, SMALL_COLOUR)
+    colour_of |= dict(zip(opinions, ROBOT_COLOURS[:-1], strict=False))
+    colours = [colour_of.get(float(value), NO_COLOUR) for value in held]
+    counts = Counter(float(value) for value in held if np.isfinite(value))
+    most = sorted(counts, key=lambda value: (-counts[value], value))
+    parts = [f"opinion {value:g}: {counts[value]}" for value in most[:_MAX_COUNTED]]
+    parts += [f"{len(most) - _MAX_COUNTED} more"] if len(most) > _MAX_COUNTED else []
+    return Grouping(colours, ", ".join(parts) or "no opinion yet")
+
+
+def by_cluster(part: Trace, link: float | None) -> Grouping:
+    """Robots by cluster at the first instant of `part`; one colour without a `link`."""
+    n = int(presence(part)[0].sum())
+    robots = f"{n} robot" if n == 1 else f"{n} robots"
+    if link is None:
+        return Grouping([ROBOT_COLOURS[0]] * len(part.ids), robots)
+    labels = [int(label) for label in clusters(part, link)[0]]
+    sizes = Counter(label for label in labels if label >= 0)
+    by_size = sorted((label for label in sizes if sizes[label] > 1), key=lambda k: (-sizes[k], k))
+    colour_of = dict.fromkeys(sizes, NO_COLOUR) | dict.fromkeys(by_size, SMALL_COLOUR)
+    colour_of |= dict(zip(by_size, ROBOT_COLOURS[:-1], strict=False))
+    colours = [colour_of.get(label, NO_COLOUR) for label in labels]
+    largest = max(sizes.values(), default=0)
+    if n > 1 and largest == 1:
+        return Grouping(colours, f"all {n} alone")
+    if len(sizes) > 1:
+        return Grouping(colours, f"{len(sizes)} clusters, the largest of {largest}")
+    return Grouping(colours, f"one cluster of {n}" if n > 1 else robots)
+
+
+def _add_legend(figure: Figure, opinions: Sequence[float]) -> None:
+    from matplotlib.patches import Patch
+
+    handles = [
+        Patch(facecolor=colour, edgecolor="0.1", label=f"opinion {value:g}")
+        for value, colour in zip(opinions, ROBOT_COLOURS[:-1], strict=False)
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=5, frameon=False, fontsize=9)
 
 
 def _note(trace: Trace, link: float | None) -> str:

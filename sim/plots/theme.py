@@ -1,4 +1,4 @@
-"""What all pictures share: how a figure is made and kept, and its colours."""
+"""What all pictures share: figures, files and colours."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 
 FORMATS = (".png", ".svg", ".pdf")
 DPI = 130
-_PAD = 0.06  # inches around each part of a figure
+_PAD = 0.08  # inches around each part of a figure
 
 VARIANT_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 """For variants of an experiment, in this order: M. Okabe and K. Ito, "Color Universal Design",
-2008, but its yellow, which is too pale for a line on white."""
+2008, without its yellow, which is too pale for a line on white."""
 
 ROBOT_COLOURS = (
     *("#332288", "#CC6677", "#117733", "#88CCEE", "#AA4499", "#999933"),
@@ -31,26 +31,26 @@ CONTACT_COLOUR = "#CC0000"
 GUIDE_COLOUR = "0.35"
 
 
-def new_figure(width: float, height: float, *, has_layout: bool = True) -> Figure:
-    """An empty figure of that size in inches; SwarmError if matplotlib is not installed.
+def new_figure(width: float, height: float, *, is_map: bool = False) -> Figure:
+    """An empty figure of about that size in inches, with matplotlib's constrained layout.
 
-    `has_layout`: axes are placed so that nothing overlaps, rather than where they are told.
+    `is_map`: its axes keep their aspect, and stand close together. SwarmError without matplotlib.
     """
     try:
-        # Here, since it takes most of a second and nobody else needs it.
+        # Imported here because it takes most of a second.
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
         from matplotlib.layout_engine import ConstrainedLayoutEngine
     except ImportError as error:
         raise SwarmError("pictures need matplotlib: pip install 'swarmd[plot]'") from error
-    layout = ConstrainedLayoutEngine(w_pad=_PAD, h_pad=_PAD) if has_layout else None
+    layout = ConstrainedLayoutEngine(w_pad=_PAD, h_pad=_PAD, compress=is_map)
     figure = Figure(figsize=(width, height), layout=layout)
     FigureCanvasAgg(figure)
     return figure
 
 
 def tidy(axes: Axes) -> None:
-    """Only the axes that carry numbers, and a faint grid behind the data."""
+    """Remove the axes without numbers, and put a faint grid behind the data."""
     axes.spines[["top", "right"]].set_visible(False)
     axes.tick_params(labelsize=9)
     axes.grid(color="0.9", linewidth=0.6)
@@ -58,10 +58,10 @@ def tidy(axes: Axes) -> None:
 
 
 def save(figure: Figure, path: Path) -> Path:
-    """Write the figure, which appears whole or not at all; its folder is made if need be.
+    """Write the figure, cropped or enlarged to what is on it. The file appears whole or not at all.
 
-    ConfigError if the suffix names no format, SwarmError if it cannot be written. The same figure
-    gives the same bytes.
+    Missing folders are made. ConfigError if the suffix names no format, SwarmError if the file
+    cannot be written. The same figure gives the same bytes.
     """
     from matplotlib import rc_context
 
@@ -73,7 +73,14 @@ def save(figure: Figure, path: Path) -> Path:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with rc_context({"svg.hashsalt": "swarmd", "svg.fonttype": "none"}):
-            figure.savefig(partial, format=kind, dpi=DPI, metadata={dated: None} if dated else None)
+            figure.savefig(
+                partial,
+                format=kind,
+                dpi=DPI,
+                bbox_inches="tight",
+                pad_inches=_PAD,
+                metadata={dated: None} if dated else None,
+            )
         partial.replace(path)
     except OSError as error:
         with suppress(OSError):

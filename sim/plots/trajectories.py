@@ -1,4 +1,4 @@
-"""Pictures of one run: the ways of the robots, and its start beside its end."""
+"""A picture of one run from above, with the paths of the robots."""
 
 from __future__ import annotations
 
@@ -28,8 +28,7 @@ from swarmd.sim.plots.scene import (
     robot_colour,
     robot_style,
 )
-from swarmd.sim.plots.sheet import Layout, Sheet, legend_height, legend_width
-from swarmd.sim.plots.theme import CONTACT_COLOUR, save
+from swarmd.sim.plots.theme import CONTACT_COLOUR, new_figure, save
 from swarmd.sim.trace import Trace
 
 if TYPE_CHECKING:
@@ -37,9 +36,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MANY_COLOUR = "#440154"  # the end of the colours of time
-MOST_NAMED = 20
-"""Robots up to which each has its colour and its line in the legend."""
-_ASIDE = 4  # columns of a legend below
+MAX_NAMED = 20
+"""Up to so many robots, each has a colour and a line in the legend."""
+_COLUMNS = 4  # of a legend below
 
 
 def draw_trajectories(
@@ -47,12 +46,12 @@ def draw_trajectories(
 ) -> None:
     """Write a picture of a run seen from above: .png, .svg or .pdf, by its suffix.
 
-    Up to 20 robots have a colour and a line in the legend each; the ways of more are coloured by
+    Up to 20 robots have a colour and a line in the legend each; the paths of more are coloured by
     time. Footprints are hollow at the start and filled at the end, with a line from the axle to
-    where they head; walls, boxes and poles are grey, movable boxes brown; red-edged marks tell
-    where robots touched and who was moving. `has_links`: thin lines join those that hear each
-    other at the end, if the radio has a range. SwarmError if matplotlib is not installed, there
-    is nothing to draw or the file cannot be written.
+    the front. Walls, boxes and poles are grey, movable boxes brown. Red-edged marks show contacts
+    and which robots were moving. `has_links`: thin lines join robots that hear each other at the
+    end, if the radio has a range. SwarmError if matplotlib is not installed, there is nothing to
+    draw or the file cannot be written.
     """
     save(trajectories_figure(trace, title, has_links=has_links), path)
 
@@ -60,55 +59,55 @@ def draw_trajectories(
 def trajectories_figure(trace: Trace, title: str = "", *, has_links: bool = False) -> Figure:
     """The picture that `draw_trajectories` writes."""
     check_drawable(trace)
-    is_named = len(trace.ids) <= MOST_NAMED
+    is_named = len(trace.ids) <= MAX_NAMED
     extent = extent_of(trace)
     width, height = extent.panel(6.3 if is_named else 8.0)
     links = _links(trace) if has_links else None
     entries = (_names(trace) if is_named else []) + _key(trace, links)
-    layout = Layout(width=width, height=height, right=legend_width(entries))
-    if not is_named:
-        below = 0.45 + legend_height(-(-len(entries) // _ASIDE))
-        layout = Layout(width=width, height=height, right=1.1, bottom=below)
-    title = title or f"{len(trace.ids)} robots, {trace.duration:.0f} s"
-    sheet = Sheet(layout, title, least_height=legend_height(len(entries)) if is_named else 0.0)
-    axes = sheet.map()
+    handles, labels = zip(*entries, strict=True)
+    aside = 0.8 + 0.07 * max(map(len, labels)) if is_named else 1.0
+    above = 0.25 * (1 + title.count("\n"))
+    figure = new_figure(width + 0.7 + aside, height + 0.5 + above, is_map=True)
+    axes = figure.add_subplot()
     prepare(axes, extent)
-    ways = paint_run(axes, trace, scale=72.0 * width / extent.width)
+    paths = paint_run(axes, trace, scale=72.0 * width / extent.width)
     if links is not None:
         paint_links(axes, *links)
+    axes.set_title(title or f"{len(trace.ids)} robots, {trace.duration:.0f} s", fontsize=11)
     axes.set_xlabel(", ".join(word for word in ("x [m]", cut_note(trace)) if word))
     axes.set_ylabel("y [m]")
-    if ways is None:
-        sheet.legend_aside(entries)
+    style: Any = {"frameon": False, "fontsize": 9}
+    if paths is None:
+        axes.legend(handles, labels, loc="center left", bbox_to_anchor=(1.01, 0.5), **style)
     else:
-        sheet.legend_below(entries, _ASIDE)
-        bar = sheet.figure.colorbar(ways, cax=sheet.bar_axes(), label="time [s]")
+        figure.legend(handles, labels, loc="outside lower center", ncols=_COLUMNS, **style)
+        bar = figure.colorbar(paths, ax=axes, label="time [s]", shrink=0.7, aspect=35)
         bar.ax.tick_params(labelsize=9)
-    return sheet.figure
+    return figure
 
 
 def paint_run(axes: Axes, trace: Trace, *, scale: float, is_small: bool = False) -> Any:
-    """All of a run onto axes of `scale` points a metre; the ways if a colour bar should tell time.
+    """Paint a run onto axes of `scale` points a metre; return the paths if they need a colour bar.
 
-    `is_small`: with thinner lines and smaller marks, for one of many pictures.
+    `is_small`: thinner lines and smaller marks, for one of many pictures.
     """
     n = len(trace.ids)
-    is_named = n <= MOST_NAMED
+    is_named = n <= MAX_NAMED
     paint_arena(axes, trace)
     paint_things(axes, trace)
     colours = [robot_colour(robot) if is_named else MANY_COLOUR for robot in range(n)]
     starts = colours if is_named else ["0.45"] * n
-    ways = None
+    paths = None
     if is_named:
         paint_paths(axes, trace, linewidth=0.6 if is_small else 1.1)
     else:
-        ways = paint_paths_by_time(axes, trace, linewidth=0.3 if is_small else 0.5)
+        paths = paint_paths_by_time(axes, trace, linewidth=0.3 if is_small else 0.5)
     paint_bodies(axes, trace, 0, starts, is_filled=False, scale=scale)
     paint_bodies(axes, trace, -1, colours, is_filled=True, scale=scale)
     _paint_changes(axes, trace, colours, size=3.5 if is_small else 6.5)
     size = 4.5 if is_small or not is_named else 8.0
     paint_contacts(axes, marks_of(trace), is_by_robot=is_named, size=size)
-    return ways
+    return paths
 
 
 def _paint_changes(axes: Axes, trace: Trace, colours: list[str], *, size: float) -> None:
@@ -117,14 +116,14 @@ def _paint_changes(axes: Axes, trace: Trace, colours: list[str], *, size: float)
     for change, marker in ((1, "^"), (-1, "v")):
         instants, rows = np.nonzero(step == change)
         if len(rows):
-            # Who leaves may leave the arena too, and is then nowhere.
+            # A robot that leaves may leave the arena too; its pose is then NaN.
             x, y = trace.pose[instants + (change > 0), rows, :2].T
             axes.scatter(x, y, s=size**2, marker=marker, facecolors=[colours[row] for row in rows],
                          edgecolors="white", linewidths=0.8, zorder=5.0)  # fmt: skip
 
 
 def _links(trace: Trace) -> tuple[Array, Array] | None:
-    """Where those stand that hear each other at the end; None if everyone hears everyone."""
+    """The ends of the radio links at the end; None if every robot hears every other."""
     reach, end = radio_range(trace), last(trace)
     if np.isinf(reach):
         return None
@@ -144,12 +143,12 @@ def _names(trace: Trace) -> list[tuple[Any, str]]:
 
 
 def _stay(trace: Trace, robot: int) -> str:
-    """When a robot's daemon was there, if not always."""
+    """When the daemon of a robot was present, if not always."""
     is_there = presence(trace)[:, robot]
     if is_there.all():
         return ""
     if not is_there.any():
-        return " (never there)"
+        return " (never present)"
     step = np.diff(is_there.astype(np.int64))
     changes = [
         f"{'from' if step[k] > 0 else 'to'} {trace.t[k + 1]:g} s" for k in np.flatnonzero(step)
@@ -158,7 +157,7 @@ def _stay(trace: Trace, robot: int) -> str:
 
 
 def _key(trace: Trace, links: tuple[Array, Array] | None) -> list[tuple[Any, str]]:
-    """What the marks mean, of those that are there."""
+    """Handle and label of each kind of mark in the picture."""
     from matplotlib.lines import Line2D
 
     def mark(marker: str, face: str, edge: str, label: str) -> tuple[Any, str]:
@@ -177,7 +176,7 @@ def _key(trace: Trace, links: tuple[Array, Array] | None) -> list[tuple[Any, str
     if links is not None:
         entries.append((Line2D([], [], color=LINK_COLOUR), f"radio, {radio_range(trace):g} m"))
     found = [touch.kind for touch in marks_of(trace)]
-    is_named = len(trace.ids) <= MOST_NAMED
+    is_named = len(trace.ids) <= MAX_NAMED
     faces = {BOTH: CONTACT_COLOUR, ONE: "0.6" if is_named else CONTACT_COLOUR, NONE: "white"}
     for kind, marker in MARKERS.items():
         if kind in found:

@@ -1,7 +1,8 @@
-"""Runs made by hand, an experiment that was really run, and what every picture must keep to."""
+"""Traces made by hand, the folder of a real experiment, and a check of layouts."""
 
 from __future__ import annotations
 
+import itertools
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,7 +26,7 @@ groups:
 """
 
 Walk = Callable[..., Trace]
-Cut = Callable[["Figure"], list[str]]
+Overlaps = Callable[["Figure"], list[tuple[str, str]]]
 
 
 @pytest.fixture
@@ -107,14 +108,14 @@ def experiment(conducted: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def cut_off() -> Cut:
-    """Tells which words of a figure do not lie within it."""
+def overlaps() -> Overlaps:
+    """Finds the pairs of texts of a figure that overlap by more than two pixels."""
 
-    def find(figure: Figure) -> list[str]:
+    def find(figure: Figure) -> list[tuple[str, str]]:
         from matplotlib.text import Text
 
         figure.draw_without_rendering()
-        unseen = {
+        hidden = {
             label
             for axes in figure.axes
             for axis in (axes.xaxis, axes.yaxis)
@@ -122,17 +123,15 @@ def cut_off() -> Cut:
             for label in (tick.label1, tick.label2)
             if not min(axis.get_view_interval()) <= tick.get_loc() <= max(axis.get_view_interval())
         }
-        words = [
-            text
+        boxes = [
+            (text.get_text(), text.get_window_extent().padded(-1.0))
             for text in figure.findobj(Text)
-            if text.get_visible() and text.get_text() and text not in unseen
+            if text.get_visible() and text.get_text() and text not in hidden
         ]
-        width, height = figure.bbox.size
-        boxes = [(text.get_text(), text.get_window_extent()) for text in words]
         return [
-            word
-            for word, box in boxes
-            if box.x0 < -0.5 or box.y0 < -0.5 or box.x1 > width + 0.5 or box.y1 > height + 0.5
+            (one, other)
+            for (one, box), (other, box2) in itertools.combinations(boxes, 2)
+            if box.overlaps(box2)
         ]
 
     return find

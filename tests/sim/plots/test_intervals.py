@@ -15,7 +15,7 @@ from swarmd.sim.plots.intervals import Panel, draw_intervals, intervals_figure
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-    from tests.sim.plots.conftest import Cut
+    from tests.sim.plots.conftest import Overlaps
 
 pytest.importorskip("matplotlib")
 
@@ -26,7 +26,7 @@ def bars(axes: Axes) -> list[list[float]]:
     return [[float(x) for x in np.asarray(line.get_xdata())] for line in axes.lines]
 
 
-def test_every_run_is_a_point_and_the_mean_stands_above_with_its_interval() -> None:
+def test_points_mean_and_interval_are_drawn() -> None:
     axes = intervals_figure([Panel(label="gap", unit="m", values={"a": VALUES})]).axes[0]
     points, mean = (np.asarray(dots.get_offsets()) for dots in axes.collections)
     assert points[:, 0].tolist() == list(VALUES)
@@ -38,7 +38,7 @@ def test_every_run_is_a_point_and_the_mean_stands_above_with_its_interval() -> N
     assert (axes.get_title(loc="left"), axes.get_xlabel()) == ("gap", "m")
 
 
-def test_the_mean_of_yes_and_no_is_a_share_with_wilsons_interval() -> None:
+def test_values_of_0_and_1_have_wilsons_interval() -> None:
     values = {"a": (1.0, 1.0, 1.0)}
     axes = intervals_figure([Panel(label="x", values=values, is_share=True)]).axes[0]
     assert bars(axes) == [[wilson(3, 3).low, 1.0]]
@@ -58,7 +58,7 @@ def test_a_row_a_variant_and_a_panel_a_metric() -> None:
     assert len(colours) == 2
 
 
-def test_runs_without_a_value_are_counted_and_variants_without_any_are_told() -> None:
+def test_runs_without_a_value_are_counted() -> None:
     values = {"a": (1.0, None, float("nan"), 2.0), "b": (None, None)}
     axes = intervals_figure([Panel(label="x", values=values)]).axes[0]
     assert [text.get_text() for text in axes.texts] == ["2 without", "no value"]
@@ -79,13 +79,13 @@ def test_one_value_has_no_interval() -> None:
     assert len(axes.collections) == 2
 
 
-def test_values_that_are_all_the_same_are_not_blown_up() -> None:
+def test_equal_values_have_one_tick() -> None:
     axes = intervals_figure([Panel(label="x", values={"a": (7.0, 7.0)})]).axes[0]
     assert axes.get_xlim() == (6.0, 8.0)
     assert axes.get_xticks().tolist() == [7.0]
 
 
-def test_a_target_is_a_line_and_a_word() -> None:
+def test_a_target_is_a_labelled_line() -> None:
     axes = intervals_figure([Panel(label="x", unit="m", values={"a": (1.0,)}, target=0.65)]).axes[0]
     assert bars(axes) == [[0.65, 0.65]]
     assert axes.get_xlabel() == "m, target 0.65"
@@ -97,13 +97,13 @@ def test_nothing_to_draw_is_one_clear_error(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("metrics", "variants"), [(1, 1), (1, 3), (16, 2), (5, 12)])
-def test_no_word_is_cut_off(cut_off: Cut, metrics: int, variants: int) -> None:
+def test_no_word_is_overlaps(overlaps: Overlaps, metrics: int, variants: int) -> None:
     names = [f"law=paper,lidar_visibility=real,W={k}" for k in range(variants)]
     panels = [
         Panel(label="mean distance to centroid late", unit="m", values=dict.fromkeys(names, VALUES))
         for _ in range(metrics)
     ]
-    assert cut_off(intervals_figure(panels, "paper_exp1_hardware")) == []
+    assert overlaps(intervals_figure(panels, "paper_exp1_hardware")) == []
 
 
 def test_writes_a_picture(tmp_path: Path) -> None:
@@ -114,3 +114,12 @@ def test_writes_a_picture(tmp_path: Path) -> None:
 def test_counts_are_counted_in_whole_numbers() -> None:
     axes = intervals_figure([Panel(label="x", values={"a": (0.0, 1.0, 2.0)})]).axes[0]
     assert all(float(tick).is_integer() for tick in axes.get_xticks())
+
+
+def test_times_that_some_runs_never_reached_have_a_median() -> None:
+    values = {"a": (1.0, 2.0, 9.0, None), "b": (None, None)}
+    panel = Panel(label="gather time", unit="s", values=values, is_time_to_event=True)
+    axes = intervals_figure([panel]).axes[0]
+    assert [text.get_text() for text in axes.texts] == ["1 of 4 never", "2 of 2 never"]
+    assert np.asarray(axes.collections[1].get_offsets())[0, 0] == 5.5
+    assert bars(axes) == []

@@ -8,24 +8,25 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.core.errors import SwarmError
-from swarmd.sim.plots.overview import MOST_RUNS, draw_overview, overview_figure
+from swarmd.sim.plots.overview import MAX_RUNS, draw_overview, overview_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from tests.sim.plots.conftest import Cut, Walk
+    from tests.sim.plots.conftest import Overlaps, Walk
 
 pytest.importorskip("matplotlib")
 
 
 def note(figure: Figure) -> str:
-    return figure.texts[-1].get_text()
+    return figure.get_supxlabel()
 
 
 def test_each_run_has_its_place_and_name(walk: Walk) -> None:
     trace = walk(3)
     figure = overview_figure([(f"seed {k}", lambda: trace) for k in range(7)])
     assert [axes.get_title() for axes in figure.axes] == [f"seed {k}" for k in range(7)]
+    figure.draw_without_rendering()
     assert len({round(axes.get_position().x0, 6) for axes in figure.axes}) == 3
     assert figure.get_suptitle() == "7 runs"
 
@@ -40,7 +41,7 @@ def test_all_are_drawn_to_one_scale_which_is_told(walk: Walk) -> None:
 def test_says_what_marks_are(walk: Walk) -> None:
     trace = walk(1)
     assert note(overview_figure([("a", lambda: trace)])).endswith(
-        "; outlines: starts; red: touches"
+        "; outlines: starts; red: contacts"
     )
 
 
@@ -51,23 +52,23 @@ def test_a_run_without_a_trace_is_said_to_be_one(walk: Walk) -> None:
     assert [text.get_text() for text in figure.axes[0].texts] == ["no trace"]
 
 
-def test_without_any_trace_there_are_frames(cut_off: Cut) -> None:
-    assert cut_off(overview_figure([("a", lambda: None)], "paper_exp1")) == []
+def test_without_any_trace_there_are_frames(overlaps: Overlaps) -> None:
+    assert overlaps(overview_figure([("a", lambda: None)], "paper_exp1")) == []
 
 
 def test_more_than_fit_are_counted(walk: Walk) -> None:
     trace = walk(2, 3)
-    figure = overview_figure([(str(k), lambda: trace) for k in range(MOST_RUNS + 3)])
-    assert len(figure.axes) == MOST_RUNS
+    figure = overview_figure([(str(k), lambda: trace) for k in range(MAX_RUNS + 3)])
+    assert len(figure.axes) == MAX_RUNS
     assert note(figure).startswith("the first 25 of 28 runs")
 
 
 @pytest.mark.parametrize(("runs", "n"), [(1, 7), (2, 2), (20, 7), (4, 200)])
-def test_no_word_is_cut_off(walk: Walk, cut_off: Cut, runs: int, n: int) -> None:
+def test_no_word_is_overlaps(walk: Walk, overlaps: Overlaps, runs: int, n: int) -> None:
     trace = walk(n)
     loads = [(f"seed {k}: 0.123 m", lambda: trace) for k in range(runs)]
     figure = overview_figure(loads, "paper_exp1_hardware", note="mean distance to centroid late")
-    assert cut_off(figure) == []
+    assert overlaps(figure) == []
 
 
 def test_one_instant_is_a_picture(walk: Walk, tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -12,8 +13,10 @@ from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.store import Row
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.plots.select import (
+    MAX_EVENTS,
     OVER_TIME,
     RUN_BY_RUN,
+    events_of,
     metrics_over_time,
     primary_metric,
     smoothing_of,
@@ -21,6 +24,9 @@ from swarmd.sim.plots.select import (
     typical_first,
     worst_first,
 )
+
+if TYPE_CHECKING:
+    from tests.sim.plots.conftest import Walk
 
 NAN = float("nan")
 
@@ -51,12 +57,12 @@ def test_the_usual_metrics_exist_and_those_over_time_have_a_series() -> None:
         ("minimum_gap", "minimum_gap"),
     ],
 )
-def test_a_series_has_no_moment_in_its_name(metric: str, stem: str) -> None:
+def test_the_name_of_a_series_has_no_time(metric: str, stem: str) -> None:
     assert stem_of(metric) == stem
 
 
-def test_one_series_is_drawn_once_and_what_has_none_not_at_all() -> None:
-    names = ["mean_distance_to_centroid_30s", "gather_time", "mean_distance_to_centroid_late"]
+def test_each_series_is_drawn_once() -> None:
+    names = ["mean_distance_to_centroid_30s", "hold_share", "mean_distance_to_centroid_late"]
     assert metrics_over_time([*names, "of another version"]) == ["mean_distance_to_centroid_30s"]
 
 
@@ -65,7 +71,7 @@ def test_only_what_flickers_is_smoothed() -> None:
     assert smoothed == {"mean_speed", "mean_speed_share", "protection_duty", "command_alteration"}
 
 
-def test_the_chief_metric_tells_the_runs_apart() -> None:
+def test_the_primary_metric_differs_between_runs() -> None:
     found = results(consensus_share=(1.0, 1.0), mean_distance_to_centroid_late=(0.5, 0.6))
     assert primary_metric(found, None) == "mean_distance_to_centroid_late"
     assert primary_metric(found, ["consensus_share"]) == "consensus_share"
@@ -98,3 +104,39 @@ def test_the_worst_run_is_so_by_the_metrics_own_direction(
 
 def test_without_values_no_run_is_the_least_typical() -> None:
     assert worst_first(np.array([NAN]), "gather_time") == ([], "least typical")
+
+
+def event(at: float, action: str, *robots: str, pattern: str = "") -> dict[str, Any]:
+    return {"at": at, "action": action, "robots": list(robots), "pattern": pattern}
+
+
+def test_events_name_action_pattern_and_robots(walk: Walk) -> None:
+    events = [
+        event(0.0, "run", "tb3-00", "tb3-01", "tb3-02", pattern="attraction"),
+        event(0.4, "kill", "tb3-01"),
+        event(0.8, "join", "tb3-00", "tb3-01"),
+        event(1.2, "run", "tb3-00", "tb3-01", "tb3-02", pattern="random_walk"),
+        event(1.6, "place"),
+    ]
+    assert events_of(walk(3, meta={"events": events})) == (
+        (0.4, "kill tb3-01"),
+        (0.8, "join 2 robots"),
+        (1.2, "run random_walk"),
+        (1.6, "place"),
+    )
+
+
+def test_close_events_share_a_label(walk: Walk) -> None:
+    events = [event(1.0, "join", "tb3-00"), event(1.02, "run", "tb3-00"), event(1.03, "place")]
+    events.append(event(1.04, "place"))
+    assert events_of(walk(3, meta={"events": events})) == ((1.0, "join tb3-00, run tb3-00, place"),)
+
+
+def test_too_many_events_are_left_out(walk: Walk) -> None:
+    events = [event(0.1 * k, "place") for k in range(1, MAX_EVENTS + 2)]
+    assert events_of(walk(3, meta={"events": events})) == ()
+    assert len(events_of(walk(3, meta={"events": events[1:]}))) == MAX_EVENTS
+
+
+def test_a_trace_without_events_has_none(walk: Walk) -> None:
+    assert events_of(walk(3)) == ()

@@ -11,13 +11,22 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import SwarmError
-from swarmd.sim.plots.start_and_end import draw_start_and_end, start_and_end_figure
+from swarmd.sim.plots.start_and_end import (
+    NO_COLOUR,
+    SMALL_COLOUR,
+    by_cluster,
+    by_opinion,
+    draw_start_and_end,
+    opinions_of,
+    start_and_end_figure,
+)
+from swarmd.sim.plots.theme import ROBOT_COLOURS
 from swarmd.sim.trace import Trace
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from tests.sim.plots.conftest import Cut, Walk
+    from tests.sim.plots.conftest import Overlaps, Walk
 
 pytest.importorskip("matplotlib")
 Full = Callable[[int], Trace]
@@ -40,7 +49,7 @@ def gathering(walk: Walk) -> Trace:
     return trace
 
 
-def test_says_how_many_clusters_there_are(gathering: Trace) -> None:
+def test_titles_count_clusters(gathering: Trace) -> None:
     figure = start_and_end_figure(gathering)
     assert titles(figure) == ["start: all 4 alone", "end, 0 s: 2 clusters, the largest of 3"]
     assert words(figure) == ["one cluster: each within 0.8 m of the next"]
@@ -58,7 +67,7 @@ def test_lines_join_those_of_a_cluster(gathering: Trace) -> None:
     assert [len(one.get_paths()) for one in lines] == [0, 3]
 
 
-def test_both_show_the_same_place(full: Full) -> None:
+def test_both_maps_show_the_same_part(full: Full) -> None:
     start, end = start_and_end_figure(full(5)).axes
     assert start.get_xlim() == end.get_xlim()
     assert start.get_ylim() == end.get_ylim()
@@ -77,6 +86,7 @@ def test_a_wide_arena_is_shown_twice_below_each_other(walk: Walk) -> None:
     trace = walk(4, arena="6x2")
     trace.pose[..., 0] *= 4.0
     start, end = start_and_end_figure(trace).axes
+    start.figure.draw_without_rendering()
     assert start.get_position().y0 > end.get_position().y1
 
 
@@ -94,13 +104,12 @@ def test_opinions_take_the_place_of_clusters(walk: Walk) -> None:
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["opinion 0", "opinion 1"]
 
 
-@pytest.mark.parametrize("n", [2, 7, 200])
-def test_no_word_is_cut_off(full: Full, cut_off: Cut, n: int) -> None:
+@pytest.mark.parametrize("arena", ["6x6", "90x90", "3x9"])
+def test_no_texts_overlap(full: Full, overlaps: Overlaps, arena: str) -> None:
     title = "paper_exp1_hardware, law=paper,lidar_visibility=real, seed 519\nleast typical run"
-    for arena in ("6x6", "90x90", "3x9"):
-        trace = full(n)
-        trace = replace(trace, meta={**trace.meta, "arena": arena})
-        assert cut_off(start_and_end_figure(trace, title)) == []
+    trace = full(7)
+    trace = replace(trace, meta={**trace.meta, "arena": arena})
+    assert overlaps(start_and_end_figure(trace, title)) == []
 
 
 @pytest.mark.parametrize("n", [1, 7])
@@ -112,3 +121,58 @@ def test_one_instant_is_a_picture(walk: Walk, n: int, tmp_path: Path) -> None:
 def test_an_empty_run_is_one_clear_error(tmp_path: Path, walk: Walk) -> None:
     with pytest.raises(SwarmError, match="nothing to draw"):
         draw_start_and_end(walk(2, 0), tmp_path / "run.png")
+
+
+def test_the_largest_cluster_has_the_first_colour_and_lone_robots_none(walk: Walk) -> None:
+    trace = walk(6, 1)
+    trace.pose[0, :, :2] = [[9.0, 9.0], [0.0, 0.0], [5.0, 0.0], [5.1, 0.0], [5.2, 0.0], [0.1, 0.0]]
+    found = by_cluster(trace, 0.15)
+    first, second = ROBOT_COLOURS[:2]
+    assert found.colours == [NO_COLOUR, second, first, first, first, second]
+    assert found.label == "3 clusters, the largest of 3"
+
+
+def test_small_clusters_are_grey_where_there_are_more_than_colours(walk: Walk) -> None:
+    trace = walk(24, 1)
+    trace.pose[0, :, 0] = np.repeat(np.arange(12), 2) * 10.0
+    trace.pose[0, :, 1] = np.tile([0.0, 0.1], 12)
+    colours = by_cluster(trace, 0.5).colours
+    assert len(set(colours[:18])) == 9
+    assert set(colours[18:]) == {SMALL_COLOUR}
+
+
+def test_absent_robots_are_not_counted(walk: Walk) -> None:
+    trace = walk(3, 1, present=np.array([[True, False, False]]))
+    assert by_cluster(trace, 9.0).label == "1 robot"
+    assert by_cluster(trace, 9.0).colours[1:] == [NO_COLOUR, NO_COLOUR]
+    assert by_cluster(trace, None).label == "1 robot"
+
+
+def test_without_present_robots_there_is_no_cluster(walk: Walk) -> None:
+    trace = walk(2, 1, present=np.zeros((1, 2), dtype=bool))
+    assert by_cluster(trace, 1.0).label == "0 robots"
+
+
+@pytest.mark.parametrize(("count", "words"), [(2, "0: 1, opinion 1: 1"), (7, "3: 1, 3 more")])
+def test_each_opinion_has_one_colour_at_both_ends(walk: Walk, count: int, words: str) -> None:
+    held = np.arange(count, dtype=np.float64)
+    trace = walk(count, 2, report={"opinion": np.stack((held, held[::-1]))})
+    opinions = opinions_of(trace)
+    found = by_opinion(trace, opinions)
+    assert opinions == list(range(count))
+    assert found.colours == list(ROBOT_COLOURS[:count])
+    assert found.label.endswith(words)
+
+
+def test_more_opinions_than_colours_are_grey(walk: Walk) -> None:
+    trace = walk(12, 1, report={"opinion": np.arange(12.0)[None]})
+    opinions = opinions_of(trace)
+    assert by_opinion(trace, opinions).colours[9:] == [SMALL_COLOUR] * 3
+    assert len(start_and_end_figure(trace).legends[0].get_texts()) == 9
+
+
+def test_a_run_without_opinions_has_none(walk: Walk) -> None:
+    trace = walk(2, 1, report={"opinion": np.full((1, 2), np.nan)})
+    assert opinions_of(trace) == []
+    assert by_opinion(trace, []).label == "no opinion yet"
+    assert opinions_of(walk(2, 1)) == []

@@ -23,11 +23,16 @@ def test_the_suffix_says_the_format(tmp_path: Path, suffix: str, start: bytes) -
     assert list(path.parent.iterdir()) == [path]
 
 
-def test_a_png_has_the_figures_size(tmp_path: Path) -> None:
+def test_text_beside_a_figure_is_not_cut(tmp_path: Path) -> None:
     from matplotlib.image import imread
 
-    pixels = imread(save(new_figure(3.0, 2.0), tmp_path / "x.png"))
-    assert pixels.shape[:2] == (260, 390)
+    def pixels(name: str, x: float) -> tuple[int, ...]:
+        figure = new_figure(3.0, 2.0)
+        figure.add_subplot()
+        figure.text(x, 0.5, "beside")
+        return tuple(imread(save(figure, tmp_path / f"{name}.png")).shape)
+
+    assert pixels("out", 1.1)[1] > pixels("in", 0.5)[1] + 40
 
 
 @pytest.mark.parametrize("suffix", [".png", ".svg", ".pdf"])
