@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.lidar import SIZES, make_world, samples
 from benchmarks.table import Row, print_table
-from swarmd.sim.world.rates import ODOMETRY_RATE
+from swarmd.sim.world.odometer import ODOMETRY_RATE
 from swarmd.sim.world.realism import REALISMS
 from swarmd.sim.world.world import World
 

@@ -17,7 +17,7 @@ from swarmd.core.values import Array, Platform
 ARENA = -1
 """The index that stands for walls, boxes and poles in a contact."""
 
-VERSION = 3
+VERSION = 4
 
 _PARTS = {
     "t": "f T", "pose": "f T n 3", "safe": "f T n 3", "requested": "f T n 3",
@@ -25,7 +25,7 @@ _PARTS = {
     "decided": "i T n", "evaded": "i T n", "recovering": "b T n",
     "gap": "f T n", "scan_age": "f T n", "bound": "f T n 3", "report": "f T n", "words": "U T n",
     "contact_t": "f c", "contact_pair": "i c 2", "contact_speed": "f c 2",
-    "thing_pose": "f T m 3", "thing_shapes": "f m k 2",
+    "box_pose": "f T m 3", "box_shapes": "f m k 2",
 }  # fmt: skip
 """Kind and shape of each array, by the first word of its name in a file."""
 
@@ -55,8 +55,8 @@ class Trace:
     name: numbers that patterns reported, NaN where they did not; `words` the same for words, empty
     where they did not.
 
-    `thing_pose` (T, m, 3) are the poses of the movable boxes `things`, NaN while one is not in
-    the arena; `thing_shapes` (m, k, 2) their outlines in their own frames.
+    `box_pose` (T, m, 3) are the poses of the movable boxes `movable_boxes`, NaN while one is not in
+    the arena; `box_shapes` (m, k, 2) their outlines in their own frames.
     """
 
     ids: tuple[str, ...]
@@ -82,9 +82,9 @@ class Trace:
     present: NDArray[np.bool_] | None = None
     report: Mapping[str, Array] = field(default_factory=dict)
     words: Mapping[str, NDArray[np.str_]] = field(default_factory=dict)
-    things: tuple[str, ...] = ()
-    thing_pose: Array | None = None
-    thing_shapes: Array | None = None
+    movable_boxes: tuple[str, ...] = ()
+    box_pose: Array | None = None
+    box_shapes: Array | None = None
 
     @property
     def duration(self) -> float:
@@ -101,7 +101,7 @@ class Trace:
         head = {
             "version": VERSION,
             "ids": self.ids,
-            "things": self.things,
+            "movable_boxes": self.movable_boxes,
             "platforms": self.platforms,
             "footprints": {name: shape.tolist() for name, shape in self.footprints.items()},
             "meta": dict(self.meta),
@@ -124,9 +124,9 @@ def load_trace(path: Path) -> Trace:
         head = json.loads(str(arrays.pop("head")))
         if head.pop("version") != VERSION:
             raise ConfigError(f"{path}: a trace of another version; this reads {VERSION}")
-        for key in ("ids", "platforms", "things"):
+        for key in ("ids", "platforms", "movable_boxes"):
             head[key] = tuple(head[key])
-        _check_parts(arrays, {"n": len(head["ids"]), "m": len(head["things"])})
+        _check_parts(arrays, {"n": len(head["ids"]), "m": len(head["movable_boxes"])})
         for kind in ("report", "words"):
             named = [name for name in arrays if name.startswith(f"{kind}/")]
             head[kind] = {name.partition("/")[2]: arrays.pop(name) for name in named}
@@ -155,7 +155,7 @@ def _check_parts(arrays: Mapping[str, NDArray[Any]], sizes: Mapping[str, int]) -
             raise ValueError(f"{name} is {array.dtype} {array.shape}")
 
 
-class Recorder:
+class TraceBuilder:
     """Gathers a trace of truth and commands while a world runs."""
 
     def __init__(
@@ -164,14 +164,14 @@ class Recorder:
         platforms: Sequence[Platform],
         meta: Mapping[str, Any],
         *,
-        things: Sequence[str] = (),
-        thing_shapes: Array | None = None,
+        movable_boxes: Sequence[str] = (),
+        box_shapes: Array | None = None,
     ) -> None:
-        """`things` are the movable boxes, `thing_shapes` (m, k, 2) their outlines."""
-        self._ids, self._things = tuple(ids), tuple(things)
-        self._shapes = thing_shapes if things else None
+        """`movable_boxes` are the movable boxes, `box_shapes` (m, k, 2) their outlines."""
+        self._ids, self._movable_boxes = tuple(ids), tuple(movable_boxes)
+        self._shapes = box_shapes if movable_boxes else None
         self._index = {robot: i for i, robot in enumerate(ids)}
-        self._index |= {f"box/{name}": ARENA - 1 - i for i, name in enumerate(things)}
+        self._index |= {f"box/{name}": ARENA - 1 - i for i, name in enumerate(movable_boxes)}
         self._platforms = tuple(p.name for p in platforms)
         self._footprints = {p.name: p.footprint for p in platforms}
         self._meta = dict(meta)
@@ -185,13 +185,13 @@ class Recorder:
         self._thing_pose: list[Array] = []
         self._contacts: list[tuple[float, int, int, float, float]] = []
 
-    def add(self, time: float, pose: Array, safe: Array, thing_pose: Array | None = None) -> None:
+    def add(self, time: float, pose: Array, safe: Array, box_pose: Array | None = None) -> None:
         """One instant: poses and commands (n, 3), poses of things (m, 3), which are copied."""
         self._t.append(time)
         self._pose.append(pose.copy())
         self._safe.append(safe.copy())
-        if self._things and thing_pose is not None:
-            self._thing_pose.append(thing_pose.copy())
+        if self._movable_boxes and box_pose is not None:
+            self._thing_pose.append(box_pose.copy())
 
     def touch(self, time: float, a: str, b: str, speed_a: float, speed_b: float) -> None:
         """One step of a touch between robot `a` and `b`, a robot or part of the arena."""
@@ -200,7 +200,7 @@ class Recorder:
 
     def trace(self, **meta: Any) -> Trace:
         """All since the last `clear`; `meta` is added to what the recorder was made with."""
-        n, m = len(self._ids), len(self._things)
+        n, m = len(self._ids), len(self._movable_boxes)
         contacts = np.array(self._contacts, dtype=np.float64).reshape(-1, 5)
         return Trace(
             ids=self._ids,
@@ -213,7 +213,7 @@ class Recorder:
             platforms=self._platforms,
             footprints=self._footprints,
             meta={**self._meta, **meta},
-            things=self._things,
-            thing_pose=np.array(self._thing_pose).reshape(-1, m, 3) if m else None,
-            thing_shapes=self._shapes,
+            movable_boxes=self._movable_boxes,
+            box_pose=np.array(self._thing_pose).reshape(-1, m, 3) if m else None,
+            box_shapes=self._shapes,
         )

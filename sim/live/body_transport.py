@@ -34,7 +34,7 @@ class Command:
     scan_seq: int | None = None
 
 
-class Speech(Protocol):
+class BodyTransport(Protocol):
     """Says what bodies sense, and hears what they are told."""
 
     @property

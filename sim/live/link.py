@@ -35,7 +35,7 @@ from swarmd.sim.live.state import (
 # On this host a frozen daemon keeps its link: it comes back where it was, and no lease ends
 # meanwhile. A daemon that dies is noticed by its closed socket.
 LEASE = 60.0
-MAX_QUESTIONS = 64  # waiting for the next step; a flood costs its sender's questions
+MAX_PENDING_REQUESTS = 64  # waiting for the next step; a flood costs its sender's questions
 _OPTIONS: dict[str, object] = {
     "mode": "peer",
     "scouting/multicast/enabled": False,
@@ -50,7 +50,7 @@ _OPTIONS: dict[str, object] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Question:
+class PendingRequest:
     """A request as it came, and how to answer it."""
 
     payload: bytes
@@ -76,7 +76,7 @@ class WorldLink:
         self._clock = clock
         self._lock = threading.Lock()
         self._commands: dict[str, tuple[CommandWire, float]] = {}
-        self._questions: list[Question] = []
+        self._requests: list[PendingRequest] = []
         self._swarm = swarm
         self._ids = frozenset(ids)
         self._session, self.endpoint = open_listening(endpoint, _OPTIONS, "the world")
@@ -106,10 +106,10 @@ class WorldLink:
             commands, self._commands = self._commands, {}
         return commands
 
-    def take_questions(self) -> list[Question]:
+    def take_requests(self) -> list[PendingRequest]:
         """The requests since the last call, each to be answered once."""
         with self._lock:
-            questions, self._questions = self._questions, []
+            questions, self._requests = self._requests, []
         return questions
 
     def close(self) -> None:
@@ -146,9 +146,9 @@ class WorldLink:
             query.drop()  # what ends the asker's wait
 
         with self._lock:
-            is_taken = len(payload) <= MAX_CONTROL and len(self._questions) < MAX_QUESTIONS
+            is_taken = len(payload) <= MAX_CONTROL and len(self._requests) < MAX_PENDING_REQUESTS
             if is_taken:
-                self._questions.append(Question(payload, answer))
+                self._requests.append(PendingRequest(payload, answer))
             else:
                 self.dropped += 1
         if not is_taken:
@@ -188,16 +188,16 @@ class WorldView:
         """The world's answer; NetworkError if there is none within `timeout` s."""
         return self._ask(WorldRequest(action=action), timeout)
 
-    def place(self, thing: str, pose: Triple, timeout: float = 10.0) -> WorldState:
+    def place(self, box: str, pose: Triple, timeout: float = 10.0) -> WorldState:
         """Put a movable box at rest at x, y in m and yaw in rad, wherever it was; the state then.
 
         SwarmError if something else stands there or there is no such box; NetworkError as `ask`.
         """
-        return self._done(WorldRequest(action="place", thing=thing, pose=pose), timeout)
+        return self._done(WorldRequest(action="place", box=box, pose=pose), timeout)
 
-    def remove(self, thing: str, timeout: float = 10.0) -> WorldState:
+    def remove(self, box: str, timeout: float = 10.0) -> WorldState:
         """Take a movable box out of the arena; SwarmError if it is not in it."""
-        return self._done(WorldRequest(action="remove", thing=thing), timeout)
+        return self._done(WorldRequest(action="remove", box=box), timeout)
 
     def _done(self, request: WorldRequest, timeout: float) -> WorldState:
         reply = self._ask(request, timeout)

@@ -9,13 +9,13 @@ import numpy as np
 from swarmd.core.values import Array
 from swarmd.sim.world.geometry import Indices
 
-HOPELESS = 0.25
+MAX_CATCH_UP = 0.25
 """Seconds behind beyond which lost time is given up instead of caught up."""
 
 _WINDOW = 1.0
 
 
-class Pacer:
+class StepPacer:
     """Absolute deadlines: what is late is caught up, unless it is hopeless."""
 
     def __init__(self, dt: float, now: float) -> None:
@@ -30,7 +30,7 @@ class Pacer:
         if now < self.deadline:
             return 0
         late = now - self.deadline
-        if late > HOPELESS:
+        if late > MAX_CATCH_UP:
             due, self.deadline = 1, now + self._dt
             self.overruns += int(late / self._dt)
         else:

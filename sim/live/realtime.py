@@ -14,15 +14,15 @@ import numpy as np
 
 from swarmd.core.errors import CodecError, SwarmError
 from swarmd.core.values import Array, Scan
-from swarmd.sim.live.body_transport import HwTransport, Speech
-from swarmd.sim.live.link import Question, WorldLink
-from swarmd.sim.live.pacing import Pacer, Staggered
-from swarmd.sim.live.recording import Record
+from swarmd.sim.live.body_transport import BodyTransport, HwTransport
+from swarmd.sim.live.link import PendingRequest, WorldLink
+from swarmd.sim.live.pacing import Staggered, StepPacer
+from swarmd.sim.live.recording import LiveRecorder
 from swarmd.sim.live.state import Triple, WorldReply, WorldRequest, WorldState, decode_request
 from swarmd.sim.world.delay_queue import DelayQueue
 from swarmd.sim.world.geometry import transform
-from swarmd.sim.world.radio import Radio
-from swarmd.sim.world.rates import HEARING_RATE, ODOMETRY_RATE
+from swarmd.sim.world.odometer import ODOMETRY_RATE
+from swarmd.sim.world.radio import NEIGHBORS_RATE, Radio
 from swarmd.sim.world.world import World
 
 COMMAND_TIMEOUT = 0.5
@@ -38,11 +38,11 @@ class RealTimeWorld:
         self,
         world: World,
         link: WorldLink,
-        record: Record,
+        record: LiveRecorder,
         *,
         radio: Radio | None = None,
-        speech: Speech | None = None,
-        deadmen: Sequence[float] | None = None,
+        transport: BodyTransport | None = None,
+        command_timeouts: Sequence[float] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """`clock` must be the one by which `link` and `speech` stamp arrivals.
@@ -53,33 +53,33 @@ class RealTimeWorld:
         not told.
         """
         self._world, self._link, self._record, self._clock = world, link, record, clock
-        self._radio, self._speech = radio, speech or HwTransport(link)
+        self._radio, self._transport = radio, transport or HwTransport(link)
         n, start = len(world.ids), world.time
         self._rows = {robot: row for row, robot in enumerate(world.ids)}
         self._commands = np.zeros((n, 3))
         self._arrivals = np.full(n, -np.inf)
-        self._deadmen: Array = np.array([COMMAND_TIMEOUT] * n if deadmen is None else deadmen)
-        self._swept = np.full(n, -1)
+        self._command_timeouts: Array = np.array(command_timeouts or [COMMAND_TIMEOUT] * n)
+        self._sent_seq = np.full(n, -1)
         self._too_old = np.array([p.scan.stale_after * p.scan.rate for p in world.platforms])
         self._unreadable = 0
         self._sweeps: DelayQueue[tuple[int, Scan]] = DelayQueue()
         self._scans_due = Staggered(np.array([p.scan.rate for p in world.platforms]), start)
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start)
-        self._hearing_due = Staggered(np.full(n, HEARING_RATE), start)
+        self._neighbors_due = Staggered(np.full(n, NEIGHBORS_RATE), start)
         self._state_due = Staggered(np.array([STATE_RATE]), start)
-        self._pacer = Pacer(world.dt, clock())
+        self._pacer = StepPacer(world.dt, clock())
 
     def run(self, is_over: Callable[[], bool]) -> None:
         """Step until `is_over`; the record is finished on the way out."""
-        self._pacer = Pacer(self._world.dt, self._clock())
+        self._pacer = StepPacer(self._world.dt, self._clock())
         try:
             while not is_over():
-                self.turn()
+                self.run_due()
                 time.sleep(max(0.0, self._pacer.deadline - self._clock()))
         finally:
             self._record.finish()
 
-    def turn(self) -> None:
+    def run_due(self) -> None:
         """Do what is due now: commands in, steps, senses out, questions answered."""
         now = self._clock()
         steps = self._pacer.steps(now)
@@ -92,51 +92,51 @@ class RealTimeWorld:
             self._world.step()
             self._record.note(safe)
         self._publish()
-        for question in self._link.take_questions():
+        for question in self._link.take_requests():
             self._answer(question)
 
     def _is_fresh(self, now: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
         # Before its first command a body has none, even where none ever ends.
         quiet = np.where(np.isfinite(self._arrivals), now - self._arrivals, np.nan)
-        return np.less_equal(quiet, self._deadmen)
+        return np.less_equal(quiet, self._command_timeouts)
 
     def _take_commands(self) -> None:
-        for robot, command in self._speech.take_commands().items():
+        for robot, command in self._transport.take_commands().items():
             row, swept, twist = self._rows[robot], command.scan_seq, command.twist
             # What a frozen guardian had handed to its network comes out at its thaw.
-            is_late = swept is not None and self._swept[row] - swept > self._too_old[row]
+            is_late = swept is not None and self._sent_seq[row] - swept > self._too_old[row]
             told = (twist.linear, twist.angular, twist.lateral)
             self._commands[row] = (0.0, 0.0, 0.0) if is_late else told
             self._arrivals[row] = command.arrival
 
     def _publish(self) -> None:
-        world, speech = self._world, self._speech
+        world, transport = self._world, self._transport
         due = self._scans_due.due(world.time)
         if len(due):
             for row, scan in zip(due.tolist(), world.scans(due), strict=True):
                 self._sweeps.put(world.time + float(world.scan_latency[row]), (row, scan))
         for row, scan in self._sweeps.due(world.time):
-            self._swept[row] = scan.seq
-            speech.scan(world.ids[row], scan)
+            self._sent_seq[row] = scan.seq
+            transport.scan(world.ids[row], scan)
         due = self._odometry_due.due(world.time)
         if len(due):
             for row, odometry in zip(due, world.odometry(due), strict=True):
-                speech.odometry(world.ids[row], odometry)
-        for row in self._hearing_due.due(world.time):
-            self._publish_hearing(int(row))
+                transport.odometry(world.ids[row], odometry)
+        for row in self._neighbors_due.due(world.time):
+            self._publish_neighbors(int(row))
         if len(self._state_due.due(world.time)):
             self._link.publish_state(self._state())
 
-    def _publish_hearing(self, row: int) -> None:
+    def _publish_neighbors(self, row: int) -> None:
         world, robot = self._world, self._world.ids[row]
         if self._radio is not None:
-            boxes = transform(world.thing_shapes, world.thing_poses())
+            boxes = transform(world.box_shapes, world.box_poses())
             heard = self._radio.neighbors(row, world.poses(), boxes)
-            self._speech.neighbors(robot, heard)
+            self._transport.neighbors(robot, heard)
         if readings := world.readings(row):
-            self._speech.readings(robot, readings)
+            self._transport.readings(robot, readings)
 
-    def _answer(self, question: Question) -> None:
+    def _answer(self, question: PendingRequest) -> None:
         try:
             request = decode_request(question.payload)
             path = self._do(request)
@@ -155,9 +155,9 @@ class RealTimeWorld:
             case "finish":
                 return str(self._record.finish() or "")
             case "place":
-                self._world.place(request.thing, request.pose)
+                self._world.place(request.box, request.pose)
             case "remove":
-                self._world.remove(request.thing)
+                self._world.remove(request.box)
         return ""
 
     def _state(self) -> WorldState:
@@ -175,7 +175,7 @@ class RealTimeWorld:
             is_recording=record.is_running,
             recorded=record.seconds,
             overruns=self._pacer.overruns,
-            dropped=self._link.dropped + self._speech.dropped + self._unreadable,
+            dropped=self._link.dropped + self._transport.dropped + self._unreadable,
         )
 
 

@@ -11,15 +11,15 @@ import numpy as np
 
 from swarmd.core.values import Array
 from swarmd.sim.live.pacing import Staggered
-from swarmd.sim.trace import Recorder
-from swarmd.sim.world.contacts import Episodes
+from swarmd.sim.trace import TraceBuilder
+from swarmd.sim.world.contacts import ContactEpisodes
 from swarmd.sim.world.world import World
 
 _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class RecordSettings:
+class RecorderSettings:
     """Whether and how a run is recorded.
 
     `path`: where the trace goes (None: nowhere); `rate` of its instants in Hz; `seconds` of
@@ -32,17 +32,17 @@ class RecordSettings:
     meta: Mapping[str, object] = field(default_factory=dict)
 
 
-class Record:
+class LiveRecorder:
     """Follows a world step by step. Recording begins at once, and anew with `begin`."""
 
-    def __init__(self, world: World, settings: RecordSettings) -> None:
+    def __init__(self, world: World, settings: RecorderSettings) -> None:
         self._world, self._settings = world, settings
-        self._recorder = Recorder(
+        self._recorder = TraceBuilder(
             world.ids,
             world.platforms,
             settings.meta,
-            things=world.things,
-            thing_shapes=world.thing_shapes,
+            movable_boxes=world.movable_boxes,
+            box_shapes=world.box_shapes,
         )
         self.is_running = False
         self.contacts = 0
@@ -58,7 +58,7 @@ class Record:
     def begin(self) -> None:
         """Forget what was; the record's time 0 is now."""
         self._start = self._world.time
-        self._episodes = Episodes()
+        self._episodes = ContactEpisodes()
         self._due = Staggered(np.array([self._settings.rate]), self._start)
         self._recorder.clear()
         self.contacts = self.arena_contacts = 0
@@ -71,7 +71,7 @@ class Record:
         self._note_contacts()
         if self._settings.path is not None and len(self._due.due(self._world.time)):
             world = self._world
-            self._recorder.add(self.seconds, world.poses(), safe, world.thing_poses())
+            self._recorder.add(self.seconds, world.poses(), safe, world.box_poses())
         if self._settings.seconds is not None and self.seconds >= self._settings.seconds - 1e-9:
             self.finish()
 

@@ -29,10 +29,10 @@ from swarmd.plugins import load_emulator
 from swarmd.settings.driver_options import stops_after
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.body_transport import DRIVER, EmulatorTransport, HwTransport, Speech
+from swarmd.sim.live.body_transport import DRIVER, BodyTransport, EmulatorTransport, HwTransport
 from swarmd.sim.live.link import WorldLink
 from swarmd.sim.live.realtime import RealTimeWorld
-from swarmd.sim.live.recording import Record, RecordSettings
+from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.layouts import parse_layout
 from swarmd.sim.world.radio import Radio, RadioSettings
@@ -49,7 +49,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         level=logging.INFO, stream=sys.stderr, format="%(asctime)s %(levelname)s %(message)s"
     )
     try:
-        with _told_to_end() as is_over:
+        with _stop_signals() as is_over:
             _serve(options, is_over)
     except ConfigError as error:
         print(error, file=sys.stderr)
@@ -77,7 +77,7 @@ def parse_robots(text: str) -> dict[str, Platform]:
 
 
 @contextmanager
-def _told_to_end() -> Iterator[Callable[[], bool]]:
+def _stop_signals() -> Iterator[Callable[[], bool]]:
     """Whether SIGTERM or SIGINT has come; the old handlers are back afterwards."""
     came: list[int] = []
 
@@ -96,33 +96,38 @@ def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
     swarm = check_id(options.swarm, "swarm")
     robots = parse_robots(options.robots)
     world = _make_world(options, robots)
-    settings = RecordSettings(
+    settings = RecorderSettings(
         path=options.trace,
         rate=options.trace_rate,
         seconds=options.seconds,
         meta=_meta(options, robots),
     )
-    record = Record(world, settings)
+    record = LiveRecorder(world, settings)
     with ExitStack() as opened:
         link = WorldLink(swarm, robots, options.endpoint)
         opened.callback(link.close)
-        speech: Speech = HwTransport(link)
-        driver, told, deadmen = DRIVER, dict[str, Value](endpoint=link.endpoint), None
+        transport: BodyTransport = HwTransport(link)
+        driver, told, timeouts = DRIVER, dict[str, Value](endpoint=link.endpoint), None
         if options.emulator is not None:
-            speech = spoken = _make_dialect(options, robots)
+            transport = spoken = _make_emulator(options, robots)
             opened.callback(spoken.close)
             driver, told = options.emulator, dict(spoken.side.driver_options)
-            deadmen = [_command_timeout(platform, driver) for platform in robots.values()]
+            timeouts = [_command_timeout(platform, driver) for platform in robots.values()]
         ready = {"endpoint": link.endpoint, "swarm": swarm, "driver": driver}
         print(json.dumps({**ready, "driver_options": told}), flush=True)
         # What is alive now stays: a collection would only walk through all of it again.
         gc.collect()
         gc.freeze()
         radio = _make_radio(options, world)
-        RealTimeWorld(world, link, record, radio=radio, speech=speech, deadmen=deadmen).run(is_over)
+        live = RealTimeWorld(
+            world, link, record, radio=radio, transport=transport, command_timeouts=timeouts
+        )
+        live.run(is_over)
 
 
-def _make_dialect(options: argparse.Namespace, robots: Mapping[str, Platform]) -> EmulatorTransport:
+def _make_emulator(
+    options: argparse.Namespace, robots: Mapping[str, Platform]
+) -> EmulatorTransport:
     if options.radio_range is not None:
         raise ConfigError(
             f"--radio-range and --emulator {options.emulator}: no robot says there whom it hears;"
@@ -136,7 +141,7 @@ def _command_timeout(platform: Platform, driver: str) -> float:
     return stops_after(platform.drivers.get(driver, {}), what)
 
 
-def _trembling(realism: Realism) -> Realism:
+def _with_varying_ranges(realism: Realism) -> Realism:
     """The realism, with ranges that differ by a micrometre from sweep to sweep if they would not.
 
     The daemons take a lidar that says the same twice for a frozen one.
@@ -155,7 +160,7 @@ def _make_world(options: argparse.Namespace, robots: Mapping[str, Platform]) -> 
         arena,
         starts,
         visibility=options.lidar_visibility,
-        realism=_trembling(REALISMS[options.realism]),
+        realism=_with_varying_ranges(REALISMS[options.realism]),
         seed=options.seed,
     )
 

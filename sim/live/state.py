@@ -41,11 +41,11 @@ class WorldState(Struct, frozen=True, kw_only=True):
 class WorldRequest(Struct, frozen=True, kw_only=True):
     """`start`: begin the recording here. `finish`: end and write it. `poses`: the state now.
 
-    `place`: put the movable box `thing` at rest at `pose`; `remove`: take it out of the arena.
+    `place`: put the movable box `box` at rest at `pose`; `remove`: take it out of the arena.
     """
 
     action: Action
-    thing: Word = ""
+    box: Word = ""
     pose: Triple = (0.0, 0.0, 0.0)
 
 

@@ -26,7 +26,7 @@ class StatusLog:
         """At `time` s of the recording these robots said how they stand; in order of time."""
         self._heard.append((time, dict(statuses)))
 
-    def brought_into(self, trace: Trace) -> Trace:
+    def merged_into(self, trace: Trace) -> Trace:
         """The trace with what a status tells of state, protection, `report` and `words`.
 
         Empty, False and NaN before a robot's first word. A wish is not among them: one that is

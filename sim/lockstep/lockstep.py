@@ -24,20 +24,21 @@ from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import TICK, Robot
 from swarmd.robot.status import RobotSettings
 from swarmd.sim.lockstep.recorder import LockstepRecorder
-from swarmd.sim.lockstep.schedules import Schedules, Wakes
-from swarmd.sim.lockstep.shell import Shell
+from swarmd.sim.lockstep.schedules import Alarms, Schedules
+from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.lockstep.timeline import Timeline
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.delay_queue import DelayQueue
 from swarmd.sim.world.geometry import transform
-from swarmd.sim.world.radio import Radio
-from swarmd.sim.world.rates import HEARING_RATE, ODOMETRY_RATE, READINGS_RATE
+from swarmd.sim.world.odometer import ODOMETRY_RATE
+from swarmd.sim.world.radio import NEIGHBORS_RATE, Radio
 from swarmd.sim.world.realism import Realism
+from swarmd.sim.world.scalar_fields import READINGS_RATE
 from swarmd.sim.world.seeding import generator
 from swarmd.sim.world.world import World
 
-BODY_TIMEOUT = 0.5
+BASE_TIMEOUT = 0.5
 """Seconds after which a base whose daemon is gone stops by itself."""
 
 
@@ -48,14 +49,18 @@ def simulate_run(
 
     `on_progress` is called after every step with the share that is done, at last with 1.
     """
-    told = on_progress or _nobody
-    lab, duration = Lockstep(scenario, seed), scenario.duration
+    report = on_progress or _ignore
+    run, duration = Lockstep(scenario, seed), scenario.duration
+
+    def on_step(now: float) -> None:
+        report(min(now / duration, 0.99))
+
     share = 0.0
     while share < 1.0:
         share = min(share + 0.02, 1.0)
-        lab.advance(share * duration - lab.world.time, lambda now: told(min(now / duration, 0.99)))
-    told(1.0)
-    return lab.trace()
+        run.advance(share * duration - run.world.time, on_step)
+    report(1.0)
+    return run.trace()
 
 
 class Lockstep:
@@ -78,23 +83,23 @@ class Lockstep:
         self._find = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
         self._radio = Radio(scenario.radio, ids, scenario.arena, seed=seed)
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
-        self._sweeps = Schedules(np.array([p.scan.rate for p in self.world.platforms]), phases)
-        self._beats = Schedules(np.full(n, 1.0 / TICK), phases)
-        self._odometry = Schedules(np.array([ODOMETRY_RATE]))
-        self._hearing = Schedules(np.full(n, HEARING_RATE), phases)
+        self._scans_due = Schedules(np.array([p.scan.rate for p in self.world.platforms]), phases)
+        self._ticks = Schedules(np.full(n, 1.0 / TICK), phases)
+        self._odometry_due = Schedules(np.array([ODOMETRY_RATE]))
+        self._neighbors_due = Schedules(np.full(n, NEIGHBORS_RATE), phases)
         readers = n if scenario.fields else 0
-        self._reading = Schedules(np.full(readers, READINGS_RATE), phases[:readers])
-        self._record = Schedules(np.array([scenario.trace_rate]))
-        self._wakes = Wakes(n, self.world.dt)
-        self._held: DelayQueue[tuple[int, Scan]] = DelayQueue()
+        self._readings_due = Schedules(np.full(readers, READINGS_RATE), phases[:readers])
+        self._record_due = Schedules(np.array([scenario.trace_rate]))
+        self._alarms = Alarms(n, self.world.dt)
+        self._scans_in_transit: DelayQueue[tuple[int, Scan]] = DelayQueue()
         self._commands = np.zeros((n, 3))
         self._silent_at: dict[int, float] = {}
         self._latches: dict[int, LatchRecord | None] = {}
-        self._told: list[tuple[int, dict[str, Latch]]] = []
-        self._held_by: dict[int, dict[str, Latch]] = {}
-        self._lives = [0] * n
+        self._new_latches: list[tuple[int, dict[str, Latch]]] = []
+        self._peer_latches: dict[int, dict[str, Latch]] = {}
+        self._boots = [0] * n
         self._steps = 0
-        self.shells: list[Shell | None] = [None] * n
+        self.shells: list[RobotShell | None] = [None] * n
         self._away = n
         for row, robot in enumerate(ids):
             if robot not in scenario.absent:
@@ -120,17 +125,17 @@ class Lockstep:
             self._platforms[row],
             settings,
             seed=self.seed,
-            instance=f"lab-{self._lives[row]}",
+            instance=f"lockstep-{self._boots[row]}",
             now=now,
             latches=self._latches.get(row),
         )
-        self._lives[row] += 1
+        self._boots[row] += 1
         self._silent_at.pop(row, None)
         self._away -= 1
-        shell = self.shells[row] = Shell(row, robot, self._find, self, now)
-        for latches in list(self._held_by.values()):  # before it takes any request
+        shell = self.shells[row] = RobotShell(row, robot, self._find, self, now)
+        for latches in list(self._peer_latches.values()):  # before it takes any request
             shell.settle(robot.on_latches(latches, now), now)
-        self._meet(row)
+        self._update_neighbors(row)
 
     def end(self, row: int, *, in_order: bool) -> None:
         """The daemon of robot `row` ends; if it is killed, its base stops by its own timeout."""
@@ -139,10 +144,10 @@ class Lockstep:
         if in_order:
             shell.leave(now)
         else:
-            self._silent_at[row] = now + BODY_TIMEOUT
+            self._silent_at[row] = now + BASE_TIMEOUT
         self._latches[row] = shell.latches
-        self._held_by.pop(row, None)
-        self._wakes.set(row, None)
+        self._peer_latches.pop(row, None)
+        self._alarms.set(row, None)
         self.shells[row] = None
         self._away += 1
 
@@ -152,7 +157,7 @@ class Lockstep:
         """The base's command from now on."""
         self._commands[row] = twist.linear, twist.angular, twist.lateral
 
-    def say(self, row: int, name: str, value: Value, now: float) -> None:
+    def send_message(self, row: int, name: str, value: Value, now: float) -> None:
         """Through the radio, in the form in which it would go over the network."""
         try:
             plain = decode_value(encode_value(value))
@@ -160,16 +165,16 @@ class Lockstep:
             return
         self._radio.send(row, name, plain, now, self.world.poses(), self._boxes())
 
-    def tell(self, row: int, status: Status) -> None:
+    def publish_status(self, row: int, status: Status) -> None:
         """Peers act on the latches of a status alone, now and when they join."""
-        self._held_by.pop(row, None)
+        self._peer_latches.pop(row, None)
         if status.latches:
-            self._held_by[row] = dict(status.latches)
-            self._told.append((row, self._held_by[row]))
+            self._peer_latches[row] = dict(status.latches)
+            self._new_latches.append((row, self._peer_latches[row]))
 
-    def wake(self, row: int, at: float | None) -> None:
+    def set_alarm(self, row: int, at: float | None) -> None:
         """An alarm between two ticks."""
-        self._wakes.set(row, at)
+        self._alarms.set(row, at)
 
     # Time
 
@@ -178,44 +183,44 @@ class Lockstep:
 
         `on_step` is called after each with the time.
         """
-        told = on_step or _nobody
+        report = on_step or _ignore
         with _without_collection():
             for _ in range(round(seconds / self.world.dt)):
                 self._step()
-                told(self.world.time)
+                report(self.world.time)
 
     def trace(self, **meta: Any) -> Trace:
         """The run so far, up to this instant."""
-        self._recorder.instant(self.world.time, self._commands, self.shells)
+        self._recorder.record_instant(self.world.time, self._commands, self.shells)
         return self._recorder.trace({**self._meta(), **meta})
 
     def _step(self) -> None:
         world, now = self.world, self.world.time
         self._timeline.apply(now)
-        self._talk(now)
+        self._deliver(now)
         self._sense(now)
-        self._beat(now)
-        if len(self._record.due(now)):
-            self._recorder.instant(now, self._commands, self.shells)
+        self._tick(now)
+        if len(self._record_due.due(now)):
+            self._recorder.record_instant(now, self._commands, self.shells)
         world.set_commands(self._commands)
         world.step()
         self._steps += 1
-        self._recorder.touches(world.time)
+        self._recorder.record_contacts(world.time)
 
-    def _talk(self, now: float) -> None:
+    def _deliver(self, now: float) -> None:
         for hearer, sender, name, value in self._radio.arrived(now):
             shell = self.shells[hearer]
             if shell is not None:
                 shell.hear(self.world.ids[sender], name, value, now)
-        told, self._told = self._told, []
+        told, self._new_latches = self._new_latches, []
         for row, latches in told:
             for shell in self.shells:
                 if shell is not None and shell.row != row:
                     shell.settle(shell.robot.on_latches(latches, now), now)
-        for row in self._hearing.due(now):
-            self._meet(int(row))
+        for row in self._neighbors_due.due(now):
+            self._update_neighbors(int(row))
 
-    def _meet(self, row: int) -> None:
+    def _update_neighbors(self, row: int) -> None:
         """Robot `row` learns who is within hearing."""
         shell = self.shells[row]
         if shell is None:
@@ -228,30 +233,30 @@ class Lockstep:
 
     def _sense(self, now: float) -> None:
         world = self.world
-        due = self._sweeps.due(now)
+        due = self._scans_due.due(now)
         if len(due):
             for row, scan in zip(due.tolist(), world.scans(due), strict=True):
-                self._held.put(now + float(world.scan_latency[row]), (row, scan))
-        for row, scan in self._held.due(now):
+                self._scans_in_transit.put(now + float(world.scan_latency[row]), (row, scan))
+        for row, scan in self._scans_in_transit.due(now):
             shell = self.shells[row]
             if shell is not None:
                 shell.scan(scan, now)
-        for row in self._reading.due(now):
+        for row in self._readings_due.due(now):
             shell = self.shells[row]
             if shell is not None:
                 shell.robot.on_readings(world.readings(int(row)))
 
-    def _beat(self, now: float) -> None:
-        if len(self._odometry.due(now)):
+    def _tick(self, now: float) -> None:
+        if len(self._odometry_due.due(now)):
             # All wheels are read at once, since reading one takes as long as reading a hundred.
             for shell, odometry in zip(self.shells, self.world.odometry(), strict=True):
                 if shell is not None:
                     shell.odometry(odometry, now)
-        for row in self._beats.due(now).tolist():
+        for row in self._ticks.due(now).tolist():
             shell = self.shells[row]
             if shell is not None:
                 shell.tick(now)
-        for row in self._wakes.due(self._steps):
+        for row in self._alarms.due(self._steps):
             shell = self.shells[row]
             if shell is not None:
                 shell.tick(now)
@@ -262,9 +267,9 @@ class Lockstep:
 
     def _boxes(self) -> Array | None:
         """The corners (m, 4, 2) of movable boxes, if the radio must see past them."""
-        if not self.scenario.radio.line_of_sight or not self.world.things:
+        if not self.scenario.radio.line_of_sight or not self.world.movable_boxes:
             return None
-        return transform(self.world.thing_shapes, self.world.thing_poses())
+        return transform(self.world.box_shapes, self.world.box_poses())
 
     def _meta(self) -> dict[str, Any]:
         scenario, platforms = self.scenario, self.world.platforms
@@ -292,8 +297,8 @@ def _as_sensing(platform: Platform, realism: Realism) -> Platform:
     return replace(platform, scan=replace(platform.scan, is_noisy=is_noisy))
 
 
-def _nobody(now: float) -> None:
-    """Nobody is told."""
+def _ignore(now: float) -> None:
+    """Do nothing with the progress."""
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from swarmd.core.values import Array
-from swarmd.sim.lockstep.shell import Shell
+from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.trace import ARENA, Trace
 from swarmd.sim.world.world import World
 
@@ -23,20 +23,20 @@ class LockstepRecorder:
     def __init__(self, world: World) -> None:
         self._world = world
         self._index = {robot: row for row, robot in enumerate(world.ids)}
-        self._index |= {f"box/{name}": ARENA - 1 - i for i, name in enumerate(world.things)}
+        self._index |= {f"box/{name}": ARENA - 1 - i for i, name in enumerate(world.movable_boxes)}
         self._t: list[float] = []
         self._rows: dict[str, list[NDArray[Any]]] = {}
         self._reports: dict[str, list[tuple[int, int, float]]] = {}
         self._words: dict[str, list[tuple[int, int, str]]] = {}
         self._contacts: list[tuple[float, int, int, float, float]] = []
 
-    def touches(self, now: float) -> None:
+    def record_contacts(self, now: float) -> None:
         """Note who touched in the step that led to `now`."""
         for touch in self._world.contacts():
             pair = self._index[touch.a], self._index.get(touch.b, ARENA)
             self._contacts.append((now, *pair, touch.speed_a, touch.speed_b))
 
-    def instant(self, now: float, safe: Array, shells: Sequence[Shell | None]) -> None:
+    def record_instant(self, now: float, safe: Array, shells: Sequence[RobotShell | None]) -> None:
         """Note how all stand at `now`, with the commands `safe` (n, 3) in force."""
         kept = _blank(len(shells))
         kept["pose"], kept["safe"] = self._world.poses(), safe.copy()
@@ -45,8 +45,8 @@ class LockstepRecorder:
                 _enter(kept, row, shell)
                 self._note(shell.robot.report, len(self._t), row)
         self._t.append(now)
-        if self._world.things:
-            kept["thing_pose"] = self._world.thing_poses()
+        if self._world.movable_boxes:
+            kept["box_pose"] = self._world.box_poses()
         for name, values in kept.items():
             self._rows.setdefault(name, []).append(values)
 
@@ -66,17 +66,17 @@ class LockstepRecorder:
             meta=dict(meta),
             report={name: _filled(self._reports[name], shape) for name in sorted(self._reports)},
             words={name: _spelled(self._words[name], shape) for name in sorted(self._words)},
-            things=tuple(world.things),
-            thing_shapes=world.thing_shapes if world.things else None,
+            movable_boxes=tuple(world.movable_boxes),
+            box_shapes=world.box_shapes if world.movable_boxes else None,
             **rows,
         )
 
-    def _note(self, report: Mapping[str, Any], instant: int, row: int) -> None:
+    def _note(self, report: Mapping[str, Any], record_instant: int, row: int) -> None:
         for name, value in report.items():
             if isinstance(value, str):
-                self._words.setdefault(name, []).append((instant, row, value))
+                self._words.setdefault(name, []).append((record_instant, row, value))
             else:
-                self._reports.setdefault(name, []).append((instant, row, float(value)))
+                self._reports.setdefault(name, []).append((record_instant, row, float(value)))
 
 
 def _blank(n: int) -> dict[str, NDArray[Any]]:
@@ -98,7 +98,7 @@ def _blank(n: int) -> dict[str, NDArray[Any]]:
     }
 
 
-def _enter(kept: Mapping[str, NDArray[Any]], row: int, shell: Shell) -> None:
+def _enter(kept: Mapping[str, NDArray[Any]], row: int, shell: RobotShell) -> None:
     """Note how robot `row` stands, and what it has judged since the last instant."""
     robot, decision = shell.robot, shell.robot.decision
     kept["present"][row] = True

@@ -23,7 +23,7 @@ class Schedules:
         self._period = 1.0 / np.asarray(rates, dtype=np.float64)
         starts = np.zeros(len(self._period)) if begins is None else begins
         self._phase = np.mod(starts, self._period)
-        self._beats = np.zeros(len(self._period))
+        self._ticks = np.zeros(len(self._period))
         self._next = self._phase.copy()
         self._soonest = float(self._next.min(initial=np.inf))
 
@@ -32,13 +32,13 @@ class Schedules:
         if self._soonest > now + _ROUNDING:
             return _NOBODY
         rows = (self._next <= now + _ROUNDING).nonzero()[0]
-        self._beats[rows] += 1.0
-        self._next[rows] = self._phase[rows] + self._beats[rows] * self._period[rows]
+        self._ticks[rows] += 1.0
+        self._next[rows] = self._phase[rows] + self._ticks[rows] * self._period[rows]
         self._soonest = float(self._next.min())
         return rows
 
 
-class Wakes:
+class Alarms:
     """One alarm a robot, on the grid of a world's steps."""
 
     def __init__(self, n: int, dt: float) -> None:

@@ -19,26 +19,28 @@ from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
 
 
-class Outside(Protocol):
+class RobotOutputs(Protocol):
     """What surrounds a shell: base, radio and alarm of robot `row`."""
 
     def command(self, row: int, twist: Twist) -> None:
         """Hand the base its command."""
 
-    def say(self, row: int, name: str, value: Value, now: float) -> None:
+    def send_message(self, row: int, name: str, value: Value, now: float) -> None:
         """Publish a pattern's message on `<pattern>/<channel>`."""
 
-    def tell(self, row: int, status: Status) -> None:
+    def publish_status(self, row: int, status: Status) -> None:
         """Publish the robot's status."""
 
-    def wake(self, row: int, at: float | None) -> None:
+    def set_alarm(self, row: int, at: float | None) -> None:
         """Tick the robot at `at`, even between two ticks."""
 
 
-class Shell:
-    """`verdict` is the last one; `decided` and `evaded` count sweeps judged while running."""
+class RobotShell:
+    """`decided` counts the scans judged while running, `evaded` those with protection active."""
 
-    def __init__(self, row: int, robot: Robot, find: Find, outside: Outside, now: float) -> None:
+    def __init__(
+        self, row: int, robot: Robot, find: Find, outputs: RobotOutputs, now: float
+    ) -> None:
         self.row = row
         self.robot = robot
         self.latches: LatchRecord | None = None
@@ -46,7 +48,7 @@ class Shell:
         self.decided = 0
         self.evaded = 0
         self._twist: Twist | None = None
-        self._outside = outside
+        self._outputs = outputs
         self._runner = InlineRunner(lambda: PatternExecutor(find))
         self.settle(robot.on_driver(True, "simulated", now), now)
 
@@ -87,22 +89,22 @@ class Shell:
     def settle(self, actions: Actions, now: float) -> None:
         """Carry the actions out, and set the alarm."""
         self._carry_out(actions, now)
-        self._outside.wake(self.row, self.robot.wake_at(now))
+        self._outputs.set_alarm(self.row, self.robot.wake_at(now))
 
     def _carry_out(self, actions: Actions, now: float) -> None:
-        outside = self._outside
+        outputs = self._outputs
         if actions.twist is not self._twist:  # most ticks change nothing
             self._twist = actions.twist
-            outside.command(self.row, actions.twist)
+            outputs.command(self.row, actions.twist)
         if actions.latches is not None:
             self.latches = actions.latches
         for command in (actions.trial, actions.host):
             if command is not None:
                 self._drive(command, now)
         for name, value in actions.messages.items():
-            outside.say(self.row, name, value, now)
+            outputs.send_message(self.row, name, value, now)
         if actions.status is not None:
-            outside.tell(self.row, actions.status)
+            outputs.publish_status(self.row, actions.status)
         self.replies.extend(actions.replies)
 
     def _drive(self, command: HostCommand, now: float) -> None:

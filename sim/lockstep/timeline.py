@@ -7,8 +7,8 @@ from typing import Any, Protocol
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import Code, Request
-from swarmd.sim.lockstep.shell import Shell
-from swarmd.sim.scenarios.scenario import Event
+from swarmd.sim.lockstep.shell import RobotShell
+from swarmd.sim.scenarios.scenario import ScheduledEvent
 from swarmd.sim.world.world import World
 
 OPERATOR = "scenario"
@@ -19,7 +19,7 @@ class Swarm(Protocol):
     """What events act on. `shells`: by row, None where no daemon is."""
 
     world: World
-    shells: list[Shell | None]
+    shells: list[RobotShell | None]
 
     def start(self, row: int) -> None:
         """A daemon starts on robot `row`."""
@@ -31,7 +31,7 @@ class Swarm(Protocol):
 class Timeline:
     """Carries events out when they are due."""
 
-    def __init__(self, events: Sequence[Event], swarm: Swarm) -> None:
+    def __init__(self, events: Sequence[ScheduledEvent], swarm: Swarm) -> None:
         self._events = events
         self._swarm = swarm
         self._rows = {robot: row for row, robot in enumerate(swarm.world.ids)}
@@ -44,13 +44,13 @@ class Timeline:
             self._next += 1
             self._carry_out(event, now)
 
-    def _carry_out(self, event: Event, now: float) -> None:
+    def _carry_out(self, event: ScheduledEvent, now: float) -> None:
         swarm = self._swarm
         if event.action == "place":
             assert event.pose is not None
-            swarm.world.place(event.thing, event.pose)
-        elif event.action == "remove" and event.thing:
-            swarm.world.remove(event.thing)
+            swarm.world.place(event.box, event.pose)
+        elif event.action == "remove" and event.box:
+            swarm.world.remove(event.box)
         elif event.action == "remove":
             for row in self._rows_of(event):
                 if swarm.shells[row] is not None:
@@ -67,10 +67,10 @@ class Timeline:
         else:
             self._ask_all(event, now)
 
-    def _rows_of(self, event: Event) -> list[int]:
+    def _rows_of(self, event: ScheduledEvent) -> list[int]:
         return [self._rows[robot] for robot in event.robots]
 
-    def _ask_all(self, event: Event, now: float) -> None:
+    def _ask_all(self, event: ScheduledEvent, now: float) -> None:
         """Ask each of the event's robots that is there."""
         for row in self._rows_of(event):
             shell = self._swarm.shells[row]
@@ -82,11 +82,11 @@ class Timeline:
                 what = f"{event.action} {event.pattern}".rstrip()
                 raise SwarmError(f"at {event.at:g} s {what}: {shell.robot.id}: {said}")
 
-    def _is_for_all(self, event: Event) -> bool:
+    def _is_for_all(self, event: ScheduledEvent) -> bool:
         chosen = frozenset(event.robots)
         return all(one is None or one.robot.id in chosen for one in self._swarm.shells)
 
-    def _request(self, event: Event, shell: Shell, now: float) -> Request:
+    def _request(self, event: ScheduledEvent, shell: RobotShell, now: float) -> Request:
         robot = shell.robot
         arguments: Mapping[str, Callable[[], dict[str, Any]]] = {
             "run": lambda: {

@@ -68,10 +68,10 @@ def _obstacles(trace: Trace, span: slice, arena: Arena) -> Iterator[tuple[Array,
         yield np.array([box.x, box.y]), radius(box.shape), _from_fixed(box.corners)
     for pole in arena.poles:
         yield np.array([pole.x, pole.y]), pole.radius, _from_pole(pole)
-    if trace.thing_pose is None or trace.thing_shapes is None:
+    if trace.box_pose is None or trace.box_shapes is None:
         return
-    for thing, shape in enumerate(trace.thing_shapes):
-        pose = trace.thing_pose[span, thing]
+    for index, shape in enumerate(trace.box_shapes):
+        pose = trace.box_pose[span, index]
         yield pose[:, None, :2], radius(shape), _from_moving(transform(shape, pose))
 
 

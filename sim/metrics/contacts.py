@@ -91,7 +91,7 @@ def contacts_with_arena(trace: Trace) -> int:
 
 def contacts_with_boxes(trace: Trace) -> int | None:
     """The number of touches of a robot with a movable box; None if there is none."""
-    return count(trace, "box") if trace.things else None
+    return count(trace, "box") if trace.movable_boxes else None
 
 
 def hardest_contact(trace: Trace) -> float | None:
@@ -103,8 +103,8 @@ def hardest_contact(trace: Trace) -> float | None:
 def _touch(trace: Trace, ends: tuple[float, float], pair: np.ndarray, speed: np.ndarray) -> Contact:
     a, b = int(pair[0]), int(pair[1])
     kind: Kind = "robot" if b >= 0 else "arena" if b == ARENA else "box"
-    # Below ARENA stand the movable boxes: -2 is the first of `things`.
-    other = trace.ids[b] if b >= 0 else WALLS if b == ARENA else trace.things[ARENA - 1 - b]
+    # Below ARENA stand the movable boxes: -2 is the first of `movable_boxes`.
+    other = trace.ids[b] if b >= 0 else WALLS if b == ARENA else trace.movable_boxes[ARENA - 1 - b]
     return Contact(
         start=ends[0],
         end=ends[1],

@@ -19,7 +19,7 @@ from swarmd.sim.metrics.window import cut, last, mean, presence
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.geometry import transform
-from swarmd.sim.world.radio_visibility import Sight
+from swarmd.sim.world.radio_visibility import LineOfSight
 
 _DECIMALS = 8
 
@@ -96,29 +96,29 @@ def _is_complete(trace: Trace) -> bool:
     return bool(np.isinf(radio_range(trace))) and _sight(trace) is None
 
 
-def _sight(trace: Trace) -> Sight | None:
+def _sight(trace: Trace) -> LineOfSight | None:
     """What stands between robots, if that matters and the trace tells it."""
     radio = trace.meta.get("radio")
     if not isinstance(radio, Mapping) or not radio.get("line_of_sight"):
         return None
     try:
-        return Sight(parse_arena(str(trace.meta.get("arena", ""))))
+        return LineOfSight(parse_arena(str(trace.meta.get("arena", ""))))
     except ConfigError:
         return None
 
 
-def _seen(trace: Trace, sight: Sight, links: Pairs) -> Pairs:
+def _seen(trace: Trace, sight: LineOfSight, links: Pairs) -> Pairs:
     """Those links between whose ends nothing stands."""
     here = trace.pose[links.instant, links.a, :2]
     there = trace.pose[links.instant, links.b, :2]
-    if trace.thing_pose is None or trace.thing_shapes is None:
+    if trace.box_pose is None or trace.box_shapes is None:
         is_clear = sight.is_clear(here, there)
     else:
         is_clear = np.ones(len(here), dtype=bool)
         for instant in np.unique(links.instant):
             of = links.instant == instant
-            things = transform(trace.thing_shapes, trace.thing_pose[instant])
-            is_clear[of] = sight.is_clear(here[of], there[of], things)
+            movable_boxes = transform(trace.box_shapes, trace.box_pose[instant])
+            is_clear[of] = sight.is_clear(here[of], there[of], movable_boxes)
     return pairs.chosen(links, is_clear)
 
 

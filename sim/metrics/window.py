@@ -68,7 +68,7 @@ def cut(trace: Trace, start: int, stop: int) -> Trace:
         present=None if trace.present is None else trace.present[span],
         report={name: values[span] for name, values in trace.report.items()},
         words={name: values[span] for name, values in trace.words.items()},
-        thing_pose=None if trace.thing_pose is None else trace.thing_pose[span],
+        box_pose=None if trace.box_pose is None else trace.box_pose[span],
     )
 
 

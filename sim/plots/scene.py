@@ -110,9 +110,9 @@ def _used(trace: Trace) -> tuple[Array, Array]:
     reach = max((radius(shape) for shape in trace.footprints.values()), default=0.1)
     places = trace.pose[..., :2].reshape(-1, 2)
     low, high = np.nanmin(places, axis=0) - reach, np.nanmax(places, axis=0) + reach
-    if trace.thing_pose is not None and np.isfinite(trace.thing_pose).any():
-        boxes = trace.thing_pose[..., :2].reshape(-1, 2)
-        reach = 0.0 if trace.thing_shapes is None else float(np.abs(trace.thing_shapes).max())
+    if trace.box_pose is not None and np.isfinite(trace.box_pose).any():
+        boxes = trace.box_pose[..., :2].reshape(-1, 2)
+        reach = 0.0 if trace.box_shapes is None else float(np.abs(trace.box_shapes).max())
         low = np.minimum(low, np.nanmin(boxes, axis=0) - reach)
         high = np.maximum(high, np.nanmax(boxes, axis=0) + reach)
     return low, high
@@ -156,9 +156,9 @@ def paint_things(axes: Axes, trace: Trace) -> None:
 
     One that is not in the arena at the end stays hollow.
     """
-    if trace.thing_pose is None or trace.thing_shapes is None:
+    if trace.box_pose is None or trace.box_shapes is None:
         return
-    for poses, shape in zip(trace.thing_pose.swapaxes(0, 1), trace.thing_shapes, strict=True):
+    for poses, shape in zip(trace.box_pose.swapaxes(0, 1), trace.box_shapes, strict=True):
         there = np.flatnonzero(np.isfinite(poses).all(axis=1))
         if len(there):
             _paint_thing(axes, poses, shape, there)

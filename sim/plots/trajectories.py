@@ -171,7 +171,7 @@ def _key(trace: Trace, links: tuple[Array, Array] | None) -> list[tuple[Any, str
         entries.append(mark("^", "0.35", "white", "joins"))
     if (step < 0).any():
         entries.append(mark("v", "0.35", "white", "leaves"))
-    if trace.things:
+    if trace.movable_boxes:
         entries.append(mark("s", THING_COLOUR, "0.3", "movable box"))
     if links is not None:
         entries.append((Line2D([], [], color=LINK_COLOUR), f"radio, {radio_range(trace):g} m"))

@@ -30,11 +30,11 @@ class Groups:
     group_of: Mapping[str, str]
     platform_files: Mapping[str, Data]
 
-    def named(self, who: str) -> tuple[str, ...]:
+    def named(self, targets: str) -> tuple[str, ...]:
         """The robots that a group, a robot's id or `all` stands for; none if it is unknown."""
-        if who == ALL:
+        if targets == ALL:
             return tuple(self.robots)
-        return self.groups.get(who) or ((who,) if who in self.robots else ())
+        return self.groups.get(targets) or ((targets,) if targets in self.robots else ())
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -42,7 +42,7 @@ class Groups:
         return (ALL, *self.groups, *self.robots)
 
 
-def cast_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> Groups:
+def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> Groups:
     """The robots of all groups; ConfigError for ids, groups and platforms that cannot be."""
     groups = {name: _ids(layers, name, group) for name, group in file.groups.items()}
     group_of: dict[str, str] = {}

@@ -26,24 +26,24 @@ class ConfiguredParameters:
     """Called with robot and pattern: layers "platform", "scenario" and "group <name>"."""
 
     file: ScenarioFile
-    cast: Groups
+    groups: Groups
 
     def __call__(self, robot: str, pattern: str) -> Layers:
         """The layers that hold anything, weakest first."""
-        name = self.cast.group_of[robot]
+        name = self.groups.group_of[robot]
         group = self.file.groups[name]
         layers: list[tuple[str, Mapping[str, Value]]] = [
-            ("platform", self.cast.robots[robot].patterns.get(pattern, {})),
+            ("platform", self.groups.robots[robot].patterns.get(pattern, {})),
             ("scenario", {**self.file.parameters.get(pattern, {})}),
             (f"group {name}"[:_WORD], {**group.parameters} if group.pattern == pattern else {}),
         ]
         return tuple((source, values) for source, values in layers if values)
 
 
-def rehearse(
+def check_patterns(
     layers: Layered,
-    script: Schedule,
-    cast: Groups,
+    schedule: Schedule,
+    groups: Groups,
     configured: ConfiguredParameters,
     plugin_dir: Path | None,
 ) -> None:
@@ -59,40 +59,40 @@ def rehearse(
     for group, section in configured.file.groups.items():
         for pattern in section.touch:
             _check_name(layers, ("groups", group, "touch", pattern), pattern, origins)
-    stage = PatternExecutor(
+    executor = PatternExecutor(
         PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
     )
     done: set[str] = set()
-    for rehearsal in script.preflights:
-        _check_name(layers, rehearsal.keys, rehearsal.pattern, origins)
-        load = _load(rehearsal, cast, configured)
+    for preflight in schedule.preflights:
+        _check_name(layers, preflight.keys, preflight.pattern, origins)
+        load = _load(preflight, groups, configured)
         # Robots of one kind with the same parameters all do alike.
         what = repr((load.pattern, load.platform.name, load.layers))
         if what in done:
             continue
         done.add(what)
         try:
-            event = stage.handle(load)
+            event = executor.handle(load)
         except SystemExit:  # else it would end the command, and in silence
             event = LoadRefused(
-                load.generation, f"{rehearsal.pattern} calls sys.exit; leave that out"
+                load.generation, f"{preflight.pattern} calls sys.exit; leave that out"
             )
         if isinstance(event, LoadRefused):
-            keys = _culprit(layers, rehearsal, cast, event.text)
+            keys = _culprit(layers, preflight, groups, event.text)
             raise layers.error(keys, f"{dotted(keys)}: {event.text}")
 
 
-def _culprit(layers: Layered, rehearsal: Preflight, cast: Groups, text: str) -> Keys:
+def _culprit(layers: Layered, preflight: Preflight, groups: Groups, text: str) -> Keys:
     """Where the parameter stands that `text` speaks of; else where the pattern does."""
     match = re.match(r"(?:no )?parameter '?([^' ]+)", text)
     name = match[1] if match else ""
     places: tuple[Keys, ...] = (
-        (*rehearsal.keys, name),
-        (*rehearsal.keys[:-1], "parameters", name),
-        ("groups", cast.group_of[rehearsal.robot], "parameters", name),
-        ("parameters", rehearsal.pattern, name),
+        (*preflight.keys, name),
+        (*preflight.keys[:-1], "parameters", name),
+        ("groups", groups.group_of[preflight.robot], "parameters", name),
+        ("parameters", preflight.pattern, name),
     )
-    return next((keys for keys in places if layers.source(*keys)), rehearsal.keys)
+    return next((keys for keys in places if layers.source(*keys)), preflight.keys)
 
 
 def _check_name(layers: Layered, keys: Keys, pattern: str, origins: Mapping[str, Origin]) -> None:
@@ -105,13 +105,13 @@ def _check_name(layers: Layered, keys: Keys, pattern: str, origins: Mapping[str,
         raise layers.error(keys, f"{dotted(keys)}: {error}") from error
 
 
-def _load(rehearsal: Preflight, cast: Groups, configured: ConfiguredParameters) -> Load:
-    robot, pattern = rehearsal.robot, rehearsal.pattern
+def _load(preflight: Preflight, groups: Groups, configured: ConfiguredParameters) -> Load:
+    robot, pattern = preflight.robot, preflight.pattern
     return Load(
         generation=1,
         pattern=pattern,
-        layers=(*configured(robot, pattern), ("runtime", {**rehearsal.parameters})),
+        layers=(*configured(robot, pattern), ("runtime", {**preflight.parameters})),
         robot=robot,
-        platform=cast.robots[robot],
+        platform=groups.robots[robot],
         seed=0,
     )

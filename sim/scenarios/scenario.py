@@ -21,12 +21,12 @@ Action = Literal[
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Event:
+class ScheduledEvent:
     """What happens at `at` s of simulation.
 
     To `robots` for run (with `pattern`, `parameters` and perhaps `seconds` and `until`), param
-    (`parameters`), stop, estop, reset, join, leave and kill; to the box `thing` for place (at
-    `pose` x, y in m, yaw in rad); to the box `thing`, or to `robots` if it is empty, for remove.
+    (`parameters`), stop, estop, reset, join, leave and kill; to the box `box` for place (at
+    `pose` x, y in m, yaw in rad); to the box `box`, or to `robots` if it is empty, for remove.
     """
 
     at: float
@@ -36,7 +36,7 @@ class Event:
     parameters: Mapping[str, Scalar | None] = field(default_factory=dict)
     seconds: float | None = None
     until: tuple[str, ...] = ()
-    thing: str = ""
+    box: str = ""
     pose: tuple[float, float, float] | None = None
 
 
@@ -65,7 +65,7 @@ class Scenario:
     visibility: Visibility
     radio: RadioSettings
     layers: Callable[[str, str], Layers]
-    events: tuple[Event, ...]
+    events: tuple[ScheduledEvent, ...]
     absent: frozenset[str] = frozenset()
     touch: Mapping[str, Mapping[str, TouchZone]] = field(default_factory=dict)
     trace_rate: float = 10.0

@@ -19,13 +19,13 @@ from swarmd.kit.touch import zones
 from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import Data, read_extended, shown
 from swarmd.sim.scenarios.environment import arena_of, check_air, fields_of
-from swarmd.sim.scenarios.groups import Groups, cast_of, platform_name
+from swarmd.sim.scenarios.groups import Groups, groups_of, platform_name
 from swarmd.sim.scenarios.overrides import SOURCE, nested, parse_override
-from swarmd.sim.scenarios.preflight import ConfiguredParameters, rehearse
+from swarmd.sim.scenarios.preflight import ConfiguredParameters, check_patterns
 from swarmd.sim.scenarios.scenario import Scenario
-from swarmd.sim.scenarios.schedule import script_of
+from swarmd.sim.scenarios.schedule import schedule_of
 from swarmd.sim.scenarios.schema import ScenarioFile
-from swarmd.sim.scenarios.start_poses import Starts, part_of, without_stale
+from swarmd.sim.scenarios.start_poses import StartPoses, start_group_of, without_stale
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.realism import realism_of
 from swarmd.sim.world.scalar_fields import Field
@@ -120,19 +120,19 @@ def _built(layers: Layered, name: str) -> Scenario:
         raise layers.error(("extends",), "extends is for files alone; leave it out here")
     arena, fields = arena_of(layers, file.arena), fields_of(layers, file.fields)
     check_air(layers, file.radio)
-    cast = cast_of(layers, file, fields)
-    starts = _starts(layers, file, cast, arena)
-    script = script_of(layers, file, cast)
-    configured = ConfiguredParameters(file, cast)
+    groups = groups_of(layers, file, fields)
+    starts = _starts(layers, file, groups, arena)
+    schedule = schedule_of(layers, file, groups)
+    configured = ConfiguredParameters(file, groups)
     plugin_dir = None if file.plugin_dir is None else Path(file.plugin_dir).expanduser().absolute()
-    rehearse(layers, script, cast, configured, plugin_dir)
+    check_patterns(layers, schedule, groups, configured, plugin_dir)
     where = str(layers.error(("realism",), "realism"))
     return Scenario(
         name=file.name or name,
         description=file.description,
         duration=file.duration,
-        robots=cast.robots,
-        groups=cast.groups,
+        robots=groups.robots,
+        groups=groups.groups,
         starts=starts,
         arena=arena,
         fields=fields,
@@ -140,42 +140,42 @@ def _built(layers: Layered, name: str) -> Scenario:
         visibility=file.lidar_visibility,
         radio=file.radio,
         layers=configured,
-        events=script.events,
-        absent=script.absent,
-        touch={r: zones(file.groups[group].touch) for r, group in cast.group_of.items()},
+        events=schedule.events,
+        absent=schedule.absent,
+        touch={r: zones(file.groups[group].touch) for r, group in groups.group_of.items()},
         trace_rate=file.trace_rate,
         plugin_dir=plugin_dir,
-        effective=_effective(file, name, cast, fields, plugin_dir),
+        effective=_effective(file, name, groups, fields, plugin_dir),
     )
 
 
 def _effective(
-    file: ScenarioFile, name: str, cast: Groups, fields: Sequence[Field], plugin_dir: Path | None
+    file: ScenarioFile, name: str, groups: Groups, fields: Sequence[Field], plugin_dir: Path | None
 ) -> Mapping[str, Any]:
     data: Data = json.decode(json.encode(file))
     for group in data["groups"].values():
         group["platform"] = platform_name(group["platform"])
     whole = {
         "name": file.name or name,
-        "platforms": deepcopy(dict(cast.platform_files)),
+        "platforms": deepcopy(dict(groups.platform_files)),
         "fields": json.decode(json.encode(fields)),
         "plugin_dir": None if plugin_dir is None else str(plugin_dir),
     }
     return {**data, **whole}
 
 
-def _starts(layers: Layered, file: ScenarioFile, cast: Groups, arena: Arena) -> Starts:
-    rows = {robot: row for row, robot in enumerate(cast.robots)}
+def _starts(layers: Layered, file: ScenarioFile, groups: Groups, arena: Arena) -> StartPoses:
+    rows = {robot: row for row, robot in enumerate(groups.robots)}
     parts, shared = [], []
     for name, group in file.groups.items():
-        own = [rows[robot] for robot in cast.groups[name]]
+        own = [rows[robot] for robot in groups.groups[name]]
         if group.start is None:
             shared += own
         else:
-            parts.append(part_of(layers, ("groups", name, "start"), group.start, own))
+            parts.append(start_group_of(layers, ("groups", name, "start"), group.start, own))
     if shared:
-        parts.append(part_of(layers, ("start",), file.start, shared))
-    footprints = [platform.footprint for platform in cast.robots.values()]
-    starts = Starts(tuple(cast.robots), footprints, arena, parts)
+        parts.append(start_group_of(layers, ("start",), file.start, shared))
+    footprints = [platform.footprint for platform in groups.robots.values()]
+    starts = StartPoses(tuple(groups.robots), footprints, arena, parts)
     starts.check()
     return starts

@@ -14,33 +14,38 @@ from swarmd.kit.conditions import parse_conditions
 from swarmd.settings.layered import Keys, Layered
 from swarmd.sim.scenarios.environment import check_inside
 from swarmd.sim.scenarios.groups import ALL, Groups
-from swarmd.sim.scenarios.scenario import Action, Event
+from swarmd.sim.scenarios.scenario import Action, ScheduledEvent
 from swarmd.sim.scenarios.schema import EventSection, ScenarioFile, Values
 
 OF_ROBOTS: tuple[Action, ...] = ("stop", "estop", "reset", "join", "leave", "kill")
 """Actions whose value is who they happen to."""
 
 ACTIONS: tuple[Action, ...] = ("run", "param", *OF_ROBOTS, "place", "remove")
-_BESIDES = {"run": ("who", "parameters", "for", "until"), "param": ("who",), "place": ("pose",)}
+_BESIDES = {
+    "run": ("targets", "parameters", "for", "until"),
+    "param": ("targets",),
+    "place": ("pose",),
+}
 
 
-def read_event(layers: Layered, file: ScenarioFile, cast: Groups, index: int) -> Event:
+def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) -> ScheduledEvent:
     """The event of that index; ConfigError if it cannot be, whatever else happens."""
     section, keys = file.events[index], ("events", index)
     action = _action(layers, section, keys)
     if section.at >= file.duration:
         text = f"events[{index}].at is {section.at:g}; wanted before the end"
         raise layers.error((*keys, "at"), f"{text} (duration is {file.duration:g})")
-    things = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
-    is_robot = action == "remove" and bool(cast.named(section.remove or ""))
-    if action == "place" or (action == "remove" and (section.remove in things or not is_robot)):
-        return _of_thing(layers, file, section, (*keys, action), things)
-    key = action if action in OF_ROBOTS or is_robot else "who"
+    movable = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
+    is_robot = action == "remove" and bool(groups.named(section.remove or ""))
+    is_box = section.remove in movable or not is_robot
+    if action == "place" or (action == "remove" and is_box):
+        return _box_event(layers, file, section, (*keys, action), movable)
+    key = action if action in OF_ROBOTS or is_robot else "targets"
     values = section.param if action == "param" else section.parameters
-    return Event(
+    return ScheduledEvent(
         at=section.at,
         action=action,
-        robots=_robots(layers, cast, (*keys, key), words_of(section, action)),
+        robots=_robots(layers, groups, (*keys, key), targets_of(section, action)),
         pattern=section.run or "",
         parameters=values or {},
         seconds=section.seconds,
@@ -59,10 +64,10 @@ def _until(layers: Layered, section: EventSection, keys: Keys) -> tuple[str, ...
     return tuple(section.until)
 
 
-def words_of(section: EventSection, action: Action) -> Sequence[str]:
+def targets_of(section: EventSection, action: Action) -> Sequence[str]:
     """Who an event is for, as it is written; all if nothing is."""
-    who = getattr(section, action) if action in (*OF_ROBOTS, "remove") else section.who
-    return (ALL,) if who is None else (who,) if isinstance(who, str) else who
+    targets = getattr(section, action) if action in (*OF_ROBOTS, "remove") else section.targets
+    return (ALL,) if targets is None else (targets,) if isinstance(targets, str) else targets
 
 
 def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
@@ -72,7 +77,7 @@ def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
         text = f"{name} says {' and '.join(given) or 'nothing'} at {section.at:g}"
         raise layers.error(keys, f"{text}; wanted one of {', '.join(ACTIONS)}")
     besides = {
-        "who": section.who,
+        "targets": section.targets,
         "parameters": section.parameters,
         "for": section.seconds,
         "until": section.until,
@@ -88,35 +93,36 @@ def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
     return given[0]
 
 
-def _of_thing(
+def _box_event(
     layers: Layered, file: ScenarioFile, section: EventSection, keys: Keys, movable: Sequence[str]
-) -> Event:
+) -> ScheduledEvent:
     name = f"events[{keys[1]}]"
-    thing = section.place or section.remove or ""
-    if thing not in movable:
-        fault = unknown("box with a name and a mass", thing, movable)
+    box = section.place or section.remove or ""
+    if box not in movable:
+        fault = unknown("box with a name and a mass", box, movable)
         raise layers.error(keys, f"{name}.{keys[2]}: {fault}")
     if section.remove is not None:
-        return Event(at=section.at, action="remove", thing=thing)
+        return ScheduledEvent(at=section.at, action="remove", box=box)
     if section.pose is None:
         raise layers.error(keys, f"{name}.pose is missing; wanted [x, y, degrees]")
     x, y, degrees = section.pose
     check_inside(layers, file.arena, ("events", keys[1], "pose"), (x, y))
-    return Event(at=section.at, action="place", thing=thing, pose=(x, y, math.radians(degrees)))
+    pose = (x, y, math.radians(degrees))
+    return ScheduledEvent(at=section.at, action="place", box=box, pose=pose)
 
 
-def _robots(layers: Layered, cast: Groups, keys: Keys, words: Sequence[str]) -> tuple[str, ...]:
+def _robots(layers: Layered, groups: Groups, keys: Keys, words: Sequence[str]) -> tuple[str, ...]:
     """Those meant, in the order of the scenario."""
     meant: dict[str, None] = {}
     name = f"events[{keys[1]}].{keys[2]}"
     for word in words:
-        robots = cast.named(word)
+        robots = groups.named(word)
         if not robots:
-            raise layers.error(keys, f"{name}: {unknown('robot or group', word, cast.names)}")
+            raise layers.error(keys, f"{name}: {unknown('robot or group', word, groups.names)}")
         meant.update(dict.fromkeys(robots))
     if not meant:
         raise layers.error(keys, f"{name} is empty; wanted a robot, a group or all")
-    return tuple(robot for robot in cast.robots if robot in meant)
+    return tuple(robot for robot in groups.robots if robot in meant)
 
 
 _MEMBERSHIP = ("join", "leave", "kill")
@@ -134,42 +140,42 @@ class Preflight:
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """Events in order of time, who joins only later, and what there is to rehearse."""
+    """Events in order of time, who joins only later, and the patterns to check."""
 
-    events: tuple[Event, ...]
+    events: tuple[ScheduledEvent, ...]
     absent: frozenset[str]
     preflights: tuple[Preflight, ...]
 
 
-def script_of(layers: Layered, file: ScenarioFile, cast: Groups) -> Schedule:
+def schedule_of(layers: Layered, file: ScenarioFile, groups: Groups) -> Schedule:
     """The script of a file; ConfigError names the first event that cannot be.
 
     Events of one instant keep the order of the file; groups begin their patterns before any.
     """
-    read = [read_event(layers, file, cast, index) for index in range(len(file.events))]
+    read = [read_event(layers, file, groups, index) for index in range(len(file.events))]
     order = sorted(range(len(read)), key=lambda index: read[index].at)
     absent = _absent([read[index] for index in order])
-    walk = _Walk(layers, file, cast, absent)
-    begun = list(_beginnings(file, cast, absent))
+    checker = _ScheduleChecker(layers, file, groups, absent)
+    begun = list(_beginnings(file, groups, absent))
     for keys, event in begun:
-        walk.run(keys, event)
+        checker.run(keys, event)
     for index in order:
-        walk.go(("events", index, read[index].action), read[index])
+        checker.go(("events", index, read[index].action), read[index])
     events = (*(event for _, event in begun), *(read[index] for index in order))
-    return Schedule(events, absent, tuple(walk.preflights))
+    return Schedule(events, absent, tuple(checker.preflights))
 
 
 def _beginnings(
-    file: ScenarioFile, cast: Groups, absent: frozenset[str]
-) -> Iterator[tuple[Keys, Event]]:
+    file: ScenarioFile, groups: Groups, absent: frozenset[str]
+) -> Iterator[tuple[Keys, ScheduledEvent]]:
     for name, group in file.groups.items():
-        robots = tuple(robot for robot in cast.groups[name] if robot not in absent)
+        robots = tuple(robot for robot in groups.groups[name] if robot not in absent)
         if group.pattern is not None and robots:
-            event = Event(at=0.0, action="run", robots=robots, pattern=group.pattern)
+            event = ScheduledEvent(at=0.0, action="run", robots=robots, pattern=group.pattern)
             yield ("groups", name, "pattern"), event
 
 
-def _absent(events: Sequence[Event]) -> frozenset[str]:
+def _absent(events: Sequence[ScheduledEvent]) -> frozenset[str]:
     """Those who come before they go."""
     first: dict[str, str] = {}
     for event in events:
@@ -191,66 +197,66 @@ class _Robot:
     until: float = math.inf
 
 
-class _Walk:
+class _ScheduleChecker:
     """Goes through the events in order of time and knows what each robot is doing."""
 
     def __init__(
-        self, layers: Layered, file: ScenarioFile, cast: Groups, absent: frozenset[str]
+        self, layers: Layered, file: ScenarioFile, groups: Groups, absent: frozenset[str]
     ) -> None:
         self._layers, self._sections = layers, file.events
-        self._things = {box.name: box.at is not None for box in file.arena.boxes}
-        self._robots = {robot: _Robot(is_there=robot not in absent) for robot in cast.robots}
+        self._movable_boxes = {box.name: box.at is not None for box in file.arena.boxes}
+        self._robots = {robot: _Robot(is_there=robot not in absent) for robot in groups.robots}
         self.preflights: list[Preflight] = []
 
-    def go(self, keys: Keys, event: Event) -> None:
+    def go(self, keys: Keys, event: ScheduledEvent) -> None:
         """The event happens; ConfigError if it cannot."""
-        if event.thing:
-            self._put_or_take(keys, event)
+        if event.box:
+            self._place_or_remove_box(keys, event)
         elif event.action == "remove":
-            self._take_out(keys, event)
+            self._remove_robots(keys, event)
         elif event.action in _MEMBERSHIP:
-            self._come_or_go(keys, event)
+            self._join_or_leave(keys, event)
         else:
             self._check_there(keys, event)
             act = {"run": self.run, "param": self._set}.get(event.action, self._halt)
             act(keys, event)
 
-    def run(self, keys: Keys, event: Event) -> None:
+    def run(self, keys: Keys, event: ScheduledEvent) -> None:
         """The event's robots begin to run its pattern."""
-        for robot, state in self._there(event):
+        for robot, state in self._present(event):
             if state.is_estopped:
                 raise self._error(keys, f"{robot} is estopped at {event.at:g} s; reset it before")
             state.pattern, state.parameters = event.pattern, dict(event.parameters)
             state.until = event.at + (event.seconds or math.inf)
             self.preflights.append(Preflight(keys, robot, event.pattern, state.parameters))
 
-    def _set(self, keys: Keys, event: Event) -> None:
-        for robot, state in self._there(event):
+    def _set(self, keys: Keys, event: ScheduledEvent) -> None:
+        for robot, state in self._present(event):
             if not state.pattern or event.at >= state.until:
                 raise self._error(keys, f"{robot} runs nothing at {event.at:g} s; run a pattern")
             state.parameters = {**state.parameters, **event.parameters}
             self.preflights.append(Preflight(keys, robot, state.pattern, state.parameters))
 
-    def _halt(self, keys: Keys, event: Event) -> None:
-        for _, state in self._there(event):
+    def _halt(self, keys: Keys, event: ScheduledEvent) -> None:
+        for _, state in self._present(event):
             if event.action in ("estop", "reset"):
                 state.is_estopped = event.action == "estop"
             if event.action != "reset":
                 state.pattern = ""
 
-    def _put_or_take(self, keys: Keys, event: Event) -> None:
-        if event.action == "remove" and not self._things[event.thing]:
-            raise self._error(keys, f"{event.thing} is not in the arena at {event.at:g} s")
-        self._things[event.thing] = event.action == "place"
+    def _place_or_remove_box(self, keys: Keys, event: ScheduledEvent) -> None:
+        if event.action == "remove" and not self._movable_boxes[event.box]:
+            raise self._error(keys, f"{event.box} is not in the arena at {event.at:g} s")
+        self._movable_boxes[event.box] = event.action == "place"
 
-    def _take_out(self, keys: Keys, event: Event) -> None:
+    def _remove_robots(self, keys: Keys, event: ScheduledEvent) -> None:
         for robot in event.robots:
             state = self._robots[robot]
             if state.is_out:
                 raise self._error(keys, f"{robot} is not in the arena at {event.at:g} s")
             state.is_there, state.is_out, state.pattern = False, True, ""
 
-    def _come_or_go(self, keys: Keys, event: Event) -> None:
+    def _join_or_leave(self, keys: Keys, event: ScheduledEvent) -> None:
         is_joining = event.action == "join"
         for robot in event.robots:
             state = self._robots[robot]
@@ -261,13 +267,13 @@ class _Walk:
                 raise self._error(keys, f"{robot} is {there} at {event.at:g} s")
             state.is_there, state.pattern = is_joining, ""
 
-    def _there(self, event: Event) -> Iterator[tuple[str, _Robot]]:
+    def _present(self, event: ScheduledEvent) -> Iterator[tuple[str, _Robot]]:
         robots = ((robot, self._robots[robot]) for robot in event.robots)
         return ((robot, state) for robot, state in robots if state.is_there)
 
-    def _check_there(self, keys: Keys, event: Event) -> None:
+    def _check_there(self, keys: Keys, event: ScheduledEvent) -> None:
         """A group may have members who are not there; robots that are named may not be away."""
-        words = words_of(self._sections[int(keys[1])], event.action)
+        words = targets_of(self._sections[int(keys[1])], event.action)
         away = [robot for robot in event.robots if not self._robots[robot].is_there]
         missing = away if len(away) == len(event.robots) else [r for r in away if r in words]
         if missing:

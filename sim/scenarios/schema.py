@@ -18,7 +18,7 @@ Seconds = Annotated[float, Meta(gt=0.0, le=1e6)]
 Point = tuple[Coordinate, Coordinate]
 Placed = tuple[Coordinate, Coordinate, Degrees]
 Values = dict[str, Scalar | None]
-Who = str | list[str]
+Targets = str | list[str]
 
 
 class BoxSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -101,15 +101,15 @@ class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     at: Annotated[float, Meta(ge=0.0, le=1e6)]
     run: str | None = None
     param: Values | None = None
-    stop: Who | None = None
-    estop: Who | None = None
-    reset: Who | None = None
-    join: Who | None = None
-    leave: Who | None = None
-    kill: Who | None = None
+    stop: Targets | None = None
+    estop: Targets | None = None
+    reset: Targets | None = None
+    join: Targets | None = None
+    leave: Targets | None = None
+    kill: Targets | None = None
     place: str | None = None
     remove: str | None = None
-    who: Who | None = None
+    targets: Targets | None = None
     parameters: Values | None = None
     seconds: Seconds | None = field(default=None, name="for")
     until: list[str] | None = None

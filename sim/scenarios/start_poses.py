@@ -16,7 +16,7 @@ from swarmd.settings.layered import Keys, Layered, dotted
 from swarmd.settings.yamlfile import Data
 from swarmd.sim.scenarios.schema import StartSection
 from swarmd.sim.world.arena import Arena
-from swarmd.sim.world.layouts import REGULAR, Floor, chain, moved, scatter
+from swarmd.sim.world.layouts import REGULAR, Placement, chain, moved, scatter
 from swarmd.sim.world.seeding import generator
 
 _TURNABLE = ("center", "heading_deg")
@@ -36,7 +36,7 @@ _SPACING, _RADIUS, _CLEARANCE = 1.0, 1.5, 0.2  # m, where a file does not say
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class StartGroup:
     """Robots (rows) that start together. `where` names file and key, `key` the key alone."""
 
     where: str
@@ -46,27 +46,27 @@ class Part:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Starts:
+class StartPoses:
     """Called with a seed: start poses (n, 3), or ConfigError."""
 
     names: Sequence[str]
     footprints: Sequence[Array]
     arena: Arena
-    parts: Sequence[Part]
+    parts: Sequence[StartGroup]
 
     def __call__(self, seed: int) -> Array:
         """Poses (n, 3) x, y in m and yaw in rad; those that the seed decides come last."""
-        floor = Floor(self.names, self.footprints, self.arena)
+        placement = Placement(self.names, self.footprints, self.arena)
         for part in sorted(self.parts, key=lambda part: layout_of(part.start) in _SEEDED):
-            _place(floor, part, seed)
-        return floor.poses
+            _place(placement, part, seed)
+        return placement.poses
 
     def check(self) -> None:
         """ConfigError if robots that start in the same place for all seeds cannot stand there."""
-        floor = Floor(self.names, self.footprints, self.arena)
+        placement = Placement(self.names, self.footprints, self.arena)
         for part in self.parts:
             if layout_of(part.start) not in _SEEDED:
-                _place(floor, part, 0)
+                _place(placement, part, 0)
 
 
 def layout_of(start: StartSection) -> str:
@@ -103,7 +103,9 @@ def _sections(data: Data) -> Iterator[tuple[str, Data]]:
             yield name, holder["start"]
 
 
-def part_of(layers: Layered, keys: Keys, start: StartSection, rows: Sequence[int]) -> Part:
+def start_group_of(
+    layers: Layered, keys: Keys, start: StartSection, rows: Sequence[int]
+) -> StartGroup:
     """A checked part; ConfigError for unknown layouts and for keys that do not fit theirs."""
     layout, key = layout_of(start), dotted(keys)
     if layout not in KEYS:
@@ -117,7 +119,7 @@ def part_of(layers: Layered, keys: Keys, start: StartSection, rows: Sequence[int
     fault = _misfit(layout, start, len(rows))
     if fault:
         raise layers.error(keys, f"{key} {fault}")
-    return Part(str(layers.error(keys, key)), key, tuple(rows), start)
+    return StartGroup(str(layers.error(keys, key)), key, tuple(rows), start)
 
 
 def _misfit(layout: str, start: StartSection, n: int) -> str:
@@ -133,25 +135,25 @@ def _misfit(layout: str, start: StartSection, n: int) -> str:
     return ""
 
 
-def _place(floor: Floor, part: Part, seed: int) -> None:
+def _place(placement: Placement, part: StartGroup, seed: int) -> None:
     try:
         if layout_of(part.start) in _SEEDED:
-            _place_seeded(floor, part, generator(seed, "starts", part.key))
+            _place_seeded(placement, part, generator(seed, "starts", part.key))
         else:
-            floor.place_all(part.rows, _fixed(part.start, len(part.rows)))
+            placement.place_all(part.rows, _fixed(part.start, len(part.rows)))
     except ConfigError as error:
         raise ConfigError(f"{part.where}: {error}") from error
 
 
-def _place_seeded(floor: Floor, part: Part, rng: Generator) -> None:
+def _place_seeded(placement: Placement, part: StartGroup, rng: Generator) -> None:
     start, rows = part.start, part.rows
     center = start.center or (0.0, 0.0)
     heading = None if start.heading_deg is None else math.radians(start.heading_deg)
     if start.near is not None and start.far is not None:
-        chain(floor, rows, rng, near=start.near, far=start.far, center=center, heading=heading)
+        chain(placement, rows, rng, near=start.near, far=start.far, center=center, heading=heading)
         return
     apart = _CLEARANCE if start.clearance is None else start.clearance
-    scatter(floor, rows, rng, clearance=apart, center=center, size=start.size, heading=heading)
+    scatter(placement, rows, rng, clearance=apart, center=center, size=start.size, heading=heading)
 
 
 def _fixed(start: StartSection, n: int) -> Array:

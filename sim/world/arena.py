@@ -126,7 +126,7 @@ class Arena:
         return tuple((box.name or str(index), box) for index, box in enumerate(self.boxes))
 
     @property
-    def things(self) -> tuple[tuple[str, Box], ...]:
+    def movable_boxes(self) -> tuple[tuple[str, Box], ...]:
         """The movable boxes with their names."""
         return tuple((name, box) for name, box in self.named_boxes if box.mass is not None)
 
@@ -196,13 +196,13 @@ def parse_arena(text: str) -> Arena:
     `,segment:x1:y1:x2:y2`. Of a box, yaw and mass may be left out: without a mass it is fixed.
     `box/crate:...` gives it a name, and with `:out` after its mass it is not there at first.
     """
-    size, *things = text.split(",")
+    size, *items = text.split(",")
     match = _SIZE.fullmatch(size)
     if match is None:
         raise ConfigError(f"arena is {text!r}; {_WANTED}")
     found: dict[str, list[Any]] = {"box": [], "pole": [], "segment": []}
-    for thing in things:
-        head, *words = thing.split(":")
+    for item in items:
+        head, *words = item.split(":")
         kind, _, name = head.partition("/")
         if kind == "box" and 4 <= len(words) <= 7:
             found["box"].append(_box(name, words, text))
@@ -213,7 +213,7 @@ def parse_arena(text: str) -> Arena:
             found["segment"].append(_segment(words, text))
         else:
             raise ConfigError(
-                f"arena {text!r}: {thing!r} is no box, pole or segment as they are written;"
+                f"arena {text!r}: {item!r} is no box, pole or segment as they are written;"
                 f" {_WANTED}"
             )
     length, width = (_size(_number(word, text), text) for word in match.groups())

@@ -22,7 +22,7 @@ COLLISION, BODY, HOUSING, FIXED = range(4)
 """Groups of geoms: what collides; what is seen at its true height, twice; the arena."""
 SOLID, GHOST = 1, 2
 """What geoms are to each other: a ghost meets what lets ghosts touch it, a solid any other."""
-THING = SOLID | GHOST
+SOLID_TO_ALL = SOLID | GHOST
 """What walls and boxes are: solid to all."""
 
 _HEIGHT = 0.5
@@ -43,8 +43,8 @@ def build_model(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujo
     _add_arena(spec, arena)
     for robot, platform in robots.items():
         _add_robot(spec, robot, platform)
-    for name, box in arena.things:
-        _add_thing(spec, name, box)
+    for name, box in arena.movable_boxes:
+        _add_movable_box(spec, name, box)
     return spec.compile()
 
 
@@ -69,7 +69,7 @@ def _add_arena(spec: mujoco.MjSpec, arena: Arena) -> None:
             size=[pole.radius, _HEIGHT / 2.0, 0.0],
             group=FIXED,
             condim=1,
-            contype=THING,
+            contype=SOLID_TO_ALL,
             conaffinity=SOLID,
         )
 
@@ -84,7 +84,7 @@ def _add_box(
         size=[*size, _HEIGHT / 2.0],
         group=FIXED,
         condim=1,
-        contype=THING,
+        contype=SOLID_TO_ALL,
         conaffinity=SOLID,
     )
 
@@ -94,8 +94,8 @@ def _add_robot(spec: mujoco.MjSpec, robot: str, platform: Platform) -> None:
     _add_shapes(body, robot, platform)
 
 
-def _add_thing(spec: mujoco.MjSpec, name: str, box: Box) -> None:
-    body = _add_planar(spec, f"thing/{name}", box.mass or 0.0, moment(box))
+def _add_movable_box(spec: mujoco.MjSpec, name: str, box: Box) -> None:
+    body = _add_planar(spec, f"box-body/{name}", box.mass or 0.0, moment(box))
     for joint in body.joints:
         joint.solimp_friction = _STIFF
     _add_box(body, f"box/{name}", (0.0, 0.0), (box.length / 2.0, box.width / 2.0))

@@ -1,6 +1,6 @@
-"""Touches counted as people count them: once each, however many steps they last.
+"""ContactReader counted as people count them: once each, however many steps they last.
 
-Touches of bodies as the physics sees them: who, and how fast each surface came.
+ContactReader of bodies as the physics sees them: who, and how fast each surface came.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ EPISODE_GAP = 0.5
 """Seconds apart after which the same two touch anew."""
 
 
-class Episodes:
+class ContactEpisodes:
     """Counts the touches of pairs. Feed it in order of time."""
 
     def __init__(self) -> None:
@@ -60,14 +60,14 @@ class Contact(Struct, frozen=True):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Touch:
+class ContactPoints:
     """The touching points of one step: geoms (c, 2), robots first, and speeds (c, 2)."""
 
     geoms: NDArray[np.intp]
     speeds: Array
 
 
-class Touches:
+class ContactReader:
     """Reads the touching pairs of planar bodies out of a model's contacts: those of robots."""
 
     def __init__(self, model: mujoco.MjModel, robots: int) -> None:
@@ -79,7 +79,7 @@ class Touches:
         self._robots = robots
         self._names = [model.geom(geom).name for geom in range(model.ngeom)]
 
-    def after_step(self, data: mujoco.MjData, qpos: Array, qvel: Array) -> Touch:
+    def after_step(self, data: mujoco.MjData, qpos: Array, qvel: Array) -> ContactPoints:
         """The points in touch in the step that was just made.
 
         `qpos` and `qvel` are those before the step: MuJoCo finds contacts there, and the solver
@@ -103,9 +103,9 @@ class Touches:
         if len(turned):
             geoms[turned] = geoms[turned, ::-1]
             speeds[turned] = speeds[turned, ::-1]
-        return Touch(geoms, speeds)
+        return ContactPoints(geoms, speeds)
 
-    def contacts(self, steps: Sequence[Touch]) -> list[Contact]:
+    def contacts(self, steps: Sequence[ContactPoints]) -> list[Contact]:
         """Each pair once, with its fastest approach in any of the steps; robots in order."""
         if not steps:
             return []

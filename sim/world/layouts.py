@@ -27,10 +27,12 @@ def parse_layout(text: str, footprints: Sequence[Array], arena: Arena, *, seed: 
     """
     name, _, rest = text.partition(":")
     n = len(footprints)
-    floor = Floor([f"robot {index}" for index in range(n)], footprints, arena)
+    placement = Placement([f"robot {index}" for index in range(n)], footprints, arena)
     if name == "random":
-        scatter(floor, range(n), np.random.default_rng(seed), clearance=_number(text, rest, 0.2))
-        return floor.poses
+        scatter(
+            placement, range(n), np.random.default_rng(seed), clearance=_number(text, rest, 0.2)
+        )
+        return placement.poses
     if name == "list":
         poses = _listed(text, rest, n)
     elif name in REGULAR:
@@ -38,7 +40,7 @@ def parse_layout(text: str, footprints: Sequence[Array], arena: Arena, *, seed: 
     else:
         raise ConfigError(unknown("layout", name, NAMES))
     try:
-        floor.place_all(range(n), poses)
+        placement.place_all(range(n), poses)
     except ConfigError as error:
         raise ConfigError(f"layout {text!r}: {error}") from error
     return poses
@@ -89,7 +91,7 @@ def moved(poses: Array, center: tuple[float, float], heading: float) -> Array:
     return np.column_stack((places, poses[:, 2] + heading))
 
 
-class Floor:
+class Placement:
     """Knows what stands where, to tell what a robot would be too near to.
 
     `poses` (n, 3) are those of the robots placed so far, NaN for the others.
@@ -101,9 +103,9 @@ class Floor:
         self.poses = np.full((len(names), 3), math.nan)
         self._footprints = footprints
         self._reaches = np.array([radius(footprint) for footprint in footprints])
-        self._things = [box.corners for box in arena.boxes if box.is_placed]
-        self._things += [pole.corners for pole in arena.poles]
-        self._things += [wall.corners for wall in arena.segments]
+        self._obstacles = [box.corners for box in arena.boxes if box.is_placed]
+        self._obstacles += [pole.corners for pole in arena.poles]
+        self._obstacles += [wall.corners for wall in arena.segments]
 
     def place(self, index: int, pose: Array) -> None:
         """Put the robot there."""
@@ -124,7 +126,7 @@ class Floor:
         inside = np.array([self.arena.length, self.arena.width]) / 2.0 - clearance
         if not np.isfinite(pose).all() or (np.abs(body) >= inside).any():
             return f"{who} is not inside the walls"
-        if any(float(gaps(body, thing)) <= clearance for thing in self._things):
+        if any(float(gaps(body, obstacle)) <= clearance for obstacle in self._obstacles):
             return f"{who} stands in a box, pole or segment"
         apart = np.hypot(*(self.poses[:, :2] - pose[:2]).T) - self._reaches - self._reaches[index]
         for other in np.nonzero(apart <= clearance)[0].tolist():
@@ -135,7 +137,7 @@ class Floor:
 
 
 def scatter(
-    floor: Floor,
+    placement: Placement,
     robots: Sequence[int],
     rng: Generator,
     *,
@@ -149,7 +151,7 @@ def scatter(
     Without `size` in the whole arena, without `heading` (rad) in any direction. ConfigError if
     there is no room.
     """
-    whole = (floor.arena.length, floor.arena.width)
+    whole = (placement.arena.length, placement.arena.width)
     half = np.array([*(size or whole), 2.0 * math.pi]) / 2.0
     middle = np.array([*(center if size else (0.0, 0.0)), 0.0])
 
@@ -157,11 +159,11 @@ def scatter(
         while True:
             yield _headed(middle + rng.uniform(-half, half), heading)
 
-    _place_each(floor, robots, candidates(), clearance, f"{clearance:g} m around each")
+    _place_each(placement, robots, candidates(), clearance, f"{clearance:g} m around each")
 
 
 def chain(
-    floor: Floor,
+    placement: Placement,
     robots: Sequence[int],
     rng: Generator,
     *,
@@ -179,7 +181,7 @@ def chain(
     def candidates() -> Iterator[Array]:
         yield _headed(np.array([*center, rng.uniform(-math.pi, math.pi)]), heading)
         while True:
-            placed[:] = [floor.poses[i] for i in robots if math.isfinite(floor.poses[i, 0])]
+            placed[:] = [placement.poses[i] for i in robots if math.isfinite(placement.poses[i, 0])]
             if not placed:
                 return
             base = placed[int(rng.integers(len(placed)))][:2]
@@ -188,21 +190,26 @@ def chain(
             if all(math.dist(place, other[:2]) >= near for other in placed):
                 yield _headed(np.array([*place, yaw]), heading)
 
-    _place_each(floor, robots, candidates(), 0.0, f"{near:g} to {far:g} m from the nearest")
+    _place_each(placement, robots, candidates(), 0.0, f"{near:g} to {far:g} m from the nearest")
 
 
 def _place_each(
-    floor: Floor, robots: Sequence[int], candidates: Iterator[Array], clearance: float, what: str
+    placement: Placement,
+    robots: Sequence[int],
+    candidates: Iterator[Array],
+    clearance: float,
+    what: str,
 ) -> None:
+    arena = placement.arena
     for row in robots:
         for _, pose in zip(range(_TRIES), candidates, strict=False):
-            if not floor.fault(row, pose, clearance):
-                floor.place(row, pose)
+            if not placement.fault(row, pose, clearance):
+                placement.place(row, pose)
                 break
         else:
             raise ConfigError(
-                f"no room for {floor.names[row]}, one of {len(robots)}, with {what} in"
-                f" {floor.arena.length:g}x{floor.arena.width:g} m; take more space or fewer robots"
+                f"no room for {placement.names[row]}, one of {len(robots)}, with {what} in"
+                f" {arena.length:g}x{arena.width:g} m; take more space or fewer robots"
             )
 
 

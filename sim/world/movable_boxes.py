@@ -10,7 +10,7 @@ import numpy as np
 from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.values import Array
 from swarmd.sim.world.arena import Arena, Box
-from swarmd.sim.world.bodies import SOLID, THING, moment
+from swarmd.sim.world.bodies import SOLID, SOLID_TO_ALL, moment
 from swarmd.sim.world.geometry import overlaps, transform
 
 _GRAVITY = 9.81
@@ -27,11 +27,11 @@ class MovableBoxes:
 
         ConfigError if a box would start outside the walls or where something else stands.
         """
-        boxes = [box for _, box in arena.things]
+        boxes = [box for _, box in arena.movable_boxes]
         m = len(boxes)
         self._arena, self._model, self._data = arena, model, data
         self._dofs = slice(3 * robots, 3 * (robots + m))
-        self.names = tuple(name for name, _ in arena.things)
+        self.names = tuple(name for name, _ in arena.movable_boxes)
         self.shapes = np.array([box.shape for box in boxes]).reshape(m, 4, 2)
         self.is_there = np.zeros(m, dtype=np.bool_)
         self._geoms = [model.geom(f"box/{name}").id for name in self.names]
@@ -126,7 +126,7 @@ class MovableBoxes:
         self.is_there[row] = is_there
         self._data.qpos[self._dofs][3 * row : 3 * row + 3] = pose
         self._data.qvel[self._dofs][3 * row : 3 * row + 3] = 0.0
-        self._model.geom_contype[self._geoms[row]] = THING if is_there else 0
+        self._model.geom_contype[self._geoms[row]] = SOLID_TO_ALL if is_there else 0
         self._model.geom_conaffinity[self._geoms[row]] = SOLID if is_there else 0
 
     def _row(self, name: str) -> int:

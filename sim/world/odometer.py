@@ -18,6 +18,9 @@ from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.realism import OdometryNoise
 from swarmd.sim.world.seeding import generator
 
+ODOMETRY_RATE = 20.0
+"""Hz, in live worlds and in lockstep."""
+
 
 class Odometers:
     """The odometry of n bases, each in the frame of its own start."""

@@ -16,11 +16,14 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Neighbor, Platform, Value
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.geometry import Indices
-from swarmd.sim.world.radio_visibility import Sight, all_pairs, near_pairs
+from swarmd.sim.world.radio_visibility import LineOfSight, all_pairs, near_pairs
 from swarmd.sim.world.seeding import generator
 
 Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
 Arrival = tuple[int, int, str, Value]
+
+NEIGHBORS_RATE = 2.0
+"""Hz at which a robot learns its neighbors, in live worlds and in lockstep."""
 
 _ROUNDING = 1e-9  # of times made up of many steps
 # Range-and-bearing boards: our choice, of the order of what their makers report.
@@ -70,7 +73,7 @@ def with_bearings(platform: Platform) -> Platform:
 class Radio:
     """The radio of a swarm: pure, and the same for the same seed and the same calls.
 
-    `poses` are always those of all robots, (n, 3) x, y in m and yaw in rad. `things` are the
+    `poses` are always those of all robots, (n, 3) x, y in m and yaw in rad. `movable_boxes` are the
     corners of movable boxes (t, c, 2) in m, NaN where one is out of the arena; they count only
     with line_of_sight. No robot hears itself.
     """
@@ -82,7 +85,7 @@ class Radio:
         check_radio(settings)
         self._settings, self._ids = settings, tuple(ids)
         self._reach = math.inf if settings.range is None else settings.range
-        self._sight = Sight(arena) if settings.line_of_sight else None
+        self._sight = LineOfSight(arena) if settings.line_of_sight else None
         self._air = [generator(seed, "radio", robot) for robot in ids]
         self._sensing = [generator(seed, "bearings", robot) for robot in ids]
         self._known = [Neighbor(robot, 0.0) for robot in ids]
@@ -91,13 +94,13 @@ class Radio:
         self._everyone: dict[int, tuple[Neighbor, ...]] = {}
 
     def neighbors(
-        self, row: int, poses: Array, things: Array | None = None
+        self, row: int, poses: Array, movable_boxes: Array | None = None
     ) -> tuple[Neighbor, ...]:
         """Whom robot `row` hears; where they are only with range_and_bearing, and noisy."""
         is_everyone = math.isinf(self._reach) and self._sight is None
         if is_everyone and not self._settings.range_and_bearing:
             return self._others(row)
-        heard = self.hearers(row, poses, things)
+        heard = self.hearers(row, poses, movable_boxes)
         if not self._settings.range_and_bearing:
             return tuple(self._known[i] for i in heard.tolist())
         sensed = self._sense(row, heard, poses).tolist()
@@ -112,7 +115,7 @@ class Radio:
             self._everyone[row] = (*self._known[:row], *self._known[row + 1 :])
         return self._everyone[row]
 
-    def hearers(self, row: int, poses: Array, things: Array | None = None) -> Indices:
+    def hearers(self, row: int, poses: Array, movable_boxes: Array | None = None) -> Indices:
         """The rows that hear robot `row` now, in order; they are those that it hears."""
         if math.isinf(self._reach):
             heard = np.delete(np.arange(len(self._ids)), row)
@@ -123,7 +126,7 @@ class Radio:
             heard = np.flatnonzero(is_near)
         if self._sight is not None and len(heard):
             here = np.broadcast_to(poses[row, :2], (len(heard), 2))
-            heard = heard[self._sight.is_clear(here, poses[heard, :2], things)]
+            heard = heard[self._sight.is_clear(here, poses[heard, :2], movable_boxes)]
         return heard
 
     def send(
@@ -133,11 +136,11 @@ class Radio:
         value: Value,
         now: float,
         poses: Array,
-        things: Array | None = None,
+        movable_boxes: Array | None = None,
     ) -> None:
         """Robot `row` says `value` on channel `name` at `now` s to all that hear it then."""
         settings, rng = self._settings, self._air[row]
-        hearers = self.hearers(row, poses, things)
+        hearers = self.hearers(row, poses, movable_boxes)
         if settings.loss > 0.0:
             hearers = hearers[rng.random(len(hearers)) >= settings.loss]
         rows, due = hearers.tolist(), now + settings.delay
@@ -160,7 +163,7 @@ class Radio:
             found.extend((hearer, sender, name, value) for hearer in hearers)
         return found
 
-    def links(self, poses: Array, things: Array | None = None) -> Indices:
+    def links(self, poses: Array, movable_boxes: Array | None = None) -> Indices:
         """All pairs of rows that hear each other: (k, 2), the lower first, in order."""
         pairs = (
             all_pairs(len(poses))
@@ -170,7 +173,7 @@ class Radio:
         if self._sight is None or not len(pairs):
             return pairs
         here, there = poses[pairs[:, 0], :2], poses[pairs[:, 1], :2]
-        return pairs[self._sight.is_clear(here, there, things)]
+        return pairs[self._sight.is_clear(here, there, movable_boxes)]
 
     def _sense(self, row: int, heard: Indices, poses: Array) -> Array:
         """Distance, bearing and heading (k, 3) of robots `heard` from robot `row`."""

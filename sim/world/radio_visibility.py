@@ -10,26 +10,26 @@ from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.geometry import Indices, apart, crossings
 
 _AT_ONCE = 65_536
-"""How many pairs of way and obstacle are looked at together."""
-
-_HALF_AROUND = ((0, 0), (1, 0), (-1, 1), (0, 1), (1, 1))
+"""Pairs of path and obstacle in one batch, which bounds memory."""
 
 
-class Sight:
+class LineOfSight:
     """What stands between two places: boxes, inner walls and poles, but not robots."""
 
     def __init__(self, arena: Arena) -> None:
         """What is fixed in the arena; the outer walls stand between no two robots."""
         self._walls, self._poles = arena.surfaces, arena.circles
 
-    def is_clear(self, a: Array, b: Array, things: Array | None = None) -> NDArray[np.bool_]:
+    def is_clear(self, a: Array, b: Array, movable_boxes: Array | None = None) -> NDArray[np.bool_]:
         """True where nothing stands between a and b (k, 2), m in the world frame.
 
-        `things` (t, c, 2): the corners of movable boxes; NaN where one is out of the arena.
+        `movable_boxes` (t, c, 2): the corners of movable boxes; NaN where one is out of the arena.
         """
         walls, poles = self._walls, self._poles
-        if things is not None and len(things):
-            edges = np.stack((things, np.roll(things, -1, axis=1)), axis=2).reshape(-1, 2, 2)
+        if movable_boxes is not None and len(movable_boxes):
+            edges = np.stack((movable_boxes, np.roll(movable_boxes, -1, axis=1)), axis=2).reshape(
+                -1, 2, 2
+            )
             walls = np.concatenate((walls, edges))
         is_clear = np.ones(len(a), dtype=np.bool_)
         stride = max(1, _AT_ONCE // max(1, len(walls) + len(poles)))
@@ -49,33 +49,8 @@ def all_pairs(n: int) -> Indices:
 
 
 def near_pairs(places: Array, reach: float) -> Indices:
-    """Every two of `places` (n, 2) at most `reach` m apart: (k, 2), lower row first, in order.
+    """Every two of `places` (n, 2) at most `reach` m apart: (k, 2), lower row first, in order."""
+    from scipy.spatial import cKDTree  # for metrics alone: a simulation starts without it
 
-    By cells as wide as the reach, so the cost grows with the pairs and not with n squared.
-    """
-    # A little wider, lest rounding put two that are just within reach two cells apart.
-    cells = np.floor(places / (reach * (1.0 + 1e-9))).astype(np.int64)
-    cells -= cells.min(axis=0, initial=np.iinfo(np.int64).max)
-    width = int(cells[:, 0].max(initial=0)) + 2
-    keys = cells[:, 1] * width + cells[:, 0]
-    order = np.argsort(keys, kind="stable")
-    in_order = keys[order]
-    found = [
-        _neighbors(in_order, order, keys + dy * width + dx, is_own=(dx, dy) == (0, 0))
-        for dx, dy in _HALF_AROUND
-    ]
-    pairs = np.concatenate(found)
-    way = places[pairs[:, 0]] - places[pairs[:, 1]]
-    pairs = pairs[np.hypot(way[:, 0], way[:, 1]) <= reach]
-    pairs.sort(axis=1)
+    pairs: Indices = cKDTree(places).query_pairs(reach, output_type="ndarray").astype(np.intp)
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-
-
-def _neighbors(in_order: Indices, order: Indices, wanted: Indices, *, is_own: bool) -> Indices:
-    """Each row with each of the rows whose cell is the wanted one, (k, 2)."""
-    first = np.searchsorted(in_order, wanted, side="left")
-    counts = np.searchsorted(in_order, wanted, side="right") - first
-    row = np.repeat(np.arange(len(wanted)), counts)
-    within = np.arange(len(row)) - np.repeat(np.cumsum(counts) - counts, counts)
-    pairs = np.stack((row, order[first[row] + within]), axis=-1)
-    return pairs[pairs[:, 0] < pairs[:, 1]] if is_own else pairs

@@ -17,6 +17,9 @@ Level = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
 Point = tuple[Coordinate, Coordinate]
 
+READINGS_RATE = 10.0
+"""Hz, in live worlds and in lockstep."""
+
 _MOST = 1e6
 
 

@@ -47,14 +47,15 @@ def shapes_of(arena: Arena, platforms: Sequence[Platform], *, plane: float | Non
         for i, p in enumerate(platforms)
         if i not in whole and plane is not None and plane <= value(p, "target_top")
     ]
-    things = range(len(platforms), len(platforms) + len(arena.things))
-    outlines = [platforms[i].footprint for i in whole] + [box.shape for _, box in arena.things]
+    boxes = [box.shape for _, box in arena.movable_boxes]
+    box_rows = range(len(platforms), len(platforms) + len(boxes))
+    outlines = [*(platforms[i].footprint for i in whole), *boxes]
     discs = [(*platforms[i].scan.offset, value(platforms[i], "target_radius")) for i in housed]
     return Shapes(
         walls=arena.surfaces,
         poles=arena.circles,
         polygons=_padded(outlines),
-        polygon_owners=np.array([*whole, *things], dtype=np.intp),
+        polygon_owners=np.array([*whole, *box_rows], dtype=np.intp),
         discs=np.array(discs, dtype=np.float64).reshape(-1, 3),
         disc_owners=np.array(housed, dtype=np.intp),
     )

@@ -17,7 +17,7 @@ from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, Twist
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.base_dynamics import Actuators, BaseDynamics
-from swarmd.sim.world.contacts import Contact, Touch, Touches
+from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
 from swarmd.sim.world.geometry import Indices, radius, transform
 from swarmd.sim.world.lidar import RangeSensors, Visibility
 from swarmd.sim.world.movable_boxes import MovableBoxes
@@ -30,7 +30,7 @@ from swarmd.sim.world.scalar_fields import Field, readings_at
 class World:
     """Planar MuJoCo bodies, their range sensors and odometry, and boxes that can be pushed.
 
-    `things` are the names of the movable boxes, row i of `thing_poses()` and `thing_shapes`
+    `movable_boxes` are the names of the movable boxes, row i of `box_poses()` and `box_shapes`
     (m, 4, 2), their outlines in their own frames. `scan_latency` (n,) s: how much later than it is
     taken a sweep of each robot is to arrive.
     """
@@ -66,8 +66,8 @@ class World:
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._applied = self.data.qfrc_applied
         self._qpos[: 3 * n] = starts.ravel()
-        self._things = MovableBoxes(arena, self.model, self.data, n)
-        self.things, self.thing_shapes = self._things.names, self._things.shapes
+        self._movable_boxes = MovableBoxes(arena, self.model, self.data, n)
+        self.movable_boxes, self.box_shapes = self._movable_boxes.names, self._movable_boxes.shapes
         mujoco.mj_forward(self.model, self.data)
         self._drives = BaseDynamics(self.platforms, dt)
         self._driven: Array | None = None
@@ -77,13 +77,13 @@ class World:
         self.scan_latency = self._noise.latency
         self._steps = 0
         self._seq, self._is_out = [0] * n, np.zeros(n, dtype=np.bool_)
-        self._touches = Touches(self.model, n)
-        self._touching: list[Touch] = []
+        self._contacts = ContactReader(self.model, n)
+        self._touching: list[ContactPoints] = []
         self._sensors = RangeSensors(self.platforms, arena, visibility)
         self._fields = tuple(fields)
         shapes = [platform.footprint for platform in self.platforms]
         self._widest = sum(
-            max(map(radius, some), default=0.0) for some in (shapes, self.thing_shapes)
+            max(map(radius, some), default=0.0) for some in (shapes, self.box_shapes)
         )
 
     @property
@@ -115,12 +115,12 @@ class World:
         n = len(self.ids)
         force = self._drives.forces(qpos.reshape(-1, 3)[:n], qvel.reshape(-1, 3)[:n])
         self._applied[: 3 * n] = force.ravel()
-        if self.things:
-            self._things.rub()
+        if self.movable_boxes:
+            self._movable_boxes.rub()
         mujoco.mj_step(self.model, data)
         self._steps += 1
         if data.ncon:
-            self._touching.append(self._touches.after_step(data, qpos, qvel))
+            self._touching.append(self._contacts.after_step(data, qpos, qvel))
 
     def poses(self) -> Array:
         """(n, 3) x, y in m and yaw in rad (not wrapped) in the world frame: truth.
@@ -148,7 +148,7 @@ class World:
 
     def contacts(self) -> list[Contact]:
         """The pairs that touched during the last call of `step`, each with its fastest approach."""
-        return self._touches.contacts(self._touching)
+        return self._contacts.contacts(self._touching)
 
     def scans(self, robots: Indices) -> list[Scan]:
         """A fresh sweep of each of `robots` (m,), taken in one instant: now.
@@ -156,8 +156,8 @@ class World:
         It is not there yet: who hands it on holds it back for the robot's `scan_latency`.
         """
         poses = self.poses()
-        if self.things:
-            poses = np.concatenate((poses, self._things.poses()))
+        if self.movable_boxes:
+            poses = np.concatenate((poses, self._movable_boxes.poses()))
         ranges = self._noise.apply(robots, self._sensors.cast(poses, robots))
         return [self._scan(row, seen) for row, seen in zip(robots.tolist(), ranges, strict=True)]
 
@@ -180,11 +180,11 @@ class World:
         """What the scalar sensors on the robot's axle read, by name: the fields where it stands."""
         return readings_at(self._fields, self.poses()[robot, :2])
 
-    def thing_poses(self) -> Array:
+    def box_poses(self) -> Array:
         """(m, 3) x, y in m and yaw in rad of the movable boxes; NaN while not in the arena."""
-        return self._things.poses()
+        return self._movable_boxes.poses()
 
-    def place(self, thing: str, pose: tuple[float, float, float]) -> None:
+    def place(self, box: str, pose: tuple[float, float, float]) -> None:
         """Put a movable box at rest at x, y in m and yaw in rad, wherever it was.
 
         SwarmError if it would stand in a robot, a wall or another thing; ConfigError if there is
@@ -196,7 +196,7 @@ class World:
             for row, own in enumerate(self.poses())
             if math.dist(own[:2], at[:2]) <= self._widest
         ]
-        self._things.place(thing, at, outlines)
+        self._movable_boxes.place(box, at, outlines)
 
     def take_out(self, robot: int) -> None:
         """Take a robot's body out of the arena for good: nothing touches or sees it any more."""
@@ -204,6 +204,6 @@ class World:
         geom = self.model.geom(self.ids[robot]).id
         self.model.geom_contype[geom] = self.model.geom_conaffinity[geom] = 0
 
-    def remove(self, thing: str) -> None:
+    def remove(self, box: str) -> None:
         """Take a movable box out of the arena; SwarmError if it is not in it."""
-        self._things.remove(thing)
+        self._movable_boxes.remove(box)

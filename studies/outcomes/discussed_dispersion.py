@@ -50,7 +50,7 @@ def joinings_of(seeds: Sequence[int], jobs: int = 1) -> list[Joining]:
     robot = "tb3-08"
     events = [
         {"at": _JOINED, "join": robot},
-        {"at": _JOINED, "run": _NAME, "who": robot},
+        {"at": _JOINED, "run": _NAME, "targets": robot},
     ]
     some = {f"parameters.{_NAME}.discuss": 3.0, "events": events, "duration": _JOINED + 12.0}
     results = simulate("paper_exp2_late", seeds, set=some, jobs=jobs)

@@ -121,4 +121,6 @@ def _closing(trace: Trace, robot: int, other: int, row: int, able: Array) -> flo
 def _index(trace: Trace, name: str) -> int:
     if name == WALLS:
         return ARENA
-    return trace.ids.index(name) if name in trace.ids else ARENA - 1 - trace.things.index(name)
+    return (
+        trace.ids.index(name) if name in trace.ids else ARENA - 1 - trace.movable_boxes.index(name)
+    )

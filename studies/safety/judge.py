@@ -151,4 +151,4 @@ def _collision(trace: Trace, rows: np.ndarray, own: Array, *, is_new: bool) -> C
 def _name(trace: Trace, index: int) -> str:
     if index >= 0:
         return trace.ids[index]
-    return WALLS if index == ARENA else trace.things[ARENA - 1 - index]
+    return WALLS if index == ARENA else trace.movable_boxes[ARENA - 1 - index]

@@ -88,14 +88,14 @@ class Outcome:
     def nearest(self) -> float:
         """The least distance in m between robots that have a daemon and what appeared."""
         trace = self.trace
-        if trace.thing_pose is None or trace.thing_shapes is None:
+        if trace.box_pose is None or trace.box_shapes is None:
             return math.inf
         poses = trace.pose[::_OFTEN, : len(self.robots), None]
         robots = transform(trace.footprint(0), poses)
-        things = transform(trace.thing_shapes, trace.thing_pose[::_OFTEN, None])
-        is_there = np.isfinite(things[:, 0, :, 0, 0])
-        apart = [gaps(robots[:, :, 0], things[:, :, thing]) for thing in range(len(trace.things))]
-        found = [some[is_there[:, thing]] for thing, some in enumerate(apart)]
+        boxes = transform(trace.box_shapes, trace.box_pose[::_OFTEN, None])
+        is_there = np.isfinite(boxes[:, 0, :, 0, 0])
+        apart = [gaps(robots[:, :, 0], boxes[:, :, box]) for box in range(len(trace.movable_boxes))]
+        found = [some[is_there[:, box]] for box, some in enumerate(apart)]
         return min((float(some.min()) for some in found if some.size), default=math.inf)
 
 
@@ -213,8 +213,8 @@ def _space(platform: Platform, count: int) -> list[str]:
     """The world's options: an arena with enough room for `count` robots, and for things."""
     grid = 2.0 * room(platform) + radius(platform.footprint)
     side = math.ceil(grid * math.sqrt(count) + 1.0)
-    things = tuple(THINGS.values())
-    return ["--arena", Arena(side, side, things).text, "--layout", f"grid:{grid:.2f}"]
+    movable_boxes = tuple(THINGS.values())
+    return ["--arena", Arena(side, side, movable_boxes).text, "--layout", f"grid:{grid:.2f}"]
 
 
 def _of(robots: Sequence[str], stamps: Stamps) -> Stamps:

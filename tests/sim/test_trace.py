@@ -10,14 +10,14 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.trace import ARENA, VERSION, Recorder, Trace, load_trace
+from swarmd.sim.trace import ARENA, VERSION, Trace, TraceBuilder, load_trace
 
 IDS = ("a", "b")
 
 
 def recorded() -> Trace:
     platforms = [load_platform("burger"), load_platform("jackal")]
-    recorder = Recorder(IDS, platforms, {"arena": "6x6", "seed": 3})
+    recorder = TraceBuilder(IDS, platforms, {"arena": "6x6", "seed": 3})
     for k in range(10):
         recorder.add(0.1 * k, np.full((2, 3), float(k)), np.full((2, 3), -float(k)))
     recorder.touch(0.25, "a", "b", 0.1, 0.2)
@@ -53,7 +53,7 @@ def test_keeps_what_robots_said_of_themselves(tmp_path: Path) -> None:
         bound=np.arange(60.0).reshape(10, 2, 3),
         recovering=np.ones((10, 2), dtype=bool),
         report={"opinion": np.arange(20.0).reshape(10, 2)}, words={"state": np.full((10, 2), "x")},
-        things=("crate",), thing_pose=np.full((10, 1, 3), np.nan),
+        movable_boxes=("crate",), box_pose=np.full((10, 1, 3), np.nan),
     )  # fmt: skip
     said.save(tmp_path / "run.npz")
     again = load_trace(tmp_path / "run.npz")
@@ -66,9 +66,9 @@ def test_keeps_what_robots_said_of_themselves(tmp_path: Path) -> None:
     assert again.reason is None
     np.testing.assert_array_equal(again.report["opinion"], said.report["opinion"])
     assert again.words["state"][4, 0] == "x"
-    assert again.things == ("crate",)
-    assert again.thing_pose is not None
-    assert again.thing_pose.shape == (10, 1, 3)
+    assert again.movable_boxes == ("crate",)
+    assert again.box_pose is not None
+    assert again.box_pose.shape == (10, 1, 3)
 
 
 def test_contacts_hold_rows_of_robots_and_the_arena() -> None:
@@ -76,7 +76,7 @@ def test_contacts_hold_rows_of_robots_and_the_arena() -> None:
 
 
 def test_clearing_begins_anew() -> None:
-    recorder = Recorder(IDS, [load_platform("burger")] * 2, {})
+    recorder = TraceBuilder(IDS, [load_platform("burger")] * 2, {})
     recorder.add(0.0, np.zeros((2, 3)), np.zeros((2, 3)))
     recorder.touch(0.0, "a", "b", 0.0, 0.0)
     recorder.clear()
@@ -87,7 +87,7 @@ def test_clearing_begins_anew() -> None:
 
 
 def test_recorder_keeps_copies() -> None:
-    recorder = Recorder(("a",), [load_platform("burger")], {})
+    recorder = TraceBuilder(("a",), [load_platform("burger")], {})
     pose = np.zeros((1, 3))
     recorder.add(0.0, pose, pose)
     pose[:] = 9.0
@@ -138,7 +138,7 @@ def test_arrays_that_do_not_fit_together_are_one_clear_error(tmp_path: Path) -> 
         {"report/x": np.zeros(len(t))},
         {"words/x": np.zeros((len(t), n))},
         {"contact_pair": whole["contact_pair"].astype(float)},
-        {"thing_pose": np.zeros((len(t), 3, 3))},
+        {"box_pose": np.zeros((len(t), 3, 3))},
         {"extra": t},
         {
             "head": np.array(

@@ -12,13 +12,15 @@ from click.testing import CliRunner
 from swarmd.core.errors import ConfigError
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.cli.exp import exp
-from swarmd.sim.trace import Recorder
+from swarmd.sim.trace import TraceBuilder
 
 
 @pytest.fixture
 def live(tmp_path: Path) -> Path:
     """What a real-time world records: poses and commands, and no word of the robots'."""
-    recorder = Recorder(("a", "b"), [load_platform("burger")] * 2, {"thresholds": {"burger": 0.5}})
+    recorder = TraceBuilder(
+        ("a", "b"), [load_platform("burger")] * 2, {"thresholds": {"burger": 0.5}}
+    )
     for k in range(11):
         pose = np.zeros((2, 3))
         pose[1, 0] = 3.0 - 0.1 * k

@@ -14,7 +14,7 @@ from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.body_transport import EmulatorTransport
 from swarmd.sim.live.link import WorldLink
 from swarmd.sim.live.realtime import RealTimeWorld
-from swarmd.sim.live.recording import Record, RecordSettings
+from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.realism import IDEAL
 from swarmd.sim.world.world import World
@@ -48,28 +48,28 @@ class Side:
 class Stage:
     """A world of two Burgers that speak; time moves only when told to."""
 
-    def __init__(self, deadmen: Sequence[float]) -> None:
+    def __init__(self, command_timeouts: Sequence[float]) -> None:
         self.now = 100.0
         robots = dict.fromkeys(IDS, PLATFORM)
         starts = np.array([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
         self.world = World(robots, Arena(6.0, 6.0, ()), starts, realism=IDEAL)
         self.link = WorldLink("s", IDS, "tcp/127.0.0.1:0", clock=lambda: self.now)
-        speech = EmulatorTransport(Side, robots, "here", clock=lambda: self.now)
-        assert isinstance(speech.side, Side)
-        self.side: Side = speech.side
+        transport = EmulatorTransport(Side, robots, "here", clock=lambda: self.now)
+        assert isinstance(transport.side, Side)
+        self.side: Side = transport.side
         self.server = RealTimeWorld(
             self.world,
             self.link,
-            Record(self.world, RecordSettings()),
-            speech=speech,
-            deadmen=deadmen,
+            LiveRecorder(self.world, RecorderSettings()),
+            transport=transport,
+            command_timeouts=command_timeouts,
             clock=lambda: self.now,
         )
 
     def pass_time(self, seconds: float) -> None:
         for _ in range(round(seconds / self.world.dt)):
             self.now += self.world.dt
-            self.server.turn()
+            self.server.run_due()
 
     def speeds(self) -> list[float]:
         return [float(speed) for speed in self.world.twists()[:, 0]]

@@ -141,7 +141,7 @@ def test_questions_are_answered_by_who_takes_them(link: WorldLink) -> None:
 
     def serve() -> None:
         while not stop.wait(0.005):
-            for question in link.take_questions():
+            for question in link.take_requests():
                 question.answer(WorldReply(is_done=True, text="ok", state=state(3.0), path="x.npz"))
 
     server = threading.Thread(target=serve)

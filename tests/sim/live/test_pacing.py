@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarmd.sim.live.pacing import HOPELESS, Pacer, Staggered
+from swarmd.sim.live.pacing import MAX_CATCH_UP, Staggered, StepPacer
 
 
 def test_nothing_is_due_before_the_deadline() -> None:
-    pacer = Pacer(0.01, now=5.0)
+    pacer = StepPacer(0.01, now=5.0)
     assert pacer.steps(5.009) == 0
     assert pacer.steps(5.0101) == 1
     assert pacer.deadline == pytest.approx(5.02)
@@ -17,29 +17,29 @@ def test_nothing_is_due_before_the_deadline() -> None:
 
 
 def test_deadlines_do_not_drift_with_lateness() -> None:
-    pacer = Pacer(0.01, now=0.0)
+    pacer = StepPacer(0.01, now=0.0)
     for k in range(1, 101):
         assert pacer.steps(k * 0.01 + 0.003) == 1
     assert pacer.deadline == pytest.approx(1.01)
 
 
 def test_what_is_late_is_caught_up_and_counted() -> None:
-    pacer = Pacer(0.01, now=0.0)
+    pacer = StepPacer(0.01, now=0.0)
     assert pacer.steps(0.0551) == 5
     assert pacer.overruns == 4
     assert pacer.deadline == pytest.approx(0.06)
 
 
 def test_what_is_hopeless_is_given_up_and_counted() -> None:
-    pacer = Pacer(0.01, now=0.0)
-    late = HOPELESS + 9.0
+    pacer = StepPacer(0.01, now=0.0)
+    late = MAX_CATCH_UP + 9.0
     assert pacer.steps(late) == 1
     assert pacer.deadline == pytest.approx(late + 0.01)
     assert pacer.overruns > 900
 
 
 def test_real_time_factor_is_that_of_the_last_second() -> None:
-    pacer = Pacer(0.01, now=0.0)
+    pacer = StepPacer(0.01, now=0.0)
     assert pacer.real_time_factor() == 0.0
     for k in range(1, 301):
         pacer.steps(k * 0.01 + 1e-6)

@@ -25,7 +25,7 @@ from swarmd.driver_api.hw_codec import (
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink, WorldView, dialling
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT, RealTimeWorld
-from swarmd.sim.live.recording import Record, RecordSettings
+from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
 from swarmd.sim.live.state import WorldState
 from swarmd.sim.trace import load_trace
 from swarmd.sim.world.arena import Arena, Box
@@ -43,7 +43,7 @@ class Stage:
 
     def __init__(
         self,
-        settings: RecordSettings,
+        settings: RecorderSettings,
         realism: Realism = IDEAL,
         reach: float | None = None,
         fields: tuple[Field, ...] = (),
@@ -56,7 +56,7 @@ class Stage:
         self.world = World(robots, arena, starts, realism=realism, fields=fields)
         radio = RadioSettings(neighborhood="range", range=reach)
         self.link = WorldLink("s", IDS, "tcp/127.0.0.1:0", clock=lambda: self.now)
-        self.record = Record(self.world, settings)
+        self.record = LiveRecorder(self.world, settings)
         self.server = RealTimeWorld(
             self.world,
             self.link,
@@ -78,7 +78,7 @@ class Stage:
     def pass_time(self, seconds: float) -> None:
         for _ in range(round(seconds / self.world.dt)):
             self.now += self.world.dt
-            self.server.turn()
+            self.server.run_due()
 
     def speed(self, robot: int = 0) -> float:
         return float(self.world.twists()[robot, 0])
@@ -114,7 +114,7 @@ def until(condition: Callable[[], bool]) -> bool:
 
 @pytest.fixture
 def stage() -> Iterator[Stage]:
-    one = Stage(RecordSettings())
+    one = Stage(RecorderSettings())
     yield one
     one.close()
 
@@ -229,7 +229,7 @@ def heard_by(stage: Stage, key: str) -> bytes:
 
 @pytest.mark.parametrize(("reach", "heard"), [(1.5, []), (2.5, ["b"])])
 def test_a_robot_is_told_whom_its_radio_reaches(reach: float, heard: list[str]) -> None:
-    stage = Stage(RecordSettings(), reach=reach)
+    stage = Stage(RecorderSettings(), reach=reach)
     try:
         neighbors = decode_neighbors(heard_by(stage, "neighbors"))
     finally:
@@ -239,7 +239,7 @@ def test_a_robot_is_told_whom_its_radio_reaches(reach: float, heard: list[str]) 
 
 
 def test_a_robot_is_told_what_its_scalar_sensors_read() -> None:
-    stage = Stage(RecordSettings(), fields=(UniformField(name="light", value=0.5),))
+    stage = Stage(RecorderSettings(), fields=(UniformField(name="light", value=0.5),))
     try:
         assert decode_readings(heard_by(stage, "readings")) == {"light": 0.5}
     finally:
@@ -247,13 +247,13 @@ def test_a_robot_is_told_what_its_scalar_sensors_read() -> None:
 
 
 def test_a_sweep_that_is_under_way_has_not_arrived() -> None:
-    stage = Stage(RecordSettings(), Realism(lidar=LidarNoise(latency=1.0), actuation=Actuation()))
+    stage = Stage(RecorderSettings(), Realism(lidar=LidarNoise(latency=1.0), actuation=Actuation()))
     try:
         while stage.world._seq[0] == 0:
             stage.pass_time(0.01)
         taken = stage.world.time
-        assert stage.server._swept[0] == -1
-        while stage.server._swept[0] == -1:
+        assert stage.server._sent_seq[0] == -1
+        while stage.server._sent_seq[0] == -1:
             stage.pass_time(0.01)
         assert stage.world.time - taken == pytest.approx(0.2)
     finally:
@@ -265,7 +265,7 @@ def test_lost_time_is_given_up_after_a_freeze(stage: Stage) -> None:
     stage.pass_time(0.2)
     before = stage.world.time
     stage.now += 60.0
-    stage.server.turn()
+    stage.server.run_due()
     assert stage.world.time == pytest.approx(before + stage.world.dt)
     stage.pass_time(0.2)
     assert stage.speed() == 0.0
@@ -273,7 +273,7 @@ def test_lost_time_is_given_up_after_a_freeze(stage: Stage) -> None:
 
 def test_records_from_start_to_finish_only(tmp_path: Path) -> None:
     path = tmp_path / "run.npz"
-    stage = Stage(RecordSettings(path=path, meta={"seed": 7}))
+    stage = Stage(RecorderSettings(path=path, meta={"seed": 7}))
     try:
         stage.pass_time(1.0)
         stage.record.begin()
@@ -293,7 +293,7 @@ def test_records_from_start_to_finish_only(tmp_path: Path) -> None:
 
 
 def test_recording_ends_by_itself_when_its_time_is_full(tmp_path: Path) -> None:
-    stage = Stage(RecordSettings(path=tmp_path / "run.npz", seconds=0.3))
+    stage = Stage(RecorderSettings(path=tmp_path / "run.npz", seconds=0.3))
     try:
         stage.pass_time(1.0)
         state = stage.server._state()
@@ -305,7 +305,7 @@ def test_recording_ends_by_itself_when_its_time_is_full(tmp_path: Path) -> None:
 
 
 def test_touches_are_counted_and_recorded(tmp_path: Path) -> None:
-    stage = Stage(RecordSettings(path=tmp_path / "run.npz"))
+    stage = Stage(RecorderSettings(path=tmp_path / "run.npz"))
     try:
         for _ in range(100):
             seq = stage.world._seq[0]
@@ -336,10 +336,10 @@ def asked(stage: Stage, deed: Callable[[WorldView], WorldState]) -> WorldState:
 
 def test_a_box_is_put_in_the_way_and_taken_out_of_it(tmp_path: Path) -> None:
     crate = Box(0.0, 0.0, 0.2, 0.2, name="crate", mass=5.0, is_placed=False)
-    stage = Stage(RecordSettings(path=tmp_path / "run.npz"), boxes=(crate,))
+    stage = Stage(RecorderSettings(path=tmp_path / "run.npz"), boxes=(crate,))
     try:
         state = asked(stage, lambda view: view.place("crate", (1.0, 0.0, 0.0)))
-        there = stage.world.thing_poses()[0].tolist()
+        there = stage.world.box_poses()[0].tolist()
         stage.pass_time(0.5)  # some of which is recorded
         asked(stage, lambda view: view.remove("crate"))
         stage.record.finish()
@@ -347,22 +347,22 @@ def test_a_box_is_put_in_the_way_and_taken_out_of_it(tmp_path: Path) -> None:
         stage.close()
     assert state.ids == IDS
     assert there == [1.0, 0.0, 0.0]
-    assert np.isnan(stage.world.thing_poses()).all()
-    poses = load_trace(tmp_path / "run.npz").thing_pose
+    assert np.isnan(stage.world.box_poses()).all()
+    poses = load_trace(tmp_path / "run.npz").box_pose
     assert poses is not None
     assert np.unique(poses[~np.isnan(poses[:, 0, 0]), 0], axis=0).tolist() == [[1.0, 0.0, 0.0]]
 
 
 @pytest.mark.parametrize(
-    ("thing", "fault"),
+    ("box", "fault"),
     [("crate", "a stands there"), ("create", "no movable box 'create'; did you mean 'crate'")],
 )
-def test_a_box_that_cannot_be_placed_is_refused_with_the_reason(thing: str, fault: str) -> None:
+def test_a_box_that_cannot_be_placed_is_refused_with_the_reason(box: str, fault: str) -> None:
     crate = Box(0.0, 0.0, 0.2, 0.2, name="crate", mass=5.0, is_placed=False)
-    stage = Stage(RecordSettings(), boxes=(crate,))
+    stage = Stage(RecorderSettings(), boxes=(crate,))
     try:
         with pytest.raises(SwarmError, match=fault):
-            asked(stage, lambda view: view.place(thing, (0.0, 0.0, 0.0)))
+            asked(stage, lambda view: view.place(box, (0.0, 0.0, 0.0)))
         assert stage.server._state().dropped == 0
     finally:
         stage.close()
@@ -370,7 +370,7 @@ def test_a_box_that_cannot_be_placed_is_refused_with_the_reason(thing: str, faul
 
 def test_boxes_that_are_pushed_are_recorded(tmp_path: Path) -> None:
     crate = Box(0.3, 0.0, 0.2, 0.2, name="crate", mass=0.5)
-    stage = Stage(RecordSettings(path=tmp_path / "run.npz"), boxes=(crate,))
+    stage = Stage(RecorderSettings(path=tmp_path / "run.npz"), boxes=(crate,))
     try:
         for _ in range(20):
             seq = stage.world._seq[0]
@@ -380,11 +380,11 @@ def test_boxes_that_are_pushed_are_recorded(tmp_path: Path) -> None:
     finally:
         stage.close()
     trace = load_trace(tmp_path / "run.npz")
-    assert trace.things == ("crate",)
-    assert trace.thing_pose is not None
-    assert trace.thing_pose.shape == (len(trace.t), 1, 3)
-    assert trace.thing_pose[0, 0, 0] == 0.3
-    assert trace.thing_pose[-1, 0, 0] > 0.4
-    assert trace.thing_shapes is not None
-    assert trace.thing_shapes.shape == (1, 4, 2)
+    assert trace.movable_boxes == ("crate",)
+    assert trace.box_pose is not None
+    assert trace.box_pose.shape == (len(trace.t), 1, 3)
+    assert trace.box_pose[0, 0, 0] == 0.3
+    assert trace.box_pose[-1, 0, 0] > 0.4
+    assert trace.box_shapes is not None
+    assert trace.box_shapes.shape == (1, 4, 2)
     assert set(map(tuple, trace.contact_pair.tolist())) == {(0, -2)}

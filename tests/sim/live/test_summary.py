@@ -12,7 +12,7 @@ import pytest
 from swarmd.core.messages import DecisionSummary, Health, Reason, State
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.summary import Summary, duties, mean_duty, numbers_of, problems_of
-from swarmd.sim.trace import Recorder, Trace
+from swarmd.sim.trace import Trace, TraceBuilder
 from tests.sim.live.statuses import status
 
 BURGER = load_platform("burger")
@@ -24,7 +24,7 @@ def problem(**end: Any) -> tuple[str, ...]:
 
 def closing_in() -> Trace:
     """Two robots on the x axis, 2 m apart, that come to 0.5 m within 10 s and then stand 10 s."""
-    recorder = Recorder(("a", "b"), (BURGER, BURGER), {})
+    recorder = TraceBuilder(("a", "b"), (BURGER, BURGER), {})
     for time in np.arange(0.0, 20.0 + 1e-9, 0.1):
         half = max(1.0 - 0.075 * time, 0.25)
         poses = np.array([[-half, 0.0, 0.0], [half, 0.0, np.pi]])
@@ -65,7 +65,7 @@ def test_numbers_of_two_robots_that_meet() -> None:
 
 
 def test_a_robot_alone_has_no_gap() -> None:
-    recorder = Recorder(("a",), (BURGER,), {})
+    recorder = TraceBuilder(("a",), (BURGER,), {})
     for time in (0.0, 1.0):
         recorder.add(time, np.zeros((1, 3)), np.zeros((1, 3)))
     numbers = numbers_of(recorder.trace(), {"burger": BURGER}, None, 1.0)

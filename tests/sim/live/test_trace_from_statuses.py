@@ -10,14 +10,14 @@ from swarmd.core.messages import Reason, Row, State, Status
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.trace_from_statuses import StatusLog
 from swarmd.sim.metrics.catalog import measure
-from swarmd.sim.trace import Recorder, Trace
+from swarmd.sim.trace import Trace, TraceBuilder
 from tests.support.robot_harness import RobotHarness
 
 
 @pytest.fixture
 def trace() -> Trace:
     """Two robots that stand for 2 s."""
-    recorder = Recorder(("a", "b"), [load_platform("burger")] * 2, {})
+    recorder = TraceBuilder(("a", "b"), [load_platform("burger")] * 2, {})
     for k in range(21):
         recorder.add(0.1 * k, np.zeros((2, 3)), np.zeros((2, 3)))
     return recorder.trace()
@@ -59,7 +59,7 @@ def test_a_word_holds_from_its_time_until_the_next(trace: Trace, status: Status)
             "stranger": say(status, "stranger", 7, is_active=True),
         },
     )
-    told = statements.brought_into(trace)
+    told = statements.merged_into(trace)
     assert told.state is not None
     assert told.active is not None
     assert told.state[:, 0].tolist() == [*[""] * 5, *["running"] * 16]
@@ -74,7 +74,7 @@ def test_what_bounded_a_robot_is_in_the_trace(trace: Trace, status: Status) -> N
     statements = StatusLog()
     statements.hear(0.5, {"a": say(status, "a", 1, is_active=True)})
     statements.hear(1.0, {"a": say(status, "a", 1, is_active=False)})
-    told = statements.brought_into(trace)
+    told = statements.merged_into(trace)
     assert told.gap is not None
     assert told.scan_age is not None
     assert told.bound is not None
@@ -92,9 +92,9 @@ def test_metrics_of_what_robots_say_can_then_be_taken(trace: Trace, status: Stat
     statements = StatusLog()
     both = {"a": say(status, "a", 1, is_active=True), "b": say(status, "b", 1, is_active=True)}
     statements.hear(0.0, both)
-    found = measure(statements.brought_into(trace), ["consensus_share", "protection_duty"])
+    found = measure(statements.merged_into(trace), ["consensus_share", "protection_duty"])
     assert found == {"consensus_share": 1.0, "protection_duty": 1.0}
 
 
 def test_without_a_word_the_trace_stays_as_it_was(trace: Trace) -> None:
-    assert StatusLog().brought_into(trace) is trace
+    assert StatusLog().merged_into(trace) is trace

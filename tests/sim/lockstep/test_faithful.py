@@ -11,7 +11,7 @@ import pytest
 from swarmd.core.values import Array
 from swarmd.robot.robot import TICK
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT
-from swarmd.sim.lockstep.lockstep import BODY_TIMEOUT, Lockstep, simulate_run
+from swarmd.sim.lockstep.lockstep import BASE_TIMEOUT, Lockstep, simulate_run
 from swarmd.sim.metrics.contacts import contact_list
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
@@ -143,7 +143,7 @@ def test_who_joins_knows_its_neighbors_at_once_and_who_is_gone_is_none(plugins: 
             events=[
                 {"at": 1.0, "kill": ["r-01"]},
                 {"at": 2.0, "join": ["r-01"]},
-                {"at": 2.0, "run": "probe", "who": ["r-01"]},
+                {"at": 2.0, "run": "probe", "targets": ["r-01"]},
             ],
         ),
         0,
@@ -163,14 +163,14 @@ def test_the_base_of_a_killed_daemon_obeys_the_next_one(plugins: str) -> None:
             events=[
                 {"at": 2.0, "kill": ["r-01"]},
                 {"at": 2.2, "join": ["r-01"]},
-                {"at": 2.2, "run": "drive", "who": ["r-01"]},
+                {"at": 2.2, "run": "drive", "targets": ["r-01"]},
             ],
         ),
         0,
     )
     moving = trace.safe[:, 0, 0] > 0.0
     back = at(trace, 2.2) + int(np.argmax(moving[at(trace, 2.25) :])) + 6
-    assert trace.t[back] < 2.0 + BODY_TIMEOUT
+    assert trace.t[back] < 2.0 + BASE_TIMEOUT
     assert moving[back:].all()
 
 
@@ -265,7 +265,7 @@ def test_a_collision_is_noted_when_it_happens_with_who_moved_and_how_fast(plugin
             platforms={"ram": {"extends": "waffle_pi", "protection": {"mode": "off"}}},
             groups={"all": {"platform": "ram", "count": 2, "prefix": "r"}},
             start={"layout": "list", "poses": [[0.0, 0.0, 0.0], [0.7, 0.0, 0.0]]},
-            events=[{"at": 0, "run": "drive", "who": ["r-01"], "parameters": {"speed": 0.15}}],
+            events=[{"at": 0, "run": "drive", "targets": ["r-01"], "parameters": {"speed": 0.15}}],
         ),
         0,
     )
@@ -278,6 +278,6 @@ def test_a_collision_is_noted_when_it_happens_with_who_moved_and_how_fast(plugin
 
 
 def test_a_base_gives_up_after_the_same_time_as_in_a_live_world(plugins: str) -> None:
-    assert BODY_TIMEOUT == COMMAND_TIMEOUT
+    assert BASE_TIMEOUT == COMMAND_TIMEOUT
     trace = simulate_run(scenario(plugins), 0)
     assert trace.meta["v_max"] == {"waffle_pi": 0.26}

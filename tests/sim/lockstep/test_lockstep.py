@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import SwarmError
-from swarmd.sim.lockstep.lockstep import BODY_TIMEOUT, Lockstep, simulate_run
+from swarmd.sim.lockstep.lockstep import BASE_TIMEOUT, Lockstep, simulate_run
 from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
@@ -128,7 +128,7 @@ def test_robots_drive_at_their_speed_and_say_so() -> None:
 
 def test_stop_stops_the_named_robot_alone_and_run_starts_it_again() -> None:
     trace = simulate_run(
-        events({"at": 1.5, "stop": ["r-02"]}, {"at": 3.0, "run": "drive", "who": ["r-02"]}), 0
+        events({"at": 1.5, "stop": ["r-02"]}, {"at": 3.0, "run": "drive", "targets": ["r-02"]}), 0
     )
     moving = speeds(trace)
     still = slice(at(trace, 2.0), at(trace, 2.9))
@@ -165,8 +165,8 @@ def test_who_left_stands_at_once_and_who_was_killed_when_its_base_gives_up() -> 
     assert trace.present is not None
     np.testing.assert_array_equal(trace.present[-1], [False, False, True])
     assert moving[at(trace, 2.3), 0] < 1e-6
-    assert moving[at(trace, 2.0 + BODY_TIMEOUT - 0.15), 1] > 0.1
-    assert moving[at(trace, 2.0 + BODY_TIMEOUT + 0.3), 1] < 1e-6
+    assert moving[at(trace, 2.0 + BASE_TIMEOUT - 0.15), 1] > 0.1
+    assert moving[at(trace, 2.0 + BASE_TIMEOUT + 0.3), 1] < 1e-6
     assert moving[-1, 2] > 0.1
 
 
@@ -210,7 +210,7 @@ def test_who_is_removed_is_neither_there_nor_seen_nor_touched() -> None:
 
 def test_who_joins_later_has_stood_in_its_place() -> None:
     joining = scenario(
-        events=[{"at": 1.0, "join": ["r-01"]}, {"at": 2.0, "run": "drive", "who": ["r-01"]}]
+        events=[{"at": 1.0, "join": ["r-01"]}, {"at": 2.0, "run": "drive", "targets": ["r-01"]}]
     )
     trace = simulate_run(joining, 0)
     assert trace.present is not None
@@ -221,7 +221,7 @@ def test_who_joins_later_has_stood_in_its_place() -> None:
 
 
 def test_parameters_of_a_run_and_of_param_reach_the_pattern() -> None:
-    trace = simulate_run(events({"at": 2.0, "param": {"speed": 0.05}, "who": ["r-01"]}), 0)
+    trace = simulate_run(events({"at": 2.0, "param": {"speed": 0.05}, "targets": ["r-01"]}), 0)
     late = speeds(trace)[at(trace, 3.0) :]
     np.testing.assert_allclose(late[:, 0], 0.05, atol=1e-3)
     assert (late[:, 1] > 0.1).all()
@@ -305,11 +305,11 @@ def test_a_robot_pushes_a_box_and_the_trace_tells_of_both() -> None:
         ),
         0,
     )
-    assert trace.things == ("crate", "late")
-    assert trace.thing_pose is not None
-    assert trace.thing_pose[-1, 0, 0] > 1.0
+    assert trace.movable_boxes == ("crate", "late")
+    assert trace.box_pose is not None
+    assert trace.box_pose[-1, 0, 0] > 1.0
     assert set(trace.contact_pair[:, 1]) == {-2}
-    is_there = np.isfinite(trace.thing_pose[:, 1, 0])
+    is_there = np.isfinite(trace.box_pose[:, 1, 0])
     assert not is_there[at(trace, 1.9)]
     assert is_there[at(trace, 3.0)]
     assert not is_there[-1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from swarmd.sim.lockstep.schedules import Schedules, Wakes
+from swarmd.sim.lockstep.schedules import Alarms, Schedules
 
 DT = 0.01
 
@@ -46,14 +46,14 @@ def test_a_job_never_drifts() -> None:
 
 
 def test_an_alarm_rings_once_in_the_first_step_that_is_not_before_it() -> None:
-    wakes = Wakes(2, DT)
+    wakes = Alarms(2, DT)
     wakes.set(1, 0.1)
     wakes.set(0, 0.095)
     assert [wakes.due(step) for step in range(13)] == [*[[]] * 10, [0, 1], [], []]
 
 
 def test_a_later_word_replaces_an_alarm_or_silences_it() -> None:
-    wakes = Wakes(2, DT)
+    wakes = Alarms(2, DT)
     wakes.set(0, 0.05)
     wakes.set(0, 0.08)
     wakes.set(1, 0.03)
@@ -62,7 +62,7 @@ def test_a_later_word_replaces_an_alarm_or_silences_it() -> None:
 
 
 def test_an_alarm_for_now_rings_in_the_next_step() -> None:
-    wakes = Wakes(1, DT)
+    wakes = Alarms(1, DT)
     assert wakes.due(5) == []
     wakes.set(0, 0.05)
     assert wakes.due(6) == [0]

@@ -55,8 +55,8 @@ def pushed(
 
 def moved(trace: Trace, since: float = 0.0) -> float:
     """m that the crate was moved ahead."""
-    assert trace.thing_pose is not None
-    later = trace.thing_pose[trace.t >= since, 0, 0]
+    assert trace.box_pose is not None
+    later = trace.box_pose[trace.t >= since, 0, 0]
     return float(later[-1] - later[0])
 
 

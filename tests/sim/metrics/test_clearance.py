@@ -49,14 +49,14 @@ def test_is_between_the_outline_and_what_is_nearest(
 
 
 def test_a_movable_box_counts_where_it_is_and_while_it_is_there(run: Run) -> None:
-    box = parse_arena("9x9,box/crate:0:0:0.2:0.2:0:5").things[0][1]
-    thing_pose = np.array([[[2.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]], [[np.nan] * 3]])
+    box = parse_arena("9x9,box/crate:0:0:0.2:0.2:0:5").movable_boxes[0][1]
+    box_pose = np.array([[[2.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]], [[np.nan] * 3]])
     trace = run(
         np.zeros((3, 1, 3)),
         meta={"arena": "9x9,box/crate:0:0:0.2:0.2:0:5"},
-        things=("crate",),
-        thing_pose=thing_pose,
-        thing_shapes=box.shape[None],
+        movable_boxes=("crate",),
+        box_pose=box_pose,
+        box_shapes=box.shape[None],
     )
     wanted = [2.0 - 0.1 - HALF, 1.0 - 0.1 - SIDE, 4.5 - HALF]
     found = clearance.clearances(trace)

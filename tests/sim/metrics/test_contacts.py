@@ -45,7 +45,7 @@ def test_a_robot_called_arena_is_not_taken_for_the_walls(run: Run) -> None:
 
 def test_movable_boxes_are_told_from_the_arena(run: Run) -> None:
     steps = [(0.0, 0, ARENA - 1), (0.0, 1, ARENA - 2), (0.0, 2, ARENA)]
-    trace = run(STILL, steps, things=("crate", "chest"))
+    trace = run(STILL, steps, movable_boxes=("crate", "chest"))
     assert [(one.a, one.b, one.kind) for one in contacts.contact_list(trace)] == [
         ("r0", "crate", "box"),
         ("r1", "chest", "box"),

@@ -94,13 +94,13 @@ def test_walls_cut_links_where_the_radio_wants_sight(run: Run, line: Line) -> No
 def test_boxes_cut_links_while_they_stand_between(run: Run) -> None:
     pose = np.zeros((3, 2, 3))
     pose[:, 0, 0], pose[:, 1, 0] = -1.0, 1.0
-    thing_pose = np.array([[[0.0, 0.0, 0.0]], [[0.0, 2.0, 0.0]], [[np.nan] * 3]])
+    box_pose = np.array([[[0.0, 0.0, 0.0]], [[0.0, 2.0, 0.0]], [[np.nan] * 3]])
     trace = run(
         pose,
         meta={"arena": "6x6", **radio(9.0, line_of_sight=True)["meta"]},
-        things=("crate",),
-        thing_pose=thing_pose,
-        thing_shapes=np.array([[[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]]),
+        movable_boxes=("crate",),
+        box_pose=box_pose,
+        box_shapes=np.array([[[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]]),
     )
     assert radio_graph.radio_components(trace).tolist() == [2.0, 1.0, 1.0]
 

@@ -28,8 +28,8 @@ def test_late_takes_as_many_seconds_as_told(run: Run) -> None:
 def test_a_cut_takes_all_that_has_instants(full_run: Run) -> None:
     trace = replace(
         full_run(3),
-        things=("crate",),
-        thing_pose=np.zeros((12, 1, 3)),
+        movable_boxes=("crate",),
+        box_pose=np.zeros((12, 1, 3)),
         words={"mood": np.full((12, 6), "calm")},
     )
     part = window.cut(trace, 4, 7)

@@ -69,9 +69,9 @@ def full(walk: Walk) -> Callable[[int], Trace]:
         trace = walk(n, arena=arena)
         present = np.ones((20, n), dtype=bool)
         present[:10, 0] = present[15:, 1] = False
-        things = np.full((20, 2, 3), np.nan)
-        things[:, 0] = np.linspace((2.0, 0.0, 0.0), (2.4, 0.3, 1.0), 20)
-        things[5:10, 1] = -2.0, 0.0, 0.5
+        movable_boxes = np.full((20, 2, 3), np.nan)
+        movable_boxes[:, 0] = np.linspace((2.0, 0.0, 0.0), (2.4, 0.3, 1.0), 20)
+        movable_boxes[5:10, 1] = -2.0, 0.0, 0.5
         square = np.array([[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]])
         return replace(
             trace,
@@ -79,9 +79,9 @@ def full(walk: Walk) -> Callable[[int], Trace]:
             contact_pair=np.array([[0, 1], [0, 1], [1, 0], [1, -1]]),
             contact_speed=np.array([[0.1, 0.1], [0.1, 0.1], [0.1, 0.0], [0.1, 0.0]]),
             present=present,
-            things=("crate", "door"),
-            thing_pose=things,
-            thing_shapes=np.stack((square, square)),
+            movable_boxes=("crate", "door"),
+            box_pose=movable_boxes,
+            box_shapes=np.stack((square, square)),
             meta={**trace.meta, "radio": {"neighborhood": "range", "range": 1.5}},
         )
 

@@ -66,8 +66,8 @@ def test_a_row_is_not_shown_as_a_slit(walk: Walk) -> None:
 def test_a_box_far_from_the_robots_is_shown(full: Full) -> None:
     trace = full(4)
     trace = replace(trace, meta={"arena": "80x80"})
-    assert trace.thing_pose is not None
-    trace.thing_pose[:, 0, 0] = 15.0
+    assert trace.box_pose is not None
+    trace.box_pose[:, 0, 0] = 15.0
     assert extent_of(trace).right > 15.0
 
 

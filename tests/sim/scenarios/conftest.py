@@ -40,7 +40,7 @@ _BASE: Mapping[str, Any] = {
             "start": {"layout": "row", "spacing": 1.0, "center": [1, 0]},
         },
     },
-    "events": [{"at": 10, "run": "drive", "who": "blue"}],
+    "events": [{"at": 10, "run": "drive", "targets": "blue"}],
 }
 
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Path = tuple[str | int, ...]
 
 _WORDS = st.sampled_from(["red", "all", "crate", "drive", "burger", "row", "random", "b-one"])
-_KEYS = st.sampled_from(["at", "run", "who", "layout", "near", "kind", "preset", "extends"])
+_KEYS = st.sampled_from(["at", "run", "targets", "layout", "near", "kind", "preset", "extends"])
 _PLAIN = st.none() | st.booleans() | st.integers(-3, 20) | st.integers() | st.floats() | _WORDS
 _ANYTHING = st.recursive(
     _PLAIN | st.text(max_size=8),
@@ -39,14 +39,14 @@ _MORE: Mapping[str, Any] = {
 _EVENTS: list[dict[str, Any]] = [
     {"at": 20, "place": "spare", "pose": [0, 2, 0]},
     {"at": 30, "join": "red-02"},
-    {"at": 31, "param": {"speed": 0.2}, "who": "blue"},
+    {"at": 31, "param": {"speed": 0.2}, "targets": "blue"},
 ]
 
 
 @pytest.fixture
 def whole(load: Load) -> dict[str, Any]:
     """A scenario with something under every key."""
-    first = {"at": 10, "run": "drive", "who": "blue", "parameters": {"speed": 0.1}, "for": 50}
+    first = {"at": 10, "run": "drive", "targets": "blue", "parameters": {"speed": 0.1}, "for": 50}
     return dict(load({**_MORE, "events": [first, *_EVENTS]}).effective)
 
 

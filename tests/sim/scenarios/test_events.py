@@ -21,8 +21,8 @@ if TYPE_CHECKING:
         ({"stop": "red-02"}, ("red-02",)),
         ({"stop": ["b-one", "red"]}, ("red-01", "red-02", "b-one")),
         ({"run": "drive"}, ("red-01", "red-02", "b-one", "b-two")),
-        ({"run": "drive", "who": ["blue", "b-one"]}, ("b-one", "b-two")),
-        ({"param": {"speed": 0.1}, "who": "b-one"}, ("b-one",)),
+        ({"run": "drive", "targets": ["blue", "b-one"]}, ("b-one", "b-two")),
+        ({"param": {"speed": 0.1}, "targets": "b-one"}, ("b-one",)),
     ],
 )
 def test_is_for_robots_groups_or_all(load: Load, event: Any, robots: tuple[str, ...]) -> None:
@@ -30,20 +30,20 @@ def test_is_for_robots_groups_or_all(load: Load, event: Any, robots: tuple[str, 
 
 
 def test_says_pattern_parameters_and_how_long(load: Load) -> None:
-    event = {"at": 20, "run": "drive", "who": "red", "parameters": {"speed": 0.1}, "for": 5}
+    event = {"at": 20, "run": "drive", "targets": "red", "parameters": {"speed": 0.1}, "for": 5}
     made = load({"events.+": event}).events[-1]
     assert (made.at, made.action, made.pattern, made.seconds) == (20.0, "run", "drive", 5.0)
     assert made.parameters == {"speed": 0.1}
 
 
 def test_says_until_when(load: Load) -> None:
-    event = {"at": 20, "run": "drive", "who": "red", "until": ["nearer:0.5", "done"]}
+    event = {"at": 20, "run": "drive", "targets": "red", "until": ["nearer:0.5", "done"]}
     assert load({"events.+": event}).events[-1].until == ("nearer:0.5", "done")
 
 
 def test_places_a_box_at_x_y_and_degrees(load: Load) -> None:
     made = load({"events.+": {"at": 20, "place": "spare", "pose": [1, -1, 90]}}).events[-1]
-    assert (made.action, made.thing, made.robots) == ("place", "spare", ())
+    assert (made.action, made.box, made.robots) == ("place", "spare", ())
     assert made.pose == (1.0, -1.0, math.pi / 2.0)
 
 
@@ -54,10 +54,16 @@ def test_places_a_box_at_x_y_and_degrees(load: Load) -> None:
         ({"stop": "red", "kill": "red"}, "events[1] says stop and kill at 20; wanted one of"),
         ({"stop": "rde"}, "events[1].stop: no robot or group 'rde'; did you mean 'red'?"),
         ({"kill": "b-on"}, "events[1].kill: no robot or group 'b-on'; did you mean 'b-one'?"),
-        ({"run": "drive", "who": ["red", "al"]}, "events[1].who: no robot or group 'al'; did you"),
+        (
+            {"run": "drive", "targets": ["red", "al"]},
+            "events[1].targets: no robot or group",
+        ),
         ({"stop": []}, "events[1].stop is empty; wanted a robot, a group or all"),
         ({"stop": 5}, "events[1].stop is 5; wanted text"),
-        ({"stop": "red", "who": "red"}, "events[1].who means nothing beside stop; leave it out"),
+        (
+            {"stop": "red", "targets": "red"},
+            "events[1].targets means nothing beside stop; leave it out",
+        ),
         ({"stop": "red", "for": 5}, "events[1].for means nothing beside stop"),
         ({"run": "drive", "until": ["near:1"]}, "events[1].until: no condition 'near'; did you"),
         ({"param": {"speed": 1}, "pose": [0, 0, 0]}, "events[1].pose means nothing beside param"),

@@ -62,7 +62,7 @@ class Needy(MovementPattern[Params]):
             "events[0].parameters.speed: parameter speed is 100 m/s (from runtime); wanted is",
         ),
         (
-            {"events.+": {"at": 20, "param": {"speeed": 1}, "who": "blue"}},
+            {"events.+": {"at": 20, "param": {"speeed": 1}, "targets": "blue"}},
             "events[1].param.speeed: no parameter 'speeed'; did you mean 'speed'?",
         ),
         ({"events.0.run": "drvie"}, "events[0].run: no pattern 'drvie'; did you mean 'drive'?"),

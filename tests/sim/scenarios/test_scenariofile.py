@@ -58,13 +58,13 @@ def test_the_scenario_of_the_tests_is_the_same_from_its_plain_values(load: Load)
     events = [
         {"at": 20, "join": "red-02"},
         {"at": 22, "place": "spare", "pose": [0, 2, 33.3]},
-        {"at": 25, "param": {"speed": 0.1}, "who": "blue"},
+        {"at": 25, "param": {"speed": 0.1}, "targets": "blue"},
     ]
     changes = {
         "platforms": {"burger": {"patterns": {"attraction": {"slack": 0.1}}}},
         "parameters": {"attraction": {"spacing": 0.8}},
         "realism": {"preset": "ideal", "lidar": {"bias": 0.01}},
-        "events": [{"at": 10, "run": "drive", "who": "blue", "for": 30}, *events],
+        "events": [{"at": 10, "run": "drive", "targets": "blue", "for": 30}, *events],
     }
     scenario = load(changes)
     assert same(scenario, scenario_of(json.loads(json.dumps(scenario.effective))))

@@ -23,8 +23,8 @@ def test_groups_begin_their_patterns_before_anything_else(load: Load) -> None:
 def test_events_are_in_order_of_time_and_then_of_the_file(load: Load) -> None:
     events: Events = [
         {"at": 30, "stop": "blue"},
-        {"at": 10, "run": "drive", "who": "blue"},
-        {"at": 30, "run": "drive", "who": "blue"},
+        {"at": 10, "run": "drive", "targets": "blue"},
+        {"at": 30, "run": "drive", "targets": "blue"},
         {"at": 20, "stop": "red"},
     ]
     script = load({"events": events}).events[1:]
@@ -45,7 +45,7 @@ def test_who_leaves_first_is_there_and_may_come_back(load: Load) -> None:
 
 
 def test_a_group_may_have_members_who_are_not_there(load: Load) -> None:
-    events: Events = [{"at": 5, "leave": "red-01"}, {"at": 8, "run": "drive", "who": "red"}]
+    events: Events = [{"at": 5, "leave": "red-01"}, {"at": 8, "run": "drive", "targets": "red"}]
     assert load({"events": events}).events[-1].robots == ("red-01", "red-02")
 
 
@@ -53,7 +53,7 @@ def test_a_group_may_have_members_who_are_not_there(load: Load) -> None:
     ("events", "fault"),
     [
         (
-            [{"at": 20, "join": "red-01"}, {"at": 15, "run": "drive", "who": "red-01"}],
+            [{"at": 20, "join": "red-01"}, {"at": 15, "run": "drive", "targets": "red-01"}],
             "events[1].run: red-01 is not there at 15 s",
         ),
         (
@@ -70,13 +70,13 @@ def test_a_group_may_have_members_who_are_not_there(load: Load) -> None:
         ),
         ([{"at": 5, "param": {"speed": 0.1}}], "events[0].param: b-one runs nothing at 5 s"),
         (
-            [{"at": 5, "stop": "red"}, {"at": 6, "param": {"speed": 0.1}, "who": "red"}],
+            [{"at": 5, "stop": "red"}, {"at": 6, "param": {"speed": 0.1}, "targets": "red"}],
             "events[1].param: red-01 runs nothing at 6 s",
         ),
         (
             [
-                {"at": 5, "run": "drive", "who": "blue", "for": 3},
-                {"at": 8, "param": {"speed": 0.1}, "who": "blue"},
+                {"at": 5, "run": "drive", "targets": "blue", "for": 3},
+                {"at": 8, "param": {"speed": 0.1}, "targets": "blue"},
             ],
             "events[1].param: b-one runs nothing at 8 s",
         ),
@@ -94,7 +94,7 @@ def test_a_group_may_have_members_who_are_not_there(load: Load) -> None:
             "events[1].join: red-01 is not in the arena at 6 s",
         ),
         (
-            [{"at": 5, "remove": "red-01"}, {"at": 6, "run": "drive", "who": "red-01"}],
+            [{"at": 5, "remove": "red-01"}, {"at": 6, "run": "drive", "targets": "red-01"}],
             "events[1].run: red-01 is not there at 6 s",
         ),
     ],

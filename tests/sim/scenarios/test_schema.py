@@ -82,7 +82,7 @@ def test_the_scenario_that_is_changed_here_is_right(load: Load) -> None:
         ("events.0.at", -1, "events[0].at is -1; wanted a number of at least 0"),
         ("events.0.at", NAN, "events[0].at is nan; wanted a number"),
         ("events.0.for", 0, "events[0].for is 0; wanted a number above 0"),
-        ("events.0.whom", "red", "events[0] has no key 'whom'; did you mean 'who'?"),
+        ("events.0.target", "red", "events[0] has no key 'target'; did you mean 'targets'"),
         ("events.0", {"run": "drive"}, "events[0].at is missing; wanted a number"),
         ("evnets", [], "no key 'evnets'; did you mean 'events'?"),
     ],

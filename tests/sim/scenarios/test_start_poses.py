@@ -81,10 +81,10 @@ def test_random_robots_stand_apart_within_their_region(
         transform(platform.footprint, pose)
         for platform, pose in zip(scenario.robots.values(), poses, strict=True)
     ]
-    things = [scenario.arena.boxes[0].corners, *(p.corners for p in scenario.arena.poles)]
+    movable_boxes = [scenario.arena.boxes[0].corners, *(p.corners for p in scenario.arena.poles)]
     assert min(float(gaps(a, b)) for a, b in combinations(shapes, 2)) > 0.0
     assert min(float(gaps(a, b)) for a, b in combinations(shapes[:8], 2)) > clearance
-    assert min(float(gaps(a, b)) for a in shapes[:8] for b in things) > clearance
+    assert min(float(gaps(a, b)) for a in shapes[:8] for b in movable_boxes) > clearance
 
 
 @settings(

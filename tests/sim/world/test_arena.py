@@ -50,7 +50,7 @@ def test_reads_names_masses_and_inner_walls() -> None:
     late = Box(0.0, 0.0, 1.0, 1.0, math.radians(9.0), name="late", mass=3.0, is_placed=False)
     assert arena.boxes[1] == late
     assert arena.segments == (Segment(0.0, -1.0, 0.0, 1.0),)
-    assert [name for name, _ in arena.things] == ["crate", "late"]
+    assert [name for name, _ in arena.movable_boxes] == ["crate", "late"]
 
 
 def test_a_box_that_starts_outside_must_be_movable() -> None:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from swarmd.sim.world.contacts import EPISODE_GAP, Episodes
+from swarmd.sim.world.contacts import EPISODE_GAP, ContactEpisodes
 
 
 def test_a_lasting_touch_counts_once_and_a_later_one_again() -> None:
-    episodes = Episodes()
+    episodes = ContactEpisodes()
     begun = [episodes.add(t, "b", "a") for t in (0.0, 0.01, EPISODE_GAP, 2.0 * EPISODE_GAP)]
     assert begun == [True, False, False, False]
     assert episodes.add(3.1 * EPISODE_GAP, "a", "b")
@@ -14,7 +14,7 @@ def test_a_lasting_touch_counts_once_and_a_later_one_again() -> None:
 
 
 def test_pairs_are_counted_apart() -> None:
-    episodes = Episodes()
+    episodes = ContactEpisodes()
     assert episodes.add(0.0, "a", "b")
     assert episodes.add(0.0, "a", "wall/east")
     assert episodes.counts == {("a", "b"): 1, ("a", "wall/east"): 1}

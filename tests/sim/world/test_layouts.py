@@ -93,11 +93,11 @@ def test_tells_what_cannot_be(text: str, n: int, complaint: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "thing", ["box:0:0:1:1", "box:0:0:1:1:0:2", "pole:0:0.05:0.02", "segment:0:-1:0:1"]
+    "obstacle", ["box:0:0:1:1", "box:0:0:1:1:0:2", "pole:0:0.05:0.02", "segment:0:-1:0:1"]
 )
-def test_refuses_to_start_in_what_stands_there(thing: str) -> None:
+def test_refuses_to_start_in_what_stands_there(obstacle: str) -> None:
     with pytest.raises(ConfigError, match="stands in a box"):
-        place("list:0:0:0", 1, parse_arena(f"8x8,{thing}"))
+        place("list:0:0:0", 1, parse_arena(f"8x8,{obstacle}"))
 
 
 def test_a_box_that_is_not_there_at_first_leaves_its_place_free() -> None:

@@ -94,7 +94,7 @@ def test_agrees_with_mujoco_about_boxes_that_were_pushed_and_inner_walls(
             5  # out: nor may the oracle see it
         )
         robots = np.arange(len(MIXED))
-        before = world.thing_poses()
+        before = world.box_poses()
         for _ in range(3):
             world.set_commands(np.tile((0.5, 0.2, 0.0), (len(MIXED), 1)))
             world.data.qvel[3 * len(MIXED) : -3] = (1.0, -1.0, 2.0) * 3  # all but the one outside
@@ -103,7 +103,7 @@ def test_agrees_with_mujoco_about_boxes_that_were_pushed_and_inner_walls(
                 expected = oracle(world, int(robot), visibility)
                 np.testing.assert_allclose(scan.ranges, expected, rtol=0.0, atol=1e-9)
                 compared += len(expected)
-        assert (np.abs(world.thing_poses() - before)[:3].max(axis=1) > 0.05).all()
+        assert (np.abs(world.box_poses() - before)[:3].max(axis=1) > 0.05).all()
     assert compared > 10_000
 
 

@@ -45,14 +45,14 @@ def sliding(velocity: tuple[float, float, float], box: Box) -> World:
 def test_a_box_slides_when_pushed_and_comes_to_rest() -> None:
     world = facing(ahead(1.0))
     drive(world, 0.2, 5.0)
-    pushed = world.thing_poses()[0]
+    pushed = world.box_poses()[0]
     assert pushed[0] > 1.0
     assert world.poses()[0, 0] + 0.086 == pytest.approx(pushed[0] - 0.15, abs=1e-3)
     drive(world, 0.0, 1.0)
-    stopped = world.thing_poses()[0]
+    stopped = world.box_poses()[0]
     assert stopped[0] - pushed[0] < 0.01
     drive(world, 0.0, 60.0)
-    np.testing.assert_allclose(world.thing_poses()[0], stopped, atol=1e-6)
+    np.testing.assert_allclose(world.box_poses()[0], stopped, atol=1e-6)
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.3, math.pi / 4.0, 1.2, 2.0])
@@ -62,7 +62,7 @@ def test_the_floor_holds_the_same_mass_in_every_direction(yaw: float) -> None:
     for mass in (3.4, 3.9):
         world = facing(ahead(mass, yaw), yaw=yaw)
         drive(world, 0.2, 8.0)
-        moved.append(math.dist(world.thing_poses()[0, :2], world.arena.boxes[0].corners.mean(0)))
+        moved.append(math.dist(world.box_poses()[0, :2], world.arena.boxes[0].corners.mean(0)))
     assert moved[0] > 0.5
     assert moved[1] < 0.01
 
@@ -70,7 +70,7 @@ def test_the_floor_holds_the_same_mass_in_every_direction(yaw: float) -> None:
 def test_before_a_box_that_is_too_heavy_the_robot_slips() -> None:
     world = facing(ahead(1e6))
     drive(world, 0.26, 10.0)
-    before = world.thing_poses()
+    before = world.box_poses()
     np.testing.assert_allclose(before, [[0.5, 0.0, 0.0]], atol=1e-6)
     assert world.twists()[0, 0] == pytest.approx(0.0, abs=1e-3)
     assert world.contacts()[0].b == "box/crate"
@@ -81,7 +81,7 @@ def test_a_sliding_box_stops_where_coulombs_law_says(heading: float) -> None:
     box = Box(3.0, 0.0, 0.4, 0.2, 0.7, mass=2.0)
     world = sliding((math.cos(heading), math.sin(heading), 0.0), box)
     world.step(100)
-    way = world.thing_poses()[0] - [3.0, 0.0, 0.7]
+    way = world.box_poses()[0] - [3.0, 0.0, 0.7]
     half_a_step = 0.005  # the speed of a step is that at its end
     assert math.hypot(*way[:2]) == pytest.approx(0.5 / FRICTION - half_a_step, rel=0.01)
     assert math.atan2(way[1], way[0]) == pytest.approx(heading, abs=1e-2)
@@ -93,7 +93,7 @@ def test_a_spinning_box_stops_too_and_sooner_if_it_is_larger() -> None:
     for size in (0.2, 0.6):
         world = sliding((0.0, 0.0, 5.0), Box(3.0, 0.0, size, size, mass=2.0))
         world.step(300)
-        turns.append(float(world.thing_poses()[0, 2]))
+        turns.append(float(world.box_poses()[0, 2]))
         assert np.abs(world.data.qvel[3:]).max() < 1e-9
     # For a square of side s: w^2 I / (2 mu m g lever) = 5^2 s / (2 * 3.924 * 6 * 0.3826), less
     # half a step, since the speed of a step is that at its end.
@@ -108,7 +108,7 @@ def test_a_box_is_stopped_by_walls_and_pushes_other_boxes() -> None:
         drive(world, 0.2, 0.1)
         touched |= {(contact.a, contact.b) for contact in world.contacts()}
     assert touched == {("a", "box/0")}  # what boxes do among themselves is no robot's contact
-    near, far = world.thing_poses()[:, 0]
+    near, far = world.box_poses()[:, 0]
     assert far == pytest.approx(1.85, abs=2e-3)
     assert near == pytest.approx(1.55, abs=3e-3)
 
@@ -128,7 +128,7 @@ def test_is_seen_where_it_is_now() -> None:
     world = facing(ahead(1.0))
     drive(world, 0.2, 5.0)
     drive(world, -0.2, 2.0)
-    gap = world.thing_poses()[0, 0] - 0.15 - (world.poses()[0, 0] - 0.064)
+    gap = world.box_poses()[0, 0] - 0.15 - (world.poses()[0, 0] - 0.064)
     assert gap > 0.4
     assert world.scans(np.array([0]))[0].ranges[0] == pytest.approx(gap, abs=1e-9)
 
@@ -136,7 +136,7 @@ def test_is_seen_where_it_is_now() -> None:
 def test_out_of_the_arena_it_is_neither_seen_nor_touched() -> None:
     world = facing(ahead(1.0))
     world.remove("crate")
-    assert np.isnan(world.thing_poses()).all()
+    assert np.isnan(world.box_poses()).all()
     assert not np.isfinite(world.scans(np.array([0]))[0].ranges).any()
     met = []
     for _ in range(50):
@@ -149,16 +149,16 @@ def test_out_of_the_arena_it_is_neither_seen_nor_touched() -> None:
 def test_comes_and_goes_and_comes_again() -> None:
     box = Box(0.0, 0.0, 0.3, 0.3, name="late", mass=1.0, is_placed=False)
     world = facing(box)
-    assert world.things == ("late",)
-    assert world.thing_shapes.shape == (1, 4, 2)
-    assert np.isnan(world.thing_poses()).all()
+    assert world.movable_boxes == ("late",)
+    assert world.box_shapes.shape == (1, 4, 2)
+    assert np.isnan(world.box_poses()).all()
     world.step(10)
     for x in (1.0, 0.7):
         world.place("late", (x, 0.0, 0.0))
-        np.testing.assert_array_equal(world.thing_poses(), [[x, 0.0, 0.0]])
+        np.testing.assert_array_equal(world.box_poses(), [[x, 0.0, 0.0]])
         assert world.scans(np.array([0]))[0].ranges[0] == pytest.approx(x - 0.15 + 0.064)
         world.step(100)
-        np.testing.assert_allclose(world.thing_poses(), [[x, 0.0, 0.0]], atol=1e-9)
+        np.testing.assert_allclose(world.box_poses(), [[x, 0.0, 0.0]], atol=1e-9)
     world.remove("late")
     world.step(10)
     assert not np.isfinite(world.scans(np.array([0]))[0].ranges).any()
@@ -171,7 +171,7 @@ def test_is_at_rest_where_it_is_placed_whatever_it_did_before() -> None:
     world.step()
     world.place("crate", (-3.0, 0.0, 0.0))
     world.step(50)
-    np.testing.assert_allclose(world.thing_poses(), [[-3.0, 0.0, 0.0]], atol=1e-9)
+    np.testing.assert_allclose(world.box_poses(), [[-3.0, 0.0, 0.0]], atol=1e-9)
 
 
 def test_the_far_end_of_a_long_box_is_refused_where_a_robot_stands() -> None:
@@ -207,17 +207,17 @@ CROWDED = Arena(
         ((math.nan, 2.0, 0.0), "wanted are finite numbers"),
     ],
 )
-@pytest.mark.parametrize("thing", ["crate", "late"])
+@pytest.mark.parametrize("box", ["crate", "late"])
 def test_is_refused_where_something_stands_and_nothing_changes(
-    thing: str, pose: tuple[float, float, float], reason: str
+    box: str, pose: tuple[float, float, float], reason: str
 ) -> None:
     world = facing(CROWDED.boxes[0], CROWDED)
-    before = world.thing_poses()
-    with pytest.raises(SwarmError, match=f"box {thing} cannot be placed at .*{reason}"):
-        world.place(thing, pose)
-    np.testing.assert_array_equal(world.thing_poses(), before)
+    before = world.box_poses()
+    with pytest.raises(SwarmError, match=f"box {box} cannot be placed at .*{reason}"):
+        world.place(box, pose)
+    np.testing.assert_array_equal(world.box_poses(), before)
     world.step(10)
-    np.testing.assert_allclose(world.thing_poses(), before, atol=1e-12)
+    np.testing.assert_allclose(world.box_poses(), before, atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -239,13 +239,13 @@ def test_may_stand_right_beside_another() -> None:
     boxes = (Box(0.0, 2.0, 0.5, 0.5, mass=1.0), Box(0.5, 2.0, 0.5, 0.5, mass=1.0))
     world = facing(boxes[0], Arena(6.0, 6.0, boxes=boxes))
     world.step(100)
-    np.testing.assert_allclose(world.thing_poses()[:, 0], [0.0, 0.5], atol=1e-6)
+    np.testing.assert_allclose(world.box_poses()[:, 0], [0.0, 0.5], atol=1e-6)
 
 
 def test_may_be_moved_to_where_it_overlaps_its_own_old_place() -> None:
     world = facing(CROWDED.boxes[0], CROWDED)
     world.place("crate", (0.1, -2.0, 0.5))
-    np.testing.assert_array_equal(world.thing_poses()[0], [0.1, -2.0, 0.5])
+    np.testing.assert_array_equal(world.box_poses()[0], [0.1, -2.0, 0.5])
 
 
 def test_a_box_that_is_gone_leaves_its_place_to_others() -> None:
@@ -283,12 +283,12 @@ def test_a_crowd_and_its_boxes_neither_sink_in_nor_blow_up_and_repeat_to_the_las
         for _ in range(100):
             world.step(10)
             fastest = max(fastest, float(np.abs(world.data.qvel[:]).max()))
-        shapes = transform(world.thing_shapes, world.thing_poses())
+        shapes = transform(world.box_shapes, world.box_poses())
         assert min(world.data.contact.dist) > -2e-3
         assert max(float(gaps(shapes[0], shapes[i])) for i in range(1, 4)) > 0.0
-        return world.poses(), world.thing_poses(), fastest
+        return world.poses(), world.box_poses(), fastest
 
-    (poses, things, fastest), again = run(), run()
+    (poses, movable_boxes, fastest), again = run(), run()
     assert fastest < 3.0
     np.testing.assert_array_equal(poses, again[0])
-    np.testing.assert_array_equal(things, again[1])
+    np.testing.assert_array_equal(movable_boxes, again[1])

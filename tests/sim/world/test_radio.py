@@ -66,11 +66,11 @@ def test_a_box_between_ends_hearing_only_with_line_of_sight() -> None:
 def test_a_movable_box_that_is_told_of_stands_between() -> None:
     crate = Box(1.0, 0.0, 0.5, 0.5, mass=1.0)
     air = radio(arena=Arena(40.0, 40.0, boxes=(crate,)), line_of_sight=True)
-    things = crate.corners[None]
+    movable_boxes = crate.corners[None]
     assert air.hearers(0, ROW).tolist() == [1, 2]
-    assert air.hearers(0, ROW, things).tolist() == []
-    assert air.links(ROW, things).tolist() == [[1, 2]]
-    air.send(0, "a/b", 1, 0.0, ROW, things)
+    assert air.hearers(0, ROW, movable_boxes).tolist() == []
+    assert air.links(ROW, movable_boxes).tolist() == [[1, 2]]
+    air.send(0, "a/b", 1, 0.0, ROW, movable_boxes)
     assert air.arrived(0.0) == []
 
 

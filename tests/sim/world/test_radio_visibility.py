@@ -7,14 +7,14 @@ import pytest
 
 from swarmd.core.values import Array
 from swarmd.sim.world.arena import Arena, Box, Pole, Segment
-from swarmd.sim.world.radio_visibility import Sight, all_pairs, near_pairs
+from swarmd.sim.world.radio_visibility import LineOfSight, all_pairs, near_pairs
 
 OPEN = Arena(20.0, 20.0)
 
 
 def clear(arena: Arena, a: tuple[float, float], b: tuple[float, float]) -> bool:
-    forth = Sight(arena).is_clear(np.array([a]), np.array([b]))
-    back = Sight(arena).is_clear(np.array([b]), np.array([a]))
+    forth = LineOfSight(arena).is_clear(np.array([a]), np.array([b]))
+    back = LineOfSight(arena).is_clear(np.array([b]), np.array([a]))
     assert forth == back
     return bool(forth[0])
 
@@ -83,7 +83,7 @@ def test_box_pole_and_inner_wall_stand_between(arena: Arena) -> None:
 
 def test_movable_boxes_stand_between_only_where_they_are() -> None:
     crate = Box(0.0, 0.0, 1.0, 1.0, mass=2.0)
-    sight = Sight(Arena(20.0, 20.0, boxes=(crate,)))
+    sight = LineOfSight(Arena(20.0, 20.0, boxes=(crate,)))
     a, b = np.array([[-2.0, 0.0]]), np.array([[2.0, 0.0]])
     elsewhere, away = crate.corners + np.array([0.0, 4.0]), np.full((4, 2), np.nan)
     assert sight.is_clear(a, b)[0]
@@ -95,7 +95,7 @@ def test_movable_boxes_stand_between_only_where_they_are() -> None:
 def test_many_ways_at_once_are_each_as_alone() -> None:
     rng = np.random.default_rng(3)
     boxes = tuple(Box(x, y, 0.4, 0.2, x) for x, y in rng.uniform(-4.0, 4.0, (30, 2)).tolist())
-    sight = Sight(Arena(10.0, 10.0, boxes, (Pole(3.0, -3.0, 0.5),)))
+    sight = LineOfSight(Arena(10.0, 10.0, boxes, (Pole(3.0, -3.0, 0.5),)))
     a, b = rng.uniform(-5.0, 5.0, (2, 3000, 2))
     together = sight.is_clear(a, b)
     alone = [sight.is_clear(a[i : i + 1], b[i : i + 1])[0] for i in range(3000)]

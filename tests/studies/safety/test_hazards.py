@@ -15,7 +15,7 @@ from swarmd.core.values import Platform, Twist
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.state import Triple, WorldState
 from swarmd.sim.world.arena import Arena
-from swarmd.sim.world.contacts import Episodes
+from swarmd.sim.world.contacts import ContactEpisodes
 from swarmd.sim.world.geometry import gaps, radius, transform
 from swarmd.sim.world.realism import REALISTIC
 from swarmd.sim.world.world import World
@@ -63,7 +63,7 @@ def test_a_rammer_meets_all_and_no_corner_of_it_is_faster_than_it_may_be() -> No
     starts = np.array([(0.0, 0.0, 2.5), (2.0, 0.0, 0.0), (-1.0, 1.5, 0.0)])
     bodies = {"rammer": FAST, "a": BURGER, "b": BURGER}
     world = World(bodies, Arena(6.0, 6.0), starts, realism=REALISTIC)
-    rammer, episodes = Rammer(0.3, radius(BURGER.footprint)), Episodes()
+    rammer, episodes = Rammer(0.3, radius(BURGER.footprint)), ContactEpisodes()
     fastest = 0.0
     for step in range(4000):
         if step % 10 == 0:  # states come at 10 Hz

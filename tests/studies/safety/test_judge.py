@@ -47,7 +47,7 @@ def run(
         contact_speed=rows[:, 3:],
         platforms=("burger",) * 3,
         footprints={"burger": BURGER},
-        things=("crate",),
+        movable_boxes=("crate",),
     )
 
 
