@@ -254,7 +254,7 @@ class DemoRun:
         after: Mapping[str, Status],
         stopped: Outcome,
     ) -> Summary:
-        spec, trace = self._fleet.spec, self._statements.brought_into(load_trace(trace_path))
+        spec, trace = self._fleet.spec, self._statements.merged_into(load_trace(trace_path))
         trace.save(trace_path)
         kinds = map(load_platform, set(spec.robots.values()))
         platforms = {kind.name: kind for kind in kinds}
