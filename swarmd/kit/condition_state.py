@@ -1,7 +1,4 @@
-"""Whether conditions are met, from step to step.
-
-What ends a run of any pattern beside the pattern itself.
-"""
+"""Evaluates conditions from step to step, and ends a run when one of its conditions is met."""
 
 from __future__ import annotations
 
@@ -12,16 +9,16 @@ import msgspec
 from msgspec import Struct
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import Inputs, Outputs, Platform, Scan
+from swarmd.core.values import Inputs, Outputs, Platform, Scalar, Scan
 from swarmd.kit.conditions import (
     AllOf,
     AnyOf,
-    Compared,
     Condition,
     Done,
     Nearer,
     Not,
-    Scalar,
+    Reading,
+    Report,
     Settled,
     Timeout,
     needs_of,
@@ -31,8 +28,11 @@ from swarmd.kit.conditions import (
 _ROUNDING = 1e-9
 
 
-class Facts(Struct, frozen=True):
-    """What conditions are about. `done`: the parts that are, "" for the whole pattern."""
+class Observation(Struct, frozen=True):
+    """What conditions are evaluated on.
+
+    `done`: the parts that are done; it holds "" if the whole pattern is.
+    """
 
     now: float
     reports: Mapping[str, Scalar]
@@ -41,108 +41,52 @@ class Facts(Struct, frozen=True):
     readings: Mapping[str, float] = {}
 
 
-_Check: TypeAlias = Callable[[Facts], bool]
+_Evaluate: TypeAlias = Callable[[Observation], bool]
 
 
-class Watch:
-    """One condition, watched from `begin` on; it remembers what it must."""
+class ConditionState:
+    """A condition with its memory: when it started, and since when reports are unchanged."""
 
     def __init__(self, condition: Condition) -> None:
         self.condition = condition
-        self.begin(0.0)
+        self.start(0.0)
 
-    def begin(self, now: float) -> None:
-        """Forget all; time counts from now."""
-        self._check = _checked(self.condition, now)
+    def start(self, now: float) -> None:
+        """Clear the memory; times count from now."""
+        self._evaluate = _evaluator(self.condition, now)
 
-    def is_met(self, facts: Facts) -> bool:
-        """Whether the condition holds; to be asked at every step."""
-        return self._check(facts)
-
-
-def _checked(condition: Condition, began: float) -> _Check:
-    if isinstance(condition, AnyOf | AllOf):
-        checks = [_checked(inner, began) for inner in condition.conditions]
-        is_any = isinstance(condition, AnyOf)
-        # All are asked each time: what they remember must not depend on the others.
-        return lambda facts: (any if is_any else all)([check(facts) for check in checks])
-    if isinstance(condition, Not):
-        inner = _checked(condition.condition, began)
-        return lambda facts: not inner(facts)
-    if isinstance(condition, Timeout):
-        end = condition.seconds - _ROUNDING
-        return lambda facts: facts.now - began >= end
-    if isinstance(condition, Done):
-        part = condition.part
-        return lambda facts: part in facts.done
-    if isinstance(condition, Nearer):
-        distance = condition.distance
-        # Too close to measure is -inf, which is nearer; what is unknown is not.
-        return lambda facts: facts.scan is not None and bool((facts.scan.ranges < distance).any())
-    if isinstance(condition, Settled):
-        return _Steady(condition).check
-    return _comparison(condition)
+    def is_met(self, observation: Observation) -> bool:
+        """Whether the condition holds; call it at every step."""
+        return self._evaluate(observation)
 
 
-class _Steady:
-    """Since when a reported value has been what it is."""
-
-    def __init__(self, condition: Settled) -> None:
-        self._key, self._seconds = condition.report, condition.seconds - _ROUNDING
-        self._value: Scalar | None = None
-        self._since = 0.0
-
-    def check(self, facts: Facts) -> bool:
-        value = facts.reports.get(self._key)
-        if value is None or value != self._value:
-            self._value, self._since = value, facts.now
-        return value is not None and facts.now - self._since >= self._seconds
-
-
-def _comparison(condition: Compared) -> _Check:
-    name, relation, wanted = condition.name, condition.relation, condition.value
-
-    def check(facts: Facts) -> bool:
-        source: Mapping[str, Scalar] = facts.readings if condition.is_reading else facts.reports
-        value = source.get(name)
-        if value is None:
-            return False
-        if relation == "is":
-            return value == wanted and isinstance(value, str) == isinstance(wanted, str)
-        if isinstance(value, str) or isinstance(wanted, str):
-            return False
-        return value > wanted if relation == "above" else value < wanted
-
-    return check
-
-
-class Ending:
-    """Watches the steps of a run; its time counts from the first step."""
+class UntilConditions:
+    """Ends a run when one of its conditions is met; times count from its first step."""
 
     def __init__(self, condition: Condition) -> None:
         several = condition.conditions if isinstance(condition, AnyOf) else (condition,)
-        self._watches = [Watch(one) for one in several]
-        self._has_begun = False
+        self._states = [ConditionState(one) for one in several]
+        self._is_started = False
 
-    def applied(self, inputs: Inputs, outputs: Outputs) -> Outputs:
+    def apply(self, inputs: Inputs, outputs: Outputs) -> Outputs:
         """The outputs of a step; if conditions hold after it, done with those that hold."""
-        if not self._has_begun:
-            self._has_begun = True
-            for watch in self._watches:
-                watch.begin(inputs.now)
+        if not self._is_started:
+            self._is_started = True
+            for state in self._states:
+                state.start(inputs.now)
         done = () if outputs.done is None else ("",)
-        facts = Facts(inputs.now, outputs.report, done, inputs.scan, inputs.readings)
-        # Every watch is asked at every step: a settled report is timed from step to step.
-        met = [str(watch.condition) for watch in self._watches if watch.is_met(facts)]
+        observation = Observation(inputs.now, outputs.report, done, inputs.scan, inputs.readings)
+        # Each is evaluated at every step: a settled report is timed from step to step.
+        met = [str(state.condition) for state in self._states if state.is_met(observation)]
         if not met or outputs.done is not None:
             return outputs
         return msgspec.structs.replace(outputs, done=f"until {' and '.join(met)}")
 
 
-def ending_of(until: Sequence[str], platform: Platform) -> Ending | None:
-    """What any of these conditions ends; None without one.
+def until_conditions(until: Sequence[str], platform: Platform) -> UntilConditions | None:
+    """The conditions of a run; None without any.
 
-    ConfigError if one is none, or needs what the platform does not provide.
+    ConfigError if one is malformed or needs what the platform does not provide.
     """
     if not until:
         return None
@@ -152,4 +96,59 @@ def ending_of(until: Sequence[str], platform: Platform) -> Ending | None:
         raise ConfigError(
             f"the condition needs {', '.join(missing)}, which {platform.name} does not provide"
         )
-    return Ending(condition)
+    return UntilConditions(condition)
+
+
+def _evaluator(condition: Condition, started: float) -> _Evaluate:
+    match condition:
+        case AnyOf() | AllOf():
+            inner = [_evaluator(one, started) for one in condition.conditions]
+            combine = any if isinstance(condition, AnyOf) else all
+            # A list, not a generator: each must be evaluated at every step for its memory.
+            return lambda seen: combine([evaluate(seen) for evaluate in inner])
+        case Not():
+            opposite = _evaluator(condition.condition, started)
+            return lambda seen: not opposite(seen)
+        case Timeout():
+            seconds = condition.seconds - _ROUNDING
+            return lambda seen: seen.now - started >= seconds
+        case Done():
+            return lambda seen: condition.part in seen.done
+        case Nearer():
+            # -inf (too close to measure) is nearer, NaN (unknown) is not.
+            distance = condition.distance
+            return lambda seen: seen.scan is not None and bool((seen.scan.ranges < distance).any())
+        case Settled():
+            return _settled(condition)
+        case Report():
+            return lambda seen: _is_as_wanted(condition, seen.reports.get(condition.name))
+        case Reading():
+            return lambda seen: _is_within(condition, seen.readings.get(condition.name))
+
+
+def _settled(condition: Settled) -> _Evaluate:
+    last: Scalar | None = None
+    since = 0.0
+
+    def evaluate(seen: Observation) -> bool:
+        nonlocal last, since
+        value = seen.reports.get(condition.report)
+        if value is None or value != last:
+            last, since = value, seen.now
+        return value is not None and seen.now - since >= condition.seconds - _ROUNDING
+
+    return evaluate
+
+
+def _is_as_wanted(condition: Report, value: Scalar | None) -> bool:
+    wanted = condition.value
+    if wanted is None:
+        return _is_within(condition, value)
+    return value == wanted and isinstance(value, str) == isinstance(wanted, str)
+
+
+def _is_within(condition: Report | Reading, value: Scalar | None) -> bool:
+    if value is None or isinstance(value, str):
+        return False
+    is_above = condition.above is None or value > condition.above
+    return is_above and (condition.below is None or value < condition.below)

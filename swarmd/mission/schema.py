@@ -1,11 +1,7 @@
-"""Where in a file something stands, for messages of one line.
+"""The file of a mission as tagged structs, and what can be checked in it without its patterns.
 
-The elements of a mission: a part, a sequence, a parallel, a switch; as they are written.
-
-What stands in a mission's file, read as a whole: everything that is wrong with its shape.
-
-What needs the patterns themselves, such as their parameters, is checked by
-`swarmd.mission.validate`.
+An element is a Run, Sequence, Parallel or Switch; the key that names its kind (`part`, `sequence`,
+`parallel`, `switch`) is the tag. `swarmd.mission.validate` checks what needs the patterns.
 """
 
 from __future__ import annotations
@@ -14,552 +10,396 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
-import yaml
+import msgspec
+from msgspec import Meta, Struct
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import is_id
-from swarmd.kit.conditions import (
-    Compared,
-    Condition,
-    Done,
-    Scalar,
-    Settled,
-    leaves,
-    read_condition,
-)
-from swarmd.kit.diagnostics import Faults, Keys
-from swarmd.settings.layered import dotted
-from swarmd.settings.yamlfile import read, shown
+from swarmd.core.messages import Scalar
+from swarmd.kit.conditions import Condition, Done, Report, Settled
+from swarmd.settings.layered import Fault, Keys, fault_at, read
+from swarmd.settings.yamlfile import key_lines, shown
+from swarmd.settings.yamlfile import read as read_yaml
+
+NO_DRIVER = "none"
+"""The value of `drives` of a parallel in which no part drives."""
+
+_PARAMETER_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
+_RESERVED_PARTS = (NO_DRIVER, "phase")
+_RESERVED_NAMES = ("recovery", "phase")
+_RECOVERY = "sets recovery, which is of the whole mission: set it beside parts, or -p recovery="
+
+Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
+Elements: TypeAlias = "Annotated[tuple[Element, ...], Meta(min_length=1)]"
+Reference: TypeAlias = tuple[str, str]
+"""A part, and one of its reports or parameters."""
 
 
-def told(path: Path, faults: Iterable[tuple[Keys, str]]) -> list[str]:
-    """A line for each fault: file, line, key, what is wrong; in the order of the file."""
-    lines = _lines(path)
-    rows = [
-        (_line(lines, keys), f"{dotted(keys)}: {text}".removeprefix(": ")) for keys, text in faults
-    ]
-    return [f"{shown(path)}:{line}: {text}" for line, text in sorted(rows, key=lambda row: row[0])]
+class ElementBase(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The keys of every element; `when` only in a branch of a switch."""
+
+    name: str = ""
+    until: Condition | None = None
+    when: Condition | None = None
+
+    @property
+    def label(self) -> str:
+        """What `drives` and `phase` call it."""
+        return self.name
 
 
-def refusal(path: Path, faults: Iterable[tuple[Keys, str]]) -> ConfigError:
-    """The error for the first of the faults; it says how many more there are."""
-    first, *more = told(path, faults)
-    rest = f" (and {len(more)} more; swarmctl mission check shows all)" if more else ""
-    return ConfigError(first + rest)
+class Run(ElementBase, frozen=True, tag="part"):
+    """Steps one part, which drives."""
+
+    part: Annotated[str, Meta(min_length=1, description="the name of a part")]
+
+    @property
+    def label(self) -> str:
+        """Its name, by default that of its part."""
+        return self.name or self.part
+
+    @property
+    def children(self) -> tuple[Element, ...]:
+        """It holds no other element."""
+        return ()
 
 
-def _line(lines: Mapping[Keys, int], keys: Keys) -> int:
-    """The line of the key, or of the nearest that is there above it."""
-    return next((lines[keys[:n]] for n in range(len(keys), 0, -1) if keys[:n] in lines), 1)
+class Sequence(ElementBase, frozen=True, tag="sequence"):
+    """Runs its steps one after the other; `then` says what follows the last."""
+
+    children: Elements = msgspec.field(name="sequence")
+    then: Literal["end", "stay", "repeat"]
 
 
-def _lines(path: Path) -> Mapping[Keys, int]:
-    found: dict[Keys, int] = {}
+class Parallel(ElementBase, frozen=True, tag="parallel"):
+    """Runs its items at once; the one of label `drives` drives, or none."""
 
-    def walk(node: yaml.Node | None, keys: Keys) -> None:
-        if isinstance(node, yaml.MappingNode):
-            for key, value in node.value:
-                place = (*keys, str(key.value))
-                found[place] = key.start_mark.line + 1
-                walk(value, place)
-        elif isinstance(node, yaml.SequenceNode):
-            for index, value in enumerate(node.value):
-                found[(*keys, index)] = value.start_mark.line + 1
-                walk(value, (*keys, index))
-
-    try:
-        walk(yaml.compose(path.read_bytes(), Loader=yaml.SafeLoader), ())
-    except (OSError, yaml.YAMLError, ValueError, RecursionError):
-        return {}  # it has changed since it was read
-    return found
+    children: Elements = msgspec.field(name="parallel")
+    drives: Annotated[str, Meta(description=f"the name of an item, or {NO_DRIVER}")]
 
 
-Then: TypeAlias = Literal["end", "stay", "repeat"]
-NOBODY = "nobody"
-_KINDS = ("part", "sequence", "parallel", "switch")
-_THEN = ("end", "stay", "repeat")
-_BESIDES = {"sequence": ("then",), "parallel": ("drives",)}
+class Switch(ElementBase, frozen=True, tag="switch"):
+    """Runs the first branch whose `when` holds; the last may be without."""
 
-
-@dataclass(frozen=True, slots=True)
-class Run:
-    """One part alone; it drives."""
-
-    name: str
-    until: Condition | None
-    keys: Keys
-    part: str
-
-
-@dataclass(frozen=True, slots=True)
-class Sequence:
-    """One after the other; `then`: what follows the last."""
-
-    name: str
-    until: Condition | None
-    keys: Keys
-    steps: tuple[Element, ...]
-    then: Then
-
-
-@dataclass(frozen=True, slots=True)
-class Parallel:
-    """All at once; the one of index `driver` drives, None: nobody."""
-
-    name: str
-    until: Condition | None
-    keys: Keys
-    items: tuple[Element, ...]
-    driver: int | None
-
-
-@dataclass(frozen=True, slots=True)
-class Switch:
-    """The first whose condition holds; one without a condition otherwise."""
-
-    name: str
-    until: Condition | None
-    keys: Keys
-    branches: tuple[tuple[Condition | None, Element], ...]
+    children: Elements = msgspec.field(name="switch")
 
 
 Element: TypeAlias = Run | Sequence | Parallel | Switch
 
 
-class _Place(NamedTuple):
-    """What every kind of element is read from, its head read already."""
+class Part(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A pattern with its parameters; `private`: only robots of this mission hear its messages."""
 
-    name: str
-    until: Condition | None
-    keys: Keys
-    data: Mapping[str, Any]
-    parts: Collection[str]
-    faults: Faults
+    pattern: Annotated[str, Meta(min_length=1, description="the name of a pattern")]
+    params: dict[str, Scalar | None] = {}
+    private: bool = False
 
 
-def read_element(
-    data: object, keys: Keys, parts: Collection[str], faults: Faults, *, in_switch: bool = False
-) -> Element | None:
-    """The element of a file; None if it cannot be, with the faults noted."""
-    if isinstance(data, str):
-        data = {"part": data}
-    if not isinstance(data, Mapping):
-        faults.add(keys, f"is {data!r}; wanted a part's name, or {', '.join(_KINDS)}")
-        return None
-    given = [kind for kind in _KINDS if kind in data]
-    if len(given) != 1:
-        said = " and ".join(given) or "nothing to do"
-        faults.add(keys, f"says {said}; wanted one of {', '.join(_KINDS)}")
-        return None
-    kind = given[0]
-    known = (kind, *_BESIDES.get(kind, ()), "name", "until", *(["when"] if in_switch else []))
-    is_clean = faults.only(data, known, keys)
-    name, until = "", None
-    if "name" in data:
-        name = faults.text(data, "name", keys, "text") or ""
-    if "until" in data:
-        until = _condition(data["until"], (*keys, "until"), parts, faults)
-        is_clean &= until is not None
-    readers = {"part": _run, "sequence": _sequence, "parallel": _parallel, "switch": _switch}
-    element = readers[kind](_Place(name, until, keys, data, parts, faults))
-    return element if is_clean else None
+class Map(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Sets a parameter (`to`) by a report of another part (`from`).
 
-
-def _run(at: _Place) -> Element | None:
-    name, until, keys, data, parts, faults = at
-    part = faults.text(data, "part", keys, "a part's name")
-    if part is None:
-        return None
-    if part not in parts:
-        faults.part(keys, part, parts)
-        return None
-    return Run(name or part, until, keys, part)
-
-
-def _sequence(at: _Place) -> Element | None:
-    name, until, keys, data, parts, faults = at
-    steps = _elements("sequence", keys, data, parts, faults)
-    then = data.get("then")
-    if then not in _THEN:
-        said = "is missing" if "then" not in data else f"is {then!r}"
-        faults.add((*keys, "then"), f"{said}; wanted one of {', '.join(_THEN)}")
-    if steps is None:
-        return None
-    for step in steps[:-1]:
-        if not can_end(step):
-            faults.add(step.keys, "never ends, and more steps follow; give it an until")
-    last = steps[-1]
-    if then == "stay" and last.until is not None:
-        text = "is the until of the last step, and then is stay; leave it out, or take end"
-        faults.add((*last.keys, "until"), text)
-    if then in ("end", "repeat") and not can_end(last):
-        faults.add(last.keys, f"never ends, and then is {then}; give it an until, or take stay")
-    if then not in _THEN:
-        return None
-    return Sequence(name, until, keys, steps, then)
-
-
-def _parallel(at: _Place) -> Element | None:
-    name, until, keys, data, parts, faults = at
-    items = _elements("parallel", keys, data, parts, faults)
-    drives = data.get("drives")
-    if not isinstance(drives, str):
-        said = "is missing" if "drives" not in data else f"is {drives!r}"
-        faults.add((*keys, "drives"), f"{said}; wanted the part that drives, or {NOBODY}")
-    if items is None or not isinstance(drives, str):
-        return None
-    names = [item.name for item in items]
-    used = [part for item in items for part in set(uses_of(item))]
-    for part in sorted({part for part in used if used.count(part) > 1}):
-        faults.add(keys, f"steps part {part} twice at once; name it once, or make two parts")
-    if drives != NOBODY and drives not in names:
-        known = [one for one in names if one]
-        faults.add((*keys, "drives"), f"{unknown('item', drives, known)} (or {NOBODY})")
-        return None
-    if names.count(drives) > 1:
-        faults.add((*keys, "drives"), f"{drives} is the name of two; give each a name of its own")
-    return Parallel(name, until, keys, items, None if drives == NOBODY else names.index(drives))
-
-
-def _switch(at: _Place) -> Element | None:
-    name, until, keys, data, parts, faults = at
-    rows = _list("switch", keys, data, faults)
-    branches: list[tuple[Condition | None, Element]] = []
-    for index, row in enumerate(rows or ()):
-        place: Keys = (*keys, "switch", index)
-        element = read_element(row, place, parts, faults, in_switch=True)
-        when = None
-        if isinstance(row, Mapping) and "when" in row:
-            when = _condition(row["when"], (*place, "when"), parts, faults)
-        elif rows is not None and index < len(rows) - 1:
-            faults.add((*place, "when"), "is missing; only the last may go without a condition")
-        if element is not None:
-            branches.append((when, element))
-    return None if rows is None else Switch(name, until, keys, tuple(branches))
-
-
-def _condition(
-    data: object, keys: Keys, parts: Collection[str], faults: Faults
-) -> Condition | None:
-    condition = read_condition(data, keys, faults)
-    if condition is not None:
-        check_references(condition, keys, parts, faults)
-    return condition
-
-
-def _list(kind: str, keys: Keys, data: Mapping[str, Any], faults: Faults) -> list[Any] | None:
-    rows = data[kind]
-    if isinstance(rows, list) and rows:
-        return rows
-    faults.add((*keys, kind), f"is {rows!r}; wanted a list")
-    return None
-
-
-def _elements(
-    kind: str, keys: Keys, data: Mapping[str, Any], parts: Collection[str], faults: Faults
-) -> tuple[Element, ...] | None:
-    rows = _list(kind, keys, data, faults)
-    if rows is None:
-        return None
-    read = [read_element(row, (*keys, kind, i), parts, faults) for i, row in enumerate(rows)]
-    whole = tuple(one for one in read if one is not None)
-    return whole if len(whole) == len(rows) else None
-
-
-def can_end(element: Element) -> bool:
-    """Whether it is certain that it may end: by a condition, or since all in it may."""
-    if element.until is not None:
-        return True
-    if isinstance(element, Sequence):
-        return element.then == "end"
-    return isinstance(element, Parallel) and all(map(can_end, element.items))
-
-
-def uses_of(element: Element) -> Iterator[str]:
-    """The parts that it steps."""
-    if isinstance(element, Run):
-        yield element.part
-    for inner in inner_of(element):
-        yield from uses_of(inner)
-
-
-def drivers_of(element: Element) -> Iterator[str]:
-    """The parts that may drive."""
-    if isinstance(element, Run):
-        yield element.part
-    elif isinstance(element, Parallel):
-        if element.driver is not None:
-            yield from drivers_of(element.items[element.driver])
-    else:
-        for inner in inner_of(element):
-            yield from drivers_of(inner)
-
-
-def inner_of(element: Element) -> tuple[Element, ...]:
-    """The elements in it."""
-    if isinstance(element, Sequence):
-        return element.steps
-    if isinstance(element, Parallel):
-        return element.items
-    return tuple(e for _, e in element.branches) if isinstance(element, Switch) else ()
-
-
-def conditions_of(element: Element) -> Iterator[tuple[Keys, Condition]]:
-    """All conditions in it, and where they stand."""
-    if element.until is not None:
-        yield (*element.keys, "until"), element.until
-    if isinstance(element, Switch):
-        for when, inner in element.branches:
-            if when is not None:
-                yield (*inner.keys, "when"), when
-    for inner in inner_of(element):
-        yield from conditions_of(inner)
-
-
-def check_references(
-    condition: Condition, keys: Keys, parts: Collection[str], faults: Faults
-) -> None:
-    """Note parts that are not there."""
-    for leaf in leaves(condition):
-        if isinstance(leaf, Done):
-            if leaf.part not in parts:
-                faults.part(keys, leaf.part, parts)
-        elif isinstance(leaf, Settled) or (isinstance(leaf, Compared) and not leaf.is_reading):
-            name = leaf.report if isinstance(leaf, Settled) else leaf.name
-            part, dot, _ = name.partition(".")
-            if not dot:
-                faults.add(keys, f"{name!r} is no PART.KEY; wanted such as {part}.state")
-            elif part not in parts:
-                faults.part(keys, part, parts)
-
-
-_OWN = ("mission", "parts", "map", "report", "parameters", "recovery")
-_OF_PART = ("pattern", "params", "private")
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*")
-_RECOVERY = (
-    "is of recovery, which a mission has as a whole: set it beside parts, or with -p recovery="
-)
-_OF_MAP = ("from", "to", "values", "base", "step", "count")
-Table: TypeAlias = Mapping[Scalar, Scalar]
-
-
-@dataclass(frozen=True, slots=True)
-class PartSpec:
-    """A part: which pattern, with which parameters, and whether its channels are its own."""
-
-    name: str
-    pattern: str
-    params: Mapping[str, Scalar | None]
-    is_private: bool
-    keys: Keys
-
-
-@dataclass(frozen=True, slots=True)
-class MapSpec:
-    """From what a part reports to a parameter of another.
-
-    `table` by reported value; None: `base` + `step` times the reported number, for as many as the
-    part has opinions.
+    `values` lists the value for report 0, 1, 2 ..., or gives it by reported text. Instead, `base` +
+    `step` times the reported number: for `count` of them, by default all opinions of a vote.
     """
 
-    source: tuple[str, str]
-    target: tuple[str, str]
-    table: Table | None
-    base: float
-    step: float
-    keys: Keys
+    source: str = msgspec.field(name="from")
+    target: str = msgspec.field(name="to")
+    values: Annotated[list[Scalar] | dict[str, Scalar], Meta(min_length=1)] | None = None
+    base: Number | None = None
+    step: Number | None = None
+    count: Annotated[int, Meta(ge=1, le=1000)] | None = None
+
+
+class MissionFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The keys of a mission's file beside those of its outermost element.
+
+    `report` and `parameters` give names of the mission's own to PART.KEY and PART.PARAMETER.
+    """
+
+    mission: str = ""
+    parts: dict[str, Part] = {}
+    map: list[Map] = []
+    report: dict[str, str] = {}
+    parameters: dict[str, str] = {}
+    recovery: bool | None = None
 
 
 @dataclass(slots=True)
 class Document:
-    """A mission as it is written. `root` None and parts left out where there are `faults`.
+    """A mission as its file has it, without what is faulty; `faults` lists that.
 
-    `names` are those of all parts, also of those left out.
+    `root` is None if any element is faulty. `maps` holds the place of each map. `names` has all
+    parts, also faulty ones.
     """
 
     path: Path
-    description: str = ""
-    parts: dict[str, PartSpec] = field(default_factory=dict)
-    names: list[str] = field(default_factory=list)
-    maps: list[MapSpec] = field(default_factory=list)
-    report: dict[str, tuple[str, str]] = field(default_factory=dict)
-    parameters: dict[str, tuple[str, str]] = field(default_factory=dict)
-    recovery: bool | None = None
-    root: Element | None = None
-    faults: Faults = field(default_factory=Faults)
+    description: str
+    parts: dict[str, Part]
+    names: Collection[str]
+    maps: list[tuple[Keys, Map]]
+    report: Mapping[str, Reference]
+    parameters: Mapping[str, Reference]
+    recovery: bool | None
+    root: Element | None
+    faults: list[Fault] = field(default_factory=list)
+
+
+def fault_lines(path: Path, faults: Iterable[Fault]) -> list[str]:
+    """A line for each fault, in the order of the file: file, line, key, what is wrong."""
+    lines = key_lines(path)
+    rows = [
+        (next((lines[keys[:n]] for n in range(len(keys), 0, -1) if keys[:n] in lines), 1), text)
+        for keys, text in faults
+    ]
+    ordered = sorted(rows, key=lambda row: row[0])
+    return [f"{shown(path)}:{line}: {text}" for line, text in ordered]
+
+
+def fault_error(path: Path, faults: Iterable[Fault]) -> ConfigError:
+    """The error for the first fault; it says how many more there are."""
+    first, *more = fault_lines(path, faults)
+    rest = f" (and {len(more)} more; swarmctl mission check shows all)" if more else ""
+    return ConfigError(first + rest)
 
 
 def read_document(path: Path) -> Document:
-    """The mission of a file, with its faults; ConfigError if it is not YAML at all."""
-    data = read(path)
-    document = Document(path)
-    faults = document.faults
-    text = faults.text(data, "mission", (), "a line that says what the mission does")
-    document.description = text or ""
-    _read_parts(data, document)
-    element = {key: value for key, value in data.items() if key not in _OWN}
-    document.root = read_element(element, (), document.names, faults)
-    _read_maps(data, document)
-    for name in ("report", "parameters"):
-        _read_references(data, name, document)
-    if "recovery" in data:
-        if isinstance(data["recovery"], bool):
-            document.recovery = data["recovery"]
-        else:
-            faults.add(("recovery",), f"is {data['recovery']!r}; wanted true or false")
-    _check_uses(document)
+    """The mission of a file, with its faults; ConfigError if the file is not YAML."""
+    data = read_yaml(path)
+    own = {key: data[key] for key in MissionFile.__struct_fields__ if key in data}
+    rest = {key: value for key, value in data.items() if key not in own}
+    names = list(data["parts"]) if isinstance(data.get("parts"), dict) else []
+    maps: list[tuple[Keys, Map]] = []
+
+    def check(value: Any, keys: Keys) -> Iterator[Fault]:
+        found = list(_check(value, keys, names))
+        if isinstance(value, Map) and not found:
+            maps.append((keys, value))
+        yield from found
+
+    file, faults = read(own, MissionFile, check)
+    root, root_faults = read(_expanded(rest), Element, check)
+    document = Document(
+        path=path,
+        description=file.mission,
+        parts={name: part for name, part in file.parts.items() if _is_part_name(name)},
+        names=names,
+        maps=maps,
+        report=dict(_named("report", file.report, names, faults)),
+        parameters=dict(_named("parameters", file.parameters, names, faults)),
+        recovery=file.recovery,
+        root=None if root_faults else root,
+        faults=faults + root_faults,
+    )
+    document.faults += _check_whole(document, data)
     return document
 
 
-def _read_parts(data: Mapping[str, Any], document: Document) -> None:
-    faults, parts = document.faults, data.get("parts")
-    if not isinstance(parts, dict) or not parts:
-        said = "is missing" if parts is None else f"is {parts!r}"
-        faults.add(("parts",), f"{said}; wanted parts by name, such as move: {{pattern: NAME}}")
+def split(reference: str) -> Reference:
+    """The part and the key of PART.KEY."""
+    part, _, key = reference.partition(".")
+    return part, key
+
+
+def elements(root: Element | None, keys: Keys = ()) -> Iterator[tuple[Keys, Element]]:
+    """An element and all elements in it, each with its place."""
+    if root is None:
         return
-    document.names = list(parts)
-    for name, section in parts.items():
-        keys: Keys = ("parts", name)
-        if not is_id(name) or name in ("nobody", "phase"):
-            faults.add(keys, "is no name for a part; wanted letters, digits and _, and not nobody")
-        elif not isinstance(section, dict):
-            faults.add(keys, f"is {section!r}; wanted {{pattern: NAME}}")
-        else:
-            faults.only(section, _OF_PART, keys)
-            pattern = faults.text(section, "pattern", keys, "a pattern's name")
-            params, is_private = section.get("params") or {}, section.get("private", False)
-            if not isinstance(params, dict) or not all(map(_is_plain, params.values())):
-                faults.add((*keys, "params"), "holds more than values by name")
-            elif not isinstance(is_private, bool):
-                faults.add((*keys, "private"), f"is {is_private!r}; wanted true or false")
-            elif pattern is not None:
-                document.parts[name] = PartSpec(name, pattern, params, is_private, keys)
+    yield keys, root
+    for index, child in enumerate(root.children):
+        yield from elements(child, (*keys, _tag(root), index))
 
 
-def _read_maps(data: Mapping[str, Any], document: Document) -> None:
-    maps, faults = data.get("map", []), document.faults
-    if not isinstance(maps, list):
-        faults.add(("map",), f"is {maps!r}; wanted a list of {{from: ..., to: ..., values: ...}}")
-        return
-    targets: set[tuple[str, str]] = set()
-    for index, section in enumerate(maps):
-        spec = _map(section, ("map", index), document)
-        if spec is None:
-            continue
-        if spec.target in targets:
-            faults.add((*spec.keys, "to"), f"{'.'.join(spec.target)} is mapped twice; keep one")
-        targets.add(spec.target)
-        document.maps.append(spec)
+def conditions(root: Element | None) -> Iterator[tuple[Keys, Condition]]:
+    """All conditions of an element and of the elements in it, each with its place."""
+    for keys, element in elements(root):
+        if element.until is not None:
+            yield (*keys, "until"), element.until
+        if element.when is not None:
+            yield (*keys, "when"), element.when
 
 
-def _map(section: object, keys: Keys, document: Document) -> MapSpec | None:
-    faults = document.faults
-    if not isinstance(section, dict):
-        faults.add(keys, f"is {section!r}; wanted {{from: PART.KEY, to: PART.PARAMETER, ...}}")
-        return None
-    faults.only(section, _OF_MAP, keys)
-    source = _reference(section, "from", keys, document, "PART.KEY, of what it reports")
-    target = _reference(section, "to", keys, document, "PART.PARAMETER")
-    table = _table(section, keys, faults)
-    if source is None or target is None or table is None:
-        return None
-    if target[1] == "recovery":
-        faults.add((*keys, "to"), _RECOVERY)
-    if source[0] == target[0]:
-        faults.add((*keys, "to"), f"is of {source[0]} itself; wanted another part")
-        return None
-    values, base, step = table
-    return MapSpec(source, target, values, base, step, keys)
+def parts_in(element: Element) -> set[str]:
+    """The parts that it steps."""
+    return {one.part for _, one in elements(element) if isinstance(one, Run)}
 
 
-def _table(
-    section: Mapping[str, Any], keys: Keys, faults: Faults
-) -> tuple[Table | None, float, float] | None:
-    """The table by reported value, or None with base and step; None as a whole if it is wrong."""
-    values = section.get("values")
-    if ("values" in section) == ("base" in section):
-        faults.add(keys, "wanted either values, or base and step")
-        return None
-    if values is None:
-        base = faults.number(section, "base", keys, low=-1e9, high=1e9)
-        step = faults.number(section, "step", keys, low=-1e9, high=1e9)
-        if base is None or step is None:
+def driving_parts(element: Element) -> Iterator[str]:
+    """The parts that may drive."""
+    if isinstance(element, Run):
+        yield element.part
+    for child in element.children:
+        if not isinstance(element, Parallel) or child.label == element.drives:
+            yield from driving_parts(child)
+
+
+def report_of(condition: Condition) -> str | None:
+    """The report that a simple condition is about, as PART.KEY; None if it is about none."""
+    match condition:
+        case Settled(report=name) | Report(name=name):
+            return name
+        case _:
             return None
-        if "count" not in section:
-            return None, base, step
-        count = faults.number(section, "count", keys, low=0.0, high=1000.0)
-        if count is not None and count != int(count):
-            faults.add((*keys, "count"), f"is {count:g}; wanted a whole number")
-        return None if count is None else ({k: base + step * k for k in range(int(count))}, 0, 0)
-    if "step" in section or "count" in section:
-        faults.add(keys, "step and count go with base, not with values")
-    rows = dict(enumerate(values)) if isinstance(values, list) else values
-    if not isinstance(rows, dict) or not rows or not all(map(_is_scalar, rows.values())):
-        faults.add((*keys, "values"), "wanted a list by opinion, or values by reported text")
-        return None
-    return rows, 0.0, 0.0
 
 
-def _read_references(data: Mapping[str, Any], name: str, document: Document) -> None:
-    """`report` and `parameters`: names of the mission's own for what its parts have."""
-    section, faults = data.get(name, {}), document.faults
-    if not isinstance(section, dict):
-        faults.add((name,), f"is {section!r}; wanted names, each with PART.KEY")
-        return
-    found: dict[str, tuple[str, str]] = getattr(document, name)
-    for own in section:
-        if not _NAME.fullmatch(own) or own in ("recovery", "phase"):
-            faults.add((name, own), "is no name; wanted letters, digits and _, not recovery, phase")
-            continue
-        reference = _reference(section, own, (name,), document, "PART.KEY")
-        if reference is not None:
-            found[own] = reference
-    if name == "parameters":
-        _check_targets(document)
+def _expanded(element: Any) -> Any:
+    """The data of an element in which `{part: NAME}` replaces the short form NAME."""
+    if isinstance(element, str):
+        return {"part": element}
+    if not isinstance(element, dict):
+        return element
+    return {
+        key: [_expanded(one) for one in value]
+        if key in ("sequence", "parallel", "switch") and isinstance(value, list)
+        else value
+        for key, value in element.items()
+    }
 
 
-def _check_targets(document: Document) -> None:
-    """Note parameters of parts that are set from two sides."""
-    setters = {spec.target: "a map" for spec in document.maps}
+def _tag(element: Element) -> str:
+    return str(element.__struct_config__.tag)
+
+
+def _is_part_name(name: str) -> bool:
+    return is_id(name) and name not in _RESERVED_PARTS
+
+
+def _can_end(element: Element) -> bool:
+    """Whether it can end: by its condition, or because all that runs last in it can."""
+    if element.until is not None:
+        return True
+    if isinstance(element, Sequence):
+        return element.then == "end"
+    return isinstance(element, Parallel) and all(map(_can_end, element.children))
+
+
+def _check(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
+    """What the types of a struct cannot express."""
+    match value:
+        case Run():
+            yield from _check_part(value.part, (*keys, "part"), names)
+        case Sequence():
+            yield from _check_sequence(value, keys)
+        case Parallel():
+            yield from _check_parallel(value, keys)
+        case Switch():
+            for index, branch in enumerate(value.children[:-1]):
+                if branch.when is None:
+                    text = "is missing; only the last branch may go without a condition"
+                    yield fault_at((*keys, "switch", index, "when"), text)
+        case Done():
+            yield from _check_part(value.part, (*keys, "done"), names)
+        case Settled() | Report():
+            key = str(value.__struct_config__.tag)
+            yield from _check_reference(report_of(value) or "", (*keys, key), names)
+        case Map():
+            yield from _check_map(value, keys, names)
+        case _:
+            pass
+    if isinstance(value, Sequence | Parallel):
+        for index, child in enumerate(value.children):
+            if child.when is not None:
+                text = "belongs to a branch of a switch; take until, or leave it out"
+                yield fault_at((*keys, _tag(value), index, "when"), text)
+
+
+def _check_sequence(sequence: Sequence, keys: Keys) -> Iterator[Fault]:
+    *before, last = sequence.children
+    place = (*keys, "sequence", len(before))
+    for index, step in enumerate(before):
+        if not _can_end(step):
+            text = "never ends, and more steps follow; give it an until"
+            yield fault_at((*keys, "sequence", index), text)
+    if sequence.then == "stay" and last.until is not None:
+        text = "is the until of the last step, and then is stay; leave it out, or take end"
+        yield fault_at((*place, "until"), text)
+    if sequence.then != "stay" and not _can_end(last):
+        text = f"never ends, and then is {sequence.then}; give it an until, or take stay"
+        yield fault_at(place, text)
+
+
+def _check_parallel(parallel: Parallel, keys: Keys) -> Iterator[Fault]:
+    labels = [child.label for child in parallel.children]
+    used = [part for child in parallel.children for part in parts_in(child)]
+    for part in sorted({part for part in used if used.count(part) > 1}):
+        yield fault_at(keys, f"steps part {part} twice at once; name it once, or make two parts")
+    drives = parallel.drives
+    if labels.count(drives) > 1:
+        text = f"is {drives}, the name of two items; give each a name of its own"
+        yield fault_at((*keys, "drives"), text)
+    elif drives not in (*labels, NO_DRIVER):
+        text = f"names {unknown('item', drives, filter(None, labels))} (or {NO_DRIVER})"
+        yield fault_at((*keys, "drives"), text)
+
+
+def _check_map(one: Map, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
+    yield from _check_reference(one.source, (*keys, "from"), names)
+    yield from _check_reference(one.target, (*keys, "to"), names)
+    (source, _), (target, param) = split(one.source), split(one.target)
+    if param == "recovery":
+        yield fault_at((*keys, "to"), _RECOVERY)
+    if source == target:
+        yield fault_at((*keys, "to"), f"is a parameter of {source} itself; wanted another part's")
+    if (one.values is None) == (one.base is None):
+        yield fault_at(keys, "needs either values, or base and step")
+    elif one.base is not None and one.step is None:
+        yield fault_at((*keys, "step"), "is missing; wanted a number, as base is there")
+    elif one.base is None and (one.step, one.count) != (None, None):
+        yield fault_at(keys, "has step or count, which go with base, beside values")
+
+
+def _check_part(part: str, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
+    if part not in names:
+        yield fault_at(keys, f"names {unknown('part', part, names)}")
+
+
+def _check_reference(reference: str, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
+    part, key = split(reference)
+    if not key:
+        yield fault_at(keys, f"is {reference!r}; wanted PART.KEY, such as vote.opinion")
+    else:
+        yield from _check_part(part, keys, names)
+
+
+def _named(
+    key: str, found: Mapping[str, str], names: Collection[str], faults: list[Fault]
+) -> Iterator[tuple[str, Reference]]:
+    """The valid entries of `report` or `parameters`; the faults of the others are appended."""
+    for own, reference in found.items():
+        wrong = list(_check_reference(reference, (key, own), names))
+        if not _PARAMETER_NAME.fullmatch(own) or own in _RESERVED_NAMES:
+            text = "is not a valid name; wanted letters, digits and _, but not recovery or phase"
+            wrong = [fault_at((key, own), text)]
+        faults += wrong
+        if not wrong:
+            yield own, split(reference)
+
+
+def _check_whole(document: Document, data: Mapping[str, Any]) -> Iterator[Fault]:
+    """Faults between the keys of the file."""
+    if "mission" not in data:
+        yield fault_at(("mission",), "is missing; wanted a line that says what the mission does")
+    if not data.get("parts"):
+        yield fault_at(("parts",), "is missing; wanted parts, such as move: {pattern: NAME}")
+    if document.root is not None and document.root.when is not None:
+        yield fault_at(("when",), "belongs to a branch of a switch; leave it out")
+    used = set(document.names) if document.root is None else parts_in(document.root)
+    for name in document.names:
+        if not _is_part_name(name):
+            text = f"is not a valid name of a part; wanted letters, digits and _, not {NO_DRIVER}"
+            yield fault_at(("parts", name), text)
+        elif name not in used:
+            yield fault_at(("parts", name), "is never stepped; name it in a step, or leave it out")
+    setters: dict[Reference, str] = {}
+    for keys, one in document.maps:
+        if split(one.target) in setters:
+            yield fault_at((*keys, "to"), f"is {one.target}, which another map sets; keep one")
+        setters[split(one.target)] = "a map"
     for own, reference in document.parameters.items():
         if reference[1] == "recovery":
-            document.faults.add(("parameters", own), _RECOVERY)
+            yield fault_at(("parameters", own), _RECOVERY)
         if reference in setters:
-            text = f"{'.'.join(reference)} is what {setters[reference]} sets; keep one"
-            document.faults.add(("parameters", own), text)
+            text = f"is {'.'.join(reference)}, which {setters[reference]} sets too; keep one"
+            yield fault_at(("parameters", own), text)
         setters.setdefault(reference, own)
-
-
-def _reference(
-    section: Mapping[str, Any], key: str, keys: Keys, document: Document, wanted: str
-) -> tuple[str, str] | None:
-    text = document.faults.text(section, key, keys, wanted)
-    if text is None:
-        return None
-    part, dot, inner = text.partition(".")
-    if not dot or not inner:
-        document.faults.add((*keys, key), f"is {text!r}; wanted {wanted}")
-    elif part not in document.names:
-        document.faults.part((*keys, key), part, document.names)
-    else:
-        return part, inner
-    return None
-
-
-def _check_uses(document: Document) -> None:
-    if document.root is None:
-        return
-    used = set(uses_of(document.root))
-    for name, part in document.parts.items():
-        if name not in used:
-            document.faults.add(part.keys, "is never stepped; name it in a step, or leave it out")
-
-
-def _is_scalar(value: object) -> bool:
-    return isinstance(value, bool | int | float | str)
-
-
-def _is_plain(value: object) -> bool:
-    return value is None or _is_scalar(value)

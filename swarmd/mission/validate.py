@@ -1,122 +1,126 @@
-"""Makes the parts of a mission, and tries every value that its maps can give them."""
+"""Builds the parts of a mission, and tries every value that its maps can give them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
 from swarmd.core.errors import SwarmError, unknown
+from swarmd.core.messages import Scalar
 from swarmd.core.values import Inputs
 from swarmd.kit.behavior import Make, Pattern
 from swarmd.kit.combined import outer_name
-from swarmd.kit.conditions import Compared, Scalar, Settled, leaves
-from swarmd.kit.diagnostics import Faults, Keys
+from swarmd.kit.conditions import simple_conditions
 from swarmd.kit.params import build, schema
 from swarmd.kit.voting_pattern import OPINION, VotingPattern
-from swarmd.mission.schema import Document, MapSpec, PartSpec, Table, conditions_of
+from swarmd.mission.schema import Document, Map, Reference, conditions, report_of, split
+from swarmd.settings.layered import Fault, Keys, fault_at
 
-Exposed = Mapping[str, Mapping[str, Any]]
-"""By part, the values that the mission's own parameters give."""
-
-
-@dataclass(slots=True, eq=False)
-class Company:
-    """The parts of a mission by name, and what each of its maps sets by what is reported."""
-
-    parts: dict[str, Pattern[Any]] = field(default_factory=dict)
-    tables: list[tuple[MapSpec, Table]] = field(default_factory=list)
+Parts = Mapping[str, Pattern[Any]]
+Table = Mapping[Scalar, Scalar]
+T = TypeVar("T")
 
 
-def make_company(document: Document, make: Make, exposed: Exposed, faults: Faults) -> Company:
-    """All parts, each made as it will run; what is wrong is noted, and such a part left out."""
-    company = Company()
-    for name, part in document.parts.items():
-        made = _noting(faults, part.keys, partial(_made, part, make, exposed))
-        if made is not None:
-            company.parts[name] = made
-    _check_voices(document, company, faults)
-    trial = _Trial(document, make, exposed)
-    company.tables = tables_of(document, company.parts, trial, faults)
-    _check_reports(document, company, trial, faults)
-    return company
+@dataclass(frozen=True, slots=True, eq=False)
+class PartBuilder:
+    """Builds parts by name and collects the faults that this shows.
 
-
-class _Trial:
-    """Makes parts that nobody runs, to try something out on."""
-
-    def __init__(self, document: Document, make: Make, exposed: Exposed) -> None:
-        self._document, self._make, self._exposed = document, make, exposed
-
-    def __call__(self, name: str, **more: Any) -> Pattern[Any]:
-        return _made(self._document.parts[name], self._make, self._exposed, **more)
-
-
-def trial_of(document: Document, make: Make, exposed: Exposed) -> Callable[..., Pattern[Any]]:
-    """From a part's name, and parameters to change, to such a part that nobody runs."""
-    return _Trial(document, make, exposed)
-
-
-def tables_of(
-    document: Document,
-    parts: Mapping[str, Pattern[Any]],
-    trial: Callable[..., Pattern[Any]],
-    faults: Faults,
-    opinions: Mapping[str, int] | None = None,
-) -> list[tuple[MapSpec, Table]]:
-    """What each map sets, every value tried: as the target starts with it and as it is changed.
-
-    `opinions`: how many a part is to have, if not as many as it has now.
+    `exposed`: by part, the values of the mission's own parameters.
     """
-    found: list[tuple[MapSpec, Table]] = []
-    for spec in document.maps:
-        source, target = (parts.get(name) for name, _ in (spec.source, spec.target))
-        if source is None or target is None:
+
+    document: Document
+    make: Make
+    exposed: Mapping[str, Mapping[str, Any]]
+    faults: list[Fault]
+
+    def __call__(self, name: str, **changes: Any) -> Pattern[Any]:
+        """A new part, with some parameters changed; SwarmError if one is refused."""
+        part = self.document.parts[name]
+        params = {**part.params, **self.exposed.get(name, {}), **changes}
+        return self.make(part.pattern, part=name, private=part.private, **params)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Setter:
+    """Sets a parameter of the target by what the source reports; every value is tried."""
+
+    source: Reference
+    target: Reference
+    table: Table
+
+
+def build_parts(builder: PartBuilder) -> dict[str, Pattern[Any]]:
+    """All parts but the faulty ones."""
+    built = {
+        name: _noting(builder, ("parts", name), partial(builder, name))
+        for name in builder.document.parts
+    }
+    parts = {name: part for name, part in built.items() if part is not None}
+    senders: dict[str, str] = {}
+    for name, part in parts.items():
+        for channel in sorted(outer_name(part, channel) for channel in part.channels):
+            other = senders.setdefault(channel, name)
+            if other != name:
+                text = f"sends on {channel} as {other} does; make one private or leave it out"
+                builder.faults.append(fault_at(("parts", name), text))
+                break
+    return parts
+
+
+def build_setters(
+    builder: PartBuilder, parts: Parts, opinions: Mapping[str, int] | None = None
+) -> list[Setter]:
+    """A setter for each map between these parts.
+
+    Each value is tried on a part that starts with it and on one that is changed to it. `opinions`
+    overrides how many a part has.
+    """
+    found = []
+    for keys, one in builder.document.maps:
+        source, target = split(one.source), split(one.target)
+        if source[0] not in parts or target[0] not in parts:
             continue
-        known = {name: getattr(source.params, "opinions", 0) for name in (spec.source[0],)}
-        count = {**known, **(opinions or {})}[spec.source[0]]
-        rows = _rows(spec, isinstance(source, VotingPattern), count, faults)
-        if rows is None:
-            continue
+        count = (opinions or {}).get(source[0], getattr(parts[source[0]].params, "opinions", 0))
+        is_opinion = isinstance(parts[source[0]], VotingPattern) and source[1] == OPINION
         table: dict[Scalar, Scalar] = {}
-        for reported, value in rows.items():
-            name = ".".join(spec.target)
-            where = f"sets {name} to {value} where {'.'.join(spec.source)} is {reported}"
-            call = partial(_tried, spec, value, trial)
-            tried = _noting(faults, spec.keys, call, f"{where}: ")
+        for reported, value in _values(builder, keys, one, count if is_opinion else None).items():
+            prefix = f"sets {one.target} to {value} where {one.source} is {reported}: "
+            tried = _noting(builder, keys, partial(_tried, builder, target, value), prefix)
             if tried is not None:
                 table[reported] = tried
-        found.append((spec, table))
+        found.append(Setter(source, target, table))
     return found
 
 
-def _rows(spec: MapSpec, is_vote: bool, opinions: int, faults: Faults) -> Table | None:
-    """The map's values by what is reported; None with a fault if some are missing."""
-    is_opinion = is_vote and spec.source[1] == OPINION
-    if spec.table is None and not is_opinion:
-        text = f"has base and step; give count, since {'.'.join(spec.source)} is no vote's opinion"
-        faults.add(spec.keys, text)
-        return None
-    if spec.table is None:
-        return {opinion: spec.base + spec.step * opinion for opinion in range(opinions)}
-    missing = [k for k in range(opinions) if k not in spec.table] if is_opinion else []
-    if missing:
-        text = f"has no value for opinion {missing[0]}; {spec.source[0]} has {opinions} opinions"
-        faults.add((*spec.keys, "values"), text)
-        return None
-    return spec.table
+def check_reports(builder: PartBuilder, parts: Parts) -> None:
+    """Find reports that a part does not have.
 
+    A part without reports in its first step may have any later.
+    """
+    document = builder.document
+    known = {name: _reports(builder, name) for name in parts}
 
-def _tried(spec: MapSpec, value: Scalar, trial: Callable[..., Pattern[Any]]) -> Scalar:
-    """The value as the target's parameter holds it; SwarmError if it would be refused."""
-    part, name = spec.target
-    started = trial(part, **{name: value})
-    changed = trial(part)
-    changed.update(with_values(changed, {name: value}, "map"))
-    return msgspec.to_builtins(getattr(started.params, name))  # type: ignore[no-any-return]
+    def check(keys: Keys, reference: Reference, more: set[str]) -> None:
+        part, key = reference
+        if known.get(part) and key not in known[part] | more:
+            text = f"names {unknown('report', key, known[part] | more)} (of {part})"
+            builder.faults.append(fault_at(keys, text))
+
+    for keys, one in document.maps:
+        check((*keys, "from"), split(one.source), set())
+    for own, reference in document.report.items():
+        part = parts.get(reference[0])
+        params = {spec.name for spec in schema(part.params_type)} if part is not None else set()
+        check(("report", own), reference, params)
+    for keys, condition in conditions(document.root):
+        for simple in simple_conditions(condition):
+            name = report_of(simple)
+            if name is not None:
+                check(keys, split(name), set())
 
 
 def with_values(part: Pattern[Any], values: Mapping[str, Any], source: str) -> Any:
@@ -125,72 +129,60 @@ def with_values(part: Pattern[Any], values: Mapping[str, Any], source: str) -> A
     return build(type(part.params), ((source, whole),))[0]
 
 
-def _check_voices(document: Document, company: Company, faults: Faults) -> None:
-    """Note parts that would say two things on one channel."""
-    voices: dict[str, str] = {}
-    for name, part in company.parts.items():
-        for channel in sorted(outer_name(part, channel) for channel in part.channels):
-            other = voices.setdefault(channel, name)
-            if other != name:
-                text = f"talks on {channel} as {other} does; make one private or leave it out"
-                faults.add(document.parts[name].keys, text)
-                break
+def error_text(error: BaseException) -> str:
+    """An exception on one line; with its type unless it is a SwarmError."""
+    text = " ".join(str(error).split())
+    return text if isinstance(error, SwarmError) else f"{type(error).__name__}: {text}"
 
 
-def _made(part: PartSpec, make: Make, exposed: Exposed, **more: Any) -> Pattern[Any]:
-    params = {**part.params, **exposed.get(part.name, {}), **more}
-    return make(part.pattern, part=part.name, private=part.is_private, **params)
+def _values(builder: PartBuilder, keys: Keys, one: Map, opinions: int | None) -> Table:
+    """The values of a map by report; {} with a fault if some are missing.
+
+    `opinions`: how many the source has; None if it is not the opinion of a vote.
+    """
+    table: dict[Scalar, Scalar]
+    if one.values is not None:
+        rows = enumerate(one.values) if isinstance(one.values, list) else one.values.items()
+        table = dict(rows)
+    else:
+        count = one.count or opinions
+        if count is None:
+            text = f"has base and step, but {one.source} is not the opinion of a vote; give count"
+            builder.faults.append(fault_at(keys, text))
+            return {}
+        table = {number: (one.base or 0.0) + (one.step or 0.0) * number for number in range(count)}
+    missing = [number for number in range(opinions or 0) if number not in table]
+    if missing:
+        text = f"has no value for opinion {missing[0]}; {split(one.source)[0]} has {opinions}"
+        builder.faults.append(fault_at((*keys, "values"), f"{text} opinions"))
+        return {}
+    return table
 
 
-def _check_reports(
-    document: Document, company: Company, trial: Callable[..., Pattern[Any]], faults: Faults
-) -> None:
-    """Note keys that a part does not report; one that reports nothing yet may report anything."""
-    known: dict[str, set[str]] = {}
-
-    def check(keys: Keys, part: str, key: str, more: set[str]) -> None:
-        if part not in company.parts:
-            return
-        if part not in known:
-            known[part] = _reported(trial, part)
-        if known[part] and key not in known[part] | more:
-            faults.add(keys, f"{unknown('report', key, known[part] | more)} (of {part})")
-
-    for spec in document.maps:
-        check((*spec.keys, "from"), *spec.source, set())
-    for own, (part, key) in document.report.items():
-        some = company.parts.get(part)
-        params = set() if some is None else {one.name for one in schema(some.params_type)}
-        check(("report", own), part, key, params)
-    for keys, condition in conditions_of(document.root) if document.root is not None else ():
-        for leaf in leaves(condition):
-            if isinstance(leaf, Settled) or (isinstance(leaf, Compared) and not leaf.is_reading):
-                name = leaf.report if isinstance(leaf, Settled) else leaf.name
-                part, _, key = name.partition(".")
-                check(keys, part, key, set())
+def _tried(builder: PartBuilder, target: Reference, value: Scalar) -> Scalar:
+    """The value as the target's parameter holds it; SwarmError if it would be refused."""
+    part, name = target
+    started = builder(part, **{name: value})
+    changed = builder(part)
+    changed.update(with_values(changed, {name: value}, "map"))
+    return msgspec.to_builtins(getattr(started.params, name))  # type: ignore[no-any-return]
 
 
-def _reported(trial: Callable[..., Pattern[Any]], name: str) -> set[str]:
+def _reports(builder: PartBuilder, name: str) -> set[str]:
     try:
-        return set(trial(name).step(Inputs(now=0.0, dt=0.0)).report)
+        return set(builder(name).step(Inputs(now=0.0, dt=0.0)).report)
     except (Exception, SystemExit):  # a plugin may raise anything; its reports are not known
         return set()
 
 
 def _noting(
-    faults: Faults, keys: Keys, call: Callable[[], Any], prefix: str = "cannot be made: "
-) -> Any:
-    """What the call gives; None if it raises, which is noted."""
+    builder: PartBuilder, keys: Keys, call: Callable[[], T], prefix: str = "cannot be made: "
+) -> T | None:
+    """The result of the call; None, and a fault, if it raises."""
     try:
         return call()
     except RecursionError:
-        raise  # a part that is made of itself: each of its copies would note it
+        raise  # a part made of itself: each of its copies would append it
     except (Exception, SystemExit) as error:  # a plugin may raise anything
-        faults.add(keys, f"{prefix}{words_of(error)}")
+        builder.faults.append(fault_at(keys, f"{prefix}{error_text(error)}"))
     return None
-
-
-def words_of(error: BaseException) -> str:
-    """What was raised, on one line; with its type unless it is ours, and speaks for itself."""
-    text = " ".join(str(error).split())
-    return text if isinstance(error, SwarmError) else f"{type(error).__name__}: {text}"

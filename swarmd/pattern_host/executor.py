@@ -30,7 +30,7 @@ from swarmd.core.host_messages import (
     Stepped,
 )
 from swarmd.core.values import Inputs, Message, Outputs, Platform, Twist
-from swarmd.kit.condition_state import Ending, ending_of
+from swarmd.kit.condition_state import UntilConditions, until_conditions
 from swarmd.kit.factory import Assembled, Find, assemble, full_layers
 from swarmd.kit.params import Params, build, schema
 
@@ -44,7 +44,7 @@ class PatternExecutor:
         self._find = find
         self._load: Load | None = None
         self._assembled: Assembled | None = None
-        self._ending: Ending | None = None
+        self._until: UntilConditions | None = None
 
     def handle(self, command: SentCommand) -> SentEvent | None:
         """Carry a command out; None if it belongs to another generation."""
@@ -69,10 +69,10 @@ class PatternExecutor:
         )
         if isinstance(assembled, str):
             return LoadRefused(load.generation, assembled)
-        ending = _guard(lambda: ending_of(load.until, load.platform))
-        if isinstance(ending, str):
-            return LoadRefused(load.generation, ending)
-        self._load, self._assembled, self._ending = load, assembled, ending
+        until = _guard(lambda: until_conditions(load.until, load.platform))
+        if isinstance(until, str):
+            return LoadRefused(load.generation, until)
+        self._load, self._assembled, self._until = load, assembled, until
         pattern = assembled.pattern
         channels = frozenset(pattern.channels)
         rate = float(pattern.rate)
@@ -85,8 +85,8 @@ class PatternExecutor:
         outputs = _guard(lambda: checked_outputs(pattern.step(inputs), pattern.channels))
         if isinstance(outputs, str):
             return PatternFailed(step.generation, outputs)
-        if self._ending is not None:
-            outputs = self._ending.applied(inputs, outputs)
+        if self._until is not None:
+            outputs = self._until.apply(inputs, outputs)
         scan_seq = -1 if inputs.scan is None else inputs.scan.seq
         return Stepped(step.generation, outputs, scan_seq, dropped)
 

@@ -20,11 +20,18 @@ from swarmd.core.values import Platform, Value
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.conditions import needs_of
 from swarmd.kit.factory import Find, assemble
-from swarmd.mission.mission import kinds_of, mission_class
-from swarmd.mission.schema import Document, conditions_of, read_document, told
-from swarmd.mission.validate import make_company, words_of
+from swarmd.mission.mission import mission_class, pattern_classes
+from swarmd.mission.schema import Document, conditions, fault_lines, read_document
+from swarmd.mission.validate import (
+    PartBuilder,
+    build_parts,
+    build_setters,
+    check_reports,
+    error_text,
+)
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import MISSION, Origin, is_mission, pattern_names
+from swarmd.settings.layered import fault_at
 from swarmd.settings.settings import load_platform
 
 
@@ -38,19 +45,20 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
     found = origins.get(path.stem)
     if not is_id(path.stem) or path.suffix != MISSION:
         text = "is in a file of a name that no pattern can have; wanted such as patrol.yaml"
-        document.faults.add(("mission",), text)
+        document.faults.append(fault_at(("mission",), text))
     elif document.description and not is_mission(path):
         text = "is not at the start of a line of UTF-8 text, by which robots know a mission's file"
-        document.faults.add(("mission",), text)
+        document.faults.append(fault_at(("mission",), text))
     elif found is not None and not _is_same(path, found):
         other = found.source if _is_file(path, found.rival) else found.rival or found.source
-        document.faults.add(("mission",), f"has the name of another pattern ({other}); rename one")
+        text = f"has the name of another pattern ({other}); rename one"
+        document.faults.append(fault_at(("mission",), text))
     values = {name: (origin.value, origin.is_file) for name, origin in origins.items()}
     find = PatternLoader({**values, path.stem: (str(path.resolve()), True)})
     _check_parts(document, platform, find)
-    if not document.faults.found:
+    if not document.faults:
         _check_whole(document, platform, find)
-    return told(path, document.faults.found)
+    return fault_lines(path, document.faults)
 
 
 def _is_same(path: Path, origin: Origin) -> bool:
@@ -65,10 +73,8 @@ def _is_file(path: Path, name: str) -> bool:
 
 def _check_parts(document: Document, platform: Platform, find: Find) -> None:
     """Patterns, their parameters, and the values of maps."""
-    kinds = kinds_of(document, find)
-    missing = [name for name in document.parts if name not in kinds]
-    for name in missing:
-        del document.parts[name]
+    classes = pattern_classes(document, find)
+    document.parts = {name: part for name, part in document.parts.items() if name in classes}
 
     def make(
         inner: str, /, *, part: str = "", private: bool = False, **params: Value
@@ -84,11 +90,14 @@ def _check_parts(document: Document, platform: Platform, find: Find) -> None:
             channel_prefix=f"{part}-" if private else f"{inner}/",
         ).pattern
 
-    document.maps = [m for m in document.maps if not {m.source[0], m.target[0]} & {*missing}]
-    make_company(document, make, {}, document.faults)
-    for keys, condition in conditions_of(document.root) if document.root is not None else ():
+    builder = PartBuilder(document, make, {}, document.faults)
+    parts = build_parts(builder)
+    build_setters(builder, parts)
+    check_reports(builder, parts)
+    for keys, condition in conditions(document.root):
         for need in sorted(needs_of(condition) - platform.provides):
-            document.faults.add(keys, f"needs {need}, which {platform.name} does not provide")
+            text = f"needs {need}, which {platform.name} does not provide"
+            document.faults.append(fault_at(keys, text))
 
 
 def _check_whole(document: Document, platform: Platform, find: Find) -> None:
@@ -104,7 +113,7 @@ def _check_whole(document: Document, platform: Platform, find: Find) -> None:
             rng=np.random.default_rng(0),
         )
     except SwarmError as error:
-        document.faults.add((), str(error))
+        document.faults.append(((), str(error)))
 
 
 def main() -> int:
@@ -125,7 +134,7 @@ def main() -> int:
         except SwarmError as error:
             print(json.dumps({"faults": [str(error)]}), file=answer)
         except (Exception, SystemExit) as error:  # a plugin may raise anything
-            text = f"{args.file}: a pattern that it names raises {words_of(error)}"
+            text = f"{args.file}: a pattern that it names raises {error_text(error)}"
             print(json.dumps({"error": text}), file=answer)
     return 0
 

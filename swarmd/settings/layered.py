@@ -1,30 +1,33 @@
-"""Configuration from several sources, merged, typed, and aware of where each key came from.
+"""Configuration merged from several sources and read into typed structs.
 
-Every fault is one line: source, key, what stands there, what was wanted, and the nearest valid
-key where one is unknown.
+Each fault is one line: source, key, value, what was wanted, and the nearest valid key where a key
+is unknown.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from types import NoneType, UnionType
-from typing import Any, TypeVar, Union, get_args, get_origin
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import lru_cache
+from types import UnionType
+from typing import Annotated, Any, TypeAlias, TypeVar, Union, cast, get_args, get_origin
 
 import msgspec
-from msgspec import inspect
+from msgspec import Struct, inspect
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.settings.yamlfile import Data, brief
 
-Keys = tuple[str | int, ...]
-Fault = tuple[Keys, str]
-T = TypeVar("T")
+Keys: TypeAlias = tuple[str | int, ...]
+Fault: TypeAlias = tuple[Keys, str]
+Check: TypeAlias = Callable[[Any, Keys], Iterable[Fault]]
+"""Yields what the types of a struct cannot express. Called with each valid struct and its place."""
+T = TypeVar("T", bound=Struct)
 
 
 class Layered:
     """Sources of one mapping, strongest first. Mappings merge by key, lists are replaced.
 
-    What is missing in all of them is told of as `home`, by default the strongest.
+    A key that no source holds is reported as missing in `home`, by default the strongest source.
     """
 
     def __init__(self, *sources: tuple[str, Mapping[str, Any]], home: str | None = None) -> None:
@@ -43,13 +46,30 @@ class Layered:
         above = (self.source(*keys[:depth]) for depth in range(len(keys), 0, -1))
         return ConfigError(f"{next((name for name in above if name), self._home)}: {text}")
 
-    def build(self, kind: type[T]) -> T:
-        """The struct of type `kind`; ConfigError names the first key that is wrong."""
-        try:
-            return msgspec.convert(self.data, kind)
-        except (msgspec.ValidationError, OverflowError) as error:
-            keys, text = _fault(self.data, kind, ()) or ((), str(error))
-            raise self.error(keys, text) from error
+    def build(self, kind: type[T], check: Check | None = None) -> T:
+        """The struct of type `kind`. ConfigError names the first key that is wrong."""
+        value, faults = read(self.data, kind, check)
+        if faults:
+            raise self.error(*faults[0])
+        return cast("T", value)
+
+
+def read(data: Any, kind: Any, check: Check | None = None) -> tuple[Any, list[Fault]]:
+    """The value of a type, and all faults of the data in its order.
+
+    Of several struct types in a union, the one is read whose tag is a key of the data. Faulty items
+    of lists and mappings are left out, and faulty fields of the outermost struct; a struct within
+    it is left out as a whole. None if nothing is left.
+    """
+    reader = _Reader(check)
+    is_struct = isinstance(data, dict) and _is_struct(kind)
+    value = reader.outermost(data, kind) if is_struct else reader.read(data, kind, ())
+    return (None if value is _INVALID else value), reader.faults
+
+
+def fault_at(keys: Keys, text: str) -> Fault:
+    """A fault whose line is the key followed by a text that starts with a verb."""
+    return keys, f"{dotted(keys)} {text}".lstrip()
 
 
 def dotted(keys: Sequence[str | int]) -> str:
@@ -79,56 +99,130 @@ def _holds(data: Any, keys: Sequence[str | int]) -> bool:
     return True
 
 
-def _fault(data: Any, kind: Any, keys: Keys) -> Fault | None:
-    """Where `data` first departs from `kind`, and the line that says so; None if nowhere."""
-    try:
-        msgspec.convert(data, kind)
-    except (msgspec.ValidationError, OverflowError):
-        pass
-    else:
+_INVALID: Any = object()
+_SCALARS = {inspect.BoolType, inspect.IntType, inspect.FloatType, inspect.StrType}
+
+
+class _Reader:
+    """Converts data to a type piece by piece, so that each fault has its place."""
+
+    def __init__(self, check: Check | None) -> None:
+        self.faults: list[Fault] = []
+        self._check = check
+
+    def read(self, data: Any, kind: Any, keys: Keys) -> Any:
+        """The value without faulty items; _INVALID if nothing is left."""
+        arms = [(plain, limits) for plain, limits in _arms(kind) if _is_shaped(plain, data)]
+        structs = [plain for plain, _ in arms if _is_struct(plain)]
+        if structs:
+            return self._struct(data, structs, keys)
+        if len(arms) != 1:
+            return self._convert(data, kind, keys)
+        plain, limits = arms[0]
+        if limits:
+            self._convert(data, Annotated[(type(data), *limits)], keys, described=kind)
+        inner = get_args(plain)
+        if isinstance(data, dict):
+            read = {key: self.read(value, inner[1], (*keys, key)) for key, value in data.items()}
+            return {key: value for key, value in read.items() if value is not _INVALID}
+        is_fixed = get_origin(plain) is tuple and inner[-1] is not Ellipsis
+        items = [
+            self.read(item, inner[i if is_fixed else 0], (*keys, i)) for i, item in enumerate(data)
+        ]
+        values = [item for item in items if item is not _INVALID]
+        return values if get_origin(plain) is list else tuple(values)
+
+    def outermost(self, data: Data, kind: type[Struct]) -> Any:
+        """The struct without its faulty fields; _INVALID if one of them is required."""
+        values = self._fields(data, kind, ())
+        return self._made(kind, values, (), is_clean=not self.faults)
+
+    def _struct(self, data: Data, kinds: Sequence[Any], keys: Keys) -> Any:
+        before = len(self.faults)
+        kind = kinds[0] if len(kinds) == 1 else self._tagged(data, kinds, keys)
+        values = {} if kind is None else self._fields(data, kind, keys)
+        if len(self.faults) > before:
+            return _INVALID
+        value = self._made(kind, values, keys, is_clean=True)
+        return value if len(self.faults) == before else _INVALID
+
+    def _tagged(self, data: Data, kinds: Sequence[Any], keys: Keys) -> Any:
+        tags = {kind.__struct_config__.tag: kind for kind in kinds}
+        found = [tag for tag in tags if tag in data]
+        if len(found) == 1:
+            return tags[found[0]]
+        has = " and ".join(found or data) or "nothing"
+        self.faults.append(fault_at(keys, f"has {has}; wanted exactly one of {', '.join(tags)}"))
         return None
-    if isinstance(kind, type) and issubclass(kind, msgspec.Struct) and isinstance(data, dict):
-        faults = _struct_faults(data, kind, keys)
+
+    def _fields(self, data: Data, kind: type[Struct], keys: Keys) -> dict[str, Any]:
+        """The valid fields by name."""
+        fields = _fields(kind)
+        for key in data:
+            if key not in fields:
+                inside = f"{dotted(keys)} has " if keys else ""
+                self.faults.append(((*keys, key), inside + unknown("key", key, fields)))
+        values = {}
+        for key, field in fields.items():
+            if key in data:
+                values[field.name] = self.read(data[key], field.type, (*keys, key))
+            elif field.required:
+                wanted = f"is missing; wanted {_wanted(field.type, None)}"
+                self.faults.append(fault_at((*keys, key), wanted))
+        return {name: value for name, value in values.items() if value is not _INVALID}
+
+    def _made(self, kind: Any, values: dict[str, Any], keys: Keys, *, is_clean: bool) -> Any:
+        if any(field.required and field.name not in values for field in _fields(kind).values()):
+            return _INVALID
+        try:
+            struct = kind(**values)
+        except ValueError as error:  # from __post_init__
+            self.faults.append(fault_at(keys, str(error)))
+            return _INVALID
+        if self._check is not None and is_clean:
+            self.faults += self._check(struct, keys)
+        return struct
+
+    def _convert(self, data: Any, kind: Any, keys: Keys, described: Any = None) -> Any:
+        try:
+            return msgspec.convert(data, kind)
+        except (msgspec.ValidationError, OverflowError):
+            wanted = _wanted(described or kind, data)
+            self.faults.append(fault_at(keys, f"is {brief(data)}; wanted {wanted}"))
+            return _INVALID
+
+
+@lru_cache(maxsize=256)  # evaluating annotations takes 0.1 ms
+def _fields(kind: type[Struct]) -> Mapping[str, msgspec.structs.FieldInfo]:
+    return {field.encode_name: field for field in msgspec.structs.fields(kind)}
+
+
+def _arms(kind: Any, limits: tuple[Any, ...] = ()) -> Iterator[tuple[Any, tuple[Any, ...]]]:
+    """The types of a union, or the type itself, each with its limits of length."""
+    origin = get_origin(kind)
+    if origin is Annotated:
+        inner, *more = get_args(kind)
+        yield from _arms(inner, (*limits, *more))
+    elif origin in (Union, UnionType):
+        for one in get_args(kind):
+            yield from _arms(one, limits)
     else:
-        faults = _item_faults(data, kind, keys)
-    own = f"{dotted(keys)} is {brief(data)}; wanted {_wanted(kind, data)}"
-    return next(faults, (keys, own.strip()))
+        yield kind, limits
 
 
-def _struct_faults(data: Data, kind: type[msgspec.Struct], keys: Keys) -> Iterator[Fault]:
-    fields = {field.encode_name: field for field in msgspec.structs.fields(kind)}
-    for key in data:
-        if key not in fields:
-            inside = f"{dotted(keys)} has " if keys else ""
-            yield (*keys, key), inside + unknown("key", key, fields)
-    for name, field in fields.items():
-        below = (*keys, name)
-        if name in data:
-            fault = _fault(data[name], field.type, below)
-            if fault is not None:
-                yield fault
-        elif field.required:
-            yield below, f"{dotted(below)} is missing; wanted {_wanted(field.type, None)}"
+def _is_struct(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, Struct)
 
 
-def _item_faults(data: Any, kind: Any, keys: Keys) -> Iterator[Fault]:
-    origin, kinds = get_origin(kind), get_args(kind)
-    if origin in (Union, UnionType) and kinds[1:] == (NoneType,) and data is not None:
-        inside = _fault(data, kinds[0], keys)
-        if inside is not None and inside[0] != keys:
-            yield inside
-        return
-    items: list[tuple[str | int, Any, Any]] = []
-    if origin is dict and isinstance(data, dict):
-        items = [(key, value, kinds[1]) for key, value in data.items()]
-    elif origin in (list, tuple) and isinstance(data, list):
-        of_any_length = origin is list or kinds[-1] is Ellipsis
-        if of_any_length or len(kinds) == len(data):
-            items = [(i, v, kinds[0] if of_any_length else kinds[i]) for i, v in enumerate(data)]
-    for key, value, child in items:
-        fault = _fault(value, child, (*keys, key))
-        if fault is not None:
-            yield fault
+def _is_shaped(kind: Any, data: Any) -> bool:
+    """Whether data can be read into the type piece by piece."""
+    if isinstance(data, dict):
+        return _is_struct(kind) or get_origin(kind) is dict
+    if not isinstance(data, list):
+        return False
+    inner = get_args(kind)
+    is_tuple = get_origin(kind) is tuple and (inner[-1] is Ellipsis or len(inner) == len(data))
+    return get_origin(kind) is list or is_tuple
 
 
 def _wanted(kind: Any, value: object) -> str:
@@ -140,6 +234,8 @@ def _wanted(kind: Any, value: object) -> str:
 
 def _described(node: inspect.Type) -> str:
     match node:
+        case inspect.Metadata():
+            return str((node.extra_json_schema or {}).get("description") or _described(node.type))
         case inspect.FloatType():
             return f"a number{_bounds(node)}"
         case inspect.IntType():
@@ -153,11 +249,16 @@ def _described(node: inspect.Type) -> str:
         case inspect.LiteralType():
             return " or ".join(map(str, node.values))
         case inspect.UnionType():
-            return " or ".join(dict.fromkeys(_described(part) for part in node.types))
+            types = list(node.types)
+            words = ["a number, text, true or false"] if set(map(type, types)) >= _SCALARS else []
+            others = [one for one in types if not words or type(one) not in _SCALARS]
+            return " or ".join(dict.fromkeys([*words, *map(_described, others)]))
         case inspect.TupleType():
             return f"[{', '.join(_described(part) for part in node.item_types)}]"
         case inspect.ListType() | inspect.VarTupleType():
             return f"a list, each {_described(node.item_type)}"
+        case inspect.StructType() if node.tag is not None:
+            return str(node.tag)
         case inspect.StructType():
             return f"keys and values: {', '.join(field.encode_name for field in node.fields)}"
         case _:

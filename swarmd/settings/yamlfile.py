@@ -7,7 +7,7 @@ itself). What the values mean is checked by `swarmd.settings.layered`.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +71,27 @@ def read_value(text: str) -> Any:
         raise ConfigError(
             f"{brief(text)} is no value; wanted is YAML, such as 3 or [1, 2]"
         ) from error
+
+
+def key_lines(path: Path) -> Mapping[tuple[str | int, ...], int]:
+    """The line of each key and list item of a file; {} if the file cannot be read any more."""
+    found: dict[tuple[str | int, ...], int] = {}
+
+    def walk(node: yaml.Node | None, keys: tuple[str | int, ...]) -> None:
+        if isinstance(node, yaml.MappingNode):
+            for key, value in node.value:
+                found[(*keys, str(key.value))] = key.start_mark.line + 1
+                walk(value, (*keys, str(key.value)))
+        elif isinstance(node, yaml.SequenceNode):
+            for index, value in enumerate(node.value):
+                found[(*keys, index)] = value.start_mark.line + 1
+                walk(value, (*keys, index))
+
+    try:
+        walk(yaml.compose(path.read_bytes(), Loader=yaml.SafeLoader), ())
+    except (OSError, yaml.YAMLError, ValueError, RecursionError):
+        return {}
+    return found
 
 
 def shown(path: Path) -> str:

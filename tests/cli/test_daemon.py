@@ -172,7 +172,7 @@ def test_check_checks_missions_as_a_whole_for_this_platform(tmp_path: Path) -> N
     (bad,) = (line for line in found["jackal"] if "pattern own" in line)
     assert well.startswith("ok  ")
     assert bad.startswith("FAIL")
-    assert "own.yaml:3: map[0]: sets move.distance to 0.6 where vote.opinion is 0" in bad
+    assert "own.yaml:3: map[0] sets move.distance to 0.6 where vote.opinion is 0" in bad
     (shipped,) = (line for line in found["jackal"] if "discuss_then_disperse" in line)
     assert shipped.startswith("ok  ")
     assert "not for this platform: " in shipped

@@ -94,7 +94,7 @@ def test_in_a_parallel_one_drives_and_all_speak(tmp_path: Path) -> None:
 
 
 def test_nobody_may_drive(tmp_path: Path) -> None:
-    text = parts("vote", "go") + "parallel: [vote, go]\ndrives: nobody\n"
+    text = parts("vote", "go") + "parallel: [vote, go]\ndrives: none\n"
     assert speeds(steps(made(tmp_path, text), 0.0, 1.0)) == [None, None]
 
 

@@ -1,4 +1,4 @@
-"""Missions that come with swarmd, and those that the page shows."""
+"""The shipped missions, and those that docs/missions.md shows."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ WAFFLE = load_platform("waffle_pi")
 
 
 @pytest.mark.parametrize("path", SHIPPED, ids=lambda path: path.stem)
-def test_those_that_come_along_are_well(path: Path) -> None:
+def test_a_shipped_mission_has_no_faults(path: Path) -> None:
     assert check_mission(path, WAFFLE, None) == []
 
 
 @pytest.mark.parametrize("text", SHOWN)
-def test_those_of_the_page_are_well(tmp_path: Path, text: str) -> None:
+def test_a_mission_of_the_page_has_no_faults(tmp_path: Path, text: str) -> None:
     path = tmp_path / "shown.yaml"
     path.write_text(text)
     assert check_mission(path, WAFFLE, tmp_path) == []
@@ -42,26 +42,26 @@ def ctl(*args: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
-def test_the_command_line_tells_all_faults_and_ends_with_2(tmp_path: Path) -> None:
+def test_mission_check_prints_all_faults_and_exits_with_2(tmp_path: Path) -> None:
     path = tmp_path / "low.yaml"
     path.write_text(SHOWN[0].replace("0.6, 1.0", "0.4, 0.5").replace("timeout", "timeot"))
     done = ctl("mission", "check", str(path))
     assert done.returncode == 2
     assert len(done.stderr.splitlines()) == 3
-    assert "sequence[0].until: says nothing" in done.stderr
+    assert "sequence[0].until " in done.stderr
     path.write_text(SHOWN[0])
     done = ctl("mission", "check", str(path), "-o", "json")
     assert (done.returncode, json.loads(done.stdout)["faults"]) == (0, [])
 
 
-def test_it_is_listed_as_a_mission() -> None:
+def test_patterns_show_lists_its_kind_as_mission() -> None:
     done = ctl("patterns", "show", "discuss_then_disperse", "-o", "json")
     row = json.loads(done.stdout)["pattern"]
     assert (row["kind"], row["needs"]) == ("mission", ["scan"])
     assert row["summary"].startswith("Stands and votes on a distance")
 
 
-def test_words_of_a_file_reach_the_terminal_without_control_characters(tmp_path: Path) -> None:
+def test_text_of_a_file_is_printed_without_control_characters(tmp_path: Path) -> None:
     path = tmp_path / "red.yaml"
     path.write_text('mission: "\\e[31mred"\nparts: {b: {pattern: drive}}\npart: b\n')
     done = ctl("patterns", "show", "red", "--plugin-dir", str(tmp_path))
