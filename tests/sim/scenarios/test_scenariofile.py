@@ -190,7 +190,7 @@ def test_a_name_that_is_none_is_refused(name: str, fault: str) -> None:
 
 
 def test_the_scenario_on_the_page_about_scenarios_is_one(tmp_path: Path) -> None:
-    page = Path(__file__).parents[3] / "docs" / "laboratory.md"
+    page = Path(__file__).parents[3] / "docs" / "experiments.md"
     (block,) = re.findall(r"^```yaml\n(.*?)^```", page.read_text(), re.MULTILINE | re.DOTALL)
     (tmp_path / "page.yaml").write_text(block)
     scenario = load_scenario(tmp_path / "page.yaml")
