@@ -85,8 +85,9 @@ def test_each_shows_the_movable_boxes_of_its_instant(full: Full) -> None:
 def test_a_wide_arena_is_shown_twice_below_each_other(walk: Walk) -> None:
     trace = walk(4, arena="6x2")
     trace.pose[..., 0] *= 4.0
-    start, end = start_and_end_figure(trace).axes
-    start.figure.draw_without_rendering()
+    figure = start_and_end_figure(trace)
+    start, end = figure.axes
+    figure.draw_without_rendering()
     assert start.get_position().y0 > end.get_position().y1
 
 
