@@ -17,6 +17,7 @@ from contextlib import contextmanager
 import zenoh
 
 from benchmarks.table import Row, print_table
+from swarmd.core.messages import RunRequest
 from swarmd.network.claim import claim_id
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings, open_session
@@ -67,7 +68,7 @@ def switch(where: SessionSettings, count: int) -> Row:
         nonlocal short
         with Operator(where) as operator:
             view = operator.members()
-            outcome = operator.request("run", view.epochs(view.alive), {"pattern": "x"})
+            outcome = operator.request(RunRequest, view.epochs(view.alive), pattern="x")
         short += len(outcome.applied) < count
 
     samples = [timed(once) for _ in range(RUNS)]
@@ -87,7 +88,9 @@ def members(where: SessionSettings, count: int) -> Row:
 def warm_run(where: SessionSettings, count: int) -> Row:
     with Operator(where) as operator:
         targets = operator.members().epochs(f"tb3-{number:02d}" for number in range(count))
-        samples = [timed(lambda: operator.request("run", targets)) for _ in range(RUNS)]
+        samples = [
+            timed(lambda: operator.request(RunRequest, targets, pattern="x")) for _ in range(RUNS)
+        ]
     return Row(f"swarm-wide run, links up, {count} daemons", samples)
 
 

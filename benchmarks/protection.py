@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.steps import in_an_arena, loop_field, measure
 from benchmarks.table import Row, print_table
 from swarmd.core.host_messages import Loaded, Step, Stepped
-from swarmd.core.messages import Epoch, Request
+from swarmd.core.messages import Epoch, RunRequest
 from swarmd.core.values import Inputs, Odometry, Outputs, Platform, Pose, Scan, Twist
 from swarmd.driver_api.hw_codec import decode_scan, encode_scan
 from swarmd.pattern_host.wire import decode_command, encode_command
@@ -48,12 +48,8 @@ class LiveRobot:
         self.robot = Robot("r", platform, settings, seed=0, instance="b", now=0.0)
         self.robot.on_driver(True, "", self.now)
         self.robot.on_request(
-            Request(
-                id="1",
-                operator="bench",
-                verb="run",
-                targets={"r": Epoch("b", 0)},
-                args={"pattern": "attraction"},
+            RunRequest(
+                id="1", operator="bench", targets={"r": Epoch("b", 0)}, pattern="attraction"
             ),
             self.now,
         )

@@ -17,7 +17,7 @@ from typing import Any, Self
 
 import yaml
 
-from swarmd.core.messages import State, Status
+from swarmd.core.messages import ResetRequest, RunRequest, State, Status
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
 from swarmd.network.session import SessionSettings
@@ -84,9 +84,9 @@ class Swarm:
 
     def run(self, pattern: str, **params: Any) -> Outcome:
         """Run a pattern on all robots; SystemExit unless all of them have it."""
-        args = {"pattern": pattern, "params": params}
         view = self.operator.members()
-        outcome = self.operator.request("run", view.epochs(self.robots), args)
+        epochs = view.epochs(self.robots)
+        outcome = self.operator.request(RunRequest, epochs, pattern=pattern, params=params)
         if len(outcome.applied) != len(self.robots):
             sys.exit(f"run {pattern}: {outcome.line} {outcome}")
         return outcome
@@ -94,7 +94,7 @@ class Swarm:
     def reset(self) -> None:
         """Take all robots out of `faulted` or `stopped`."""
         view = self.operator.members()
-        self.operator.request("reset", view.epochs(self.robots), {"reason": "benchmark"})
+        self.operator.request(ResetRequest, view.epochs(self.robots), reason="benchmark")
 
     def statuses(self) -> Mapping[str, Status]:
         """What each robot says of itself now."""

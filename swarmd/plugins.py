@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import swarmd.config
-from swarmd.core.errors import ConfigError, PluginError, unknown
+from swarmd.core.errors import ConfigError, PluginError, UnknownPatternError, unknown
 from swarmd.core.keys import check_id, is_id
 
 if TYPE_CHECKING:
@@ -81,7 +81,9 @@ def find_pattern(name: str, plugin_dir: Path | None) -> Origin:
     """Where the pattern of that name is; PluginError if there is none, or more than one."""
     found = pattern_names(plugin_dir)
     if name not in found:
-        raise PluginError(_bad_file_name(name, plugin_dir) or unknown("pattern", name, found))
+        raise UnknownPatternError(
+            _bad_file_name(name, plugin_dir) or unknown("pattern", name, found)
+        )
     check_single(name, found[name])
     return found[name]
 

@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from swarmd.core.codec import MAX_DEPTH, MAX_MESSAGE, Decoder, decode_value, encode, encode_value
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import DecisionSummary, Epoch, Request, Row
+from swarmd.core.messages import DecisionSummary, Epoch, RequestHeader, Row, RunRequest
 
 OPEN = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text(),
@@ -51,7 +51,7 @@ def test_what_cannot_be_sent_is_said(value: object) -> None:
 )
 def test_other_versions_truncated_and_oversized_bytes_are_unreadable(payload: bytes) -> None:
     with pytest.raises(CodecError):
-        Decoder(Request)(payload)
+        Decoder(RunRequest)(payload)
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, 1e9])
@@ -84,7 +84,7 @@ def test_a_summary_comes_through_as_it_was_and_one_of_an_older_peer_too() -> Non
 
 @given(st.binary(max_size=200))
 def test_garbage_raises_nothing_but_codec_errors(garbage: bytes) -> None:
-    for read in (Decoder(Epoch), Decoder(Request), decode_value):
+    for read in (Decoder(Epoch), Decoder(RunRequest), Decoder(RequestHeader), decode_value):
         for payload in (garbage, b"\x01" + garbage):
             try:
                 read(payload)

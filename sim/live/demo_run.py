@@ -15,7 +15,7 @@ from typing import Any
 
 from swarmd.core.clock import boottime
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
-from swarmd.core.messages import Code, Condition, State, Status
+from swarmd.core.messages import Code, Condition, RunRequest, State, Status
 from swarmd.network.discovery import MembersView
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
@@ -135,7 +135,7 @@ def start_pattern(
 
     ConfigError if all refuse, SwarmError if none runs it after the last attempt.
     """
-    args = {"pattern": settings.pattern, "params": dict(settings.params)}
+    values = dict(settings.params)
     waiting = tuple(robots)
     started: set[str] = set()
     late: set[str] = set()
@@ -146,7 +146,9 @@ def start_pattern(
             running = {name for name, one in statuses_of(view).items() if _runs(one, settings)}
             late |= running.intersection(waiting)
             waiting = tuple(name for name in waiting if name not in late)
-        outcome = operator.request("run", view.epochs(waiting), args)
+        outcome = operator.request(
+            RunRequest, view.epochs(waiting), pattern=settings.pattern, params=values
+        )
         if not attempt and len(outcome.refused) == len(waiting):
             raise ConfigError(_why("run", outcome))
         (late if attempt else started).update(outcome.applied)

@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from collections.abc import Sequence
+from typing import Any, Literal, Protocol
 
 from swarmd.core.errors import SwarmError
-from swarmd.core.messages import Code, Request
+from swarmd.core.messages import (
+    Code,
+    EstopRequest,
+    ParamRequest,
+    Request,
+    ResetRequest,
+    RunRequest,
+    StopRequest,
+)
 from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 from swarmd.sim.world.world import World
@@ -88,22 +96,24 @@ class Timeline:
 
     def _request(self, event: ScheduledEvent, shell: RobotShell, now: float) -> Request:
         robot = shell.robot
-        arguments: Mapping[str, Callable[[], dict[str, Any]]] = {
-            "run": lambda: {
-                "pattern": event.pattern,
-                "params": dict(event.parameters),
-                **({} if event.seconds is None else {"seconds": event.seconds}),
-                **({"until": list(event.until)} if event.until else {}),
-            },
-            "param": lambda: {"set": dict(event.parameters)},
-            "estop": lambda: {"scope": "swarm" if self._is_for_all(event) else "robots"},
-            "reset": lambda: {"ids": list(robot.status(now).latches)},
-            "stop": dict,
+        common: dict[str, Any] = {
+            "id": f"event-{self._next}",
+            "operator": OPERATOR,
+            "targets": {robot.id: robot.epoch},
         }
-        return Request(
-            id=f"event-{self._next}",
-            operator=OPERATOR,
-            verb=event.action,
-            targets={robot.id: robot.epoch},
-            args=arguments[event.action](),
-        )
+        if event.action == "run":
+            return RunRequest(
+                **common,
+                pattern=event.pattern,
+                params=dict(event.parameters),
+                seconds=event.seconds,
+                until=tuple(event.until),
+            )
+        if event.action == "param":
+            return ParamRequest(**common, params=dict(event.parameters))
+        if event.action == "reset":
+            return ResetRequest(**common, ids=tuple(robot.status(now).latches))
+        if event.action == "estop":
+            scope: Literal["swarm", "robots"] = "swarm" if self._is_for_all(event) else "robots"
+            return EstopRequest(**common, scope=scope)
+        return StopRequest(**common)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,14 +77,12 @@ def check_patterns(
                 load.generation, f"{preflight.pattern} calls sys.exit; leave that out"
             )
         if isinstance(event, LoadRefused):
-            keys = _culprit(layers, preflight, groups, event.text)
+            keys = _culprit(layers, preflight, groups, event.parameter)
             raise layers.error(keys, f"{dotted(keys)}: {event.text}")
 
 
-def _culprit(layers: Layered, preflight: Preflight, groups: Groups, text: str) -> Keys:
-    """Where the parameter stands that `text` speaks of; else where the pattern does."""
-    match = re.match(r"(?:no )?parameter '?([^' ]+)", text)
-    name = match[1] if match else ""
+def _culprit(layers: Layered, preflight: Preflight, groups: Groups, name: str) -> Keys:
+    """The keys that give the parameter `name`; without one, the keys that name the pattern."""
     places: tuple[Keys, ...] = (
         (*preflight.keys, name),
         (*preflight.keys[:-1], "parameters", name),

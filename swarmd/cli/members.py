@@ -14,7 +14,7 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_table, printable, seconds
 from swarmd.cli.report import report_outcome
 from swarmd.cli.send import known_members
-from swarmd.core.messages import Condition, Member
+from swarmd.core.messages import Condition, ForgetRequest, Member
 from swarmd.network.outcome import REFUSED
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ def forget(options: CommonOptions, name: str) -> None:
         check_name(name, view.members)
         if view.members[name].condition is Condition.ALIVE:
             raise Refused(f"{name} is alive; only robots that failed or left can be forgotten")
-        outcome = operator.request("forget", view.epochs(view.alive), {"name": name})
+        outcome = operator.request(ForgetRequest, view.epochs(view.alive), name=name)
     report_outcome(options, "members forget", outcome)
 
 

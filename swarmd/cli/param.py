@@ -12,7 +12,7 @@ from swarmd.cli.output import NOTHING, number, print_json, print_table
 from swarmd.cli.report import report_outcome
 from swarmd.cli.send import expected_of, known_members, send
 from swarmd.core.errors import unknown
-from swarmd.core.messages import Member
+from swarmd.core.messages import Member, ParamRequest
 
 
 @click.group()
@@ -75,7 +75,7 @@ def set_params(
     with options.operator() as operator:
         view = known_members(operator)
         expected = expected_of(view, targets)
-        outcome = send(operator, view, "param", expected, {"set": values}, options.timeout)
+        outcome = send(operator, view, ParamRequest, expected, options.timeout, params=values)
     report_outcome(options, "param set", outcome)
 
 

@@ -12,6 +12,7 @@ from swarmd.cli.output import print_json, printable
 from swarmd.cli.report import report_outcome
 from swarmd.cli.send import expected_of, known_members, send
 from swarmd.core.keys import is_id
+from swarmd.core.messages import ReloadRequest
 
 # A trial on a robot may take 10 s, and loading anew 3 s more.
 RELOADING = 15.0
@@ -113,9 +114,11 @@ def reload(
     targets = read_targets("plugin reload", names, is_all, exclude, needed=True)
     if not is_id(name):
         raise click.UsageError(f"{name!r} is no pattern's name; see `swarmctl patterns`")
-    args = {"pattern": name, "run": is_run}
     with options.operator() as operator:
         view = known_members(operator)
         expected = expected_of(view, targets)
-        outcome = send(operator, view, "reload", expected, args, options.timeout or RELOADING)
+        timeout = options.timeout or RELOADING
+        outcome = send(
+            operator, view, ReloadRequest, expected, timeout, pattern=name, is_rerun=is_run
+        )
     report_outcome(options, "plugin reload", outcome)

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
 from swarmd.cli.output import NOTHING, print_json, print_table, warn
-from swarmd.network.outcome import USAGE, Outcome
+from swarmd.network.outcome import Outcome
 
 if TYPE_CHECKING:
     from swarmd.cli.options import CommonOptions
-
-# How pattern hosts begin to refuse an unknown pattern or parameter, or a value out of range.
-_MISTAKE = re.compile(r"(no pattern|no parameter|parameters?) ")
 
 
 def report_outcome(options: CommonOptions, verb: str, outcome: Outcome) -> NoReturn:
@@ -35,23 +31,9 @@ def report_outcome(options: CommonOptions, verb: str, outcome: Outcome) -> NoRet
         if rows:
             print_table(("NAME", "ANSWER", "TEXT"), sorted(rows))
         click.echo(outcome.line)
-    fault = usage_fault(outcome)
-    if fault:
-        raise click.UsageError(fault)
+    if outcome.mistake:
+        raise click.UsageError(outcome.mistake)
     click.get_current_context().exit(outcome.exit_code)
-
-
-def usage_fault(outcome: Outcome) -> str:
-    """What the operator got wrong, if that is why all robots refused; else empty.
-
-    Only the robots know which patterns they have and what those can be told; all the same a word
-    that none of them understands is the operator's to correct, as is any other usage.
-    """
-    texts = {reply.text for reply in outcome.replies.values()}
-    is_refused = outcome.targeted and len(outcome.refused) == outcome.targeted
-    if is_refused and len(texts) == 1 and _MISTAKE.match(text := texts.pop()):
-        return text
-    return ""
 
 
 def plain(outcome: Outcome) -> dict[str, Any]:
@@ -63,10 +45,14 @@ def plain(outcome: Outcome) -> dict[str, Any]:
         "failed": list(outcome.failed),
         "missing": list(outcome.missing),
         "line": outcome.line,
-        "exit_code": USAGE if usage_fault(outcome) else outcome.exit_code,
+        "exit_code": outcome.exit_code,
         "seconds": round(outcome.seconds, 4),
         "replies": {
-            name: {"code": reply.code.value, "text": reply.text}
+            name: {
+                "code": reply.code.value,
+                "refusal": None if reply.refusal is None else reply.refusal.value,
+                "text": reply.text,
+            }
             for name, reply in outcome.replies.items()
         },
         "warnings": list(outcome.warnings),

@@ -12,7 +12,7 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import warn
 from swarmd.cli.report import report_outcome
 from swarmd.cli.send import expected_of, known_members, send
-from swarmd.core.messages import Latch, Member
+from swarmd.core.messages import Latch, Member, ResetRequest
 
 
 @click.command()
@@ -42,8 +42,15 @@ def reset(
             warn(f"clears {latch_id}, by {latch.issuer}, for {latch.scope}{text}")
         if not yes and sys.stdin.isatty() and not _confirmed(expected.asked):
             raise click.ClickException("nothing was sent")
-        args = {"ids": sorted(latches), "reason": reason}
-        outcome = send(operator, view, "reset", expected, args, options.timeout)
+        outcome = send(
+            operator,
+            view,
+            ResetRequest,
+            expected,
+            options.timeout,
+            ids=tuple(sorted(latches)),
+            reason=reason,
+        )
     report_outcome(options, "reset", outcome)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import click
 
 from swarmd.cli.arguments import Duration, read_assignments, read_targets, target_options
@@ -11,6 +9,7 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.report import report_outcome
 from swarmd.cli.send import expected_of, known_members, send
 from swarmd.core.keys import is_id
+from swarmd.core.messages import RunRequest
 
 
 @click.command()
@@ -46,15 +45,22 @@ def run(
     targets = read_targets("run", names, is_all, exclude, needed=True)
     if not is_id(pattern):
         raise click.UsageError(f"{pattern!r} is no pattern's name; see `swarmctl patterns`")
-    args: dict[str, Any] = {"pattern": pattern, "params": read_assignments(params)}
-    if duration is not None:
-        args["seconds"] = duration
+    values = read_assignments(params)
     if until:
         from swarmd.kit.conditions import parse_conditions
 
         parse_conditions(until)
-        args["until"] = list(until)
     with options.operator() as operator:
         view = known_members(operator)
-        outcome = send(operator, view, "run", expected_of(view, targets), args, options.timeout)
+        outcome = send(
+            operator,
+            view,
+            RunRequest,
+            expected_of(view, targets),
+            options.timeout,
+            pattern=pattern,
+            params=values,
+            seconds=duration,
+            until=until,
+        )
     report_outcome(options, "run", outcome)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -13,6 +12,7 @@ from swarmd.core.errors import unknown
 from swarmd.network.outcome import UNREACHABLE, Expected, Outcome, expected_to_run
 
 if TYPE_CHECKING:
+    from swarmd.core.messages import AnyRequest
     from swarmd.network.discovery import MembersView
     from swarmd.network.operator import Operator
 
@@ -59,16 +59,16 @@ def expected_of(view: MembersView, targets: Targets) -> Expected:
 def send(
     operator: Operator,
     view: MembersView,
-    verb: str,
+    kind: type[AnyRequest],
     expected: Expected,
-    args: Mapping[str, Any],
     timeout: float | None,
+    **fields: Any,
 ) -> Outcome:
-    """Send a request to those that are expected, quoting each as `view` shows it."""
+    """Send a request to the expected robots with the epochs of `view`."""
     return operator.request(
-        verb,
+        kind,
         view.epochs(expected.asked),
-        dict(args),
+        **fields,
         timeout=timeout or PATIENCE,
         absent=expected.absent,
         warnings=expected.warnings,
@@ -79,15 +79,15 @@ def send_stop(
     operator: Operator,
     verb: Literal["stop", "estop"],
     targets: Targets,
-    args: Mapping[str, Any],
     timeout: float | None,
+    reason: str = "",
 ) -> Outcome:
     """Stop whom the targets name, at once; names that nobody knows of count as not answering.
 
     Unreachable if nobody was met, NoTarget if nobody was meant.
     """
     select = None if targets.is_everyone else targets.matching
-    outcome = operator.halt(verb, select=select, args=dict(args), timeout=timeout or HALTING)
+    outcome = operator.halt(verb, select=select, reason=reason, timeout=timeout or HALTING)
     if outcome.targeted and set(targets.unseen) <= {*outcome.replies, *outcome.missing}:
         return outcome
     view = known_members(operator)

@@ -19,7 +19,7 @@ def stop(
     """Stop robots; without names all of them. They need a `run` to move again."""
     targets = read_targets("stop", names, is_all, exclude, needed=False)
     with options.operator() as operator:
-        outcome = send_stop(operator, "stop", targets, {}, options.timeout)
+        outcome = send_stop(operator, "stop", targets, options.timeout)
     report_outcome(options, "stop", outcome)
 
 
@@ -39,8 +39,6 @@ def estop(
     Robots hold it through restarts, and robots that join take it over, until `swarmctl reset`.
     """
     targets = read_targets("estop", names, is_all, exclude, needed=False)
-    # A stop of everyone is taken over by robots that join or return; one of some is not.
-    args = {"scope": "swarm" if targets.is_everyone else "robots", "reason": reason}
     with options.operator() as operator:
-        outcome = send_stop(operator, "estop", targets, args, options.timeout)
+        outcome = send_stop(operator, "estop", targets, options.timeout, reason)
     report_outcome(options, "estop", outcome)

@@ -4,8 +4,11 @@
 
     SwarmError
     ├── ConfigError      a file, a key or a parameter is wrong; nothing was started, nothing moved
+    │   └── ParameterError       a pattern's parameter is unknown, missing or out of bounds
     ├── CodecError       bytes that are not what the key promises; dropped and counted
     ├── PluginError      a pattern or driver cannot be found, loaded or used on this robot
+    │   ├── UnknownPatternError  no pattern has this name
+    │   └── MissingSensorError   the platform lacks what a pattern or condition needs
     ├── DriverError      the robot's base cannot be reached or does not answer as it should
     └── NetworkError     no session, no peers, no answer
         └── IdHeldError  the robot's id belongs to another daemon of the swarm
@@ -20,11 +23,19 @@ from difflib import get_close_matches
 
 
 class SwarmError(Exception):
-    """Root of everything this project raises on purpose."""
+    """The root of all errors that this project raises on purpose."""
 
 
 class ConfigError(SwarmError):
     """A file, a key or a parameter is wrong."""
+
+
+class ParameterError(ConfigError):
+    """A pattern's parameter is wrong. `parameter` is its name; empty if several do not fit."""
+
+    def __init__(self, text: str, parameter: str = "") -> None:
+        super().__init__(text)
+        self.parameter = parameter
 
 
 class CodecError(SwarmError):
@@ -33,6 +44,14 @@ class CodecError(SwarmError):
 
 class PluginError(SwarmError):
     """A pattern or driver cannot be found, loaded or used."""
+
+
+class UnknownPatternError(PluginError):
+    """No pattern has this name."""
+
+
+class MissingSensorError(PluginError):
+    """The platform does not provide what a pattern or a condition needs."""
 
 
 class DriverError(SwarmError):

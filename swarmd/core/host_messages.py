@@ -11,6 +11,8 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
+from swarmd.core.errors import MissingSensorError, ParameterError, UnknownPatternError
+from swarmd.core.messages import Refusal
 from swarmd.core.values import Inputs, Outputs, Platform, Scalar, TouchZone, Value
 
 Layers = tuple[tuple[str, Mapping[str, Value]], ...]
@@ -90,10 +92,15 @@ class Loaded(Struct, frozen=True, eq=False, array_like=True, tag="loaded"):
 
 
 class LoadRefused(Struct, frozen=True, array_like=True, tag="refused"):
-    """The pattern cannot be loaded on this robot, or not with these parameters."""
+    """The pattern cannot be loaded on this robot, or not with these parameters.
+
+    `parameter`: the name of the parameter that is wrong, if one is.
+    """
 
     generation: int
     text: str
+    refusal: Refusal = Refusal.PATTERN_FAILED
+    parameter: str = ""
 
 
 class Stepped(Struct, frozen=True, eq=False, array_like=True, tag="stepped"):
@@ -139,6 +146,7 @@ class TrialDone(Struct, frozen=True):
 
     generation: int
     text: str
+    refusal: Refusal = Refusal.PATTERN_FAILED
 
 
 # What crosses the socket; the daemon's runner answers the others itself.
@@ -147,3 +155,14 @@ SentEvent = Loaded | LoadRefused | Stepped | ParamsSet | PatternFailed
 
 HostCommand = SentCommand | KillHost | StartTrial | CancelTrial
 HostEvent = SentEvent | HostDied | TrialDone
+
+
+def refusal_of(error: Exception) -> Refusal:
+    """The code with which a robot refuses to load a pattern because of this error."""
+    if isinstance(error, ParameterError):
+        return Refusal.INVALID_PARAMETER
+    if isinstance(error, UnknownPatternError):
+        return Refusal.UNKNOWN_PATTERN
+    if isinstance(error, MissingSensorError):
+        return Refusal.MISSING_SENSOR
+    return Refusal.PATTERN_FAILED

@@ -1,11 +1,12 @@
-"""What robots and operators say to each other: typed structs, no numpy (swarmctl imports them).
+"""The messages between robots and operators: typed structs, no numpy (swarmctl imports them).
 
 Every float is bounded, since bounds also refuse NaN and infinity. Unknown fields are ignored, so
-that a newer peer can say more.
+that a newer peer can add fields.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from enum import StrEnum
 from typing import Annotated, Literal
 
@@ -19,6 +20,7 @@ Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Name = Annotated[str, Meta(min_length=1, max_length=63)]
 Word = Annotated[str, Meta(max_length=64)]
 Line = Annotated[str, Meta(max_length=1000)]
+ReasonText = Annotated[str, Meta(max_length=256)]
 Scalar = (
     bool
     | Annotated[int, Meta(ge=-(2**53), le=2**53)]
@@ -75,45 +77,142 @@ class Code(StrEnum):
     FAILED = "failed"
 
 
+class Refusal(StrEnum):
+    """Why a robot refuses a request, or fails to carry it out."""
+
+    INVALID_REQUEST = "invalid_request"  # a field is missing, of a wrong type or out of bounds
+    STALE_EPOCH = "stale_epoch"  # the robot has changed since the operator looked at it
+    ESTOPPED = "estopped"
+    FAULTED = "faulted"
+    BUSY = "busy"  # an earlier request is still under way
+    OVERTAKEN = "overtaken"  # a stop, a fault or another change came first
+    NOT_RUNNING = "not_running"
+    DUPLICATE_ID = "duplicate_id"
+    UNKNOWN_PATTERN = "unknown_pattern"
+    INVALID_PARAMETER = "invalid_parameter"
+    INVALID_CONDITION = "invalid_condition"
+    MISSING_SENSOR = "missing_sensor"
+    PATTERN_FAILED = "pattern_failed"  # the pattern's code raised, ended or took too long
+    MEMBER_ALIVE = "member_alive"
+
+
 class Epoch(Struct, frozen=True):
-    """What an operator saw of a robot: which instance, and how often it has changed since."""
+    """The state of a robot that an operator saw: which instance, and how many changes it had."""
 
     instance: Name
     revision: Count
 
 
-class Request(Struct, frozen=True, kw_only=True):
-    """An operator's wish. `targets` None means everyone: stop and estop only.
+Epochs = dict[Name, Epoch | None]
+ParamValues = dict[Word, Scalar | None]
 
-    `args` by verb: run {pattern, params, seconds?}, reload {pattern, run}, param {set},
-    reset {ids?, reason}, estop {scope: swarm | robots, reason}, forget {name}.
-    """
+
+class _AnyRequest(Struct, frozen=True, kw_only=True, tag_field="verb"):
+    """The fields that every request has. On the wire `verb` names the type of request."""
 
     id: Name
     operator: Annotated[str, Meta(min_length=1, max_length=128)]
-    verb: Name
-    targets: dict[Name, Epoch | None] | None = None
-    args: dict[Word, Scalar | dict[Word, Scalar | None] | list[Word] | None] = {}
+
+    @property
+    def verb(self) -> str:
+        """The last chunk of the key on which this request is sent."""
+        return str(self.__struct_config__.tag)
 
 
-class Halt(Struct, frozen=True, kw_only=True):
-    """What must be readable of a stop or estop for it to be taken, whatever else it says."""
+class _EpochRequest(_AnyRequest, frozen=True, kw_only=True):
+    """A request that changes a robot only if the robot's epoch is still the quoted one."""
+
+    targets: Epochs
+
+
+class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
+    """Run a pattern; the run ends after `seconds`, or when any condition of `until` holds."""
+
+    pattern: Name
+    params: ParamValues = {}
+    seconds: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
+    until: tuple[Word, ...] = ()
+
+
+class ResetRequest(_EpochRequest, frozen=True, kw_only=True, tag="reset"):
+    """Clear the latches with these `ids`, and a fault."""
+
+    ids: tuple[Name, ...] = ()
+    reason: ReasonText = ""
+
+
+class ParamRequest(_EpochRequest, frozen=True, kw_only=True, tag="param"):
+    """Set parameters of the running pattern."""
+
+    params: Annotated[ParamValues, Meta(min_length=1)]
+
+
+class ReloadRequest(_EpochRequest, frozen=True, kw_only=True, tag="reload"):
+    """Replace a pattern's code; with `is_rerun` a robot that runs the pattern runs it again."""
+
+    pattern: Name
+    is_rerun: bool = False
+
+
+class ForgetRequest(_EpochRequest, frozen=True, kw_only=True, tag="forget"):
+    """Remove the member `name`, which failed or left, from the list of members."""
+
+    name: Name
+
+
+class StopRequest(_AnyRequest, frozen=True, kw_only=True, tag="stop"):
+    """Stop. `targets` None: every robot; the epochs are not compared."""
+
+    targets: Epochs | None = None
+
+
+class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
+    """Emergency stop. `scope` swarm: other robots take the latch over."""
+
+    targets: Epochs | None = None
+    scope: Literal["swarm", "robots"] = "swarm"
+    reason: ReasonText = ""
+
+
+Request = RunRequest | StopRequest | EstopRequest | ResetRequest | ParamRequest | ReloadRequest
+
+
+AnyRequest = Request | ForgetRequest
+REQUEST_TYPES: Mapping[str, type[AnyRequest]] = {
+    "run": RunRequest,
+    "stop": StopRequest,
+    "estop": EstopRequest,
+    "reset": ResetRequest,
+    "param": ParamRequest,
+    "reload": ReloadRequest,
+    "forget": ForgetRequest,
+}
+
+
+class RequestHeader(Struct, frozen=True, kw_only=True):
+    """The fields of a request that suffice to obey a stop or estop, and to refuse any other."""
 
     id: str
-    verb: Literal["stop", "estop"]
+    verb: str
     operator: str = ""
     targets: dict[str, object] | None = None
 
 
+class MembersQuery(Struct, frozen=True, kw_only=True):
+    """Asks every daemon for its `PeerView`, except those in `answered`."""
+
+    answered: tuple[Name, ...] = ()
+
+
 class Reply(Struct, frozen=True, kw_only=True):
-    """A robot's answer: its ack. `data` is what a query verb asked for."""
+    """A robot's answer to a request: its ack. `refusal` is set unless `code` is applied."""
 
     id: Name
     robot: Name
     code: Code
+    refusal: Refusal | None = None
     text: Line = ""
     epoch: Epoch | None = None
-    data: dict[Word, Scalar | dict[Word, Scalar | None] | None] = {}
 
 
 class Row(Struct, frozen=True):

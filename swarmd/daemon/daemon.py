@@ -13,7 +13,7 @@ import logging
 import secrets
 import signal
 import socket
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -22,15 +22,15 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, decode_value, encode, encode_value
 from swarmd.core.errors import CodecError, SwarmError
 from swarmd.core.keys import Key
-from swarmd.core.messages import Code, Condition, Reply, Request, Status
+from swarmd.core.messages import Condition, Request, Status
 from swarmd.core.values import ZERO, Neighbor, Odometry, Scan, Twist
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.daemon.latchfile import LatchFile
-from swarmd.daemon.reading import HALTS, RequestReader
+from swarmd.daemon.request_server import RequestServer
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import Heartbeat
 from swarmd.driver_api.driver import Driver, check_protected
-from swarmd.network.bus import Query, ZenohBus
+from swarmd.network.bus import ZenohBus
 from swarmd.network.claim import Claim, claim_id
 from swarmd.network.session import SessionSettings, opened_session
 from swarmd.pattern_host.runner import ProcessRunner
@@ -45,7 +45,6 @@ log = logging.getLogger(__name__)
 ASK_PEERS = 0.5
 DRIVER_PAUSE = 1.0
 NEIGHBORS_EVERY = 10  # ticks
-MAX_PENDING = 64
 
 
 async def serve(settings: DaemonSettings) -> int:
@@ -79,11 +78,10 @@ class Daemon:
         self._runner = ProcessRunner(self._loop, settings.plugin_dir, self._on_host_events)
         self._bus: ZenohBus | None = None
         self._claim: Claim | None = None
-        self._pending: dict[str, Query] = {}
+        self._requests = RequestServer(settings.id, self._on_request)
         self._drops: dict[str, int] = {}
         self._body_knows_neighbors = False
         self._ticks = 0
-        self._read = RequestReader()
         self._status = Decoder(Status)
         self._robot = Robot(
             settings.id,
@@ -188,17 +186,14 @@ class Daemon:
             lease=wanted.lease_seconds,
             on_duplicate=self._on_duplicate,
         )
-        bus.serve("safety", "estop", self._on_request("estop"))
-        for verb in ("stop", "reset", "param", "forget"):
-            bus.serve("control", verb, self._on_request(verb))
+        self._requests.serve(bus, ("estop", "stop", "reset", "param", "forget"))
         bus.serve_view(lambda: self._with_health(self._robot.status(boottime())), settings.roster)
         bus.on_status(self._on_peer_status)
         bus.listen("msg", "*/*", self._on_message)
         bus.on_member(lambda member: self._tell_neighbors())
         for robot, payload in await bus.ask("state", "status", timeout=ASK_PEERS):
             self._on_answered_status(robot, payload)
-        for verb in ("run", "reload"):
-            bus.serve("control", verb, self._on_request(verb))
+        self._requests.serve(bus, ("run", "reload"))
         self._tell_neighbors()
         self._publish(self._robot.status(boottime()))
 
@@ -257,41 +252,8 @@ class Daemon:
 
     # What the network says
 
-    def _on_request(self, verb: str) -> Callable[[Query], None]:
-        def on_query(query: Query) -> None:
-            try:
-                request = self._read(verb, query.payload)
-            except CodecError:
-                self._malformed(verb, query)
-                return
-            targets, is_halt = request.targets, verb in HALTS
-            is_one_too_many = not is_halt and (  # halts are always taken, and answered at once
-                request.id in self._pending or len(self._pending) >= MAX_PENDING
-            )
-            if is_one_too_many or (targets is not None and self._robot.id not in targets):
-                query.drop()
-            elif verb == "forget":
-                self._forget(request, query)
-            else:
-                self._pending[request.id] = query
-                self._carry_out(self._robot.on_request(request, boottime()))
-
-        return on_query
-
-    def _malformed(self, verb: str, query: Query) -> None:
-        if self._bus is not None:
-            plane = "safety" if verb == "estop" else "control"
-            self._bus.drop(f"{plane}/{verb}:malformed")
-        query.drop()
-
-    def _forget(self, request: Request, query: Query) -> None:
-        name = str(request.args.get("name") or "")
-        assert self._bus is not None
-        is_done = self._bus.forget(name) or name not in self._bus.members
-        code = Code.APPLIED if is_done else Code.REFUSED
-        text = f"forgot {name}" if is_done else f"{name} is alive"
-        reply = Reply(id=request.id, robot=self._robot.id, code=code, text=text[:300])
-        query.reply(encode(reply))
+    def _on_request(self, request: Request) -> None:
+        self._carry_out(self._robot.on_request(request, boottime()))
 
     def _on_answered_status(self, robot: str, payload: bytes) -> None:
         try:
@@ -359,9 +321,7 @@ class Daemon:
         if actions.status is not None:
             self._publish(actions.status)
         for reply in actions.replies:
-            query = self._pending.pop(reply.id, None)
-            if query is not None:
-                query.reply(encode(reply if is_kept else _not_kept(reply)))
+            self._requests.reply(reply, is_stored=is_kept)
         wake_at = self._robot.wake_at(boottime())
         self._heartbeat.wake_in(None if wake_at is None else wake_at - boottime())
 
@@ -388,8 +348,3 @@ class Daemon:
 async def _end(task: asyncio.Task[Any]) -> None:
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)
-
-
-def _not_kept(reply: Reply) -> Reply:
-    text = f"{reply.text}; not on disk, so a restart would forget it: see the log"
-    return msgspec.structs.replace(reply, text=text)

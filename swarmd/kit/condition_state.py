@@ -8,7 +8,7 @@ from typing import TypeAlias
 import msgspec
 from msgspec import Struct
 
-from swarmd.core.errors import ConfigError
+from swarmd.core.errors import MissingSensorError
 from swarmd.core.values import Inputs, Outputs, Platform, Scalar, Scan
 from swarmd.kit.conditions import (
     AllOf,
@@ -86,14 +86,14 @@ class UntilConditions:
 def until_conditions(until: Sequence[str], platform: Platform) -> UntilConditions | None:
     """The conditions of a run; None without any.
 
-    ConfigError if one is malformed or needs what the platform does not provide.
+    ConfigError if one cannot be read, MissingSensorError if the platform lacks what one needs.
     """
     if not until:
         return None
     condition = parse_conditions(until)
     missing = sorted(needs_of(condition) - platform.provides)
     if missing:
-        raise ConfigError(
+        raise MissingSensorError(
             f"the condition needs {', '.join(missing)}, which {platform.name} does not provide"
         )
     return UntilConditions(condition)

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 from numpy.random import Generator
 
-from swarmd.core.errors import PluginError
+from swarmd.core.errors import MissingSensorError
 from swarmd.core.host_messages import Layers
 from swarmd.core.keys import check_id
 from swarmd.core.values import Platform, Scalar, Value
@@ -45,8 +45,7 @@ def assemble(
 ) -> Assembled:
     """The pattern called `name` for one robot.
 
-    PluginError if there is no such pattern or the robot lacks something that it needs; ConfigError
-    if a parameter is wrong.
+    UnknownPatternError, MissingSensorError, or ParameterError if a parameter is wrong.
     """
     kind = find(name)
     _check_needs(name, kind.needs, platform)
@@ -84,6 +83,6 @@ def _check_channels(name: str, channels: Mapping[str, type]) -> None:
 def _check_needs(name: str, needs: frozenset[str], platform: Platform) -> None:
     missing = sorted(needs - platform.provides)
     if missing:
-        raise PluginError(
+        raise MissingSensorError(
             f"pattern {name!r} needs {', '.join(missing)}, which {platform.name} does not provide"
         )

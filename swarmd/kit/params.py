@@ -17,7 +17,7 @@ from typing import get_type_hints as type_hints
 import msgspec
 from msgspec import NODEFAULT, Meta, Struct
 
-from swarmd.core.errors import ConfigError, PluginError, unknown
+from swarmd.core.errors import ParameterError, PluginError, unknown
 from swarmd.core.host_messages import Layers
 from swarmd.core.values import Scalar, Value
 
@@ -125,7 +125,7 @@ def build(
 
     `layers` are (source, values), weakest first; what none gives is the pattern's own default,
     source "pattern". Text is read as the type wants it ("0.15", "true"), since the command line
-    sends text. ConfigError with one line for the first value that is wrong.
+    sends text. ParameterError with one line for the first value that is wrong.
     """
     specs, hints = _declared(params_type)
     values: dict[str, Any] = {}
@@ -133,16 +133,16 @@ def build(
     for source, given in layers:
         for name, value in given.items():
             if name not in specs:
-                raise ConfigError(f"{unknown('parameter', name, specs)} (from {source})")
+                raise ParameterError(f"{unknown('parameter', name, specs)} (from {source})", name)
             values[name] = _convert(value, hints[name], specs[name], source)
             sources[name] = source
     for name, spec in specs.items():
         if spec.is_required and name not in values:
-            raise ConfigError(f"parameter {name} has no default; give it {spec.wanted}")
+            raise ParameterError(f"parameter {name} has no default; give it {spec.wanted}", name)
     try:
         params = params_type(**values)
     except ValueError as error:
-        raise ConfigError(f"parameters do not fit together: {error}") from error
+        raise ParameterError(f"parameters do not fit together: {error}") from error
     return params, {name: (getattr(params, name), sources[name]) for name in specs}
 
 
@@ -169,8 +169,8 @@ def _convert(value: Value, hint: Any, spec: ParamSpec, source: str) -> Scalar | 
         converted = math.nan
     if isinstance(converted, float) and not math.isfinite(converted):
         shown = repr(value) if value is None else f"{value!r} {spec.unit}".rstrip()
-        raise ConfigError(
-            f"parameter {spec.name} is {shown} (from {source}); wanted is {spec.wanted}"
+        raise ParameterError(
+            f"parameter {spec.name} is {shown} (from {source}); wanted is {spec.wanted}", spec.name
         )
     return cast("Scalar | None", converted)
 

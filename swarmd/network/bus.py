@@ -38,7 +38,7 @@ from swarmd.core.clock import Clock, boottime
 from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE, Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import ANY, Key, build, parse
-from swarmd.core.messages import Condition, Member, PeerView, Request, Status
+from swarmd.core.messages import Condition, Member, MembersQuery, PeerView, Status
 from swarmd.network.inbound_queue import Drops, Lane
 from swarmd.network.membership import Membership
 from swarmd.network.session import undeclare
@@ -159,7 +159,7 @@ MAX_REPLIES = 1024
 _URGENT = frozenset({SAFETY, "hw"})
 
 _status = Decoder(Status)
-_request = Decoder(Request)
+_members_query = Decoder(MembersQuery)
 
 
 class ZenohQuery:
@@ -471,8 +471,7 @@ class ZenohBus:
         if not payload:
             return False
         try:
-            known = _request(payload).args.get("except")
+            return self.robot in _members_query(payload).answered
         except CodecError:
             self._drops.add("control/members:malformed")
             return True
-        return isinstance(known, list) and self.robot in known

@@ -4,8 +4,8 @@ Synchronous, without asyncio and numpy, since a command must start fast::
 
     with Operator(settings) as operator:
         view = operator.members()
-        outcome = operator.request("run", view.epochs(names), {"pattern": "attraction"})
-        outcome = operator.halt("estop", args={"scope": "swarm", "reason": "..."})
+        outcome = operator.request(RunRequest, view.epochs(names), pattern="attraction")
+        outcome = operator.estop(reason="...")
 
 Zenoh's threads only put what they hear into tables under one lock; the caller's thread waits.
 Queries use DROP, since a reply inherits the query's congestion control and must not block a
@@ -23,7 +23,7 @@ import time
 import uuid
 from collections.abc import Callable, Iterable, Mapping
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, TypeVar
 
 import zenoh
 from zenoh.handlers import Callback
@@ -31,7 +31,15 @@ from zenoh.handlers import Callback
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import ANY, Key, build, parse
-from swarmd.core.messages import Epoch, PeerView, Reply, Request
+from swarmd.core.messages import (
+    AnyRequest,
+    Epoch,
+    EstopRequest,
+    MembersQuery,
+    PeerView,
+    Reply,
+    StopRequest,
+)
 from swarmd.network.discovery import Gathering, MembersView
 from swarmd.network.outcome import Acks, Outcome
 from swarmd.network.scouting import swarms_in_reach
@@ -44,11 +52,12 @@ HALT = 3.0
 ROUND = 0.015
 SLOW_ROUND = 0.1
 QUICK_FOR = 0.2
-# What messages.Request takes, in characters.
+# What a request may hold, in characters.
 MAX_OPERATOR = 128
-MAX_TEXT = 256
+MAX_REASON = 256
 
-Args = dict[str, Any]
+R = TypeVar("R", bound=AnyRequest)
+
 HaltVerb = Literal["stop", "estop"]
 
 _view = Decoder(PeerView, MAX_WIRE)
@@ -64,14 +73,11 @@ def operator_name() -> str:
     return _sendable(f"{user}@{socket.gethostname()}", MAX_OPERATOR)
 
 
-def _with_sendable_reason(args: Args) -> Args:
-    """A stop must not fail for the words that come with it, so those are mended, not refused."""
-    reason = args.get("reason")
-    return {**args, "reason": _sendable(reason, MAX_TEXT)} if isinstance(reason, str) else args
-
-
 def _sendable(text: str, length: int) -> str:
-    """As much of a text as can be sent; what is no UTF-8 (such as a raw argument) becomes `?`."""
+    """The first `length` characters of a text; a character that UTF-8 cannot carry becomes `?`.
+
+    A stop must not fail because of its reason, so the reason is mended and not refused.
+    """
     return text.encode("utf-8", "replace").decode()[:length]
 
 
@@ -132,19 +138,21 @@ class Operator:
 
     def request(
         self,
-        verb: str,
+        kind: type[AnyRequest],
         targets: Mapping[str, Epoch | None],
-        args: Args | None = None,
         *,
         timeout: float = 5.0,
         absent: Iterable[str] = (),
         warnings: Iterable[str] = (),
+        **fields: Any,
     ) -> Outcome:
-        """Ask the robots in `targets`, which quotes the epoch seen of each; nobody else answers.
+        """Send a request to the robots in `targets`, with the epoch that was seen of each.
 
-        Returns as soon as all have answered. `absent` count as silent without being asked.
+        `fields` are those of `kind`. Returns as soon as all have answered. `absent` count as
+        silent without being asked.
         """
-        request = self._new(verb, dict(targets), args)
+        request = self._new(kind, targets=dict(targets), **fields)
+        verb = request.verb
         acks = Acks(request.id)
         started = time.monotonic()
         if targets:
@@ -164,15 +172,22 @@ class Operator:
         verb: HaltVerb,
         *,
         select: Select | None = None,
-        args: Args | None = None,
+        reason: str = "",
         timeout: float = HALT,
     ) -> Outcome:
-        """Stop or e-stop: at once on every link, again for each that has not acked, all named.
+        """Stop or estop: sent at once on every link, and repeated to each robot without an ack.
 
-        `select` picks robots from the names known so far and is asked again as more appear;
-        None is everyone. Returns when every robot that must ack has, else after `timeout` s.
+        `select` picks robots from the names known so far and is called again as more appear;
+        None: all. An estop of all is swarm-wide: robots that join take it over. `reason` is kept
+        with an estop. Returns when every robot that must ack has, else after `timeout` s.
         """
-        request = self._new(verb, None if select is None else {}, args)
+        targets: dict[str, Epoch | None] | None = None if select is None else {}
+        request: StopRequest | EstopRequest
+        if verb == "stop":
+            request = self._new(StopRequest, targets=targets)
+        else:
+            scope = "swarm" if select is None else "robots"
+            request = self._new(EstopRequest, targets=targets, scope=scope, reason=reason)
         gathering = self._gather()
         pace = Pace(time.monotonic(), timeout)
         halting = Halting(request, select, gathering, pace.started)
@@ -200,16 +215,10 @@ class Operator:
         """The names of all swarms that can be seen from here, for those who meet nobody."""
         return swarms_in_reach(self._session, self.settings, timeout)
 
-    def _new(
-        self, verb: str, targets: dict[str, Epoch | None] | None, args: Args | None
-    ) -> Request:
-        return Request(
-            id=uuid.uuid4().hex[:12],
-            operator=self.name,
-            verb=verb,
-            targets=targets,
-            args=_with_sendable_reason(args or {}),
-        )
+    def _new(self, kind: type[R], **fields: Any) -> R:
+        if "reason" in fields:
+            fields["reason"] = _sendable(fields["reason"], MAX_REASON)
+        return kind(id=uuid.uuid4().hex[:12], operator=self.name, **fields)
 
     def _gather(self) -> Gathering:
         now = time.monotonic()
@@ -232,7 +241,7 @@ class Operator:
 
         self._get(
             self._key(ANY, "control", "members"),
-            encode(self._new("members", None, {"except": known})),
+            encode(MembersQuery(answered=tuple(known))),
             GATHER,
             self._checked("control", "members", on_view),
         )

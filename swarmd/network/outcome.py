@@ -5,7 +5,7 @@ An empty list of acks is never success. The exit codes of swarmctl:
 ====  ==========================================================================
 0     every robot that was meant has applied it
 1     every one failed
-2     usage (decided before anything is sent)
+2     usage: nothing was sent, or every robot refused the request as a mistake in it
 3     partial: some applied it and some did not, or refusals, failures and silence mixed
 4     no robot was meant
 5     nobody answered in time
@@ -19,8 +19,17 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
-from swarmd.core.messages import Code, Condition, Member, Reply
+from swarmd.core.messages import Code, Condition, Member, Refusal, Reply
 
+# Refusals that the operator corrects by writing another command line.
+MISTAKES = frozenset(
+    {
+        Refusal.INVALID_REQUEST,
+        Refusal.UNKNOWN_PATTERN,
+        Refusal.INVALID_PARAMETER,
+        Refusal.INVALID_CONDITION,
+    }
+)
 APPLIED, FAILED, USAGE, PARTIAL, NO_TARGET, TIMEOUT, UNREACHABLE, REFUSED = range(8)
 # A robot that failed this recently was meant by whoever said `--all`, in s.
 RECENT = 60.0
@@ -84,10 +93,25 @@ class Outcome:
         return ", ".join(parts)
 
     @property
+    def mistake(self) -> str:
+        """The text with which every robot refused the same mistake of the operator; else empty.
+
+        Only the robots know which patterns they have, and which parameters those take.
+        """
+        replies = self.replies.values()
+        texts = {reply.text for reply in replies}
+        is_mistake = all(reply.refusal in MISTAKES for reply in replies)
+        if self.targeted and len(self.refused) == self.targeted and is_mistake and len(texts) == 1:
+            return texts.pop()
+        return ""
+
+    @property
     def exit_code(self) -> int:
         """The exit code of swarmctl for this outcome."""
         if not self.targeted:
             return NO_TARGET
+        if self.mistake:
+            return USAGE
         groups = (
             (len(self.applied), APPLIED),
             (len(self.refused), REFUSED),

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection
 import msgspec
 
 from swarmd.core.codec import encode
-from swarmd.core.messages import Request
+from swarmd.core.messages import EstopRequest, StopRequest
 from swarmd.network.discovery import Gathering
 from swarmd.network.outcome import Acks, Outcome, expected_to_stop
 
@@ -24,7 +24,11 @@ class Halting:
     """
 
     def __init__(
-        self, request: Request, select: Select | None, gathering: Gathering, started: float
+        self,
+        request: StopRequest | EstopRequest,
+        select: Select | None,
+        gathering: Gathering,
+        started: float,
     ) -> None:
         self.acks = Acks(request.id)
         self._request = request

@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 import traceback
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from swarmd.core.errors import SwarmError
+from swarmd.core.errors import ParameterError, SwarmError
 from swarmd.core.host_messages import (
     Load,
     Loaded,
@@ -28,7 +28,9 @@ from swarmd.core.host_messages import (
     SetParams,
     Step,
     Stepped,
+    refusal_of,
 )
+from swarmd.core.messages import Refusal
 from swarmd.core.values import Inputs, Message, Outputs, Platform, Twist
 from swarmd.kit.condition_state import UntilConditions, until_conditions
 from swarmd.kit.factory import Assembled, Find, assemble, full_layers
@@ -67,11 +69,13 @@ class PatternExecutor:
                 rng=np.random.default_rng([load.seed, *load.robot.encode()]),
             )
         )
-        if isinstance(assembled, str):
-            return LoadRefused(load.generation, assembled)
+        if isinstance(assembled, _Fault):
+            return LoadRefused(load.generation, *assembled)
         until = _guard(lambda: until_conditions(load.until, load.platform))
-        if isinstance(until, str):
-            return LoadRefused(load.generation, until)
+        if isinstance(until, _Fault):
+            is_unread = until.refusal is Refusal.PATTERN_FAILED
+            refusal = Refusal.INVALID_CONDITION if is_unread else until.refusal
+            return LoadRefused(load.generation, until.text, refusal)
         self._load, self._assembled, self._until = load, assembled, until
         pattern = assembled.pattern
         channels = frozenset(pattern.channels)
@@ -83,8 +87,8 @@ class PatternExecutor:
         pattern = self._assembled.pattern
         inputs, dropped = _typed(step.inputs, pattern.channels)
         outputs = _guard(lambda: checked_outputs(pattern.step(inputs), pattern.channels))
-        if isinstance(outputs, str):
-            return PatternFailed(step.generation, outputs)
+        if isinstance(outputs, _Fault):
+            return PatternFailed(step.generation, outputs.text)
         if self._until is not None:
             outputs = self._until.apply(inputs, outputs)
         scan_seq = -1 if inputs.scan is None else inputs.scan.seq
@@ -103,8 +107,8 @@ class PatternExecutor:
             return sources
 
         sources = _guard(change)
-        if isinstance(sources, str):
-            return ParamsSet(command.generation, command.request, sources)
+        if isinstance(sources, _Fault):
+            return ParamsSet(command.generation, command.request, sources.text)
         self._load = replace(load, layers=layers)
         self._assembled = Assembled(pattern, sources)
         note = _beyond_limits(type(pattern).params_type, command.values, sources, load.platform)
@@ -178,16 +182,26 @@ def _beyond_limits(
     return "; ".join(notes)
 
 
-def _guard(call: Callable[[], T]) -> T | str:
-    """The result of the call, or one line about what it raised. MemoryError is not caught."""
+class _Fault(NamedTuple):
+    """An error that a call raised, in one line."""
+
+    text: str
+    refusal: Refusal = Refusal.PATTERN_FAILED
+    parameter: str = ""
+
+
+def _guard(call: Callable[[], T]) -> T | _Fault:
+    """The result of the call, or the error that it raised. MemoryError is not caught."""
     try:
         return call()
     except MemoryError:
         raise
+    except ParameterError as error:
+        return _Fault(str(error), refusal_of(error), error.parameter)
     except SwarmError as error:
-        return str(error)
+        return _Fault(str(error), refusal_of(error))
     except Exception as error:  # a plugin may raise anything
-        return in_one_line(error)
+        return _Fault(in_one_line(error))
 
 
 def _typed(inputs: Inputs, channels: Mapping[str, type]) -> tuple[Inputs, int]:

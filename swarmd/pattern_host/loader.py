@@ -12,7 +12,7 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any
 
-from swarmd.core.errors import PluginError, unknown
+from swarmd.core.errors import PluginError, UnknownPatternError, unknown
 from swarmd.kit.behavior import Pattern
 from swarmd.plugins import MISSION
 
@@ -37,7 +37,7 @@ class PatternLoader:
         ConfigError if it is a mission whose file has a fault.
         """
         if name not in self.origins:
-            raise PluginError(unknown("pattern", name, self.origins))
+            raise UnknownPatternError(unknown("pattern", name, self.origins))
         value, is_file = self.origins[name]
         if is_file and value.endswith(MISSION):
             return self._mission(name, Path(value))

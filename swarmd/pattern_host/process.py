@@ -121,20 +121,20 @@ class HostProcess:
             self.owner.on_end(self, code)
 
 
-def outcome(event: HostEvent | None) -> str:
-    """What a load's answer says of the code: empty if it was loaded, else why not.
+def trial_done(generation: int, event: HostEvent | None) -> TrialDone:
+    """The result of the trial `generation`, from the answer to its load.
 
-    What takes longer than a run waits for could not be run again.
+    A pattern that loads more slowly than a run waits is refused: it could not be run again.
     """
-    if isinstance(event, Loaded):
-        is_late = event.took >= LOAD_TIMEOUT
-        text = f"loading took {event.took:.1f} s; a run waits for {LOAD_TIMEOUT:.0f} s"
-        return text if is_late else ""
-    return (
-        event.text
-        if isinstance(event, LoadRefused | PatternFailed)
-        else "it gave no answer to a load"
-    )
+    if isinstance(event, LoadRefused):
+        return TrialDone(generation, event.text, event.refusal)
+    if isinstance(event, PatternFailed):
+        return TrialDone(generation, event.text)
+    if not isinstance(event, Loaded):
+        return TrialDone(generation, "it gave no answer to a load")
+    is_late = event.took >= LOAD_TIMEOUT
+    text = f"loading took {event.took:.1f} s; a run waits for {LOAD_TIMEOUT:.0f} s"
+    return TrialDone(generation, text if is_late else "")
 
 
 class Trial:
@@ -178,17 +178,17 @@ class Trial:
     def on_frame(self, host: HostProcess, frame: bytes) -> None:
         """It answered."""
         try:
-            text = outcome(decode_event(frame))
+            self._done(trial_done(self._generation, decode_event(frame)))
         except CodecError as error:
-            text = str(error)
-        self._done(text)
+            self._done(TrialDone(self._generation, str(error)))
 
     def on_end(self, host: HostProcess, code: int) -> None:
         """It ended by itself, which no load may do."""
         self._host = None
-        self._done(f"while it was being loaded {why_it_ended(code)}")
+        text = f"while it was being loaded {why_it_ended(code)}"
+        self._done(TrialDone(self._generation, text))
 
-    def _done(self, text: str) -> None:
+    def _done(self, result: TrialDone) -> None:
         if not self._is_told:
             self._is_told = True
-            self._tell(TrialDone(self._generation, text))
+            self._tell(result)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from msgspec.structs import replace
 
-from swarmd.core.errors import CodecError, PluginError, unknown
+from swarmd.core.errors import CodecError, PluginError, UnknownPatternError, unknown
 from swarmd.core.host_messages import (
     CancelTrial,
     HostCommand,
@@ -24,8 +24,9 @@ from swarmd.core.host_messages import (
     PatternFailed,
     StartTrial,
     TrialDone,
+    refusal_of,
 )
-from swarmd.pattern_host.process import HostProcess, Trial, outcome, why_it_ended
+from swarmd.pattern_host.process import HostProcess, Trial, trial_done, why_it_ended
 from swarmd.pattern_host.wire import decode_event, encode_command
 from swarmd.plugins import check_single, installed_patterns, pattern_names
 
@@ -63,7 +64,7 @@ class InlineRunner:
         if isinstance(command, StartTrial | CancelTrial):
             if isinstance(command, StartTrial):
                 answer = self._make().handle(command.load)
-                self._events.append(TrialDone(command.load.generation, outcome(answer)))
+                self._events.append(trial_done(command.load.generation, answer))
             return
         if isinstance(command, KillHost):
             self._stage = self._make()
@@ -129,8 +130,11 @@ class ProcessRunner:
                 self._with_origins(command) if isinstance(command, Load) else command
             )
         except (PluginError, CodecError) as error:
-            kind = LoadRefused if isinstance(command, Load) else PatternFailed
-            self._events.append(kind(command.generation, str(error)))
+            self._events.append(
+                LoadRefused(command.generation, str(error), refusal_of(error))
+                if isinstance(command, Load)
+                else PatternFailed(command.generation, str(error))
+            )
             self._loop.call_soon(self._wake)
             return
         host = self._host or self._start()
@@ -188,7 +192,7 @@ class ProcessRunner:
             self._installed = installed_patterns()
             found = pattern_names(self._plugin_dir, self._installed)
         if load.pattern not in found:
-            raise PluginError(unknown("pattern", load.pattern, found))
+            raise UnknownPatternError(unknown("pattern", load.pattern, found))
         check_single(load.pattern, found[load.pattern])
         origins = {name: (origin.value, origin.is_file) for name, origin in found.items()}
         # Options of drivers may hold what plugin code has no business with.
@@ -203,7 +207,7 @@ class ProcessRunner:
             frame = encode_command(self._with_origins(load))
             self._trial = Trial(self._loop, number, frame, self._on_tried, self.buried)
         except (PluginError, CodecError, OSError) as error:
-            self._events.append(TrialDone(number, str(error)))
+            self._events.append(TrialDone(number, str(error), refusal_of(error)))
             self._loop.call_soon(self._wake)
 
     def _on_tried(self, tried: TrialDone) -> None:

@@ -26,7 +26,18 @@ from swarmd.core.host_messages import (
     StartTrial,
     Stepped,
 )
-from swarmd.core.messages import Code, Epoch, Latch, LoggedEvent, Reason, Reply, Request, State
+from swarmd.core.messages import (
+    Code,
+    Epoch,
+    Latch,
+    LoggedEvent,
+    ParamRequest,
+    Reason,
+    Refusal,
+    Reply,
+    Request,
+    State,
+)
 from swarmd.core.values import Platform, Scalar, TouchZone, Value
 from swarmd.kit.touch import in_force
 from swarmd.protection.decision import NO_PERMIT, Permit
@@ -82,7 +93,7 @@ class Lifecycle:
         self.duplicate: str | None = None
         self.report: Mapping[str, Scalar] = {}
         self.events: deque[LoggedEvent] = deque(maxlen=EVENTS)
-        self.params_request: tuple[Request, float] | None = None
+        self.params_request: tuple[ParamRequest, float] | None = None
         self.trial: Trying | None = None
         self.hold_since: float | None = None
         self.mistyped = 0
@@ -114,17 +125,24 @@ class Lifecycle:
         """Keep an event for describe."""
         self.events.append(LoggedEvent(at=max(now - self._born, 0.0), text=text[:LINE]))
 
-    def reply(self, turn: Turn, request: Request, code: Code, text: str) -> None:
-        """Answer a request; the epoch tells how the robot stands after it."""
-        running = self.hosting.running
-        values = running.values if request.verb == "param" and running is not None else {}
+    def applied(self, turn: Turn, request: Request, text: str) -> None:
+        """Acknowledge a request; the reply carries the epoch that follows from it."""
+        self._reply(turn, request, Code.APPLIED, None, text)
+
+    def refuse(self, turn: Turn, request: Request, refusal: Refusal, text: str) -> None:
+        """Refuse a request."""
+        self._reply(turn, request, Code.REFUSED, refusal, text)
+
+    def _reply(
+        self, turn: Turn, request: Request, code: Code, refusal: Refusal | None, text: str
+    ) -> None:
         answer = Reply(
             id=request.id,
             robot=self._identity.robot,
             code=code,
+            refusal=refusal,
             text=text[:LINE],
             epoch=self.epoch,
-            data={name: {"value": value, "source": src} for name, (value, src) in values.items()},
         )
         turn.replies = (*turn.replies, answer)
 
@@ -150,7 +168,7 @@ class Lifecycle:
             if isinstance(event, Loaded):
                 self._ready(event, turn)
             else:
-                self._refused(event.text, turn)
+                self._refused(event, turn)
         elif isinstance(event, Stepped):
             self._stepped(event, turn)
         elif isinstance(event, ParamsSet):
@@ -173,7 +191,7 @@ class Lifecycle:
             turn.is_new_run = True
             self.report = {}
             self.note(f"runs {loading.pattern}, by {loading.request.operator}", turn.now)
-            self.reply(turn, loading.request, Code.APPLIED, f"runs {loading.pattern}")
+            self.applied(turn, loading.request, f"runs {loading.pattern}")
         self._let_touch(loading.pattern, event, turn)
 
     def _let_touch(self, pattern: str, event: Loaded, turn: Turn) -> None:
@@ -184,13 +202,14 @@ class Lifecycle:
         if text:
             self.note(f"{pattern} {text}", turn.now)
 
-    def _refused(self, text: str, turn: Turn) -> None:
+    def _refused(self, event: LoadRefused, turn: Turn) -> None:
+        text = event.text
         loading, self.hosting.loading = self.hosting.loading, None
         if loading is None or loading.request is None:
             self.end(Change.LOAD_FAILED, Reason.LOAD_FAILED, text, turn)
             return
         self.note(f"{loading.pattern} refused: {text}", turn.now)
-        self.reply(turn, loading.request, Code.REFUSED, text)
+        self.refuse(turn, loading.request, event.refusal, text)
         if self._load is not None and self._load.is_fresh:  # what ran has lost its host for it
             self.fault("its host was replaced", turn)
 
@@ -219,13 +238,12 @@ class Lifecycle:
         request, self.params_request = self.params_request[0], None
         running = self.hosting.running
         if not event.params or running is None:
-            self.reply(turn, request, Code.REFUSED, event.text or "no pattern is running")
+            refusal = Refusal.INVALID_PARAMETER if event.text else Refusal.NOT_RUNNING
+            self.refuse(turn, request, refusal, event.text or "no pattern is running")
             return
         running.values = event.params
-        values = request.args.get("set")
-        if isinstance(values, dict):
-            running.params = {**running.params, **values}
-        self.reply(turn, request, Code.APPLIED, event.text or "set")
+        running.params = {**running.params, **request.params}
+        self.applied(turn, request, event.text or "set")
 
     def _lose_host(self, text: str, turn: Turn) -> None:
         self.hosting.awaiting_since = None
@@ -261,9 +279,10 @@ class Lifecycle:
         if loading is None:
             return
         self.note(f"{loading.pattern} was not loaded: {text}", turn.now)
+        detail = f"{loading.pattern}: {text}"
         if loading.request is not None:
-            self.reply(turn, loading.request, Code.FAILED, f"{loading.pattern}: {text}")
-        self.end(Change.LOAD_FAILED, Reason.LOAD_FAILED, f"{loading.pattern}: {text}", turn)
+            self._reply(turn, loading.request, Code.FAILED, Refusal.PATTERN_FAILED, detail)
+        self.end(Change.LOAD_FAILED, Reason.LOAD_FAILED, detail, turn)
 
     def end(self, change: Change, reason: Reason, detail: str, turn: Turn) -> None:
         """Leave running, or change state while not running; nothing is stepped any more."""
@@ -274,23 +293,25 @@ class Lifecycle:
             self._cancel_load(reason, turn)
             self.hosting.end()
         if change in _ENDS_TRIAL:
-            self.end_trial(f"{reason} while the new code was being tried", turn)
+            text = f"{reason} while the new code was being tried"
+            self.end_trial(Refusal.OVERTAKEN, text, turn)
         if self.params_request is not None:
             overtaken, self.params_request = self.params_request[0], None
-            self.reply(turn, overtaken, Code.REFUSED, f"{reason} before the pattern answered")
+            text = f"{reason} before the pattern answered"
+            self.refuse(turn, overtaken, Refusal.OVERTAKEN, text)
         self.hold_since = None
         before = self.supervisor.state
         self.supervisor.apply(change, reason, detail[:LINE], turn.now)
         if self.supervisor.state is not before:
             self.note(f"{self.supervisor.state} ({reason}) {detail}".rstrip(), turn.now)
 
-    def end_trial(self, text: str, turn: Turn) -> None:
+    def end_trial(self, refusal: Refusal, text: str, turn: Turn) -> None:
         """Nothing comes of the trial under way, if there is one; what runs is left alone."""
         trial, self.trial = self.trial, None
         if trial is not None:
             turn.trial = CancelTrial(text)
             self.note(f"{trial.pattern} not reloaded: {text}", turn.now)
-            self.reply(turn, trial.request, Code.REFUSED, text)
+            self.refuse(turn, trial.request, refusal, text)
 
     def _cancel_load(self, reason: Reason, turn: Turn) -> None:
         loading = self.hosting.loading
@@ -298,7 +319,8 @@ class Lifecycle:
             return
         turn.host = KillHost(f"not wanted any more: {reason}")
         if loading.request is not None:
-            self.reply(turn, loading.request, Code.REFUSED, f"{reason} while it was being loaded")
+            text = f"{reason} while it was being loaded"
+            self.refuse(turn, loading.request, Refusal.OVERTAKEN, text)
 
     # What an operator, a peer or the machine does
 
@@ -359,7 +381,8 @@ class Lifecycle:
             self._end_silent_host(turn)
         if self.params_request is not None and now - self.params_request[1] >= LOAD_TIMEOUT:
             request, self.params_request = self.params_request[0], None
-            self.reply(turn, request, Code.FAILED, "the pattern did not answer")
+            text = "the pattern did not answer"
+            self._reply(turn, request, Code.FAILED, Refusal.PATTERN_FAILED, text)
         running = hosting.running
         if not self.is_running or running is None:
             return None

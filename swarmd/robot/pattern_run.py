@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from msgspec import Struct
 
 from swarmd.core.host_messages import Loaded, Stepped
-from swarmd.core.messages import Request
+from swarmd.core.messages import ReloadRequest, RunRequest
 from swarmd.core.values import Scalar, TouchZone, Twist
 
 LOAD_TIMEOUT = 3.0
@@ -42,7 +42,7 @@ class Loading:
     params: Mapping[str, Scalar | None]
     seconds: float | None
     since: float
-    request: Request | None
+    request: RunRequest | ReloadRequest | None
     until: tuple[str, ...] = ()
 
 
@@ -53,7 +53,7 @@ class Trying:
     generation: int
     pattern: str
     since: float
-    request: Request
+    request: ReloadRequest
 
 
 @dataclass(slots=True, eq=False)
@@ -109,7 +109,7 @@ class PatternRun:
         pattern: str,
         params: Mapping[str, Scalar | None],
         seconds: float | None,
-        request: Request | None,
+        request: RunRequest | ReloadRequest | None,
         now: float,
         until: tuple[str, ...] = (),
     ) -> Loading:

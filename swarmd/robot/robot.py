@@ -17,7 +17,7 @@ from swarmd.protection.decision import Decision
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.lifecycle import HOLD_LASTS, Identity, Lifecycle, Turn
-from swarmd.robot.requests import Verbs
+from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state_machine import Event as Change
 from swarmd.robot.status import Duty, RobotSettings, make_status, standing_reason
@@ -54,7 +54,7 @@ class Robot:
         self._protection = Protection(platform, f"{seed}/{id}")
         identity = Identity(id, platform, seed, instance, settings.touch)
         self._lifecycle = Lifecycle(identity, latches, now)
-        self._verbs = Verbs(id, self._lifecycle, settings.layers, self._standing)
+        self._requests = RequestHandler(id, self._lifecycle, settings.layers, self._standing)
         self._duty = Duty()
         self._published: tuple[object, ...] = ()
         self._published_at = -math.inf
@@ -137,7 +137,7 @@ class Robot:
         """The pattern host answered, failed or died; other generations' answers are dropped."""
         turn = self._enter(now)
         if isinstance(event, TrialDone):
-            self._verbs.reloading.on_tried(event, turn)
+            self._requests.reloading.on_tried(event, turn)
         else:
             self._lifecycle.on_host(event, turn)
         if turn.is_new_run:
@@ -148,7 +148,7 @@ class Robot:
     def on_request(self, request: Request, now: float) -> Actions:
         """An operator asks; the reply is in these actions, or in those of a later host event."""
         turn = self._enter(now)
-        self._verbs.answer(request, turn)
+        self._requests.answer(request, turn)
         return self._settle(turn)
 
     def on_latches(self, latches: Mapping[str, Latch], now: float) -> Actions:
@@ -219,7 +219,7 @@ class Robot:
 
     def _settle(self, turn: Turn) -> Actions:
         now, conduct = turn.now, self._lifecycle
-        self._verbs.reloading.advance(turn)
+        self._requests.reloading.advance(turn)
         hold = conduct.advance(self._sensors.hold(now), turn)
         self._decision = self._decide(hold, now)
         self._restart(turn)
@@ -257,7 +257,7 @@ class Robot:
             return
         if turn.host is None:
             hosting.begin(running.pattern, running.params, None, None, turn.now, running.until)
-            layers = self._verbs.layers(running.pattern, running.params)
+            layers = self._requests.layers(running.pattern, running.params)
             self._lifecycle.load(running.pattern, layers, turn)
 
     def _step(self, turn: Turn) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.messages import Code, Reply, Request
+from swarmd.core.messages import AnyRequest, Code, EstopRequest, Reply, StopRequest
 from swarmd.core.values import Twist
 from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.latchfile import LatchFile
@@ -60,7 +60,7 @@ def test_zero_goes_out_twenty_times_a_second_before_anyone_asks(tmp_path: Path) 
 class Asked:
     """A query that takes notes."""
 
-    def __init__(self, request: Request) -> None:
+    def __init__(self, request: AnyRequest) -> None:
         self.payload = encode(request)
         self.replies: list[Reply] = []
 
@@ -73,18 +73,17 @@ class Asked:
 
 def test_a_halt_is_taken_however_many_requests_wait_for_their_answers(tmp_path: Path) -> None:
     halts = {
-        verb: Asked(Request(id=f"h-{verb}", operator="alice", verb=verb))
-        for verb in ("stop", "estop")
+        kind: Asked(kind(id=f"h-{kind.__name__}", operator="alice"))
+        for kind in (StopRequest, EstopRequest)
     }
 
     async def live() -> None:
         stop = asyncio.Event()
         daemon = Daemon(settings_in(tmp_path), Notes())
         for n in range(100):
-            waiting = Request(id=f"r{n}", operator="bob", verb="run")
-            daemon._pending[waiting.id] = Asked(waiting)
-        for verb, asked in halts.items():
-            daemon._on_request(verb)(asked)
+            daemon._requests._pending[f"r{n}"] = Asked(StopRequest(id=f"r{n}", operator="bob"))
+        for kind, asked in halts.items():
+            daemon._requests.handle("stop" if kind is StopRequest else "estop", asked)
         stop.set()
         await daemon.run(stop)
 
@@ -128,7 +127,7 @@ class Unplugged(Notes):
 
 def test_an_estop_is_kept_and_answered_though_its_zero_cannot_be_sent(tmp_path: Path) -> None:
     driver = Unplugged()
-    asked = Asked(Request(id="e1", operator="alice", verb="estop"))
+    asked = Asked(EstopRequest(id="e1", operator="alice"))
     settings = settings_in(tmp_path)
 
     async def live() -> None:
@@ -136,7 +135,7 @@ def test_an_estop_is_kept_and_answered_though_its_zero_cannot_be_sent(tmp_path: 
 
         def ask() -> None:
             driver.is_gone = True
-            daemon._on_request("estop")(asked)
+            daemon._requests.handle("estop", asked)
 
         asyncio.get_running_loop().call_later(0.5, ask)
         async with asyncio.timeout(30.0):

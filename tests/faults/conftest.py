@@ -17,7 +17,7 @@ import zenoh
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder
 from swarmd.core.keys import build
-from swarmd.core.messages import Code, Epoch, Reason, Reply, State, Status
+from swarmd.core.messages import REQUEST_TYPES, Code, Epoch, Reason, Reply, State, Status
 from swarmd.core.values import Twist, Value
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings, open_session
@@ -173,7 +173,7 @@ class Bench:
     def ask(self, verb: str, *, epoch: Epoch | None = None, **args: Any) -> Reply:
         """Its answer to a request that quotes the epoch it has now, or the one given."""
         targets = {ROBOT: epoch or self.status().epoch}
-        outcome = self.operator.request(verb, targets, args, timeout=10.0)
+        outcome = self.operator.request(REQUEST_TYPES[verb], targets, **args, timeout=10.0)
         assert not outcome.missing, f"no answer to {verb}; its log: {self.daemon.text()[-2000:]}"
         return outcome.replies[ROBOT]
 
@@ -221,7 +221,7 @@ class Bench:
 
     def halt(self, verb: Literal["stop", "estop"]) -> Reply:
         """Its ack of stop or estop."""
-        outcome = self.operator.halt(verb, args={"reason": "test"} if verb == "estop" else {})
+        outcome = self.operator.halt(verb, reason="test")
         reply = outcome.replies[ROBOT]
         assert reply.code is Code.APPLIED, reply.text
         return reply

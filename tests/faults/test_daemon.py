@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.messages import Code, Reason, State
+from swarmd.core.messages import Code, Reason, RunRequest, State
 from swarmd.testing.driver_rig import is_running
 from tests.support.processes import wait_until
 
@@ -91,9 +91,14 @@ def test_nothing_that_waited_for_a_frozen_daemon_moves_its_body(
     seen = bench.status().epoch
 
     frozen = freeze_while_held(bench)
-    run = {"pattern": "drive", "params": {"speed": -0.1}}
-    asked = bench.operator.request("run", {bench.body.robot: seen}, run, timeout=0.3)
-    stopped = bench.operator.estop(args={"reason": "it does not answer"}, timeout=0.3)
+    asked = bench.operator.request(
+        RunRequest,
+        {bench.body.robot: seen},
+        pattern="drive",
+        params={"speed": -0.1},
+        timeout=0.3,
+    )
+    stopped = bench.operator.estop(reason="it does not answer", timeout=0.3)
     assert asked.missing == stopped.missing == (bench.body.robot,)
     wait_until(lambda: boottime() - frozen >= seconds, "long enough")
 

@@ -13,7 +13,7 @@ import zenoh
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import Key
-from swarmd.core.messages import Request
+from swarmd.core.messages import RunRequest
 from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.session import SessionSettings, open_session
 from tests.support.fake_daemon import light_status
@@ -32,7 +32,7 @@ NAMES = {
     "*": ("run", "estop", "status", "*", "**"),
     "hw": ("scan",),
 }
-request_of = Decoder(Request)
+request_of = Decoder(RunRequest)
 
 
 def key(rng: random.Random, swarm: str) -> str:

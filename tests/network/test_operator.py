@@ -14,15 +14,15 @@ import pytest
 import zenoh
 
 from swarmd.core.codec import Decoder
-from swarmd.core.messages import Code, Condition, Epoch, Request
-from swarmd.network.operator import Operator, operator_name
+from swarmd.core.messages import Code, Condition, Epoch, EstopRequest, ResetRequest, RunRequest
+from swarmd.network.operator import HaltVerb, Operator, operator_name
 from swarmd.network.outcome import NO_TARGET, PARTIAL, REFUSED
 from swarmd.network.session import SessionSettings, open_session
 from tests.support.fake_daemon import FakeSwarm
 
 Robots = Callable[..., FakeSwarm]
 
-decode = Decoder(Request)
+decode = Decoder(EstopRequest)
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def test_a_single_robot_is_found(settings: SessionSettings, robots: Robots) -> N
 def test_nobody_is_an_empty_view(settings: SessionSettings) -> None:
     with Operator(settings) as operator:
         assert operator.members().members == {}
-        assert operator.request("run", {}).exit_code == NO_TARGET
+        assert operator.request(RunRequest, {}, pattern="x").exit_code == NO_TARGET
         assert operator.stop(timeout=0.2).exit_code == NO_TARGET
 
 
@@ -83,22 +83,14 @@ def test_a_request_reaches_its_targets_alone(settings: SessionSettings, robots: 
     swarm = robots("a", "b", "c")
     with Operator(settings, name="anna@laptop") as operator:
         targets = operator.members().epochs(["a", "b"])
-        outcome = operator.request("run", targets, {"pattern": "attraction"})
+        outcome = operator.request(RunRequest, targets, pattern="attraction")
     assert outcome.line == "2 targeted, 2 applied"
     [request] = swarm["a"].requests
-    assert request == replace_id(request.id, targets)
+    assert request == RunRequest(
+        id=request.id, operator="anna@laptop", targets=targets, pattern="attraction"
+    )
     assert swarm["b"].requests == [request]
     assert swarm["c"].requests == []
-
-
-def replace_id(id: str, targets: dict[str, Epoch | None]) -> Request:
-    return Request(
-        id=id,
-        operator="anna@laptop",
-        verb="run",
-        targets=targets,
-        args={"pattern": "attraction"},
-    )
 
 
 def test_refusals_and_silence_are_named(settings: SessionSettings, robots: Robots) -> None:
@@ -107,7 +99,7 @@ def test_refusals_and_silence_are_named(settings: SessionSettings, robots: Robot
     robots("c", answer=lambda request: None)
     with Operator(settings) as operator:
         targets = operator.members().epochs(["a", "b", "c"])
-        outcome = operator.request("run", targets, timeout=0.3, absent=["d"])
+        outcome = operator.request(RunRequest, targets, pattern="x", timeout=0.3, absent=["d"])
     assert outcome.line == "4 targeted, 1 applied, 1 refused (b), 2 no answer (c, d)"
     assert outcome.exit_code == PARTIAL
 
@@ -115,24 +107,23 @@ def test_refusals_and_silence_are_named(settings: SessionSettings, robots: Robot
 def test_all_refused(settings: SessionSettings, robots: Robots) -> None:
     robots("a", answer=lambda request: Code.REFUSED)
     with Operator(settings) as operator:
-        outcome = operator.request("run", operator.members().epochs(["a"]))
+        outcome = operator.request(RunRequest, operator.members().epochs(["a"]), pattern="x")
     assert outcome.exit_code == REFUSED
 
 
 @pytest.mark.parametrize("verb", ["stop", "estop"])
 def test_a_halt_reaches_everyone_without_waiting_for_members(
-    settings: SessionSettings, robots: Robots, verb: str
+    settings: SessionSettings, robots: Robots, verb: HaltVerb
 ) -> None:
     swarm = robots("a", "b", "c")
     with Operator(settings) as operator:
-        outcome = operator.halt(verb, args={"reason": "test"})  # type: ignore[arg-type]
+        outcome = operator.halt(verb, reason="test")
     assert outcome.line == "3 targeted, 3 applied"
     for name in "abc":
         heard = swarm[name].requests
-        assert {(one.verb, one.targets, one.args["reason"]) for one in heard} == {
-            (verb, None, "test")
-        }
+        assert {(one.verb, one.targets) for one in heard} == {(verb, None)}
         assert len({one.id for one in heard}) == 1
+        assert all(one.reason == "test" for one in heard if isinstance(one, EstopRequest))
 
 
 def test_an_estop_is_also_put_on_each_robots_own_key(
@@ -238,21 +229,21 @@ def test_a_name_that_is_no_utf8_is_mended(monkeypatch: pytest.MonkeyPatch) -> No
 @pytest.mark.parametrize(
     ("reason", "kept"), [("ä" * 300, "ä" * 256), ("out\udcff of paint", "out? of paint")]
 )
-@pytest.mark.parametrize("verb", ["stop", "estop", "reset"])
+@pytest.mark.parametrize("verb", ["estop", "reset"])
 def test_a_reason_that_cannot_be_sent_is_mended_and_never_refused(
-    settings: SessionSettings, robots: Robots, verb: Any, reason: str, kept: str
+    settings: SessionSettings, robots: Robots, verb: str, reason: str, kept: str
 ) -> None:
     swarm = robots("a")
-    args = {"scope": "swarm", "reason": reason}
     with Operator(settings, name="\udcff" * 200) as operator:
         if verb == "reset":
-            outcome = operator.request(verb, operator.members().epochs(["a"]), args)
+            epochs = operator.members().epochs(["a"])
+            outcome = operator.request(ResetRequest, epochs, reason=reason)
         else:
-            outcome = operator.halt(verb, args=args)
+            outcome = operator.estop(reason=reason)
     assert outcome.line == "1 targeted, 1 applied"
     request = swarm["a"].requests[-1]
-    assert request.args == {"scope": "swarm", "reason": kept}
-    assert request.operator == "?" * 128
+    assert isinstance(request, EstopRequest | ResetRequest)
+    assert (request.operator, request.reason) == ("?" * 128, kept)
 
 
 @pytest.mark.integration
@@ -268,7 +259,7 @@ def test_twenty_daemons_ack_each_of_fifty_cold_operators(settings: SessionSettin
             started = time.monotonic()
             with Operator(settings) as operator:
                 view = operator.members()
-                outcome = operator.request("run", view.epochs(view.alive), {"pattern": "x"})
+                outcome = operator.request(RunRequest, view.epochs(view.alive), pattern="x")
             took.append(time.monotonic() - started)
             assert outcome.line == "20 targeted, 20 applied"
     finally:

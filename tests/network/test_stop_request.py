@@ -5,14 +5,14 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.codec import Decoder
-from swarmd.core.messages import Code, Condition, Epoch, Member, PeerView, Reply, Request
+from swarmd.core.messages import Code, Condition, Epoch, EstopRequest, Member, PeerView, Reply
 from swarmd.network.discovery import Gathering
 from swarmd.network.outcome import PARTIAL, TIMEOUT
 from swarmd.network.stop_request import GATHER, Halting
 from tests.support.fake_daemon import light_status
 
-decode = Decoder(Request)
-REQUEST = Request(id="q", operator="anna@laptop", verb="estop")
+decode = Decoder(EstopRequest)
+REQUEST = EstopRequest(id="q", operator="anna@laptop")
 
 
 def view(robot: str, *others: tuple[str, Condition]) -> PeerView:

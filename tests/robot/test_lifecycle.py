@@ -50,7 +50,8 @@ def test_a_pattern_asked_for_while_the_one_before_hangs_is_loaded_in_a_new_host(
     story = driving()
     story.is_hung = True
     story.advance(0.5)
-    story.ask("stop" if is_stopped_first else "param")
+    if is_stopped_first:
+        story.ask("stop")
     run = story.request("run", pattern="backward")
     assert story.send(run) is None
     story.sent.clear()
@@ -121,7 +122,7 @@ def test_scans_that_stop_while_a_pattern_loads_still_stop_the_robot_after_two_se
 def test_a_change_of_parameters_that_a_stop_overtakes_is_answered(verb: str) -> None:
     story = driving()
     story.is_hung = True
-    change = story.request("param", set={"speed": "0.1"})
+    change = story.request("param", params={"speed": "0.1"})
     assert story.send(change) is None
     story.ask(verb)
     reply = answer(story, change)

@@ -221,9 +221,9 @@ def test_no_operator_can_grant_it(name: str) -> None:
     reply = tale.ask("run", pattern="push", params={name: 0.1})
     assert reply is not None
     assert reply.code is Code.REFUSED
-    run(tale, "push", touch={"push": {"half_width_deg": 20, "speed": 0.1}})
+    run(tale, "push")
     assert permit(tale).touch is None
-    reply = tale.ask("param", set={name: 0.1})
+    reply = tale.ask("param", params={name: 0.1})
     assert reply is not None
     assert reply.code is Code.REFUSED
     assert permit(tale).touch is None
@@ -244,7 +244,7 @@ def test_an_operator_can_change_that(pattern: str, value: str) -> None:
     assert permit(tale).may_recover is (value == "true")
     run(tale, pattern)
     assert permit(tale).may_recover is not (value == "true")
-    tale.ask("param", set={"recovery": value})
+    tale.ask("param", params={"recovery": value})
     tale.advance(0.1)
     assert permit(tale).may_recover is (value == "true")
     assert tale.status.params["recovery"].source == "runtime"

@@ -6,7 +6,7 @@ import pytest
 
 from swarmd.api import Outputs, Twist
 from swarmd.core.host_messages import KillHost, Loaded, Stepped
-from swarmd.core.messages import Code, Epoch, Latch, Reason, State
+from swarmd.core.messages import Code, Epoch, Latch, Reason, State, StopRequest
 from swarmd.robot.latches import HELD
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, standing_state, started
@@ -48,10 +48,7 @@ def test_an_epoch_of_an_earlier_life_is_refused() -> None:
 
 def test_a_robot_that_is_not_named_does_not_answer() -> None:
     story = RobotHarness(patterns=PATTERNS)
-    request = story.request("stop")
-    other = type(request)(
-        id="x", operator="a", verb="stop", targets={"tb3-02": Epoch("b", 0)}, args={}
-    )
+    other = StopRequest(id="x", operator="a", targets={"tb3-02": Epoch("b", 0)})
     assert story.send(other) is None
     assert standing_state(story) == (State.IDLE, Reason.NEVER_ASKED)
 
@@ -207,7 +204,7 @@ def test_outputs_of_an_older_generation_are_dropped() -> None:
 
 @pytest.mark.parametrize(("speed", "is_noted"), [(0.9, True), (-0.9, True), (0.26, False)])
 def test_a_speed_above_the_limit_of_the_base_is_noted(speed: float, is_noted: bool) -> None:
-    reply = started(speed=0.1).ask("param", set={"speed": speed})
+    reply = started(speed=0.1).ask("param", params={"speed": speed})
     assert reply is not None
     assert reply.code is Code.APPLIED
     assert ("waffle_pi is limited to 0.26 m/s" in reply.text) is is_noted
@@ -215,7 +212,7 @@ def test_a_speed_above_the_limit_of_the_base_is_noted(speed: float, is_noted: bo
 
 def test_param_set_changes_the_running_pattern_until_the_next_run() -> None:
     story = started(speed=0.1)
-    reply = story.ask("param", set={"speed": "0.15"})
+    reply = story.ask("param", params={"speed": "0.15"})
     assert reply is not None
     assert reply.code is Code.APPLIED
     assert story.status.params["speed"].value == 0.15
@@ -229,7 +226,7 @@ def test_param_set_changes_the_running_pattern_until_the_next_run() -> None:
 
 def test_param_set_out_of_range_changes_nothing() -> None:
     story = started(speed=0.1)
-    reply = story.ask("param", set={"speed": "7"})
+    reply = story.ask("param", params={"speed": "7"})
     assert reply is not None
     assert reply.code is Code.REFUSED
     assert "speed is '7'" in reply.text

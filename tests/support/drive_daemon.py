@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from swarmd.core.messages import Code, State, Status
+from swarmd.core.messages import Code, RunRequest, State, Status
 from swarmd.network.operator import Operator
 from tests.support.processes import wait_until
 
@@ -28,8 +28,13 @@ def drive(operator: Operator) -> None:
         now = status(operator)
         if now is None or not now.health.driver_up or now.decision.scan_age is None:
             return False
-        args = {"pattern": "drive", "params": {"speed": 0.1}}
-        outcome = operator.request("run", {ROBOT: now.epoch}, args, timeout=10.0)
+        outcome = operator.request(
+            RunRequest,
+            {ROBOT: now.epoch},
+            pattern="drive",
+            params={"speed": 0.1},
+            timeout=10.0,
+        )
         reply = outcome.replies.get(ROBOT)
         return reply is not None and reply.code is Code.APPLIED
 

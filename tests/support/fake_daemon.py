@@ -17,36 +17,38 @@ import secrets
 import sys
 import threading
 from collections.abc import Callable, Sequence
+from functools import partial
 from types import TracebackType
 from typing import Any, Self
 
 import msgspec
 import zenoh
 
-from swarmd.core.codec import Decoder, encode
+from swarmd.core.codec import encode
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import build
 from swarmd.core.messages import (
+    AnyRequest,
     Code,
     DecisionSummary,
     Epoch,
     Health,
     Reason,
+    Refusal,
     Reply,
-    Request,
     State,
     Status,
 )
+from swarmd.daemon.request_server import read_request
 from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.claim import Claim, claim_id
 from swarmd.network.session import SessionSettings, open_session
 
 VERBS = ("run", "stop", "reset", "param", "forget")
 
-_request = Decoder(Request)
 
 # How to answer a request; None: not at all.
-Answer = Callable[[Request], Code | None]
+Answer = Callable[[AnyRequest], Code | None]
 
 
 def light_status(robot: str, instance: str, *, has_left: bool = False) -> Status:
@@ -94,7 +96,7 @@ class FakeDaemon:
         self.robot = robot
         self.instance = secrets.token_hex(6)
         self.settings = settings
-        self.requests: list[Request] = []
+        self.requests: list[AnyRequest] = []
         self.duplicates: list[str] = []
         self.on_duplicate: Callable[[str], object] = self.duplicates.append
         self._answer = answer
@@ -120,8 +122,8 @@ class FakeDaemon:
         self.bus = ZenohBus(self.session, swarm=self.settings.swarm, robot=self.robot)
         self.bus.serve_view(self.status, self._roster)
         for verb in VERBS:
-            self.bus.serve("control", verb, self._on_query)
-        self.bus.serve("safety", "estop", self._on_query)
+            self.bus.serve("control", verb, partial(self._on_query, verb))
+        self.bus.serve("safety", "estop", partial(self._on_query, "estop"))
         if not self._is_claiming:
             key = build(self.settings.swarm, self.robot, "alive", self.instance)
             self._claim = self.session.liveliness().declare_token(key)
@@ -156,9 +158,9 @@ class FakeDaemon:
         self.bus.close()
         self.session.close()
 
-    def _on_query(self, query: Query) -> None:
+    def _on_query(self, verb: str, query: Query) -> None:
         try:
-            request = _request(query.payload)
+            request = read_request(verb, query.payload)
         except CodecError:
             self.bus.drop("request:malformed")
             query.drop()
@@ -169,7 +171,13 @@ class FakeDaemon:
         self.requests.append(request)
         code = self._answer(request)
         if code is not None:
-            reply = Reply(id=request.id, robot=self.robot, code=code, epoch=self.status().epoch)
+            reply = Reply(
+                id=request.id,
+                robot=self.robot,
+                code=code,
+                refusal=Refusal.BUSY if code is Code.REFUSED else None,
+                epoch=self.status().epoch,
+            )
             query.reply(encode(reply))
 
 

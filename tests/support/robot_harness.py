@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 
-from swarmd.core.errors import PluginError, unknown
+from swarmd.core.errors import UnknownPatternError, unknown
 from swarmd.core.host_messages import HostCommand, HostEvent, KillHost
-from swarmd.core.messages import Epoch, Reply, Request, Status
+from swarmd.core.messages import REQUEST_TYPES, Epoch, ForgetRequest, Reply, Request, Status
 from swarmd.core.values import ZERO, Odometry, Pose, Scan, TouchZone, Twist
 from swarmd.kit.behavior import Pattern
 from swarmd.pattern_host.executor import PatternExecutor
@@ -119,13 +119,14 @@ class RobotHarness:
         """A request that names this robot at the given epoch (None: the present one)."""
         self._requests += 1
         operator = args.pop("operator", "alice")
-        return Request(
+        request = REQUEST_TYPES[verb](
             id=args.pop("id", f"r{self._requests}"),
             operator=operator,
-            verb=verb,
             targets={self.robot.id: epoch or self.epoch},
-            args=args,
+            **args,
         )
+        assert not isinstance(request, ForgetRequest)
+        return request
 
     def send(self, request: Request) -> Reply | None:
         """The robot gets the request; its answer, unless it follows later."""
@@ -173,5 +174,5 @@ class RobotHarness:
 
     def _find(self, name: str) -> type[Pattern[Any]]:
         if name not in self._patterns:
-            raise PluginError(unknown("pattern", name, self._patterns))
+            raise UnknownPatternError(unknown("pattern", name, self._patterns))
         return self._patterns[name]

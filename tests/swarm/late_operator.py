@@ -11,12 +11,12 @@ import sys
 from pathlib import Path
 
 from swarmd.cli.options import CommonOptions
-from swarmd.core.messages import Epoch
+from swarmd.core.messages import Epoch, RunRequest
 from swarmd.network.operator import Operator
 
 
 def run(operator: Operator, epochs: dict[str, Epoch | None]) -> dict[str, list[str] | None]:
-    outcome = operator.request("run", epochs, {"pattern": "drive", "params": {}})
+    outcome = operator.request(RunRequest, epochs, pattern="drive")
     answers = {name: [reply.code.value, reply.text] for name, reply in outcome.replies.items()}
     return dict.fromkeys(outcome.missing) | answers
 

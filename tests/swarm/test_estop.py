@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.messages import Code, State
+from swarmd.core.messages import Code, ResetRequest, State
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm
@@ -65,8 +65,8 @@ def test_a_reset_that_crosses_a_second_estop_leaves_every_robot_estopped(swarm: 
 
     assert swarm.ctl("estop", user="ben").code == 0
     began = boottime()
-    args = {"ids": sorted(first), "reason": "it was a drill"}
-    outcome = swarm.operator.request("reset", seen.epochs(("r1", "r2")), args)
+    ids = tuple(sorted(first))
+    outcome = swarm.operator.request(ResetRequest, seen.epochs(("r1", "r2")), ids=ids)
     assert {name: reply.code for name, reply in outcome.replies.items()} == {
         "r1": Code.REFUSED,
         "r2": Code.REFUSED,
@@ -75,7 +75,7 @@ def test_a_reset_that_crosses_a_second_estop_leaves_every_robot_estopped(swarm: 
 
     # Nor with a fresh look, if only the first is named: the second stays.
     fresh = swarm.operator.members()
-    outcome = swarm.operator.request("reset", fresh.epochs(("r1", "r2")), args)
+    outcome = swarm.operator.request(ResetRequest, fresh.epochs(("r1", "r2")), ids=ids)
     assert outcome.exit_code == 7
     for robot in ("r1", "r2"):
         status = swarm.status(robot)

@@ -6,7 +6,7 @@ import itertools
 import random
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 import zenoh
@@ -14,7 +14,7 @@ import zenoh
 from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE, encode, encode_value
 from swarmd.core.keys import build
-from swarmd.core.messages import Condition, Epoch, Request, State
+from swarmd.core.messages import REQUEST_TYPES, AnyRequest, Condition, Epoch, State
 from swarmd.core.values import Neighbor, Odometry, Pose, Twist
 from swarmd.driver_api.hw_codec import (
     encode_neighbors,
@@ -118,13 +118,18 @@ def vandal(swarm: Swarm) -> Iterator[Vandal]:
         made.session.close()
 
 
-def request(verb: str) -> Request:
-    return Request(
+def request(verb: str) -> AnyRequest:
+    fields: dict[str, Any] = {
+        "run": {"pattern": "drive", "params": {"speed": 0.1}},
+        "param": {"params": {"speed": 0.1}},
+        "reload": {"pattern": "drive"},
+        "forget": {"name": "r9"},
+    }
+    return REQUEST_TYPES[verb](
         id="f00d",
         operator="eve@x",
-        verb=verb,
         targets={"r1": Epoch(instance="0123456789ab", revision=3)},
-        args={"pattern": "drive", "params": {"speed": 0.1}},
+        **fields.get(verb, {}),
     )
 
 

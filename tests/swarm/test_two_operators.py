@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from swarmd.core.messages import RunRequest
 from swarmd.network.operator import Operator
 
 if TYPE_CHECKING:
@@ -19,7 +20,6 @@ pytestmark = pytest.mark.integration
 ROBOTS = ("r1", "r2", "r3")
 TOLD = re.compile(r"(?:robot changed since you looked|still loading drive), by (\w+)@\w+")
 ROUNDS = 20
-DRIVE = {"pattern": "drive", "params": {}}
 
 
 @pytest.fixture
@@ -42,13 +42,13 @@ def test_who_asks_after_another_has_is_told_what_changed_and_by_whom(
     anna: Operator, ben: Operator
 ) -> None:
     looks = [(one, one.members().epochs(ROBOTS)) for one in (anna, ben)]
-    first, second = (one.request("run", epochs, DRIVE) for one, epochs in looks)
+    first, second = (one.request(RunRequest, epochs, pattern="drive") for one, epochs in looks)
     assert first.applied == ROBOTS
     assert second.refused == ROBOTS
     assert {reply.text for reply in second.replies.values()} == {
         "robot changed since you looked, by anna@desk (run drive)"
     }
-    assert ben.request("run", ben.members().epochs(ROBOTS), DRIVE).applied == ROBOTS
+    assert ben.request(RunRequest, ben.members().epochs(ROBOTS), pattern="drive").applied == ROBOTS
 
 
 def test_of_two_that_ask_at_the_same_moment_one_wins_each_robot(
@@ -57,7 +57,10 @@ def test_of_two_that_ask_at_the_same_moment_one_wins_each_robot(
     with ThreadPoolExecutor(2) as pool:
         for _ in range(ROUNDS // 2):
             looks = [(one, one.members().epochs(ROBOTS)) for one in (anna, ben)]
-            asked = [pool.submit(one.request, "run", epochs, DRIVE) for one, epochs in looks]
+            asked = [
+                pool.submit(one.request, RunRequest, epochs, pattern="drive")
+                for one, epochs in looks
+            ]
             first, second = (future.result() for future in asked)
             assert sorted((*first.applied, *second.applied)) == sorted(ROBOTS)
             for outcome, winner in ((first, "ben"), (second, "anna")):

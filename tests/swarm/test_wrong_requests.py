@@ -2,20 +2,33 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import msgpack
 import pytest
 import zenoh
+from msgspec import to_builtins
 from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.keys import build
-from swarmd.core.messages import Code, Latch, Reply, Request, State, Status
+from swarmd.core.messages import (
+    Code,
+    EstopRequest,
+    Latch,
+    Refusal,
+    Reply,
+    Request,
+    RunRequest,
+    State,
+    Status,
+)
 from swarmd.network.session import MAX_WIRE
 from swarmd.robot.latches import HELD
 from tests.support.processes import CAP, wait_until
@@ -25,62 +38,77 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.integration
 
-COUNTED = "counted"
-SILENT = "silent"  # the request is for others
 ESTOPS = 300
 
 
 @dataclass(slots=True)
 class Case:
-    """A request on the key of a verb; `answer` is a part of the refusal, or one of the above."""
+    """A request on the key of a verb, and the expected refusal; `drops`: whether it is counted."""
 
     verb: str
-    answer: str
-    args: Mapping[str, Any] = field(default_factory=dict)
+    answer: Refusal | None
+    fields: Mapping[str, Any] = field(default_factory=dict)
     quotes: bool = True
-    changes: Mapping[str, Any] = field(default_factory=dict)
+    drops: bool = False
 
 
-CHANGED = "robot changed since you looked, by anna@"
+VALID: Mapping[str, Mapping[str, Any]] = {
+    "run": {"pattern": "drive"},
+    "param": {"params": {"speed": 0.3}},
+    "reload": {"pattern": "drive"},
+    "forget": {"name": "r9"},
+}
+
+
+def malformed(verb: str, /, **fields: Any) -> Case:
+    return Case(verb, Refusal.INVALID_REQUEST, fields, drops=True)
+
+
 CASES = (
-    Case("run", COUNTED, changes={"verb": "stop"}),
-    Case("stop", COUNTED, changes={"verb": "estop"}),
-    Case("run", COUNTED, changes={"verb": "fly"}),
+    malformed("run", verb="stop"),
+    malformed("stop", verb="estop"),
+    malformed("run", verb="fly"),
+    malformed("run", operator=""),
+    malformed("run", pattern=5),
+    malformed("run", pattern=None),
+    malformed("run", params=["a"]),
+    malformed("run", params={"speed": math.nan}),
+    *(malformed("run", seconds=value) for value in (0, -1.5, math.inf, True, "x")),
+    malformed("param", params={}),
+    malformed("param", params="speed"),
+    malformed("reset", ids="all"),
+    malformed("reload", pattern=5),
+    malformed("reload", is_rerun="yes"),
+    # Not even the refusal can be addressed: no targets, or an id that no reply can carry.
     *(
-        Case(verb, COUNTED, changes={"targets": None})
+        Case(verb, None, {"targets": None}, drops=True)
         for verb in ("run", "reset", "reload", "param", "forget")
     ),
-    Case("run", COUNTED, changes={"operator": ""}),
-    Case("run", COUNTED, changes={"id": "x" * 64}),
-    Case("run", COUNTED, args={"pattern": "drive", "params": {"speed": float("nan")}}),
-    Case("run", COUNTED, args={"pattern": "drive", "seconds": float("inf")}),
-    Case("run", COUNTED, changes={"targets": {"r" * 64: None}}),
-    Case("stop", SILENT, changes={"targets": {"r" * 64: None}}),
+    Case("run", None, {"id": "x" * 64}, drops=True),
+    Case("run", None, {"targets": {"r" * 64: None}}, drops=True),
+    # For other robots.
+    Case("stop", None, {"targets": {"r" * 64: None}}),
     *(
-        Case(verb, SILENT, changes={"targets": {"r9": None}})
+        Case(verb, None, {"targets": {"r9": None}})
         for verb in ("run", "stop", "estop", "reset", "reload", "param", "forget")
     ),
-    *(Case(verb, CHANGED, quotes=False) for verb in ("run", "reset", "reload")),
-    Case("param", CHANGED, args={"set": {"speed": 0.3}}, quotes=False),
-    Case("run", CHANGED, changes={"targets": {"r1": None}}),
-    Case("run", "run wants a pattern by name", args={"pattern": 5}),
-    Case("run", "run wants a pattern by name", args={"params": {}}),
-    Case("run", "run wants a pattern by name", args={"pattern": "drive", "params": ["a"]}),
-    Case("run", "seconds is 0", args={"pattern": "drive", "seconds": 0}),
-    Case("run", "seconds is -1.5", args={"pattern": "drive", "seconds": -1.5}),
-    Case("run", "seconds is True", args={"pattern": "drive", "seconds": True}),
-    Case("run", "seconds is 'x'", args={"pattern": "drive", "seconds": "x"}),
-    Case("param", "param set wants values by name", args={"set": {}}),
-    Case("param", "param set wants values by name", args={"set": "speed"}),
-    Case("reset", "reset wants a list of ids", args={"ids": "all"}),
-    Case("reload", "reload wants a pattern by name", args={"pattern": 5}),
-    Case("reload", "reload wants a pattern by name", args={"pattern": "drive", "run": "yes"}),
-    Case("forget", "r2 is alive", args={"name": "r2"}),
+    *(
+        Case(verb, Refusal.STALE_EPOCH, quotes=False)
+        for verb in ("run", "reset", "reload", "param")
+    ),
+    Case("run", Refusal.STALE_EPOCH, {"targets": {"r1": None}}),
+    Case("run", Refusal.INVALID_CONDITION, {"until": ["someday"]}),
+    Case("forget", Refusal.MEMBER_ALIVE, {"name": "r2"}),
 )
 
 
-def ask(swarm: Swarm, *requests: Request, verb: str = "") -> list[Reply]:
-    """What is answered to these, all asked at once, on the key of their verb or the one given."""
+def ask(swarm: Swarm, *requests: Request) -> list[Reply]:
+    """The replies to requests that are all sent at once."""
+    return ask_raw(swarm, *((one.verb, encode(one)) for one in requests))
+
+
+def ask_raw(swarm: Swarm, *payloads: tuple[str, bytes]) -> list[Reply]:
+    """The replies to payloads on the keys of these verbs, all sent at once."""
     replies: list[Reply] = []
     decode, done = Decoder(Reply), threading.Semaphore(0)
 
@@ -88,16 +116,15 @@ def ask(swarm: Swarm, *requests: Request, verb: str = "") -> list[Reply]:
         if reply.ok is not None:
             replies.append(decode(reply.ok.payload.to_bytes()))
 
-    for request in requests:
-        name = verb or request.verb
+    for name, payload in payloads:
         swarm.session.get(
             build(swarm.name, "r1", "safety" if name == "estop" else "control", name),
             zenoh.handlers.Callback(on_reply, done.release),
-            payload=encode(request),
+            payload=payload,
             timeout=CAP,
             congestion_control=zenoh.CongestionControl.BLOCK,
         )
-    assert all(done.acquire(timeout=CAP) for _ in requests)
+    assert all(done.acquire(timeout=CAP) for _ in payloads)
     return replies
 
 
@@ -118,21 +145,19 @@ def test_wrong_requests_are_refused_or_counted_and_the_robot_drives_on(swarm: Sw
 
     for number, case in enumerate(CASES):
         dropped = drops(swarm.status("r1"))
-        request = Request(
-            id=f"case{number}",
-            operator="eve@x",
-            verb=case.verb,
-            targets={"r1": before.epoch if case.quotes else old},
-            args={"pattern": "drive", "params": {}} if not case.args else dict(case.args),
-        )
-        replies = ask(swarm, replace(request, **case.changes), verb=case.verb)
+        request = {
+            "verb": case.verb,
+            "id": f"case{number}",
+            "operator": "eve@x",
+            "targets": {"r1": to_builtins(before.epoch if case.quotes else old)},
+            **VALID.get(case.verb, {}),
+            **case.fields,
+        }
+        replies = ask_raw(swarm, (case.verb, b"\x01" + msgpack.packb(request)))
         counted = drops(swarm.status("r1")) - dropped
-        if case.answer in (COUNTED, SILENT):
-            assert (replies, counted) == ([], int(case.answer is COUNTED)), case
-        else:
-            assert [reply.code for reply in replies] == [Code.REFUSED], (case, replies)
-            assert case.answer in replies[0].text, (case, replies)
-            assert counted == 0, case
+        expected = [] if case.answer is None else [(Code.REFUSED, case.answer)]
+        assert [(reply.code, reply.refusal) for reply in replies] == expected, (case, replies)
+        assert counted == case.drops, case
     after = swarm.status("r1")
     assert (after.state, after.epoch, after.generation) == (
         State.RUNNING,
@@ -149,8 +174,8 @@ def test_a_stop_is_taken_however_oddly_it_is_put(swarm: Swarm, verb: str) -> Non
     swarm.start("r1", body)
     swarm.run_drive("r1")
     body.wait_moving()
-    odd = Request(id="x" * 200, operator="", verb=verb, args={"reason": float("nan")})
-    (reply,) = ask(swarm, odd)
+    odd = {"id": "x" * 200, "operator": "", "verb": verb, "reason": math.nan, "scope": 5}
+    (reply,) = ask_raw(swarm, (verb, b"\x01" + msgpack.packb(odd)))
     assert reply.code is Code.APPLIED
     stopped = boottime()
     body.wait_zero(stopped)
@@ -160,13 +185,7 @@ def test_a_stop_is_taken_however_oddly_it_is_put(swarm: Swarm, verb: str) -> Non
 def test_a_run_that_is_replayed_is_carried_out_once(swarm: Swarm) -> None:
     swarm.start("r1")
     seen = swarm.status("r1").epoch
-    request = Request(
-        id="run1",
-        operator="eve@x",
-        verb="run",
-        targets={"r1": seen},
-        args={"pattern": "drive", "params": {}},
-    )
+    request = RunRequest(id="run1", operator="eve@x", targets={"r1": seen}, pattern="drive")
     replies = ask(swarm, *[request] * 100)
     assert [reply.code for reply in replies].count(Code.APPLIED) == 1
     assert {reply.code for reply in replies} <= {Code.APPLIED, Code.REFUSED}
@@ -183,7 +202,7 @@ def test_a_flood_of_estops_is_held_within_bounds_and_can_be_reset(swarm: Swarm) 
     swarm.start("r2")
     swarm.run_drive("r1")
     body.wait_moving()
-    estops = [Request(id=f"e{k}", operator="eve@x", verb="estop") for k in range(ESTOPS)]
+    estops = [EstopRequest(id=f"e{k}", operator="eve@x") for k in range(ESTOPS)]
     began = time.monotonic()
     replies = ask(swarm, *estops)
     print(f"{ESTOPS} stops acked after {time.monotonic() - began:.2f} s")

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swarmd.core.messages import RunRequest
 from swarmd.core.values import Array
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings
@@ -49,7 +50,7 @@ class Show:
     def run(self, pattern: str, **params: float) -> None:
         robots = tuple(self.spec.robots)
         epochs = self.operator.members().epochs(robots)
-        outcome = self.operator.request("run", epochs, {"pattern": pattern, "params": params})
+        outcome = self.operator.request(RunRequest, epochs, pattern=pattern, params=params)
         assert len(outcome.applied) == len(robots), outcome.line
 
     def state(self) -> WorldState:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swarmd.core.messages import RunRequest
 from swarmd.core.values import Array
 from swarmd.network.operator import Operator
 from swarmd.network.session import SessionSettings
@@ -65,7 +66,7 @@ def live(pattern: str, poses: Poses, folder: Path) -> Trace:
         with WorldView(swarm, fleet.endpoint) as world:
             world.ask("start")
             epochs = view.epochs(tuple(robots))
-            outcome = operator.request("run", epochs, {"pattern": pattern, "params": {}})
+            outcome = operator.request(RunRequest, epochs, pattern=pattern)
             assert len(outcome.applied) == len(robots), outcome.line
             watch = WorldWatcher(world)
             while (state := watch.wait()).recorded < SECONDS + 1.0:
@@ -143,8 +144,8 @@ def test_voters_with_daemons_come_to_agree_too_and_stay_so(tmp_path: Path) -> No
     )
     with Operator(SessionSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:
         epochs = await_robots(operator, fleet, ids).epochs(ids)
-        run = {"pattern": "majority_rule", "params": VOTE}
-        assert len(operator.request("run", epochs, run).applied) == len(ids)
+        outcome = operator.request(RunRequest, epochs, pattern="majority_rule", params=VOTE)
+        assert len(outcome.applied) == len(ids)
         wait_until(lambda: agreed(opinions(operator)), "agreed", PATIENCE)
         with WorldView(swarm, fleet.endpoint) as world:
             watch = WorldWatcher(world)

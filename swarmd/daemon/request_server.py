@@ -1,0 +1,145 @@
+"""Reads the requests of operators, hands them to the robot, and sends the robot's replies.
+
+The daemon obeys a stop or estop of which only the id, the verb and the targets can be read. It
+refuses any other request with a field that is missing, of a wrong type or out of bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from functools import partial
+
+import msgspec
+
+from swarmd.core.codec import Decoder, encode
+from swarmd.core.errors import CodecError
+from swarmd.core.messages import (
+    REQUEST_TYPES,
+    AnyRequest,
+    Code,
+    EstopRequest,
+    ForgetRequest,
+    Refusal,
+    Reply,
+    Request,
+    RequestHeader,
+    StopRequest,
+)
+from swarmd.network.bus import Query, ZenohBus
+
+MAX_PENDING = 64
+MAX_ID = 63
+MAX_OPERATOR = 128
+MAX_TEXT = 300
+
+_DECODERS = {verb: Decoder(kind) for verb, kind in REQUEST_TYPES.items()}
+_header = Decoder(RequestHeader)
+
+
+class RequestServer:
+    """Answers the requests to one robot. `on_request` carries one out; its reply may follow later.
+
+    At most MAX_PENDING requests wait for their replies; further ones are dropped, but never a stop
+    or estop.
+    """
+
+    def __init__(self, robot: str, on_request: Callable[[Request], None]) -> None:
+        self._robot = robot
+        self._on_request = on_request
+        self._bus: ZenohBus | None = None
+        self._pending: dict[str, Query] = {}
+
+    def serve(self, bus: ZenohBus, verbs: Iterable[str]) -> None:
+        """Answer requests with these verbs from now on."""
+        self._bus = bus
+        for verb in verbs:
+            bus.serve(_plane(verb), verb, partial(self.handle, verb))
+
+    def reply(self, reply: Reply, *, is_stored: bool = True) -> None:
+        """Send a reply. `is_stored` False: the latches could not be written to disk."""
+        query = self._pending.pop(reply.id, None)
+        if query is None:
+            return
+        if not is_stored:
+            text = f"{reply.text}; not on disk, so a restart would forget it: see the log"
+            reply = msgspec.structs.replace(reply, text=text)
+        query.reply(encode(reply))
+
+    def handle(self, verb: str, query: Query) -> None:
+        """Carry out or refuse the request in a query that came on the key of `verb`."""
+        try:
+            request = read_request(verb, query.payload)
+        except CodecError as error:
+            if self._bus is not None:
+                self._bus.drop(f"{_plane(verb)}/{verb}:malformed")
+            self._refuse_malformed(query, str(error))
+            return
+        is_for_this = request.targets is None or self._robot in request.targets
+        is_stop = isinstance(request, StopRequest | EstopRequest)
+        is_known = request.id in self._pending
+        if not is_for_this or (not is_stop and (is_known or len(self._pending) >= MAX_PENDING)):
+            query.drop()
+        elif isinstance(request, ForgetRequest):
+            self._forget(request, query)
+        else:
+            self._pending[request.id] = query
+            self._on_request(request)
+
+    def _refuse_malformed(self, query: Query, text: str) -> None:
+        try:
+            header = _header(query.payload)
+        except CodecError:
+            query.drop()
+            return
+        if not header.id or len(header.id) > MAX_ID or self._robot not in (header.targets or ()):
+            query.drop()
+            return
+        self._refuse(query, header.id, Refusal.INVALID_REQUEST, f"{header.verb[:MAX_ID]}: {text}")
+
+    def _forget(self, request: ForgetRequest, query: Query) -> None:
+        assert self._bus is not None
+        name = request.name
+        if not self._bus.forget(name) and name in self._bus.members:
+            self._refuse(query, request.id, Refusal.MEMBER_ALIVE, f"{name} is alive")
+            return
+        text = f"forgot {name}"
+        query.reply(encode(Reply(id=request.id, robot=self._robot, code=Code.APPLIED, text=text)))
+
+    def _refuse(self, query: Query, id: str, refusal: Refusal, text: str) -> None:
+        query.reply(
+            encode(
+                Reply(
+                    id=id,
+                    robot=self._robot,
+                    code=Code.REFUSED,
+                    refusal=refusal,
+                    text=text[:MAX_TEXT],
+                )
+            )
+        )
+
+
+def read_request(verb: str, payload: bytes) -> AnyRequest:
+    """Decode a request that came on the key of `verb`.
+
+    Raises CodecError if the payload is malformed or has another verb. A stop or estop is accepted
+    whatever its other fields hold, if its id, verb and targets can be read.
+    """
+    try:
+        return _DECODERS[verb](payload)
+    except CodecError:
+        if verb not in ("stop", "estop"):
+            raise
+    header = _header(payload)
+    if header.verb != verb:
+        raise CodecError(f"a request to {header.verb} came on the key of {verb}")
+    kind = StopRequest if verb == "stop" else EstopRequest
+    return kind(
+        id=header.id[:MAX_ID] or "unnamed",
+        operator=header.operator[:MAX_OPERATOR] or "unknown",
+        targets=None if header.targets is None else dict.fromkeys(header.targets),
+    )
+
+
+def _plane(verb: str) -> str:
+    return "safety" if verb == "estop" else "control"
