@@ -13,17 +13,17 @@ from swarmd.api import VotingParams, VotingPattern, WindowLength
 
 
 class VoterModelParams(VotingParams, frozen=True):
-    """What every voting pattern has, with shorter windows."""
+    """Those of every voting pattern, with shorter windows."""
 
     window: WindowLength = 2.0
 
 
 class VoterModel(VotingPattern[VoterModelParams]):
-    """Stands, shares an opinion and adopts a random neighbour's at the end of every window."""
+    """Stands, sends its opinion and adopts a random neighbour's at the end of every window."""
 
     params_type = VoterModelParams
 
-    def decide(self, heard: Mapping[str, int]) -> int:
-        """The opinion of one of the neighbours, each as likely."""
-        opinions = list(heard.values())
+    def decide(self, votes: Mapping[str, int]) -> int:
+        """The opinion of one neighbour, each with equal probability."""
+        opinions = list(votes.values())
         return opinions[int(self.context.rng.integers(len(opinions)))]

@@ -15,7 +15,7 @@ from msgspec import json
 
 import swarmd.config
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.kit.touch import zones
+from swarmd.kit.touch import granted_zones
 from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import Data, read_extended, shown
 from swarmd.sim.scenarios.environment import arena_of, check_air, fields_of
@@ -142,7 +142,7 @@ def _built(layers: Layered, name: str) -> Scenario:
         layers=configured,
         events=schedule.events,
         absent=schedule.absent,
-        touch={r: zones(file.groups[group].touch) for r, group in groups.group_of.items()},
+        touch={r: granted_zones(file.groups[group].touch) for r, group in groups.group_of.items()},
         trace_rate=file.trace_rate,
         plugin_dir=plugin_dir,
         effective=_effective(file, name, groups, fields, plugin_dir),

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 from msgspec import Meta, Struct, field
 
 from swarmd.core.messages import Scalar
-from swarmd.kit.touch_config import Touch
+from swarmd.kit.touch_config import TouchGrants
 from swarmd.sim.world.radio import RadioSettings
 
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
@@ -87,7 +87,7 @@ class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     start: StartSection | None = None
     pattern: str | None = None
     parameters: Values = {}
-    touch: Touch = {}
+    touch: TouchGrants = {}
 
 
 class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -78,11 +78,11 @@ from swarmd.api import VotingParams, VotingPattern, majority
 
 
 class $kind(VotingPattern[VotingParams]):
-    """Stands, shares an opinion and adopts that of most neighbours."""
+    """Stands, sends its opinion and adopts that of most neighbours."""
 
-    def decide(self, heard: Mapping[str, int]) -> int:
-        """The new opinion; `heard` has the latest one of each neighbour."""
-        return majority(heard.values(), self.opinion, ties="keep", rng=self.context.rng)
+    def decide(self, votes: Mapping[str, int]) -> int:
+        """The new opinion; `votes` has the latest one of each neighbour."""
+        return majority(votes.values(), self.opinion, ties="keep", rng=self.context.rng)
 '''
 _TEST_VOTING = '''\
 """What $name has to hold to, and what it is for."""

@@ -18,9 +18,9 @@ from swarmd.core.errors import SwarmError, unknown
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.driver_api.driver import Driver, Finding, check_protected
 from swarmd.driver_api.watchdog_client import WatchedDriver
-from swarmd.kit.touch import in_words
+from swarmd.kit.touch import describe_zone
 from swarmd.plugins import pattern_names
-from swarmd.settings.driver_options import base_options, command_timeout_of
+from swarmd.settings.driver_options import base_options, effective_command_timeout
 from swarmd.settings.settings import DaemonSettings
 
 _SECONDS = 4.2  # of five in which all is said; the rest goes into starting Python, and ending
@@ -173,7 +173,7 @@ def _touching(settings: DaemonSettings, rows: Mapping[str, Row]) -> Iterator[Fin
             yield Finding("touch", False, unknown("pattern", name, rows))
             continue
         asked = rows[name].get("touches") or "nothing"
-        yield Finding("touch", True, f"{name}: granted {in_words(zone)}; it asks for {asked}")
+        yield Finding("touch", True, f"{name}: granted {describe_zone(zone)}; it asks for {asked}")
 
 
 def _parameter_fault(specs: Mapping[str, Row], key: str, value: object) -> str:
@@ -207,7 +207,7 @@ def _driver(settings: DaemonSettings, until: float) -> Iterator[Finding]:
 def command_timeout_text(settings: DaemonSettings, driver: Driver) -> str:
     """How the base stops when its daemon is lost."""
     base = base_options(settings.driver_options, f"driver {settings.driver}")
-    command_timeout = command_timeout_of(base, driver)
+    command_timeout = effective_command_timeout(base, driver)
     if command_timeout == "none":
         source = (
             "so its platform says" if base.command_timeout else "so it is taken, as none is told"

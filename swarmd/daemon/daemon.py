@@ -37,7 +37,7 @@ from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from swarmd.robot.status import RobotSettings, with_health
-from swarmd.settings.driver_options import IdleOutput, base_options
+from swarmd.settings.driver_options import IdleOutputFilter, base_options
 from swarmd.settings.settings import DaemonSettings
 
 log = logging.getLogger(__name__)
@@ -67,7 +67,7 @@ class Daemon:
         self._settings = settings
         self._driver = driver
         base = base_options(settings.driver_options, f"driver {settings.driver}")
-        self._idle = IdleOutput(base.idle_output)
+        self._idle = IdleOutputFilter(base.idle_output)
         self._loop = asyncio.get_running_loop()
         self._loop.set_exception_handler(self._on_crash)
         self._crash: BaseException | None = None
@@ -310,7 +310,7 @@ class Daemon:
             self._carry_out(self._robot.on_host(event, boottime()))
 
     def _carry_out(self, actions: Actions) -> None:
-        if self._idle.lets(actions.twist, actions.is_idle, boottime()):
+        if self._idle.allows(actions.twist, actions.is_idle, boottime()):
             self._send(actions.twist, actions.decision.scan_seq, actions.requested_scan_seq)
         is_kept = actions.latches is None or self._latches.write(actions.latches)
         for command in (actions.trial, actions.host):

@@ -6,7 +6,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.driver_api.driver import Driver, Stopping
 from swarmd.driver_api.watchdog import name_of
 from swarmd.plugins import load_driver
-from swarmd.settings.driver_options import BaseOptions, base_options, command_timeout_of
+from swarmd.settings.driver_options import BaseOptions, base_options, effective_command_timeout
 from swarmd.settings.settings import DaemonSettings
 
 
@@ -38,7 +38,7 @@ def _recorded(driver: Driver, base: BaseOptions, settings: DaemonSettings) -> Dr
 def _guarded(
     wrapped: Driver, driver: Driver, base: BaseOptions, settings: DaemonSettings
 ) -> Driver:
-    if command_timeout_of(base, driver) != "none":
+    if effective_command_timeout(base, driver) != "none":
         return wrapped
     if base.idle_output == "silent":
         raise ConfigError(

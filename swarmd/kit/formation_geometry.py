@@ -84,7 +84,7 @@ def radius_of(spacing: float, count: int) -> float:
     return spacing / (2.0 * math.sin(math.pi / count)) if count > 1 else 0.0
 
 
-def bodies(scan: Scan, *, reach: float, width: float, offset: tuple[float, float]) -> Array:
+def robot_centers(scan: Scan, *, reach: float, width: float, offset: tuple[float, float]) -> Array:
     """The middles (k, 2) of what may be robots: objects up to `reach` m and no wider than `width`.
 
     `offset` is the lidar's from the axle. Each is taken for as deep as it is seen wide; one that
@@ -142,14 +142,14 @@ def _hidden_sides(seen: RayClusters, index: int) -> list[float]:
     return [side for side in (1.0, -1.0) if (is_before & (side * away > 0.0)).any()]
 
 
-def to_base(point: Array, pose: Pose) -> Array:
+def to_base_frame(point: Array, pose: Pose) -> Array:
     """A point (2,) of the odometry frame as seen from a base at `pose`."""
     cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
     x, y = float(point[0]) - pose.x, float(point[1]) - pose.y
     return np.array([cos * x + sin * y, cos * y - sin * x])
 
 
-def from_pose(point: Array, pose: Pose) -> Array:
+def to_odometry_frame(point: Array, pose: Pose) -> Array:
     """A point (2,) seen from a base at `pose`, in the odometry frame."""
     cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
     x, y = float(point[0]), float(point[1])
@@ -157,7 +157,7 @@ def from_pose(point: Array, pose: Pose) -> Array:
 
 
 @dataclass(slots=True)
-class _Sighting:
+class _Track:
     """What was sensed of a neighbour last, when, and where it is by what counts of it, x + iy."""
 
     sensed: tuple[float, float]
@@ -166,7 +166,7 @@ class _Sighting:
     count: int = 1
 
 
-class Sightings:
+class NeighborTracker:
     """Where neighbours are that are sensed seldom and with noise, while the robot moves.
 
     Each new range and bearing is put into the odometry frame as it comes; what is sensed again and
@@ -174,7 +174,7 @@ class Sightings:
     """
 
     def __init__(self) -> None:
-        self._known: dict[str, _Sighting] = {}
+        self._known: dict[str, _Track] = {}
 
     def update(self, neighbors: Sequence[Neighbor], pose: Pose, reach: float, now: float) -> Array:
         """The neighbours' positions (k, 2), of those within `reach` m, as seen from `pose` now."""
@@ -198,13 +198,11 @@ class Sightings:
         return np.array(found, dtype=np.complex128).view(np.float64).reshape(-1, 2)
 
 
-def _again(
-    old: _Sighting | None, sensed: tuple[float, float], place: complex, now: float
-) -> _Sighting:
+def _again(old: _Track | None, sensed: tuple[float, float], place: complex, now: float) -> _Track:
     if old is None or abs(old.place - place) > _MOVED + _MOVED_SHARE * sensed[0]:
-        return _Sighting(sensed, place, now)
+        return _Track(sensed, place, now)
     count = min(old.count + 1, _MEMORY)
-    return _Sighting(sensed, old.place + (place - old.place) / count, now, count)
+    return _Track(sensed, old.place + (place - old.place) / count, now, count)
 
 
 def _with_itself(others: Array) -> Array:

@@ -17,7 +17,12 @@ import numpy as np
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import ZERO, Array, Inputs, Platform, Pose, Scalar, Scan, Twist, Value
 from swarmd.kit.behavior import Context, MovementPattern
-from swarmd.kit.formation_geometry import Sightings, bodies, from_pose, to_base
+from swarmd.kit.formation_geometry import (
+    NeighborTracker,
+    robot_centers,
+    to_base_frame,
+    to_odometry_frame,
+)
 from swarmd.kit.params import Params, Recovery, TopSpeed, TopTurn, about
 from swarmd.kit.steering import from_base, keep_clear, steer
 from swarmd.sensing.rays import closest_points
@@ -128,7 +133,7 @@ class FormationPattern(MovementPattern[F]):
         self._by_lidar = _is_by_lidar(params, context.platform)
         if not self._by_lidar:
             self.needs = self.needs | _BEARINGS
-        self._sightings = Sightings()
+        self._tracker = NeighborTracker()
         self._scan: Scan | None = None
         self._points = np.empty((0, 2))
         self._goal: Array | None = None
@@ -183,7 +188,7 @@ class FormationPattern(MovementPattern[F]):
         self._look(inputs, inputs.scan, pose)
         if self._goal is None or not pose.is_finite:
             return ZERO
-        way = to_base(self._goal, pose)
+        way = to_base_frame(self._goal, pose)
         length = math.hypot(*way)
         # Of the others alone: each place is a mean in which its own position counts too.
         off = length * (self._seen + 1) / max(self._seen, 1)
@@ -200,17 +205,17 @@ class FormationPattern(MovementPattern[F]):
             reach = params.clearance + params.brake + math.hypot(*offset)
             self._points = from_base(closest_points(scan, within=reach), offset)
         if not self._by_lidar:
-            others = self._sightings.update(inputs.neighbors, pose, params.range, inputs.now)
+            others = self._tracker.update(inputs.neighbors, pose, params.range, inputs.now)
         elif is_new:
             reach = min(params.range, scan.range_max)
-            others = bodies(scan, reach=reach, width=params.object_width, offset=offset)
+            others = robot_centers(scan, reach=reach, width=params.object_width, offset=offset)
         else:
             return
         self._seen = len(others)
         if not len(others):
             self._goal = None
             return
-        goal = from_pose(self.place(others), pose)
+        goal = to_odometry_frame(self.place(others), pose)
         passed = max(inputs.now - self._aimed_at, 0.0)
         share = 1.0 if self._goal is None else 1.0 - math.exp(-passed / _SMOOTH)
         self._goal = goal if self._goal is None else self._goal + share * (goal - self._goal)

@@ -12,10 +12,15 @@ from collections.abc import Mapping
 from swarmd.core.angles import difference, wrap
 from swarmd.core.errors import PluginError
 from swarmd.core.values import TouchZone
-from swarmd.kit.touch_config import MAX_TOUCH_HALF_WIDTH_DEG, MAX_TOUCH_SPEED, Touch, TouchSection
+from swarmd.kit.touch_config import (
+    MAX_TOUCH_HALF_WIDTH_DEG,
+    MAX_TOUCH_SPEED,
+    TouchGrants,
+    TouchSection,
+)
 
 
-def zones(touch: Touch) -> Mapping[str, TouchZone]:
+def granted_zones(touch: TouchGrants) -> Mapping[str, TouchZone]:
     """What is granted, by pattern."""
     return {name: _zone(section) for name, section in touch.items() if section is not None}
 
@@ -40,7 +45,7 @@ def check_zone(pattern: str, zone: object) -> None:
         )
 
 
-def overlap(asked: TouchZone, granted: TouchZone) -> TouchZone | None:
+def intersection(asked: TouchZone, granted: TouchZone) -> TouchZone | None:
     """The directions that both have, at the lower speed; None if there are none.
 
     Whatever is asked, it is within what is granted.
@@ -54,24 +59,24 @@ def overlap(asked: TouchZone, granted: TouchZone) -> TouchZone | None:
     return TouchZone(wrap(granted.bearing + 0.5 * (low + high)), 0.5 * (high - low), speed)
 
 
-def in_force(
+def effective_zone(
     pattern: str, asked: TouchZone | None, granted: TouchZone | None
 ) -> tuple[TouchZone | None, str]:
     """The zone in which a pattern may touch, and the line that tells of it; empty if none asked."""
     if asked is None:
         return None, ""
     if granted is None:
-        text = f"asks to touch {in_words(asked)}, which is not granted: it is kept from that"
+        text = f"asks to touch {describe_zone(asked)}, which is not granted: it is kept from that"
         where = f"`touch: {{{pattern}: ...}}` in the robot's configuration grants it"
         return None, f"{text}; {where}"
-    zone = overlap(asked, granted)
+    zone = intersection(asked, granted)
     if zone is None:
-        text = f"asks to touch {in_words(asked)}, but granted is {in_words(granted)}"
+        text = f"asks to touch {describe_zone(asked)}, but granted is {describe_zone(granted)}"
         return None, f"{text}: it is kept from both"
-    return zone, f"may touch: {in_words(zone)}"
+    return zone, f"may touch: {describe_zone(zone)}"
 
 
-def in_words(zone: TouchZone) -> str:
+def describe_zone(zone: TouchZone) -> str:
     """Such as `+-20 deg ahead at up to 0.10 m/s`."""
     bearing = round(math.degrees(wrap(zone.bearing)))
     where = {0: "ahead", 180: "behind", -180: "behind"}.get(bearing, f"around {bearing} deg")

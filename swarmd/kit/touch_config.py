@@ -22,4 +22,4 @@ class TouchSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 # By pattern; None takes away what a weaker source grants.
-Touch = dict[str, TouchSection | None]
+TouchGrants = dict[str, TouchSection | None]

@@ -1,8 +1,8 @@
-"""Counting votes: windows of time, rounds, majorities, ties. Pure; the time is handed in.
+"""Counting votes in windows of time or in rounds, and deciding by majority. Pure.
 
-Source: Kaiser et al., ICRA 2022 (tumbling windows: of fixed length, one after the other; sliding
-windows and synchronised updates as variants); a vote that counts is the latest of its sender, the
-voter's own is not among them, as in ROS2swarm.
+Source: Kaiser et al., ICRA 2022: tumbling windows (of fixed length, one after the other), with
+sliding windows and synchronised rounds as variants. The latest vote of each sender counts; the
+voter's own does not, as in ROS2swarm.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ Ties: TypeAlias = Literal["random", "keep", "lowest"]
 Windows: TypeAlias = Literal["tumbling", "sliding", "rounds"]
 
 ROUNDS = 1 << 16
-"""Rounds are numbered modulo this; what is less than half of it ahead is later."""
+"""Rounds are numbered modulo this; a round less than half of it ahead is later."""
 
 
-class Ballot(NamedTuple):
-    """What a robot says under rounds: its vote of a round, and that of the round before."""
+class RoundVote(NamedTuple):
+    """A robot's vote in a round, and its vote in the round before."""
 
     round: int
     opinion: int
@@ -30,10 +30,10 @@ class Ballot(NamedTuple):
 
 
 class VoteWindow:
-    """A tumbling window of `length` s that opens at `now` and reopens whenever it is closed.
+    """A tumbling window of `length` s: opens at `now` and opens again whenever it is closed.
 
-    At its end a vote that was heard before it opened, or over `expiry` s ago, does not count. The
-    first one ends after the part `first` of its length.
+    Votes received before it opened, or more than `expiry` s before its end, do not count. The
+    first window lasts the share `first` of the length.
     """
 
     def __init__(
@@ -45,24 +45,25 @@ class VoteWindow:
         self._end = now + first * length
         self._votes: dict[str, tuple[int, float]] = {}
 
-    def add(self, sender: str, opinion: int, heard_at: float) -> None:
+    def add(self, sender: str, opinion: int, received_at: float) -> None:
         """Count a vote; an older one of the same sender is replaced."""
         known = self._votes.get(sender)
-        if known is None or heard_at >= known[1]:
-            self._votes[sender] = (opinion, heard_at)
+        if known is None or received_at >= known[1]:
+            self._votes[sender] = (opinion, received_at)
 
-    def add_ballot(self, sender: str, ballot: Ballot, heard_at: float) -> None:
-        """Count the vote of a robot that goes by rounds, whichever round it is in."""
-        self.add(sender, ballot.opinion, heard_at)
+    def add_round_vote(self, sender: str, vote: RoundVote, received_at: float) -> None:
+        """Count the vote of a robot that votes in rounds, whichever round it is in."""
+        self.add(sender, vote.opinion, received_at)
 
     def forget(self, sender: str) -> None:
-        """The sender has gone, and its vote with it."""
+        """Drop the vote of a robot that has left."""
         self._votes.pop(sender, None)
 
     def close(self, now: float) -> Mapping[str, int] | None:
-        """The votes by sender if the window has ended, and a new one opens; else None.
+        """The votes by sender if the window has ended (then a new one opens); else None.
 
-        The windows stay in step with the first: several that ended unseen are closed as one.
+        Ends stay on the grid of the first one: several windows that ended between two calls are
+        closed as one.
         """
         if now < self._end:
             return None
@@ -75,15 +76,15 @@ class VoteWindow:
     def _since(self, oldest: float) -> Mapping[str, int]:
         return {
             sender: opinion
-            for sender, (opinion, heard_at) in self._votes.items()
-            if heard_at >= oldest
+            for sender, (opinion, received_at) in self._votes.items()
+            if received_at >= oldest
         }
 
 
 class SlidingWindow(VoteWindow):
-    """Every `period` s the votes of the last `length` s count, those of the last time included.
+    """Every `period` s counts the votes of the last `length` s, also those counted before.
 
-    The first time after the part `first` of a period.
+    It counts for the first time after the share `first` of a period.
     """
 
     def __init__(
@@ -110,16 +111,16 @@ class SlidingWindow(VoteWindow):
 
 
 class Rounds:
-    """Synchronised updates: everybody's votes of one round decide, then the next round begins.
+    """Synchronised updates: the votes of one round decide, then the next round begins.
 
-    A round lasts at least `pause` s. It then ends as soon as nobody is behind of those that were
-    heard in the last `expiry` s, after `length` s in any case. A robot that is one round ahead has
-    its vote of this round in its ballot; one that is further ahead is not waited for. If more than
-    half are further ahead, it is this robot that has fallen behind, and it catches up. So a lost
-    message, a robot that left or one that names wild rounds blocks nobody.
+    A round lasts at least `pause` s and at most `length` s. In between it ends as soon as no robot
+    received in the last `expiry` s is in an earlier round. The message of a robot that is one round
+    ahead also holds its vote in this round; a robot further ahead is ignored. If more than half are
+    further ahead, this robot has fallen behind and jumps to their median round. So neither a lost
+    message nor a robot that left or sends arbitrary rounds blocks the others.
 
-    Source: the synchroniser alpha of Awerbuch, J. ACM 32(4), 1985. Ours: ballots that are repeated
-    and hold the previous vote take the place of acknowledgements.
+    Source: the synchroniser alpha of Awerbuch, J. ACM 32(4), 1985. Ours: instead of
+    acknowledgements, votes are repeated and hold the previous vote.
     """
 
     def __init__(
@@ -131,40 +132,40 @@ class Rounds:
         self.round = 0
         self._began = now
         self._plain: dict[str, tuple[int, float]] = {}
-        self._ballots: dict[str, tuple[Ballot, float]] = {}
+        self._round_votes: dict[str, tuple[RoundVote, float]] = {}
 
-    def add(self, sender: str, opinion: int, heard_at: float) -> None:
-        """Count the vote of a robot that does not go by rounds: it holds in every round."""
-        self._ballots.pop(sender, None)
+    def add(self, sender: str, opinion: int, received_at: float) -> None:
+        """Count the vote of a robot that does not vote in rounds: it counts in every round."""
+        self._round_votes.pop(sender, None)
         known = self._plain.get(sender)
-        if known is None or heard_at >= known[1]:
-            self._plain[sender] = (opinion, heard_at)
+        if known is None or received_at >= known[1]:
+            self._plain[sender] = (opinion, received_at)
 
-    def add_ballot(self, sender: str, ballot: Ballot, heard_at: float) -> None:
-        """Take a ballot; one of an earlier round than the sender's last comes late: ignored."""
+    def add_round_vote(self, sender: str, vote: RoundVote, received_at: float) -> None:
+        """Count a vote; one of an earlier round than the sender's last came late and is ignored."""
         self._plain.pop(sender, None)
-        known = self._ballots.get(sender)
+        known = self._round_votes.get(sender)
         if known is not None:
-            lead = _lead(ballot.round, known[0].round)
-            if lead < 0 or (lead == 0 and heard_at < known[1]):
+            lead = _lead(vote.round, known[0].round)
+            if lead < 0 or (lead == 0 and received_at < known[1]):
                 return
-        self._ballots[sender] = (ballot, heard_at)
+        self._round_votes[sender] = (vote, received_at)
 
     def forget(self, sender: str) -> None:
-        """The sender has gone: its vote with it, and it is no longer waited for."""
+        """Drop the vote of a robot that has left, and wait for it no longer."""
         self._plain.pop(sender, None)
-        self._ballots.pop(sender, None)
+        self._round_votes.pop(sender, None)
 
     def close(self, now: float) -> Mapping[str, int] | None:
-        """The votes by sender if the round has ended, and the next one begins; else None.
+        """The votes by sender if the round has ended (then the next one begins); else None.
 
-        None of them if it ended because this robot catches up.
+        {} if it ended because this robot jumps to a later round.
         """
         elapsed = now - self._began
         if elapsed < min(self.period, self.length):
             return None
         self._expire(now - self.expiry)
-        leads = sorted(_lead(ballot.round, self.round) for ballot, _ in self._ballots.values())
+        leads = sorted(_lead(vote.round, self.round) for vote, _ in self._round_votes.values())
         median = leads[(len(leads) - 1) // 2] if leads else 0
         if median > 1:
             return self._begin(self.round + median, {}, now)
@@ -180,28 +181,28 @@ class Rounds:
 
     def _expire(self, oldest: float) -> None:
         self._plain = {k: v for k, v in self._plain.items() if v[1] >= oldest}
-        self._ballots = {k: v for k, v in self._ballots.items() if v[1] >= oldest}
+        self._round_votes = {k: v for k, v in self._round_votes.items() if v[1] >= oldest}
 
     def _votes(self) -> Mapping[str, int]:
         votes = {sender: opinion for sender, (opinion, _) in self._plain.items()}
-        for sender, (ballot, _) in self._ballots.items():
-            lead = _lead(ballot.round, self.round)
+        for sender, (vote, _) in self._round_votes.items():
+            lead = _lead(vote.round, self.round)
             if lead in (0, 1):
-                votes[sender] = ballot.opinion if lead == 0 else ballot.previous
+                votes[sender] = vote.opinion if lead == 0 else vote.previous
         return votes
 
 
 def tally(opinions: Iterable[int]) -> Mapping[int, int]:
-    """How often each opinion occurs, most frequent first, equals by the opinion."""
+    """The count of each opinion, most frequent first, equal counts by opinion."""
     counts = Counter(opinions)
     return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
 
 def majority(opinions: Iterable[int], current: int, *, ties: Ties, rng: Generator) -> int:
-    """The most frequent opinion; `current` if there are none.
+    """The most frequent opinion; `current` without opinions.
 
-    Between equals: a random one of them, `current` (whether or not it is one of them), or the
-    lowest of them.
+    `ties` decides between equally frequent ones: a random one, `current` (whether or not it is one
+    of them), or the lowest.
     """
     counts = tally(opinions)
     if not counts:
@@ -214,28 +215,28 @@ def majority(opinions: Iterable[int], current: int, *, ties: Ties, rng: Generato
 
 
 def read_opinion(value: object, count: int) -> int | None:
-    """The opinion that a message carries; None unless it is a whole number in [0, count)."""
+    """The opinion in a message; None unless it is an integer in [0, count)."""
     if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < count:
         return None
     return value
 
 
-def read_ballot(value: object, count: int) -> Ballot | None:
-    """The ballot that a message carries: [round, opinion, previous]; None for anything else."""
-    if not isinstance(value, list) or len(value) != len(Ballot._fields):
+def read_round_vote(value: object, count: int) -> RoundVote | None:
+    """The round vote in a message, [round, opinion, previous]; None for anything else."""
+    if not isinstance(value, list) or len(value) != len(RoundVote._fields):
         return None
     number = read_opinion(value[0], ROUNDS)
     opinion, previous = (read_opinion(part, count) for part in value[1:])
     if number is None or opinion is None or previous is None:
         return None
-    return Ballot(number, opinion, previous)
+    return RoundVote(number, opinion, previous)
 
 
 def _next(end: float, length: float, now: float) -> float:
-    """The first end after `now` on the grid of those that are `length` s apart."""
+    """The first end after `now` on the grid of ends `length` s apart."""
     return end + length * (math.floor((now - end) / length) + 1)
 
 
 def _lead(number: int, other: int) -> int:
-    """By how many rounds `number` is ahead of `other`; negative if it is behind."""
+    """How many rounds `number` is ahead of `other`; negative if behind."""
     return (number - other + ROUNDS // 2) % ROUNDS - ROUNDS // 2

@@ -1,4 +1,4 @@
-"""The base of voting patterns: it owns windows, expiry and sharing; a pattern only decides."""
+"""The base of voting patterns: windows, expiry and sharing; a pattern only decides."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from swarmd.kit.vote_windows import (
     Ties,
     VoteWindow,
     Windows,
-    read_ballot,
     read_opinion,
+    read_round_vote,
 )
 
 OPINION = "opinion"
-BALLOT = "ballot"
-"""What is said instead under rounds: [round, opinion, opinion of the round before]."""
+ROUND_VOTE = "round_vote"
+"""The channel used instead with `windows: rounds`: [round, opinion, previous opinion]."""
 
 
 Opinions = Annotated[
@@ -37,22 +37,22 @@ WindowLength = Annotated[
 TieRule = Annotated[
     Ties,
     about(
-        "between equals: a random one of them, keep the own opinion, or the lowest",
+        "between equal counts: a random one of them, keep the own opinion, or the lowest",
         source="ROS2swarm",
     ),
 ]
 
 
 class VotingParams(Params, frozen=True, kw_only=True):
-    """What every voting pattern can be told."""
+    """The parameters of every voting pattern."""
 
     opinions: Opinions = 3
     initial: Initial | None = None
     windows: Annotated[
         Windows,
         about(
-            "tumbling: one after the other; sliding: the last `window` s, every share_period; "
-            "rounds: all together, once all have voted or `window` s have passed",
+            "tumbling: one window after the other; sliding: the last `window` s, every "
+            "share_period; rounds: all robots together, once all have voted or `window` s passed",
             source="paper: tumbling, the others as variants",
         ),
     ] = "tumbling"
@@ -60,40 +60,40 @@ class VotingParams(Params, frozen=True, kw_only=True):
     share_period: Annotated[
         float,
         about(
-            "time between two repetitions of the own opinion; at most half a window",
+            "time between two messages with the own opinion; at most half a window",
             ge=0.1,
             le=600.0,
             unit="s",
-            source="ours: a lost message, or one that crosses the end of a window, costs no vote",
+            source="ours: a lost message, or one that arrives after the window, costs no vote",
         ),
     ] = 1.0
     expiry: Annotated[
         float,
         about(
-            "a vote not repeated for so long does not count",
+            "a vote that is older does not count",
             ge=0.1,
             le=600.0,
             unit="s",
-            source="ours: a robot that has gone must not vote",
+            source="ours: a robot that has left must not vote",
         ),
     ] = 3.0
     count_own: Annotated[
         bool,
-        about("whether the own opinion is a vote among the others", source="ROS2swarm: it is not"),
+        about("count the own opinion as a vote", source="ROS2swarm: it is not"),
     ] = False
     staggered: Annotated[
         bool,
         about(
-            "whether the first window ends after a random part of its length; not under rounds",
-            source="ROS2swarm: its timers are not in step. In step, two halves that differ swap "
-            "opinions for ever",
+            "end the first window after a random share of its length; no effect with rounds",
+            source="ROS2swarm: its timers start at different times. In step, two halves of "
+            "different opinion swap opinions for ever",
         ),
     ] = True
     recovery: Recovery = False
 
     @property
     def period(self) -> float:
-        """Seconds between two repetitions of the own opinion."""
+        """Seconds between two messages with the own opinion."""
         return min(self.share_period, 0.5 * self.window)
 
     def __post_init__(self) -> None:
@@ -108,16 +108,16 @@ V = TypeVar("V", bound=VotingParams)
 
 
 class VotingPattern(Pattern[V]):
-    """Holds an opinion, tells it to the neighbours and changes its mind when a window ends.
+    """Holds an opinion, sends it to the neighbours and updates it when a window ends.
 
-    The robot stands. Source: Kaiser et al., ICRA 2022: each robot shares its opinion after every
-    update. Ours: it also repeats it, and votes that are not repeated expire, as do those of a
-    robot that is no longer a neighbour.
+    The robot stands. Source: Kaiser et al., ICRA 2022: each robot sends its opinion after every
+    update. Ours: it also repeats it; votes that are not repeated expire, and so do those of a robot
+    that is no longer a neighbour.
     """
 
     params_type: ClassVar[type[Params]] = VotingParams
     needs = frozenset[str]()
-    channels = {OPINION: int, BALLOT: list}  # noqa: RUF012 - a Mapping, as in the base
+    channels = {OPINION: int, ROUND_VOTE: list}  # noqa: RUF012 - a Mapping, as in the base
 
     def __init__(self, params: V, context: Context) -> None:
         super().__init__(params, context)
@@ -130,14 +130,14 @@ class VotingPattern(Pattern[V]):
         self._heard = 0
 
     @abstractmethod
-    def decide(self, heard: Mapping[str, int]) -> int:
-        """The new opinion from the latest one of each neighbour in the window.
+    def decide(self, votes: Mapping[str, int]) -> int:
+        """The new opinion, from the latest vote of each neighbour in the window, by robot.
 
-        There is always at least one; with `count_own` this robot's own is among them.
+        There is at least one; with `count_own` this robot's own is among them.
         """
 
     def step(self, inputs: Inputs) -> Outputs:
-        """Count what was heard; when a window ends decide; share when it is time."""
+        """Count received votes, decide when a window ends, and send the opinion when it is due."""
         if self._window is None:
             self._window = self._open(inputs.now)
             self._share_at = inputs.now
@@ -146,9 +146,9 @@ class VotingPattern(Pattern[V]):
             if message.sender != self.context.robot:
                 self._take(window, message, inputs.now - message.age)
         self._forget_gone(window, inputs.neighbors)
-        heard = window.close(inputs.now)
-        if heard is not None:
-            self._conclude({s: o for s, o in heard.items() if o < self.params.opinions})
+        votes = window.close(inputs.now)
+        if votes is not None:
+            self._conclude({s: o for s, o in votes.items() if o < self.params.opinions})
             self._share_at = inputs.now
         report = {"opinion": self.opinion, "heard": self._heard}
         if isinstance(window, Rounds):
@@ -156,9 +156,9 @@ class VotingPattern(Pattern[V]):
         return Outputs(messages=self._share(window, inputs.now), report=report)
 
     def update(self, params: V) -> None:
-        """Take over changed parameters; an opinion that no longer exists is drawn anew.
+        """Apply changed parameters; an opinion that no longer exists is drawn again.
 
-        A changed length holds from the next window on; other `windows` start afresh.
+        A changed length applies from the next window; a change of `windows` opens a new one.
         """
         if params.windows != self.params.windows:
             self._window = None
@@ -182,20 +182,20 @@ class VotingPattern(Pattern[V]):
             return SlidingWindow(length, period, now=now, expiry=expiry, first=first)
         return VoteWindow(length, now=now, expiry=expiry, first=first)
 
-    def _take(self, window: VoteWindow | Rounds, message: Message, heard_at: float) -> None:
-        """Count what a message says; what is neither an opinion nor a ballot is nothing."""
+    def _take(self, window: VoteWindow | Rounds, message: Message, received_at: float) -> None:
+        """Count the vote in a message; anything else in it is ignored."""
         count = self.params.opinions
         if message.channel == OPINION:
             opinion = read_opinion(message.value, count)
             if opinion is not None:
-                window.add(message.sender, opinion, heard_at)
-        elif message.channel == BALLOT:
-            ballot = read_ballot(message.value, count)
-            if ballot is not None:
-                window.add_ballot(message.sender, ballot, heard_at)
+                window.add(message.sender, opinion, received_at)
+        elif message.channel == ROUND_VOTE:
+            vote = read_round_vote(message.value, count)
+            if vote is not None:
+                window.add_round_vote(message.sender, vote, received_at)
 
     def _forget_gone(self, window: VoteWindow | Rounds, neighbors: tuple[Neighbor, ...]) -> None:
-        """The votes of those that were neighbours, and are none now, count no longer."""
+        """Drop the votes of robots that are no longer neighbours."""
         if neighbors is self._neighbors:
             return
         here = {neighbor.id for neighbor in neighbors}
@@ -204,18 +204,18 @@ class VotingPattern(Pattern[V]):
                 window.forget(neighbor.id)
         self._neighbors = neighbors
 
-    def _conclude(self, heard: dict[str, int]) -> None:
-        self._previous, self._heard = self.opinion, len(heard)
-        if not heard:
+    def _conclude(self, votes: dict[str, int]) -> None:
+        self._previous, self._heard = self.opinion, len(votes)
+        if not votes:
             return
         if self.params.count_own:
-            heard[self.context.robot] = self.opinion
-        self.opinion = self.decide(heard)
+            votes[self.context.robot] = self.opinion
+        self.opinion = self.decide(votes)
 
     def _share(self, window: VoteWindow | Rounds, now: float) -> Mapping[str, Value]:
         if now < self._share_at:
             return {}
         self._share_at = now + self.params.period
         if isinstance(window, Rounds):
-            return {BALLOT: [window.round, self.opinion, self._previous]}
+            return {ROUND_VOTE: [window.round, self.opinion, self._previous]}
         return {OPINION: self.opinion}

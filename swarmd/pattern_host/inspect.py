@@ -21,7 +21,7 @@ from swarmd.kit.behavior import MovementPattern, Pattern
 from swarmd.kit.combined import CombinedPattern
 from swarmd.kit.factory import assemble
 from swarmd.kit.params import schema
-from swarmd.kit.touch import check_zone, in_words
+from swarmd.kit.touch import check_zone, describe_zone
 from swarmd.kit.voting_pattern import VotingPattern
 from swarmd.mission.mission import Mission
 from swarmd.pattern_host.loader import PatternLoader
@@ -67,7 +67,7 @@ def _describe(name: str, source: str, finder: PatternLoader, platform: Platform)
         "missing": sorted(kind.needs - platform.provides),
         "channels": {channel: of.__name__ for channel, of in dict(kind.channels).items()},
         "rate": kind.rate,
-        "touches": None if kind.touches is None else in_words(kind.touches),
+        "touches": None if kind.touches is None else describe_zone(kind.touches),
         "platform": platform.name,
         "refused": refused,
         "params": [

@@ -39,7 +39,7 @@ from swarmd.core.messages import (
     State,
 )
 from swarmd.core.values import Platform, Scalar, TouchZone, Value
-from swarmd.kit.touch import in_force
+from swarmd.kit.touch import effective_zone
 from swarmd.protection.decision import NO_PERMIT, Permit
 from swarmd.robot.actions import Outbox
 from swarmd.robot.latches import Latches, LatchRecord
@@ -198,7 +198,7 @@ class Lifecycle:
         """For this generation alone; every way out of it forgets what is running."""
         assert self.hosting.running is not None
         granted = self._identity.touch.get(pattern)
-        self.hosting.running.touch, text = in_force(pattern, event.touches, granted)
+        self.hosting.running.touch, text = effective_zone(pattern, event.touches, granted)
         if text:
             self.note(f"{pattern} {text}", turn.now)
 

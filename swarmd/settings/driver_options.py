@@ -17,10 +17,10 @@ from swarmd.core.values import Twist, Value
 from swarmd.driver_api.driver import Driver
 from swarmd.settings.layered import Layered
 
-FIRST_ZEROS = 1.0
+IDLE_ZEROS_PERIOD = 1.0
 """Seconds of zeros to a robot that has just become idle, before it is left alone."""
 
-USUAL_COMMAND_TIMEOUT = 0.5
+DEFAULT_COMMAND_TIMEOUT = 0.5
 """Seconds without a command after which most bases that stop by themselves do."""
 
 Timeout = Annotated[float, Meta(ge=0.1, le=2.0)]
@@ -40,14 +40,14 @@ class BaseOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     record: str | None = None
 
 
-class IdleOutput:
+class IdleOutputFilter:
     """Which commands reach the driver of an idle robot; pure, time handed in."""
 
     def __init__(self, kind: str) -> None:
         self._is_silent = kind == "silent"
         self._since: float | None = None
 
-    def lets(self, twist: Twist, is_idle: bool, now: float) -> bool:
+    def allows(self, twist: Twist, is_idle: bool, now: float) -> bool:
         """True if this command is to be sent at `now` (s)."""
         if not self._is_silent:
             return True
@@ -56,7 +56,7 @@ class IdleOutput:
             return True
         if self._since is None:
             self._since = now
-        return now - self._since < FIRST_ZEROS
+        return now - self._since < IDLE_ZEROS_PERIOD
 
 
 def base_options(options: Mapping[str, Value], what: str) -> BaseOptions:
@@ -79,9 +79,9 @@ def stops_after(options: Mapping[str, Value], what: str) -> float:
     command_timeout = base_options(options, what).command_timeout
     if command_timeout is None or command_timeout == "none":
         return math.inf
-    return USUAL_COMMAND_TIMEOUT if command_timeout == "base" else float(command_timeout)
+    return DEFAULT_COMMAND_TIMEOUT if command_timeout == "base" else float(command_timeout)
 
 
-def command_timeout_of(base: BaseOptions, driver: Driver) -> float | Literal["base", "none"]:
+def effective_command_timeout(base: BaseOptions, driver: Driver) -> float | Literal["base", "none"]:
     """The deadman in force: of a real robot none, unless its platform says otherwise."""
     return base.command_timeout or ("base" if driver.is_simulated else "none")

@@ -17,8 +17,8 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.host_messages import Layers
 from swarmd.core.keys import check_id
 from swarmd.core.values import Platform, TouchZone, Value
-from swarmd.kit.touch import zones
-from swarmd.kit.touch_config import Touch
+from swarmd.kit.touch import granted_zones
+from swarmd.kit.touch_config import TouchGrants
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.settings.swarmfile import DEFAULT, DaemonFile, ParametersSection, check, layered
@@ -54,7 +54,7 @@ class DaemonSettings:
     labels: tuple[str, ...]
     label_members: Mapping[str, tuple[str, ...]]
     parameters: ParametersSection
-    touch: Touch
+    touch: TouchGrants
     roster: tuple[str, ...]
     state_dir: Path
     plugin_dir: Path | None
@@ -64,7 +64,7 @@ class DaemonSettings:
     @property
     def touch_zones(self) -> Mapping[str, TouchZone]:
         """Where which pattern may touch what is near."""
-        return zones(self.touch)
+        return granted_zones(self.touch)
 
     def pattern_layers(self, pattern: str) -> Layers:
         """The parameters configured for a pattern by source, weakest first; empty ones left out.

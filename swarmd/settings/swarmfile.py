@@ -15,7 +15,7 @@ from msgspec import Meta, Struct
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import check_id
 from swarmd.core.messages import Scalar
-from swarmd.kit.touch_config import Touch
+from swarmd.kit.touch_config import TouchGrants
 from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import Data, read, shown
 
@@ -49,7 +49,7 @@ class SwarmFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     roster: list[str] = []
     labels: dict[str, list[str]] = {}
     parameters: ParametersSection = ParametersSection()
-    touch: Touch = {}
+    touch: TouchGrants = {}
 
 
 class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -15,7 +15,12 @@ from swarmd.daemon.driver_factory import make_driver
 from swarmd.driver_api.driver import Finding, Sink
 from swarmd.driver_api.watchdog import AT_LEAST, PERIOD, SILENCE, CommandTimeout, name_of
 from swarmd.driver_api.watchdog_client import WatchedDriver
-from swarmd.settings.driver_options import FIRST_ZEROS, IdleOutput, base_options, command_timeout_of
+from swarmd.settings.driver_options import (
+    IDLE_ZEROS_PERIOD,
+    IdleOutputFilter,
+    base_options,
+    effective_command_timeout,
+)
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 from swarmd.testing.driver_rig import CollectingSink
 
@@ -137,23 +142,23 @@ def test_names_differ_by_robot_and_swarm_and_fit_into_a_socket_address() -> None
 
 
 def test_zeros_are_always_let_through_unless_silent() -> None:
-    idle = IdleOutput("zeros")
-    assert all(idle.lets(ZERO, True, 0.05 * i) for i in range(200))
+    idle = IdleOutputFilter("zeros")
+    assert all(idle.allows(ZERO, True, 0.05 * i) for i in range(200))
 
 
 def test_silent_lets_the_first_zeros_through_and_then_none() -> None:
-    idle = IdleOutput("silent")
-    told = [idle.lets(ZERO, True, 0.125 * i) for i in range(100)]
-    assert told == [0.125 * i < FIRST_ZEROS for i in range(100)]
+    idle = IdleOutputFilter("silent")
+    told = [idle.allows(ZERO, True, 0.125 * i) for i in range(100)]
+    assert told == [0.125 * i < IDLE_ZEROS_PERIOD for i in range(100)]
 
 
 def test_silent_is_only_who_is_idle() -> None:
-    idle = IdleOutput("silent")
-    assert all(idle.lets(ZERO, False, 0.1 * i) for i in range(100)), "stopped, estopped, held"
-    assert all(idle.lets(Twist(0.1), False, 10.0 + 0.1 * i) for i in range(100))
-    assert idle.lets(ZERO, True, 20.0), "its zeros begin when it becomes idle"
-    assert not idle.lets(ZERO, True, 21.0)
-    assert idle.lets(Twist(0.1), True, 21.0), "what moves is never withheld"
+    idle = IdleOutputFilter("silent")
+    assert all(idle.allows(ZERO, False, 0.1 * i) for i in range(100)), "stopped, estopped, held"
+    assert all(idle.allows(Twist(0.1), False, 10.0 + 0.1 * i) for i in range(100))
+    assert idle.allows(ZERO, True, 20.0), "its zeros begin when it becomes idle"
+    assert not idle.allows(ZERO, True, 21.0)
+    assert idle.allows(Twist(0.1), True, 21.0), "what moves is never withheld"
 
 
 # What the files say
@@ -228,8 +233,8 @@ def made(
 
 
 def test_a_real_robot_without_a_word_has_no_deadman() -> None:
-    assert command_timeout_of(base_options({}, ""), Bare(is_simulated=False)) == "none"
-    assert command_timeout_of(base_options({}, ""), Bare(is_simulated=True)) == "base"
+    assert effective_command_timeout(base_options({}, ""), Bare(is_simulated=False)) == "none"
+    assert effective_command_timeout(base_options({}, ""), Bare(is_simulated=True)) == "base"
 
 
 def test_a_driver_without_a_stopper_is_refused_where_one_is_needed(

@@ -8,7 +8,7 @@ from typing import Any
 
 from swarmd.core.values import TouchZone
 from swarmd.kit.behavior import Pattern
-from swarmd.kit.touch import in_force
+from swarmd.kit.touch import effective_zone
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import find_pattern
 from swarmd.testing.pattern_contract import PatternContract
@@ -28,7 +28,7 @@ class TestPush(PatternContract):
 def test_it_may_touch_all_that_it_asks_for_as_its_text_says_it_is_granted() -> None:
     granted = TouchZone(0.0, math.radians(20.0), 0.1)  # what its own text tells to configure
     assert "touch: {push: {half_width_deg: 20, speed: 0.1}}" in (EXAMPLES / "push.py").read_text()
-    assert in_force("push", load().touches, granted)[0] == granted
+    assert effective_zone("push", load().touches, granted)[0] == granted
 
 
 def test_it_is_not_led_around_what_it_pushes() -> None:

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from swarmd.core.angles import difference
 from swarmd.core.errors import PluginError
 from swarmd.core.values import TouchZone
-from swarmd.kit.touch import check_zone, in_force, in_words, overlap, zones
+from swarmd.kit.touch import check_zone, describe_zone, effective_zone, granted_zones, intersection
 from swarmd.kit.touch_config import TouchSection
 
 NARROW = TouchZone(0.0, math.radians(20.0), 0.1)
@@ -47,18 +47,18 @@ def in_degrees(zone: TouchZone | None) -> Any:
 def test_in_force_is_what_both_have_at_the_lower_speed(
     asked: TouchZone, granted: TouchZone, both: tuple[float, float, float] | None
 ) -> None:
-    assert in_degrees(overlap(asked, granted)) == both
+    assert in_degrees(intersection(asked, granted)) == both
 
 
 def test_the_same_zone_twice_stays_bit_for_bit_what_it_is() -> None:
-    assert overlap(NARROW, NARROW) == NARROW
+    assert intersection(NARROW, NARROW) == NARROW
 
 
 @given(ANGLES, WIDTHS, ANGLES, WIDTHS, ANGLES)
 def test_a_direction_is_in_force_only_where_both_have_it(
     asked: float, wide: float, granted: float, broad: float, direction: float
 ) -> None:
-    both = overlap(TouchZone(asked, wide, 0.1), TouchZone(granted, broad, 0.1))
+    both = intersection(TouchZone(asked, wide, 0.1), TouchZone(granted, broad, 0.1))
     inside = [
         broadness - abs(difference(direction, middle))
         for middle, broadness in ((asked, wide), (granted, broad))
@@ -73,7 +73,7 @@ def test_whatever_a_host_asks_for_is_within_what_is_granted(
     bearing: float, half_width: float, speed: float, broad: float
 ) -> None:
     granted = TouchZone(0.5, broad, 0.1)
-    both = overlap(TouchZone(bearing, half_width, speed), granted)
+    both = intersection(TouchZone(bearing, half_width, speed), granted)
     if both is not None:
         assert 0.0 < both.speed <= granted.speed
         assert 0.0 < both.half_width <= broad
@@ -81,18 +81,18 @@ def test_whatever_a_host_asks_for_is_within_what_is_granted(
 
 
 def test_nothing_is_told_of_a_pattern_that_asks_for_nothing() -> None:
-    assert in_force("drive", None, NARROW) == (None, "")
+    assert effective_zone("drive", None, NARROW) == (None, "")
 
 
 def test_without_a_grant_it_is_told_where_to_grant_it() -> None:
-    zone, text = in_force("push", NARROW, None)
+    zone, text = effective_zone("push", NARROW, None)
     assert zone is None
     assert "asks to touch +-20 deg ahead at up to 0.10 m/s, which is not granted" in text
     assert "`touch: {push: ...}` in the robot's configuration" in text
 
 
 def test_a_grant_for_other_directions_is_told_of_with_both() -> None:
-    zone, text = in_force("push", NARROW, degrees(90, 30))
+    zone, text = effective_zone("push", NARROW, degrees(90, 30))
     assert zone is None
     assert "+-20 deg ahead" in text
     assert "+-30 deg around 90 deg" in text
@@ -108,12 +108,12 @@ def test_a_grant_for_other_directions_is_told_of_with_both() -> None:
     ],
 )
 def test_a_zone_in_words(zone: TouchZone, words: str) -> None:
-    assert in_words(zone) == words
+    assert describe_zone(zone) == words
 
 
 def test_a_configuration_takes_away_with_null() -> None:
     section = TouchSection(bearing_deg=90.0, half_width_deg=20.0, speed=0.1)
-    assert zones({"push": section, "dock": None}) == {"push": degrees(90, 20)}
+    assert granted_zones({"push": section, "dock": None}) == {"push": degrees(90, 20)}
 
 
 @pytest.mark.parametrize(

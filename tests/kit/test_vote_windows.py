@@ -7,13 +7,13 @@ import pytest
 
 from swarmd.kit.vote_windows import (
     ROUNDS,
-    Ballot,
     Rounds,
+    RoundVote,
     SlidingWindow,
     VoteWindow,
     majority,
-    read_ballot,
     read_opinion,
+    read_round_vote,
     tally,
 )
 
@@ -89,9 +89,9 @@ def test_a_vote_is_forgotten_with_its_sender() -> None:
         assert window.close(1.0) == {"b": 2}
 
 
-def test_a_ballot_is_a_vote_in_any_window() -> None:
+def test_a_round_vote_is_a_vote_in_any_window() -> None:
     window = VoteWindow(1.0, now=0.0)
-    window.add_ballot("a", Ballot(17, 2, 1), 0.5)
+    window.add_round_vote("a", RoundVote(17, 2, 1), 0.5)
     assert window.close(1.0) == {"a": 2}
 
 
@@ -125,11 +125,11 @@ def test_the_first_period_of_a_sliding_window_may_be_shorter() -> None:
 
 
 def rounds(*heard: tuple[str, int, int, int], number: int = 0, expiry: float = 3.0) -> Rounds:
-    """Rounds of 1 to 5 s that begin at 0 s, with the ballots heard at 0.5 s."""
+    """Rounds of 1 to 5 s that begin at 0 s, with the round votes heard at 0.5 s."""
     made = Rounds(5.0, 1.0, now=0.0, expiry=expiry)
     made.round = number
-    for sender, *ballot in heard:
-        made.add_ballot(sender, Ballot(*ballot), 0.5)
+    for sender, *round_vote in heard:
+        made.add_round_vote(sender, RoundVote(*round_vote), 0.5)
     return made
 
 
@@ -150,7 +150,7 @@ def test_a_round_waits_for_those_behind_until_its_time_is_over() -> None:
 
 def test_nobody_waits_for_one_that_was_not_heard_for_long() -> None:
     one = rounds(("gone", 3, 2, 2), number=4)
-    one.add_ballot("a", Ballot(4, 1, 1), 3.0)
+    one.add_round_vote("a", RoundVote(4, 1, 1), 3.0)
     assert one.close(3.5) is None
     assert one.close(3.6) == {"a": 1}
 
@@ -166,16 +166,16 @@ def test_one_that_is_a_round_ahead_has_said_its_vote_of_this_round() -> None:
     assert one.close(1.0) == {"a": 1, "b": 2}
 
 
-def test_a_ballot_of_an_earlier_round_comes_late() -> None:
+def test_a_round_vote_of_an_earlier_round_comes_late() -> None:
     one = rounds(("a", 4, 1, 1), number=4)
-    one.add_ballot("a", Ballot(3, 2, 2), 0.6)
+    one.add_round_vote("a", RoundVote(3, 2, 2), 0.6)
     assert one.close(1.0) == {"a": 1}
 
 
-def test_a_ballot_that_is_heard_twice_counts_once_and_the_latest_counts() -> None:
+def test_a_round_vote_that_is_heard_twice_counts_once_and_the_latest_counts() -> None:
     one = rounds(("a", 0, 1, 1), ("a", 0, 1, 1))
-    one.add_ballot("a", Ballot(0, 2, 1), 0.7)
-    one.add_ballot("a", Ballot(0, 0, 1), 0.6)
+    one.add_round_vote("a", RoundVote(0, 2, 1), 0.7)
+    one.add_round_vote("a", RoundVote(0, 0, 1), 0.6)
     assert one.close(1.0) == {"a": 2}
 
 
@@ -183,7 +183,7 @@ def test_one_that_has_fallen_behind_catches_up_without_a_decision() -> None:
     one = rounds(("a", 9, 1, 1), ("b", 9, 1, 1), ("c", 0, 2, 2))
     assert one.close(1.0) == {}
     assert one.round == 9
-    one.add_ballot("c", Ballot(9, 2, 2), 1.5)
+    one.add_round_vote("c", RoundVote(9, 2, 2), 1.5)
     assert one.close(2.0) == {"a": 1, "b": 1, "c": 2}
 
 
@@ -204,7 +204,7 @@ def test_the_vote_of_one_that_knows_no_rounds_holds_in_each() -> None:
     one = rounds(("a", 0, 1, 1))
     one.add("b", 2, 0.5)
     assert one.close(1.0) == {"a": 1, "b": 2}
-    one.add_ballot("a", Ballot(1, 1, 1), 1.5)
+    one.add_round_vote("a", RoundVote(1, 1, 1), 1.5)
     assert one.close(2.0) == {"a": 1, "b": 2}
 
 
@@ -252,9 +252,9 @@ def test_only_whole_numbers_within_range_are_opinions(value: object, opinion: in
     assert read_opinion(value, 3) == opinion
 
 
-def test_a_ballot_is_three_numbers_in_range() -> None:
-    assert read_ballot([0, 2, 1], 3) == Ballot(0, 2, 1)
-    assert read_ballot([ROUNDS - 1, 0, 0], 3) == Ballot(ROUNDS - 1, 0, 0)
+def test_a_round_vote_is_three_numbers_in_range() -> None:
+    assert read_round_vote([0, 2, 1], 3) == RoundVote(0, 2, 1)
+    assert read_round_vote([ROUNDS - 1, 0, 0], 3) == RoundVote(ROUNDS - 1, 0, 0)
 
 
 @pytest.mark.parametrize(
@@ -264,5 +264,5 @@ def test_a_ballot_is_three_numbers_in_range() -> None:
         *([0.0, 1, 1], [True, 1, 1], [0, None, 1], [[0], 1, 1], ["0", "1", "1"], "012", 7, None),
     ],
 )
-def test_what_is_no_ballot_is_nothing(value: object) -> None:
-    assert read_ballot(value, 3) is None
+def test_what_is_no_round_vote_is_nothing(value: object) -> None:
+    assert read_round_vote(value, 3) is None

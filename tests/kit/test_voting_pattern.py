@@ -23,7 +23,7 @@ class Listener(VotingPattern[VotingParams]):
 
     asked: Mapping[str, int] | None = None
 
-    def decide(self, heard: Mapping[str, int]) -> int:
+    def decide(self, votes: Mapping[str, int]) -> int:
         self.asked = dict(heard)
         return max(heard.values())
 
@@ -40,9 +40,9 @@ class Desk:
         self.report: Mapping[str, object] = {}
 
     def step(self, *heard: tuple[str, Value], age: float = 0.0, near: tuple[str, ...] = ()) -> None:
-        """A step in which this was heard: a list is a ballot, all else an opinion."""
+        """A step in which this was heard: a list is a round_vote, all else an opinion."""
         messages = tuple(
-            Message(sender, "ballot" if isinstance(value, list) else "opinion", value, age)
+            Message(sender, "round_vote" if isinstance(value, list) else "opinion", value, age)
             for sender, value in heard
         )
         neighbors = tuple(Neighbor(name, 0.1) for name in near)
@@ -163,13 +163,13 @@ def test_who_does_not_go_by_rounds_is_heard_by_those_who_do() -> None:
     assert desk.report == {"opinion": 2, "heard": 2, "round": 1}
 
 
-def test_under_rounds_the_ballot_holds_the_vote_before() -> None:
+def test_under_rounds_the_round_vote_holds_the_vote_before() -> None:
     desk = Desk("rounds")
     desk.step()
     desk.step(("b", [0, 2, 2]))
     desk.wait(1.1)
-    assert desk.said[0][1:] == ("ballot", [0, 0, 0])
-    assert desk.said[-1][1:] == ("ballot", [1, 2, 0])
+    assert desk.said[0][1:] == ("round_vote", [0, 0, 0])
+    assert desk.said[-1][1:] == ("round_vote", [1, 2, 0])
 
 
 def test_other_windows_hold_at_once_and_the_opinion_stays() -> None:
@@ -179,7 +179,7 @@ def test_other_windows_hold_at_once_and_the_opinion_stays() -> None:
     desk.pattern.update(VotingParams(windows="rounds"))
     desk.step(("b", [0, 2, 2]))
     desk.wait(1.0)
-    assert desk.said[-1][1:] == ("ballot", [1, 2, 0])
+    assert desk.said[-1][1:] == ("round_vote", [1, 2, 0])
 
 
 @pytest.mark.parametrize("windows", ["tumbling", "sliding"])

@@ -153,7 +153,7 @@ def test_a_map_may_be_a_base_and_a_step(tmp_path: Path) -> None:
 def test_channels_are_those_of_the_pattern_unless_private(tmp_path: Path) -> None:
     text = parts("vote").replace("initial: 1}", "initial: 1}, private: true") + "part: vote\n"
     mission = made(tmp_path, text)
-    assert set(mission.channels) == {f"vote-{name}" for name in ("opinion", "ballot")} & set(
+    assert set(mission.channels) == {f"vote-{name}" for name in ("opinion", "round_vote")} & set(
         mission.channels
     )
     said = Message("robot-2", "vote-opinion", 0, 0.0)

@@ -13,7 +13,7 @@ from swarmd.core.errors import ConfigError, PluginError
 from swarmd.core.values import Array, Inputs, Neighbor, Odometry, Platform, Pose, Scan, Twist, Value
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.factory import assemble
-from swarmd.kit.formation_geometry import Sightings, bodies, place_on_line
+from swarmd.kit.formation_geometry import NeighborTracker, place_on_line, robot_centers
 from swarmd.kit.formation_pattern import FormationParams
 from swarmd.patterns.line_formation import LineFormation, LineFormationParams
 from swarmd.settings.settings import load_platform
@@ -202,44 +202,46 @@ def test_a_spacing_that_cannot_be_is_refused(params: dict[str, Value], what: str
 @pytest.mark.parametrize("place", [(1.0, 0.0), (0.0, 1.5), (-1.2, -0.7)])
 def test_the_lidar_finds_the_middles_of_robots(place: tuple[float, float]) -> None:
     scan = scan_of(BURGER, [Disc(*place, 0.09)])
-    found = bodies(scan, reach=3.5, width=0.5, offset=BURGER.scan.offset)
+    found = robot_centers(scan, reach=3.5, width=0.5, offset=BURGER.scan.offset)
     np.testing.assert_allclose(found, [place], atol=0.02)
 
 
 def test_the_lidar_takes_no_wall_for_a_robot_and_nothing_beyond_its_reach() -> None:
     scan = scan_of(BURGER, [Disc(1.0, 0.0), Disc(0.0, 2.5)], room=5.5)
-    found = bodies(scan, reach=2.0, width=0.5, offset=BURGER.scan.offset)
+    found = robot_centers(scan, reach=2.0, width=0.5, offset=BURGER.scan.offset)
     np.testing.assert_allclose(found, [(1.0, 0.0)], atol=0.03)
-    assert len(bodies(scan_of(BURGER, room=3.0), reach=3.5, width=0.5, offset=(0.0, 0.0))) == 0
+    assert (
+        len(robot_centers(scan_of(BURGER, room=3.0), reach=3.5, width=0.5, offset=(0.0, 0.0))) == 0
+    )
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_of_one_that_is_half_hidden_the_middle_is_found(side: float) -> None:
     behind = (2.2, side * 0.14)
     scan = scan_of(BURGER, [Disc(1.1, 0.0, 0.09), Disc(*behind, 0.09)])
-    found = bodies(scan, reach=3.5, width=0.5, offset=BURGER.scan.offset)
+    found = robot_centers(scan, reach=3.5, width=0.5, offset=BURGER.scan.offset)
     assert len(found) == 2
     far = found[np.argmax(found[:, 0])]
     np.testing.assert_allclose(far, behind, atol=0.05)
 
 
 def test_sightings_stay_where_they_are_while_the_robot_turns_and_drives() -> None:
-    sightings = Sightings()
-    once = sightings.update(seen((1.0, 0.0)), Pose(), 10.0, 0.0)
+    tracker = NeighborTracker()
+    once = tracker.update(seen((1.0, 0.0)), Pose(), 10.0, 0.0)
     np.testing.assert_allclose(once, [(1.0, 0.0)])
-    turned = sightings.update(seen((1.0, 0.0)), Pose(0.0, 0.0, math.pi / 2.0), 10.0, 0.1)
+    turned = tracker.update(seen((1.0, 0.0)), Pose(0.0, 0.0, math.pi / 2.0), 10.0, 0.1)
     np.testing.assert_allclose(turned, [(0.0, -1.0)], atol=1e-12)
-    driven = sightings.update(seen((1.0, 0.0)), Pose(0.5, 0.0, 0.0), 10.0, 0.2)
+    driven = tracker.update(seen((1.0, 0.0)), Pose(0.5, 0.0, 0.0), 10.0, 0.2)
     np.testing.assert_allclose(driven, [(0.5, 0.0)], atol=1e-12)
 
 
 def test_who_is_heard_and_not_sensed_for_a_moment_stays_where_it_was() -> None:
-    sightings, (there,) = Sightings(), seen((1.0, 0.0))
+    tracker, (there,) = NeighborTracker(), seen((1.0, 0.0))
     unsensed = (Neighbor(there.id, 0.1),)
-    sightings.update((there,), Pose(), 10.0, 0.0)
+    tracker.update((there,), Pose(), 10.0, 0.0)
     for now, count in ((0.5, 1), (2.0, 1), (2.1, 0), (2.2, 0)):
-        assert len(sightings.update(unsensed, Pose(), 10.0, now)) == count
-    assert not len(sightings.update((), Pose(), 10.0, 0.1))
+        assert len(tracker.update(unsensed, Pose(), 10.0, now)) == count
+    assert not len(tracker.update((), Pose(), 10.0, 0.1))
 
 
 def test_its_place_is_as_far_from_the_others_as_the_spacing() -> None:
@@ -250,12 +252,12 @@ def test_its_place_is_as_far_from_the_others_as_the_spacing() -> None:
 
 
 def test_sightings_average_noise_and_follow_who_moves() -> None:
-    sightings, rng = Sightings(), np.random.default_rng(1)
+    tracker, rng = NeighborTracker(), np.random.default_rng(1)
     for _ in range(40):
         off = rng.normal(0.0, 0.03, 2)
-        found = sightings.update(seen((2.0 + off[0], off[1])), Pose(), 10.0, 0.0)
+        found = tracker.update(seen((2.0 + off[0], off[1])), Pose(), 10.0, 0.0)
     np.testing.assert_allclose(found, [(2.0, 0.0)], atol=0.03)
-    moved = sightings.update(seen((3.0, 0.0)), Pose(), 10.0, 0.0)
+    moved = tracker.update(seen((3.0, 0.0)), Pose(), 10.0, 0.0)
     np.testing.assert_allclose(moved, [(3.0, 0.0)], atol=1e-9)
 
 
@@ -264,12 +266,12 @@ def test_a_robot_that_the_lidar_sees_in_pieces_is_one() -> None:
     ranges = scan.ranges.copy()
     ranges[np.abs(scan.bearings - math.radians(1.0)) < 0.005] += 0.2
     pieces = replace(scan, ranges=ranges)
-    found = bodies(pieces, reach=3.5, width=0.45, offset=BURGER.scan.offset)
+    found = robot_centers(pieces, reach=3.5, width=0.45, offset=BURGER.scan.offset)
     assert len(found) == 2
     np.testing.assert_allclose(found[np.argmax(found[:, 0])], (1.0, 0.0), atol=0.06)
 
 
 def test_what_is_hidden_on_both_sides_is_no_robot() -> None:
     between = [Disc(1.0, 0.25, 0.09), Disc(1.0, -0.25, 0.09), Disc(2.3, 0.0, 0.4)]
-    found = bodies(scan_of(BURGER, between), reach=3.5, width=0.8, offset=BURGER.scan.offset)
+    found = robot_centers(scan_of(BURGER, between), reach=3.5, width=0.8, offset=BURGER.scan.offset)
     np.testing.assert_allclose(np.sort(found[:, 1]), (-0.25, 0.25), atol=0.03)
