@@ -1,4 +1,4 @@
-"""What holds whatever the mode: the front forbids, holds within limits, and tells."""
+"""Protection in every mode: holds, limits and reasons, whatever the arbiter returns."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from swarmd.core.messages import Reason
-from swarmd.core.values import ZERO, Array, Odometry, Platform, Pose, Scan, Twist
+from swarmd.core.values import ZERO, Array, Odometry, Platform, Pose, Scan, TouchZone, Twist
 from swarmd.protection.arbiter import Protection
-from swarmd.protection.decision import Decision, DecisionContext
+from swarmd.protection.decision import Decision, DecisionContext, ModeDecision
+from swarmd.protection.footprint import ScanGeometry
 from swarmd.protection.settings import Mode
 from swarmd.settings.settings import load_platform
 from tests.support.platforms import with_mode
@@ -54,21 +55,21 @@ def protection(request: pytest.FixtureRequest) -> Protection:
     return Protection(with_mode(WAFFLE, request.param))
 
 
-def test_a_wish_passes_where_nothing_is_near(protection: Protection) -> None:
+def test_request_passes_far_from_obstacles(protection: Protection) -> None:
     protection.observe(scan_of(np.full(360, np.inf)), DecisionContext(0.0))
     decision = decide(protection)
     assert decision.safe == REQUESTED
     assert (decision.reason, decision.is_active, decision.min_gap) == (None, False, None)
 
 
-def test_nothing_moves_before_the_first_scan(protection: Protection) -> None:
+def test_zero_before_the_first_scan(protection: Protection) -> None:
     decision = decide(protection, scan_age=None)
     assert decision.safe == ZERO
     assert decision.reason is Reason.NO_SCAN
 
 
 @pytest.mark.parametrize(("is_running", "hold"), [(False, None), (True, Reason.STALE_SCAN)])
-def test_exactly_zero_outside_running_and_under_a_hold_even_with_something_near(
+def test_zero_outside_running_and_under_a_hold(
     protection: Protection, is_running: bool, hold: Reason | None
 ) -> None:
     protection.observe(ahead(0.2, 40), DecisionContext(0.0))
@@ -80,20 +81,20 @@ def test_exactly_zero_outside_running_and_under_a_hold_even_with_something_near(
 @pytest.mark.parametrize(
     "requested", [Twist(float("nan")), Twist(0.1, float("inf")), Twist(0.0, 0.0, float("-inf"))]
 )
-def test_a_wish_that_is_no_number_is_none(protection: Protection, requested: Twist) -> None:
+def test_non_finite_request_is_zero(protection: Protection, requested: Twist) -> None:
     protection.observe(scan_of(np.full(360, np.inf)), DecisionContext(0.0))
     decision = decide(protection, requested)
     assert decision.safe == ZERO
     assert decision.reason is Reason.NO_REQUESTED_COMMAND
 
 
-def test_limits_hold_for_every_component(protection: Protection) -> None:
+def test_limits_apply_to_every_component(protection: Protection) -> None:
     protection.observe(scan_of(np.full(360, np.inf)), DecisionContext(0.0))
     decision = decide(protection, Twist(9.0, -9.0, 9.0))
     assert decision.safe == decision.requested == Twist(0.26, -1.82, 0.0)
 
 
-def test_the_gap_is_measured_from_the_outline(protection: Protection) -> None:
+def test_gap_is_measured_from_the_outline(protection: Protection) -> None:
     protection.observe(ahead(1.0, 1), DecisionContext(0.0))
     front = float(WAFFLE.footprint[:, 0].max())
     gap = decide(protection).min_gap
@@ -101,7 +102,7 @@ def test_the_gap_is_measured_from_the_outline(protection: Protection) -> None:
 
 
 @given(st.sampled_from(MODES), arrays(np.float64, 360), FINITE, FINITE, FINITE)
-def test_any_scan_and_wish_give_a_finite_command_within_limits(
+def test_every_scan_and_request_give_a_finite_command_within_limits(
     mode: Mode, ranges: Array, linear: float, angular: float, lateral: float
 ) -> None:
     protection = Protection(with_mode(WAFFLE, mode))
@@ -115,7 +116,7 @@ def test_any_scan_and_wish_give_a_finite_command_within_limits(
     assert safe.lateral == 0.0
 
 
-def test_what_rounding_leaves_of_a_command_is_to_stand() -> None:
+def test_command_at_rounding_level_counts_as_zero() -> None:
     """The nearest command to a wish that is blocked may be 1e-17 m/s."""
     wall = ahead(0.30, 40)
     reasons = set()
@@ -131,3 +132,45 @@ def test_what_rounding_leaves_of_a_command_is_to_stand() -> None:
         if abs(decision.safe.linear) + abs(decision.safe.angular) < 1e-9:
             reasons.add(decision.reason)
     assert reasons == {Reason.PROTECTION}
+
+
+BURGER = load_platform("burger")
+
+
+class Says:
+    """An arbiter that says what it is told to."""
+
+    mode = "says"
+
+    def __init__(self, twist: Twist) -> None:
+        self._twist = twist
+
+    def clearance(self, speed: float) -> None:
+        """It never blocks."""
+
+    def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
+        """It looks at nothing."""
+
+    def decide(
+        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
+    ) -> ModeDecision:
+        """Always the same."""
+        return ModeDecision(self._twist, is_active=True)
+
+
+def handed_on(twist: Twist) -> tuple[Twist, Reason | None]:
+    """The command, and why it is zero if it is."""
+    protection = Protection(BURGER)
+    protection._arbiter = Says(twist)
+    context = DecisionContext(1.0, 0.1, Odometry(1.0, Pose(), ZERO), 0.0)
+    decision = protection.decide(Twist(0.1), context, is_running=True, hold=None)
+    return decision.safe, decision.reason
+
+
+@pytest.mark.parametrize("twist", [Twist(math.nan), Twist(0.1, math.inf), Twist(0.1, -math.inf)])
+def test_non_finite_command_of_an_arbiter_becomes_zero(twist: Twist) -> None:
+    assert handed_on(twist) == (ZERO, Reason.PROTECTION)
+
+
+def test_command_of_an_arbiter_is_clipped_to_the_limits() -> None:
+    assert handed_on(Twist(-9.0, 9.0, 9.0)) == (Twist(-0.22, 2.84, 0.0), None)

@@ -15,7 +15,7 @@ from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
 
 JACKAL = load_platform("jackal")
-SIGHT = ScanGeometry(JACKAL.scan)
+GEOMETRY = ScanGeometry(JACKAL.scan)
 PERIOD = 0.1
 SPEED = 1.1
 WIDE = range(-4, 5)
@@ -41,7 +41,7 @@ def look(
     ranges[list(empty)] = math.inf
     ranges[list(near)] = distance
     scan = scan_from(JACKAL, ranges, JACKAL.scan.bearings)
-    memory.update(scan, SIGHT, Pose(ahead, 0.0, math.radians(turned)), seconds)
+    memory.update(scan, GEOMETRY, Pose(ahead, 0.0, math.radians(turned)), seconds)
     return sorted(round(degrees) for degrees in np.degrees(memory.bearings).tolist())
 
 
@@ -53,20 +53,20 @@ def hiding() -> BlindZoneMemory:
     return memory
 
 
-def test_what_was_near_and_vanishes_is_hidden() -> None:
+def test_near_obstacle_that_vanishes_is_hidden() -> None:
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     assert look(memory, WIDE) == []
     assert look(memory, empty=WIDE) == list(WIDE)
 
 
-def test_what_was_too_close_to_measure_is_hidden_once_the_sensor_tells_of_it_no_more() -> None:
+def test_return_too_close_to_measure_is_hidden_once_it_vanishes() -> None:
     memory = hiding()
     look(memory, WIDE, distance=-math.inf)
     look(memory, WIDE, distance=-math.inf)
     assert look(memory, empty=WIDE) == list(WIDE)
 
 
-def test_what_has_vanished_comes_nearer_unseen_at_the_assumed_speed() -> None:
+def test_hidden_obstacle_approaches_at_the_assumed_speed() -> None:
     memory = hiding()
     step = SPEED * PERIOD
     assert memory.nearest == pytest.approx(JACKAL.scan.range_min - step, abs=0.05)
@@ -87,12 +87,12 @@ def face(memory: BlindZoneMemory, distance: float, first: int = -90, last: int =
     ranges[ranges < JACKAL.scan.range_min] = math.inf
     ranges[ranges > JACKAL.scan.range_max] = math.inf
     scan = scan_from(JACKAL, ranges, JACKAL.scan.bearings)
-    memory.update(scan, SIGHT, Pose(), PERIOD)
+    memory.update(scan, GEOMETRY, Pose(), PERIOD)
     return sorted(round(math.degrees(bearing)) for bearing in memory.bearings)
 
 
 @pytest.mark.parametrize("speed", [0.02, 0.1, 0.6])
-def test_a_wide_face_that_comes_near_goes_on_between_where_it_is_seen(speed: float) -> None:
+def test_wide_face_continues_between_its_visible_ends(speed: float) -> None:
     """None of its points vanishes without another one beside it that is still seen."""
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     for distance in np.arange(1.0, 0.35, -speed * PERIOD):
@@ -109,7 +109,7 @@ def test_a_wide_face_that_comes_near_goes_on_between_where_it_is_seen(speed: flo
     assert look(memory) == []
 
 
-def test_the_end_of_a_face_that_comes_in_is_hidden_as_far_as_it_was_seen() -> None:
+def test_end_of_a_face_is_hidden_as_far_as_it_was_seen() -> None:
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     for distance in np.arange(1.0, 0.45, -0.03):
         inside = face(memory, float(distance), 0, 90)
@@ -121,37 +121,37 @@ def test_the_end_of_a_face_that_comes_in_is_hidden_as_far_as_it_was_seen() -> No
 
 
 @pytest.mark.parametrize("distance", [1.1, 2.0])
-def test_what_was_not_near_has_gone(distance: float) -> None:
+def test_far_obstacle_that_vanishes_is_not_hidden(distance: float) -> None:
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, distance=distance)
     assert look(memory, empty=WIDE) == []
 
 
-def test_nothing_is_hidden_where_nothing_was() -> None:
+def test_nothing_is_hidden_without_an_earlier_obstacle() -> None:
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE)
     assert look(memory, WIDE, empty=range(100, 140)) == []
 
 
-def test_it_stays_hidden_while_nothing_shows_that_it_has_gone() -> None:
+def test_hidden_obstacle_stays_without_contrary_evidence() -> None:
     memory = hiding()
     for _ in range(50):
         assert look(memory, empty=WIDE) == list(WIDE)
 
 
-def test_a_return_beyond_shows_its_place_to_be_empty() -> None:
+def test_return_behind_it_clears_a_hidden_obstacle() -> None:
     memory = hiding()
     assert look(memory, empty=range(0, 5)) == list(range(0, 5))
     assert look(memory) == []
 
 
-def test_a_return_nearby_shows_that_it_is_out_again() -> None:
+def test_near_return_shows_that_the_obstacle_reappeared() -> None:
     memory = hiding()
     assert look(memory, WIDE, distance=0.9) == []
     assert look(memory, empty=range(0)) == []
 
 
-def test_what_has_come_out_beside_is_not_inside_as_well() -> None:
+def test_obstacle_that_reappears_beside_its_place_is_not_hidden() -> None:
     """In the open nothing is seen where it was, before it came or after it has gone."""
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, beyond=math.inf)
@@ -159,7 +159,7 @@ def test_what_has_come_out_beside_is_not_inside_as_well() -> None:
     assert look(memory, range(5, 14), beyond=math.inf) == []
 
 
-def test_what_stands_near_by_is_not_what_has_come_out() -> None:
+def test_standing_neighbor_does_not_count_as_reappearance() -> None:
     """Another leg on either side of the shadow was there before: it is not the one that hides."""
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     near, legs = range(-1, 3), [*range(-24, -13), *range(15, 26)]
@@ -168,14 +168,14 @@ def test_what_stands_near_by_is_not_what_has_come_out() -> None:
         assert look(memory, legs, empty=near) == list(near)
 
 
-def test_what_vanishes_before_a_wall_a_little_beyond_is_hidden() -> None:
+def test_obstacle_that_vanishes_before_a_wall_is_hidden() -> None:
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, distance=0.85, beyond=1.05)
     for _ in range(20):
         assert look(memory, empty=WIDE, beyond=1.05) == list(WIDE)
 
 
-def test_slow_turns_are_not_lost() -> None:
+def test_slow_turns_move_hidden_obstacles() -> None:
     """Half a degree a scan is less than from ray to ray."""
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, beyond=math.inf)
@@ -185,7 +185,7 @@ def test_slow_turns_are_not_lost() -> None:
     assert np.mean(found) == pytest.approx(-36.0, abs=2.0)
 
 
-def test_what_is_narrower_than_a_robot_is_forgotten_soon() -> None:
+def test_shadow_narrower_than_a_robot_expires() -> None:
     """The edge of something that has turned away casts such a shadow."""
     memory, shadow = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD), range(4)
     look(memory, shadow)
@@ -198,7 +198,7 @@ def test_what_is_narrower_than_a_robot_is_forgotten_soon() -> None:
 
 @pytest.mark.parametrize("beyond", [3.0, math.inf])
 @pytest.mark.parametrize("width", [6, 9])
-def test_it_is_not_forgotten_in_time(width: int, beyond: float) -> None:
+def test_hidden_obstacle_does_not_expire(width: int, beyond: float) -> None:
     """A Jackal's own lidar is 8.5 cm across: 6 degrees at the rim."""
     memory, shadow = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD), range(width)
     look(memory, shadow, beyond=beyond)
@@ -206,7 +206,7 @@ def test_it_is_not_forgotten_in_time(width: int, beyond: float) -> None:
         assert set(shadow) <= set(look(memory, empty=shadow, seconds=0.5, beyond=beyond))
 
 
-def test_in_the_open_who_leaves_forgets_it() -> None:
+def test_robot_that_leaves_forgets_hidden_obstacles() -> None:
     memory, wide = hiding(), range(-4, 5)
     look(memory, empty=wide, beyond=math.inf)
     for ahead in (0.5, -0.5, 0.5, 0.5, 0.5):
@@ -214,7 +214,7 @@ def test_in_the_open_who_leaves_forgets_it() -> None:
     assert look(memory, empty=wide, beyond=math.inf, ahead=0.2) == []
 
 
-def test_it_moves_with_its_shadow() -> None:
+def test_hidden_obstacle_moves_with_its_empty_sector() -> None:
     memory = hiding()
     assert set(look(memory, empty=range(2, 11))) <= set(range(2, 11))
     for first in range(4, 20, 2):
@@ -223,12 +223,12 @@ def test_it_moves_with_its_shadow() -> None:
         assert set(hidden) <= set(range(first, first + 9))
 
 
-def test_it_stays_where_it_is_when_the_robot_turns() -> None:
+def test_hidden_obstacle_keeps_its_place_when_the_robot_turns() -> None:
     memory = hiding()
     assert look(memory, empty=range(-44, -35), turned=40.0) == list(range(-44, -35))
 
 
-def test_one_ray_that_is_lost_hides_nothing() -> None:
+def test_single_lost_ray_hides_nothing() -> None:
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE)
     assert look(memory, range(-4, 4), empty=range(4, 5)) == []

@@ -47,21 +47,19 @@ def near(pose: Pose, other: Pose, tolerance: float) -> bool:
 
 
 @given(SPEED, SPEED, st.floats(0.0, 0.9), st.floats(0.0, 0.1))
-def test_a_sweeps_pose_is_found_between_two_readings_and_beyond_the_last(
-    v: float, w: float, ago: float, age: float
-) -> None:
+def test_pose_is_interpolated_and_extrapolated(v: float, w: float, ago: float, age: float) -> None:
     motion, last = driven(Twist(v, w))
     at = motion.pose(DecisionContext(1.0 + age, 0.0, last, age), ago)
     assert near(at, arc(Twist(v, w), 1.0 + age - ago), 2e-3)  # a chord for an arc of 0.1 rad
 
 
-def test_before_the_first_reading_it_went_on_as_it_did_then() -> None:
+def test_pose_before_the_first_reading_is_extrapolated_back() -> None:
     motion, last = driven(Twist(0.2), until=0.1)
     assert near(motion.pose(DecisionContext(0.1, 0.0, last, 0.0), 0.3), Pose(-0.04), 1e-9)
 
 
 @given(POSE, POSE, st.tuples(PLACE, PLACE))
-def test_what_is_seen_from_one_pose_is_placed_where_it_is_from_another(
+def test_relative_pose_maps_points_between_frames(
     pose: Pose, frame: Pose, point: tuple[float, float]
 ) -> None:
     here = placed(np.array([point]), relative(pose, frame))
@@ -72,7 +70,9 @@ def test_what_is_seen_from_one_pose_is_placed_where_it_is_from_another(
     ("now", "command", "age"),
     [(0.0, 0.2, 0.0), (0.2, 0.0, 0.04), (0.2, 0.2, 0.1), (0.2, -0.2, 0.0), (0.02, 0.0, 0.1)],
 )
-def test_ahead_it_ramps_to_the_command_in_force(now: float, command: float, age: float) -> None:
+def test_predicted_pose_ramps_to_the_present_command(
+    now: float, command: float, age: float
+) -> None:
     motion, last = driven(Twist(now))
     ahead = motion.predicted_pose(DecisionContext(1.0 + age, 0.0, last, age), Twist(command))
     speed, x, dt = now, last.pose.x, 1e-5
@@ -82,13 +82,13 @@ def test_ahead_it_ramps_to_the_command_in_force(now: float, command: float, age:
     assert ahead.x == pytest.approx(x, abs=1e-5)
 
 
-def test_a_reading_that_is_old_is_not_trusted_for_ever() -> None:
+def test_extrapolation_of_an_old_reading_is_bounded() -> None:
     motion, last = driven(Twist(0.2))
     ahead = motion.predicted_pose(DecisionContext(3.0, 0.0, last, 2.0), Twist(0.2))
     assert ahead.x == pytest.approx(last.pose.x + 0.2 * (MAX_EXTRAPOLATION + REACTION_TIME))
 
 
-def test_a_clock_that_jumps_back_begins_anew() -> None:
+def test_clock_that_goes_back_resets_the_history() -> None:
     motion, _ = driven(Twist(0.2))
     again = Odometry(0.3, Pose(7.0), ZERO)
     motion.update(DecisionContext(9.0, 0.0, again, 0.0))
@@ -96,7 +96,7 @@ def test_a_clock_that_jumps_back_begins_anew() -> None:
     assert motion.clock_resets == 1
 
 
-def test_one_clock_that_goes_on_is_no_restart() -> None:
+def test_repeated_reading_is_not_a_clock_reset() -> None:
     motion, last = driven(Twist(0.2))
     for reading in (last, Odometry(last.stamp, last.pose, last.twist)):  # as it may come again
         motion.update(DecisionContext(1.1, 0.0, reading, 0.1))
@@ -104,7 +104,7 @@ def test_one_clock_that_goes_on_is_no_restart() -> None:
     assert near(motion.pose(DecisionContext(1.1, 0.0, last, 0.1), 0.5), Pose(0.2 * 0.6), 1e-9)
 
 
-def test_a_stamp_that_stands_still_while_the_robot_moves_begins_anew() -> None:
+def test_new_reading_with_an_old_stamp_is_a_clock_reset() -> None:
     motion, last = driven(Twist(0.2))
     again = Odometry(last.stamp, Pose(7.0), last.twist)
     motion.update(DecisionContext(1.1, 0.0, again, 0.0))
@@ -112,7 +112,7 @@ def test_a_stamp_that_stands_still_while_the_robot_moves_begins_anew() -> None:
     assert motion.pose(DecisionContext(1.1, 0.0, again, 0.0), 0.0) == Pose(7.0)
 
 
-def test_without_any_reading_it_stands_at_the_origin() -> None:
+def test_pose_without_readings_is_the_origin() -> None:
     motion = DeadReckoning(1.0, 3.0)
     assert (
         motion.pose(DecisionContext(1.0), 0.1)
@@ -121,7 +121,7 @@ def test_without_any_reading_it_stands_at_the_origin() -> None:
     )
 
 
-def test_headings_are_joined_the_short_way_round() -> None:
+def test_headings_are_interpolated_the_short_way() -> None:
     motion = DeadReckoning(1.0, 3.0)
     for stamp, yaw in ((0.0, 3.1), (0.1, -3.1)):
         motion.update(DecisionContext(stamp, 0.0, Odometry(stamp, Pose(0.0, 0.0, yaw), ZERO), 0.0))

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from swarmd.core.values import Array, Scan, ScanSpec
 from swarmd.protection.footprint import Footprint, ScanGeometry
 
-LIMIT_BOX = Footprint(np.array([[-0.2, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.2, 0.1]]))
+BOX = Footprint(np.array([[-0.2, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.2, 0.1]]))
 
 
 @pytest.mark.parametrize(
@@ -22,17 +22,17 @@ LIMIT_BOX = Footprint(np.array([[-0.2, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.2, 0.
     ],
 )
 def test_gap_is_the_distance_to_the_outline(point: tuple[float, float], gap: float) -> None:
-    assert LIMIT_BOX.gaps(np.array([point]))[0] == pytest.approx(gap, abs=1e-12)
+    assert BOX.gaps(np.array([point]))[0] == pytest.approx(gap, abs=1e-12)
 
 
 @given(st.floats(-3, 3), st.floats(-3, 3))
-def test_gap_agrees_with_the_distance_to_an_axis_aligned_box(x: float, y: float) -> None:
+def test_gap_equals_the_distance_to_an_axis_aligned_box(x: float, y: float) -> None:
     dx = max(-0.2 - x, 0.0, x - 0.1)
     dy = max(-0.1 - y, 0.0, y - 0.1)
-    assert LIMIT_BOX.gaps(np.array([[x, y]]))[0] == pytest.approx(np.hypot(dx, dy), abs=1e-9)
+    assert BOX.gaps(np.array([[x, y]]))[0] == pytest.approx(np.hypot(dx, dy), abs=1e-9)
 
 
-def test_points_are_seen_from_where_the_sensor_is() -> None:
+def test_points_start_at_the_sensor() -> None:
     bearings = np.array([0.0, np.pi / 2, np.pi, -np.pi / 2])
     spec = ScanSpec(bearings, 5.0, 0.12, 3.5, offset=(-0.064, 0.0))
     scan = Scan(1, 0.0, np.array([1.0, -np.inf, np.inf, 2.0]), bearings, 0.12, 3.5)
@@ -52,28 +52,26 @@ def seen(points: Array, offset: tuple[float, float]) -> tuple[Scan, ScanGeometry
     return Scan(1, 0.0, np.hypot(x, y), bearings, 0.0, 10.0), ScanGeometry(spec)
 
 
-def test_no_point_has_no_gap() -> None:
-    assert LIMIT_BOX.min_gap(*seen(np.empty((0, 2)), (0.0, 0.0))) is None
+def test_no_return_has_no_gap() -> None:
+    assert BOX.min_gap(*seen(np.empty((0, 2)), (0.0, 0.0))) is None
     scan, geometry = seen(np.array([[1.0, 0.0]]), (0.0, 0.0))
     nothing = Scan(1, 0.0, np.array([np.inf]), scan.bearings, 0.0, 10.0)
-    assert LIMIT_BOX.min_gap(nothing, geometry) is None
+    assert BOX.min_gap(nothing, geometry) is None
 
 
 @given(
     st.lists(st.tuples(st.floats(-3, 3), st.floats(-3, 3)), min_size=1, max_size=20),
     st.sampled_from([(0.0, 0.0), (-0.064, 0.0), (0.09, -0.09), (0.5, 0.2)]),
 )
-def test_the_smallest_gap_is_that_of_all_points(
+def test_min_gap_is_the_smallest_of_all_points(
     points: list[tuple[float, float]], offset: tuple[float, float]
 ) -> None:
     some = np.array(points)
-    assert LIMIT_BOX.min_gap(*seen(some, offset)) == pytest.approx(
-        LIMIT_BOX.gaps(some).min(), abs=1e-9
-    )
+    assert BOX.min_gap(*seen(some, offset)) == pytest.approx(BOX.gaps(some).min(), abs=1e-9)
 
 
 @pytest.mark.parametrize("turn", np.linspace(0.0, 6.0, 13))
-def test_a_polygon_may_have_any_corners(turn: float) -> None:
+def test_gaps_of_any_convex_polygon(turn: float) -> None:
     angles = turn + np.array([0.0, 1.1, 2.0, 3.9, 5.0])
     corners = np.array([0.3, -0.1]) + 0.4 * np.stack((np.cos(angles), np.sin(angles)), axis=1)
     polygon = Footprint(corners)

@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from swarmd.core.values import Array
 from swarmd.protection.projection import clipped, nearest, nearest_feasible
 
-LIMIT_BOX = ((1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0))
+BOX = ((1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0))
 OCTAGON = tuple((float(np.cos(a)), float(np.sin(a))) for a in np.pi / 4 * np.arange(8))
 COMPONENT = st.floats(-1, 1)
 REQUESTED = st.tuples(COMPONENT, COMPONENT)
-POLYGON = st.sampled_from([LIMIT_BOX, OCTAGON])
+POLYGON = st.sampled_from([BOX, OCTAGON])
 ANGLE = st.floats(-4, 4)
 CLEAR_ANGLE = st.integers(-400, 400).map(lambda n: 0.01 * n)
 CAP = st.one_of(st.just(0.0), st.floats(1e-3, 1.5))
@@ -23,19 +23,19 @@ LENGTH = st.floats(0.05, 3.0)
 ROWS = st.lists(st.tuples(ANGLE, LENGTH, CAP), max_size=10)
 CLEAR_ROWS = st.lists(st.tuples(CLEAR_ANGLE, LENGTH, CAP), max_size=10)
 
-RequestedCommand = tuple[float, float]
-Polygon = tuple[RequestedCommand, ...]
-Constraints = list[tuple[float, float, float]]
+Point = tuple[float, float]
+Polygon = tuple[Point, ...]
+HalfPlanes = list[tuple[float, float, float]]
 
 
-def half_planes(rows: Constraints) -> tuple[Array, Array]:
+def half_planes(rows: HalfPlanes) -> tuple[Array, Array]:
     """Normals (k, 2) and caps (k,) of (angle, length, cap)."""
     angles, lengths, caps = np.array(rows).reshape(-1, 3).T
     normals = lengths[:, None] * np.stack((np.cos(angles), np.sin(angles)), axis=1)
     return normals, caps
 
 
-def solver(requested: RequestedCommand, polygon: Polygon, normals: Array, caps: Array) -> Array:
+def solver(requested: Point, polygon: Polygon, normals: Array, caps: Array) -> Array:
     """The same by quadprog: an active-set method that shares nothing with ours.
 
     Where rows leave but a point it takes rounding for a contradiction, so it gets a little more.
@@ -50,24 +50,22 @@ def solver(requested: RequestedCommand, polygon: Polygon, normals: Array, caps: 
 
 
 @given(REQUESTED, POLYGON, CLEAR_ROWS)
-def test_agrees_with_a_solver_of_quadratic_programs(
-    requested: RequestedCommand, polygon: Polygon, rows: Constraints
-) -> None:
+def test_agrees_with_a_qp_solver(requested: Point, polygon: Polygon, rows: HalfPlanes) -> None:
     normals, caps = half_planes(rows)
     point, _ = nearest_feasible(requested, polygon, normals, caps)
     assert point == pytest.approx(solver(requested, polygon, normals, caps), abs=1e-8)
 
 
-def test_rows_that_are_almost_parallel_meet_where_rounding_lets_them() -> None:
+def test_almost_parallel_constraints_meet_within_rounding() -> None:
     """Anywhere within what rounding may overstep over the angle between; solvers give up there."""
     normals, caps = half_planes([(0.0, 1.0, 0.0), (1e-6, 2.0, 0.0)])
-    point, _ = nearest_feasible((0.5, 0.0), LIMIT_BOX, normals, caps)
+    point, _ = nearest_feasible((0.5, 0.0), BOX, normals, caps)
     assert point == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
 @given(REQUESTED, POLYGON, ROWS)
-def test_no_row_is_overstepped_and_the_polygon_is_not_left(
-    requested: RequestedCommand, polygon: Polygon, rows: Constraints
+def test_result_satisfies_all_constraints(
+    requested: Point, polygon: Polygon, rows: HalfPlanes
 ) -> None:
     normals, caps = half_planes(rows)
     point, _ = nearest_feasible(requested, polygon, normals, caps)
@@ -76,9 +74,9 @@ def test_no_row_is_overstepped_and_the_polygon_is_not_left(
 
 
 @given(REQUESTED, ROWS)
-def test_no_point_of_a_fine_grid_is_nearer(requested: RequestedCommand, rows: Constraints) -> None:
+def test_no_point_of_a_fine_grid_is_nearer(requested: Point, rows: HalfPlanes) -> None:
     normals, caps = half_planes(rows)
-    point, _ = nearest_feasible(requested, LIMIT_BOX, normals, caps)
+    point, _ = nearest_feasible(requested, BOX, normals, caps)
     axis = np.linspace(-1.0, 1.0, 81)
     grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
     allowed = grid[(grid @ normals.T <= caps).all(axis=1)]
@@ -87,8 +85,8 @@ def test_no_point_of_a_fine_grid_is_nearer(requested: RequestedCommand, rows: Co
 
 
 @given(REQUESTED, POLYGON, ROWS)
-def test_a_feasible_wish_is_given_back_as_it_is(
-    requested: RequestedCommand, polygon: Polygon, rows: Constraints
+def test_feasible_request_is_returned_unchanged(
+    requested: Point, polygon: Polygon, rows: HalfPlanes
 ) -> None:
     normals, caps = half_planes(rows)
     inside = nearest(polygon, (0.9 * requested[0], 0.9 * requested[1]))
@@ -98,47 +96,47 @@ def test_a_feasible_wish_is_given_back_as_it_is(
 
 
 @given(REQUESTED, ROWS, st.randoms(use_true_random=False))
-def test_order_and_repetition_of_rows_do_not_matter(
-    requested: RequestedCommand, rows: Constraints, random: object
+def test_order_and_repetition_of_constraints_do_not_matter(
+    requested: Point, rows: HalfPlanes, random: object
 ) -> None:
     shuffled = [*rows, *rows[: len(rows) // 2]]
     random.shuffle(shuffled)  # type: ignore[attr-defined]  # a random.Random
-    point, _ = nearest_feasible(requested, LIMIT_BOX, *half_planes(rows))
-    assert nearest_feasible(requested, LIMIT_BOX, *half_planes(shuffled))[0] == pytest.approx(
+    point, _ = nearest_feasible(requested, BOX, *half_planes(rows))
+    assert nearest_feasible(requested, BOX, *half_planes(shuffled))[0] == pytest.approx(
         point, abs=1e-9
     )
 
 
 @given(REQUESTED, ROWS, st.tuples(ANGLE, st.floats(0.05, 3.0), CAP))
-def test_one_row_more_never_brings_it_nearer_to_the_wish(
-    requested: RequestedCommand, rows: Constraints, more: tuple[float, float, float]
+def test_additional_constraint_never_brings_the_result_nearer(
+    requested: Point, rows: HalfPlanes, more: tuple[float, float, float]
 ) -> None:
-    point, _ = nearest_feasible(requested, LIMIT_BOX, *half_planes(rows))
-    fewer, _ = nearest_feasible(requested, LIMIT_BOX, *half_planes([*rows, more]))
+    point, _ = nearest_feasible(requested, BOX, *half_planes(rows))
+    fewer, _ = nearest_feasible(requested, BOX, *half_planes([*rows, more]))
     assert (
         np.hypot(*np.subtract(fewer, requested)) >= np.hypot(*np.subtract(point, requested)) - 1e-9
     )
 
 
-def test_tight_rows_are_those_that_bind() -> None:
+def test_tight_constraints_are_those_that_bind() -> None:
     normals, caps = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]), np.array([0.25, 0.5, 0.0])
-    point, tight = nearest_feasible((1.0, 0.2), LIMIT_BOX, normals, caps)
+    point, tight = nearest_feasible((1.0, 0.2), BOX, normals, caps)
     assert point == pytest.approx((0.25, 0.2), abs=1e-12)
     assert tight == [0]
 
 
-def test_between_two_that_allow_nothing_towards_them_one_may_still_turn() -> None:
+def test_turning_stays_free_between_two_opposite_constraints() -> None:
     normals = np.array([[1.0, 0.0], [-1.0, 0.0]])
-    point, _ = nearest_feasible((0.7, 0.4), LIMIT_BOX, normals, np.zeros(2))
+    point, _ = nearest_feasible((0.7, 0.4), BOX, normals, np.zeros(2))
     assert point == pytest.approx((0.0, 0.4), abs=1e-12)
 
 
-def test_a_line_through_the_middle_halves_a_polygon() -> None:
-    half = clipped(LIMIT_BOX, 1.0, 0.0, 0.0)
+def test_clipping_halves_a_polygon() -> None:
+    half = clipped(BOX, 1.0, 0.0, 0.0)
     assert sorted(half) == [(-1.0, -1.0), (-1.0, 1.0), (0.0, -1.0), (0.0, 1.0)]
     quarter = clipped(half, -1.0, 0.0, 0.5)
     assert sorted(quarter) == [(-0.5, -1.0), (-0.5, 1.0), (0.0, -1.0), (0.0, 1.0)]
 
 
-def test_what_rounding_leaves_nothing_of_is_to_stand_still() -> None:
+def test_polygon_clipped_to_nothing_becomes_the_origin() -> None:
     assert clipped([(1e-18, 0.0), (0.0, 1e-18)], 1.0, 1.0, -1.0) == [(0.0, 0.0)]

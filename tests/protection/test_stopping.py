@@ -46,7 +46,7 @@ def way(speed: float) -> float:
     return speed * TICK + speed * speed / (2.0 * LINEAR)
 
 
-def test_straight_ahead_it_stops_short_of_what_must_stay_free() -> None:
+def test_straight_stop_keeps_the_free_gap() -> None:
     free, point = 0.05, 0.30
     enough = FRONT + free + way(0.2)
     assert cleared((0.2, 0.0), (enough + 0.002, 0.0), free=(free, 0.0)) == (0.2, 0.0)
@@ -55,7 +55,7 @@ def test_straight_ahead_it_stops_short_of_what_must_stay_free() -> None:
     assert cleared((0.2, 0.0), (-point, 0.0), free=(free, 0.0)) == (0.2, 0.0)
 
 
-def test_what_must_stay_free_grows_while_others_come() -> None:
+def test_free_gap_grows_while_others_approach() -> None:
     """At 0.2 m/s it takes 0.25 s to stand: one that comes at 0.3 m/s is 75 mm nearer by then."""
     enough = FRONT + 0.05 + way(0.2) + 0.3 * (TICK + 0.2)
     assert cleared((0.2, 0.0), (enough + 0.003, 0.0), free=(0.05, 0.3)) == (0.2, 0.0)
@@ -63,7 +63,7 @@ def test_what_must_stay_free_grows_while_others_come() -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_beside_a_flank_a_turn_stops_before_the_corner_is_there(side: float) -> None:
+def test_turn_stops_before_the_corner_arrives(side: float) -> None:
     """The nearest place of the outline does not close at all as it turns; a rear corner comes.
 
     The other way round it is the front one that passes, which is nearer to the axle.
@@ -78,7 +78,7 @@ def test_beside_a_flank_a_turn_stops_before_the_corner_is_there(side: float) -> 
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0], ids=["turn ends first", "drive ends first"])
-def test_of_speeds_that_cancel_one_may_end_first(way: float) -> None:
+def test_stop_of_two_speeds_that_cancel_out(way: float) -> None:
     """The front corner stands still in x as long as both last; what is before it is met after."""
     speeds = way * 0.2, way * 0.2 / HALF
     before = FRONT + 0.015, HALF + 0.001
@@ -86,7 +86,7 @@ def test_of_speeds_that_cancel_one_may_end_first(way: float) -> None:
     assert cleared(speeds, (before[0] + 0.2, before[1])) == speeds
 
 
-def test_who_closes_at_a_creep_goes_on() -> None:
+def test_closing_at_a_negligible_speed_passes() -> None:
     assert cleared((0.9 * NEGLIGIBLE_SPEED, 0.0), (FRONT + 0.001, 0.0)) == (
         0.9 * NEGLIGIBLE_SPEED,
         0.0,
@@ -98,17 +98,17 @@ def test_who_closes_at_a_creep_goes_on() -> None:
     assert cleared((2.0 * NEGLIGIBLE_SPEED, 0.0), (FRONT + 0.001, 0.0))[0] < NEGLIGIBLE_SPEED
 
 
-def test_who_moves_away_goes_on_however_near_it_is() -> None:
+def test_moving_away_passes_at_any_gap() -> None:
     assert cleared((-0.2, 0.0), (FRONT + 0.001, 0.0), free=(0.2, 0.3)) == (-0.2, 0.0)
 
 
-def test_sideways_counts_as_ahead_does() -> None:
+def test_lateral_motion_is_checked() -> None:
     beside = (0.0, HALF + 0.015)
     assert cleared((0.2, 0.0), beside, along=(0.0, -1.0)) == (0.2, 0.0)
     assert cleared((0.2, 0.0), beside, along=(0.0, 1.0))[0] < 0.2
 
 
-def test_what_must_be_given_up_is_the_least() -> None:
+def test_reduces_speeds_as_little_as_possible() -> None:
     """A drive past something keeps its speed when only the turn would meet it, and the reverse."""
     beside = (0.0, HALF + 0.012)
     linear, angular = cleared((0.05, -2.84), beside)
@@ -118,7 +118,7 @@ def test_what_must_be_given_up_is_the_least() -> None:
     assert cleared((0.2, 0.1), ahead) == (0.5 * 0.2, 0.1)
 
 
-def test_between_walls_it_stands() -> None:
+def test_stands_between_walls() -> None:
     walls = [(x, y) for x in np.arange(-0.15, 0.1, 0.01) for y in (-HALF - 0.002, HALF + 0.002)]
     assert cleared((0.0, 1.0), *walls) == (0.0, 0.0)
 
@@ -131,7 +131,7 @@ def outside(platform: Platform, points: list[tuple[float, float]]) -> list[tuple
 
 
 @given(st.sampled_from(PLATFORMS), POINTS, SHARE, SHARE, st.floats(0.0, 0.1))
-def test_none_of_the_grid_that_is_nearer_to_the_command_would_do(
+def test_no_nearer_share_of_the_grid_is_clear(
     platform: Platform, points: list[tuple[float, float]], v: float, w: float, free: float
 ) -> None:
     seen = outside(platform, points)
@@ -152,7 +152,7 @@ def test_none_of_the_grid_that_is_nearer_to_the_command_would_do(
     st.sampled_from(PLATFORMS), POINTS, SHARE, SHARE, st.floats(0.0, 0.1),
     st.sampled_from([(1.0, 1.0), (math.inf, 1.0), (1.0, math.inf)]),
 )  # fmt: skip
-def test_however_it_brakes_it_closes_on_nothing_within_what_must_stay_free(
+def test_stop_keeps_the_free_gap_with_any_brakes(
     platform: Platform,
     points: list[tuple[float, float]],
     v: float,

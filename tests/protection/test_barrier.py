@@ -1,4 +1,4 @@
-"""What holds of mode `barrier` for every scan and every wish; its oracles share nothing with it."""
+"""Mode `barrier`: properties for every scan and requested command, with independent oracles."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def passes(platform: Platform, scan: Scan, twist: Twist, age: float = 0.0) -> bo
 
 
 @given(PLATFORM, SHARE, SHARE, st.lists(st.integers(0, RAYS - 1), max_size=20), AGE)
-def test_where_nothing_is_in_reach_a_wish_passes_to_the_last_bit(
+def test_request_passes_bit_by_bit_far_from_obstacles(
     platform: Platform, v: float, w: float, rays: list[int], age: float
 ) -> None:
     far = platform.scan.range_max - 0.1
@@ -79,9 +79,7 @@ def test_where_nothing_is_in_reach_a_wish_passes_to_the_last_bit(
 
 
 @given(PLATFORM, RETURNS, AGE)
-def test_who_wishes_nothing_is_never_moved(
-    platform: Platform, returns: Returns, age: float
-) -> None:
+def test_zero_request_stays_zero(platform: Platform, returns: Returns, age: float) -> None:
     decision = decided(platform, seeing(platform, returns), ZERO, age=age)
     assert decision.safe == ZERO
     assert not decision.is_active
@@ -99,7 +97,7 @@ WILD = st.floats(-1e6, 1e6)
     st.builds(Odometry, ANYTHING, st.builds(Pose, WILD, WILD, WILD), st.builds(Twist, WILD, WILD)),
     st.floats(0, 10),
 )  # fmt: skip
-def test_whatever_comes_in_what_comes_out_is_finite_and_within_limits(
+def test_any_input_gives_a_finite_command_within_limits(
     platform: Platform, ranges: Array, requested: Twist, odometry: Odometry, age: float
 ) -> None:
     protection = Protection(platform)
@@ -115,7 +113,7 @@ def test_whatever_comes_in_what_comes_out_is_finite_and_within_limits(
 
 
 @given(st.sampled_from([*PLATFORMS, SIDEWAYS]), RETURNS, SHARE, SHARE, SHARE, AGE)
-def test_from_what_it_closes_on_it_can_always_still_stop(
+def test_robot_can_stop_before_every_return(
     platform: Platform, returns: Returns, v: float, w: float, aside: float, age: float
 ) -> None:
     """Each return against the safe command by the equation, with places found by brute force."""
@@ -142,7 +140,7 @@ def test_from_what_it_closes_on_it_can_always_still_stop(
 
 
 @given(PLATFORM, NEAR_RETURNS, SHARE, SHARE)
-def test_what_reaches_further_than_is_seen_is_not_met_by_a_corner_either(
+def test_corners_can_stop_before_the_unseen_extent(
     platform: Platform, returns: Returns, v: float, w: float
 ) -> None:
     """What reaches past what is seen of it is met not by the nearest place alone."""
@@ -175,7 +173,7 @@ def points(platform: Platform, scan: Scan) -> list[Array]:
 
 
 @given(PLATFORM, st.integers(0, RAYS - 1), SHARE, SHARE)
-def test_along_a_ray_that_is_too_close_it_never_closes(
+def test_never_closes_along_a_ray_too_close_to_measure(
     platform: Platform, ray: int, v: float, w: float
 ) -> None:
     scan = seeing(platform, [(ray, -1.0)])
@@ -200,7 +198,7 @@ def edge_along(platform: Platform, way: Array) -> Array:
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE, AGE)
-def test_what_is_allowed_is_given_back(
+def test_safe_command_is_feasible_again(
     platform: Platform, returns: Returns, v: float, w: float, age: float
 ) -> None:
     scan = seeing(platform, returns)
@@ -209,7 +207,7 @@ def test_what_is_allowed_is_given_back(
 
 
 @given(PLATFORM, RETURNS, RETURNS, SHARE, SHARE, AGE)
-def test_what_more_is_seen_never_allows_more(
+def test_more_returns_never_allow_more(
     platform: Platform, returns: Returns, more: Returns, v: float, w: float, age: float
 ) -> None:
     taken = {ray for ray, _ in returns}
@@ -219,7 +217,7 @@ def test_what_more_is_seen_never_allows_more(
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE, AGE, st.floats(0.0, 0.3))
-def test_an_older_scan_never_allows_more(
+def test_older_scan_never_allows_more(
     platform: Platform, returns: Returns, v: float, w: float, age: float, more: float
 ) -> None:
     scan = seeing(platform, returns)
@@ -229,7 +227,7 @@ def test_an_older_scan_never_allows_more(
 
 @pytest.mark.parametrize("setting", ["others_speed", "margin", "unseen_extent"])
 @given(platform=PLATFORM, returns=RETURNS, v=SHARE, w=SHARE, more=st.floats(0.0, 1.0))
-def test_more_caution_never_allows_more(
+def test_more_cautious_settings_never_allow_more(
     setting: str, platform: Platform, returns: Returns, v: float, w: float, more: float
 ) -> None:
     scan = seeing(platform, returns)
@@ -240,7 +238,7 @@ def test_more_caution_never_allows_more(
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE, AGE)
-def test_left_and_right_are_alike(
+def test_mirrored_scan_gives_the_mirrored_command(
     platform: Platform, returns: Returns, v: float, w: float, age: float
 ) -> None:
     scan, requested = seeing(platform, returns), wishing(platform, v, w)
@@ -253,7 +251,7 @@ def test_left_and_right_are_alike(
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE, st.integers(0, 1000))
-def test_the_order_of_rays_and_what_is_seen_twice_do_not_matter(
+def test_order_and_repetition_of_rays_do_not_matter(
     platform: Platform, returns: Returns, v: float, w: float, seed: int
 ) -> None:
     scan, requested = seeing(platform, returns), wishing(platform, v, w)
@@ -266,7 +264,7 @@ def test_the_order_of_rays_and_what_is_seen_twice_do_not_matter(
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE)
-def test_the_promise_to_others_is_kept_wherever_something_is_near(
+def test_surface_speed_holds_near_every_obstacle(
     platform: Platform, returns: Returns, v: float, w: float
 ) -> None:
     scan = seeing(platform, [*returns, (0, 0.1)])
@@ -278,7 +276,7 @@ def test_the_promise_to_others_is_kept_wherever_something_is_near(
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE)
-def test_what_bounds_a_command_is_named_tightest_first(
+def test_reported_constraints_are_sorted_by_cap(
     platform: Platform, returns: Returns, v: float, w: float
 ) -> None:
     decision = decided(platform, seeing(platform, returns), wishing(platform, v, w))
@@ -289,7 +287,7 @@ def test_what_bounds_a_command_is_named_tightest_first(
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE, st.floats(-3, 3), st.floats(0.05, 1.0), st.floats(0, 0.3))
-def test_a_touch_zone_takes_away_but_haste_and_frees_its_own_sector_alone(
+def test_touch_zone_frees_only_its_sector(
     platform: Platform, returns: Returns, v: float, w: float, bearing: float, half: float,
     speed: float,
 ) -> None:  # fmt: skip

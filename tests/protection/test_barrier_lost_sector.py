@@ -1,4 +1,4 @@
-"""A scan that lacks a sector is only as new as what is remembered of it, for the barrier too."""
+"""A scan that lacks a sector is as old as what is remembered of that sector."""
 
 from __future__ import annotations
 
@@ -48,20 +48,20 @@ def drive(platform: Platform, ages: list[float | None], *, distance: float = 0.5
     return decisions
 
 
-def test_a_lost_sector_is_dead_reckoned_as_if_no_scan_had_come(platform: Platform) -> None:
+def test_lost_sector_equals_a_lost_scan(platform: Platform) -> None:
     lost = drive(platform, [0.0, 0.2, 0.4, 0.6])
     none = drive(platform, [0.0, None, None, None])
     assert [one.safe for one in lost] == [one.safe for one in none]
     assert lost[-1].is_active
 
 
-def test_a_sector_that_returns_counts_at_once(platform: Platform) -> None:
+def test_returned_sector_counts_at_once(platform: Platform) -> None:
     again = drive(platform, [0.0, 0.2, 0.4, 0.0])
     whole = drive(platform, [0.0, None, None, 0.0])
     assert [one.safe for one in again] == [one.safe for one in whole]
 
 
-def test_of_two_scans_that_lack_a_sector_the_newer_counts_with_its_age(platform: Platform) -> None:
+def test_newer_partial_scan_counts_with_its_age(platform: Platform) -> None:
     def last(*ages: float | None) -> float:
         return drive(platform, [0.0, *ages], distance=0.52)[-1].safe.linear
 
@@ -69,7 +69,7 @@ def test_of_two_scans_that_lack_a_sector_the_newer_counts_with_its_age(platform:
     assert last(0.2, 0.2, 0.2) > last(None, None, None)
 
 
-def test_what_a_newer_scan_holds_of_a_lost_sector_is_nearer_by_what_it_lags(
+def test_remembered_sector_of_a_newer_scan_widens_the_gap(
     platform: Platform,
 ) -> None:
     """It is placed where the robot was as the scan was taken, though it was seen earlier."""

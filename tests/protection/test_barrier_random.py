@@ -1,7 +1,4 @@
-"""Rides with random twists, reverse included, among things that stand and things that come.
-
-Every seed is a world of its own: poles and boxes anywhere, sensor noise, a lidar in any phase.
-"""
+"""Closed loop: random twists among standing and moving obstacles, one world per seed."""
 
 from __future__ import annotations
 
@@ -62,29 +59,29 @@ def things(platform: Platform, rng: Generator, speed: float) -> list[Shape]:
     return found
 
 
-def ride(kind: str, seed: int, share: float, seconds: float) -> Ride:
+def random_run(kind: str, seed: int, share: float, seconds: float) -> Ride:
     platform, rng = KINDS[kind], np.random.default_rng(seed)
     speed = share * platform.protection["barrier"]["others_speed"]
-    yard = FilterSim(
+    sim = FilterSim(
         platform,
         things(platform, rng, speed),
         phase=rng.uniform(0.0, 1.0 / platform.scan.rate),
         noise=0.01,
         seed=seed,
     )
-    return yard.run(twists(platform, rng), seconds)
+    return sim.run(twists(platform, rng), seconds)
 
 
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_stands_is_never_touched(kind: str, seed: int) -> None:
-    done = ride(kind, seed, 0.0, 10.0)
+def test_standing_obstacles_are_never_touched(kind: str, seed: int) -> None:
+    done = random_run(kind, seed, 0.0, 10.0)
     assert done.touch is None
 
 
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("kind", ["burger", "waffle_pi"])
-def test_what_comes_at_the_assumed_speed_is_not_closed_on(kind: str, seed: int) -> None:
+def test_obstacles_at_the_assumed_speed_are_not_closed_on(kind: str, seed: int) -> None:
     """A Jackal does not see what has come within 0.8 m: that is not promised of it."""
-    done = ride(kind, seed, 1.0, 6.0)
+    done = random_run(kind, seed, 1.0, 6.0)
     assert done.touch is None or done.touch.speed <= NO_FAULT

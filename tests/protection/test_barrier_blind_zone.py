@@ -1,7 +1,4 @@
-"""One mechanism at a time, in closed loop: what a sensor does not see because it is too near.
-
-Each test fails without its mechanism; `python -m benchmarks.mutants` takes them out one by one.
-"""
+"""Closed loop: obstacles that the sensor does not see because they are too near."""
 
 from __future__ import annotations
 
@@ -29,29 +26,29 @@ def calm(platform: Platform, near: str = "lost", **told: object) -> Platform:
     return under_barrier(replace(platform, scan=scan), **{**settings, **told})
 
 
-def distances(yard: FilterSim) -> float:
+def distances(sim: FilterSim) -> float:
     """How near the sensor is to a corner of any shape, in m."""
-    sensor = placed(np.array([yard.platform.scan.offset]), yard.pose)[0]
-    corners = [placed(shape.corners, shape.at(yard.time)) for shape in yard.shapes]
+    sensor = placed(np.array([sim.platform.scan.offset]), sim.pose)[0]
+    corners = [placed(shape.corners, shape.at(sim.time)) for shape in sim.shapes]
     return min(float(np.hypot(*(some - sensor).T).min()) for some in corners)
 
 
-def test_too_close_to_measure_is_contact() -> None:
+def test_return_too_close_to_measure_counts_as_contact() -> None:
     """A Jackal whose sensor told of what is nearer than 0.8 m, with something 0.5 m ahead."""
     platform = calm(JACKAL, near="reported")
-    ride = FilterSim(platform, [pole(0.1, Pose(0.6))]).run(AHEAD, 4.0)
-    assert ride.touch is None
-    assert ride.poses[-1].x == pytest.approx(0.0, abs=1e-6)
+    run = FilterSim(platform, [pole(0.1, Pose(0.6))]).run(AHEAD, 4.0)
+    assert run.touch is None
+    assert run.poses[-1].x == pytest.approx(0.0, abs=1e-6)
 
 
-def test_what_is_too_close_does_not_keep_it_from_creeping_away() -> None:
+def test_robot_creeps_away_from_a_contact() -> None:
     platform = calm(JACKAL, near="reported")
-    ride = FilterSim(platform, [pole(0.1, Pose(0.6))]).run(Twist(-0.5), 4.0)
-    assert ride.poses[-1].x == pytest.approx(-0.015 * 3.9, abs=0.01)
+    run = FilterSim(platform, [pole(0.1, Pose(0.6))]).run(Twist(-0.5), 4.0)
+    assert run.poses[-1].x == pytest.approx(-0.015 * 3.9, abs=0.01)
 
 
 @pytest.mark.parametrize(("gap", "is_hidden"), [(0.06, True), (0.10, False)])
-def test_beside_what_may_touch_it_unseen_it_creeps(gap: float, is_hidden: bool) -> None:
+def test_robot_creeps_beside_a_possible_unseen_contact(gap: float, is_hidden: bool) -> None:
     """A Burger's front is 5 cm nearer to its lidar than that can see.
 
     What comes is nearer than is seen by what it has moved since, and all of it may not be seen.
@@ -67,7 +64,7 @@ def test_beside_what_may_touch_it_unseen_it_creeps(gap: float, is_hidden: bool) 
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_corner_does_not_graze_a_slanted_face_that_is_too_close(side: float) -> None:
+def test_corner_does_not_graze_a_slanted_face_too_close_to_measure(side: float) -> None:
     """The corner of a Burger is nearer to its lidar than the lidar can see.
 
     The outline's nearest place to such a return is on its side, so its row lies across the way.
@@ -75,30 +72,30 @@ def test_a_corner_does_not_graze_a_slanted_face_that_is_too_close(side: float) -
     wedge = np.array([[0.0, 0.0], [0.4, 0.0], [0.4, 0.3], [0.25, 0.3]])
     wedge = wedge if side > 0.0 else (wedge * (1.0, -1.0))[::-1]
     near = Shape(wedge, Pose(0.012, side * 0.093))
-    ride = FilterSim(calm(BURGER, near="reported", margin=0.0), [near]).run(Twist(0.22), 3.0)
-    assert ride.touch is None
+    run = FilterSim(calm(BURGER, near="reported", margin=0.0), [near]).run(Twist(0.22), 3.0)
+    assert run.touch is None
 
 
-def test_a_target_that_crosses_into_the_blind_zone_is_not_closed_on() -> None:
+def test_obstacle_that_enters_the_blind_zone_is_not_closed_on() -> None:
     """It comes at the speed that is assumed of others, and a Jackal drives at it."""
     speed = JACKAL.protection["barrier"]["others_speed"]
     for phase in (0.0, 0.03, 0.06):
         comes = pole(0.15, Pose(2.0, 0.05), velocity=(-speed, 0.0))
-        ride = FilterSim(JACKAL, [comes], phase=phase, noise=0.01).run(AHEAD, 5.0)
-        assert ride.touch is not None
-        assert ride.touch.speed <= NO_FAULT
+        run = FilterSim(JACKAL, [comes], phase=phase, noise=0.01).run(AHEAD, 5.0)
+        assert run.touch is not None
+        assert run.touch.speed <= NO_FAULT
 
 
-def test_nothing_that_stands_is_let_into_the_blind_zone() -> None:
+def test_keep_out_keeps_standing_obstacles_out_of_the_blind_zone() -> None:
     """By what is kept out, not by how far others may reach or come."""
-    yard = FilterSim(calm(JACKAL, keep_out=0.85), [box(0.1, 4.0, Pose(2.0))])
-    ride = yard.run(AHEAD, 8.0)
-    assert ride.poses[-1].x > 0.9
-    assert 1.95 - ride.poses[-1].x >= BLIND
+    sim = FilterSim(calm(JACKAL, keep_out=0.85), [box(0.1, 4.0, Pose(2.0))])
+    run = sim.run(AHEAD, 8.0)
+    assert run.poses[-1].x > 0.9
+    assert 1.95 - run.poses[-1].x >= BLIND
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_turn_that_swings_the_circle_that_is_kept_out_is_bounded(side: float) -> None:
+def test_keep_out_bounds_turns_that_swing_the_circle(side: float) -> None:
     """A Waffle Pi's lidar is 6 cm behind its axle: to turn right swings it to the left."""
     waffle = calm(load_platform("waffle_pi"), near="reported", keep_out=0.6, margin=0.0)
     ranges = np.full(360, math.inf)
@@ -109,60 +106,60 @@ def test_a_turn_that_swings_the_circle_that_is_kept_out_is_bounded(side: float) 
     assert abs(decided(waffle, scan, towards).safe.angular) < 0.01
 
 
-def test_what_it_drove_up_to_is_remembered_when_it_vanishes() -> None:
+def test_approached_obstacle_is_remembered_when_it_vanishes() -> None:
     """A driver that keeps on wishing stands before what he no longer sees, and may creep away."""
-    yard = FilterSim(calm(JACKAL), [box(0.1, 0.6, Pose(2.0))])
-    ride = yard.run(AHEAD, 8.0)
-    assert ride.touch is None
-    assert ride.min_gap < BLIND - 0.254
-    assert ride.twists[-1].linear == pytest.approx(0.0, abs=1e-6)
-    assert yard.run(Twist(-0.5), 4.0).poses[-1].x < ride.poses[-1].x - 0.04
+    sim = FilterSim(calm(JACKAL), [box(0.1, 0.6, Pose(2.0))])
+    run = sim.run(AHEAD, 8.0)
+    assert run.touch is None
+    assert run.min_gap < BLIND - 0.254
+    assert run.twists[-1].linear == pytest.approx(0.0, abs=1e-6)
+    assert sim.run(Twist(-0.5), 4.0).poses[-1].x < run.poses[-1].x - 0.04
 
 
 @pytest.mark.parametrize("bearing", [0.0, 0.5, 1.2, 2.0])
 @pytest.mark.parametrize("speed", [0.1, 0.6])
-def test_a_wide_face_that_has_come_near_is_not_turned_into(bearing: float, speed: float) -> None:
+def test_robot_does_not_turn_into_a_wide_near_face(bearing: float, speed: float) -> None:
     """It stops 6 cm from a Jackal, which then turns: it is seen to either side, not between."""
     way = np.array([math.cos(bearing), math.sin(bearing)])
     rest = float((JACKAL.footprint @ way).max()) + 0.16
     far, velocity = 1.6, (-speed * float(way[0]), -speed * float(way[1]))
     pose = Pose(far * float(way[0]), far * float(way[1]), bearing)
     comes = box(0.2, 3.0, pose, velocity=velocity, end=(far - rest) / speed)
-    yard = FilterSim(JACKAL, [comes], noise=0.01)
-    assert yard.run(Twist(), (far - rest) / speed + 1.0).touch is None
-    assert yard.run(Twist(0.3, 1.0), 4.0).touch is None
+    sim = FilterSim(JACKAL, [comes], noise=0.01)
+    assert sim.run(Twist(), (far - rest) / speed + 1.0).touch is None
+    assert sim.run(Twist(0.3, 1.0), 4.0).touch is None
 
 
-def test_what_has_gone_is_forgotten_once_it_can_be_seen_through() -> None:
+def test_obstacle_that_left_is_forgotten_once_its_place_is_visible() -> None:
     """Something stands where it cannot be seen, leaves sideways, and a wall is seen behind it."""
     thing = box(0.1, 0.4, Pose(1.5), velocity=(0.0, 1.0), begin=6.0, end=8.0)
     walls = [box(0.1, 8.0, Pose(x)) for x in (-2.0, 4.0)]
     walls += [box(8.0, 0.1, Pose(0.0, y)) for y in (-3.5, 3.5)]
-    yard = FilterSim(calm(JACKAL), [thing, *walls])
-    stands = yard.run(AHEAD, 6.0)
+    sim = FilterSim(calm(JACKAL), [thing, *walls])
+    stands = sim.run(AHEAD, 6.0)
     assert stands.poses[-1].x < 1.2
-    goes = yard.run(AHEAD, 6.0)
+    goes = sim.run(AHEAD, 6.0)
     assert goes.touch is None
     assert goes.poses[-1].x > 2.5
 
 
-def test_lost_near_returns_of_an_lds_are_not_taken_for_free() -> None:
+def test_lost_near_returns_of_an_lds_do_not_count_as_free() -> None:
     """Zeros say both too near and nothing there: a body comes until the lidar is blind to it."""
     comes = box(0.2, 0.3, Pose(0.9), velocity=(-0.25, 0.0), end=0.732 / 0.25)
-    yard = FilterSim(BURGER, [comes])
-    assert yard.run(Twist(0.0), 4.0).min_gap == pytest.approx(0.03, abs=0.001)
-    ride = yard.run(Twist(0.22), 5.0)
-    assert ride.touch is None
-    assert ride.poses[-1].x == pytest.approx(0.0, abs=1e-3)
+    sim = FilterSim(BURGER, [comes])
+    assert sim.run(Twist(0.0), 4.0).min_gap == pytest.approx(0.03, abs=0.001)
+    run = sim.run(Twist(0.22), 5.0)
+    assert run.touch is None
+    assert run.poses[-1].x == pytest.approx(0.0, abs=1e-3)
 
 
-def test_pressed_against_it_can_leave() -> None:
+def test_robot_in_contact_can_leave() -> None:
     """At a creep until it is clear of what is not seen of the other, then as it likes."""
     comes = box(0.2, 0.3, Pose(0.9), velocity=(-0.25, 0.0), end=0.732 / 0.25)
-    yard = FilterSim(BURGER, [comes])
-    yard.run(Twist(0.0), 4.0)
-    ride = yard.run(Twist(-0.22), 9.0)
-    assert ride.poses[300].x == pytest.approx(-0.015 * 2.9, abs=0.01)
-    assert ride.poses[-1].x < -0.4
-    assert math.isclose(ride.poses[-1].y, 0.0, abs_tol=0.01)
-    assert distances(yard) > BURGER.scan.range_min
+    sim = FilterSim(BURGER, [comes])
+    sim.run(Twist(0.0), 4.0)
+    run = sim.run(Twist(-0.22), 9.0)
+    assert run.poses[300].x == pytest.approx(-0.015 * 2.9, abs=0.01)
+    assert run.poses[-1].x < -0.4
+    assert math.isclose(run.poses[-1].y, 0.0, abs_tol=0.01)
+    assert distances(sim) > BURGER.scan.range_min

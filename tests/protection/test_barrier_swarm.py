@@ -1,7 +1,4 @@
-"""Two robots and what they meet, in MuJoCo: its contacts judge, which know nothing of the arbiter.
-
-Noise, delays and lost rays are those of `realistic`; the default mode protects.
-"""
+"""Two robots in MuJoCo, whose contacts judge independently of the arbiter."""
 
 from __future__ import annotations
 
@@ -73,7 +70,7 @@ def driven(trace: Trace, name: str = "a") -> float:
 
 @pytest.mark.parametrize("visibility", ["body", "real"])
 @pytest.mark.parametrize("kind", KINDS)
-def test_two_that_drive_at_each_other_stop(kind: str, visibility: str) -> None:
+def test_two_robots_that_drive_at_each_other_stop(kind: str, visibility: str) -> None:
     speed = SPEEDS[kind]
     trace = meeting(
         group(kind, "a", (-2.0, 0.0, 0.0), speed),
@@ -86,14 +83,14 @@ def test_two_that_drive_at_each_other_stop(kind: str, visibility: str) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("way", [1.0, -1.0], ids=["ahead", "reversing"])
-def test_who_drives_at_a_wall_stops(kind: str, way: float) -> None:
+def test_robot_stops_at_a_wall(kind: str, way: float) -> None:
     trace = meeting(group(kind, "a", (way * 4.0, 0.0, 0.2), way * SPEEDS[kind]))
     assert len(trace.contact_t) == 0
     assert driven(trace) > 0.7
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_pole_is_not_too_thin(kind: str) -> None:
+def test_robot_stops_at_a_thin_pole(kind: str) -> None:
     arena = {"poles": [{"at": [0.0, 0.05], "radius": 0.03}]}
     trace = meeting(group(kind, "a", (-2.0, 0.0, 0.0), SPEEDS[kind]), arena=arena)
     assert len(trace.contact_t) == 0
@@ -102,7 +99,7 @@ def test_a_pole_is_not_too_thin(kind: str) -> None:
 
 @pytest.mark.parametrize("kind", ["burger", "waffle_pi"])
 @pytest.mark.parametrize("bearing", [0.0, 1.2, math.pi])
-def test_who_is_rammed_at_a_robots_top_speed_is_not_at_fault(kind: str, bearing: float) -> None:
+def test_rammed_robot_is_not_at_fault(kind: str, bearing: float) -> None:
     """The rammer comes from anywhere; who is rammed drives at it or, from behind, backs."""
     x, y = 1.6 * math.cos(bearing), 1.6 * math.sin(bearing)
     way = -1.0 if bearing > 2.0 else 1.0
@@ -113,7 +110,7 @@ def test_who_is_rammed_at_a_robots_top_speed_is_not_at_fault(kind: str, bearing:
     assert first_touch(trace) <= NO_FAULT
 
 
-def test_a_jackal_is_rammed_within_what_it_cannot_see_and_is_not_at_fault() -> None:
+def test_jackal_rammed_in_its_blind_zone_is_not_at_fault() -> None:
     trace = meeting(
         group("jackal", "a", (-2.0, 0.0, 0.0), 0.5),
         group("ram-jackal", "b", (2.0, 0.1, math.pi), 0.5),
@@ -122,7 +119,7 @@ def test_a_jackal_is_rammed_within_what_it_cannot_see_and_is_not_at_fault() -> N
     assert first_touch(trace) <= NO_FAULT
 
 
-def test_who_turns_beside_another_does_not_swing_into_it() -> None:
+def test_turning_robot_does_not_swing_into_another() -> None:
     trace = meeting(
         group("burger", "a", (0.0, 0.0, 0.0), 0.0, 2.84),
         group("burger", "b", (-0.4, 1.5, -math.pi / 2), 0.22),
@@ -131,7 +128,7 @@ def test_who_turns_beside_another_does_not_swing_into_it() -> None:
 
 
 @pytest.mark.parametrize("seed", [1, 4])
-def test_two_that_slide_along_each_other_to_the_same_place_keep_apart(seed: int) -> None:
+def test_two_robots_that_slide_to_the_same_place_keep_apart(seed: int) -> None:
     """Each closes on nothing that it faces, if that stands: it is their corners that would meet."""
     trace = meeting(
         group("seeing-waffle_pi", "a", (0.0, 0.296, -0.24), 0.2),

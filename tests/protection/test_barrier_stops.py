@@ -1,7 +1,4 @@
-"""One mechanism at a time, in closed loop: what makes the barrier stop in time.
-
-Each test fails without its mechanism; `python -m benchmarks.mutants` takes them out one by one.
-"""
+"""Closed loop: the barrier stops in time. Each test fails without one mechanism."""
 
 from __future__ import annotations
 
@@ -23,11 +20,11 @@ NO_FAULT = 0.02  # m/s: whose own surface is slower at a touch has not caused it
 
 
 def still(platform: Platform) -> Platform:
-    """Nothing is expected to move or to reach beyond what is seen; no promise is made."""
+    """Nothing is expected to move or to extent beyond what is seen; no promise is made."""
     return under_barrier(platform, others_speed=0.001, surface_speed=5.0, unseen_extent=0.0)
 
 
-def reach(platform: Platform, way: int) -> float:
+def extent(platform: Platform, way: int) -> float:
     """How far the outline reaches ahead (way 1) or back (-1) of the axle."""
     return float((way * platform.footprint[:, 0]).max())
 
@@ -35,85 +32,81 @@ def reach(platform: Platform, way: int) -> float:
 @pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
 @pytest.mark.parametrize("way", [1, -1], ids=["ahead", "reversing"])
 @pytest.mark.parametrize("distance", [0.05, 0.4, 1.1])
-def test_stops_at_a_wall_just_short_of_the_margin(
+def test_stops_at_a_wall_with_the_margin_left(
     platform: Platform, way: int, distance: float
 ) -> None:
-    wall = box(0.1, 4.0, Pose(way * (reach(platform, way) + distance + 0.05)))
-    ride = FilterSim(still(platform), [wall]).run(Twist(way * platform.limits.linear), 8.0)
-    assert ride.min_gap == pytest.approx(MARGIN + 0.0005, abs=ROUNDING)
-    assert abs(ride.twists[-1].linear) < 0.001
+    wall = box(0.1, 4.0, Pose(way * (extent(platform, way) + distance + 0.05)))
+    run = FilterSim(still(platform), [wall]).run(Twist(way * platform.limits.linear), 8.0)
+    assert run.min_gap == pytest.approx(MARGIN + 0.0005, abs=ROUNDING)
+    assert abs(run.twists[-1].linear) < 0.001
 
 
 @pytest.mark.parametrize("late", [0.2, 0.4])
-def test_what_a_late_sweep_shows_is_where_it_was_then(late: float) -> None:
+def test_late_scan_is_shifted_by_the_motion_since(late: float) -> None:
     """At full speed a Waffle Pi drives 0.10 m within 0.4 s: three margins."""
     platform = replace(still(WAFFLE), scan=replace(WAFFLE.scan, latency=late))
     wall = box(0.1, 4.0, Pose(1.2))
-    ride = FilterSim(platform, [wall]).run(Twist(0.26), 8.0)
-    assert ride.min_gap == pytest.approx(MARGIN, abs=ROUNDING)
+    run = FilterSim(platform, [wall]).run(Twist(0.26), 8.0)
+    assert run.min_gap == pytest.approx(MARGIN, abs=ROUNDING)
 
 
-def test_while_it_turns_a_late_sweep_is_turned_back() -> None:
+def test_late_scan_is_rotated_by_the_turn_since() -> None:
     """At 1.8 rad/s the sweep is 40 degrees off by the time it counts: a pole ahead is then not."""
     platform = replace(still(WAFFLE), scan=replace(WAFFLE.scan, latency=0.4))
     for phase in (0.0, 0.05, 0.1, 0.15):
-        yard = FilterSim(platform, [pole(0.03, Pose(0.05, 0.27))], phase=phase)
-        assert yard.run(lambda t: Twist(0.0, 1.8 * math.sin(3.0 * t)), 5.0).touch is None
+        sim = FilterSim(platform, [pole(0.03, Pose(0.05, 0.27))], phase=phase)
+        assert sim.run(lambda t: Twist(0.0, 1.8 * math.sin(3.0 * t)), 5.0).touch is None
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
-def test_a_corner_does_not_swing_into_what_is_beside(platform: Platform, side: float) -> None:
+def test_corner_does_not_swing_into_an_obstacle_beside(platform: Platform, side: float) -> None:
     half = float(platform.footprint[:, 1].max())
     wall = box(4.0, 0.1, Pose(0.0, side * (half + 0.035 + 0.05)))
     for way in (1.0, -1.0):
-        ride = FilterSim(still(platform), [wall]).run(
-            Twist(0.0, way * platform.limits.angular), 3.0
-        )
-        assert ride.min_gap >= MARGIN - ROUNDING
+        run = FilterSim(still(platform), [wall]).run(Twist(0.0, way * platform.limits.angular), 3.0)
+        assert run.min_gap >= MARGIN - ROUNDING
 
 
-def test_the_axle_is_not_in_the_middle() -> None:
+def test_outline_is_placed_at_the_axle() -> None:
     """A Burger reaches 38 mm ahead of its axle and 102 mm behind it."""
     gaps = []
     for way in (1, -1):
         wall = box(0.1, 4.0, Pose(way * 0.8))
-        ride = FilterSim(still(BURGER), [wall]).run(Twist(way * 0.22), 6.0)
-        gaps.append(ride.min_gap)
+        run = FilterSim(still(BURGER), [wall]).run(Twist(way * 0.22), 6.0)
+        gaps.append(run.min_gap)
     assert gaps == pytest.approx([MARGIN, MARGIN], abs=ROUNDING)
 
 
 @pytest.mark.parametrize("bearing", [0.0, 0.6, -0.9, 2.6, math.pi])
 @pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
-def test_who_is_rammed_at_the_assumed_speed_is_not_closing(
-    platform: Platform, bearing: float
-) -> None:
+def test_rammed_robot_does_not_close_on_the_other(platform: Platform, bearing: float) -> None:
     speed = platform.protection["barrier"]["others_speed"]
     way = math.cos(bearing), math.sin(bearing)
     front = box(0.2, 3.0, Pose(1.6 * way[0], 1.6 * way[1], bearing),
                 velocity=(-speed * way[0], -speed * way[1]))  # fmt: skip
     requested = Twist(math.copysign(platform.limits.linear, way[0]))
-    ride = FilterSim(platform, [front], noise=0.01).run(requested, 9.0)
-    assert ride.touch is not None
-    assert ride.touch.speed <= NO_FAULT
+    run = FilterSim(platform, [front], noise=0.01).run(requested, 9.0)
+    assert run.touch is not None
+    assert run.touch.speed <= NO_FAULT
 
 
-def test_who_gives_way_by_half_uses_no_more_than_its_half() -> None:
+def test_reciprocal_robot_uses_at_most_half_of_the_gap() -> None:
     """What does not give way takes all the rest: a wall is come to half as near at every tick."""
     told = under_barrier(BURGER, responsibility="reciprocal", margin=0.08)
-    ride = FilterSim(told, [box(0.1, 4.0, Pose(1.0))]).run(Twist(0.22), 8.0)
-    assert 0.08 + 0.06 - ROUNDING <= ride.min_gap <= 0.20
+    run = FilterSim(told, [box(0.1, 4.0, Pose(1.0))]).run(Twist(0.22), 8.0)
+    assert 0.08 + 0.06 - ROUNDING <= run.min_gap <= 0.20
 
 
-def test_what_stands_may_start() -> None:
+def test_standing_obstacle_may_start_to_move() -> None:
     """It begins to come when there is just enough room left for a robot that stands."""
     starts = box(0.2, 0.3, Pose(0.6), velocity=(-0.30, 0.0), begin=2.0)
-    ride = FilterSim(BURGER, [starts]).run(Twist(0.22), 5.0)
-    assert ride.touch is not None
-    assert ride.touch.speed <= NO_FAULT
+    run = FilterSim(BURGER, [starts]).run(Twist(0.22), 5.0)
+    assert run.touch is not None
+    assert run.touch.speed <= NO_FAULT
 
 
-def test_a_body_that_reaches_beyond_what_is_seen_of_it_is_not_touched() -> None:
+def test_unseen_extent_of_another_robot_is_not_touched() -> None:
     """Of a Burger a level lidar sees the housing of its lidar alone."""
     corners = BURGER.footprint - BURGER.scan.offset
     told = under_barrier(BURGER, others_speed=0.001, surface_speed=5.0)
@@ -121,71 +114,67 @@ def test_a_body_that_reaches_beyond_what_is_seen_of_it_is_not_touched() -> None:
         other = replace(
             pole(0.055, Pose(0.6, 0.0, yaw)), corners=corners, seen=round_corners(0.055)
         )
-        ride = FilterSim(told, [other]).run(Twist(0.22), 5.0)
-        assert ride.min_gap >= MARGIN - ROUNDING
+        run = FilterSim(told, [other]).run(Twist(0.22), 5.0)
+        assert run.min_gap >= MARGIN - ROUNDING
 
 
-def test_in_the_open_a_frozen_lidar_stops_it_in_time() -> None:
-    yard = FilterSim(BURGER, [box(0.1, 4.0, Pose(3.3))])
-    assert yard.run(Twist(0.22), 1.0).twists[-1].linear == pytest.approx(0.22)
-    yard.has_lidar = False
-    ride = yard.run(Twist(0.22), 1.5)
-    stands = next(
-        t for t, twist in zip(ride.times, ride.twists, strict=True) if twist.linear == 0.0
-    )
+def test_frozen_lidar_stops_the_robot_in_time() -> None:
+    sim = FilterSim(BURGER, [box(0.1, 4.0, Pose(3.3))])
+    assert sim.run(Twist(0.22), 1.0).twists[-1].linear == pytest.approx(0.22)
+    sim.has_lidar = False
+    run = sim.run(Twist(0.22), 1.5)
+    stands = next(t for t, twist in zip(run.times, run.twists, strict=True) if twist.linear == 0.0)
     ages = BURGER.scan.latency + 1.0 / BURGER.scan.rate  # the last sweep may have just been taken
     assert stands <= 1.0 + ages + BURGER.scan.stale_after + 0.05 + 0.04 + 0.22
-    assert ride.decisions[-1][1].reason is Reason.STALE_SCAN
+    assert run.decisions[-1][1].reason is Reason.STALE_SCAN
 
 
-def test_near_something_a_frozen_lidar_stops_it_before_others_could_be_there() -> None:
-    yard = FilterSim(BURGER, [box(0.1, 4.0, Pose(0.85))])
-    yard.run(Twist(0.22), 1.0)
-    yard.has_lidar = False
-    ride = yard.run(Twist(0.22), 2.0)
-    assert ride.min_gap >= 0.10
-    assert ride.twists[-1].is_zero
+def test_frozen_lidar_stops_earlier_near_an_obstacle() -> None:
+    sim = FilterSim(BURGER, [box(0.1, 4.0, Pose(0.85))])
+    sim.run(Twist(0.22), 1.0)
+    sim.has_lidar = False
+    run = sim.run(Twist(0.22), 2.0)
+    assert run.min_gap >= 0.10
+    assert run.twists[-1].is_zero
 
 
 @pytest.mark.parametrize("at", [0.4, 0.9, 1.4, 1.9, 2.4])
-def test_lost_odometry_stops_it_before_dead_reckoning_goes_wrong(at: float) -> None:
-    yard = FilterSim(still(BURGER), [box(0.1, 4.0, Pose(0.6))])
-    yard.run(Twist(0.22), at)
-    yard.has_odometry = False
-    ride = yard.run(Twist(0.22), 2.0)
-    assert ride.min_gap >= MARGIN - ROUNDING
-    assert ride.decisions[-1][1].reason is Reason.STALE_ODOMETRY
+def test_lost_odometry_stops_the_robot_with_the_margin_left(at: float) -> None:
+    sim = FilterSim(still(BURGER), [box(0.1, 4.0, Pose(0.6))])
+    sim.run(Twist(0.22), at)
+    sim.has_odometry = False
+    run = sim.run(Twist(0.22), 2.0)
+    assert run.min_gap >= MARGIN - ROUNDING
+    assert run.decisions[-1][1].reason is Reason.STALE_ODOMETRY
 
 
 @pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
-def test_nobody_sees_a_corner_of_it_come_faster_than_promised(platform: Platform) -> None:
+def test_corners_keep_the_surface_speed_near_an_obstacle(platform: Platform) -> None:
     told = under_barrier(platform, surface_speed=0.15)
-    yard = FilterSim(told, [box(0.2, 0.2, Pose(-0.2, 0.6))])
-    ride = yard.run(Twist(platform.limits.linear, platform.limits.angular), 4.0)
+    sim = FilterSim(told, [box(0.2, 0.2, Pose(-0.2, 0.6))])
+    run = sim.run(Twist(platform.limits.linear, platform.limits.angular), 4.0)
     x, y = platform.footprint.T
-    fastest = max(np.hypot(t.linear - t.angular * y, t.angular * x).max() for t in ride.twists[30:])
+    fastest = max(np.hypot(t.linear - t.angular * y, t.angular * x).max() for t in run.twists[30:])
     assert fastest == pytest.approx(0.15, abs=0.005)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("distance", [1.0, 1.1, 1.2, 1.3, 1.4])
-def test_spinning_beside_one_that_comes_it_stops_before_its_corner_could_hit(
-    side: float, distance: float
-) -> None:
+def test_spinning_robot_stops_before_its_corner_can_hit(side: float, distance: float) -> None:
     """A corner 0.135 m from the axle moves at 0.38 m/s in a Burger's fastest turn.
 
     A row knows how fast the outline closes now, not how the corner comes around while it brakes:
     for that the stop is followed.
     """
     comes = box(0.3, 0.2, Pose(-0.03, side * distance), velocity=(0.0, side * -0.30))
-    ride = FilterSim(BURGER, [comes]).run(Twist(0.0, 2.84), 6.0)
-    assert ride.touch is not None
-    assert ride.touch.speed <= NO_FAULT
-    assert max(abs(twist.angular) for twist in ride.twists) > 1.5
+    run = FilterSim(BURGER, [comes]).run(Twist(0.0, 2.84), 6.0)
+    assert run.touch is not None
+    assert run.touch.speed <= NO_FAULT
+    assert max(abs(twist.angular) for twist in run.twists) > 1.5
 
 
-def test_it_does_not_reverse_into_another() -> None:
+def test_robot_does_not_reverse_into_another() -> None:
     other = replace(pole(0.055, Pose(-0.7)), corners=BURGER.footprint - BURGER.scan.offset)
-    ride = FilterSim(BURGER, [other]).run(Twist(-0.22, 0.1), 6.0)
-    assert ride.min_gap >= MARGIN
-    assert ride.poses[-1].x < -0.2
+    run = FilterSim(BURGER, [other]).run(Twist(-0.22, 0.1), 6.0)
+    assert run.min_gap >= MARGIN
+    assert run.poses[-1].x < -0.2

@@ -1,4 +1,4 @@
-"""What is left out of a decision because it is too far away to matter does not matter."""
+"""Returns beyond the binding range never change a decision."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def decided(
 
 
 @given(st.sampled_from(KINDS), RETURNS, SHARE, SHARE, st.sampled_from([0.0, 0.1, 0.4, 1.0]))
-def test_what_is_beyond_reach_bounds_nothing(
+def test_returns_beyond_the_binding_range_change_nothing(
     platform: Platform, returns: list[tuple[int, int, float]], v: float, w: float, share: float
 ) -> None:
     age = share * platform.scan.stale_after
@@ -86,7 +86,7 @@ def test_what_is_beyond_reach_bounds_nothing(
 
 
 @pytest.mark.parametrize("platform", KINDS)
-def test_what_may_matter_is_considered_at_every_distance_and_age(platform: Platform) -> None:
+def test_binding_range_holds_at_every_distance_and_age(platform: Platform) -> None:
     """A wall of some rays, from near to far, as a robot at full speed comes up to it."""
     for age in np.array((0.0, 0.1, 0.4, 1.0)) * platform.scan.stale_after:
         for beyond in np.arange(0.0, 1.5, 0.04):

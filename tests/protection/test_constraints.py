@@ -1,0 +1,273 @@
+"""Constraints: limits, caps, binding range, envelope, side constraints, touch zones."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from swarmd.core.values import Array, Limits, Platform, Scan, TouchZone, Twist
+from swarmd.protection.barrier import CREEP_SPEED, TICK
+from swarmd.protection.constraints import (
+    LIMIT_BOX,
+    envelope,
+    half_planes,
+    linear_limit,
+    passive_caps,
+    reciprocal_caps,
+    touch_directions,
+)
+from swarmd.protection.dead_reckoning import REACTION_TIME
+from swarmd.protection.projection import nearest, nearest_feasible
+from swarmd.settings.settings import load_platform
+from swarmd.testing.scans import scan_from
+from tests.support.filter_sim import decided, under_barrier
+
+
+@pytest.mark.parametrize(
+    ("degrees", "limit"), [(0.0, 0.5), (180.0, 0.5), (90.0, 0.2), (-90.0, 0.2), (45.0, 0.2828)]
+)
+def test_linear_limit_of_a_direction(degrees: float, limit: float) -> None:
+    along = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
+    assert linear_limit(Limits(0.5, 2.0, 0.2), along) == pytest.approx(limit, abs=1e-4)
+
+
+ROOM = st.floats(-0.5, 5.0)
+BRAKING = st.floats(0.02, 5.0)
+OTHERS_SPEED = st.floats(0.0, 1.5)
+SECONDS = st.floats(0.0, 1.0)
+MORE = st.floats(0.0, 2.0)
+
+
+def array_of(value: float) -> Array:
+    return np.array([value])
+
+
+def passive(room: float, braking: float, others: float, unseen: float, tick: float) -> float:
+    return float(passive_caps(array_of(room), array_of(braking), others, unseen, tick)[0])
+
+
+def reciprocal(room: float, braking: float, unseen: float, tick: float) -> float:
+    return float(reciprocal_caps(array_of(room), array_of(braking), unseen, tick)[0])
+
+
+@given(ROOM, BRAKING, OTHERS_SPEED, SECONDS, SECONDS)
+def test_stop_from_the_passive_cap_uses_up_the_room(
+    room: float, braking: float, others: float, unseen: float, tick: float
+) -> None:
+    cap = passive(room, braking, others, unseen, tick)
+    own = cap * tick + cap**2 / (2.0 * braking)
+    theirs = others * (unseen + tick + cap / braking)
+    least = others * (unseen + tick)  # they come so far even if the robot stands
+    assert own + theirs == pytest.approx(max(room, least), rel=1e-9, abs=1e-9)
+
+
+@given(ROOM, BRAKING, SECONDS, SECONDS)
+def test_stop_from_the_reciprocal_cap_uses_half_the_room(
+    room: float, braking: float, unseen: float, tick: float
+) -> None:
+    cap = reciprocal(room, braking, unseen, tick)
+    own = cap * (2.0 * tick + unseen) + cap**2 / (2.0 * braking)
+    assert own == pytest.approx(0.5 * max(room, 0.0), rel=1e-9, abs=1e-9)
+
+
+@given(ROOM, BRAKING, OTHERS_SPEED, SECONDS, SECONDS, MORE)
+def test_caps_are_monotonic(
+    room: float, braking: float, others: float, unseen: float, tick: float, more: float
+) -> None:
+    cap = passive(room, braking, others, unseen, tick) + 1e-12
+    assert passive(room, braking, others, unseen + more, tick) <= cap
+    assert passive(room, braking, others + more, unseen, tick) <= cap
+    assert passive(room - more, braking, others, unseen, tick) <= cap
+    assert passive(room, braking, others, unseen, tick + more) <= cap
+    half = reciprocal(room, braking, unseen, tick) + 1e-12
+    assert reciprocal(room, braking, unseen + more, tick) <= half
+    assert reciprocal(room - more, braking, unseen, tick) <= half
+
+
+@given(ROOM, BRAKING, OTHERS_SPEED, SECONDS, SECONDS)
+def test_caps_are_not_negative(
+    room: float, braking: float, others: float, unseen: float, tick: float
+) -> None:
+    """So that to stand still is always feasible, and nobody is made to retreat."""
+    assert passive(room, braking, others, unseen, tick) >= 0.0
+    assert reciprocal(room, braking, unseen, tick) >= 0.0
+
+
+def test_each_obstacle_has_its_own_unseen_time() -> None:
+    rooms, braking, unseen = np.array([1.0, 1.0]), np.array([1.0, 1.0]), np.array([0.1, 0.5])
+    both = passive_caps(rooms, braking, 0.3, unseen, 0.05)
+    assert both == pytest.approx([passive(1.0, 1.0, 0.3, 0.1, 0.05), passive(1.0, 1.0, 0.3, 0.5,
+                                                                             0.05)])  # fmt: skip
+    assert both[1] < both[0]
+
+
+PLATFORMS = [load_platform(name) for name in ("burger", "waffle_pi", "jackal")]
+ANY_PLATFORM = st.sampled_from(PLATFORMS)
+SPEED = st.floats(0.05, 2.0)
+AHEAD, LEFT = (1.0, 0.0), (0.0, 1.0)
+
+
+def polygon_of(platform: Platform, speed: float, along: tuple[float, float] = AHEAD) -> Array:
+    limits = (platform.limits.linear, platform.limits.angular)
+    return np.array(envelope(platform.footprint, along, limits, speed))
+
+
+def fastest_corner(platform: Platform, twist: Array, along: tuple[float, float] = AHEAD) -> float:
+    """The speed in m/s of the fastest_corner corner, from the rigid body's equation."""
+    v, w = twist * (platform.limits.linear, platform.limits.angular)
+    speeds = [math.hypot(v * along[0] - w * y, v * along[1] + w * x) for x, y in platform.footprint]
+    return max(speeds)
+
+
+@given(ANY_PLATFORM, SPEED, st.floats(-1, 1), st.floats(-1, 1), st.sampled_from([AHEAD, LEFT]))
+def test_envelope_bounds_the_speed_of_every_corner(
+    platform: Platform, speed: float, v: float, w: float, along: tuple[float, float]
+) -> None:
+    polygon = polygon_of(platform, speed, along)
+    allowed = nearest([tuple(point) for point in polygon.tolist()], (v, w))
+    assert fastest_corner(platform, np.array(allowed), along) <= speed + 1e-9
+    assert np.abs(allowed).max() <= 1.0 + 1e-12
+
+
+@given(ANY_PLATFORM, SPEED)
+def test_envelope_is_convex_and_contains_zero(platform: Platform, speed: float) -> None:
+    polygon = polygon_of(platform, speed)
+    edges = np.roll(polygon, -1, axis=0) - polygon
+    after = np.roll(edges, -1, axis=0)
+    assert (edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0] >= -1e-9).all()
+    assert (edges[:, 0] * -polygon[:, 1] + edges[:, 1] * polygon[:, 0] > 0.0).all()
+
+
+@pytest.mark.parametrize("platform", PLATFORMS, ids=lambda platform: platform.name)
+def test_envelope_is_exact_straight_and_on_the_spot(platform: Platform) -> None:
+    speed = 0.2
+    polygon = [tuple(point) for point in polygon_of(platform, speed).tolist()]
+    straight = nearest(polygon, (1.0, 0.0))[0] * platform.limits.linear
+    spin = nearest(polygon, (0.0, 1.0))[1] * platform.limits.angular
+    radius = float(np.hypot(*platform.footprint.T).max())
+    assert straight == pytest.approx(speed)
+    assert spin == pytest.approx(speed / radius)
+
+
+@given(ANY_PLATFORM, SPEED, SPEED, st.floats(-1, 1), st.floats(-1, 1))
+def test_larger_surface_speed_allows_at_least_as_much(
+    platform: Platform, one: float, other: float, v: float, w: float
+) -> None:
+    tight = [tuple(p) for p in polygon_of(platform, min(one, other)).tolist()]
+    loose = [tuple(p) for p in polygon_of(platform, max(one, other)).tolist()]
+    allowed = nearest(tight, (v, w))
+    assert nearest(loose, allowed) == pytest.approx(allowed, abs=1e-9)
+
+
+@given(ANY_PLATFORM, st.floats(-1, 1), st.floats(-1, 1))
+def test_large_surface_speed_leaves_only_the_limits(platform: Platform, v: float, w: float) -> None:
+    polygon = [tuple(point) for point in polygon_of(platform, 100.0).tolist()]
+    assert nearest(polygon, (v, w)) == pytest.approx((v, w), abs=1e-12)
+
+
+@given(ANY_PLATFORM, SPEED, st.floats(-1, 1), st.floats(-1, 1))
+def test_half_planes_describe_the_polygon(
+    platform: Platform, speed: float, v: float, w: float
+) -> None:
+    polygon = [tuple(point) for point in polygon_of(platform, speed).tolist()]
+    normals, caps = half_planes(polygon)
+    allowed, _ = nearest_feasible((v, w), LIMIT_BOX, normals, caps)
+    assert allowed == pytest.approx(nearest(polygon, (v, w)), abs=1e-9)
+
+
+WAFFLE = under_barrier(load_platform("waffle_pi"), unseen_extent=0.0)
+HALF_WIDTH = float(WAFFLE.footprint[:, 1].max())
+MARGIN = WAFFLE.protection["barrier"]["margin"]
+REAR, FRONT = (
+    float(bound) for bound in (WAFFLE.footprint[:, 0].min(), WAFFLE.footprint[:, 0].max())
+)
+SIDE_ANGLE = math.radians(60.0)
+TOP = WAFFLE.limits.linear
+
+
+def return_beside(gap: float, side: float) -> Scan:
+    """One return at that gap, straight to the left of the lidar or to the right."""
+    ranges = np.full(360, math.inf)
+    ray = int(np.abs(WAFFLE.scan.bearings - side * math.pi / 2.0).argmin())
+    ranges[ray] = HALF_WIDTH + gap
+    return scan_from(WAFFLE, ranges, WAFFLE.scan.bearings)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
+@pytest.mark.parametrize("way", [1.0, -1.0], ids=["ahead", "reversing"])
+def test_nearer_obstacle_is_passed_more_slowly(side: float, way: float) -> None:
+    """Half of what is left beyond touch each, until both have looked again; 60 degrees aside."""
+    for gap in (0.02, 0.05, 0.07, 0.09):
+        seconds = WAFFLE.scan.latency + REACTION_TIME + TICK
+        closing = max(0.5 * (gap - MARGIN) / seconds, CREEP_SPEED)
+        safe = decided(WAFFLE, return_beside(gap, side), Twist(way * TOP)).safe
+        corner = np.array((FRONT if way > 0.0 else REAR, side * HALF_WIDTH))
+        aside = np.array((way * math.sin(SIDE_ANGLE), side * math.cos(SIDE_ANGLE)))
+        speed = safe.linear - safe.angular * corner[1], safe.angular * corner[0]
+        assert 0.0 < aside @ speed <= closing + 1e-9
+        if gap > MARGIN:  # else the envelope holds it too
+            assert aside @ speed == pytest.approx(min(closing, TOP * math.sin(SIDE_ANGLE)))
+
+
+def test_far_obstacle_is_passed_at_full_speed() -> None:
+    for gap in (0.25, 0.4):
+        requested = Twist(TOP)
+        assert decided(WAFFLE, return_beside(gap, 1.0), requested).safe == requested
+
+
+def test_backing_off_from_an_obstacle_is_free() -> None:
+    ranges = np.full(360, math.inf)
+    ranges[0] = float(WAFFLE.footprint[:, 0].max()) - WAFFLE.scan.offset[0] + MARGIN + 0.01
+    scan = scan_from(WAFFLE, ranges, WAFFLE.scan.bearings)
+    requested = Twist(-TOP)
+    assert decided(WAFFLE, scan, requested).safe == requested
+    assert decided(WAFFLE, scan, Twist(TOP)).safe.linear == 0.0
+
+
+BURGER_OUTLINE = load_platform("burger").footprint
+TWIST_SPEED = st.floats(-2.0, 2.0)
+
+
+def touch_speed(corners: Array, zone: TouchZone, v: float, w: float) -> float:
+    """The highest speed in m/s at which the outline presses, as the rows have it."""
+    press = touch_directions(corners, zone)
+    return float((press.nx * (v - w * press.y) + press.ny * w * press.x).max())
+
+
+@pytest.mark.parametrize(
+    ("bearing", "twist", "speed"),
+    [
+        (0.0, (0.2, 0.0), 0.2),
+        (0.0, (-0.2, 0.0), -0.2 * math.cos(math.radians(20.0))),
+        (180.0, (-0.2, 0.0), 0.2),
+        (90.0, (0.0, 1.0), 0.038),  # of the left side its front corner, which swings outwards
+        (-90.0, (0.0, 1.0), 0.102),  # of the right side the rear one
+        (0.0, (0.0, 1.0), 0.089),  # of the front its right corner
+    ],
+)
+def test_foremost_corner_decides_the_touch_speed(
+    bearing: float, twist: tuple[float, float], speed: float
+) -> None:
+    zone = TouchZone(math.radians(bearing), math.radians(20.0), 0.1)
+    assert touch_speed(BURGER_OUTLINE, zone, *twist) == pytest.approx(speed, abs=2e-3)
+
+
+def test_touch_directions_hold_both_ends_of_a_face() -> None:
+    press = touch_directions(BURGER_OUTLINE, TouchZone(0.0, math.radians(1.0), 0.1))
+    ahead = {(x, y) for nx, x, y in zip(press.nx, press.x, press.y, strict=True) if nx > 0.9999999}
+    assert ahead == {(0.038, -0.089), (0.038, 0.089)}
+
+
+@given(st.floats(-3.0, 3.0), st.floats(0.05, 1.04), TWIST_SPEED, TWIST_SPEED)
+def test_touch_directions_cover_the_zone_within_1_percent(
+    bearing: float, half: float, v: float, w: float
+) -> None:
+    found = touch_speed(BURGER_OUTLINE, TouchZone(bearing, half, 0.1), v, w)
+    for way in np.linspace(bearing - half, bearing + half, 101):
+        nx, ny = math.cos(way), math.sin(way)
+        x, y = max(BURGER_OUTLINE.tolist(), key=lambda corner: nx * corner[0] + ny * corner[1])
+        assert nx * (v - w * y) + ny * w * x <= found + 0.01 * math.hypot(v - w * y, w * x) + 1e-9

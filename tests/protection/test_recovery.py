@@ -1,0 +1,79 @@
+"""Closed loop: recovery leads around obstacles and stays under protection."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from swarmd.core.messages import Reason
+from swarmd.core.values import ZERO, Platform, Pose, Twist
+from swarmd.protection.decision import Permit
+from swarmd.settings.settings import load_platform
+from tests.support.filter_sim import FilterSim, RequestedCommand, Shape, box, pole, under_barrier
+
+BURGER, WAFFLE = under_barrier(load_platform("burger")), under_barrier(load_platform("waffle_pi"))
+MAY = Permit(may_recover=True)
+AHEAD = Twist(0.22)
+
+
+def still(platform: Platform) -> Platform:
+    """Nothing is expected to move or to reach beyond what is seen."""
+    return under_barrier(platform, others_speed=0.001, surface_speed=0.22, unseen_extent=0.0)
+
+
+def nook() -> list[Shape]:
+    """A wall ahead and one to the left: to the right and back there is room."""
+    return [box(0.1, 4.0, Pose(0.9)), box(4.0, 0.1, Pose(0.0, 0.5))]
+
+
+@pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
+def test_recovery_keeps_the_margin(
+    platform: Platform,
+) -> None:
+    run = FilterSim(still(platform), nook()).run(AHEAD, 25.0, MAY)
+    assert any(decision.is_recovering for _, decision in run.decisions)
+    assert run.min_gap >= 0.025
+
+
+def test_robot_without_permit_stays_blocked() -> None:
+    run = FilterSim(BURGER, [box(0.1, 4.0, Pose(0.6))]).run(AHEAD, 8.0)
+    assert not any(decision.is_recovering for _, decision in run.decisions)
+    assert run.twists[-1].is_zero
+    assert run.poses[-1].yaw == pytest.approx(0.0, abs=0.01)
+    assert run.decisions[-1][1].reason is Reason.PROTECTION
+
+
+def test_recovery_leads_around_a_pole() -> None:
+    sim = FilterSim(BURGER, [pole(0.1, Pose(0.8, 0.01))])
+    run = sim.run(toward(sim, 3.0), 40.0, MAY)
+    assert run.touch is None
+    assert max(pose.x for pose in run.poses) > 1.2
+
+
+def toward(sim: FilterSim, x: float) -> RequestedCommand:
+    """Straight to the place (x, 0), without any care."""
+
+    def requested(time: float) -> Twist:
+        pose = sim.pose
+        off = math.remainder(math.atan2(-pose.y, x - pose.x) - pose.yaw, 2.0 * math.pi)
+        return Twist(0.22 * max(math.cos(off), 0.1), 1.5 * off)
+
+    return requested
+
+
+def test_recovery_ignores_a_zero_request() -> None:
+    sim = FilterSim(BURGER, [box(0.1, 4.0, Pose(0.25))])
+    run = sim.run(ZERO, 4.0, MAY)
+    assert all(decision.safe == ZERO for _, decision in run.decisions)
+
+
+def test_recovery_ends_under_a_hold() -> None:
+    sim = FilterSim(BURGER, [box(0.1, 4.0, Pose(0.6))])
+    while not sim.run(AHEAD, 0.1, MAY).decisions[-1][1].is_recovering:
+        assert sim.time < 8.0
+    sim.senses.on_driver(False, "gone")
+    run = sim.run(AHEAD, 4.0, MAY)
+    assert all(
+        decision.safe == ZERO and not decision.is_recovering for _, decision in run.decisions
+    )
