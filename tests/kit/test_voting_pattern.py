@@ -24,8 +24,8 @@ class Listener(VotingPattern[VotingParams]):
     asked: Mapping[str, int] | None = None
 
     def decide(self, votes: Mapping[str, int]) -> int:
-        self.asked = dict(heard)
-        return max(heard.values())
+        self.asked = dict(votes)
+        return max(votes.values())
 
 
 class Desk:
