@@ -15,7 +15,7 @@ from swarmd.core.values import Array
 from swarmd.sim.world.geometry import transform
 
 MIN_MASS, MAX_MASS = 0.001, 1e6
-"""Of a movable box, in kg; the largest one stands like a wall."""
+"""kg of a movable box; the heaviest is as immovable as a wall."""
 
 _WANTED = "wanted is such as 6x6, 6.6x4.8 or 6x6,box:1:0:0.5:0.3:45,pole:-1:2:0.1,segment:0:1:2:1"
 _SIZE = re.compile(r"([0-9.]+)x([0-9.]+)")
@@ -27,9 +27,9 @@ _CORNERS_OF_A_POLE = 16
 class Box:
     """A box as high as the walls: centre and side lengths in m, yaw in rad.
 
-    With a `mass` in kg it is movable: it slides on the floor when pushed, and where it stands here
-    is where it starts. `is_placed` False: a movable one that is not in the arena to begin with.
-    Things call it `box/<name>`, without a name `box/<its index among the boxes>`.
+    With a `mass` in kg it is movable: it slides on the floor when pushed, and this is its start
+    pose. `is_placed` False: a movable box that is not in the arena at first. Contacts name it
+    `box/<name>`, or `box/<index>` without a name.
     """
 
     x: float
@@ -81,7 +81,7 @@ class Segment:
 
     @property
     def box(self) -> Box:
-        """The box that it is."""
+        """The segment as a box."""
         x, y = self.x2 - self.x1, self.y2 - self.y1
         middle = (self.x1 + self.x2) / 2.0, (self.y1 + self.y2) / 2.0
         return Box(*middle, math.hypot(x, y), _THICKNESS, math.atan2(y, x))
@@ -96,7 +96,7 @@ class Segment:
 class Arena:
     """The space between four walls, `length` m along x and `width` m along y.
 
-    ConfigError if two boxes have one name, a name is no id, or a mass cannot be.
+    Raises ConfigError for duplicate or invalid box names and for masses out of bounds.
     """
 
     length: float
@@ -122,7 +122,7 @@ class Arena:
 
     @property
     def named_boxes(self) -> tuple[tuple[str, Box], ...]:
-        """Every box with its name, or with its index for want of one."""
+        """Every box with its name; without a name, with its index."""
         return tuple((box.name or str(index), box) for index, box in enumerate(self.boxes))
 
     @property
@@ -132,14 +132,14 @@ class Arena:
 
     @property
     def fixed(self) -> tuple[tuple[str, Box], ...]:
-        """All that is flat and stays where it is, the outer walls aside, by name of contact."""
+        """Fixed boxes and segments with their names in contacts, without the outer walls."""
         boxes = [(f"box/{name}", box) for name, box in self.named_boxes if box.mass is None]
         inner = [(f"segment/{index}", wall.box) for index, wall in enumerate(self.segments)]
         return (*boxes, *inner)
 
     @property
     def surfaces(self) -> Array:
-        """Every fixed flat surface as (k, 2, 2) start and end, the solid to the left, in m."""
+        """Every fixed flat surface as (k, 2, 2) start and end in m, with the solid on its left."""
         x, y = self.length / 2.0, self.width / 2.0
         walls = np.array([[-x, -y], [-x, y], [x, y], [x, -y]])
         loops = [walls, *(box.corners for _, box in self.fixed)]
@@ -154,7 +154,7 @@ class Arena:
 
     @property
     def text(self) -> str:
-        """What `parse_arena` reads as this very arena."""
+        """The text from which `parse_arena` makes the same arena."""
         words = [f"{_text(self.length)}x{_text(self.width)}"]
         words += [_box_text(box) for box in self.boxes]
         words += [":".join(("pole", *map(_text, (p.x, p.y, p.radius)))) for p in self.poles]
@@ -177,7 +177,7 @@ def _box_text(box: Box) -> str:
 
 
 def _degrees(yaw: float) -> str:
-    """In degrees; in rad where no number of degrees is exactly this one."""
+    """In degrees; in rad if no number of degrees converts to exactly this yaw."""
     for degrees in (round(math.degrees(yaw), 9), math.degrees(yaw)):
         if math.radians(degrees) == yaw:
             return _text(degrees)
@@ -190,11 +190,11 @@ def _text(value: float) -> str:
 
 
 def parse_arena(text: str) -> Arena:
-    """The arena that a command line names; ConfigError if it cannot be read.
+    """Parse an arena of the command line; raises ConfigError.
 
     `LxW` in m, then any number of `,box:x:y:length:width:yaw_deg:mass`, `,pole:x:y:radius` and
-    `,segment:x1:y1:x2:y2`. Of a box, yaw and mass may be left out: without a mass it is fixed.
-    `box/crate:...` gives it a name, and with `:out` after its mass it is not there at first.
+    `,segment:x1:y1:x2:y2`. The yaw and mass of a box are optional: without a mass it is fixed.
+    `box/crate:...` names it; `:out` after the mass leaves it out of the arena at first.
     """
     size, *items = text.split(",")
     match = _SIZE.fullmatch(size)
@@ -213,8 +213,7 @@ def parse_arena(text: str) -> Arena:
             found["segment"].append(_segment(words, text))
         else:
             raise ConfigError(
-                f"arena {text!r}: {item!r} is no box, pole or segment as they are written;"
-                f" {_WANTED}"
+                f"arena {text!r}: {item!r} is not a valid box, pole or segment; {_WANTED}"
             )
     length, width = (_size(_number(word, text), text) for word in match.groups())
     return Arena(length, width, *(tuple(kind) for kind in found.values()))

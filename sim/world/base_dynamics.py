@@ -1,7 +1,4 @@
-"""How bases follow commands: limits, ramps, and a velocity servo that can lose its grip.
-
-How late and how slowly bases follow: a delay line, then caps on acceleration.
-"""
+"""How simulated bases follow commands: delay, acceleration caps, and a servo whose tyres slip."""
 
 from __future__ import annotations
 
@@ -18,7 +15,7 @@ _FRICTION = 0.8
 
 
 class BaseDynamics:
-    """The drives of n planar bases; row i of every array is platform i."""
+    """Velocity servos of n planar bases; row i of every array is platform i."""
 
     def __init__(self, platforms: Sequence[Platform], dt: float) -> None:
         n = len(platforms)
@@ -29,24 +26,24 @@ class BaseDynamics:
         self._inert = np.stack((mass, mass, [inertia(p) for p in platforms]), axis=-1)
         self._grip = _FRICTION * _GRAVITY * mass
         self._spin = self._grip * [value(p, "wheel_separation") / 2.0 for p in platforms]
-        self._wanted, self._driven = np.zeros((n, 3)), np.zeros((n, 3))
+        self._target, self._driven = np.zeros((n, 3)), np.zeros((n, 3))
 
     def set(self, twists: Array) -> None:
-        """What to do from now on: (n, 3) linear, angular, lateral in each base frame.
+        """Set the commands (n, 3) linear, angular, lateral in each base frame.
 
-        Held within each platform's limits, as a base's firmware would; what is not finite is 0.
+        They are clipped to each platform's limits, as firmware does; non-finite values become 0.
         """
         finite = np.where(np.isfinite(twists), twists, 0.0)
-        self._wanted = np.minimum(np.maximum(finite, -self._limits), self._limits)
+        self._target = np.minimum(np.maximum(finite, -self._limits), self._limits)
 
     def forces(self, pose: Array, velocity: Array) -> Array:
         """Forces and torques (n, 3) for the next step, with poses and world velocities (n, 3).
 
-        The force that reaches the wanted velocity within the one step, as far as the tyres hold
-        (Coulomb, the same in all directions). MuJoCo's own velocity actuators are not used: a
-        stiff one with a force limit chatters by 0.04 m/s at rest, a soft one lags.
+        The force that reaches the commanded velocity within one step, up to the friction of the
+        tyres (Coulomb, isotropic). MuJoCo's velocity actuators are not used: a stiff one with a
+        force limit chatters by 0.04 m/s at rest, a soft one lags.
         """
-        gain = np.minimum(self._wanted - self._driven, self._gains)
+        gain = np.minimum(self._target - self._driven, self._gains)
         self._driven += np.maximum(gain, -self._gains, out=gain)
         linear, angular, lateral = self._driven.T
         # Half a step ahead, the heading at which this step's displacement is a chord of the arc.
@@ -76,10 +73,10 @@ def _accelerations(platform: Platform) -> tuple[float, float, float]:
 
 
 class Actuators:
-    """What n bases are driven with: what they were told, late and within the accelerations.
+    """Delays the commands of n bases and caps their accelerations.
 
-    The bodies' own limits and ramps come after it, in `Drives`; these only tighten them. Ideal
-    actuation passes on what it is told, whatever it is.
+    `BaseDynamics` applies each platform's own limits and ramps afterwards. Ideal actuation passes
+    commands on unchanged.
     """
 
     def __init__(self, actuation: Actuation, platforms: Sequence[Platform], dt: float) -> None:
@@ -94,21 +91,21 @@ class Actuators:
         self._gains = np.array(caps)
         limits = [(p.limits.linear, p.limits.angular, p.limits.lateral) for p in platforms]
         self._limits = np.array(limits).reshape(n, 3)
-        self._told, self._driven = np.zeros((n, 3)), np.zeros((n, 3))
+        self._command, self._driven = np.zeros((n, 3)), np.zeros((n, 3))
 
     def put(self, commands: Array) -> None:
-        """What the bases are told from now on: (n, 3) linear, angular, lateral."""
-        self._told = commands.copy()
+        """Set the commands (n, 3) linear, angular, lateral."""
+        self._command = commands.copy()
 
     def now(self) -> Array:
-        """What drives the bases in this step (n, 3); ask once a step."""
+        """The commands (n, 3) in effect in this step; call once a step."""
         length = len(self._line)
-        self._line[self._step % length] = self._told
+        self._line[self._step % length] = self._command
         self._step += 1
-        late = self._line[self._step % length]  # the oldest: what was told `delay_steps` ago
+        late = self._line[self._step % length]  # the oldest: from `delay_steps` ago
         if not self._is_capped:
             return late
-        # A ramp towards what the base can never reach would lag behind once it turns around.
-        wanted = np.clip(np.where(np.isfinite(late), late, 0.0), -self._limits, self._limits)
-        self._driven = self._driven + np.clip(wanted - self._driven, -self._gains, self._gains)
+        # A ramp towards a speed that the base cannot reach would lag when the command reverses.
+        target = np.clip(np.where(np.isfinite(late), late, 0.0), -self._limits, self._limits)
+        self._driven = self._driven + np.clip(target - self._driven, -self._gains, self._gains)
         return self._driven

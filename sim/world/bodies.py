@@ -2,9 +2,9 @@
 
 A planar body slides along the world's x and y and turns about the vertical through its AXLE
 CENTRE, which is also its centre of mass: 4 to 7 times cheaper than wheels, with better tracking
-(measured). Bodies collide as their footprints, extruded to one common height, since everything
-stands on the same floor. A platform whose body says `solid: 0` is a ghost: robots pass through
-it, walls and boxes do not.
+(measured). Bodies collide as their footprints, extruded to one common height, since all stand on
+one floor. A platform with `body: {solid: 0}` is a ghost: robots pass through it, walls and boxes
+do not.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from swarmd.core.values import Array, Platform
 from swarmd.sim.world.arena import Arena, Box
 
 COLLISION, BODY, HOUSING, FIXED = range(4)
-"""Groups of geoms: what collides; what is seen at its true height, twice; the arena."""
+"""Geom groups: collision shapes; visible bodies and lidar housings at true height; the arena."""
 SOLID, GHOST = 1, 2
-"""What geoms are to each other: a ghost meets what lets ghosts touch it, a solid any other."""
+"""Collision types: ghosts collide with geoms that include GHOST, solid bodies with all others."""
 SOLID_TO_ALL = SOLID | GHOST
-"""What walls and boxes are: solid to all."""
+"""The type of walls and boxes, which collide with all bodies."""
 
 _HEIGHT = 0.5
 _WALL = 0.1
-# Of dry friction: with the default of 0.9 a box that is leant against would creep by 1 mm/s.
+# Impedance of dry friction: with the default of 0.9 a pushed box at rest creeps by 1 mm/s.
 _STIFF = [0.9999, 0.9999, 0.001, 0.5, 2.0]
 
 
@@ -149,19 +149,19 @@ def _add_shapes(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:
 
 
 def inertia(platform: Platform) -> float:
-    """The moment of inertia in kg m2 about the vertical: of an even plate."""
+    """The moment of inertia in kg m2 about the vertical, as of a uniform plate."""
     low, high = _rectangle(platform)
     length, width = high - low
     return float(value(platform, "mass") * (length**2 + width**2) / 12.0)
 
 
 def moment(box: Box) -> float:
-    """The moment of inertia in kg m2 of a movable box about the vertical: of an even plate."""
+    """The moment of inertia in kg m2 of a movable box about the vertical, as of a uniform plate."""
     return (box.mass or 0.0) * (box.length**2 + box.width**2) / 12.0
 
 
 def value(platform: Platform, key: str) -> float:
-    """A number of the platform's `body` section; ConfigError if it is not there or not > 0."""
+    """A positive number of the platform's `body` section; else ConfigError."""
     number = platform.body.get(key, 0.0)
     if number > 0.0:
         return float(number)
@@ -172,7 +172,7 @@ def value(platform: Platform, key: str) -> float:
 
 
 def is_solid(platform: Platform) -> bool:
-    """Whether other robots cannot pass through it; ConfigError if `body.solid` is not 0 or 1."""
+    """True unless other robots pass through it; ConfigError if `body.solid` is not 0 or 1."""
     solid = platform.body.get("solid", 1.0)
     if solid not in (0.0, 1.0):
         raise ConfigError(
@@ -188,6 +188,6 @@ def _rectangle(platform: Platform) -> tuple[Array, Array]:
     if len(corners) == 4 and np.isin(corners, (low, high)).all():
         return low, high
     raise ConfigError(
-        f"platform {platform.name}: footprint is no rectangle along x and y; the world simulates"
-        " only those"
+        f"platform {platform.name}: footprint is not a rectangle along x and y; the simulation"
+        " needs one"
     )

@@ -1,7 +1,4 @@
-"""ContactReader counted as people count them: once each, however many steps they last.
-
-ContactReader of bodies as the physics sees them: who, and how fast each surface came.
-"""
+"""Contacts in the physics of a world, and contact episodes as people count them."""
 
 from __future__ import annotations
 
@@ -16,11 +13,11 @@ from numpy.typing import NDArray
 from swarmd.core.values import Array
 
 EPISODE_GAP = 0.5
-"""Seconds apart after which the same two touch anew."""
+"""Seconds without contact after which the same pair begins a new episode."""
 
 
 class ContactEpisodes:
-    """Counts the touches of pairs. Feed it in order of time."""
+    """Counts the contact episodes of pairs; `add` is called in order of time."""
 
     def __init__(self) -> None:
         self._last: dict[tuple[str, str], float] = {}
@@ -28,11 +25,11 @@ class ContactEpisodes:
 
     @property
     def counts(self) -> dict[tuple[str, str], int]:
-        """How often each pair (in order of name) has touched."""
+        """The number of episodes of each pair, whose names are sorted."""
         return dict(self._counts)
 
     def add(self, time: float, a: str, b: str) -> bool:
-        """Note that two touch now; true if this begins a new touch."""
+        """Add a contact of two bodies at `time` s; True if it begins a new episode."""
         pair = (a, b) if a <= b else (b, a)
         last = self._last.get(pair)
         self._last[pair] = time
@@ -43,9 +40,9 @@ class ContactEpisodes:
 
 
 class Contact(Struct, frozen=True):
-    """Two that touch: a robot `a`, and a robot or `wall/east`, `box/0`, `pole/0`, `segment/0`.
+    """A contact of robot `a` with a robot or `wall/east`, `box/0`, `pole/0`, `segment/0`.
 
-    `speed_a` and `speed_b` in m/s: how fast each one's surface moves towards the other.
+    `speed_a` and `speed_b` in m/s: the speed of each surface towards the other.
     """
 
     a: str
@@ -61,29 +58,29 @@ class Contact(Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContactPoints:
-    """The touching points of one step: geoms (c, 2), robots first, and speeds (c, 2)."""
+    """The contact points of one step: geoms (c, 2), robots first, and speeds (c, 2) in m/s."""
 
     geoms: NDArray[np.intp]
     speeds: Array
 
 
 class ContactReader:
-    """Reads the touching pairs of planar bodies out of a model's contacts: those of robots."""
+    """Reads the contacts of robots from the contacts of a model."""
 
     def __init__(self, model: mujoco.MjModel, robots: int) -> None:
-        """Of the bodies, the first so many are `robots`."""
-        # Body 0 is the arena; row i is body i + 1. The arena's row is the last: it comes last in a
-        # pair, and stands still.
+        """`robots`: how many of the model's bodies are robots; they come first."""
+        # Body 0 is the arena, row i is body i + 1. The arena gets the last row: it comes last in a
+        # pair and never moves.
         row = np.array(model.geom_bodyid, dtype=np.intp) - 1
         self._rows = np.where(row < 0, model.nbody - 1, row)
         self._robots = robots
         self._names = [model.geom(geom).name for geom in range(model.ngeom)]
 
     def after_step(self, data: mujoco.MjData, qpos: Array, qvel: Array) -> ContactPoints:
-        """The points in touch in the step that was just made.
+        """The contact points of the last step.
 
-        `qpos` and `qvel` are those before the step: MuJoCo finds contacts there, and the solver
-        has not yet stopped what was about to collide.
+        `qpos` and `qvel` are from before the step: MuJoCo detects contacts there, before the
+        solver stops the colliding bodies.
         """
         found = data.contact
         geoms = np.asarray(found.geom, dtype=np.intp)
@@ -106,7 +103,7 @@ class ContactReader:
         return ContactPoints(geoms, speeds)
 
     def contacts(self, steps: Sequence[ContactPoints]) -> list[Contact]:
-        """Each pair once, with its fastest approach in any of the steps; robots in order."""
+        """Each pair once, with its fastest approach over the steps, in order of robots."""
         if not steps:
             return []
         geoms = np.concatenate([step.geoms for step in steps])

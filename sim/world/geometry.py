@@ -1,4 +1,4 @@
-"""Plane geometry of convex polygons, vectorised: what lidar, metrics and layouts share."""
+"""Plane geometry of convex polygons, vectorised; shared by lidar, metrics and layouts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Indices = NDArray[np.intp]
 
 
 def transform(points: Array, poses: Array) -> Array:
-    """Points (..., k, 2) of body frames at `poses` (..., 3) x, y, yaw, in the world frame."""
+    """Points (..., k, 2) of frames at `poses` (..., 3) x, y, yaw, in the world frame."""
     cos, sin = np.cos(poses[..., 2, None]), np.sin(poses[..., 2, None])
     x = poses[..., 0, None] + cos * points[..., 0] - sin * points[..., 1]
     y = poses[..., 1, None] + sin * points[..., 0] + cos * points[..., 1]
@@ -60,9 +60,9 @@ def _corner_distance(corners: Array, polygon: Array) -> Array:
 
 
 def crossings(a: Array, b: Array, start: Array, end: Array) -> NDArray[np.bool_]:
-    """True where the straight way from a to b (..., 2) meets the segment start to end (..., 2).
+    """True where the path from a to b (..., 2) crosses the segment start to end (..., 2).
 
-    Touching one of the segment's ends counts, touching the way's own ends does not.
+    Touching an end of the segment counts, touching an end of the path does not.
     """
     way, wall = b - a, end - start
     sides = _cross(wall, a - start) * _cross(wall, b - start)

@@ -1,15 +1,11 @@
-"""The rays of one kind of range sensor: which of them fall into an interval of bearings.
+"""Exact 2-D range sensors of a swarm: rays against the flat and round shapes in their plane.
 
-An exact 2-D range sensor: rays against the flat and round things that its plane meets.
+Each shape covers one interval of bearings seen from the sensor. Its distance is computed only for
+the rays within that interval, so a scan costs the shapes nearby and not rays times shapes. The
+tests compare the result with MuJoCo's ray caster to 1e-9 m.
 
-Source of the idea: each thing covers one interval of bearings as seen from the sensor, so its
-distance is computed for the rays within that interval alone, and a sweep costs the things near it,
-not rays times things. Exact: the tests hold it against MuJoCo's own ray caster to 1e-9 m.
-
-All is computed with one array for each coordinate, and as one over the distance, which along a
-surface is a sum of a cosine and a sine: both are several times faster.
-
-The range sensors of a whole swarm: one caster for each kind of platform.
+Each coordinate has one array, and the arithmetic uses one over the distance, which along a surface
+is the sum of a cosine and a sine: both are several times faster.
 """
 
 from __future__ import annotations
@@ -28,22 +24,28 @@ from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.scan_plane import Shapes, shapes_of
 
 Places = NDArray[np.intp]
+Visibility = Literal["body", "real"]
 
 _TURNS = 2.0 * np.pi * np.array([-2.0, -1.0, 0.0, 1.0])
-# Widens each interval, so that no ray slips between two surfaces that share a corner.
+# Rad added to each interval, so that no ray passes between two surfaces that share a corner.
 _SEAM = 1e-12
-# What rays may differ from equal steps for their places to be worked out instead of searched.
-_EVEN = 1e-13
+# Rad by which rays may differ from equal steps for their places to be computed, not searched.
+_MAX_UNEVENNESS = 1e-13
+# m2: a surface whose side (see `Lidar`) is smaller than this is seen edge-on and ignored.
+_EDGE_ON = 1e-10
+# m added to ranges of interest, which are compared in single precision.
+_ROUNDING = 0.01
+_BATCH = 50  # sensors a step, so that its arrays stay within a processor's cache
 
 
 class Rays:
-    """Rays in order of bearing, four turns long, so that no interval is cut in two.
+    """The rays of a scan in order of bearing, repeated over four turns so that no interval is cut.
 
-    By place in that order: `number` in the sweep, `cos` and `sin` of the bearing.
+    By place in that order: `number` in the scan, `cos` and `sin` of the bearing.
     """
 
     def __init__(self, bearings: Array) -> None:
-        """`bearings` (n,) rad of a sweep, in any order."""
+        """`bearings` (n,) rad of a scan, in any order."""
         wrapped = np.mod(bearings + np.pi, 2.0 * np.pi) - np.pi
         order = np.argsort(wrapped, kind="stable")
         self.number = np.tile(order, len(_TURNS))
@@ -52,12 +54,12 @@ class Rays:
         self._bearings = np.add.outer(_TURNS, wrapped[order]).ravel()
         self._step = 2.0 * np.pi / max(len(order), 1)
         even = self._bearings[:1] + self._step * np.arange(len(self._bearings))
-        self._is_even = np.allclose(even, self._bearings, rtol=0.0, atol=_EVEN)
+        self._is_even = np.allclose(even, self._bearings, rtol=0.0, atol=_MAX_UNEVENNESS)
 
     def within(self, low: Array, high: Array) -> tuple[Places, Places]:
-        """The places of the rays in each interval (k,) of bearings, and how many it has (k,).
+        """The places of the rays in each interval (k,) of bearings, and their number (k,).
 
-        The intervals one after another, each within -5 pi and 3 pi.
+        The places of all intervals are concatenated. Bearings lie within -5 pi and 3 pi.
         """
         first = self._place(low - _SEAM)
         counts = self._place(high + _SEAM) - first
@@ -67,23 +69,16 @@ class Rays:
         return places, counts
 
     def _place(self, bearing: Array) -> Places:
-        """How many rays have lesser bearings."""
+        """The number of rays with smaller bearings."""
         if not self._is_even:
             return np.searchsorted(self._bearings, bearing)
         place: Array = np.ceil((bearing - self._bearings[0]) / self._step)
         return place.astype(np.intp)
 
 
-# m2: nearer to a surface's line than this over its length it is seen edge-on, so not at all.
-_EDGE_ON = 1e-10
-# m by which more is taken for near than is, since that is computed with single precision.
-_ROUNDING = 0.01
-_AT_ONCE = 50  # so that the arrays of a step of the arithmetic stay within a processor's cache
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Sensors:
-    """Where m sensors are, and the rows of their carriers; `yaw` is within -pi and pi."""
+    """The poses of m sensors and the rows of their robots; `yaw` is within -pi and pi."""
 
     x: Array
     y: Array
@@ -94,11 +89,11 @@ class _Sensors:
 
 
 class Lidar:
-    """Casts the sweeps of all sensors of one kind at once.
+    """Casts the scans of all sensors of one kind at once.
 
-    Surfaces are arrays (4, ...) x and y of their start, x and y from there to their end, in the
-    world frame. Their `side` is the sensor's distance from their line times their length, less
-    than 0 where it sees their face.
+    Surfaces are arrays (4, ...): x and y of the start, x and y from there to the end, world frame.
+    The `side` of a surface is the sensor's distance from its line times its length, negative where
+    the sensor faces its front.
     """
 
     def __init__(self, spec: ScanSpec, shapes: Shapes) -> None:
@@ -113,14 +108,13 @@ class Lidar:
         self._reach = np.hypot(corners[..., 0], corners[..., 1]).max(axis=1, initial=0.0)
 
     def cast(self, poses: Array, observers: Indices) -> Array:
-        """Ranges (m, rays) in m seen by robots `observers` (m,), with all bodies at `poses` (n, 3).
+        """Ranges (m, rays) in m of robots `observers` (m,), with all bodies at `poses` (n, 3).
 
-        What is at NaN is not there. +inf: beyond range_max or nothing there, -inf: nearer than
-        range_min.
+        A row of NaN is absent. +inf: no return within range_max, -inf: nearer than range_min.
         """
         ranges = np.full((len(observers), len(self._spec.bearings)), np.inf)
-        for first in range(0, len(observers), _AT_ONCE):
-            some = slice(first, first + _AT_ONCE)
+        for first in range(0, len(observers), _BATCH):
+            some = slice(first, first + _BATCH)
             self._cast(ranges[some], poses, observers[some])
         return ranges
 
@@ -170,7 +164,7 @@ class Lidar:
         self._raise(nearness, scan.repeat(counts), places, near)
 
     def _facing_walls(self, sensors: _Sensors) -> tuple[Indices, Array, Array]:
-        """Which sensor (e,) sees a wall, the walls (4, e), the side (e,)."""
+        """For each pair that faces: the sensor (e,), the wall (4, e) and its side (e,)."""
         x, y, along_x, along_y = self._walls
         side = (x - sensors.x[:, None]) * along_y - (y - sensors.y[:, None]) * along_x
         seen = _places((side < -_EDGE_ON) & (side >= self._seen_walls))
@@ -178,7 +172,7 @@ class Lidar:
         return scan, self._walls.take(wall, axis=1), side.take(seen)
 
     def _facing_edges(self, sensors: _Sensors, poses: Array) -> tuple[Indices, Array, Array]:
-        """The same for the edges of polygons, those of the sensor's own carrier left out."""
+        """As `_facing_walls` for the edges of polygons, without those of the sensor's own robot."""
         owners, corners = self._shapes.polygon_owners, self._edges.shape[2]
         at = poses[owners]
         scan, polygon = _near(sensors, at[:, 0], at[:, 1], self._reach + self._spec.range_max)
@@ -208,7 +202,7 @@ class Lidar:
         y = y.take(circle) - sensors.y.take(scan)
         radius = radius.take(circle)
         beyond = x * x + y * y - radius * radius
-        seen = _places(beyond > 0.0)  # not from within: no sensor sees its own housing
+        seen = _places(beyond > 0.0)  # not from inside: no sensor sees its own housing
         scan, x, y = scan.take(seen), x.take(seen), y.take(seen)
         radius, beyond = radius.take(seen), beyond.take(seen)
         middle = np.arctan2(y, x) - sensors.yaw.take(scan)
@@ -224,13 +218,13 @@ class Lidar:
         self._raise(nearness, scan.repeat(counts), places, near)
 
     def _raise(self, nearness: Array, scan: Indices, places: Indices, near: Array) -> None:
-        """Let each ray see what is nearest: the greatest of one over the distances."""
+        """Keep the nearest return of each ray: the largest of one over the distances."""
         ray = scan * nearness.shape[1] + self._rays.number.take(places)
         np.maximum.at(nearness.reshape(-1), ray, near)
 
 
 def _near(sensors: _Sensors, x: Array, y: Array, reach: Array) -> tuple[Indices, Indices]:
-    """The pairs of sensors and things at x, y (b,) within their `reach` (b,), and a few more."""
+    """The pairs of sensors and shapes at x, y (b,) within `reach` (b,), and a few more."""
     single = np.float32
     squared = x.astype(single) - sensors.x.astype(single)[:, None]
     squared *= squared
@@ -242,7 +236,7 @@ def _near(sensors: _Sensors, x: Array, y: Array, reach: Array) -> tuple[Indices,
 
 
 def _places(is_one: NDArray[np.bool_]) -> Indices:
-    """Where an array of any shape, taken as a flat one, is true."""
+    """The indices at which the flattened array is true."""
     return is_one.ravel().nonzero()[0]
 
 
@@ -253,9 +247,9 @@ def _divided(places: Indices, width: int) -> tuple[Indices, Indices]:
 
 
 def _placed(vectors: Array, poses: Array) -> Array:
-    """Points (2, b, k) of body frames at `poses` (b, 3) in the world frame.
+    """Points (2, b, k) of frames at `poses` (b, 3), in the world frame.
 
-    Of (4, b, k) the last two are directions, which only turn.
+    In an array (4, b, k) the last two rows are directions, which are rotated only.
     """
     cos, sin = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
     x, y = vectors[0::2], vectors[1::2]
@@ -266,11 +260,8 @@ def _placed(vectors: Array, poses: Array) -> Array:
     return placed
 
 
-Visibility = Literal["body", "real"]
-
-
 class RangeSensors:
-    """Casts for any set of robots at once, platform by platform."""
+    """The range sensors of a whole swarm: one `Lidar` for each platform."""
 
     def __init__(self, platforms: Sequence[Platform], arena: Arena, visibility: Visibility) -> None:
         """`platforms` (n,) in the order of rows; `visibility` as `World` explains it."""

@@ -1,4 +1,4 @@
-"""Random numbers of one robot and one purpose, independent of all others."""
+"""Independent random generators for each robot and purpose."""
 
 from __future__ import annotations
 
@@ -6,5 +6,5 @@ import numpy as np
 
 
 def generator(seed: int, purpose: str, robot: str) -> np.random.Generator:
-    """The same numbers for the same three, whatever else is in the world; `seed` >= 0."""
+    """The generator of these three alone, whatever else is in the world; `seed` >= 0."""
     return np.random.default_rng([seed, len(purpose), *purpose.encode(), *robot.encode()])
