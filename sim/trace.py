@@ -193,7 +193,7 @@ class TraceBuilder:
         if self._movable_boxes and box_pose is not None:
             self._thing_pose.append(box_pose.copy())
 
-    def touch(self, time: float, a: str, b: str, speed_a: float, speed_b: float) -> None:
+    def add_contact(self, time: float, a: str, b: str, speed_a: float, speed_b: float) -> None:
         """One step of a touch between robot `a` and `b`, a robot or part of the arena."""
         pair = self._index[a], self._index.get(b, ARENA)
         self._contacts.append((time, *pair, speed_a, speed_b))

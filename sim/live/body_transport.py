@@ -1,4 +1,4 @@
-"""How bodies of a real-time world speak: over the `hw/*` keys, or in the dialect of a driver."""
+"""Sensor data and commands of a live world: over the `hw/*` keys, or emulating a ROS driver."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from swarmd.driver_api.hw_codec import (
 from swarmd.sim.live.link import WorldLink
 
 DRIVER = "simulated"
-"""The driver of daemons whose bodies speak no dialect."""
+"""The driver of daemons whose robots are not emulated."""
 
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """The newest command of a robot, and when it came. `scan_seq`: the sweep it rests on, if told.
+    """The newest command of a robot and its time of arrival.
 
-    -1: it rests on none.
+    `scan_seq`: the scan behind the decision; -1: no scan, None: unknown.
     """
 
     twist: Twist
@@ -35,50 +35,50 @@ class Command:
 
 
 class BodyTransport(Protocol):
-    """Says what bodies sense, and hears what they are told."""
+    """Publishes sensor data and receives commands of all robots."""
 
     @property
     def dropped(self) -> int:
-        """How many commands could not be read."""
+        """The number of malformed commands."""
 
     def scan(self, robot: str, scan: Scan) -> None:
-        """A sweep."""
+        """Publish a scan."""
 
     def odometry(self, robot: str, odometry: Odometry) -> None:
-        """A measured pose and twist."""
+        """Publish a measured pose and twist."""
 
     def neighbors(self, robot: str, heard: tuple[Neighbor, ...]) -> None:
-        """The robots within hearing, where the language has a word for it."""
+        """Publish the robots in radio contact, if the transport supports it."""
 
     def readings(self, robot: str, values: Mapping[str, float]) -> None:
-        """Scalar sensors, where the language has a word for them."""
+        """Publish scalar readings, if the transport supports them."""
 
     def take_commands(self) -> Mapping[str, Command]:
         """The newest command of each robot since the last call."""
 
 
 class HwTransport:
-    """The `hw/*` keys, on the world's own link."""
+    """The `hw/*` keys on the world's link."""
 
-    dropped = 0  # the link counts them itself
+    dropped = 0  # the link counts them
 
     def __init__(self, link: WorldLink) -> None:
         self._link = link
 
     def scan(self, robot: str, scan: Scan) -> None:
-        """A sweep."""
+        """Publish a scan."""
         self._link.publish(robot, "scan", encode_scan(scan))
 
     def odometry(self, robot: str, odometry: Odometry) -> None:
-        """A measured pose and twist."""
+        """Publish a measured pose and twist."""
         self._link.publish(robot, "odometry", encode_odometry(odometry))
 
     def neighbors(self, robot: str, heard: tuple[Neighbor, ...]) -> None:
-        """The robots within hearing."""
+        """Publish the robots in radio contact."""
         self._link.publish(robot, "neighbors", encode_neighbors(heard))
 
     def readings(self, robot: str, values: Mapping[str, float]) -> None:
-        """Scalar sensors."""
+        """Publish scalar readings."""
         self._link.publish(robot, "readings", encode_readings(values))
 
     def take_commands(self) -> Mapping[str, Command]:
@@ -92,7 +92,7 @@ class HwTransport:
 
 
 class EmulatorTransport:
-    """The dialect of a driver. `side` is the hub that the daemons' drivers dial."""
+    """The emulator of a driver's robots. `side` is the hub to which the daemons connect."""
 
     def __init__(
         self,
@@ -102,7 +102,7 @@ class EmulatorTransport:
         *,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Opens at once; errors as those of the factory."""
+        """Open the hub; raises what the factory raises."""
         self._clock = clock
         self._lock = threading.Lock()
         self._commands: dict[str, Command] = {}
@@ -112,22 +112,22 @@ class EmulatorTransport:
 
     @property
     def dropped(self) -> int:
-        """How many commands could not be read."""
+        """The number of malformed commands."""
         return self.side.dropped
 
     def scan(self, robot: str, scan: Scan) -> None:
-        """A sweep."""
+        """Publish a scan."""
         self.side.scan(robot, scan)
 
     def odometry(self, robot: str, odometry: Odometry) -> None:
-        """A measured pose and twist."""
+        """Publish a measured pose and twist."""
         self.side.odometry(robot, odometry)
 
     def neighbors(self, robot: str, heard: tuple[Neighbor, ...]) -> None:
-        """No robot says whom it hears."""
+        """Ignored: emulated robots do not publish neighbors."""
 
     def readings(self, robot: str, values: Mapping[str, float]) -> None:
-        """No topic carries them."""
+        """Ignored: no topic carries readings."""
 
     def take_commands(self) -> Mapping[str, Command]:
         """The newest command of each robot since the last call."""
@@ -136,7 +136,7 @@ class EmulatorTransport:
         return commands
 
     def close(self) -> None:
-        """End the hub."""
+        """Close the hub."""
         self.side.close()
 
     def _on_command(self, robot: str, twist: Twist) -> None:

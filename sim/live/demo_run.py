@@ -223,7 +223,7 @@ class DemoRun:
             if time.monotonic() >= next_round:
                 self._fleet.check()
                 statuses = statuses_of(self._operator.members(timeout=STATUS_PERIOD))
-                self._statements.hear(state.recorded, statuses)
+                self._statements.add(state.recorded, statuses)
                 self._on_scene(self._scene(state, statuses))
                 next_round = time.monotonic() + STATUS_PERIOD
             try:

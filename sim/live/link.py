@@ -1,7 +1,7 @@
-"""The world's network: its own Zenoh session for the bodies' `hw/*` keys and for viewers.
+"""The Zenoh session of a live world: the robots' `hw/*` keys, its state and its requests.
 
-The only module of the simulation that knows Zenoh. Multicast and gossip are off: drivers and
-viewers dial the world, and meet nobody else there.
+The only module of the simulation that imports Zenoh. Multicast and gossip are off: drivers and
+viewers connect to the world and to no other peer.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ from swarmd.sim.live.state import (
     state_key,
 )
 
-# On this host a frozen daemon keeps its link: it comes back where it was, and no lease ends
-# meanwhile. A daemon that dies is noticed by its closed socket.
+# s. A frozen daemon on this host keeps its link until it resumes; the closed socket of a dead
+# daemon is noticed at once.
 LEASE = 60.0
-MAX_PENDING_REQUESTS = 64  # waiting for the next step; a flood costs its sender's questions
+MAX_PENDING_REQUESTS = 64  # until the next step; more are dropped
 _OPTIONS: dict[str, object] = {
     "mode": "peer",
     "scouting/multicast/enabled": False,
     "scouting/gossip/enabled": False,
     "transport/link/tx/lease": round(LEASE * 1000),
-    # The loop never waits for a robot that does not read; the sending thread may lag by a burst.
+    # The loop never waits for a robot that does not read; the sender may lag by a burst.
     "transport/link/tx/queue/size/real_time": 16,
     "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
     "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 0,
@@ -51,14 +51,14 @@ _OPTIONS: dict[str, object] = {
 
 @dataclass(frozen=True, slots=True)
 class PendingRequest:
-    """A request as it came, and how to answer it."""
+    """The payload of a request, and the function that sends the reply."""
 
     payload: bytes
     answer: Callable[[WorldReply], None]
 
 
 class WorldLink:
-    """The world's end: publishes senses, latches the newest command of each robot."""
+    """The world's side: publishes sensor data, keeps the newest command of each robot."""
 
     def __init__(
         self,
@@ -68,9 +68,9 @@ class WorldLink:
         *,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """Opens at once; NetworkError if the endpoint cannot be had, ConfigError if it is none.
+        """Open the session; NetworkError if the endpoint is in use, ConfigError if invalid.
 
-        Port 0 takes a free one; `endpoint` then holds which.
+        Port 0 selects a free port, which `endpoint` then holds.
         """
         self.dropped = 0
         self._clock = clock
@@ -81,7 +81,7 @@ class WorldLink:
         self._ids = frozenset(ids)
         self._session, self.endpoint = open_listening(endpoint, _OPTIONS, "the world")
         tune_sockets(self._session, LEASE)
-        self._senses = {
+        self._publishers = {
             (robot, name): self._publisher(keys.build(swarm, robot, "hw", name))
             for robot in self._ids
             for name in ("scan", "odometry", "neighbors", "readings")
@@ -93,27 +93,27 @@ class WorldLink:
         self._session.declare_queryable(control_key(swarm), self._on_query)
 
     def publish(self, robot: str, name: str, payload: bytes) -> None:
-        """Send one sense of a robot; dropped if nobody can take it now."""
-        self._senses[robot, name].put(payload)
+        """Publish sensor data of a robot; dropped if the link is busy."""
+        self._publishers[robot, name].put(payload)
 
     def publish_state(self, state: WorldState) -> None:
-        """Send the state to viewers."""
+        """Publish the state for viewers."""
         self._state.put(encode(state))
 
     def take_commands(self) -> dict[str, tuple[CommandWire, float]]:
-        """The newest command of each robot since the last call, with its time of arrival."""
+        """The newest command of each robot since the last call, with its time of arrival in s."""
         with self._lock:
             commands, self._commands = self._commands, {}
         return commands
 
     def take_requests(self) -> list[PendingRequest]:
-        """The requests since the last call, each to be answered once."""
+        """The requests since the last call; each needs one reply."""
         with self._lock:
             questions, self._requests = self._requests, []
         return questions
 
     def close(self) -> None:
-        """End the session."""
+        """Close the session."""
         self._session.close()
 
     def _publisher(self, key: str) -> zenoh.Publisher:
@@ -132,7 +132,7 @@ class WorldLink:
         arrival = self._clock()
         try:
             command = decode_command(sample.payload.to_bytes())
-        except CodecError:  # it must not take the place of one that can be read
+        except CodecError:  # keep the newest valid command
             self.dropped += 1
             return
         with self._lock:
@@ -143,7 +143,7 @@ class WorldLink:
 
         def answer(reply: WorldReply) -> None:
             query.reply(control_key(self._swarm), encode(reply))
-            query.drop()  # what ends the asker's wait
+            query.drop()  # ends the requester's wait
 
         with self._lock:
             is_taken = len(payload) <= MAX_CONTROL and len(self._requests) < MAX_PENDING_REQUESTS
@@ -156,10 +156,10 @@ class WorldLink:
 
 
 class WorldView:
-    """A viewer's end: watches the state, asks for actions. Close it, or use it in `with`."""
+    """A viewer's side: receives the state, requests actions. Close it, or use it in `with`."""
 
     def __init__(self, swarm: str, endpoint: str) -> None:
-        options = {**_OPTIONS, **dialling(endpoint)}
+        options = {**_OPTIONS, **client_options(endpoint)}
         self._swarm = swarm
         self._endpoint = endpoint
         self._session = open_with(options, what=f"the world at {endpoint}")
@@ -176,27 +176,27 @@ class WorldView:
         self.close()
 
     def watch(self, handler: Callable[[WorldState], None]) -> None:
-        """Call `handler` with each state (10 Hz) on a thread of the network's."""
+        """Call `handler` with each state (10 Hz) on a Zenoh thread."""
 
         def on_sample(sample: zenoh.Sample) -> None:
-            with contextlib.suppress(CodecError):  # a stranger's
+            with contextlib.suppress(CodecError):  # of another program
                 handler(decode_state(sample.payload.to_bytes()))
 
         self._session.declare_subscriber(state_key(self._swarm), on_sample)
 
     def ask(self, action: Action, timeout: float = 10.0) -> WorldReply:
-        """The world's answer; NetworkError if there is none within `timeout` s."""
+        """The world's reply to an action; NetworkError if none comes within `timeout` s."""
         return self._ask(WorldRequest(action=action), timeout)
 
     def place(self, box: str, pose: Triple, timeout: float = 10.0) -> WorldState:
-        """Put a movable box at rest at x, y in m and yaw in rad, wherever it was; the state then.
+        """Put a movable box at rest at x, y in m and yaw in rad; returns the state afterwards.
 
-        SwarmError if something else stands there or there is no such box; NetworkError as `ask`.
+        Raises SwarmError if the box does not fit or does not exist; NetworkError as `ask`.
         """
         return self._done(WorldRequest(action="place", box=box, pose=pose), timeout)
 
     def remove(self, box: str, timeout: float = 10.0) -> WorldState:
-        """Take a movable box out of the arena; SwarmError if it is not in it."""
+        """Take a movable box out of the arena; SwarmError if it is not there."""
         return self._done(WorldRequest(action="remove", box=box), timeout)
 
     def _done(self, request: WorldRequest, timeout: float) -> WorldState:
@@ -205,28 +205,28 @@ class WorldView:
             raise SwarmError(reply.text)
         return reply.state
 
-    def _ask(self, question: WorldRequest, timeout: float) -> WorldReply:
-        request = encode(question)
+    def _ask(self, request: WorldRequest, timeout: float) -> WorldReply:
+        payload = encode(request)
         deadline = time.monotonic() + timeout
         while (left := deadline - time.monotonic()) > 0.0:
-            replies = self._session.get(control_key(self._swarm), payload=request, timeout=left)
+            replies = self._session.get(control_key(self._swarm), payload=payload, timeout=left)
             for reply in replies:
                 if reply.ok is not None:
                     return decode_reply(reply.ok.payload.to_bytes())
-            # Right after opening there is no link yet, and a get ends at once with nothing.
+            # Right after opening there is no link yet, and a get returns nothing at once.
             threading.Event().wait(0.02)
         raise NetworkError(
             f"the world of swarm {self._swarm!r} at {self._endpoint} did not answer"
-            f" {question.action!r} within {timeout:g} s; is it running?"
+            f" {request.action!r} within {timeout:g} s; is it running?"
         )
 
     def close(self) -> None:
-        """End the session."""
+        """Close the session."""
         self._session.close()
 
 
-def dialling(endpoint: str) -> dict[str, object]:
-    """Session options of one who only dials the world, again every 0.5 s while it is away."""
+def client_options(endpoint: str) -> dict[str, object]:
+    """Session options of a client of the world, which reconnects every 0.5 s."""
     return {
         "listen/endpoints": [],
         "connect/endpoints": [endpoint],

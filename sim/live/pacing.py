@@ -1,4 +1,4 @@
-"""Time in real-time mode, with the clock handed in: when to step, when each robot is due."""
+"""Real-time pacing with the time as an argument: due steps, and due periodic jobs."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from swarmd.core.values import Array
 from swarmd.sim.world.geometry import Indices
 
 MAX_CATCH_UP = 0.25
-"""Seconds behind beyond which lost time is given up instead of caught up."""
+"""Seconds of delay that are caught up; a longer delay is dropped."""
 
 _WINDOW = 1.0
 
 
 class StepPacer:
-    """Absolute deadlines: what is late is caught up, unless it is hopeless."""
+    """Absolute deadlines of steps; late steps are caught up within `MAX_CATCH_UP`."""
 
     def __init__(self, dt: float, now: float) -> None:
         self._dt = dt
@@ -26,7 +26,7 @@ class StepPacer:
         self._steps = 0
 
     def steps(self, now: float) -> int:
-        """How many steps are due; counts those that were late."""
+        """The number of steps due now; late steps are counted in `overruns`."""
         if now < self.deadline:
             return 0
         late = now - self.deadline
@@ -44,13 +44,13 @@ class StepPacer:
         return due
 
     def real_time_factor(self) -> float:
-        """Simulated over real seconds, over about the last second; 0 before anything ran."""
+        """Simulated over real time in about the last second; 0 before the first step."""
         (start, before), (end, after) = self._progress[0], self._progress[-1]
         return (after - before) * self._dt / (end - start) if end > start else 0.0
 
 
 class Staggered:
-    """Spreads n periodic jobs evenly over their period, so that they do not come in bursts."""
+    """n periodic jobs spread evenly over their period, which avoids bursts."""
 
     def __init__(self, rates: Array, now: float) -> None:
         """`rates` (n,) in Hz."""
@@ -59,7 +59,7 @@ class Staggered:
         self._next = now + self._period * (1.0 + np.arange(n) / max(n, 1)) / 2.0
 
     def due(self, now: float) -> Indices:
-        """The indices due by `now`, each once; those missed meanwhile are left out."""
+        """The indices of jobs due by `now`, each once; missed periods are skipped."""
         ready = np.nonzero(self._next <= now + 1e-9)[0]
         missed = np.floor((now + 1e-9 - self._next[ready]) / self._period[ready])
         self._next[ready] += (missed + 1.0) * self._period[ready]

@@ -1,8 +1,8 @@
-"""A world in real time: steps on deadlines, senses out, commands in.
+"""A world in real time: steps on deadlines, publishes sensor data, applies commands.
 
-A command whose verdict rests on a sweep older than `stale_after` counts as zero: a guardian that is
-frozen leaves its last words in a socket, and they are sent when it thaws. A dialect's commands do
-not tell their sweep, so there its body follows them, as a real base would.
+A command whose decision rests on a scan older than `stale_after` counts as zero: commands that a
+frozen daemon left in its socket arrive when it resumes. Commands to an emulated robot do not name
+their scan, so it follows them, as a real base would.
 """
 
 from __future__ import annotations
@@ -26,33 +26,32 @@ from swarmd.sim.world.radio import NEIGHBORS_RATE, Radio
 from swarmd.sim.world.world import World
 
 COMMAND_TIMEOUT = 0.5
-"""Real seconds without a command after which a body that speaks no dialect stops by itself."""
+"""Real seconds without a command after which a simulated base stops."""
 
 STATE_RATE = 10.0
 
 
 class RealTimeWorld:
-    """Runs one world for many daemons until told to stop."""
+    """Runs one world for many daemons."""
 
     def __init__(
         self,
         world: World,
         link: WorldLink,
-        record: LiveRecorder,
+        recorder: LiveRecorder,
         *,
         radio: Radio | None = None,
         transport: BodyTransport | None = None,
         command_timeouts: Sequence[float] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`clock` must be the one by which `link` and `speech` stamp arrivals.
+        """`clock` is the clock with which `link` and `transport` stamp arrivals.
 
-        `radio` says whom each robot hears; without one nobody is told, and all hear all. `speech`
-        is how bodies speak, over the link if not told. `deadmen`: for each robot the seconds
-        without a command after which its body stops by itself, inf for never; `COMMAND_TIMEOUT` if
-        not told.
+        `radio` gives the neighbors; without one they are not published and all hear all.
+        `transport` defaults to the link. `command_timeouts`: for each robot the seconds without a
+        command after which its base stops, inf for never, by default `COMMAND_TIMEOUT`.
         """
-        self._world, self._link, self._record, self._clock = world, link, record, clock
+        self._world, self._link, self._recorder, self._clock = world, link, recorder, clock
         self._radio, self._transport = radio, transport or HwTransport(link)
         n, start = len(world.ids), world.time
         self._rows = {robot: row for row, robot in enumerate(world.ids)}
@@ -70,17 +69,17 @@ class RealTimeWorld:
         self._pacer = StepPacer(world.dt, clock())
 
     def run(self, is_over: Callable[[], bool]) -> None:
-        """Step until `is_over`; the record is finished on the way out."""
+        """Step until `is_over`, then finish the recording."""
         self._pacer = StepPacer(self._world.dt, self._clock())
         try:
             while not is_over():
                 self.run_due()
                 time.sleep(max(0.0, self._pacer.deadline - self._clock()))
         finally:
-            self._record.finish()
+            self._recorder.finish()
 
     def run_due(self) -> None:
-        """Do what is due now: commands in, steps, senses out, questions answered."""
+        """Run what is due: apply commands, step, publish sensor data, answer requests."""
         now = self._clock()
         steps = self._pacer.steps(now)
         if not steps:
@@ -90,23 +89,23 @@ class RealTimeWorld:
         self._world.set_commands(safe)
         for _ in range(steps):
             self._world.step()
-            self._record.note(safe)
+            self._recorder.note(safe)
         self._publish()
-        for question in self._link.take_requests():
-            self._answer(question)
+        for pending in self._link.take_requests():
+            self._answer(pending)
 
     def _is_fresh(self, now: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        # Before its first command a body has none, even where none ever ends.
+        # NaN before the first command: then none is fresh, even without a timeout.
         quiet = np.where(np.isfinite(self._arrivals), now - self._arrivals, np.nan)
         return np.less_equal(quiet, self._command_timeouts)
 
     def _take_commands(self) -> None:
         for robot, command in self._transport.take_commands().items():
-            row, swept, twist = self._rows[robot], command.scan_seq, command.twist
-            # What a frozen guardian had handed to its network comes out at its thaw.
-            is_late = swept is not None and self._sent_seq[row] - swept > self._too_old[row]
-            told = (twist.linear, twist.angular, twist.lateral)
-            self._commands[row] = (0.0, 0.0, 0.0) if is_late else told
+            row, seq, twist = self._rows[robot], command.scan_seq, command.twist
+            # A frozen daemon's queued commands arrive when it resumes.
+            is_late = seq is not None and self._sent_seq[row] - seq > self._too_old[row]
+            received = (twist.linear, twist.angular, twist.lateral)
+            self._commands[row] = (0.0, 0.0, 0.0) if is_late else received
             self._arrivals[row] = command.arrival
 
     def _publish(self) -> None:
@@ -136,24 +135,24 @@ class RealTimeWorld:
         if readings := world.readings(row):
             self._transport.readings(robot, readings)
 
-    def _answer(self, question: PendingRequest) -> None:
+    def _answer(self, pending: PendingRequest) -> None:
         try:
-            request = decode_request(question.payload)
+            request = decode_request(pending.payload)
             path = self._do(request)
         except SwarmError as error:
             self._unreadable += isinstance(error, CodecError)
-            question.answer(WorldReply(is_done=False, text=str(error)[:200], state=self._state()))
+            pending.answer(WorldReply(is_done=False, text=str(error)[:200], state=self._state()))
             return
         done = WorldReply(is_done=True, text=request.action, state=self._state(), path=path)
-        question.answer(done)
+        pending.answer(done)
 
     def _do(self, request: WorldRequest) -> str:
-        """Where the trace is, if the action was to write it."""
+        """Carry a request out; returns the path of the trace if one was written."""
         match request.action:
             case "start":
-                self._record.begin()
+                self._recorder.begin()
             case "finish":
-                return str(self._record.finish() or "")
+                return str(self._recorder.finish() or "")
             case "place":
                 self._world.place(request.box, request.pose)
             case "remove":
@@ -161,7 +160,7 @@ class RealTimeWorld:
         return ""
 
     def _state(self) -> WorldState:
-        world, record = self._world, self._record
+        world, record = self._world, self._recorder
         return WorldState(
             time=world.time,
             real_time_factor=self._pacer.real_time_factor(),

@@ -1,4 +1,4 @@
-"""What of a running world is kept: its touches counted, and a trace if one is wanted."""
+"""Recording of a live world: contact counts and, if wanted, a trace."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecorderSettings:
-    """Whether and how a run is recorded.
+    """How a run is recorded.
 
-    `path`: where the trace goes (None: nowhere); `rate` of its instants in Hz; `seconds` of
-    simulation after which it is complete (None: when asked, or at the end). `meta` goes into it.
+    `path` of the trace (None: none is written); `rate` of its samples in Hz; `seconds` of
+    simulation after which it is complete (None: on request, or at the end). `meta` goes into it.
     """
 
     path: Path | None = None
@@ -33,11 +33,11 @@ class RecorderSettings:
 
 
 class LiveRecorder:
-    """Follows a world step by step. Recording begins at once, and anew with `begin`."""
+    """Records a world step by step, from its creation or the last `begin` on."""
 
     def __init__(self, world: World, settings: RecorderSettings) -> None:
         self._world, self._settings = world, settings
-        self._recorder = TraceBuilder(
+        self._builder = TraceBuilder(
             world.ids,
             world.platforms,
             settings.meta,
@@ -52,47 +52,47 @@ class LiveRecorder:
 
     @property
     def seconds(self) -> float:
-        """Seconds of simulation since it began, up to where it ended."""
+        """Seconds of simulation recorded so far."""
         return (self._world.time if self.is_running else self._end) - self._start
 
     def begin(self) -> None:
-        """Forget what was; the record's time 0 is now."""
+        """Discard the recording and start again at time 0."""
         self._start = self._world.time
         self._episodes = ContactEpisodes()
         self._due = Staggered(np.array([self._settings.rate]), self._start)
-        self._recorder.clear()
+        self._builder.clear()
         self.contacts = self.arena_contacts = 0
         self.is_running = True
 
     def note(self, safe: Array) -> None:
-        """Take in the step just made, with the commands (n, 3) in force."""
+        """Record the last step, with the commands (n, 3) in force."""
         if not self.is_running:
             return
         self._note_contacts()
         if self._settings.path is not None and len(self._due.due(self._world.time)):
             world = self._world
-            self._recorder.add(self.seconds, world.poses(), safe, world.box_poses())
+            self._builder.add(self.seconds, world.poses(), safe, world.box_poses())
         if self._settings.seconds is not None and self.seconds >= self._settings.seconds - 1e-9:
             self.finish()
 
     def finish(self) -> Path | None:
-        """End it, and write the trace once; the path, or None if none was wanted."""
+        """Stop recording and write the trace once; returns its path, None without one."""
         path = self._settings.path
         if self.is_running:
             self._end = self._world.time
             self.is_running = False
             if path is not None:
-                self._recorder.trace(seconds=self.seconds).save(path)
+                self._builder.trace(seconds=self.seconds).save(path)
                 _log.info("%.1f s of simulation written to %s", self.seconds, path)
         return path
 
     def _note_contacts(self) -> None:
-        for touch in self._world.contacts():
-            if self._episodes.add(self._world.time, touch.a, touch.b):
-                _log.info("%s touches %s at %.2f s", touch.a, touch.b, self.seconds)
-                if touch.b in self._world.ids:
+        for contact in self._world.contacts():
+            if self._episodes.add(self._world.time, contact.a, contact.b):
+                _log.info("%s touches %s at %.2f s", contact.a, contact.b, self.seconds)
+                if contact.b in self._world.ids:
                     self.contacts += 1
                 else:
                     self.arena_contacts += 1
             if self._settings.path is not None:
-                self._recorder.touch(self.seconds, touch.a, touch.b, touch.speed_a, touch.speed_b)
+                self._builder.add_contact(self.seconds, *astuple(contact))

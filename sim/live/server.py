@@ -1,8 +1,7 @@
 """The world as a process: `python -m swarmd.sim.live.server`, for daemons on this machine.
 
 Prints one JSON line on standard output once drivers can connect: `endpoint` for viewers, `driver`
-and `driver_options` for daemons. SIGTERM and SIGINT end it; the trace, if one is wanted, is then
-written.
+and `driver_options` for daemons. SIGTERM and SIGINT end it; then it writes the trace, if any.
 """
 
 from __future__ import annotations
@@ -41,7 +40,7 @@ from swarmd.sim.world.world import World
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a world until told to stop. Exit codes: 0 ended, 1 failed, 2 cannot be as asked."""
+    """Run a world until a signal. Exit codes: 0 ended, 1 failed, 2 invalid options."""
     options = _parser().parse_args(arguments)
     if options.die_with_parent is not None:
         die_with_parent(options.die_with_parent)
@@ -61,7 +60,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def parse_robots(text: str) -> dict[str, Platform]:
-    """Platforms by robot id from `id:platform,id:platform`; ConfigError if that cannot be."""
+    """Platforms by robot id from `id:platform,id:platform`; ConfigError if invalid."""
     robots: dict[str, Platform] = {}
     loaded: dict[str, Platform] = {}
     for item in text.split(","):
@@ -78,7 +77,7 @@ def parse_robots(text: str) -> dict[str, Platform]:
 
 @contextmanager
 def _stop_signals() -> Iterator[Callable[[], bool]]:
-    """Whether SIGTERM or SIGINT has come; the old handlers are back afterwards."""
+    """Yield a function that is True after SIGTERM or SIGINT; restores the handlers at the end."""
     came: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:
@@ -107,15 +106,15 @@ def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
         link = WorldLink(swarm, robots, options.endpoint)
         opened.callback(link.close)
         transport: BodyTransport = HwTransport(link)
-        driver, told, timeouts = DRIVER, dict[str, Value](endpoint=link.endpoint), None
+        driver, driver_options, timeouts = DRIVER, dict[str, Value](endpoint=link.endpoint), None
         if options.emulator is not None:
-            transport = spoken = _make_emulator(options, robots)
-            opened.callback(spoken.close)
-            driver, told = options.emulator, dict(spoken.side.driver_options)
+            transport = emulated = _make_emulator(options, robots)
+            opened.callback(emulated.close)
+            driver, driver_options = options.emulator, dict(emulated.side.driver_options)
             timeouts = [_command_timeout(platform, driver) for platform in robots.values()]
         ready = {"endpoint": link.endpoint, "swarm": swarm, "driver": driver}
-        print(json.dumps({**ready, "driver_options": told}), flush=True)
-        # What is alive now stays: a collection would only walk through all of it again.
+        print(json.dumps({**ready, "driver_options": driver_options}), flush=True)
+        # What is alive now stays alive; a collection would only walk through it again.
         gc.collect()
         gc.freeze()
         radio = _make_radio(options, world)
@@ -130,8 +129,8 @@ def _make_emulator(
 ) -> EmulatorTransport:
     if options.radio_range is not None:
         raise ConfigError(
-            f"--radio-range and --emulator {options.emulator}: no robot says there whom it hears;"
-            " leave one of the two out"
+            f"--radio-range and --emulator {options.emulator}: emulated robots publish no"
+            " neighbors; leave one of the two out"
         )
     return EmulatorTransport(load_emulator(options.emulator), robots, options.emulator_endpoint)
 
@@ -142,9 +141,9 @@ def _command_timeout(platform: Platform, driver: str) -> float:
 
 
 def _with_varying_ranges(realism: Realism) -> Realism:
-    """The realism, with ranges that differ by a micrometre from sweep to sweep if they would not.
+    """The realism, with at least a micrometre of range noise.
 
-    The daemons take a lidar that says the same twice for a frozen one.
+    Daemons take a lidar that repeats a scan for a frozen one.
     """
     if realism.lidar.differs_each_time:
         return realism
@@ -166,7 +165,7 @@ def _make_world(options: argparse.Namespace, robots: Mapping[str, Platform]) -> 
 
 
 def _make_radio(options: argparse.Namespace, world: World) -> Radio | None:
-    """None if all hear all: nobody has to be told then."""
+    """The radio; None if all robots hear each other, which daemons assume without one."""
     settings = _radio_settings(options)
     if settings.neighborhood == "all":
         return None
@@ -211,18 +210,18 @@ def _parser() -> argparse.ArgumentParser:
     )
     add("--layout", default="grid:1.0", help="row, paper, grid, ring, random or list, with :size")
     add("--seed", type=int, default=0, help="of random layouts and of noise")
-    add("--endpoint", default="tcp/127.0.0.1:7790", help="where drivers dial; port 0: any")
-    add("--emulator", metavar="NAME", help="bodies speak as the robots of this driver do")
+    add("--endpoint", default="tcp/127.0.0.1:7790", help="where drivers connect; port 0: any")
+    add("--emulator", metavar="NAME", help="emulate the robots of this driver")
     add(
         "--emulator-endpoint",
         default="tcp/127.0.0.1:7447",
         metavar="ENDPOINT",
-        help="where the drivers of a dialect dial; port 0: any",
+        help="where these drivers connect; port 0: any",
     )
     add("--lidar-visibility", choices=("body", "real"), default="body")
     add("--realism", choices=sorted(REALISMS), default="ideal")
-    add("--radio-range", type=float, metavar="M", help="beyond which robots do not hear each other")
-    add("--trace", type=Path, metavar="FILE.npz", help="where to write what happened")
+    add("--radio-range", type=float, metavar="M", help="range of the radio between robots")
+    add("--trace", type=Path, metavar="FILE.npz", help="where to write the trace")
     add("--trace-rate", type=float, default=50.0, metavar="HZ")
     add("--seconds", type=float, help="of simulation to record, from the start or `start`")
     add("--die-with-parent", type=int, metavar="PID")

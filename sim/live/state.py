@@ -1,4 +1,4 @@
-"""What the world says of itself to viewers and whoever runs it: truth, never for a robot."""
+"""Messages between a live world and its viewers; the state is ground truth, never for robots."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ Triple = tuple[Metres, Metres, Metres]
 
 
 class WorldState(Struct, frozen=True, kw_only=True):
-    """The world at one moment; row i of each list is robot `ids[i]`.
+    """The world at one instant; row i of each list is robot `ids[i]`.
 
     `time` s of simulation, `real_time_factor` over the last second (0 before there is one),
     `poses` x, y in m and yaw in rad, `twists` linear, angular, lateral in each base frame,
-    `commanded` whether a fresh command is in force. Touches so far, since recording began:
-    `contacts` between robots, `arena_contacts` with walls, boxes and poles. `recorded` s so far.
-    `overruns`: steps that came late, `dropped`: messages that could not be read.
+    `commanded` whether a fresh command is in force. Contact episodes since recording began:
+    `contacts` between robots, `arena_contacts` with walls, boxes and poles. `recorded` in s.
+    `overruns`: late steps, `dropped`: malformed messages.
     """
 
     time: Seconds
@@ -39,9 +39,10 @@ class WorldState(Struct, frozen=True, kw_only=True):
 
 
 class WorldRequest(Struct, frozen=True, kw_only=True):
-    """`start`: begin the recording here. `finish`: end and write it. `poses`: the state now.
+    """A request to the world.
 
-    `place`: put the movable box `box` at rest at `pose`; `remove`: take it out of the arena.
+    `start` restarts the recording, `finish` writes it, `poses` returns the state, `place` puts the
+    movable `box` at rest at `pose`, `remove` takes it out of the arena.
     """
 
     action: Action
@@ -50,7 +51,7 @@ class WorldRequest(Struct, frozen=True, kw_only=True):
 
 
 class WorldReply(Struct, frozen=True, kw_only=True):
-    """The state after the action, or why it was not done; `path` of the trace once written."""
+    """The state after the action, or `text` why it failed; `path` of a written trace."""
 
     is_done: bool
     text: Line

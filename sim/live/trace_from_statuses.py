@@ -1,4 +1,4 @@
-"""What robots said of themselves in a live run, brought into the trace that the world recorded."""
+"""Adds the statuses that robots published in a live run to the trace of its world."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ _WORD = "U24"
 
 
 class StatusLog:
-    """Statuses as an operator heard them, each from its time on until the next."""
+    """Statuses as an operator received them; each holds until the next."""
 
     def __init__(self) -> None:
-        self._heard: list[tuple[float, Mapping[str, Status]]] = []
+        self._received: list[tuple[float, Mapping[str, Status]]] = []
 
-    def hear(self, time: float, statuses: Mapping[str, Status]) -> None:
-        """At `time` s of the recording these robots said how they stand; in order of time."""
-        self._heard.append((time, dict(statuses)))
+    def add(self, time: float, statuses: Mapping[str, Status]) -> None:
+        """Add the statuses received at `time` s of the recording; in order of time."""
+        self._received.append((time, dict(statuses)))
 
     def merged_into(self, trace: Trace) -> Trace:
-        """The trace with what a status tells of state, protection, `report` and `words`.
+        """The trace with the state, protection, `report` and `words` of the statuses.
 
-        Empty, False and NaN before a robot's first word. A wish is not among them: one that is
-        some tenths of a second old cannot be held against the command of an instant. `gap`,
-        `scan_age` and `bound` are those of the moment of the last word.
+        Empty, False and NaN before a robot's first status. The requested command is left out: it
+        is some tenths of a second older than the safe command of a sample. `gap`, `scan_age` and
+        `bound` are those of the last status.
         """
-        if not self._heard:
+        if not self._received:
             return trace
         shape = len(trace.t), len(trace.ids)
         known = _blank(shape)
         reports: dict[str, NDArray[Any]] = {}
         words: dict[str, NDArray[Any]] = {}
-        for time, statuses in self._heard:
+        for time, statuses in self._received:
             since = int(np.searchsorted(trace.t, time - 1e-9))
             for robot, status in statuses.items():
                 if robot not in trace.ids:
@@ -60,7 +60,7 @@ class StatusLog:
 
 
 def _blank(shape: tuple[int, int]) -> dict[str, Any]:
-    """What is known of robots that have said nothing yet."""
+    """The values of robots before their first status."""
     return {
         "state": np.full(shape, "", dtype=_WORD),
         "reason": np.full(shape, "", dtype=_WORD),

@@ -1,4 +1,4 @@
-"""Layouts: where the robots of a run start, checked to be inside the arena and apart."""
+"""Start layouts of robots, checked to be inside the arena and without overlap."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def parse_layout(text: str, footprints: Sequence[Array], arena: Arena, *, seed: 
     `row:1.0` along y through the middle, `paper:1.0` along y from the middle on (experiment 1),
     `grid:1.0` by spacing, all heading along x; `ring:1.5` by radius, heading inwards;
     `random:0.2` by clearance, seeded; `list:0:0:90,1:0:0` by x, y and heading in degrees.
-    ConfigError if it cannot be read, or if a robot would stand in a wall or another robot.
+    Raises ConfigError for an unknown layout or a robot that overlaps a wall or another robot.
     """
     name, _, rest = text.partition(":")
     n = len(footprints)
@@ -61,7 +61,7 @@ def paper_row(n: int, spacing: float) -> Array:
 
 
 def grid(n: int, spacing: float) -> Array:
-    """Poses (n, 3) as square as can be around the origin, heading along x."""
+    """Poses (n, 3) in a grid, as square as possible, around the origin, heading along x."""
     columns = max(math.ceil(math.sqrt(n)), 1)
     rows = math.ceil(n / columns)
     index = np.arange(n)
@@ -86,15 +86,15 @@ REGULAR: Mapping[str, Callable[[int, float], Array]] = {
 
 
 def moved(poses: Array, center: tuple[float, float], heading: float) -> Array:
-    """Poses (n, 3) turned by `heading` rad around the origin, which then moves to `center`."""
+    """Poses (n, 3) rotated by `heading` rad around the origin, then shifted to `center`."""
     places = transform(poses[:, :2], np.array([*center, heading]))
     return np.column_stack((places, poses[:, 2] + heading))
 
 
 class Placement:
-    """Knows what stands where, to tell what a robot would be too near to.
+    """The robots and obstacles placed so far, against which a new pose is checked.
 
-    `poses` (n, 3) are those of the robots placed so far, NaN for the others.
+    `poses` (n, 3) of the robots, NaN for those not yet placed.
     """
 
     def __init__(self, names: Sequence[str], footprints: Sequence[Array], arena: Arena) -> None:
@@ -108,11 +108,11 @@ class Placement:
         self._obstacles += [wall.corners for wall in arena.segments]
 
     def place(self, index: int, pose: Array) -> None:
-        """Put the robot there."""
+        """Place robot `index` without a check."""
         self.poses[index] = pose
 
     def place_all(self, robots: Sequence[int], poses: Array) -> None:
-        """Put robots (rows) at `poses` (k, 3); ConfigError if one cannot stand there."""
+        """Place robots (rows) at `poses` (k, 3); ConfigError if one does not fit."""
         for row, pose in zip(robots, poses, strict=True):
             fault = self.fault(row, pose)
             if fault:
@@ -120,19 +120,19 @@ class Placement:
             self.place(row, pose)
 
     def fault(self, index: int, pose: Array, clearance: float = 0.0) -> str:
-        """What keeps the robot from standing at the pose, with its name; empty if nothing."""
-        who = f"{self.names[index]} at ({pose[0]:.3g}, {pose[1]:.3g})"
+        """Why the robot does not fit at the pose, with its name; empty if it fits."""
+        robot = f"{self.names[index]} at ({pose[0]:.3g}, {pose[1]:.3g})"
         body = transform(self._footprints[index], pose)
         inside = np.array([self.arena.length, self.arena.width]) / 2.0 - clearance
         if not np.isfinite(pose).all() or (np.abs(body) >= inside).any():
-            return f"{who} is not inside the walls"
+            return f"{robot} is not inside the walls"
         if any(float(gaps(body, obstacle)) <= clearance for obstacle in self._obstacles):
-            return f"{who} stands in a box, pole or segment"
+            return f"{robot} stands in a box, pole or segment"
         apart = np.hypot(*(self.poses[:, :2] - pose[:2]).T) - self._reaches - self._reaches[index]
         for other in np.nonzero(apart <= clearance)[0].tolist():
             shape = transform(self._footprints[other], self.poses[other])
             if float(gaps(body, shape)) <= clearance:
-                return f"{who} touches {self.names[other]}"
+                return f"{robot} touches {self.names[other]}"
         return ""
 
 
@@ -146,9 +146,9 @@ def scatter(
     size: tuple[float, float] | None = None,
     heading: float | None = None,
 ) -> None:
-    """Place the robots (rows) anywhere within `size` m around `center`, `clearance` m apart.
+    """Place the robots (rows) at random within `size` m around `center`, `clearance` m apart.
 
-    Without `size` in the whole arena, without `heading` (rad) in any direction. ConfigError if
+    Without `size` in the whole arena, without `heading` (rad) at random headings. ConfigError if
     there is no room.
     """
     whole = (placement.arena.length, placement.arena.width)
@@ -172,9 +172,9 @@ def chain(
     center: tuple[float, float] = (0.0, 0.0),
     heading: float | None = None,
 ) -> None:
-    """Place the robots (rows) so that each is `near` to `far` m from the nearest before it.
+    """Place the robots (rows) so that each is `near` to `far` m from the nearest placed before.
 
-    The first stands at `center`. ConfigError if there is no room.
+    The first is at `center`. ConfigError if there is no room.
     """
     placed: list[Array] = []
 

@@ -1,4 +1,4 @@
-"""Movable boxes: they slide on the floor with dry friction, come into the arena and leave it."""
+"""Movable boxes, which slide on the floor with dry friction and can be placed and removed."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class MovableBoxes:
     def __init__(
         self, arena: Arena, model: mujoco.MjModel, data: mujoco.MjData, robots: int
     ) -> None:
-        """They are the bodies after the `robots` of the model, and are put where they start.
+        """Put the boxes, which are the bodies after the model's `robots`, at their start poses.
 
-        ConfigError if a box would start outside the walls or where something else stands.
+        Raises ConfigError if a box starts outside the walls or overlaps something else.
         """
         boxes = [box for _, box in arena.movable_boxes]
         m = len(boxes)
@@ -49,15 +49,15 @@ class MovableBoxes:
                 raise ConfigError(f"{where}: {fault}")
 
     def poses(self) -> Array:
-        """(m, 3) x, y in m and yaw in rad, world frame; NaN while one is not in the arena."""
+        """(m, 3) x, y in m and yaw in rad, world frame; NaN for a box that is not in the arena."""
         poses = np.array(self._data.qpos[self._dofs], dtype=np.float64).reshape(-1, 3)
         poses[~self.is_there] = np.nan
         return poses
 
     def place(self, name: str, pose: Array, robots: Iterable[tuple[str, Array]]) -> None:
-        """Put a box at rest at `pose` (3,); `robots` are the outlines (k, 2) where they stand now.
+        """Put a box at rest at `pose` (3,); `robots` are their names and outlines (k, 2).
 
-        SwarmError if something else stands there; ConfigError if there is no such box.
+        Raises SwarmError if the box would overlap something, ConfigError for an unknown box.
         """
         row = self._row(name)
         fault = self._fault(row, pose, robots)
@@ -66,32 +66,32 @@ class MovableBoxes:
         self._put(row, pose, is_there=True)
 
     def remove(self, name: str) -> None:
-        """Take a box out of the arena; SwarmError if it is not in it, ConfigError for no box."""
+        """Take a box out of the arena; SwarmError if it is not there, ConfigError if unknown."""
         row = self._row(name)
         if not self.is_there[row]:
             raise SwarmError(f"box {name} cannot be removed: it is not in the arena")
         self._put(row, self._data.qpos[self._dofs][3 * row : 3 * row + 3], is_there=False)
 
-    def rub(self) -> None:
-        """Turn the friction of the floor against motion, the same in all directions.
+    def apply_friction(self) -> None:
+        """Set the floor's isotropic friction for the next step.
 
-        MuJoCo holds each coordinate of a body back by a force of its own. Their sizes are set so
-        that together they are the floor's: one point of an ellipsoid of force and torque (Howe and
-        Cutkosky 1996), whose half axes are friction's force and that times a lever.
+        MuJoCo has a separate friction force for each coordinate of a body. They are set to one
+        point of an ellipsoid of force and torque (Howe and Cutkosky 1996), whose half axes are the
+        friction force and that force times a lever.
         """
         if not self.is_there.any():
             return
-        # The force that would end all motion within the step; it is cut down to what holds.
+        # The force that would stop the box within the step; friction limits it.
         momentum = self._data.qvel[self._dofs].reshape(-1, 3) * self._inert
         against = (momentum / self._model.opt.timestep + self._pushes()) / self._lever
         size = np.sqrt((against * against).sum(axis=1))[:, None]
         share = np.where(size > 0.0, np.abs(against) / np.maximum(size, 1e-300), 3.0**-0.5)
-        # Never none at all, or the solver would see one friction more or less at every step.
+        # At least a little, or the number of friction constraints would change at every step.
         force = self._grip[:, None] * self._lever * np.maximum(share, 1e-3)
         self._model.dof_frictionloss[self._dofs] = force.ravel()
 
     def _pushes(self) -> Array:
-        """The forces (m, 3) of all that touched them in the last step."""
+        """The contact forces (m, 3) on the boxes in the last step."""
         data = self._data
         force = np.array(data.qfrc_constraint)
         friction = slice(data.ne, data.ne + data.nf)
@@ -100,19 +100,19 @@ class MovableBoxes:
         return pushes
 
     def _fault(self, row: int, pose: Array, robots: Iterable[tuple[str, Array]]) -> str:
-        """What keeps box `row` from standing at a pose; empty if nothing."""
+        """Why box `row` cannot be at a pose; empty if it can."""
         if not np.isfinite(pose).all():
             return "wanted are finite numbers"
         corners = transform(self.shapes[row], pose)
         if (np.abs(corners) > np.array([self._arena.length, self._arena.width]) / 2.0).any():
             return "that is not inside the walls"
-        for other, outline in (*robots, *self._standing(row)):
+        for other, outline in (*robots, *self._obstacles(row)):
             if overlaps(corners, outline):
                 return f"{other} stands there"
         return ""
 
-    def _standing(self, row: int) -> list[tuple[str, Array]]:
-        """All but the outer walls and box `row` itself, by name and outline."""
+    def _obstacles(self, row: int) -> list[tuple[str, Array]]:
+        """Name and outline of everything but robots, outer walls and box `row`."""
         arena, poses = self._arena, self.poses()
         fixed = [(name, box.corners) for name, box in arena.fixed]
         fixed += [(f"pole/{index}", pole.corners) for index, pole in enumerate(arena.poles)]
@@ -122,7 +122,7 @@ class MovableBoxes:
         ]
 
     def _put(self, row: int, pose: Array, *, is_there: bool) -> None:
-        """At rest at a pose, there to be touched and seen or not."""
+        """Set box `row` at rest at a pose, with or without contacts."""
         self.is_there[row] = is_there
         self._data.qpos[self._dofs][3 * row : 3 * row + 3] = pose
         self._data.qvel[self._dofs][3 * row : 3 * row + 3] = 0.0
@@ -136,6 +136,6 @@ class MovableBoxes:
 
 
 def _lever(box: Box) -> float:
-    """The mean distance in m of a box's floor from its centre: where friction acts on turning."""
+    """The mean distance in m of a box's floor area from its centre: the lever of friction."""
     share = (np.arange(64) + 0.5) / 64.0 - 0.5
     return float(np.hypot(share[:, None] * box.length, share * box.width).mean())

@@ -1,4 +1,4 @@
-"""What range sensors get wrong: bias, noise, rounding, lost rays, and what is too near to see."""
+"""Errors of range sensors: bias, noise, rounding, lost rays and the minimum range."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from swarmd.sim.world.realism import LidarNoise
 from swarmd.sim.world.seeding import generator
 
 BLOCK = 6
-"""Rays in one packet of an LDS: what its driver loses, it loses together."""
+"""Rays in one packet of an LDS, which its driver loses together."""
 
-_AT_ONCE = 32  # so that the arrays of a step of the arithmetic stay within a processor's cache
+_BATCH = 32  # scans a step, so that its arrays stay within a processor's cache
 
 
 class NoisyLidar:
-    """The range sensors of a swarm; what one gives does not depend on which others sweep with it.
+    """Sensor errors of a swarm; a robot's errors do not depend on which others scan with it.
 
-    `latency` (n,) s: how much later than it is taken a sweep of each robot arrives.
+    `latency` (n,) s: the delay of each robot's scans.
     """
 
     def __init__(
@@ -44,24 +44,24 @@ class NoisyLidar:
         self._is_exact = not any((*changed, noise.dropout, *blocks))
 
     def apply(self, rows: Indices, ranges: Sequence[Array]) -> list[Array]:
-        """What robots `rows` (m,) measure where exact sensors give `ranges`, (rays,) each.
+        """The measurements of robots `rows` (m,) for exact `ranges`, (rays,) each.
 
-        What was no distance stays none. What is measured beyond range_max becomes +inf, and nearer
-        than range_min -inf; a lost ray is what the platform's sensor gives for one: NaN if its
-        zeros mean too close, else 0. In the end each is as the sensor's driver says it: nothing
-        seen is a zero of an LDS, and what a sensor loses nearby is the same as nothing seen.
+        Rays without a return stay so. Measurements beyond range_max become +inf, nearer than
+        range_min -inf, and a lost ray NaN if the sensor's zeros mean too close, else 0. The result
+        is encoded as by the sensor's driver: an LDS reports no return as 0, and a sensor with
+        `near: lost` reports a return nearer than range_min as no return.
         """
         measured = list(ranges) if self._is_exact else self._noisy(rows, ranges)
-        return [self._said(row, r) for row, r in zip(rows.tolist(), measured, strict=True)]
+        return [self._encoded(row, r) for row, r in zip(rows.tolist(), measured, strict=True)]
 
-    def _said(self, row: int, ranges: Array) -> Array:
-        """`ranges` (rays,) of robot `row` in its driver's words; a copy where they differ."""
+    def _encoded(self, row: int, ranges: Array) -> Array:
+        """`ranges` (rays,) of robot `row` as its driver encodes them; a copy where they differ."""
         near, nothing = self._near[row], self._nothing[row]
         if near == -np.inf and nothing == np.inf:
             return ranges
-        said = np.where(ranges == np.inf, nothing, ranges)
-        np.copyto(said, near, where=ranges == -np.inf)
-        return said
+        encoded = np.where(ranges == np.inf, nothing, ranges)
+        np.copyto(encoded, near, where=ranges == -np.inf)
+        return encoded
 
     def _noisy(self, rows: Indices, ranges: Sequence[Array]) -> list[Array]:
         alike: dict[int, list[int]] = {}
@@ -69,15 +69,15 @@ class NoisyLidar:
             alike.setdefault(len(row), []).append(place)
         measured: list[Array] = list(ranges)
         for places in alike.values():
-            for first in range(0, len(places), _AT_ONCE):
-                some = places[first : first + _AT_ONCE]
+            for first in range(0, len(places), _BATCH):
+                some = places[first : first + _BATCH]
                 noisy = self._measure(rows[some], np.array([ranges[place] for place in some]))
                 for place, row in zip(some, noisy, strict=True):
                     measured[place] = row
         return measured
 
     def _measure(self, rows: Indices, exact: Array) -> Array:
-        """`exact` (m, rays), which is written over, as measured by robots `rows` (m,)."""
+        """Measure `exact` (m, rays) with the sensors of robots `rows` (m,), in place."""
         noise, rays = self._noise, exact.shape[1]
         normal, even = self._draw(rows, rays)
         is_known = np.isfinite(exact)
@@ -97,7 +97,7 @@ class NoisyLidar:
         return exact
 
     def _draw(self, rows: Indices, rays: int) -> tuple[Array, NDArray[np.float32]]:
-        """Normal numbers (m, rays), and even ones for each ray and then each block."""
+        """Normal numbers (m, rays), and uniform ones for each ray and then each block."""
         normal = np.empty((len(rows), rays))
         even = np.empty((len(rows), rays + math.ceil(rays / BLOCK)), dtype=np.float32)
         for place, row in enumerate(rows.tolist()):
@@ -113,15 +113,15 @@ class NoisyLidar:
 
 
 def _lost(spec: ScanSpec) -> float:
-    """A lost ray as its driver gives it: a zero, unless zeros mean something else (REP 117)."""
+    """The range of a lost ray: 0, unless zeros mean too close (REP 117)."""
     return math.nan if spec.zero == "too_close" else 0.0
 
 
 def _nothing(spec: ScanSpec) -> float:
-    """What nothing seen reads as: an LDS knows no other word for it than 0."""
+    """The range of a ray without return: an LDS reports 0."""
     return 0.0 if spec.zero == "lds" else math.inf
 
 
 def _near(spec: ScanSpec) -> float:
-    """What reads where something is nearer than range_min."""
+    """The range of a return nearer than range_min."""
     return _nothing(spec) if spec.near == "lost" else -math.inf

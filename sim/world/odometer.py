@@ -1,4 +1,4 @@
-"""What wheels tell of a body's motion: ideal, or with the systematic errors of real wheels.
+"""Wheel odometry: ideal, or with the systematic errors of real wheels.
 
 Errors after Borenstein and Feng, UMBmark: A Method for Measuring, Comparing, and Correcting
 Dead-Reckoning Errors in Mobile Robots (1995): E_d, the ratio of the right to the left wheel's
@@ -49,7 +49,7 @@ class Odometers:
             np.array([value(platform, "wheel_separation") for platform in platforms]),
             np.array([platform.limits.lateral > 0.0 for platform in platforms]),
         )
-        self._truth, self._told = starts.copy(), np.zeros_like(starts)
+        self._truth, self._reported = starts.copy(), np.zeros_like(starts)
 
     def read(self, rows: Indices, poses: Array, twists: Array) -> tuple[Array, Array]:
         """Poses x, y, yaw and twists linear, angular, lateral, (m, 3) each, of robots `rows` (m,).
@@ -66,23 +66,23 @@ class Odometers:
         motions[:, 1] = twists.take(rows, axis=0)
         motions = motions @ self._measured.take(rows, axis=0)
         motions[:, :, :2] *= self._slips(rows)[:, None]
-        told = _moved(self._told.take(rows, axis=0), motions[:, 0])
-        self._truth[rows], self._told[rows] = truth, told
-        told[:, 2] = _wrapped(told[:, 2])
-        return told, motions[:, 1]
+        reported = _moved(self._reported.take(rows, axis=0), motions[:, 0])
+        self._truth[rows], self._reported[rows] = truth, reported
+        reported[:, 2] = _wrapped(reported[:, 2])
+        return reported, motions[:, 1]
 
     def _relative(self, rows: Indices, poses: Array) -> Array:
-        told: Array = poses.take(rows, axis=0) - self._starts.take(rows, axis=0)
+        reported: Array = poses.take(rows, axis=0) - self._starts.take(rows, axis=0)
         turns = self._turns.take(rows, axis=0)
         cos, sin = turns[:, 0], turns[:, 1]
-        x, y = told[:, 0].copy(), told[:, 1].copy()
-        told[:, 0] = cos * x + sin * y
-        told[:, 1] = cos * y - sin * x
-        told[:, 2] = _wrapped(told[:, 2])
-        return told
+        x, y = reported[:, 0].copy(), reported[:, 1].copy()
+        reported[:, 0] = cos * x + sin * y
+        reported[:, 1] = cos * y - sin * x
+        reported[:, 2] = _wrapped(reported[:, 2])
+        return reported
 
     def _slips(self, rows: Indices) -> Array:
-        """What one reading makes of linear and angular motions: (m, 2) factors."""
+        """Random factors (m, 2) of one reading on linear and angular motion."""
         slips = np.zeros((len(rows), 2))
         for place, row in enumerate(rows.tolist()):
             self._rngs[row].standard_normal(out=slips[place])
@@ -92,9 +92,9 @@ class Odometers:
 def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral: Array) -> Array:
     """From true to measured motions (linear, angular, lateral), without slip: (n, 3, 3).
 
-    A motion as a row times its matrix is what is measured of it. Each wheel is taken to be of the
-    mean diameter, and their distance to be `separation` (n,) m. A base that cannot move sideways
-    does not notice that it does.
+    A true motion, as a row, times its matrix is the measured motion. Odometry assumes wheels of the
+    mean diameter, `separation` (n,) m apart. A base that cannot move sideways does not measure
+    lateral motion.
     """
     right, left = (1.0 + diameter) / (2.0 * diameter), (1.0 + diameter) / 2.0
     base = separation * wheelbase
@@ -108,7 +108,7 @@ def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral
 
 
 def _motion(before: Array, after: Array) -> Array:
-    """Linear, angular and lateral way (m, 3) between two poses (m, 3), along the mean heading."""
+    """Linear, angular and lateral motion (m, 3) between poses (m, 3), along the mean heading."""
     motion: Array = after - before
     turn = motion[:, 2].copy()
     middle = before[:, 2] + turn / 2.0
@@ -121,7 +121,7 @@ def _motion(before: Array, after: Array) -> Array:
 
 
 def _moved(before: Array, motion: Array) -> Array:
-    """Poses (m, 3) after a motion along the mean heading: what `_motion` takes apart."""
+    """Poses (m, 3) after a motion along the mean heading, the inverse of `_motion`."""
     linear, turn, lateral = motion[:, 0], motion[:, 1], motion[:, 2]
     middle = before[:, 2] + turn / 2.0
     cos, sin = np.cos(middle), np.sin(middle)

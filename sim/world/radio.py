@@ -1,4 +1,4 @@
-"""Who hears whom, and when: range, line of sight, loss, delay and jitter."""
+"""The radio between robots: range, line of sight, loss, delay and jitter."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ Arrival = tuple[int, int, str, Value]
 NEIGHBORS_RATE = 2.0
 """Hz at which a robot learns its neighbors, in live worlds and in lockstep."""
 
-_ROUNDING = 1e-9  # of times made up of many steps
-# Range-and-bearing boards: our choice, of the order of what their makers report.
+_ROUNDING = 1e-9  # s, of times that are sums of steps
+# Errors of range-and-bearing boards: our choice, of the order that their makers report.
 _DISTANCE_SD, _DISTANCE_SHARE, _ANGLE_SD = 0.02, 0.02, math.radians(2.0)
 _BEARINGS = ("neighbors", "neighbors.distance", "neighbors.bearing", "neighbors.heading")
 
 
 class RadioSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the radio between robots is like.
+    """The radio between robots.
 
-    neighborhood: all, or those within `range` m. line_of_sight: boxes, inner walls and poles
-    between two robots keep them from hearing each other. loss: the share of messages that a
-    hearer misses. delay: from saying to hearing in s; jitter: what it differs by, evenly, in s
-    both ways. range_and_bearing: the hardware also senses where its neighbours are.
+    neighborhood: all, or robots within `range` m. line_of_sight: boxes, inner walls and poles
+    between two robots block the radio. loss: the share of messages that a receiver misses. delay:
+    from sending to receiving in s; jitter: uniform, in s both ways. range_and_bearing: the
+    hardware also senses where the neighbors are.
     """
 
     neighborhood: Literal["all", "range"] = "all"
@@ -50,7 +50,7 @@ class RadioSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def check_radio(settings: RadioSettings) -> None:
-    """ConfigError if the settings do not fit together."""
+    """Raise ConfigError if the settings contradict each other."""
     if settings.neighborhood == "range" and settings.range is None:
         raise ConfigError("radio.range is missing; neighborhood: range wants one in m")
     if settings.neighborhood == "all" and settings.range is not None:
@@ -61,7 +61,7 @@ def check_radio(settings: RadioSettings) -> None:
     if settings.jitter > settings.delay:
         raise ConfigError(
             f"radio.jitter is {settings.jitter:g}; wanted at most radio.delay ({settings.delay:g}):"
-            " nothing is heard before it is said"
+            " nothing arrives before it is sent"
         )
 
 
@@ -71,38 +71,38 @@ def with_bearings(platform: Platform) -> Platform:
 
 
 class Radio:
-    """The radio of a swarm: pure, and the same for the same seed and the same calls.
+    """The radio of a swarm: deterministic for the same seed and the same calls.
 
-    `poses` are always those of all robots, (n, 3) x, y in m and yaw in rad. `movable_boxes` are the
-    corners of movable boxes (t, c, 2) in m, NaN where one is out of the arena; they count only
-    with line_of_sight. No robot hears itself.
+    `poses` are of all robots, (n, 3) x, y in m and yaw in rad. `movable_boxes` are the
+    corners of movable boxes (t, c, 2) in m, NaN for one outside the arena; they matter only with
+    line_of_sight. No robot is its own neighbor.
     """
 
     def __init__(
         self, settings: RadioSettings, ids: Sequence[str], arena: Arena, *, seed: int
     ) -> None:
-        """`ids` (n,) in the order of rows; ConfigError if the settings do not fit together."""
+        """`ids` (n,) in the order of rows; ConfigError if the settings contradict each other."""
         check_radio(settings)
         self._settings, self._ids = settings, tuple(ids)
         self._reach = math.inf if settings.range is None else settings.range
         self._sight = LineOfSight(arena) if settings.line_of_sight else None
-        self._air = [generator(seed, "radio", robot) for robot in ids]
-        self._sensing = [generator(seed, "bearings", robot) for robot in ids]
-        self._known = [Neighbor(robot, 0.0) for robot in ids]
+        self._loss_rngs = [generator(seed, "radio", robot) for robot in ids]
+        self._bearing_rngs = [generator(seed, "bearings", robot) for robot in ids]
+        self._plain = [Neighbor(robot, 0.0) for robot in ids]
         self._queue: list[tuple[float, int, list[int], int, str, Value]] = []
         self._sent = 0
-        self._everyone: dict[int, tuple[Neighbor, ...]] = {}
+        self._all_others: dict[int, tuple[Neighbor, ...]] = {}
 
     def neighbors(
         self, row: int, poses: Array, movable_boxes: Array | None = None
     ) -> tuple[Neighbor, ...]:
-        """Whom robot `row` hears; where they are only with range_and_bearing, and noisy."""
-        is_everyone = math.isinf(self._reach) and self._sight is None
-        if is_everyone and not self._settings.range_and_bearing:
+        """The neighbors of robot `row`; with range_and_bearing also their noisy positions."""
+        hears_all = math.isinf(self._reach) and self._sight is None
+        if hears_all and not self._settings.range_and_bearing:
             return self._others(row)
         heard = self.hearers(row, poses, movable_boxes)
         if not self._settings.range_and_bearing:
-            return tuple(self._known[i] for i in heard.tolist())
+            return tuple(self._plain[i] for i in heard.tolist())
         sensed = self._sense(row, heard, poses).tolist()
         return tuple(
             Neighbor(self._ids[i], 0.0, distance, wrap(bearing), wrap(heading))
@@ -110,13 +110,13 @@ class Radio:
         )
 
     def _others(self, row: int) -> tuple[Neighbor, ...]:
-        """All but robot `row`: one and the same tuple each time."""
-        if row not in self._everyone:
-            self._everyone[row] = (*self._known[:row], *self._known[row + 1 :])
-        return self._everyone[row]
+        """All but robot `row`; the same tuple each time."""
+        if row not in self._all_others:
+            self._all_others[row] = (*self._plain[:row], *self._plain[row + 1 :])
+        return self._all_others[row]
 
     def hearers(self, row: int, poses: Array, movable_boxes: Array | None = None) -> Indices:
-        """The rows that hear robot `row` now, in order; they are those that it hears."""
+        """The rows in radio contact with robot `row`, in order; the relation is symmetric."""
         if math.isinf(self._reach):
             heard = np.delete(np.arange(len(self._ids)), row)
         else:
@@ -138,8 +138,8 @@ class Radio:
         poses: Array,
         movable_boxes: Array | None = None,
     ) -> None:
-        """Robot `row` says `value` on channel `name` at `now` s to all that hear it then."""
-        settings, rng = self._settings, self._air[row]
+        """Send `value` on channel `name` at `now` s from robot `row` to its present hearers."""
+        settings, rng = self._settings, self._loss_rngs[row]
         hearers = self.hearers(row, poses, movable_boxes)
         if settings.loss > 0.0:
             hearers = hearers[rng.random(len(hearers)) >= settings.loss]
@@ -153,9 +153,9 @@ class Radio:
         self._sent += 1
 
     def arrived(self, now: float) -> list[Arrival]:
-        """What has arrived by `now` s: (hearer, sender, name, value), each handed out once.
+        """Take the messages that arrived by `now` s: (hearer, sender, name, value).
 
-        In order of arrival; of what arrives at once what was said first, then the lower row.
+        In order of arrival, then of sending, then of the hearer's row.
         """
         found: list[Arrival] = []
         while self._queue and self._queue[0][0] <= now + _ROUNDING:
@@ -164,7 +164,7 @@ class Radio:
         return found
 
     def links(self, poses: Array, movable_boxes: Array | None = None) -> Indices:
-        """All pairs of rows that hear each other: (k, 2), the lower first, in order."""
+        """All pairs of rows in radio contact: (k, 2), the lower first, in order."""
         pairs = (
             all_pairs(len(poses))
             if math.isinf(self._reach)
@@ -179,7 +179,7 @@ class Radio:
         """Distance, bearing and heading (k, 3) of robots `heard` from robot `row`."""
         x, y = (poses[heard, :2] - poses[row, :2]).T
         yaw = poses[row, 2]
-        off = self._sensing[row].standard_normal((len(heard), 3))
+        off = self._bearing_rngs[row].standard_normal((len(heard), 3))
         distance = np.hypot(x, y)
         measured = distance + off[:, 0] * (_DISTANCE_SD + _DISTANCE_SHARE * distance)
         bearing = np.arctan2(y, x) - yaw + off[:, 1] * _ANGLE_SD

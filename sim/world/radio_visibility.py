@@ -1,4 +1,4 @@
-"""Which robots can hear each other: by distance, and by what stands between them."""
+"""Pairs of places within radio range, and the line of sight between them."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ _AT_ONCE = 65_536
 
 
 class LineOfSight:
-    """What stands between two places: boxes, inner walls and poles, but not robots."""
+    """Line of sight between places past boxes, inner walls and poles; robots do not block it."""
 
     def __init__(self, arena: Arena) -> None:
-        """What is fixed in the arena; the outer walls stand between no two robots."""
+        """Take the fixed obstacles of the arena."""
         self._walls, self._poles = arena.surfaces, arena.circles
 
     def is_clear(self, a: Array, b: Array, movable_boxes: Array | None = None) -> NDArray[np.bool_]:
-        """True where nothing stands between a and b (k, 2), m in the world frame.
+        """True where the path from a to b (k, 2), m in the world frame, is free.
 
-        `movable_boxes` (t, c, 2): the corners of movable boxes; NaN where one is out of the arena.
+        `movable_boxes` (t, c, 2): corners of movable boxes; NaN for one outside the arena.
         """
         walls, poles = self._walls, self._poles
         if movable_boxes is not None and len(movable_boxes):

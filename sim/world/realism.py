@@ -1,8 +1,8 @@
-"""How far a simulated body is from an ideal one: noise, bias, drop-outs, delays.
+"""Imperfections of simulated robots: noise, bias, drop-outs, delays.
 
 Sources: [LDS] ROBOTIS e-Manual, appendices LDS-01 and LDS-02; [driver] hls_lfcd_lds_driver, the
 ROS driver of the LDS-01; [UMBmark] Borenstein and Feng 1995, systematic errors of differential
-drives; [sim] turtlebot3_simulations model.sdf. What no source gives is called our choice.
+drives; [sim] turtlebot3_simulations model.sdf. Values without a source are marked "our choice".
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ Acceleration = Annotated[float, Meta(ge=0.01, le=1000.0)]
 
 
 class LidarNoise(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a sweep adds to the truth: a range r becomes r (1 + b) + N(0, sd), then is rounded.
+    """Errors of a scan: a range r becomes r (1 + b) + N(0, sd), then is rounded.
 
     bias: the standard deviation of b, drawn once for each robot, as a share of the range.
     near_sd: the sd in m of ranges below `near` (m). far_sd: the sd of all others, as a share of
     the range. resolution: the step in m to which ranges are rounded; 0: not at all.
     dropout: the share of rays lost one by one. block_dropout: the share of blocks of six rays lost
     whole, of sensors with `zero: lds` alone, whose driver skips what arrives damaged. [driver]
-    latency: how old a sweep is when it arrives, in sweeps. A sweep here is taken in one instant;
-    in truth its rays are between one sweep and none old when the last one is in.
+    latency: the age of a scan on arrival, in scan periods. A simulated scan is taken in one
+    instant; the rays of a real one are up to one period old when the last arrives.
     """
 
     bias: Spread = 0.0
@@ -46,16 +46,16 @@ class LidarNoise(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     @property
     def differs_each_time(self) -> bool:
-        """Whether two sweeps of the same scene are hardly ever the same."""
+        """True if two scans of an unchanged scene differ."""
         return max(self.near_sd, self.far_sd, self.dropout) > 0.0
 
 
 class OdometryNoise(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the wheels tell wrong; the first two are drawn once for each robot. [UMBmark]
+    """Errors of wheel odometry; the first two are drawn once for each robot. [UMBmark]
 
     diameter: the sd of E_d - 1, right wheel's diameter over the left one's. wheelbase: the sd of
-    E_b - 1, true over assumed wheelbase. slip: the sd of what each reading adds to the linear and
-    the angular motion since the one before, as a share of them.
+    E_b - 1, true over assumed wheelbase. slip: the sd of the random share added to linear and
+    angular motion at each reading.
     """
 
     diameter: Spread = 0.0
@@ -64,15 +64,15 @@ class OdometryNoise(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
     @property
     def is_ideal(self) -> bool:
-        """True if the wheels tell the truth."""
+        """True if odometry has no errors."""
         return self.diameter == self.wheelbase == self.slip == 0.0
 
 
 class Actuation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """How late and how slowly a base follows its commands.
+    """Delay and acceleration caps of a base.
 
     delay: from command to base in s. linear_acceleration and angular_acceleration: caps in m/s2
-    and rad/s2 below what the platform's body could do; null: the body's own.
+    and rad/s2 below the platform's own; null: no further cap.
     """
 
     delay: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
@@ -81,7 +81,7 @@ class Actuation(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
 
 class Realism(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """All imperfections; without any it is the ideal."""
+    """All imperfections; by default none."""
 
     lidar: LidarNoise = LidarNoise()
     odometry: OdometryNoise = OdometryNoise()

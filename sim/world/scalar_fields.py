@@ -1,4 +1,4 @@
-"""Scalar fields in the plane, such as light, that robots sample where they stand."""
+"""Scalar fields in the plane, such as light, sampled at the robots' positions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Point = tuple[Coordinate, Coordinate]
 READINGS_RATE = 10.0
 """Hz, in live worlds and in lockstep."""
 
-_MOST = 1e6
+_MAX_READING = 1e6
 
 
 class GaussianField(
@@ -80,20 +80,20 @@ Field: TypeAlias = GaussianField | LinearField | UniformField
 def sample(fields: Sequence[Field], places: Array) -> dict[str, Array]:
     """The value (k,) of each name at `places` (k, 2) in m; fields of one name add up.
 
-    Held within +-1e6, which is the most that a reading can be on its way to a daemon.
+    Clipped to +-1e6, the bound of a reading on the wire.
     """
     values: dict[str, Array] = {}
     for field in fields:
         values[field.name] = values.get(field.name, 0.0) + field.at(places)
-    return {name: np.clip(value, -_MOST, _MOST) for name, value in values.items()}
+    return {name: np.clip(value, -_MAX_READING, _MAX_READING) for name, value in values.items()}
 
 
 def with_readings(platform: Platform, fields: Sequence[Field]) -> Platform:
-    """The platform with a sensor for each of the fields: it provides `reading:<name>`."""
+    """The platform with a sensor `reading:<name>` for each field."""
     words = {f"reading:{field.name}" for field in fields}
     return replace(platform, provides=platform.provides | words)
 
 
 def readings_at(fields: Sequence[Field], place: Array) -> Mapping[str, float]:
-    """What a sensor at `place` (2,) reads, by name."""
+    """The readings at `place` (2,) by name."""
     return {name: float(values[0]) for name, values in sample(fields, place[None]).items()}

@@ -1,4 +1,4 @@
-"""What a scan plane meets: whole bodies, or what really stands at the plane's height."""
+"""The shapes in a scan plane: whole footprints, or the cross-section at the plane's height."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from swarmd.sim.world.geometry import Indices
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shapes:
-    """What one kind of sensor can meet; lengths in m.
+    """The shapes that one kind of sensor detects; lengths in m.
 
     Fixed, in the world frame: `walls` (w, 2, 2), flat surfaces by start and end with the solid on
-    their left, seen from the right alone; `poles` (p, 3) x, y, radius. Carried by bodies, in their
-    frames: `polygons` (b, k, 2), convex and counter-clockwise, those of fewer corners with
-    the last one repeated, and `discs` (d, 3) x, y, radius; `polygon_owners` (b,) and `disc_owners`
-    (d,) say by which: robots, then whatever else moves. No robot sees its own.
+    their left, visible from the right alone; `poles` (p, 3) x, y, radius. Moving, in the frames of
+    their owners: `polygons` (b, k, 2), convex and counter-clockwise, padded by repeating the last
+    corner, and `discs` (d, 3) x, y, radius. `polygon_owners` (b,) and `disc_owners` (d,) are the
+    rows of robots, then of boxes. No robot sees its own shapes.
     """
 
     walls: Array
@@ -33,13 +33,11 @@ class Shapes:
 
 
 def shapes_of(arena: Arena, platforms: Sequence[Platform], *, plane: float | None) -> Shapes:
-    """All that one kind of sensor can meet; row i is the robot of `platforms[i]`.
+    """The shapes for one kind of sensor; row i is the robot of `platforms[i]`, then come boxes.
 
-    The arena's movable boxes are the rows after the robots.
-
-    `plane`: the height in m at which it looks; None: it sees every body whole. At a plane within
-    a body's height its footprint is seen, above that only the housing of its lidar, above that
-    nothing. Walls, boxes and poles reach any plane.
+    `plane`: the height in m of the scan plane; None: every footprint is visible. A plane within a
+    robot's height shows its footprint, above that the housing of its lidar, above that nothing.
+    Walls, boxes and poles reach any plane.
     """
     whole = [i for i, p in enumerate(platforms) if plane is None or plane <= value(p, "height")]
     housed = [

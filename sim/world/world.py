@@ -1,7 +1,7 @@
-"""The simulated world: bodies in an arena, their sensors, and the truth for metrics alone.
+"""The simulated world: robots in an arena, their sensors, and ground truth for metrics.
 
-One structure of arrays for real time and lockstep; deterministic: the same commands at the same
-steps give bit-identical poses. Robot i of `ids` is row i of every array.
+Live worlds and lockstep share it. The same commands at the same steps give bit-identical poses.
+Robot i of `ids` is row i of every array.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from swarmd.sim.world.scalar_fields import Field, readings_at
 
 
 class World:
-    """Planar MuJoCo bodies, their range sensors and odometry, and boxes that can be pushed.
+    """Planar MuJoCo bodies with range sensors and odometry, and movable boxes.
 
     `movable_boxes` are the names of the movable boxes, row i of `box_poses()` and `box_shapes`
-    (m, 4, 2), their outlines in their own frames. `scan_latency` (n,) s: how much later than it is
-    taken a sweep of each robot is to arrive.
+    (m, 4, 2), their outlines in their own frames. `scan_latency` (n,) s is the delay of each
+    robot's scans, which the caller applies.
     """
 
     def __init__(
@@ -49,11 +49,11 @@ class World:
     ) -> None:
         """A world at rest. `starts` (n, 3) x, y, yaw in m and rad.
 
-        `seed` is that of all that `realism` leaves to chance; `fields` are what `readings` samples.
-        `visibility`: what a range sensor sees of another robot: its whole footprint, or only what
-        the sensor's plane really meets. `body` is the default since the published behaviours need
-        it: with true heights a Waffle Pi sees of another a lidar housing 0.11 m wide, 3 rays at
-        2 m, and protection that asks for more than 5 rays begins to see it only at 1 m.
+        `seed` is for the randomness of `realism`; `readings` samples `fields`. `visibility`: a
+        range sensor sees the whole footprint of another robot (`body`), or only the cross-section
+        in its plane (`real`). `body` is the default because the published behaviours need it: with
+        true heights a Waffle Pi sees a lidar housing 0.11 m wide, which 3 rays hit at 2 m, and
+        protection that needs more than 5 rays detects it only at 1 m.
         """
         n = len(robots)
         if starts.shape != (n, 3):
@@ -62,7 +62,7 @@ class World:
         self.arena, self.dt = arena, dt
         self.model = bodies.build_model(robots, arena, dt)
         self.data = mujoco.MjData(self.model)
-        # Windows on MuJoCo's own memory.
+        # Views of MuJoCo's memory.
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._applied = self.data.qfrc_applied
         self._qpos[: 3 * n] = starts.ravel()
@@ -88,14 +88,14 @@ class World:
 
     @property
     def time(self) -> float:
-        """Simulated time in s since the world was made."""
+        """Simulated time in s."""
         return self._steps * self.dt
 
     def set_commands(self, twists: Array) -> None:
-        """What the bases are to do from now on: (n, 3) linear, angular, lateral.
+        """Set the commands (n, 3) linear, angular, lateral of the bases.
 
-        Held within each platform's limits, as a base's firmware would; what is not finite is 0.
-        The bases follow as late and as slowly as `realism` says.
+        Each is clipped to its platform's limits, as firmware does; non-finite values become 0.
+        `realism` sets the delay and acceleration of the bases.
         """
         self._actuators.put(twists)
 
@@ -108,7 +108,7 @@ class World:
     def _step(self) -> None:
         data = self.data
         driven = self._actuators.now()
-        if driven is not self._driven:  # an ideal base is driven with one array until the next
+        if driven is not self._driven:  # ideal actuation returns the same array until a new command
             self._driven = driven
             self._drives.set(driven)
         qpos, qvel = self._qpos.copy(), self._qvel.copy()
@@ -116,16 +116,16 @@ class World:
         force = self._drives.forces(qpos.reshape(-1, 3)[:n], qvel.reshape(-1, 3)[:n])
         self._applied[: 3 * n] = force.ravel()
         if self.movable_boxes:
-            self._movable_boxes.rub()
+            self._movable_boxes.apply_friction()
         mujoco.mj_step(self.model, data)
         self._steps += 1
         if data.ncon:
             self._touching.append(self._contacts.after_step(data, qpos, qvel))
 
     def poses(self) -> Array:
-        """(n, 3) x, y in m and yaw in rad (not wrapped) in the world frame: truth.
+        """(n, 3) x, y in m and yaw in rad (not wrapped), world frame, ground truth.
 
-        NaN for a robot that has been taken out of the arena.
+        NaN for a robot that was taken out of the arena.
         """
         poses = self._places()
         poses[self._is_out] = np.nan
@@ -135,7 +135,7 @@ class World:
         return np.array(self._qpos[: 3 * len(self.ids)], dtype=np.float64).reshape(-1, 3)
 
     def twists(self) -> Array:
-        """(n, 3) linear, angular, lateral velocity in each base frame over the last step: truth."""
+        """(n, 3) linear, angular, lateral velocity in each base frame over the last step, exact."""
         n = len(self.ids)
         vx, vy, angular = self._qvel[: 3 * n].reshape(-1, 3).T
         yaw = self._qpos[2 : 3 * n : 3] - angular * (self.dt / 2.0)
@@ -147,14 +147,11 @@ class World:
         return twists
 
     def contacts(self) -> list[Contact]:
-        """The pairs that touched during the last call of `step`, each with its fastest approach."""
+        """The pairs in contact during the last call of `step`, each with its fastest approach."""
         return self._contacts.contacts(self._touching)
 
     def scans(self, robots: Indices) -> list[Scan]:
-        """A fresh sweep of each of `robots` (m,), taken in one instant: now.
-
-        It is not there yet: who hands it on holds it back for the robot's `scan_latency`.
-        """
+        """A scan of each of `robots` (m,), taken now; the caller delays it by `scan_latency`."""
         poses = self.poses()
         if self.movable_boxes:
             poses = np.concatenate((poses, self._movable_boxes.poses()))
@@ -177,18 +174,18 @@ class World:
         ]
 
     def readings(self, robot: int) -> Mapping[str, float]:
-        """What the scalar sensors on the robot's axle read, by name: the fields where it stands."""
+        """The values of the fields at the robot's axle, by name."""
         return readings_at(self._fields, self.poses()[robot, :2])
 
     def box_poses(self) -> Array:
-        """(m, 3) x, y in m and yaw in rad of the movable boxes; NaN while not in the arena."""
+        """(m, 3) x, y in m and yaw in rad of the movable boxes; NaN for one outside the arena."""
         return self._movable_boxes.poses()
 
     def place(self, box: str, pose: tuple[float, float, float]) -> None:
-        """Put a movable box at rest at x, y in m and yaw in rad, wherever it was.
+        """Put a movable box at rest at x, y in m and yaw in rad.
 
-        SwarmError if it would stand in a robot, a wall or another thing; ConfigError if there is
-        no such box. Nothing has changed then.
+        Raises SwarmError if it would overlap anything, ConfigError if there is no such box; the
+        world is then unchanged.
         """
         at = np.array(pose, dtype=np.float64)
         outlines = [
@@ -199,11 +196,11 @@ class World:
         self._movable_boxes.place(box, at, outlines)
 
     def take_out(self, robot: int) -> None:
-        """Take a robot's body out of the arena for good: nothing touches or sees it any more."""
+        """Remove a robot from contacts and scans for good."""
         self._is_out[robot] = True
         geom = self.model.geom(self.ids[robot]).id
         self.model.geom_contype[geom] = self.model.geom_conaffinity[geom] = 0
 
     def remove(self, box: str) -> None:
-        """Take a movable box out of the arena; SwarmError if it is not in it."""
+        """Take a movable box out of the arena; SwarmError if it is not there."""
         self._movable_boxes.remove(box)

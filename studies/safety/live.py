@@ -36,7 +36,7 @@ from swarmd.driver_api.hw_codec import encode_command
 from swarmd.network.session import open_with
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.demo_run import WorldWatcher
-from swarmd.sim.live.link import WorldView, dialling
+from swarmd.sim.live.link import WorldView, client_options
 from swarmd.sim.live.state import WorldState
 from swarmd.sim.trace import Trace, load_trace
 from swarmd.sim.world.arena import Arena
@@ -196,7 +196,7 @@ class Course:
 def _steering(endpoint: str) -> Iterator[zenoh.Session]:
     """A session that reaches the bodies of a world."""
     options: dict[str, object] = {"mode": "peer", "scouting/multicast/enabled": False}
-    session = open_with({**options, **dialling(endpoint)}, what=f"the world at {endpoint}")
+    session = open_with({**options, **client_options(endpoint)}, what=f"the world at {endpoint}")
     try:
         yield session
     finally:

@@ -20,8 +20,8 @@ def recorded() -> Trace:
     recorder = TraceBuilder(IDS, platforms, {"arena": "6x6", "seed": 3})
     for k in range(10):
         recorder.add(0.1 * k, np.full((2, 3), float(k)), np.full((2, 3), -float(k)))
-    recorder.touch(0.25, "a", "b", 0.1, 0.2)
-    recorder.touch(0.35, "b", "wall/east", 0.3, 0.0)
+    recorder.add_contact(0.25, "a", "b", 0.1, 0.2)
+    recorder.add_contact(0.35, "b", "wall/east", 0.3, 0.0)
     return recorder.trace(seconds=1.0)
 
 
@@ -78,7 +78,7 @@ def test_contacts_hold_rows_of_robots_and_the_arena() -> None:
 def test_clearing_begins_anew() -> None:
     recorder = TraceBuilder(IDS, [load_platform("burger")] * 2, {})
     recorder.add(0.0, np.zeros((2, 3)), np.zeros((2, 3)))
-    recorder.touch(0.0, "a", "b", 0.0, 0.0)
+    recorder.add_contact(0.0, "a", "b", 0.0, 0.0)
     recorder.clear()
     trace = recorder.trace()
     assert trace.pose.shape == (0, 2, 3)

@@ -14,7 +14,7 @@ from swarmd.core.codec import encode
 from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.core.values import Twist
 from swarmd.driver_api.hw_codec import CommandWire, decode_command, encode_command
-from swarmd.sim.live.link import WorldLink, WorldView, dialling
+from swarmd.sim.live.link import WorldLink, WorldView, client_options
 from swarmd.sim.live.state import WorldReply, WorldState
 
 CAP = 20.0
@@ -31,7 +31,10 @@ def link() -> Iterator[WorldLink]:
 @pytest.fixture
 def peer(link: WorldLink) -> Iterator[zenoh.Session]:
     config = zenoh.Config()
-    for path, value in {**dialling(link.endpoint), "scouting/multicast/enabled": False}.items():
+    for path, value in {
+        **client_options(link.endpoint),
+        "scouting/multicast/enabled": False,
+    }.items():
         config.insert_json5(path, json.dumps(value))
     session = zenoh.open(config)
     yield session

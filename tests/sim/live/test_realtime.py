@@ -23,7 +23,7 @@ from swarmd.driver_api.hw_codec import (
     encode_command,
 )
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.link import WorldLink, WorldView, dialling
+from swarmd.sim.live.link import WorldLink, WorldView, client_options
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT, RealTimeWorld
 from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
 from swarmd.sim.live.state import WorldState
@@ -65,7 +65,7 @@ class Stage:
             clock=lambda: self.now,
         )
         config = zenoh.Config()
-        options = {**dialling(self.link.endpoint), "scouting/multicast/enabled": False}
+        options = {**client_options(self.link.endpoint), "scouting/multicast/enabled": False}
         for path, value in options.items():
             config.insert_json5(path, json.dumps(value))
         self.peer = zenoh.open(config)

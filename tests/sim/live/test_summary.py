@@ -29,7 +29,7 @@ def closing_in() -> Trace:
         half = max(1.0 - 0.075 * time, 0.25)
         poses = np.array([[-half, 0.0, 0.0], [half, 0.0, np.pi]])
         recorder.add(float(time), poses, np.zeros((2, 3)))
-    recorder.touch(12.0, "a", "wall_east", 0.1, 0.0)
+    recorder.add_contact(12.0, "a", "wall_east", 0.1, 0.0)
     return recorder.trace()
 
 

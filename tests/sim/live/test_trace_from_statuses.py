@@ -50,8 +50,8 @@ def say(status: Status, robot: str, opinion: int, *, is_active: bool) -> Status:
 
 def test_a_word_holds_from_its_time_until_the_next(trace: Trace, status: Status) -> None:
     statements = StatusLog()
-    statements.hear(0.5, {"a": say(status, "a", 1, is_active=True)})
-    statements.hear(
+    statements.add(0.5, {"a": say(status, "a", 1, is_active=True)})
+    statements.add(
         1.0,
         {
             "a": say(status, "a", 2, is_active=False),
@@ -72,8 +72,8 @@ def test_a_word_holds_from_its_time_until_the_next(trace: Trace, status: Status)
 
 def test_what_bounded_a_robot_is_in_the_trace(trace: Trace, status: Status) -> None:
     statements = StatusLog()
-    statements.hear(0.5, {"a": say(status, "a", 1, is_active=True)})
-    statements.hear(1.0, {"a": say(status, "a", 1, is_active=False)})
+    statements.add(0.5, {"a": say(status, "a", 1, is_active=True)})
+    statements.add(1.0, {"a": say(status, "a", 1, is_active=False)})
     told = statements.merged_into(trace)
     assert told.gap is not None
     assert told.scan_age is not None
@@ -91,7 +91,7 @@ def test_metrics_of_what_robots_say_can_then_be_taken(trace: Trace, status: Stat
     assert measure(trace, ["consensus_share"]) == {"consensus_share": None}
     statements = StatusLog()
     both = {"a": say(status, "a", 1, is_active=True), "b": say(status, "b", 1, is_active=True)}
-    statements.hear(0.0, both)
+    statements.add(0.0, both)
     found = measure(statements.merged_into(trace), ["consensus_share", "protection_duty"])
     assert found == {"consensus_share": 1.0, "protection_duty": 1.0}
 

@@ -251,26 +251,17 @@ def test_bearings_make_a_platform_that_provides_them() -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "text"),
+    ("values", "key"),
     [
-        ({"neighborhood": "range"}, "radio.range is missing; neighborhood: range wants one in m"),
-        (
-            {"range": 5.0},
-            "radio.range is 5, but radio.neighborhood is all, which has none;"
-            " set neighborhood: range, or range: null",
-        ),
-        (
-            {"delay": 0.1, "jitter": 0.2},
-            "radio.jitter is 0.2; wanted at most radio.delay (0.1): nothing is heard before it is"
-            " said",
-        ),
+        ({"neighborhood": "range"}, "radio.range"),
+        ({"range": 5.0}, "radio.range"),
+        ({"delay": 0.1, "jitter": 0.2}, "radio.jitter"),
     ],
 )
-def test_settings_that_do_not_fit_together_are_refused(values: dict[str, Any], text: str) -> None:
-    with pytest.raises(ConfigError) as caught:
+def test_contradicting_settings_are_refused(values: dict[str, Any], key: str) -> None:
+    with pytest.raises(ConfigError, match=key):
         check_radio(RadioSettings(**values))
-    assert str(caught.value) == text
-    with pytest.raises(ConfigError):
+    with pytest.raises(ConfigError, match=key):
         radio(**values)
 
 
