@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import astuple
 
 from swarmd.core.values import Array
 from swarmd.sim.live.pacing import Staggered
