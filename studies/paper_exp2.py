@@ -56,7 +56,7 @@ class Course:
     `wanted`: f(opinion). `kept_since`: from when on every range stayed at least that less the
     tolerance until 70 s; inf: not. `least`: the least range from 40 to 70 s; `strayed`: how far
     anyone got then from where it was at 40 s, `moving`: the share of that time in which a robot
-    moved, in the mean. `touches`: instants in contact.
+    moved, in the mean. `contacts`: instants in contact.
     """
 
     opinion: int
@@ -66,7 +66,7 @@ class Course:
     least: float
     strayed: float
     moving: float
-    touches: int
+    contacts: int
 
     @property
     def is_kept(self) -> bool:
@@ -97,7 +97,7 @@ def judged(trace: Trace, base: float = 0.6, step: float = 0.4) -> Course:
         least=float(least[late].min()),
         strayed=float(away(places[late]).max()),
         moving=float((speeds(trace)[late[1:]] > STILL).mean()),
-        touches=len(trace.contact_t),
+        contacts=len(trace.contact_t),
     )
 
 
@@ -145,14 +145,14 @@ class Joining:
 
     `adopted`: after how many s it held what the seven did; `is_swayed`: whether one of these ever
     changed its mind. `stirred`: how far the farthest of them went after it had joined, m. `least`:
-    the least range in the last 20 s, m. `touches`: instants in contact.
+    the least range in the last 20 s, m. `contacts`: instants in contact.
     """
 
     adopted: float
     is_swayed: bool
     stirred: float
     least: float
-    touches: int
+    contacts: int
 
 
 def joined(trace: Trace, at: float = JOINED) -> Joining:
@@ -169,7 +169,7 @@ def joined(trace: Trace, at: float = JOINED) -> Joining:
         is_swayed=len(np.unique(others)) > 1,
         stirred=float(away(trace.pose[there][:, :-1, :2]).max()),
         least=float(ranges(trace)[time >= time[-1] - 20.0].min()),
-        touches=len(trace.contact_t),
+        contacts=len(trace.contact_t),
     )
 
 
@@ -200,7 +200,7 @@ def row(courses: Sequence[Course]) -> list[str]:
         spread([c.least for c in courses], 2),
         count([c.is_standing for c in courses]),
         spread([c.strayed for c in courses], 3),
-        str(sum(c.touches for c in courses)),
+        str(sum(c.contacts for c in courses)),
     ]
 
 

@@ -11,12 +11,11 @@ from studies.outcomes.line_formation import BY_LIDAR, SETTINGS, Setting, formed
 from studies.outcomes.outcome import Outcome
 from swarmd.sim.metrics.formation import circle_errors
 
-_FORMATION, _FORMING = "swarmd/kit/formation_geometry.py", "swarmd/kit/formation_pattern.py"
 _ALL = (*SETTINGS, BY_LIDAR)
 
 
 def outcomes(
     seeds: Sequence[int], jobs: int = 1, settings: Sequence[Setting] = _ALL
 ) -> list[Outcome]:
-    """What 5 to 8 robots, by the seed, make of it in each setting."""
+    """All outcomes of 5 to 8 robots, by the seed, in each setting."""
     return formed("circle_formation", circle_errors, seeds, jobs, settings)

@@ -29,23 +29,23 @@ _JOINED = 8.0
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1, seconds: float = 72.0) -> list[Outcome]:
-    """All of them, of one run a seed each; with fewer `seconds` they are looked at for less."""
+    """All outcomes, of one run for each seed; `seconds` is the duration of a run."""
     courses = courses_of(seeds, jobs, seconds)
     late = joinings_of(seeds, jobs)
     return [*_of_courses(courses), *_of_joinings(late)]
 
 
 def courses_of(seeds: Sequence[int], jobs: int = 1, seconds: float = 72.0) -> list[Course]:
-    """What seven robots with random opinions make of it."""
+    """The courses of seven robots with random opinions."""
     some = {"arena.size": list(LARGER), "duration": seconds}
     results = simulate("paper_exp2", seeds, set=some, jobs=jobs)
     return [judged(results.traces[run.id]) for run in results.runs]
 
 
 def joinings_of(seeds: Sequence[int], jobs: int = 1) -> list[Joining]:
-    """What an eighth robot makes of it that joins when the others disperse, and they of it.
+    """The courses of an eighth robot that joins while the others disperse.
 
-    They do so after 3 s, so that it is soon over.
+    The others disperse after 3 s already, so that a run is short.
     """
     robot = "tb3-08"
     events = [
@@ -63,65 +63,27 @@ def _of_courses(courses: Sequence[Course]) -> list[Outcome]:
     over = [course.least - course.wanted for course in courses]
     strayed = [course.strayed for course in courses]
     moving = [course.moving for course in courses]
-    touches = [float(course.touches) for course in courses]
-    rows = (
-        ("all hold one opinion from 20 s on", "1", agreed, at_least(1.0, agreed), _PAPER),
-        ("farthest before 20 s [m]", "<= 0.02", moved, at_most(0.02, moved), _PAPER),
-        (
-            "least range from 40 s on, over f(opinion) [m]",
-            f">= -{TOLERANCE:g}",
-            over,
-            at_least(-TOLERANCE, over),
-            _PAPER,
-        ),
-        (
-            "the same, so that it is that opinion's [m]",
-            f"<= {FARTHER:g}",
-            over,
-            at_most(FARTHER, over),
-            _OURS,
-        ),
-        (
-            "farthest from 40 to 70 s [m]",
-            f"<= {STRAYED:g}",
-            strayed,
-            at_most(STRAYED, strayed),
-            "ours: the robots stand, but for corrections",
-        ),
-        (
-            "share of that time in which one moves",
-            f"<= {MOVING:g}",
-            moving,
-            at_most(MOVING, moving),
-            "ours: the robots stand, but for corrections",
-        ),
-        ("contacts", "0", touches, at_most(0.0, touches), _PAPER),
-    )
+    contacts = [float(course.contacts) for course in courses]
+    least, that = "least range from 40 s on, over f(opinion) [m]", "the same, of that opinion [m]"
+    stand = "ours: the robots stand, but for corrections"
     return [
-        Outcome(_NAME, what, wanted, tuple(values), is_reached, source)
-        for what, wanted, values, is_reached, source in rows
+        at_least(_NAME, "all hold one opinion from 20 s on", 1.0, agreed, _PAPER),
+        at_most(_NAME, "farthest before 20 s [m]", 0.02, moved, _PAPER),
+        at_least(_NAME, least, -TOLERANCE, over, _PAPER),
+        at_most(_NAME, that, FARTHER, over, _OURS),
+        at_most(_NAME, "farthest from 40 to 70 s [m]", STRAYED, strayed, stand),
+        at_most(_NAME, "share of that time in which one moves", MOVING, moving, stand),
+        at_most(_NAME, "contacts", 0.0, contacts, _PAPER),
     ]
 
 
 def _of_joinings(late: Sequence[Joining]) -> list[Outcome]:
     adopted = [one.adopted for one in late]
     swayed = [float(one.is_swayed) for one in late]
-    source = "paper: they go on voting, so that the swarm can change its mind when robots join"
+    paper = "paper: they go on voting, so that the swarm can change its opinion when robots join"
+    holds = "time until a late robot holds the opinion of the seven [s]"
     return [
-        Outcome(
-            _NAME,
-            "one that joins late holds what the seven do after [s]",
-            "<= 11, two windows",
-            tuple(adopted),
-            at_most(11.0, adopted),
-            source,
-        ),
-        Outcome(
-            _NAME,
-            "runs in which it changes the mind of one of them",
-            "0",
-            tuple(swayed),
-            at_most(0.0, swayed),
-            "ours: it is one of six neighbours who are counted",
-        ),
-    ]
+        at_most(_NAME, holds, 11.0, adopted, f"{paper}; 11 s are two windows"),
+        at_most(_NAME, "runs in which it changes another's opinion", 0.0, swayed,
+                "ours: it is one of six neighbours that are counted"),
+    ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Dispersion: the robots reach their distance, keep it and stand; none touches anything."""
+"""Dispersion: the robots reach their distance, keep it and stand; there is no contact."""
 
 from __future__ import annotations
 
@@ -6,56 +6,42 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from studies.outcomes.outcome import Outcome, at_least, at_most, number
+from studies.outcomes.outcome import Outcome, at_least, at_most, metric, no_contacts
 from swarmd.sim.experiments.simulate import simulate
-from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.metrics.window import late
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import gaps, transform
 
 NAME = "dispersion"
 DISTANCE, TOLERANCE, TOO_FAR = 1.0, 0.03, 1.3
-"""m: what the robots keep free, three standard deviations of the lidar, and no more than that."""
+"""In m: the distance to keep, three standard deviations of the lidar, and the upper bound."""
 LIDAR = (-0.032, 0.0)
-"""m, of a Burger's lidar before its axle."""
+"""Position of a Burger's lidar from its axle, in m."""
 SETTING = {"groups.tb3.count": 5, "duration": 40}
-SPEED, WAY = 0.03, 0.73
+SPEED, PATH = 0.03, 0.73
 _PAPER = "Kaiser et al. 2022, experiment 2"
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
-    """All of them, of one run a seed."""
-    results = simulate(NAME, seeds, jobs=jobs, set=SETTING)
-    traces = list(results.traces)
-    numbers = [measure(trace) for trace in traces]
-    nearest = tuple(late_ranges(trace)[0] for trace in traces)
-    loosest = tuple(late_ranges(trace)[1] for trace in traces)
-    speeds = tuple(number(n["mean_speed_late_share"]) for n in numbers)
-    touches = tuple(number(n["robot_contacts"]) + number(n["arena_contacts"]) for n in numbers)
-    ways = tuple(number(n["path_length"]) for n in numbers)
-    least = DISTANCE - TOLERANCE
+    """All outcomes, of one run for each seed."""
+    found = simulate(NAME, seeds, jobs=jobs, set=SETTING)
+    ranges = [late_ranges(trace) for trace in found.traces]
+    nearest, loosest = [least for least, _ in ranges], [median for _, median in ranges]
+    path, speed = metric(found, "path_length"), metric(found, "mean_speed_late_share")
+    no_further = "ours: it spreads no further than its distance"
     return [
-        Outcome(
-            NAME, "least late range [m]", f">= {least}", nearest, at_least(least, nearest), _PAPER
-        ),
-        Outcome(
-            NAME,
-            "median late range to the nearest [m]",
-            f"<= {TOO_FAR}",
-            loosest,
-            at_most(TOO_FAR, loosest),
-            "it spreads no further than it is told: ours",
-        ),
-        Outcome(NAME, "mean way [m]", f"<= {WAY}", ways, at_most(WAY, ways), "ours: no detours"),
-        Outcome(NAME, "late speed / limit", f"<= {SPEED}", speeds, at_most(SPEED, speeds), _PAPER),
-        Outcome(NAME, "touches", "0", touches, at_most(0.0, touches), "docs/safety.md"),
+        at_least(NAME, "least late range [m]", DISTANCE - TOLERANCE, nearest, _PAPER),
+        at_most(NAME, "median late range to the nearest [m]", TOO_FAR, loosest, no_further),
+        at_most(NAME, "mean path [m]", PATH, path, "ours: no detours"),
+        at_most(NAME, "late speed / limit", SPEED, speed, _PAPER),
+        no_contacts(NAME, found),
     ]
 
 
 def late_ranges(trace: Trace, seconds: float = 10.0) -> tuple[float, float]:
-    """The least, and the median, of the ranges in m to the nearest other or wall, at the end.
+    """The least and the median range in m to the nearest robot or wall in the last seconds.
 
-    Truth: from where each lidar is to the outlines of the others and to the walls.
+    True ranges, from the position of each lidar to the outlines of the others and to the walls.
     """
     part = late(trace, seconds)
     n = len(part.ids)

@@ -20,18 +20,18 @@ from swarmd.sim.metrics.window import cut, presence
 from swarmd.sim.trace import Trace
 
 SPACING = 1.1
-"""That of TurtleBots, 2.2 times their protection threshold."""
+"""Spacing of TurtleBots in m, 2.2 times their protection threshold."""
 REMOVED, END = 30.0, 60.0
 _BOUND = 0.1
 _MOVING, _FEW = 0.05, 0.25
 _HELD = 10.0
 _PROJECT = "bound: the project's, a tenth of the spacing; error: after Fredslund and Mataric 2002"
-_FORMATION, _FORMING = "swarmd/kit/formation_geometry.py", "swarmd/kit/formation_pattern.py"
+_BREAKS = "otherwise the next outcome means nothing"
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """A kind of swarm that is to form it; `changes` are of the scenario."""
+    """A kind of swarm; `changes` are applied to the scenario."""
 
     name: str
     changes: Mapping[str, Any] = field(default_factory=dict)
@@ -49,7 +49,7 @@ Errors = Callable[[Trace, float], Array]
 def outcomes(
     seeds: Sequence[int], jobs: int = 1, settings: Sequence[Setting] = SETTINGS
 ) -> list[Outcome]:
-    """What 5 to 8 robots, by the seed, make of it in each setting."""
+    """All outcomes of 5 to 8 robots, by the seed, in each setting."""
     return formed("line_formation", line_errors, seeds, jobs, settings)
 
 
@@ -87,16 +87,16 @@ def _judged(pattern: str, name: str, errors: Errors, runs: Sequence[Trace]) -> l
     after = [_largest(errors, _span(run, END - _HELD, END)) for run in runs]
     moved = [_moving(_span(run, END - _HELD, END)) for run in runs]
     share = sum(error > _BOUND for error in broken) / len(broken)
+    again, moving = (
+        "largest error, 20 to 30 s after a removal",
+        "share that moves 5 cm in these 10 s",
+    )
     return [
-        Outcome(pattern, f"{name}: largest error, 20 to 30 s", "at most 0.1", tuple(before),
-                at_most(_BOUND, before), _PROJECT),
-        Outcome(pattern, f"{name}: runs in which a removal breaks it", "at least half", (share,),
-                at_least(0.5, [share]), "or the next line says nothing"),
-        Outcome(pattern, f"{name}: largest error, 20 to 30 s after a removal", "at most 0.1",
-                tuple(after), at_most(_BOUND, after), _PROJECT),
-        Outcome(pattern, f"{name}: share that moves 5 cm in these 10 s", "at most 0.25",
-                tuple(moved), at_most(_FEW, moved), "ours: noise wakes one now and then"),
-    ]  # fmt: skip
+        at_most(pattern, f"{name}: largest error, 20 to 30 s", _BOUND, before, _PROJECT),
+        at_least(pattern, f"{name}: runs in which a removal breaks it", 0.5, [share], _BREAKS),
+        at_most(pattern, f"{name}: {again}", _BOUND, after, _PROJECT),
+        at_most(pattern, f"{name}: {moving}", _FEW, moved, "ours: noise wakes one now and then"),
+    ]
 
 
 def _span(run: Trace, since: float, until: float) -> Trace:
@@ -109,6 +109,6 @@ def _largest(errors: Errors, part: Trace) -> float:
 
 
 def _moving(part: Trace) -> float:
-    """The share of the robots that are there whose way is longer than that of one that rests."""
+    """The share of the present robots with a path longer than that of a robot at rest."""
     step = np.diff(part.pose[:, presence(part).all(axis=0), :2], axis=0)
     return float(np.mean(np.hypot(step[..., 0], step[..., 1]).sum(axis=0) > _MOVING))

@@ -31,7 +31,7 @@ ROUNDS = 4
 # Of a standard normal once in 2,000, of chi-squared with 2 degrees of freedom once in 1,000.
 Z_MAX, CHI2_MAX = 3.5, 13.8
 LOSSY = Air(delay=0.05, jitter=0.03, loss=0.1, twice=0.1)
-_ISSUE = "Kaiser et al., ICRA 2022, experiment 2: 20 s; original rule: all of 2,000 runs"
+_PAPER = "Kaiser et al., ICRA 2022, experiment 2: 20 s; original rule: all of 2,000 runs"
 _WINDOW = "each robot has decided once by then; original rule, windows not in step: 14 s"
 _CHAIN = "exact Markov chain of synchronous updates"
 # A lockstep run of as short windows costs a third of a second.
@@ -40,7 +40,7 @@ _IN_LOCKSTEP = 8
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
-    """All of them; `RUNS` debates a seed of each kind."""
+    """All outcomes; `RUNS` debates of each kind for each seed."""
     return [
         *free(debates(seeds, jobs), "7 robots, 3 opinions"),
         *free(debates(seeds, jobs, air=LOSSY), "the same, 10 % lost, 10 % twice"),
@@ -60,7 +60,7 @@ def debates(
     count: int = ROBOTS,
     held: tuple[int, ...] | None = None,
 ) -> list[Result]:
-    """`RUNS` debates a seed, over `WITHIN` s."""
+    """`RUNS` debates for each seed, of `WITHIN` s."""
     return hold_all(
         [
             Motion(NAME, count, RUNS * seed + run, WITHIN, params or {}, held, air or Air())
@@ -72,23 +72,18 @@ def debates(
 
 
 def free(results: Sequence[Result], what: str) -> list[Outcome]:
-    """How many agree in time, how soon, and on what."""
+    """How many swarms agree in time, how soon, and on which opinion."""
     times = [result.agreed_at for result in results]
     share = float(np.mean([time <= WITHIN for time in times]))
     median = float(np.median(times))
     wins = [sum(result.winner == opinion for result in results) for opinion in range(OPINIONS)]
     even = sum(wins) / OPINIONS
     bias = sum((win - even) ** 2 for win in wins) / even if even else math.inf
+    alike = "no opinion is better: all win alike"
     return [
-        _outcome(f"{what}: share agreed within 20 s", ">= 0.99", share, share >= 0.99, _ISSUE),
-        _outcome(f"{what}: median time, s", "<= 5.3", median, median <= 5.3, _WINDOW),
-        _outcome(
-            f"{what}: chi-squared of who wins",
-            f"<= {CHI2_MAX}",
-            bias,
-            bias <= CHI2_MAX,
-            "no opinion is better: all win alike",
-        ),
+        at_least(NAME, f"{what}: share agreed within 20 s", 0.99, [share], _PAPER),
+        at_most(NAME, f"{what}: median time, s", 5.3, [median], _WINDOW),
+        at_most(NAME, f"{what}: chi-squared of who wins", CHI2_MAX, [bias], alike),
     ]
 
 
@@ -97,7 +92,7 @@ def split(seeds: Sequence[int], jobs: int = 1) -> Outcome:
     results = debates(seeds, jobs, count=6, held=(0, 0, 0, 1, 1, 1))
     share = float(np.mean([result.agreed_at <= WITHIN for result in results]))
     what = "6 robots, three against three: share agreed within 20 s"
-    return _outcome(what, ">= 0.99", share, at_least(0.99, [share]), _ISSUE)
+    return at_least(NAME, what, 0.99, [share], _PAPER)
 
 
 def tie(seeds: Sequence[int], jobs: int = 1) -> Outcome:
@@ -107,7 +102,7 @@ def tie(seeds: Sequence[int], jobs: int = 1) -> Outcome:
     off = abs(wins[0] - 0.5 * len(results)) / math.sqrt(0.25 * len(results))
     off = off if sum(wins) == len(results) else math.inf
     what = "rounds of three, three and one: who wins, off from half by standard errors"
-    return _outcome(what, f"<= {Z_MAX}", off, off <= Z_MAX, "between equals any is as likely")
+    return at_most(NAME, what, Z_MAX, [off], "between equals any is as likely")
 
 
 def in_step(seeds: Sequence[int], jobs: int = 1) -> Outcome:
@@ -122,7 +117,7 @@ def in_step(seeds: Sequence[int], jobs: int = 1) -> Outcome:
     ]
     worst = float(max(off))
     what = "rounds: share agreed after 1 to 4, off by standard errors"
-    return _outcome(what, f"<= {Z_MAX}", worst, at_most(Z_MAX, [worst]), _CHAIN)
+    return at_most(NAME, what, Z_MAX, [worst], _CHAIN)
 
 
 def like_lockstep(seeds: Sequence[int], jobs: int = 1) -> Outcome:
@@ -136,13 +131,4 @@ def like_lockstep(seeds: Sequence[int], jobs: int = 1) -> Outcome:
     error = math.sqrt(times.var(ddof=1) / len(times) + np.var(here, ddof=1) / len(here))
     off = abs(float(times.mean() - np.mean(here))) / error
     what = "mean time without bodies and in lockstep, apart by standard errors"
-    return _outcome(what, f"<= {Z_MAX}", off, at_most(Z_MAX, [off]), "the same patterns run")
-
-
-def _outcome(what: str, wanted: str, value: float, is_reached: bool, source: str) -> Outcome:
-    return Outcome(NAME, what, wanted, (value,), is_reached, source)
-
-
-_UNITS, _SHARED = "tests/kit/test_vote_windows.py", "tests/kit/test_voting_pattern.py"
-_VOTES = "swarmd/kit/vote_windows.py"
-_VOTING = "swarmd/kit/voting_pattern.py"
+    return at_most(NAME, what, Z_MAX, [off], "the same patterns run")

@@ -35,9 +35,10 @@ _IN_TURN = "the model itself, 3,000 runs: ten robots in turn, without time for w
 _CHAIN = "exact Markov chain of synchronous updates"
 
 
-def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
-    """All of them; `RUNS` debates a seed of each kind."""
-    return [exits(seeds, jobs), in_step(seeds, jobs), in_turn(seeds, jobs)]
+def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_times: bool = True) -> list[Outcome]:
+    """All outcomes, or those without mean times; `RUNS` debates of each kind for each seed."""
+    found = [exits(seeds, jobs), in_step(seeds, jobs)]
+    return [*found, in_turn(seeds, jobs)] if has_times else found
 
 
 def exits(seeds: Sequence[int], jobs: int = 1) -> Outcome:
@@ -49,7 +50,7 @@ def exits(seeds: Sequence[int], jobs: int = 1) -> Outcome:
         spread = expected * (1.0 - expected) / len(wins)
         off += (float(np.mean(wins)) - expected) ** 2 / spread
     what = "chi-squared of the share won by opinion 1, at first held by 2, 5 and 8 of 10"
-    return _outcome(what, f"<= {CHI2_MAX}", off, at_most(CHI2_MAX, [off]), _LINEAR)
+    return at_most(NAME, what, CHI2_MAX, [off], _LINEAR)
 
 
 def in_step(seeds: Sequence[int], jobs: int = 1) -> Outcome:
@@ -58,7 +59,7 @@ def in_step(seeds: Sequence[int], jobs: int = 1) -> Outcome:
     mean, spread = expected_rounds(ROBOTS, 5)
     off = abs(float(np.mean([r.rounds for r in results])) - mean) * math.sqrt(len(results)) / spread
     what = "rounds: mean number until 10 robots agree, off by standard errors"
-    return _outcome(what, f"<= {Z_MAX}", off, at_most(Z_MAX, [off]), _CHAIN)
+    return at_most(NAME, what, Z_MAX, [off], _CHAIN)
 
 
 def in_turn(seeds: Sequence[int], jobs: int = 1) -> Outcome:
@@ -68,7 +69,7 @@ def in_turn(seeds: Sequence[int], jobs: int = 1) -> Outcome:
     ratio = float(np.mean([result.agreed_at for result in results])) / length / simulated(ROBOTS, 5)
     low, high = RATIO
     what = "tumbling: mean time until 10 robots agree, as a multiple of the model's"
-    return _outcome(what, f"{low} to {high}", ratio, low <= ratio <= high, _IN_TURN)
+    return Outcome(NAME, what, f"{low} to {high}", (ratio,), low <= ratio <= high, _IN_TURN)
 
 
 def debates(
@@ -113,14 +114,3 @@ def simulated(count: int, first: int) -> float:
             turn += 1
         taken.append((turn - 1) // count + ends[(turn - 1) % count])
     return float(np.mean(taken))
-
-
-def _outcome(what: str, wanted: str, value: float, is_reached: bool, source: str) -> Outcome:
-    return Outcome(NAME, what, wanted, (value,), is_reached, source)
-
-
-_UNITS = "tests/kit/test_vote_windows.py"
-_VOTER = "patterns/voter_model.py"
-_VOTES = "swarmd/kit/vote_windows.py"
-_VOTING = "swarmd/kit/voting_pattern.py"
-_PICK = "return opinions[int(self.context.rng.integers(len(opinions)))]"

@@ -23,6 +23,7 @@ groups:
 MOODY = '''
 import os
 import signal
+import time
 from typing import Annotated
 
 from msgspec import Meta
@@ -47,6 +48,8 @@ class Moody(MovementPattern[MoodyParams]):
                 os._exit(7)
             if self.params.end == "kill":
                 os.kill(os.getpid(), signal.SIGKILL)
+            if self.params.end == "slow":
+                time.sleep(0.3)
             if self.params.end == "hang":
                 while True:
                     pass

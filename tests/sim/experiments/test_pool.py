@@ -34,11 +34,11 @@ def crash(duo: Path, seed: int, end: str) -> Job:
 def done(jobs: list[Job], processes: int) -> dict[str, JobResult]:
     with closing(run_jobs(jobs, processes)) as found:
         listed = list(found)
-    assert sorted(outcome.run for outcome in listed) == sorted(job.run for job in jobs)
-    return {outcome.run: outcome for outcome in listed}
+    assert sorted(result.run for result in listed) == sorted(job.run for job in jobs)
+    return {result.run: outcome for result in listed}
 
 
-def test_a_process_gives_what_this_one_gives(duo: Path, tmp_path: Path) -> None:
+def test_a_worker_gives_the_same_result_as_this_process(duo: Path, tmp_path: Path) -> None:
     here = run_job(job(duo, 5, tmp_path / "here.npz"))
     there = done([job(duo, 5, tmp_path / "there.npz")], 1)["s5"]
     assert here.metrics is not None
@@ -48,7 +48,7 @@ def test_a_process_gives_what_this_one_gives(duo: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("processes", [1, 2, 5])
-def test_every_job_is_done_once_whatever_ends(duo: Path, processes: int) -> None:
+def test_every_job_is_done_once_though_workers_crash(duo: Path, processes: int) -> None:
     jobs = [job(duo, 0), crash(duo, 1, "exit"), crash(duo, 2, "kill"), job(duo, 3)]
     found = done(jobs, processes)
     assert [found[f"s{i}"].metrics is not None for i in range(4)] == [True, False, False, True]
@@ -56,7 +56,7 @@ def test_every_job_is_done_once_whatever_ends(duo: Path, processes: int) -> None
     assert found["s2"].reason.startswith("its process was killed by SIGKILL")
 
 
-def test_a_process_goes_on_after_a_run_that_cannot_be(duo: Path) -> None:
+def test_a_worker_survives_an_invalid_run(duo: Path) -> None:
     crowded = job(duo, 0, None, {"groups.all.count": 300})
     found = done([crowded, job(duo, 1)], 1)
     assert found["s0"].metrics is None
@@ -65,28 +65,28 @@ def test_a_process_goes_on_after_a_run_that_cannot_be(duo: Path) -> None:
     assert found["s1"].metrics is not None
 
 
-def test_what_raises_is_a_reason_in_one_line(duo: Path) -> None:
+def test_an_exception_becomes_a_reason_in_one_line(duo: Path) -> None:
     broken = Job("s0", {"groups": None}, 0, None)
     assert run_job(broken).reason
     unhashable = Job("s0", 3, 0, None)  # type: ignore[arg-type]
     assert ": " in run_job(unhashable).reason
 
 
-def test_a_trace_that_cannot_be_written_is_an_obstacle(duo: Path, tmp_path: Path) -> None:
+def test_a_trace_that_cannot_be_written_is_a_write_error(duo: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    outcome = run_job(job(duo, 0, tmp_path / "file" / "s0.npz"))
-    assert outcome.metrics is None
-    assert str(tmp_path / "file") in outcome.write_error
+    result = run_job(job(duo, 0, tmp_path / "file" / "s0.npz"))
+    assert result.metrics is None
+    assert str(tmp_path / "file") in result.write_error
 
 
 def test_a_full_disk_leaves_no_partial_trace(duo: Path, tmp_path: Path) -> None:
     (tmp_path / ".s0.npz.partial").symlink_to("/dev/full")
-    outcome = run_job(job(duo, 0, tmp_path / "s0.npz"))
-    assert outcome.write_error.endswith("No space left on device")
+    result = run_job(job(duo, 0, tmp_path / "s0.npz"))
+    assert result.write_error.endswith("No space left on device")
     assert list(tmp_path.glob(".*")) == []
 
 
-def test_nothing_is_left_of_the_trace_of_a_crashed_run(duo: Path, tmp_path: Path) -> None:
+def test_a_crashed_run_leaves_no_partial_trace(duo: Path, tmp_path: Path) -> None:
     (tmp_path / ".s0.npz.partial").write_bytes(b"half")  # killed while it wrote
     crashed = job(duo, 0, tmp_path / "s0.npz", {END: "kill"})
     assert done([crashed], 1)["s0"].metrics is None
@@ -94,37 +94,35 @@ def test_nothing_is_left_of_the_trace_of_a_crashed_run(duo: Path, tmp_path: Path
 
 
 @pytest.mark.parametrize("end", ["hang", "freeze"])
-def test_a_run_that_stands_still_has_failed_and_the_others_go_on(
-    duo: Path, tmp_path: Path, end: str
-) -> None:
+def test_a_run_that_hangs_fails_and_the_others_go_on(duo: Path, tmp_path: Path, end: str) -> None:
     hanging = job(duo, 0, tmp_path / "s0.npz", {END: end})
     with closing(run_jobs([hanging, job(duo, 1)], 1, timeout=3.0)) as listed:
-        found = {outcome.run: outcome for outcome in listed}
+        found = {result.run: outcome for result in listed}
     assert found["s0"].reason.startswith("it got no further in 3 s")
     assert found["s1"].metrics is not None
 
 
-def test_a_long_run_that_goes_on_may_take_longer_than_the_limit(duo: Path) -> None:
-    long = job(duo, 0, None, {"duration": 600})
-    with closing(run_jobs([long], 1, timeout=2.0)) as listed:
-        (outcome,) = listed
-    assert outcome.metrics is not None, outcome.reason
-    assert outcome.wall > 2.0
+def test_a_slow_run_that_goes_on_may_take_longer_than_the_limit(duo: Path) -> None:
+    slow = job(duo, 0, None, {END: "slow"})
+    with closing(run_jobs([slow], 1, timeout=2.0)) as listed:
+        (result,) = listed
+    assert result.metrics is not None, result.reason
+    assert result.wall > 2.0
 
 
-def test_what_one_run_leaves_in_its_process_no_other_sees(duo: Path) -> None:
+def test_runs_do_not_share_process_state(duo: Path) -> None:
     alone = done([job(duo, 1)], 1)["s1"]
     after = done([job(duo, 0, None, {END: "remember"}), job(duo, 1)], 1)["s1"]
     assert after.metrics == alone.metrics is not None
 
 
-def test_a_pattern_that_forks_has_one_outcome(duo: Path) -> None:
+def test_a_pattern_that_forks_has_one_result(duo: Path) -> None:
     before = set(children(os.getpid()))
     jobs = [job(duo, 0, None, {END: "fork"}), job(duo, 1), job(duo, 2)]
     with closing(run_jobs(jobs, 1, timeout=20.0)) as listed:
-        found = [outcome for outcome in listed]
-    assert [outcome.run for outcome in found] == ["s0", "s1", "s2"]
-    assert all(outcome.metrics is not None for outcome in found), found
+        found = [result for result in listed]
+    assert [result.run for result in found] == ["s0", "s1", "s2"]
+    assert all(result.metrics is not None for result in found), found
     assert set(children(os.getpid())) == before
 
 

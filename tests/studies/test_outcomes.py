@@ -1,0 +1,45 @@
+"""Every pattern reaches its outcomes: one short run in the suite, several in `make evidence`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pytest
+
+from studies.outcomes.catalog import MODULES
+from studies.outcomes.line_formation import SHORT
+from studies.outcomes.outcome import Outcome, at_least, at_most
+
+SHORT_FORM: Mapping[str, Mapping[str, Any]] = {
+    "circle_formation": {"settings": (SHORT,)},
+    "discussed_dispersion": {"seconds": 46.0},
+    "line_formation": {"settings": (SHORT,)},
+    "random_walk": {"duration": 60.0},
+    "flocking": {"duration": 30.0},
+    "voter_model": {"has_times": False},  # a mean time needs a hundred debates
+}
+
+
+def missed(outcomes: Sequence[Outcome]) -> list[str]:
+    return [f"{o.what}: {o.shown}; wanted {o.wanted}" for o in outcomes if not o.is_reached]
+
+
+@pytest.mark.parametrize("pattern", MODULES)
+def test_one_run_reaches_every_outcome(pattern: str) -> None:
+    outcomes = MODULES[pattern].outcomes((1,), **SHORT_FORM.get(pattern, {}))
+    assert len(outcomes) >= 2
+    assert missed(outcomes) == []
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("pattern", MODULES)
+def test_three_runs_reach_every_outcome(pattern: str) -> None:
+    assert missed(MODULES[pattern].outcomes((0, 1, 2))) == []
+
+
+@pytest.mark.parametrize("value", [0.2, float("nan")])
+def test_a_value_beyond_the_bound_is_not_reached(value: float) -> None:
+    assert not at_most("x", "y", 0.1, [0.0, value], "z").is_reached
+    assert not at_least("x", "y", 0.1, [-value], "z").is_reached
+    assert not at_most("x", "y", 0.1, [], "z").is_reached
