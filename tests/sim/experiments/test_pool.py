@@ -35,7 +35,7 @@ def done(jobs: list[Job], processes: int) -> dict[str, JobResult]:
     with closing(run_jobs(jobs, processes)) as found:
         listed = list(found)
     assert sorted(result.run for result in listed) == sorted(job.run for job in jobs)
-    return {result.run: outcome for result in listed}
+    return {result.run: result for result in listed}
 
 
 def test_a_worker_gives_the_same_result_as_this_process(duo: Path, tmp_path: Path) -> None:
@@ -97,7 +97,7 @@ def test_a_crashed_run_leaves_no_partial_trace(duo: Path, tmp_path: Path) -> Non
 def test_a_run_that_hangs_fails_and_the_others_go_on(duo: Path, tmp_path: Path, end: str) -> None:
     hanging = job(duo, 0, tmp_path / "s0.npz", {END: end})
     with closing(run_jobs([hanging, job(duo, 1)], 1, timeout=3.0)) as listed:
-        found = {result.run: outcome for result in listed}
+        found = {result.run: result for result in listed}
     assert found["s0"].reason.startswith("it got no further in 3 s")
     assert found["s1"].metrics is not None
 
