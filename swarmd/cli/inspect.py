@@ -1,12 +1,7 @@
-"""What patterns are, asked of a child process: neither swarmctl nor swarmd imports plugin code.
+"""Inspects plugin code in a child process: swarmctl and swarmd import none of it.
 
-A plugin may end the child while it is imported, or keep it for ever. Then that plugin is named,
-and another child is asked for those that are left.
-
-Has a pattern's file checked by a child process, and takes down what that says.
-
-The file may end the child, or keep it for ever. Then the point at which it did so is not well, and
-another child goes on behind it.
+Plugin code may end the child, or keep it for ever. Then that item is reported with the line of
+code, and another child goes on with the others (`swarmd.pattern_host.inspect`).
 """
 
 from __future__ import annotations
@@ -14,7 +9,9 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import selectors
+import signal
 import subprocess
 import sys
 import time
@@ -22,85 +19,197 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 from swarmd.core.errors import PluginError
 from swarmd.core.processes import how_it_ended
 from swarmd.plugins import pattern_names
 
 Row = dict[str, Any]
-PATIENCE = 15.0  # s for one pattern; the first brings numpy, perhaps from a cold disk
+DESCRIBE_TIMEOUT = 15.0
+"""Seconds for one pattern; the first brings numpy, perhaps from a cold disk."""
+
+MISSION_TIMEOUT = 30.0
+"""Seconds for a mission: the child imports every pattern that it names."""
+
+NO_OUTPUT = "it prints nothing"
+NO_SIDE_EFFECTS = "it opens and starts nothing"
+SKIPPED = "the other points"
+_FRAME = re.compile(rb'\s*File "(.+)", line (\d+)')
+_PLACE = re.compile(r" \(\S+:\d+\)$")
+_NUMBER = re.compile(r"\d+(\.\d+)?(e[-+]\d+)?")
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One point of a plugin check. `text`: the fault, or a remark.
+
+    `repeated`: the point fails for a reason that an earlier point has reported.
+    """
+
+    name: str
+    result: Literal["ok", "fault", "repeated", "skipped"]
+    text: str = ""
 
 
 def describe_patterns(
-    names: Sequence[str], plugin_dir: Path | None, platform: str, patience: float = PATIENCE
+    names: Sequence[str],
+    plugin_dir: Path | None,
+    platform: str,
+    timeout: float = DESCRIBE_TIMEOUT,
 ) -> list[Row]:
-    """The named patterns (none named: all) as the pattern host's `--describe` says it.
+    """The named patterns (none named: all), a row each.
 
-    A pattern that cannot be loaded within `patience` s has a row with `error`. PluginError if
-    even the child itself fails.
+    A pattern that cannot be loaded within `timeout` s has a row with `error`. Raises PluginError
+    if the child itself fails.
     """
+    options = ["--platform", platform, *_plugin_dir_option(plugin_dir)]
     left = list(names or pattern_names(plugin_dir))
     rows: list[Row] = []
     while left:
-        found = _ask(left, plugin_dir, platform, patience)
-        rows += found
-        left = left[len(found) :]
+        count = len(rows)
+        for row in _inspect([*options, "describe", *left], timeout, plugin_dir):
+            if "result" in row:
+                rows.append(row)
+            elif "lost" in row:
+                error = f"the process that imports it {row['how']}"
+                rows.append({"name": row["lost"], "error": error, "source": row["source"]})
+        if len(rows) == count:
+            raise PluginError("the process that describes patterns ended without an answer")
+        left = left[len(rows) - count :]
     return rows
 
 
-def _ask(
-    names: Sequence[str], plugin_dir: Path | None, platform: str, patience: float
-) -> list[Row]:
-    """The rows of `names` in their order, up to one that ends or keeps the child."""
-    # -P: a random.py where this is called is not to shadow a module.
-    command = [sys.executable, "-P", "-m", "swarmd.pattern_host.worker", "--platform", platform]
-    command += ["--parent", str(os.getpid())]
-    if plugin_dir is not None:
-        command += ["--plugin-dir", str(plugin_dir)]
-    command += ["--describe", *names]
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    with (
-        TemporaryFile() as log,
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=log, env=environment) as child,
-    ):
+def check_mission(
+    file: Path, platform: str, plugin_dir: Path, timeout: float = MISSION_TIMEOUT
+) -> list[str]:
+    """A line for each fault of the mission; PluginError if a pattern that it names is lost."""
+    options = ["--platform", platform, *_plugin_dir_option(plugin_dir)]
+    for row in _inspect([*options, "mission", str(file)], timeout, plugin_dir):
+        if "result" in row:
+            return list(row["faults"])
+        if "lost" in row:
+            text = f"the process that imports the patterns of {file} {row['how']}"
+            raise PluginError(f"{text}; look at their code")
+    raise PluginError(f"the process that checks {file} ended without an answer")
+
+
+def check_file(path: Path, timeout: float) -> Iterator[Point]:
+    """The points of a pattern's file, each as soon as it is known and within `timeout` s.
+
+    Raises PluginError if the child itself fails.
+    """
+    done: list[str] = []
+    faults: set[str] = set()
+    side_effects: list[str] = []
+    is_over = False
+    with TemporaryFile() as log:
+        while not is_over:
+            is_over = True
+            for row in _inspect(["check", str(path), "--done", *done], timeout, path.parent, log):
+                if "side_effect" in row and row["side_effect"] not in side_effects:
+                    side_effects.append(row["side_effect"])
+                elif "result" in row and row["result"] not in done:
+                    done.append(row["result"])
+                    yield _point(row["result"], row, faults)
+                    if row.get("is_hang"):
+                        yield Point(SKIPPED, "skipped", "mend this first")
+                elif "lost" in row:
+                    is_first = not done
+                    done.append(row["lost"])
+                    fault = {"fault": f"the process that checks it {row['how']}"}
+                    yield _point(row["lost"], fault, faults)
+                    if row["hangs"]:
+                        yield Point(SKIPPED, "skipped", "mend this first")
+                    is_over = is_first or row["hangs"]
+        log.seek(0)
+        printed = [line for line in log.read().decode(errors="replace").splitlines() if line]
+    for name, found in ((NO_OUTPUT, printed), (NO_SIDE_EFFECTS, side_effects)):
+        yield Point(name, "fault" if found else "ok", _first_of(found))
+
+
+def _point(name: str, row: Row, faults: set[str]) -> Point:
+    """The point, `repeated` if its fault differs from an earlier one in numbers at most."""
+    fault = row.get("fault")
+    if fault is None:
+        return Point(name, "ok", str(row.get("text", "")))
+    place = _PLACE.search(fault)
+    key = _NUMBER.sub("#", _PLACE.sub("", fault)) + (place[0] if place else "")
+    if key in faults:
+        return Point(name, "repeated", str(fault))
+    faults.add(key)
+    on = row.get("on")
+    return Point(name, "fault", f"{on}: {fault}" if on else str(fault))
+
+
+def _first_of(lines: Sequence[str]) -> str:
+    more = f", and {len(lines) - 1} more" if len(lines) > 1 else ""
+    return f"{lines[0][:200]}{more}" if lines else ""
+
+
+def _plugin_dir_option(plugin_dir: Path | None) -> list[str]:
+    return [] if plugin_dir is None else ["--plugin-dir", str(plugin_dir)]
+
+
+def _inspect(
+    words: Sequence[str], timeout: float, folder: Path | None, log: IO[bytes] | None = None
+) -> Iterator[Row]:
+    """The child's rows, each within `timeout` s.
+
+    If the child ends or hangs in an item, the last row is that item's with `lost` (its name), `how`
+    (the end in words, with the line of a file in `folder`) and `hangs`. Raises PluginError for what
+    the child reports as `error`, or if it ends or hangs before the first item.
+    """
+    # -P: a random.py in the current folder must not shadow a module.
+    command = [sys.executable, "-P", "-m", "swarmd.pattern_host.inspect"]
+    command += ["--parent", str(os.getpid()), *words]
+    with contextlib.ExitStack() as stack:
+        child = stack.enter_context(
+            subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=log or subprocess.DEVNULL,
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+            )
+        )
+        stack.callback(child.kill)
         assert child.stdout is not None
+        begun: Row | None = None
+        place = ""
+        hangs = False
         try:
-            rows, culprit = _read(child.stdout, patience)
-            is_over = len(rows) == len(names)
-            hangs = not is_over and is_running(child)
-        finally:
-            child.kill()
-        if not is_over and culprit is None:
-            log.seek(0)
-            raise PluginError(_last_line(log.read().decode(errors="replace"), hangs))
-    if culprit is not None:
-        how = f"is not done after {patience:.0f} s" if hangs else how_it_ended(child.returncode)
-        text = f"the process that imports it {how}"
-        rows.append({"name": culprit["begin"], "error": text, "source": culprit["source"]})
-    return rows
+            for line in _lines(child.stdout, timeout):
+                row = _row_of(line)
+                if "end" in row:
+                    return
+                if "error" in row and "result" not in row:
+                    raise PluginError(row["error"])
+                if "begin" in row:
+                    begun = row
+                elif row:
+                    begun = None if "result" in row else begun
+                    yield row
+                else:
+                    place = place or _place_of(line, folder)
+            hangs = _is_running(child)
+        except TimeoutError:
+            hangs = True
+        if hangs and begun is not None:  # else the child does not take the signal yet
+            child.send_signal(signal.SIGUSR1)
+            with contextlib.suppress(TimeoutError):
+                for line in _lines(child.stdout, 0.5):
+                    place = place or _place_of(line, folder)
+        how = f"is not done after {timeout:g} s" if hangs else how_it_ended(child.returncode)
+        if begun is None:
+            raise PluginError(f"the process that inspects patterns {how}")
+        yield {**begun, "lost": begun["begin"], "how": how + place, "hangs": hangs}
 
 
-def _read(stream: IO[bytes], patience: float) -> tuple[list[Row], Row | None]:
-    """The rows that came, and what was begun and not done when the child ended or fell silent."""
-    rows: list[Row] = []
-    begun: Row | None = None
-    for line in lines(stream, patience):
-        message = message_of(line)
-        if "end" in message:
-            return rows, None
-        if "begin" in message:
-            begun = message
-        elif "name" in message:
-            rows.append(message)
-            begun = None
-    return rows, begun
-
-
-def lines(stream: IO[bytes], patience: float) -> Iterator[bytes]:
-    """Whole lines, until the end or until none has come for `patience` s."""
+def _lines(stream: IO[bytes], timeout: float) -> Iterator[bytes]:
+    """Whole lines until the end of the stream; TimeoutError if none comes for `timeout` s."""
     buffer = b""
-    deadline = time.monotonic() + patience
+    deadline = time.monotonic() + timeout
     with selectors.DefaultSelector() as selector:
         selector.register(stream, selectors.EVENT_READ)
         while selector.select(max(0.0, deadline - time.monotonic())):
@@ -109,123 +218,33 @@ def lines(stream: IO[bytes], patience: float) -> Iterator[bytes]:
                 return
             *whole, buffer = (buffer + piece).split(b"\n")
             if whole:
-                deadline = time.monotonic() + patience
+                deadline = time.monotonic() + timeout
             yield from whole
+    raise TimeoutError
 
 
-def message_of(line: bytes) -> Row:
-    """What a line says; nothing if it is none of ours: plugin code may write where we do."""
+def _row_of(line: bytes) -> Row:
+    """The line as a row; empty if it is none, since plugin code may write to the same stream."""
     with contextlib.suppress(ValueError):
-        message = json.loads(line)
-        if isinstance(message, dict):
-            return message
+        row = json.loads(line)
+        if isinstance(row, dict):
+            return row
     return {}
 
 
-def is_running(child: subprocess.Popen[bytes]) -> bool:
-    """True unless it is ending; one that has closed its output is given a moment to do so."""
+def _place_of(line: bytes, folder: Path | None) -> str:
+    """` (own.py:12)` for a line of a stack that names a file in `folder`; else empty."""
+    frame = _FRAME.match(line)
+    if frame is None or folder is None:
+        return ""
+    file = Path(os.fsdecode(frame[1]))
+    return f" ({file.name}:{int(frame[2])})" if file.parent == folder.resolve() else ""
+
+
+def _is_running(child: subprocess.Popen[bytes]) -> bool:
+    """True unless the child is ending; after it has closed its output that takes a moment."""
     try:
         child.wait(timeout=1.0)
     except subprocess.TimeoutExpired:
         return True
     return False
-
-
-def _last_line(text: str, hangs: bool) -> str:
-    if hangs:
-        return "the process that describes patterns does not begin to"
-    words = [line for line in text.splitlines() if line.strip()]
-    line = words[-1] if words else "the process that describes patterns ended without a word"
-    return line.removeprefix("swarmd.core.errors.").removeprefix("ConfigError: ")
-
-
-PRINTS = "prints nothing"
-LEAVES = "opens and starts nothing"
-
-
-@dataclass(frozen=True, slots=True)
-class Point:
-    """One point that was checked. `text`: what is not well, or empty."""
-
-    name: str
-    is_well: bool
-    text: str = ""
-
-
-@dataclass(slots=True, eq=False)
-class _Heard:
-    """What one child has said. `begun`: the point at which it ended or fell silent."""
-
-    points: list[Point]
-    seen: list[str]
-    begun: str | None = None
-    is_over: bool = False
-
-
-def check_file(path: Path, patience: float) -> list[Point]:
-    """All points, each within `patience` s; only the first if the file cannot be loaded.
-
-    PluginError if the child itself fails.
-    """
-    points: list[Point] = []
-    seen: list[str] = []
-    with TemporaryFile() as log:
-        while True:
-            heard = _ask_plugin_check(path, [point.name for point in points], patience, log)
-            # Each child loads the file anew; only the first one's word on that counts.
-            points += heard.points if not points else heard.points[1:]
-            seen += [text for text in heard.seen if text not in seen]
-            if heard.is_over or len(points) < 2:
-                break
-        log.seek(0)
-        printed = [line for line in log.read().decode(errors="replace").splitlines() if line]
-    points.append(Point(PRINTS, not printed, _first(printed)))
-    points.append(Point(LEAVES, not seen, _first(seen)))
-    return points
-
-
-def _ask_plugin_check(path: Path, done: Sequence[str], patience: float, log: IO[bytes]) -> _Heard:
-    # -P: a random.py where this is called is not to shadow a module.
-    command = [sys.executable, "-P", "-m", "swarmd.pattern_host.inspect_plugin", str(path)]
-    command += ["--parent", str(os.getpid()), "--done", *done]
-    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1"}
-    with subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=log, env=environment
-    ) as child:
-        assert child.stdout is not None
-        try:
-            heard = _read_plugin_check(child.stdout, patience)
-            hangs = not heard.is_over and is_running(child)
-        finally:
-            child.kill()
-    if heard.is_over:
-        return heard
-    how = f"is not done after {patience:g} s" if hangs else how_it_ended(child.returncode)
-    if heard.begun is None:
-        raise PluginError(f"the process that checks {path} {how}")
-    heard.points.append(Point(heard.begun, False, f"the process that checks it {how}"))
-    return heard
-
-
-def _read_plugin_check(stream: IO[bytes], patience: float) -> _Heard:
-    heard = _Heard([], [])
-    for line in lines(stream, patience):
-        message = message_of(line)
-        if "seen" in message:
-            heard.seen.append(message["seen"])
-        elif "begin" in message:
-            heard.begun = message["begin"]
-        elif "point" in message:
-            error = message.get("error")
-            text = error if error is not None else message.get("text", "")
-            heard.points.append(Point(str(message["point"]), error is None, str(text)))
-            heard.begun = None
-        elif "end" in message:
-            heard.is_over = True
-            return heard
-    return heard
-
-
-def _first(told: Sequence[str]) -> str:
-    more = f", and {len(told) - 1} more" if len(told) > 1 else ""
-    return f"{told[0][:200]}{more}" if told else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import click
@@ -15,8 +16,10 @@ from swarmd.core.keys import is_id
 from swarmd.core.messages import ReloadRequest
 
 # A trial on a robot may take 10 s, and loading anew 3 s more.
-RELOADING = 15.0
-CHECKING = 30.0  # s for one point
+RELOAD_TIMEOUT = 15.0
+CHECK_TIMEOUT = 30.0  # s for one point
+_MARKS = {"ok": "ok  ", "fault": "FAIL", "skipped": "skip"}
+_NAME_WIDTH = 43
 
 
 @click.group()
@@ -65,7 +68,7 @@ def new(options: CommonOptions, name: str, folder: Path, kind: str) -> None:
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
 @common_options
 def check(options: CommonOptions, file: Path) -> None:
-    """Check the pattern in FILE against the contract, a line for each point.
+    """Check the pattern in FILE against the contract: a line for each point, each fault once.
 
     The file is imported in a process of its own. `--timeout` is for each point [30s].
     """
@@ -75,20 +78,24 @@ def check(options: CommonOptions, file: Path) -> None:
         raise click.UsageError(
             f"{file} is no .py; a mission is checked by `swarmctl mission check`"
         )
-    points = check_file(file, options.timeout or CHECKING)
-    bad = sum(not point.is_well for point in points)
-    if options.is_json:
-        told = [
-            {"point": point.name, "is_well": point.is_well, "text": point.text} for point in points
-        ]
-        print_json("Check", {"file": str(file), "is_well": bad == 0, "points": told})
-    else:
-        width = max(len(point.name) for point in points)
-        for point in points:
-            line = f"{'ok  ' if point.is_well else 'FAIL'}  {point.name.ljust(width)}  {point.text}"
+    points = []
+    for point in check_file(file, options.timeout or CHECK_TIMEOUT):
+        points.append(point)
+        if not options.is_json and point.result != "repeated":
+            line = f"{_MARKS[point.result]}  {point.name.ljust(_NAME_WIDTH)}  {point.text}"
             click.echo(printable(line.rstrip()))
-        how = f"{bad} not well" if bad else "all well"
-        click.echo(f"{len(points)} checked, {how}")
+    results = Counter(point.result for point in points)
+    bad = len(points) - results["ok"]
+    if options.is_json:
+        rows = [
+            {"point": point.name, "result": point.result, "text": point.text} for point in points
+        ]
+        print_json("Check", {"file": str(file), "is_well": bad == 0, "points": rows})
+    else:
+        how = f"{results['fault']} faults" if results["fault"] != 1 else "1 fault"
+        if results["repeated"]:
+            how += f", repeated at {results['repeated']} other points"
+        click.echo(f"{len(points)} checked, {how if bad else 'all well'}")
     click.get_current_context().exit(1 if bad else 0)
 
 
@@ -117,7 +124,7 @@ def reload(
     with options.operator() as operator:
         view = known_members(operator)
         expected = expected_of(view, targets)
-        timeout = options.timeout or RELOADING
+        timeout = options.timeout or RELOAD_TIMEOUT
         outcome = send(
             operator, view, ReloadRequest, expected, timeout, pattern=name, is_rerun=is_run
         )

@@ -73,3 +73,11 @@ def unknown(what: str, name: str, known: Iterable[str]) -> str:
     if close:
         return f"no {what} {name!r}; did you mean {close[0]!r}?"
     return f"no {what} {name!r}; there are: {', '.join(names) or 'none'}"
+
+
+def named(value: object) -> str:
+    """A value's type as a message names it: `None`, `a tuple`, `an int`."""
+    kind = type(value).__name__
+    if value is None:
+        return "None"
+    return f"an {kind}" if kind[0] in "aeiouAEIOU" else f"a {kind}"

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Generic, Protocol
 
 from numpy.random import Generator
 
-from swarmd.core.errors import PluginError
+from swarmd.core.errors import PluginError, named
 from swarmd.core.values import Inputs, Outputs, Platform, Scalar, TouchZone, Twist, Value
 from swarmd.kit.params import P, Params
 
@@ -104,4 +104,8 @@ class MovementPattern(Pattern[P]):
         """What `drive` wishes; without the scan that it needs there is no wish."""
         if inputs.scan is None and "scan" in self.needs:
             return Outputs(report=self.report())
-        return Outputs(twist=self.drive(inputs), report=self.report())
+        twist = self.drive(inputs)
+        if not isinstance(twist, Twist):
+            hint = "is a return missing? " if twist is None else ""
+            raise PluginError(f"drive gave {named(twist)}; {hint}wanted is a Twist")
+        return Outputs(twist=twist, report=self.report())

@@ -83,6 +83,9 @@ def _check_channels(name: str, channels: Mapping[str, type]) -> None:
 def _check_needs(name: str, needs: frozenset[str], platform: Platform) -> None:
     missing = sorted(needs - platform.provides)
     if missing:
-        raise MissingSensorError(
+        text = (
             f"pattern {name!r} needs {', '.join(missing)}, which {platform.name} does not provide"
         )
+        if missing == ["neighbors"]:
+            text += "; to hear messages it needs nothing, so leave neighbors out if that is all"
+        raise MissingSensorError(text)

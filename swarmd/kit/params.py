@@ -156,7 +156,21 @@ def _declared(params_type: type[Params]) -> tuple[Mapping[str, ParamSpec], Mappi
     except TypeError as error:
         raise PluginError(f"{params_type.__name__}: {error}") from error
     specs = [_spec(params_type, field, hints[field.name]) for field in _fields(params_type)]
+    for spec in specs:
+        if not spec.is_required:
+            _check_default(params_type, spec, hints[spec.name])
     return {spec.name: spec for spec in specs}, hints
+
+
+def _check_default(params_type: type[Params], spec: ParamSpec, hint: Any) -> None:
+    """PluginError if the declared default has not the declared type or is out of bounds."""
+    try:
+        msgspec.convert(spec.default, hint)
+    except msgspec.ValidationError:
+        raise PluginError(
+            f"{params_type.__name__}.{spec.name} has the default {spec.default!r};"
+            f" wanted is {spec.wanted}"
+        ) from None
 
 
 def _convert(value: Value, hint: Any, spec: ParamSpec, source: str) -> Scalar | None:

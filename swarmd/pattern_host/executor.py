@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from swarmd.core.errors import ParameterError, SwarmError
+from swarmd.core.errors import ParameterError, PluginError, SwarmError, named
 from swarmd.core.host_messages import (
     Load,
     Loaded,
@@ -118,15 +118,15 @@ class PatternExecutor:
 def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
     """A step's outputs in Python's own types.
 
-    Raises TypeError if they are no Outputs, the command is no Twist, or a value on a declared
+    Raises PluginError if they are no Outputs, the command is no Twist, or a value on a declared
     channel is not of the channel's type. Report values that are no scalars are left out.
     """
     if not isinstance(outputs, Outputs):
-        raise TypeError(f"step gave {named(outputs)}; wanted is Outputs")
+        raise PluginError(f"step gave {named(outputs)}; wanted is Outputs")
     twist = outputs.twist
     if twist is not None:
         if not isinstance(twist, Twist):
-            raise TypeError(f"the command is {named(twist)}; wanted is a Twist or None")
+            raise PluginError(f"the command is {named(twist)}; wanted is a Twist or None")
         twist = Twist(float(twist.linear), float(twist.angular), float(twist.lateral))
     messages = {}
     for channel, said in outputs.messages.items():
@@ -135,8 +135,8 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
             try:
                 value = msgspec.convert(value, kind)
             except msgspec.ValidationError:
-                wanted = f"channels declares {kind.__name__}"
-                raise TypeError(f"channel {channel!r} got {named(value)}; {wanted}") from None
+                wanted = f"wanted is {kind.__name__}, as channels declares"
+                raise PluginError(f"channel {channel!r} got {named(value)}; {wanted}") from None
         messages[str(channel)] = value
     report = {str(name): _plain(value) for name, value in outputs.report.items()}
     return Outputs(
@@ -147,15 +147,7 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
     )
 
 
-def named(value: object) -> str:
-    """A value's type as a message names it: `None`, `a tuple`, `an int`."""
-    kind = type(value).__name__
-    if value is None:
-        return "None"
-    return f"an {kind}" if kind[0] in "aeiouAEIOU" else f"a {kind}"
-
-
-def in_one_line(error: BaseException) -> str:
+def _in_one_line(error: BaseException) -> str:
     """What was raised, and where: `ZeroDivisionError: division by zero (shy.py:12)`."""
     text = str(error)
     frame = traceback.extract_tb(error.__traceback__)[-1]
@@ -201,7 +193,7 @@ def _guard(call: Callable[[], T]) -> T | _Fault:
     except SwarmError as error:
         return _Fault(str(error), refusal_of(error))
     except Exception as error:  # a plugin may raise anything
-        return _Fault(in_one_line(error))
+        return _Fault(_in_one_line(error))
 
 
 def _typed(inputs: Inputs, channels: Mapping[str, type]) -> tuple[Inputs, int]:

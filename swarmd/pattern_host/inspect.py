@@ -1,59 +1,140 @@
-"""What patterns are, as JSON: printed by a host process, since tools never import plugin code.
+"""Inspects plugin code for tools: `describe`, `check` and `mission`, in a process that may be lost.
 
-A line `{"begin": name, "source": ...}` before each pattern and a row after it, at last
-`{"end": true}`: whoever reads knows which one has ended this process, or keeps it.
+Tools never import plugin code: they start this program and read JSON lines (`swarmd.cli.inspect`).
+`{"begin": item}` comes before each item and `{"result": item, ...}` after it, at last
+`{"end": true}`; `{"error": text}` if nothing can be inspected. So the tool knows which item ended
+this process, or keeps it. On SIGUSR1 and on a crash the lines of Python's stack follow.
 """
 
 from __future__ import annotations
 
+import argparse
+import faulthandler
 import json
 import os
-from collections.abc import Sequence
+import resource
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from types import FrameType
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmd.core.errors import SwarmError
-from swarmd.core.values import Platform
+from swarmd.core.errors import PluginError, SwarmError
+from swarmd.core.keys import check_id, is_id
+from swarmd.core.processes import die_with_parent
+from swarmd.core.values import Platform, Value
 from swarmd.kit.behavior import MovementPattern, Pattern
 from swarmd.kit.combined import CombinedPattern
-from swarmd.kit.factory import assemble
+from swarmd.kit.conditions import needs_of
+from swarmd.kit.factory import Find, assemble
 from swarmd.kit.params import schema
 from swarmd.kit.touch import check_zone, describe_zone
 from swarmd.kit.voting_pattern import VotingPattern
-from swarmd.mission.mission import Mission
+from swarmd.mission.mission import Mission, mission_class, pattern_classes
+from swarmd.mission.schema import Document, conditions, fault_lines, read_document
+from swarmd.mission.validate import (
+    PartBuilder,
+    build_parts,
+    build_setters,
+    check_reports,
+    error_text,
+)
 from swarmd.pattern_host.loader import PatternLoader
-from swarmd.plugins import pattern_names
-from swarmd.settings.settings import load_platform
+from swarmd.plugins import MISSION, Origin, is_mission, pattern_names
+from swarmd.settings.layered import fault_at
+from swarmd.settings.settings import load_platform, platform_names
+
+if TYPE_CHECKING:
+    from swarmd.testing.pattern_contract import PatternContract
+
+LOADING = "the file holds one pattern"
+MIRRORED = "mirrored scans give mirrored commands"
+NOT_CLAIMED = "is_symmetric is not claimed"
+MEMORY_LIMIT = 1024 * 1024 * 1024
+TEST_TIMEOUT = 10.0
+"""Seconds of processor time that a contract test may take on one platform."""
+
+# Audit events (PEP 578) that the code of a pattern must not cause.
+_SIDE_EFFECTS = (
+    *("open", "socket.connect", "socket.bind", "subprocess.Popen", "os.system", "os.fork"),
+    *("os.exec", "os.posix_spawn", "os.remove", "os.rename", "os.mkdir", "os.rmdir", "os.listdir"),
+    *("os.scandir", "shutil.copyfile", "shutil.rmtree", "tempfile.mkstemp", "urllib.Request"),
+)
 
 
-def print_catalog(names: Sequence[str], plugin_dir: str | None, platform: str) -> int:
-    """Print the named patterns (none: all), a JSON line each; 0, or 1 if a name is unknown."""
-    found = pattern_names(Path(plugin_dir) if plugin_dir else None)
-    finder = PatternLoader({name: (origin.value, origin.is_file) for name, origin in found.items()})
-    robot = load_platform(platform)
-    with os.fdopen(os.dup(1), "w", encoding="utf-8") as answer:
-        os.dup2(2, 1)  # what a plugin prints is not part of the answer
-        for name in names or found:
-            source = found[name].source if name in found else ""
-            print(json.dumps({"begin": name, "source": source}), file=answer, flush=True)
-            row = _describe(name, source, finder, robot)
-            print(json.dumps(row), file=answer, flush=True)
-        print(json.dumps({"end": True}), file=answer, flush=True)
-    return 1 if any(name not in found for name in names) else 0
+class Answer:
+    """The stream to the tool; what plugin code prints goes to standard error instead."""
+
+    def __init__(self) -> None:
+        self._file: IO[str] = os.fdopen(os.dup(1), "w", encoding="utf-8")
+        os.dup2(2, 1)
+        faulthandler.enable(self._file, all_threads=False)
+        faulthandler.register(signal.SIGUSR1, self._file, all_threads=False)
+
+    def send(self, **line: Any) -> None:
+        """Write a JSON line."""
+        with suppress(OSError, ValueError):  # plugin code may have closed these
+            sys.stdout.flush()  # the tool ends this process after the last line
+            sys.stderr.flush()
+        print(json.dumps(line), file=self._file, flush=True)
 
 
-def _describe(name: str, source: str, finder: PatternLoader, platform: Platform) -> dict[str, Any]:
+def main() -> None:
+    """Entry of `python -m swarmd.pattern_host.inspect`."""
+    parser = argparse.ArgumentParser(prog="swarmd.pattern_host.inspect", description=__doc__)
+    parser.add_argument("--parent", type=int, required=True, help="end with this process")
+    parser.add_argument("--platform", default="waffle_pi")
+    parser.add_argument("--plugin-dir", type=Path, help="folder of one-file patterns")
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    verbs.add_parser("describe").add_argument("names", nargs="*", help="default: all")
+    checking = verbs.add_parser("check")
+    checking.add_argument("file", type=Path)
+    checking.add_argument("--done", nargs="*", default=[], help="points to leave out")
+    verbs.add_parser("mission").add_argument("file", type=Path)
+    args = parser.parse_args()
+    die_with_parent(args.parent)
+    answer = Answer()
     try:
-        kind = finder(name)
+        if args.verb == "check":
+            _check_plugin(args.file.resolve(), frozenset(args.done), answer)
+        elif args.verb == "describe":
+            _describe_patterns(args.names, args.plugin_dir, load_platform(args.platform), answer)
+        else:
+            _inspect_mission(args.file, load_platform(args.platform), args.plugin_dir, answer)
+        answer.send(end=True)
+    except SwarmError as error:
+        answer.send(error=str(error))
+
+
+# describe
+
+
+def _describe_patterns(
+    names: Sequence[str], plugin_dir: Path | None, platform: Platform, answer: Answer
+) -> None:
+    found = pattern_names(plugin_dir)
+    loader = PatternLoader({name: (origin.value, origin.is_file) for name, origin in found.items()})
+    for name in names or found:
+        source = found[name].source if name in found else ""
+        answer.send(begin=name, source=source)
+        answer.send(result=name, **_describe(name, source, loader, platform))
+
+
+def _describe(name: str, source: str, loader: PatternLoader, platform: Platform) -> dict[str, Any]:
+    try:
+        kind = loader(name)
         params = schema(kind.params_type)
         derived = kind.defaults(platform)
         check_zone(name, kind.touches)
-        is_tried = issubclass(kind, Mission) and kind.needs <= platform.provides
-        is_whole = not any(spec.is_required for spec in params)
-        refused = _refusal(name, finder, platform) if is_tried and is_whole else ""
+        is_mission_here = issubclass(kind, Mission) and kind.needs <= platform.provides
+        has_all_defaults = not any(spec.is_required for spec in params)
+        refused = _refusal(name, loader, platform) if is_mission_here and has_all_defaults else ""
     except (Exception, SystemExit) as error:  # a plugin may raise anything
         text = str(error) if isinstance(error, SwarmError) else f"{type(error).__name__}: {error}"
         return {"name": name, "error": text, "source": source}
@@ -82,11 +163,11 @@ def _describe(name: str, source: str, finder: PatternLoader, platform: Platform)
     }
 
 
-def _refusal(name: str, finder: PatternLoader, platform: Platform) -> str:
+def _refusal(name: str, loader: PatternLoader, platform: Platform) -> str:
     """Why a robot of that platform would refuse a mission; empty if it would not."""
     try:
         assemble(
-            name, (), find=finder, robot="checked", platform=platform, rng=np.random.default_rng(0)
+            name, (), find=loader, robot="checked", platform=platform, rng=np.random.default_rng(0)
         )
     except SwarmError as error:
         return str(error)
@@ -101,3 +182,244 @@ def _kind(kind: type[Pattern[Any]]) -> str:
     if issubclass(kind, VotingPattern):
         return "voting"
     return "movement" if issubclass(kind, MovementPattern) else "pattern"
+
+
+# check
+
+
+def _check_plugin(path: Path, done: frozenset[str], answer: Answer) -> None:
+    """The points of the pattern contract; a point that fails in `done` is not checked again."""
+    _limit_memory()
+    _report_side_effects(path, answer)
+    loaded: list[type[Pattern[Any]]] = []
+
+    def load() -> None:
+        check_id(path.stem, "the file's name, which is the pattern's,")
+        loaded.append(PatternLoader({path.stem: (str(path), True)})(path.stem))
+
+    answer.send(begin=LOADING)
+    fault = _fault_of(load, path)
+    answer.send(result=LOADING, **fault)
+    if not loaded:
+        return
+    for point, check in _contract_tests(loaded[0], path.parent):
+        if point in done:
+            continue
+        answer.send(begin=point)
+        fault = _fault_of(check, path, loaded[0])
+        text = NOT_CLAIMED if point == MIRRORED and not loaded[0].is_symmetric else ""
+        answer.send(result=point, **{"text": text, **fault})
+        if fault.get("is_hang"):
+            return
+
+
+def _contract_tests(
+    kind: type[Pattern[Any]], folder: Path
+) -> Iterator[tuple[str, Callable[[], None]]]:
+    """Each test of the contract by its name in words; it runs on all platforms."""
+    from swarmd.testing.pattern_contract import PatternContract
+
+    known = {"pattern": kind, "plugin_dir": folder, "seconds": TEST_TIMEOUT}
+    contract = type("Contract", (PatternContract,), known)
+    for name in vars(PatternContract):
+        if name.startswith("test_"):
+            yield name.removeprefix("test_").replace("_", " "), _on_all_platforms(contract, name)
+
+
+def _on_all_platforms(contract: type[PatternContract], name: str) -> Callable[[], None]:
+    def check() -> None:
+        for platform in platform_names():
+            case = contract()
+            case.setup_method()
+            try:
+                getattr(case, name)(contract.subject(platform))
+            except Exception as error:
+                error.add_note(platform)
+                raise
+            finally:
+                case.teardown_method()
+
+    return check
+
+
+def _fault_of(
+    call: Callable[[], None], path: Path, kind: type[Pattern[Any]] | None = None
+) -> dict[str, Any]:
+    """What the call raises as a `fault` in one line, and `on`: under which circumstances."""
+    try:
+        call()
+    except (Exception, SystemExit) as error:  # plugin code may raise anything
+        on = ", ".join(reversed(getattr(error, "__notes__", ())))
+        is_hang = isinstance(error, TimeoutError)
+        return {"fault": _in_one_line(error, path, kind)[:500], "on": on, "is_hang": is_hang}
+    return {}
+
+
+def _in_one_line(error: BaseException, path: Path, kind: type[Pattern[Any]] | None) -> str:
+    """What was raised, and the last line of the file on the way there."""
+    text = " ".join(str(error).split())
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if frame.filename == str(path)]
+    if isinstance(error, SyntaxError) and error.filename == str(path):
+        text, lines = error.msg, [error.lineno]
+    elif not lines and kind is not None and isinstance(error, PluginError):
+        lines = _lines_of_step(kind, path)
+    place = f" ({path.name}:{lines[-1]})" if lines else ""
+    is_worded = isinstance(error, SwarmError) or (isinstance(error, AssertionError) and text)
+    if isinstance(error, TimeoutError):
+        is_worded = bool(text)
+    name = type(error).__name__
+    return (text if is_worded else f"{name}: {text}" if text else name) + place
+
+
+def _lines_of_step(kind: type[Pattern[Any]], path: Path) -> list[int | None]:
+    """Where the file defines what gave a wrong value: `drive`, else `step`."""
+    for name in ("drive", "step"):
+        code = getattr(getattr(kind, name, None), "__code__", None)
+        if code is not None and code.co_filename == str(path):
+            return [code.co_firstlineno]
+    return []
+
+
+def _report_side_effects(path: Path, answer: Answer) -> None:
+    """Send `{"side_effect": text}` when code of the file causes one, each text once."""
+    sent: set[str] = set()
+
+    def hook(event: str, args: tuple[Any, ...]) -> None:
+        if event not in _SIDE_EFFECTS:
+            return
+        line = _line_in(str(path), sys._getframe(1))
+        if line is None:
+            return
+        what = f"{event} {args[0]!r}"[:120] if args else event
+        text = f"{what} ({path.name}:{line})"
+        if text not in sent:
+            sent.add(text)
+            answer.send(side_effect=text)
+
+    sys.addaudithook(hook)
+
+
+def _line_in(path: str, frame: FrameType | None) -> int | None:
+    """The line of the file that led to this frame; None for an import or other code."""
+    while frame is not None:
+        name = frame.f_code.co_filename
+        if name == path:
+            return frame.f_lineno
+        if name.startswith("<frozen importlib"):
+            return None
+        frame = frame.f_back
+    return None
+
+
+def _limit_memory() -> None:
+    with open("/proc/self/statm") as file:
+        size = int(file.read().split()[0]) * resource.getpagesize()
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    limit = size + MEMORY_LIMIT
+    if hard != resource.RLIM_INFINITY:
+        limit = min(limit, hard)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
+
+
+# mission
+
+
+def _inspect_mission(
+    path: Path, platform: Platform, plugin_dir: Path | None, answer: Answer
+) -> None:
+    answer.send(begin=str(path))
+    try:
+        faults = check_mission(path, platform, plugin_dir)
+    except PluginError:
+        raise
+    except SwarmError as error:
+        faults = [str(error)]
+    except (Exception, SystemExit) as error:  # plugin code may raise anything
+        raise PluginError(f"{path}: a pattern that it names raises {error_text(error)}") from error
+    answer.send(result=str(path), faults=faults)
+
+
+def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> list[str]:
+    """A line for each fault of the file, for robots of that platform; nothing is run.
+
+    ConfigError if it is not YAML at all.
+    """
+    document = read_document(path)
+    origins = pattern_names(plugin_dir)
+    found = origins.get(path.stem)
+    if not is_id(path.stem) or path.suffix != MISSION:
+        text = "is in a file of a name that no pattern can have; wanted such as patrol.yaml"
+        document.faults.append(fault_at(("mission",), text))
+    elif document.description and not is_mission(path):
+        text = "is not at the start of a line of UTF-8 text, by which robots know a mission's file"
+        document.faults.append(fault_at(("mission",), text))
+    elif found is not None and not _is_same(path, found):
+        other = found.source if _is_file(path, found.rival) else found.rival or found.source
+        text = f"has the name of another pattern ({other}); rename one"
+        document.faults.append(fault_at(("mission",), text))
+    values = {name: (origin.value, origin.is_file) for name, origin in origins.items()}
+    find = PatternLoader({**values, path.stem: (str(path.resolve()), True)})
+    _check_parts(document, platform, find)
+    if not document.faults:
+        _check_whole(document, platform, find)
+    return fault_lines(path, document.faults)
+
+
+def _is_same(path: Path, origin: Origin) -> bool:
+    """Whether the pattern of that name is this file, and nothing else."""
+    files = [origin.value, *([origin.rival] if origin.rival else [])]
+    return all(_is_file(path, file) for file in files)
+
+
+def _is_file(path: Path, name: str) -> bool:
+    return Path(name).resolve() == path.resolve()
+
+
+def _check_parts(document: Document, platform: Platform, find: Find) -> None:
+    """Patterns, their parameters, and the values of maps."""
+    classes = pattern_classes(document, find)
+    document.parts = {name: part for name, part in document.parts.items() if name in classes}
+
+    def make(
+        inner: str, /, *, part: str = "", private: bool = False, **params: Value
+    ) -> Pattern[Any]:
+        layers = (("platform", platform.patterns.get(inner, {})), (document.path.stem, params))
+        return assemble(
+            inner,
+            layers,
+            find=find,
+            robot="checked",
+            platform=platform,
+            rng=np.random.default_rng(0),
+            channel_prefix=f"{part}-" if private else f"{inner}/",
+        ).pattern
+
+    builder = PartBuilder(document, make, {}, document.faults)
+    parts = build_parts(builder)
+    build_setters(builder, parts)
+    check_reports(builder, parts)
+    for keys, condition in conditions(document.root):
+        for need in sorted(needs_of(condition) - platform.provides):
+            text = f"needs {need}, which {platform.name} does not provide"
+            document.faults.append(fault_at(keys, text))
+
+
+def _check_whole(document: Document, platform: Platform, find: Find) -> None:
+    """All as a robot would do it; what only that finds is told as of the whole file."""
+    try:
+        mission_class(document.path, find)
+        assemble(
+            document.path.stem,
+            (),
+            find=find,
+            robot="checked",
+            platform=platform,
+            rng=np.random.default_rng(0),
+        )
+    except SwarmError as error:
+        document.faults.append(((), str(error)))
+
+
+if __name__ == "__main__":
+    main()

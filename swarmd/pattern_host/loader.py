@@ -1,4 +1,4 @@
-"""Imports a pattern's class from where it is found: the one place that imports plugin code."""
+"""Imports a pattern's class from where it is found: the only module that imports plugin code."""
 
 from __future__ import annotations
 
@@ -10,15 +10,21 @@ from collections.abc import Mapping
 from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from types import CodeType, ModuleType
-from typing import Any
+from typing import Any, get_args
 
 from swarmd.core.errors import PluginError, UnknownPatternError, unknown
 from swarmd.kit.behavior import Pattern
+from swarmd.kit.params import Params
 from swarmd.plugins import MISSION
+
+_CHANNEL_TYPES = (bool, int, float, str, bytes, list, dict)
 
 
 class PatternLoader:
-    """From pattern names to classes. `origins`: name -> (module:Class or path, is it a file)."""
+    """Maps pattern names to classes.
+
+    `origins`: name -> (module:Class or path, whether it is a file).
+    """
 
     def __init__(self, origins: Mapping[str, tuple[str, bool]]) -> None:
         self.origins = origins
@@ -27,14 +33,15 @@ class PatternLoader:
         self._open: list[str] = []
 
     def begin(self, origins: Mapping[str, tuple[str, bool]]) -> None:
-        """A load begins: files are read as they are now, and each of them once until the next."""
+        """Begin a load: each file is read as it is now, and once until the next load."""
         self.origins, self._files = origins, {}
         self._missions.clear()
 
     def __call__(self, name: str) -> type[Pattern[Any]]:
-        """The class; PluginError if there is none of that name, or not exactly one.
+        """The class of that name.
 
-        ConfigError if it is a mission whose file has a fault.
+        Raises PluginError if there is none or several, or if its declarations contradict each
+        other; ConfigError if it is a mission whose file has a fault.
         """
         if name not in self.origins:
             raise UnknownPatternError(unknown("pattern", name, self.origins))
@@ -72,6 +79,7 @@ def _from_entry_point(name: str, value: str) -> type[Pattern[Any]]:
     kind = getattr(module, attribute, None)
     if not isinstance(kind, type) or not issubclass(kind, Pattern):
         raise PluginError(f"pattern {name!r}: {value} is no Pattern; ask its authors")
+    _check_declarations(kind)
     return kind
 
 
@@ -88,12 +96,34 @@ def _from_file(path: Path) -> type[Pattern[Any]]:
     if len(kinds) != 1:
         found = ", ".join(kind.__name__ for kind in kinds) or "none"
         raise PluginError(f"{path} must hold exactly one Pattern; it holds {found}")
+    _check_declarations(kinds[0])
     return kinds[0]
+
+
+def _check_declarations(kind: type[Pattern[Any]]) -> None:
+    """PluginError for a forgotten `params_type`, or a channel of a type that cannot be sent."""
+    for base in vars(kind).get("__orig_bases__", ()):
+        for params in get_args(base):
+            is_params = isinstance(params, type) and issubclass(params, Params)
+            if is_params and not issubclass(kind.params_type, params):
+                raise PluginError(
+                    f"{kind.__name__} is declared with {params.__name__} and has params_type "
+                    f"{kind.params_type.__name__}; add `params_type = {params.__name__}`"
+                )
+    channels = kind.channels
+    if isinstance(channels, Mapping):  # a combined pattern's is a property
+        for channel, wanted in channels.items():
+            if wanted not in _CHANNEL_TYPES:
+                known = ", ".join(one.__name__ for one in _CHANNEL_TYPES)
+                raise PluginError(
+                    f"{kind.__name__}: channel {channel!r} is declared as {wanted!r}; "
+                    f"wanted is one of {known}"
+                )
 
 
 def _module(path: Path) -> ModuleType:
     name = f"swarmd_plugin_{path.stem}"
-    loader = _AsWritten(name, str(path))
+    loader = _UncachedLoader(name, str(path))
     spec = importlib.util.spec_from_loader(name, loader)
     if spec is None:
         raise PluginError(f"{path} cannot be read as Python")
@@ -103,10 +133,10 @@ def _module(path: Path) -> ModuleType:
     return module
 
 
-class _AsWritten(SourceFileLoader):
-    """Compiles the file each time, and leaves nothing beside it.
+class _UncachedLoader(SourceFileLoader):
+    """Compiles the file at each load and writes no bytecode.
 
-    Bytecode that was kept counts as that of a file changed within the same second.
+    Cached bytecode would be taken for that of a file changed within the same second.
     """
 
     def get_code(self, fullname: str) -> CodeType:

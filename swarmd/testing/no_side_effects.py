@@ -1,4 +1,4 @@
-"""The ways out of a pattern's step: files, sockets, processes, clocks, sleep and the console."""
+"""Forbids what a pattern's step must not call: files, sockets, processes, clocks, shared chance."""
 
 from __future__ import annotations
 
@@ -6,55 +6,83 @@ import builtins
 import contextlib
 import io
 import os
+import random
 import socket
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from typing import Any
-from unittest.mock import patch
+from collections.abc import Callable, Iterator
+from typing import Any, NoReturn
 
-_DOORS: tuple[tuple[Any, str], ...] = (
-    (builtins, "open"),
-    (builtins, "print"),
-    (builtins, "input"),
-    (io, "open"),
-    (os, "open"),
-    (os, "system"),
-    (os, "fork"),
-    (os, "urandom"),
-    (socket, "socket"),
-    (socket, "create_connection"),
-    (subprocess, "Popen"),
-    (threading, "Thread"),
-    (time, "sleep"),
-    (time, "time"),
-    (time, "time_ns"),
-    (time, "monotonic"),
-    (time, "monotonic_ns"),
-    (time, "perf_counter"),
-    (time, "perf_counter_ns"),
+import numpy as np
+
+_CLOCKS = ("time", "time_ns", "monotonic", "monotonic_ns", "perf_counter", "perf_counter_ns")
+_FORBIDDEN: tuple[tuple[Any, tuple[str, ...], str], ...] = (
+    (builtins, ("open", "print", "input"), ""),
+    (io, ("open",), ""),
+    (os, ("open", "system", "fork", "urandom", "_exit", "abort", "kill"), ""),
+    (socket, ("socket", "create_connection"), ""),
+    (subprocess, ("Popen",), ""),
+    (threading, ("Thread",), ""),
+    (time, ("sleep",), "; a step never waits"),
+    (time, _CLOCKS, "; the time is inputs.now"),
 )
+_CHANCE = "; chance comes from self.context.rng"
 
 
 @contextlib.contextmanager
-def closed(module: str) -> Iterator[None]:
-    """Each of them raises AssertionError, also by a name that this module has imported it under."""
-    own = sys.modules.get(module)
-    with contextlib.ExitStack() as stack:
-        for owner, name in _DOORS:
-            door = getattr(owner, name)
-            error = AssertionError(f"a pattern's step may not call {owner.__name__}.{name}")
-            places = (
-                [(own, key) for key, value in vars(own).items() if value is door] if own else []
-            )
-            for place, key in ((owner, name), *places):
-                stack.enter_context(patch.object(place, key, side_effect=error))
-        stack.enter_context(contextlib.redirect_stdout(_Mute()))
-        yield
+def no_side_effects(module: str) -> Iterator[None]:
+    """Within it these calls raise AssertionError, also by names that the module imported."""
+    own = vars(sys.modules[module]) if module in sys.modules else {}
+    names = {id(value): name for name, value in own.items() if callable(value)}
+    saved: list[tuple[Any, str, Any]] = []
+
+    def replace(owner: Any, name: str, value: Any) -> None:
+        saved.append((owner, name, getattr(owner, name)))
+        setattr(owner, name, value)
+
+    try:
+        for owner, name, original, guard in _GUARDS:
+            replace(owner, name, guard)
+            if id(original) in names:
+                replace(sys.modules[module], names[id(original)], guard)
+        with contextlib.redirect_stdout(_NoConsole()):
+            yield
+    finally:
+        for owner, name, value in reversed(saved):
+            setattr(owner, name, value)
 
 
-class _Mute(io.StringIO):
+class _NoConsole(io.StringIO):
     def write(self, text: str) -> int:
-        raise AssertionError("a pattern's step may not write to the console")
+        raise AssertionError("a step may not write to the console")
+
+
+def _guards() -> Iterator[tuple[Any, str, Any, Callable[..., Any]]]:
+    """Owner, name, the function of that name, and what stands in for it."""
+    for owner, names, hint in _FORBIDDEN:
+        for name in names:
+            yield owner, name, getattr(owner, name), _raiser(f"{owner.__name__}.{name}", hint)
+    for module in (random, np.random):
+        for name in module.__all__:
+            function = getattr(module, name)
+            if getattr(function, "__self__", None) is not None:  # a method of the shared generator
+                yield module, name, function, _raiser(f"{module.__name__}.{name}", _CHANCE)
+    yield np.random, "default_rng", np.random.default_rng, _seeded_rng
+
+
+def _raiser(name: str, hint: str) -> Callable[..., NoReturn]:
+    def forbidden(*_: object, **__: object) -> NoReturn:
+        raise AssertionError(f"a step may not call {name}{hint}")
+
+    return forbidden
+
+
+def _seeded_rng(*seed: Any, _make: Any = np.random.default_rng) -> Any:
+    if not seed or seed[0] is None:
+        raise AssertionError(f"a step may not call numpy.random.default_rng unseeded{_CHANCE}")
+    return _make(*seed)
+
+
+_GUARDS = tuple(_guards())

@@ -1,30 +1,38 @@
-"""`swarmctl plugin new` and `check`: what is written passes, and what does not hold is told."""
+"""`swarmctl plugin new` writes what passes; `plugin check` reports each fault once."""
 
 from __future__ import annotations
 
 import json
 import subprocess
 import sys
-from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from swarmd.cli.inspect import LEAVES, PRINTS, Point, check_file, describe_patterns
+from swarmd.cli.inspect import (
+    NO_OUTPUT,
+    NO_SIDE_EFFECTS,
+    SKIPPED,
+    Point,
+    check_file,
+    describe_patterns,
+)
 from swarmd.cli.swarmctl import cli, run_cli
 from swarmd.core.errors import PluginError, SwarmError
-from swarmd.pattern_host.inspect_plugin import LOADING, MIRRORED
+from swarmd.pattern_host.inspect import LOADING, MIRRORED
 from swarmd.plugins import pattern_names
 from swarmd.testing.pattern_contract import PatternContract
 
 pytestmark = pytest.mark.integration
 
 CODE = """
-from swarmd.api import Inputs, MovementPattern, Params, Twist
+from swarmd.api import *
 {top}
 
 class Own(MovementPattern[Params]):
     '''A test's.'''
+    {declared}
 
     def __init__(self, params, context):
         super().__init__(params, context)
@@ -34,11 +42,16 @@ class Own(MovementPattern[Params]):
         {body}
         return Twist()
 """
+PARAMS = """
+class OwnParams(Params, frozen=True):
+    speed: Annotated[float, about("how fast", ge=0.0, le=1.0, unit="m/s")] = {}
+"""
 POINTS = [
     name.removeprefix("test_").replace("_", " ")
     for name in vars(PatternContract)
     if name.startswith("test_")
 ]
+STEPS = "steps give outputs and nothing else"
 
 
 def swarmctl(*words: str) -> int:
@@ -48,19 +61,25 @@ def swarmctl(*words: str) -> int:
     return run_cli(cli, list(words), "swarmctl", code_of)
 
 
-def checked(folder: Path, patience: float = 60.0, **lines: str) -> Mapping[str, Point]:
-    """The points of a pattern with these lines."""
+def written(folder: Path, **lines: str) -> Path:
+    """The file of a pattern with these lines."""
     path = folder / "own.py"
-    path.write_text(CODE.format(**{"top": "", "made": "pass", "body": "pass"} | lines))
-    return {point.name: point for point in check_file(path, patience)}
+    blank = {"top": "", "declared": "", "made": "pass", "body": "pass"}
+    path.write_text(CODE.format(**blank | lines))
+    return path
 
 
-def bad(points: Mapping[str, Point]) -> list[str]:
-    return [name for name, point in points.items() if not point.is_well]
+def checked(folder: Path, timeout: float = 60.0, **lines: Any) -> dict[str, Point]:
+    """The points of a pattern with these lines."""
+    return {point.name: point for point in check_file(written(folder, **lines), timeout)}
+
+
+def faults(points: dict[str, Point]) -> dict[str, str]:
+    return {name: point.text for name, point in points.items() if point.result == "fault"}
 
 
 @pytest.mark.parametrize("kind", ["movement", "voting", "pattern"])
-def test_what_is_written_passes_as_it_is(
+def test_a_new_plugin_passes_as_it_is(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
 ) -> None:
     folder = tmp_path / "mine"
@@ -68,8 +87,8 @@ def test_what_is_written_passes_as_it_is(
     said = capsys.readouterr().out
     assert f"swarmctl plugin check {folder}/my_own.py" in said
     assert sorted(path.name for path in folder.iterdir()) == ["my_own.py", "test_my_own.py"]
-    points = check_file(folder / "my_own.py", 60.0)
-    assert [point for point in points if not point.is_well] == []
+    points = list(check_file(folder / "my_own.py", 60.0))
+    assert [point for point in points if point.result != "ok"] == []
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder)],
         capture_output=True,
@@ -85,7 +104,7 @@ def test_what_is_written_passes_as_it_is(
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "text"),
     [
         ("my-own", "'my-own' is no name"),
         ("Own", "'Own' is no name"),
@@ -98,18 +117,18 @@ def test_what_is_written_passes_as_it_is(
         ("drive", "has a pattern 'drive'"),
     ],
 )
-def test_a_name_that_will_not_do_is_refused_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, told: str
+def test_an_unusable_name_is_refused_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str, text: str
 ) -> None:
     assert swarmctl("plugin", "new", name, "--dir", str(tmp_path)) == 2
     error = capsys.readouterr().err
-    assert told in error
+    assert text in error
     assert error.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("there", ["own.py", "test_own.py"])
-def test_nothing_is_written_over(
+def test_no_file_is_overwritten(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], there: str
 ) -> None:
     (tmp_path / there).write_text("mine")
@@ -118,12 +137,12 @@ def test_nothing_is_written_over(
     assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(there, "mine")]
 
 
-def test_a_class_is_never_called_as_what_it_imports(tmp_path: Path) -> None:
+def test_the_class_is_not_named_as_an_import(tmp_path: Path) -> None:
     assert swarmctl("plugin", "new", "twist", "--dir", str(tmp_path)) == 0
     assert "class TwistPattern(MovementPattern" in (tmp_path / "twist.py").read_text()
 
 
-def test_each_point_has_a_line_and_a_pattern_that_holds_is_well(
+def test_a_pattern_that_holds_is_well_at_every_point(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert swarmctl("plugin", "new", "own", "--dir", str(tmp_path)) == 0
@@ -131,98 +150,152 @@ def test_each_point_has_a_line_and_a_pattern_that_holds_is_well(
     assert swarmctl("plugin", "check", str(tmp_path / "own.py")) == 0
     *lines, last = capsys.readouterr().out.splitlines()
     assert [line[:4] for line in lines] == ["ok  "] * (3 + len(POINTS))
-    assert last == f"{3 + len(POINTS)} checked, all well"
-    assert lines[0].split("  ")[2] == LOADING
+    assert last.startswith(str(3 + len(POINTS)))
 
 
-def test_in_json_it_says_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    path = tmp_path / "own.py"
-    path.write_text(CODE.format(top="print('hello')", made="pass", body="1 / 0"))
+def test_json_holds_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = written(tmp_path, top="print('hello')", body="1 / 0")
     assert swarmctl("plugin", "check", str(path), "-o", "json") == 1
     answer = json.loads(capsys.readouterr().out)
     assert (answer["kind"], answer["is_well"]) == ("Check", False)
     points = {point["point"]: point for point in answer["points"]}
-    assert list(points) == [LOADING, *POINTS, PRINTS, LEAVES]
-    assert points["odd scans give sane wishes"]["text"].endswith(
-        "ZeroDivisionError: division by zero (own.py:13)"
-    )
-    assert points[PRINTS] == {"point": PRINTS, "is_well": False, "text": "hello"}
+    assert list(points) == [LOADING, *POINTS, NO_OUTPUT, NO_SIDE_EFFECTS]
+    assert points[STEPS]["text"].endswith("ZeroDivisionError: division by zero (own.py:14)")
+    assert points[NO_OUTPUT] == {"point": NO_OUTPUT, "result": "fault", "text": "hello"}
     assert points[MIRRORED]["text"] == "is_symmetric is not claimed"
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("lines", "point", "text"),
     [
-        ("x = 1\nimport nothing_of_that_name", "No module named 'nothing_of_that_name' (own.py:2)"),
-        ("x = 1\n\ndef broken(:\n", "SyntaxError: invalid syntax (own.py:3)"),
-        ("x = 1", "must hold exactly one Pattern; it holds none"),
-        ("raise SystemExit(4)", "SystemExit: 4 (own.py:1)"),
-        ("import os\nos._exit(3)", "the process that checks it ended with code 3"),
-        ("import ctypes\nctypes.string_at(0)", "was killed by SIGSEGV"),
-        ("import os\nos.kill(os.getpid(), 9)", "was killed by SIGKILL"),
-        ("while True: pass", "is not done after 5 s"),
-        ("a = []\nwhile True: a.append(bytearray(1 << 26))", "MemoryError"),
+        ({"body": "return None"}, STEPS, "drive gave None"),
+        ({"body": "return (0.1, 0.0)"}, STEPS, "drive gave a tuple"),
+        ({"body": "import random; random.random()"}, STEPS, "random.random; chance comes from"),
+        ({"body": "import numpy; numpy.random.rand()"}, STEPS, "numpy.random.rand; chance comes"),
+        ({"body": "import time; time.sleep(60)"}, STEPS, "time.sleep"),
+        ({"body": "import os; os._exit(3)"}, STEPS, "os._exit"),
+        ({"body": "return Twist(self.params.speed)"}, STEPS, "has no attribute 'speed'"),
+        (
+            {
+                "declared": "channels = {'word': float}\n"
+                "    def step(self, inputs): return Outputs(messages={'word': 'loud'})"
+            },
+            STEPS,
+            "channel 'word' got a str",
+        ),
+        ({"body": "return Twist(9.0)"}, "odd scans give sane commands", "linear command is 9"),
     ],
 )
-def test_a_file_that_cannot_be_loaded_is_told_and_nothing_more_is_tried(
-    tmp_path: Path, text: str, told: str
+def test_a_mistake_is_told_once_with_its_line(
+    tmp_path: Path, lines: dict[str, Any], point: str, text: str
 ) -> None:
-    path = tmp_path / "own.py"
-    path.write_text(text)
-    patience = 5.0 if "pass" in text else 60.0
-    points = check_file(path, patience)
-    assert [point.name for point in points] == [LOADING, PRINTS, LEAVES]
-    assert not points[0].is_well
-    assert told in points[0].text
-
-
-def test_a_file_whose_name_no_pattern_can_have_is_told(tmp_path: Path) -> None:
-    path = tmp_path / "My-Own.py"
-    path.write_text(CODE.format(top="", made="pass", body="pass"))
-    assert "which is the pattern's, is 'My-Own'" in check_file(path, 60.0)[0].text
-
-
-@pytest.mark.parametrize("body", ["import os; os._exit(3)", "import os; os.abort()"])
-def test_a_step_that_ends_the_process_fails_its_points_and_the_others_are_checked(
-    tmp_path: Path, body: str
-) -> None:
-    points = checked(tmp_path, body=f"if not len(inputs.scan.ranges): {body}")
-    assert list(points) == [LOADING, *POINTS, PRINTS, LEAVES]
-    found = "odd scans give sane wishes"
-    assert bad(points) == [found]
-    assert "the process that checks it" in points[found].text
-
-
-def test_a_step_that_hangs_is_told_and_the_others_are_checked(tmp_path: Path) -> None:
-    """It waits for what never comes, and uses no processor time."""
-    wait = "import threading; threading.Event().wait()"
-    points = checked(tmp_path, 15.0, body=f"if inputs.dt > 1000: {wait}")
-    assert bad(points) == ["survives a jump of time"]
-    assert points["survives a jump of time"].text.endswith("is not done after 15 s")
+    points = checked(tmp_path, **lines)
+    (found,) = faults(points).items()
+    assert found[0] == point
+    assert text in found[1]
+    assert "(own.py:" in found[1] or text == "linear command is 9"
 
 
 @pytest.mark.parametrize(
-    ("lines", "name", "told"),
+    ("default", "base", "text"),
     [
-        ({"top": "print('loud')"}, PRINTS, "loud"),
-        ({"made": "import sys; sys.stderr.write('loud')"}, PRINTS, "loud"),
-        ({"top": "WEIGHTS = open('/etc/passwd').read()"}, LEAVES, "'/etc/passwd' (own.py:3)"),
-        ({"made": "import os; os.listdir('/etc')"}, LEAVES, "'/etc' (own.py:10)"),
-        ({"made": "import os; os.system('true')"}, LEAVES, "os.system"),
-        ({"made": "import subprocess; subprocess.run(['true'])"}, LEAVES, "subprocess.Popen"),
-        ({"body": "print('loud')"}, "touches nothing outside", "may not call builtins.print"),
-        ({"body": "open('/etc/passwd').close()"}, "touches nothing outside", "builtins.open"),
+        ("'fast'", "OwnParams", "'fast'"),
+        ("None", "OwnParams", "None"),
+        ("9.0", "OwnParams", "9.0"),
+        ("0.1", "Params", "add `params_type = OwnParams`"),
     ],
 )
-def test_what_leads_out_of_a_pattern_is_told_wherever_it_is_done(
-    tmp_path: Path, lines: dict[str, str], name: str, told: str
+def test_a_wrong_default_or_params_type_is_told_once(
+    tmp_path: Path, default: str, base: str, text: str
 ) -> None:
-    points = checked(tmp_path, 60.0, **lines)
-    assert name in bad(points)
-    assert told in points[name].text
+    code = CODE.replace("[Params]", "[OwnParams]").format(
+        top=PARAMS.format(default), declared=f"params_type = {base}", made="pass", body="pass"
+    )
+    (tmp_path / "own.py").write_text(code)
+    points = {point.name: point for point in check_file(tmp_path / "own.py", 60.0)}
+    (found,) = faults(points).values()
+    assert text in found
 
 
-def test_a_file_that_is_not_there_is_an_error_of_usage(
+def test_a_nan_that_is_passed_on_is_no_difference(tmp_path: Path) -> None:
+    """Neighbours send NaN on a float channel; a deterministic pattern may repeat it."""
+    step = """channels = {'word': float}
+    heard = 0.0
+    def step(self, inputs):
+        for message in inputs.messages: self.heard = message.value
+        return Outputs(Twist(), messages={'word': self.heard}, report={'heard': self.heard})"""
+    assert faults(checked(tmp_path, declared=step)) == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "fault"),
+    [
+        ("x = 1\nimport nothing_of_that_name", "No module named 'nothing_of_that_name' (own.py:2)"),
+        ("x = 1\n\ndef broken(:\n", "SyntaxError: invalid syntax (own.py:3)"),
+        ("x = 1", "must hold exactly one Pattern"),
+        ("raise SystemExit(4)", "SystemExit: 4 (own.py:1)"),
+        ("import os\nos._exit(3)", "ended with code 3"),
+        ("import ctypes\nctypes.string_at(0)", "was killed by SIGSEGV (own.py:2)"),
+        ("import os\nos.kill(os.getpid(), 9)", "was killed by SIGKILL"),
+        ("x = 1\nwhile True: pass", "is not done after 2 s (own.py:2)"),
+        ("a = []\nwhile True: a.append(bytearray(1 << 26))", "MemoryError"),
+    ],
+)
+def test_a_file_that_cannot_be_loaded_is_not_checked_further(
+    tmp_path: Path, text: str, fault: str
+) -> None:
+    path = tmp_path / "own.py"
+    path.write_text(text)
+    points = {one.name: one for one in check_file(path, 2.0 if "pass" in text else 60.0)}
+    assert next(iter(points)) == LOADING
+    assert set(points) <= {LOADING, SKIPPED, NO_OUTPUT, NO_SIDE_EFFECTS}
+    assert fault in faults(points)[LOADING]
+
+
+def test_a_file_name_that_is_no_id_is_a_fault(tmp_path: Path) -> None:
+    path = written(tmp_path).rename(tmp_path / "My-Own.py")
+    assert "'My-Own'" in next(check_file(path, 60.0)).text
+
+
+def test_a_crash_fails_its_point_and_the_others_are_checked(tmp_path: Path) -> None:
+    crash = "import ctypes; ctypes.string_at(0)"
+    points = checked(tmp_path, body=f"if not len(inputs.scan.ranges): {crash}")
+    assert list(points) == [LOADING, *POINTS, NO_OUTPUT, NO_SIDE_EFFECTS]
+    (found,) = faults(points).items()
+    assert found[0] == "odd scans give sane commands"
+    assert "SIGSEGV (own.py:14)" in found[1]
+
+
+@pytest.mark.parametrize("hang", ["import threading; threading.Event().wait()", "input_loop()"])
+def test_a_hang_is_told_with_its_line_and_ends_the_check(tmp_path: Path, hang: str) -> None:
+    """It waits for what never comes and uses no processor time, or loops for ever."""
+    loop = "def input_loop():\n    import select; select.select([], [], [])"
+    points = checked(tmp_path, 4.0, top=loop, body=f"if inputs.scan.seq == 9: {hang}")
+    assert SKIPPED in points
+    (found,) = faults(points).values()
+    assert "is not done after 4 s (own.py:" in found
+
+
+@pytest.mark.parametrize(
+    ("lines", "point", "text"),
+    [
+        ({"top": "print('loud')"}, NO_OUTPUT, "loud"),
+        ({"made": "import sys; sys.stderr.write('loud')"}, NO_OUTPUT, "loud"),
+        ({"top": "WEIGHTS = open('/etc/passwd').read()"}, NO_SIDE_EFFECTS, "(own.py:3)"),
+        ({"made": "import os; os.listdir('/etc')"}, NO_SIDE_EFFECTS, "'/etc' (own.py:11)"),
+        ({"made": "import os; os.system('true')"}, NO_SIDE_EFFECTS, "os.system"),
+        ({"made": "import subprocess; subprocess.run(['true'])"}, NO_SIDE_EFFECTS, "subprocess"),
+        ({"body": "print('loud')"}, STEPS, "builtins.print"),
+        ({"body": "open('/etc/passwd').close()"}, STEPS, "builtins.open"),
+    ],
+)
+def test_a_side_effect_is_told_wherever_it_happens(
+    tmp_path: Path, lines: dict[str, Any], point: str, text: str
+) -> None:
+    assert text in faults(checked(tmp_path, **lines))[point]
+
+
+def test_a_missing_file_is_a_usage_error(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert swarmctl("plugin", "check", str(tmp_path / "none.py")) == 2
@@ -246,13 +319,12 @@ for number in range(3, 9):
 """
 
 
-def test_a_file_that_writes_into_the_answer_is_checked_all_the_same(tmp_path: Path) -> None:
-    points = checked(tmp_path, top=WRITES_ALL_OVER)
-    assert set(points) >= set(POINTS)
+def test_a_file_that_writes_into_the_answer_is_still_checked(tmp_path: Path) -> None:
+    assert set(checked(tmp_path, top=WRITES_ALL_OVER)) >= set(POINTS)
     (row,) = describe_patterns(("own",), tmp_path, "burger")
     assert row["kind"] == "movement"
 
 
-def test_a_check_that_does_not_begin_is_told_as_such(tmp_path: Path) -> None:
-    with pytest.raises(PluginError, match=r"the process that checks .* is not done after 0\.001 s"):
-        checked(tmp_path, 0.001, top="import threading\nthreading.Event().wait(60)")
+def test_a_child_that_does_not_begin_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(PluginError, match=r"0\.001 s"):
+        checked(tmp_path, 0.001)
