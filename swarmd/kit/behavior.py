@@ -1,7 +1,8 @@
-"""What a pattern is: the base classes, and what a pattern may know of where it runs.
+"""The base classes of patterns, and the context in which a pattern runs.
 
-A pattern is arithmetic with memory: inputs in, outputs out. `inputs.now` is its clock and
-`context.rng` its chance; it opens nothing, waits for nothing and runs in a process of its own.
+A pattern is arithmetic with memory: inputs in, outputs out. `inputs.now` is its only clock and
+`context.rng` its only source of chance. It opens nothing, waits for nothing, and runs in a process
+of its own.
 """
 
 from __future__ import annotations
@@ -19,31 +20,31 @@ from swarmd.kit.params import P, Params
 
 
 class Make(Protocol):
-    """How a combined pattern gets its parts; see `Context.make`."""
+    """Makes the parts of a combined pattern; see `Context.make`."""
 
     def __call__(
         self, name: str, /, *, part: str = "", private: bool = False, **params: Value
     ) -> Pattern[Any]:
-        """Another pattern with these parameters, the rest derived from the platform.
+        """Another pattern with these parameters; the others derive from the platform.
 
-        `part` names it within this pattern (default: its own name). Its channels are those of the
-        stand-alone pattern, so that both hear each other, unless it is `private`. PluginError if
-        there is no such pattern; ConfigError if a parameter is wrong.
+        `part` names it within this pattern (default: its own name). It shares its channels with the
+        stand-alone pattern, unless it is `private`. PluginError if there is no such pattern,
+        ConfigError if a parameter is wrong.
         """
 
 
 def _no_parts(
     name: str, /, *, part: str = "", private: bool = False, **params: Value
 ) -> Pattern[Any]:
-    raise PluginError(f"no pattern {name!r} here: this context can make no parts")
+    raise PluginError(f"no pattern {name!r} here: this context makes no parts")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Context:
-    """What a pattern may know of where it runs.
+    """The robot and platform on which a pattern runs, and what it may use.
 
-    `robot` is this robot's id; `rng` its only source of chance, seeded by whoever runs it;
-    `make` other patterns as parts; `channel_prefix` is set for parts, which need not care.
+    `robot` is this robot's id; `rng` the seeded random generator; `make` makes other patterns as
+    parts; `channel_prefix` is used by CombinedPattern.
     """
 
     robot: str
@@ -56,12 +57,16 @@ class Context:
 class Pattern(ABC, Generic[P]):
     """Base of all patterns: one object per run, stepped at `rate` and on every new scan.
 
-    Class attributes: `params_type`; `needs`, drawn from scan, odometry, neighbors,
-    neighbors.distance, neighbors.bearing, neighbors.heading and reading:<name>; `channels`, by
-    name the type of what is said there; `rate` in Hz; `is_symmetric`, the claim that mirrored
-    inputs give mirrored commands, which `swarmd.testing.PatternContract` then checks; `touches`,
-    where it must touch what is near, to push or to dock: it may as far as the robot's
-    configuration grants it, and what its parts ask for does not count.
+    Class attributes:
+
+    - `params_type`: the struct of its parameters.
+    - `needs`: what the robot must sense, of scan, odometry, neighbors, neighbors.distance,
+      neighbors.bearing, neighbors.heading and reading:<name>.
+    - `channels`: its message channels, each with the type of its values.
+    - `rate`: steps a second.
+    - `is_symmetric`: mirrored inputs give mirrored commands; PatternContract checks it.
+    - `touches`: where it must touch obstacles, to push or to dock. The robot's configuration must
+      grant it. Requests of its parts do not count.
     """
 
     params_type: ClassVar[type[Params]] = Params
@@ -77,31 +82,31 @@ class Pattern(ABC, Generic[P]):
 
     @classmethod
     def defaults(cls, platform: Platform) -> Mapping[str, Value]:
-        """Defaults that follow from the platform, stronger than the ones declared."""
+        """Defaults that derive from the platform; they override the declared ones."""
         return {}
 
     @abstractmethod
     def step(self, inputs: Inputs) -> Outputs:
-        """One step: never blocks, reads and writes nothing but its own memory."""
+        """One step. It must not block, and may change only its own memory."""
 
     def update(self, params: P) -> None:
-        """Take over changed parameters between two steps; the memory stays."""
+        """Apply changed parameters between two steps; the memory stays."""
         self.params = params
 
 
 class MovementPattern(Pattern[P]):
-    """A pattern that drives and says nothing."""
+    """A pattern that drives and sends no messages."""
 
     @abstractmethod
     def drive(self, inputs: Inputs) -> Twist:
-        """The wish, in the base frame; protection may overrule it and clips it to the limits."""
+        """The requested command, in the base frame; protection limits or replaces it."""
 
     def report(self) -> Mapping[str, Scalar]:
-        """What members and traces show of it, after each step."""
+        """Values that members and traces show after each step."""
         return {}
 
     def step(self, inputs: Inputs) -> Outputs:
-        """What `drive` wishes; without the scan that it needs there is no wish."""
+        """The command of `drive`; no command while a scan that it needs is missing."""
         if inputs.scan is None and "scan" in self.needs:
             return Outputs(report=self.report())
         twist = self.drive(inputs)

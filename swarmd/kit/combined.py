@@ -1,4 +1,4 @@
-"""The base of patterns that are made of other patterns."""
+"""The base of patterns that are composed of other patterns."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from swarmd.kit.params import P
 
 
 class CombinedPattern(Pattern[P]):
-    """Steps its parts and combines what they want; each part sees only its own channels.
+    """Steps its parts and combines their outputs; each part receives only its own channels.
 
     `needs` and `channels` of the object (not of the class) are those of all parts together. A
-    channel of a part is called `<pattern>/<channel>` if the part shares the key of the stand-alone
-    pattern, so that both hear each other, and `<part>-<channel>` if it is private.
+    channel of a part is named `<pattern>/<channel>` if it is shared with the stand-alone pattern,
+    and `<part>-<channel>` if the part is private.
     """
 
     parts: Mapping[str, Pattern[Any]]
@@ -43,9 +43,9 @@ class CombinedPattern(Pattern[P]):
         return self.combine({name: self.step_part(name, inputs) for name in self.parts}, inputs)
 
     def combine(self, outputs: Mapping[str, Outputs], inputs: Inputs) -> Outputs:
-        """One outputs of many: the first wish there is, all messages, reports as `part.key`.
+        """The outputs of all parts as one: the first command, all messages, reports as `part.key`.
 
-        Done when all parts are. Override it to choose otherwise.
+        Done when all parts are. Override it for another choice.
         """
         twists = [part.twist for part in outputs.values() if part.twist is not None]
         reasons = [part.done for part in outputs.values() if part.done is not None]
@@ -58,7 +58,7 @@ class CombinedPattern(Pattern[P]):
         return Outputs(twists[0] if twists else None, messages, report, done)
 
     def step_part(self, name: str, inputs: Inputs) -> Outputs:
-        """Step one part with its own messages and its own dt; its messages get outer names."""
+        """Step one part with its own messages and dt; the messages it sends get outer names."""
         part = self.parts[name]
         inner = {outer_name(part, channel): channel for channel in part.channels}
         heard = tuple(
@@ -74,5 +74,5 @@ class CombinedPattern(Pattern[P]):
 
 
 def outer_name(part: Pattern[Any], channel: str) -> str:
-    """What the outer pattern calls a channel of its part; shared names stay as they are."""
+    """The outer pattern's name for a channel of its part; shared names are unchanged."""
     return channel if "/" in channel else part.context.channel_prefix + channel

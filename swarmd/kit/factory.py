@@ -16,8 +16,8 @@ from swarmd.kit.behavior import Context, Pattern
 from swarmd.kit.params import build
 from swarmd.kit.touch import check_zone
 
-# From a pattern's name to its class; PluginError if there is none.
 Find: TypeAlias = Callable[[str], type[Pattern[Any]]]
+"""Gives the class of a pattern by name; PluginError if there is none."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +29,7 @@ class Assembled:
 
 
 def full_layers(kind: type[Pattern[Any]], platform: Platform, layers: Layers) -> Layers:
-    """The layers with, as the weakest, what derives from the platform (source "derived")."""
+    """The layers above the defaults that derive from the platform (source "derived")."""
     return (("derived", kind.defaults(platform)), *layers)
 
 

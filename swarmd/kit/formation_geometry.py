@@ -1,14 +1,14 @@
-"""Places in a formation, from what one robot senses of the others; no positions, no leader.
+"""Places in a formation from what one robot senses of the others, without leader or positions.
 
-Points are x, y in m in the base frame of a robot, which is itself at the origin. Each place is the
-robot's own of the formation that fits best to all that it sees and to itself, so that the robots
-agree as far as they see the same, and a formation is left as it is by every one of them.
+Points are x, y in m in the base frame of the robot, which is at the origin. The robot fits the
+formation to all robots in sight and itself, and takes its own place in it. So robots that see the
+same agree, and a complete formation stays as it is.
 
-Line: to the closest point of the line that fits best by least squares (Yun, Alptekin and Albayrak,
+Line: the closest point of the line that fits best by least squares (Yun, Alptekin and Albayrak,
 "Line and circle formation of distributed physical mobile robots", J. Robotic Systems 14(2), 1997;
-the task is Sugihara and Suzuki's, J. Robotic Systems 13(3), 1996). Spacing along it, and the
-places on a circle, are ours: those of the evenly spaced row or polygon that fits best. Of a robot
-that sees one neighbour on each side that is the middle between them, as in Defago and Souissi,
+the task is Sugihara and Suzuki's, J. Robotic Systems 13(3), 1996). Ours: the spacing along it, and
+the places on a circle, are those of the evenly spaced row or polygon that fits best. With one
+neighbour on each side that is the middle between them, as in Defago and Souissi,
 "Non-uniform circle formation algorithm for oblivious mobile robots with convergence toward
 uniformity", Theor. Comput. Sci. 396, 2008.
 """
@@ -27,25 +27,25 @@ from swarmd.core.values import Array, Neighbor, Pose, Scan
 from swarmd.kit.steering import from_base
 from swarmd.sensing.rays import RayClusters, clusters
 
-# A lidar sees what is farther than this share of its reach in pieces, with what is beside it.
-_SURE = 0.95
-# Rays between two objects, at most, of which one hides a part of the other.
-_ADJOINING = math.radians(3.0)
-# Middles nearer to each other than this share of the widest robot are those of one.
-_PIECES = 0.45
-# A place is the mean of what was sensed of it last, of so many at most, until a robot is sensed
-# farther from it than so many m, and than so much of its distance: then it has moved.
-_MEMORY = 20
-_MOVED, _MOVED_SHARE = 0.06, 0.08
-# s for which one that is heard and no longer sensed is taken to stay where it was.
-_PATIENCE = 2.0
+# Beyond this share of its range a lidar sees only parts of an object.
+_MAX_RANGE_SHARE = 0.95
+# rad: the largest angle between two objects of which one hides a part of the other.
+_MAX_OCCLUSION_ANGLE = math.radians(3.0)
+# Centers nearer to each other than this share of the largest width belong to one robot.
+_MERGE_SHARE = 0.45
+# A position is the mean of at most so many measurements. A measurement farther from it than so many
+# m plus this share of its distance means that the robot has moved.
+_MAX_AVERAGED = 20
+_MOVED_DISTANCE, _MOVED_SHARE = 0.06, 0.08
+# s for which a neighbour that is no longer sensed is assumed to stay where it was.
+_TRACK_TIMEOUT = 2.0
 
 
 def place_on_line(others: Array, spacing: float) -> Array:
-    """Where (2,) a robot at the origin belongs in a line with `others` (k, 2).
+    """The place (2,) of a robot at the origin in a line with `others` (k, 2).
 
-    The line is the one of least squares of the distances from it (total least squares); along it
-    the robots keep their order and have `spacing` m between them.
+    The line minimises the squared distances from it (total least squares); along it the robots keep
+    their order, `spacing` m apart.
     """
     points = _with_itself(others)
     middle = points.sum(axis=0) / len(points)
@@ -59,10 +59,9 @@ def place_on_line(others: Array, spacing: float) -> Array:
 
 
 def place_on_circle(others: Array, radius: float) -> Array:
-    """Where (2,) a robot at the origin belongs on a circle of `radius` m with `others` (k, 2).
+    """The place (2,) of a robot at the origin on a circle of `radius` m with `others` (k, 2).
 
-    The middle is the mean of all positions; around it the robots keep their order and stand at
-    equal angles.
+    The center is the mean of all positions; around it the robots keep their order at equal angles.
     """
     points = _with_itself(others)
     count = len(points)
@@ -80,20 +79,20 @@ def place_on_circle(others: Array, radius: float) -> Array:
 
 
 def radius_of(spacing: float, count: int) -> float:
-    """The radius in m of the circle on which `count` robots have `spacing` m between them."""
+    """The radius in m of the circle on which `count` robots are `spacing` m apart."""
     return spacing / (2.0 * math.sin(math.pi / count)) if count > 1 else 0.0
 
 
 def robot_centers(scan: Scan, *, reach: float, width: float, offset: tuple[float, float]) -> Array:
-    """The middles (k, 2) of what may be robots: objects up to `reach` m and no wider than `width`.
+    """The centers (k, 2) of objects up to `reach` m away and at most `width` m wide.
 
-    `offset` is the lidar's from the axle. Each is taken for as deep as it is seen wide; one that
-    something nearer hides on one side for as wide as the others, from the side that is seen. What
-    is hidden on both sides may be anything, as a wall behind two robots, and is left out.
+    `offset` is the lidar's from the axle. An object is assumed to be as deep as it is wide. An
+    object hidden on one side by a nearer one is assumed to be as wide as the others, measured from
+    its visible side. An object hidden on both sides may be a wall behind two robots: it is ignored.
     """
     seen = clusters(scan, within=reach)
     halves, bearings = 0.5 * seen.widths, seen.bearings.copy()
-    is_chosen = (seen.widths <= width) & (seen.ranges <= _SURE * reach)
+    is_chosen = (seen.widths <= width) & (seen.ranges <= _MAX_RANGE_SHARE * reach)
     is_whole = is_chosen & seen.is_free
     usual = median(halves[is_whole].tolist()) if is_whole.any() else 0.0
     for index in (is_chosen & ~seen.is_free).nonzero()[0].tolist():
@@ -108,18 +107,19 @@ def robot_centers(scan: Scan, *, reach: float, width: float, offset: tuple[float
             halves[index] = half
     found = np.array((seen.ranges[is_chosen] + halves[is_chosen], bearings[is_chosen])).T
     found = from_base(found, offset)
-    middles = found[:, :1] * np.stack((np.cos(found[:, 1]), np.sin(found[:, 1])), axis=-1)
-    return _whole(middles, seen.counts[is_chosen].tolist(), _PIECES * width)
+    centers = found[:, :1] * np.stack((np.cos(found[:, 1]), np.sin(found[:, 1])), axis=-1)
+    return _merged(centers, seen.counts[is_chosen].tolist(), _MERGE_SHARE * width)
 
 
-def _whole(middles: Array, counts: Sequence[int], least: float) -> Array:
-    """The middles (k, 2) with those nearer than `least` m to each other as one, nearest first.
+def _merged(centers: Array, counts: Sequence[int], least: float) -> Array:
+    """Centers (k, 2) with those nearer than `least` m to each other merged, nearest pair first.
 
-    A robot comes in pieces where rays are lost, or old while the lidar turns. `counts` are weights.
+    One robot appears in pieces where rays are lost, or old while the lidar turns. `counts` weighs
+    them.
     """
-    if len(middles) < 2:
-        return middles
-    points, weights = middles[:, 0] + 1j * middles[:, 1], np.array(counts, float)
+    if len(centers) < 2:
+        return centers
+    points, weights = centers[:, 0] + 1j * centers[:, 1], np.array(counts, float)
     apart = np.abs(points[:, None] - points)
     np.fill_diagonal(apart, np.inf)
     while len(points) > 1 and apart.min() < least:
@@ -134,23 +134,23 @@ def _whole(middles: Array, counts: Sequence[int], least: float) -> Array:
 
 
 def _hidden_sides(seen: RayClusters, index: int) -> list[float]:
-    """On which sides of an object nearer ones adjoin it: 1 left, -1 right."""
+    """The sides on which a nearer object hides a part of it: 1 left, -1 right."""
     away = (seen.bearings - seen.bearings[index] + math.pi) % (2.0 * math.pi) - math.pi
     spreads = 0.5 * seen.widths / np.maximum(seen.ranges, 1e-3)
     room = np.abs(away) - spreads - spreads[index]
-    is_before = (seen.ranges < seen.ranges[index]) & (room < _ADJOINING)
+    is_before = (seen.ranges < seen.ranges[index]) & (room < _MAX_OCCLUSION_ANGLE)
     return [side for side in (1.0, -1.0) if (is_before & (side * away > 0.0)).any()]
 
 
 def to_base_frame(point: Array, pose: Pose) -> Array:
-    """A point (2,) of the odometry frame as seen from a base at `pose`."""
+    """A point (2,) of the odometry frame, in the base frame at `pose`."""
     cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
     x, y = float(point[0]) - pose.x, float(point[1]) - pose.y
     return np.array([cos * x + sin * y, cos * y - sin * x])
 
 
 def to_odometry_frame(point: Array, pose: Pose) -> Array:
-    """A point (2,) seen from a base at `pose`, in the odometry frame."""
+    """A point (2,) of the base frame at `pose`, in the odometry frame."""
     cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
     x, y = float(point[0]), float(point[1])
     return np.array([pose.x + cos * x - sin * y, pose.y + sin * x + cos * y])
@@ -158,7 +158,7 @@ def to_odometry_frame(point: Array, pose: Pose) -> Array:
 
 @dataclass(slots=True)
 class _Track:
-    """What was sensed of a neighbour last, when, and where it is by what counts of it, x + iy."""
+    """A neighbour's last measurement and its time, and its mean position x + iy."""
 
     sensed: tuple[float, float]
     place: complex
@@ -167,41 +167,41 @@ class _Track:
 
 
 class NeighborTracker:
-    """Where neighbours are that are sensed seldom and with noise, while the robot moves.
+    """Positions of neighbours that are measured rarely and with noise while the robot moves.
 
-    Each new range and bearing is put into the odometry frame as it comes; what is sensed again and
-    again in one place is averaged. Who is heard but not sensed now and then stays where it was.
+    Each new range and bearing is transformed to the odometry frame; repeated measurements of one
+    place are averaged. A neighbour that is not sensed for a moment keeps its position.
     """
 
     def __init__(self) -> None:
         self._known: dict[str, _Track] = {}
 
     def update(self, neighbors: Sequence[Neighbor], pose: Pose, reach: float, now: float) -> Array:
-        """The neighbours' positions (k, 2), of those within `reach` m, as seen from `pose` now."""
+        """The positions (k, 2) of the neighbours within `reach` m, in the base frame at `pose`."""
         known, found = self._known, []
         self._known = {}
         here, heading = complex(pose.x, pose.y), cmath.rect(1.0, pose.yaw)
         for neighbor in neighbors:
             distance, bearing = neighbor.distance, neighbor.bearing
-            sighting = known.get(neighbor.id)
+            track = known.get(neighbor.id)
             if distance is not None and bearing is not None and math.isfinite(distance + bearing):
                 if not 0.0 <= distance <= reach:
                     continue
-                if sighting is None or sighting.sensed != (distance, bearing):
+                if track is None or track.sensed != (distance, bearing):
                     place = here + heading * cmath.rect(distance, bearing)
-                    sighting = _again(sighting, (distance, bearing), place, now)
-                sighting.at = now
-            elif sighting is None or now - sighting.at > _PATIENCE:
+                    track = _again(track, (distance, bearing), place, now)
+                track.at = now
+            elif track is None or now - track.at > _TRACK_TIMEOUT:
                 continue
-            self._known[neighbor.id] = sighting
-            found.append((sighting.place - here) * heading.conjugate())
+            self._known[neighbor.id] = track
+            found.append((track.place - here) * heading.conjugate())
         return np.array(found, dtype=np.complex128).view(np.float64).reshape(-1, 2)
 
 
 def _again(old: _Track | None, sensed: tuple[float, float], place: complex, now: float) -> _Track:
-    if old is None or abs(old.place - place) > _MOVED + _MOVED_SHARE * sensed[0]:
+    if old is None or abs(old.place - place) > _MOVED_DISTANCE + _MOVED_SHARE * sensed[0]:
         return _Track(sensed, place, now)
-    count = min(old.count + 1, _MEMORY)
+    count = min(old.count + 1, _MAX_AVERAGED)
     return _Track(sensed, old.place + (place - old.place) / count, now, count)
 
 
@@ -210,5 +210,5 @@ def _with_itself(others: Array) -> Array:
 
 
 def _rank(values: Array) -> int:
-    """How many of the values come before the first one, in order."""
+    """The rank of the first value among all values."""
     return int(np.argsort(values, kind="stable").argmin())

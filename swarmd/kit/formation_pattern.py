@@ -1,8 +1,8 @@
-"""The base of patterns that form a shape: it senses the others and drives; a pattern only places.
+"""The base of patterns that form a shape: sensing and driving; a pattern only gives the place.
 
-With range-and-bearing hardware a robot knows its neighbours one by one; without, it takes for
-robots what its lidar sees of narrow objects. It keeps its place in the odometry frame, drives there
-slower the nearer it is, and rests until the place is farther off than `tolerance`.
+With range-and-bearing hardware a robot measures each neighbour; without, it assumes that narrow
+objects in its scan are robots. It keeps its place in the odometry frame, drives there (slower the
+nearer it is) and rests until the place is farther away than `tolerance`.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from swarmd.kit.steering import from_base, keep_clear, steer
 from swarmd.sensing.rays import closest_points
 
 _BEARINGS = frozenset({"neighbors.distance", "neighbors.bearing"})
-# Where it arrives: within so much of `tolerance`.
-_ARRIVED = 0.4
-# s: over which its place is averaged.
-_SMOOTH = 0.6
-# Slower than this share of full speed it does not creep to its place.
-_SLOWEST = 0.15
+# Share of `tolerance` within which a moving robot has arrived.
+_ARRIVAL_SHARE = 0.4
+# s: time constant of the low-pass filter of its place.
+_PLACE_TIME_CONSTANT = 0.6
+# The lowest share of full speed on the way to its place.
+_MIN_SPEED_SHARE = 0.15
 
 
 class FormationParams(Params, frozen=True, kw_only=True):
-    """What every pattern that forms a shape can be told."""
+    """The parameters of every formation."""
 
     sensing: Annotated[
         Literal["auto", "neighbors", "lidar"],
         about(
-            "how others are sensed: by range and bearing, or as narrow objects of the scan; auto: "
+            "how others are sensed: by range and bearing, or as narrow objects in the scan; auto: "
             "by range and bearing where the platform provides both",
             source="ours",
         ),
@@ -63,7 +63,7 @@ class FormationParams(Params, frozen=True, kw_only=True):
     range: Annotated[
         float,
         about(
-            "who is farther away does not count; by lidar at most what it reaches",
+            "robots farther away are ignored; by lidar at most its range",
             ge=0.1,
             le=1000.0,
             unit="m",
@@ -73,17 +73,17 @@ class FormationParams(Params, frozen=True, kw_only=True):
     tolerance: Annotated[
         float,
         about(
-            "a robot that rests moves once its place among the others is farther off",
+            "a resting robot moves once its place is farther away",
             ge=0.03,
             le=10.0,
             unit="m",
-            source="ours: 0.07 times the spacing; what is less than noise lets nobody rest",
+            source="ours: 0.07 times the spacing; below the noise no robot comes to rest",
         ),
     ] = 0.077
     clearance: Annotated[
         float,
         about(
-            "distance from the axle that no motion may lead below",
+            "distance to obstacles, from the axle, that no motion may go below",
             ge=0.05,
             le=20.0,
             unit="m",
@@ -94,7 +94,7 @@ class FormationParams(Params, frozen=True, kw_only=True):
     brake: Annotated[
         float,
         about(
-            "distance over which speed falls to zero towards its place and towards what is near",
+            "distance over which the speed falls to zero towards its place and towards obstacles",
             ge=0.05,
             le=20.0,
             unit="m",
@@ -104,7 +104,7 @@ class FormationParams(Params, frozen=True, kw_only=True):
     object_width: Annotated[
         float,
         about(
-            "by lidar: what is wider is no robot",
+            "by lidar: a wider object is not a robot",
             ge=0.05,
             le=10.0,
             unit="m",
@@ -118,9 +118,9 @@ F = TypeVar("F", bound=FormationParams)
 
 
 class FormationPattern(MovementPattern[F]):
-    """Drives to its place among those that it sees and stands there.
+    """Drives to its place among the robots in sight and stands there; alone it stands.
 
-    Its object `needs` what its sensing takes. Alone it stands.
+    The `needs` of the object depend on how it senses the others.
     """
 
     params_type: ClassVar[type[Params]] = FormationParams
@@ -147,7 +147,7 @@ class FormationPattern(MovementPattern[F]):
         threshold = float(platform.protection["threshold"])
         clearance = 1.06 * threshold + 1.3 * math.hypot(*platform.scan.offset)
         in_sight = min(2.2 * threshold, 0.45 * platform.scan.range_max)
-        spacing = max(in_sight, 1.1 * _least_spacing(clearance, platform))
+        spacing = max(in_sight, 1.1 * _min_spacing(clearance, platform))
         return {
             "speed": min(platform.limits.linear, 0.5),
             "turn": min(platform.limits.angular, 4.0),
@@ -159,7 +159,7 @@ class FormationPattern(MovementPattern[F]):
         }
 
     def update(self, params: F) -> None:
-        """Take over changed parameters; ConfigError if they cannot be."""
+        """Apply changed parameters; ConfigError if the platform cannot satisfy them."""
         check_spacing(params, self.context.platform)
         by_lidar = _is_by_lidar(params, self.context.platform)
         lacking = _lacking(self.context.platform)
@@ -172,16 +172,16 @@ class FormationPattern(MovementPattern[F]):
         super().update(params)
 
     def report(self) -> Mapping[str, Scalar]:
-        """What it is doing: alone, form or settled; and how many others it sees."""
+        """Its state (alone, form or settled) and the number of others in sight."""
         doing = "settled" if self._is_settled else "form"
         return {"state": doing if self._seen else "alone", "seen": self._seen}
 
     @abstractmethod
     def place(self, others: Array) -> Array:
-        """Where (2,) it belongs with `others` (k, 2), k > 0, all as seen from the robot."""
+        """Its place (2,) with `others` (k, 2), k > 0, all in the base frame."""
 
     def drive(self, inputs: Inputs) -> Twist:
-        """One command towards its place."""
+        """The command towards its place."""
         if inputs.scan is None or inputs.odometry is None:
             return ZERO
         pose = inputs.odometry.pose
@@ -190,10 +190,10 @@ class FormationPattern(MovementPattern[F]):
             return ZERO
         way = to_base_frame(self._goal, pose)
         length = math.hypot(*way)
-        # Of the others alone: each place is a mean in which its own position counts too.
+        # Its own position counts in the mean; this is the distance by the others alone.
         off = length * (self._seen + 1) / max(self._seen, 1)
         limit = self.params.tolerance
-        self._is_settled = off <= (limit if self._is_settled else _ARRIVED * limit)
+        self._is_settled = off <= (limit if self._is_settled else _ARRIVAL_SHARE * limit)
         return ZERO if self._is_settled else self._follow(way, length)
 
     def _look(self, inputs: Inputs, scan: Scan, pose: Pose) -> None:
@@ -217,13 +217,13 @@ class FormationPattern(MovementPattern[F]):
             return
         goal = to_odometry_frame(self.place(others), pose)
         passed = max(inputs.now - self._aimed_at, 0.0)
-        share = 1.0 if self._goal is None else 1.0 - math.exp(-passed / _SMOOTH)
+        share = 1.0 if self._goal is None else 1.0 - math.exp(-passed / _PLACE_TIME_CONSTANT)
         self._goal = goal if self._goal is None else self._goal + share * (goal - self._goal)
         self._aimed_at = inputs.now
 
     def _follow(self, way: Array, length: float) -> Twist:
         params = self.params
-        vector = way / length * min(max(length / params.brake, _SLOWEST), 1.0)
+        vector = way / length * min(max(length / params.brake, _MIN_SPEED_SHARE), 1.0)
         vector = keep_clear(vector, self._points, spacing=params.clearance, brake=params.brake)
         return steer(
             vector,
@@ -237,25 +237,25 @@ class FormationPattern(MovementPattern[F]):
 
 
 def check_spacing(params: FormationParams, platform: Platform) -> None:
-    """ConfigError if protection, or the pattern's own clearance, forbids the spacing."""
-    least = _least_spacing(params.clearance, platform)
+    """ConfigError if protection or the clearance forbids the spacing."""
+    least = _min_spacing(params.clearance, platform)
     if params.spacing <= least:
         whose = "the clearance"
         if _kept_free(platform) > params.clearance:
-            whose = f"what the protection of {platform.name} keeps"
+            whose = f"the distance that the protection of {platform.name} keeps"
         raise ConfigError(
             f"parameter spacing is {params.spacing:g} m; wanted is more than {least:.3g} m:"
-            f" {whose} and half a body"
+            f" {whose} and half the footprint"
         )
 
 
-def _least_spacing(clearance: float, platform: Platform) -> float:
+def _min_spacing(clearance: float, platform: Platform) -> float:
     half = 0.5 * float(np.ptp(platform.footprint, axis=0).max())
     return max(_kept_free(platform), clearance) + half
 
 
 def _kept_free(platform: Platform) -> float:
-    """Metres from the axle that protection keeps free."""
+    """The distance in m from the axle that protection keeps free."""
     return float(platform.protection["threshold"]) + math.hypot(*platform.scan.offset)
 
 

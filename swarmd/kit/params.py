@@ -1,7 +1,7 @@
-"""Parameters of patterns: typed, bounded, each with a unit, a meaning and a source.
+"""Parameters of patterns: typed and bounded, each with a unit, a description and a source.
 
 A pattern declares a frozen struct; `build` makes one from layers of values, weakest first, and
-says where each value came from. NaN and infinity are refused, whether or not there are bounds.
+gives the source of each value. NaN and infinity are refused, also without bounds.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ _TYPES: Mapping[object, str] = {float: "float", int: "int", bool: "bool", str: "
 Recovery = Annotated[
     bool,
     Meta(
-        description="whether to be led around what blocks the way",
-        extra={"unit": "", "source": "ours: else two robots that meet head-on block each other"},
+        description="whether recovery leads the robot around what blocks it",
+        extra={"unit": "", "source": "ours: without it two robots that meet head-on stay blocked"},
     ),
 ]
 
@@ -36,9 +36,9 @@ Recovery = Annotated[
 class Params(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The parameters of one pattern: fields `name: Annotated[type, about(...)] = default`.
 
-    The type is float, int, bool, str or a Literal of strings; `Annotated[int, about(...)] | None`
-    if None means something. A check over several fields is a `__post_init__` that raises
-    ValueError. `recovery` is every pattern's; one that means to stand or to push declares it anew,
+    The type is float, int, bool, str or a Literal of strings, `Annotated[int, about(...)] | None`
+    where None has a meaning. `__post_init__` may check several fields and raise ValueError. Every
+    pattern has `recovery`; one that stands or pushes on purpose overrides its default,
     `recovery: Recovery = False`.
     """
 
@@ -56,7 +56,7 @@ def about(
     unit: str = "",
     source: str = "",
 ) -> Meta:
-    """What a parameter means, within which bounds, in which unit and where its default is from."""
+    """The meaning, bounds and unit of a parameter, and the source of its default."""
     return Meta(ge=ge, le=le, description=description, extra={"unit": unit, "source": source})
 
 
@@ -84,7 +84,7 @@ TopTurn = Annotated[
 
 @dataclass(frozen=True, slots=True)
 class ParamSpec:
-    """One parameter as tools show it. `default` None with `is_required`: there is none."""
+    """One parameter as tools show it; `default` is None if `is_required`."""
 
     name: str
     type: str
@@ -100,7 +100,7 @@ class ParamSpec:
 
     @property
     def wanted(self) -> str:
-        """What a value must be, in words: `a float from 0 to 2 m/s`."""
+        """The valid values in words: `a float from 0 to 2 m/s`."""
         if self.choices:
             text = "one of " + ", ".join(self.choices)
         else:
@@ -111,9 +111,9 @@ class ParamSpec:
 
 
 def schema(params_type: type[Params]) -> list[ParamSpec]:
-    """The parameters of a pattern, in the order of their declaration; those of all come last.
+    """The parameters of a pattern in the order of declaration; those of all patterns come last.
 
-    PluginError if one has a type that neither YAML nor the command line can give.
+    PluginError for a type that neither YAML nor the command line can express.
     """
     return list(_declared(params_type)[0].values())
 
@@ -121,11 +121,11 @@ def schema(params_type: type[Params]) -> list[ParamSpec]:
 def build(
     params_type: type[P], layers: Layers
 ) -> tuple[P, Mapping[str, tuple[Scalar | None, str]]]:
-    """The parameters that the layers give, and for each its value and the layer it is from.
+    """The parameters from layers of values, and the value and source of each.
 
-    `layers` are (source, values), weakest first; what none gives is the pattern's own default,
-    source "pattern". Text is read as the type wants it ("0.15", "true"), since the command line
-    sends text. ParameterError with one line for the first value that is wrong.
+    `layers` are (source, values), weakest first; the source of a declared default is "pattern".
+    Text is converted ("0.15", "true"), since the command line sends text. ParameterError with one
+    line for the first wrong value.
     """
     specs, hints = _declared(params_type)
     values: dict[str, Any] = {}
@@ -146,8 +146,7 @@ def build(
     return params, {name: (getattr(params, name), sources[name]) for name in specs}
 
 
-# Evaluating annotations takes 1 ms, and each robot's every run needs them.
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=64)  # evaluating annotations takes 1 ms, and each run needs them
 def _declared(params_type: type[Params]) -> tuple[Mapping[str, ParamSpec], Mapping[str, Any]]:
     """The parameters by name, and their type hints."""
     hints = type_hints(params_type, include_extras=True)
@@ -177,7 +176,7 @@ def _convert(value: Value, hint: Any, spec: ParamSpec, source: str) -> Scalar | 
     if spec.is_optional and value in ("none", "null"):
         return None
     try:
-        # Only text is read leniently: a YAML `1` is no bool, a `true` no number.
+        # Only text is converted: a YAML `1` is not a bool, a `true` not a number.
         converted = msgspec.convert(value, hint, strict=not isinstance(value, str))
     except msgspec.ValidationError:
         converted = math.nan
@@ -215,7 +214,7 @@ def _spec(params_type: type[Params], field: Any, hint: Any) -> ParamSpec:
 
 
 def _fields(params_type: type[Params]) -> list[Any]:
-    """Those of the pattern in their order, then those that every pattern has."""
+    """The fields of the pattern in their order, then those of every pattern."""
     shared = Params.__struct_fields__
     return sorted(msgspec.structs.fields(params_type), key=lambda field: field.name in shared)
 

@@ -1,7 +1,7 @@
-"""Where a pattern may touch what is near: what it asks for, as far as its robot grants it. Pure.
+"""The zone in which a pattern may touch obstacles. Pure.
 
-Both are needed: a pattern declares a zone, the robot's configuration grants one, and what both
-allow is in force. Nothing that comes over the network has a say.
+A pattern declares a zone and the robot's configuration grants one; their intersection is in effect.
+No request from the network changes it.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ from swarmd.kit.touch_config import (
 
 
 def granted_zones(touch: TouchGrants) -> Mapping[str, TouchZone]:
-    """What is granted, by pattern."""
+    """The granted zones by pattern."""
     return {name: _zone(section) for name, section in touch.items() if section is not None}
 
 
 def check_zone(pattern: str, zone: object) -> None:
-    """PluginError if a pattern asks for what no configuration can grant."""
+    """PluginError if a pattern declares a zone that no configuration can grant."""
     if zone is None:
         return
     if not isinstance(zone, TouchZone):
@@ -46,9 +46,9 @@ def check_zone(pattern: str, zone: object) -> None:
 
 
 def intersection(asked: TouchZone, granted: TouchZone) -> TouchZone | None:
-    """The directions that both have, at the lower speed; None if there are none.
+    """The directions in both zones, at the lower speed; None if there are none.
 
-    Whatever is asked, it is within what is granted.
+    For every `asked` the result lies within `granted`.
     """
     aside = difference(asked.bearing, granted.bearing)
     low = max(aside - asked.half_width, -granted.half_width)
@@ -62,22 +62,22 @@ def intersection(asked: TouchZone, granted: TouchZone) -> TouchZone | None:
 def effective_zone(
     pattern: str, asked: TouchZone | None, granted: TouchZone | None
 ) -> tuple[TouchZone | None, str]:
-    """The zone in which a pattern may touch, and the line that tells of it; empty if none asked."""
+    """The zone in which a pattern may touch, and a line about it; empty if it declares none."""
     if asked is None:
         return None, ""
     if granted is None:
-        text = f"asks to touch {describe_zone(asked)}, which is not granted: it is kept from that"
+        text = f"asks to touch {describe_zone(asked)}, which is not granted: protection prevents it"
         where = f"`touch: {{{pattern}: ...}}` in the robot's configuration grants it"
         return None, f"{text}; {where}"
     zone = intersection(asked, granted)
     if zone is None:
         text = f"asks to touch {describe_zone(asked)}, but granted is {describe_zone(granted)}"
-        return None, f"{text}: it is kept from both"
+        return None, f"{text}: protection prevents both"
     return zone, f"may touch: {describe_zone(zone)}"
 
 
 def describe_zone(zone: TouchZone) -> str:
-    """Such as `+-20 deg ahead at up to 0.10 m/s`."""
+    """A zone in words, such as `+-20 deg ahead at up to 0.10 m/s`."""
     bearing = round(math.degrees(wrap(zone.bearing)))
     where = {0: "ahead", 180: "behind", -180: "behind"}.get(bearing, f"around {bearing} deg")
     return f"+-{math.degrees(zone.half_width):.0f} deg {where} at up to {zone.speed:.2f} m/s"

@@ -1,6 +1,6 @@
-"""What a robot's configuration grants to a pattern beyond what every pattern may.
+"""The zones in which a robot's configuration allows patterns to touch obstacles.
 
-No numpy here: swarmctl reads swarm.yaml too.
+Imports no numpy: swarmctl reads swarm.yaml too.
 """
 
 from __future__ import annotations
@@ -14,12 +14,15 @@ MAX_TOUCH_HALF_WIDTH_DEG = 60.0
 
 
 class TouchSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """In which directions a pattern may press against what is near, and how fast in m/s."""
+    """The directions in which a pattern may press against obstacles, and its speed in m/s.
+
+    A wider zone or a higher speed lets a faulty pattern push harder and more often.
+    """
 
     bearing_deg: Annotated[float, Meta(ge=-180.0, le=180.0)] = 0.0
     half_width_deg: Annotated[float, Meta(gt=0.0, le=MAX_TOUCH_HALF_WIDTH_DEG)]
     speed: Annotated[float, Meta(gt=0.0, le=MAX_TOUCH_SPEED)]
 
 
-# By pattern; None takes away what a weaker source grants.
 TouchGrants = dict[str, TouchSection | None]
+"""By pattern; None revokes the grant of a weaker source."""
