@@ -1,10 +1,8 @@
-"""What the command line says in its own small languages: `key=value`, `60s`, `tb3-*`.
-
-The words that name robots, shared by all verbs that act on them.
-"""
+"""Values on the command line: durations (`60s`), assignments (`speed=0.1`), targets (`tb3-*`)."""
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 from collections.abc import Callable, Collection, Iterable
@@ -17,19 +15,21 @@ import click
 from swarmd.core.errors import unknown
 from swarmd.core.keys import is_id
 
+Function = TypeVar("Function", bound=Callable[..., Any])
+R = TypeVar("R")
 Value = bool | int | float | str | None
 
 _GLOB = re.compile(r"[a-z0-9_*?\[\]!-]{1,63}")
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)(ms|s|m|h)?")
 _UNITS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0, None: 1.0}
-_MAX_SECONDS = 1e7
+_MAX_DURATION = 1e7  # s
 _MAX_INTEGER = 2**53
-# What a request takes: characters of a parameter's name and value, bytes of all of them.
-_MAX_KEY, _MAX_TEXT, _MAX_ALL = 64, 256, 32 * 1024
+# The bounds of a request: characters of a parameter's name and value, bytes of all together.
+_MAX_KEY, _MAX_TEXT, _MAX_BYTES = 64, 256, 32 * 1024
 
 
 class NoTarget(click.ClickException):
-    """No robot was meant; exit code 4."""
+    """No robot is targeted; exit code 4."""
 
     exit_code = 4
 
@@ -42,46 +42,42 @@ class Duration(click.ParamType[float]):
     def convert(
         self, value: object, param: click.Parameter | None, ctx: click.Context | None
     ) -> float:
-        """The seconds; fails for anything else, and for nothing at all."""
+        """The duration in s, above 0."""
         if isinstance(value, int | float):
             return float(value)
         match = _DURATION.fullmatch(str(value).strip().lower())
         seconds = float(match[1]) * _UNITS[match[2]] if match else 0.0
-        if not 0.0 < seconds <= _MAX_SECONDS:
+        if not 0.0 < seconds <= _MAX_DURATION:
             self.fail(f"{value!r} is no duration; wanted such as 60s, 2m or 500ms", param, ctx)
         return seconds
 
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """Whom the operator means: names and globs, or everyone, without those excluded."""
+    """Names and globs of robots, none for all robots, less those in `exclude`."""
 
-    names: tuple[str, ...]
-    is_all: bool
-    exclude: tuple[str, ...]
+    names: tuple[str, ...] = ()
+    exclude: tuple[str, ...] = ()
 
     @property
-    def is_everyone(self) -> bool:
-        """True if nobody is named and nobody left out."""
+    def is_whole_swarm(self) -> bool:
+        """True if no robot is named or excluded."""
         return not self.names and not self.exclude
 
     @property
-    def unseen(self) -> tuple[str, ...]:
-        """The full names among the targets: they are meant even if nobody knows of them."""
+    def full_names(self) -> tuple[str, ...]:
+        """The targets without wildcards; each is a target even if no robot has that name."""
         return tuple(name for name in self.names if is_id(name) and not self._is_excluded(name))
 
     def select(self, known: Collection[str]) -> tuple[str, ...]:
-        """Those of `known` that are meant; NoTarget for a name or glob that matches none.
-
-        A mistyped name must not be passed over, least of all one that was to be excluded.
-        """
+        """The targets among `known`; NoTarget if a name or glob, excluded or not, matches none."""
         for glob in (*self.names, *self.exclude):
             if not any(fnmatchcase(name, glob) for name in known):
-                raise NoTarget(f"{unknown('robot', glob, known)}; see `swarmctl members`")
+                raise _unknown_robot(glob, known)
         return self.matching(known)
 
     def matching(self, known: Iterable[str]) -> tuple[str, ...]:
-        """Those of `known` that are meant, whatever else was named."""
+        """The targets among `known`; names that match none are ignored."""
         return tuple(
             name
             for name in sorted(known)
@@ -94,67 +90,89 @@ class Targets:
 
 
 def read_targets(
-    verb: str, names: tuple[str, ...], is_all: bool, exclude: tuple[str, ...], *, needed: bool
+    verb: str, names: tuple[str, ...], is_all: bool, exclude: tuple[str, ...], *, is_required: bool
 ) -> Targets:
-    """The targets, if the words can be ones; UsageError says what to add or change."""
+    """The targets of a verb; UsageError if a word is no name or glob, or if they are missing."""
     for glob in (*names, *exclude):
         if not _GLOB.fullmatch(glob):
             raise click.UsageError(
-                f"{glob!r} is no robot's name; wanted a-z, 0-9, _ and -, with * ? [..] as wildcards"
+                f"{glob!r} is no robot name; wanted a-z, 0-9, _ and -, with * ? [..] as wildcards"
             )
     if names and is_all:
         raise click.UsageError(f"{verb} takes names or --all, not both")
-    if needed and not names and not is_all:
+    if is_required and not names and not is_all:
         raise click.UsageError(
             f"{verb} needs targets; add robot names, a glob such as 'tb3-*', or --all"
         )
-    return Targets(names, is_all, exclude)
+    return Targets(names, exclude)
 
 
-def check_name(name: str, known: Collection[str]) -> None:
+def target_options(function: Function) -> Function:
+    """Give a verb the parameters `names`, `is_all` and `exclude`."""
+    for option in (
+        click.option(
+            "--exclude", multiple=True, metavar="GLOB", help="Exclude robots; repeatable."
+        ),
+        click.option("--all", "is_all", is_flag=True, help="All robots of the swarm."),
+        click.argument("names", nargs=-1, metavar="[TARGET]..."),
+    ):
+        function = option(function)
+    return function
+
+
+def takes_targets(*, is_required: bool) -> Callable[[Callable[..., R]], Callable[..., R]]:
+    """Give a verb the parameter `targets`."""
+
+    def decorate(function: Callable[..., R]) -> Callable[..., R]:
+        @functools.wraps(function)
+        def wrapper(
+            names: tuple[str, ...], is_all: bool, exclude: tuple[str, ...], **kwargs: Any
+        ) -> R:
+            verb = click.get_current_context().command_path.partition(" ")[2]
+            targets = read_targets(verb, names, is_all, exclude, is_required=is_required)
+            return function(targets=targets, **kwargs)
+
+        return target_options(wrapper)
+
+    return decorate
+
+
+def check_known(name: str, known: Collection[str]) -> None:
     """NoTarget, with the nearest name, unless the robot is known."""
     if name not in known:
-        raise NoTarget(f"{unknown('robot', name, known)}; see `swarmctl members`")
+        raise _unknown_robot(name, known)
 
 
-def read_assignments(words: Iterable[str], what: str = "-p") -> dict[str, Value]:
-    """`key=value` words as a mapping; numbers as numbers, all else as text."""
+def _unknown_robot(name: str, known: Collection[str]) -> NoTarget:
+    return NoTarget(f"{unknown('robot', name, known)}; see `swarmctl members`")
+
+
+def read_assignments(words: Iterable[str], option: str = "-p") -> dict[str, Value]:
+    """The values of `key=value` words, numbers as numbers; UsageError for a wrong word."""
     values: dict[str, Value] = {}
     size = 0
     for word in words:
+        shown = f"{option} {word if len(word) <= 40 else f'{word[:37]}...'!r}"
         key, sign, text = word.partition("=")
         if not sign or not key:
-            raise click.UsageError(
-                f"{what} {_short(word)} is no key=value, such as {what} speed=0.15"
-            )
-        if not _is_utf8(word):
-            raise click.UsageError(f"{what} {_short(word)} is not UTF-8; type it anew")
+            raise click.UsageError(f"{shown} is no key=value, such as {option} speed=0.15")
+        try:
+            size += len(word.encode())
+        except UnicodeEncodeError:
+            raise click.UsageError(f"{shown} is not UTF-8; type it anew") from None
         if key in values:
-            raise click.UsageError(f"{what} {key} is given twice; keep one")
+            raise click.UsageError(f"{option} {key} is given twice; keep one")
         for part, limit in ((key, _MAX_KEY), (text, _MAX_TEXT)):
             if len(part) > limit:
-                raise click.UsageError(f"{what} {_short(word)}: more than {limit} characters")
-        size += len(word.encode())
-        if size > _MAX_ALL:
-            raise click.UsageError(f"{what}: all together are more than {_MAX_ALL} bytes")
+                raise click.UsageError(f"{shown}: more than {limit} characters")
+        if size > _MAX_BYTES:
+            raise click.UsageError(f"{option}: all together are more than {_MAX_BYTES} bytes")
         values[key] = _number(text)
     return values
 
 
-def _is_utf8(word: str) -> bool:
-    try:
-        word.encode()
-    except UnicodeEncodeError:
-        return False
-    return True
-
-
-def _short(word: str) -> str:
-    return repr(word if len(word) <= 40 else f"{word[:37]}...")
-
-
 def _number(text: str) -> int | float | str:
-    """The number that the text is in JSON's way, if it is one that can be sent; else the text."""
+    """The number, if the text is one in JSON's syntax that can be sent; else the text."""
     if re.fullmatch(r"-?(0|[1-9]\d*)", text):
         return int(text) if len(text) < 20 and abs(int(text)) <= _MAX_INTEGER else text
     if re.fullmatch(r"-?(0|[1-9]\d*)?(\.\d*)?([eE][-+]?\d+)?", text):
@@ -164,21 +182,3 @@ def _number(text: str) -> int | float | str:
             return text
         return number if math.isfinite(number) else text
     return text
-
-
-Function = TypeVar("Function", bound=Callable[..., Any])
-
-_OPTIONS = (
-    click.argument("names", nargs=-1, metavar="[TARGET]..."),
-    click.option("--all", "is_all", is_flag=True, help="Every robot of the swarm."),
-    click.option(
-        "--exclude", multiple=True, metavar="GLOB", help="Leave these out; may be repeated."
-    ),
-)
-
-
-def target_options(function: Function) -> Function:
-    """Give a verb `names`, `is_all` and `exclude`."""
-    for option in reversed(_OPTIONS):
-        function = option(function)
-    return function

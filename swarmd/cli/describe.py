@@ -1,11 +1,11 @@
-"""`swarmctl describe`: all about one robot, and why it stands."""
+"""`swarmctl describe`: the whole status of one robot, and why it does not move."""
 
 from __future__ import annotations
 
 import click
 from msgspec import to_builtins
 
-from swarmd.cli.arguments import check_name
+from swarmd.cli.arguments import check_known
 from swarmd.cli.explain import activity, obstacles, why
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_section, printable, seconds
@@ -17,10 +17,10 @@ from swarmd.core.messages import Condition, Member, Status
 @click.argument("robot")
 @common_options
 def describe(options: CommonOptions, robot: str) -> None:
-    """All about one ROBOT, and why it stands."""
+    """Print the whole status of ROBOT, and why it does not move."""
     with options.operator() as operator:
         view = known_members(operator)
-    check_name(robot, view.members)
+    check_known(robot, view.members)
     member = view.members[robot]
     if options.is_json:
         print_json("Member", {"member": to_builtins(member), "why": why(member)})
@@ -32,7 +32,7 @@ def describe(options: CommonOptions, robot: str) -> None:
 
 
 def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, str]]]]:
-    """Everything in a status, in groups of (name, value) lines; empty groups among them."""
+    """The whole status in titled groups of (name, value) lines; a group may be empty."""
     seen = "now" if member.condition is Condition.ALIVE else f"{seconds(member.age)} ago"
     return [
         ("Robot", _robot(status, seen)),
@@ -84,14 +84,14 @@ def _protection(status: Status) -> list[tuple[str, str]]:
     decision = status.decision
     gap, age = decision.min_gap, decision.scan_age
     titles = ("limited by", *[""] * len(decision.rows))
-    limits = [f"{text}, at most {row.cap:.2f} m/s" for text, row in obstacles(decision.rows)]
+    limits = [f"{text}, at most {row.cap:z.2f} m/s" for text, row in obstacles(decision.rows)]
     return [
         ("mode", f"{decision.mode}, {activity(decision)}"),
         (
             "requested",
-            f"{decision.requested_linear:.3f} m/s, {decision.requested_angular:.3f} rad/s",
+            f"{decision.requested_linear:z.3f} m/s, {decision.requested_angular:z.3f} rad/s",
         ),
-        ("safe", f"{decision.safe_linear:.3f} m/s, {decision.safe_angular:.3f} rad/s"),
+        ("safe", f"{decision.safe_linear:z.3f} m/s, {decision.safe_angular:z.3f} rad/s"),
         *zip(titles, limits, strict=False),
         ("nearest", NOTHING if gap is None else f"{gap:.2f} m"),
         ("scan age", NOTHING if age is None else seconds(age)),

@@ -1,8 +1,8 @@
-"""Where the commands begin: Ctrl-C ends them without a traceback, even while they are imported."""
+"""Entry points of the commands: Ctrl-C ends them without a traceback, also during imports."""
 
 from __future__ import annotations
 
-import sys  # and no more: what this file imports is not covered
+import sys  # nothing more: an interrupt during imports of this file is not caught
 
 INTERRUPTED = 130
 

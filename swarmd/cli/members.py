@@ -1,4 +1,4 @@
-"""`swarmctl members`: who is in the swarm and how they are; `members forget` removes one."""
+"""`swarmctl members`: the robots of the swarm and their states; `members forget` removes one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import click
 from msgspec import to_builtins
 
-from swarmd.cli.arguments import check_name
+from swarmd.cli.arguments import check_known
 from swarmd.cli.explain import activity
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_table, printable, seconds
@@ -25,11 +25,11 @@ HEADER = (
     *("NAME", "STATE", "REASON", "PATTERN", "GEN", "PROTECTION", "SCAN", "LOOP99", "SEEN"),
     "REPORT",
 )
-_WIDEST = 60
+_MAX_REPORT = 60
 
 
 class Refused(click.ClickException):
-    """What is asked cannot be; exit code 7."""
+    """The request is refused before it is sent; exit code 7."""
 
     exit_code = REFUSED
 
@@ -37,9 +37,9 @@ class Refused(click.ClickException):
 @click.group(invoke_without_command=True)
 @common_options
 def members(options: CommonOptions) -> None:
-    """Who is in the swarm, and how they are.
+    """Print the robots of the swarm and their states.
 
-    Robots that failed stay listed until they return or `members forget NAME` removes them.
+    Failed robots stay listed until they return or `members forget NAME` removes them.
     """
     ctx = click.get_current_context()
     ctx.obj = options
@@ -62,10 +62,10 @@ def members(options: CommonOptions) -> None:
 @click.argument("name")
 @common_options
 def forget(options: CommonOptions, name: str) -> None:
-    """Take a robot that failed or left off every list."""
+    """Remove a robot that failed or left from the lists of all robots."""
     with options.operator() as operator:
         view = known_members(operator)
-        check_name(name, view.members)
+        check_known(name, view.members)
         if view.members[name].condition is Condition.ALIVE:
             raise Refused(f"{name} is alive; only robots that failed or left can be forgotten")
         outcome = operator.request(ForgetRequest, view.epochs(view.alive), name=name)
@@ -73,20 +73,12 @@ def forget(options: CommonOptions, name: str) -> None:
 
 
 def row(member: Member) -> tuple[str, ...]:
-    """A member's line in the table; what a silent one was last known to do is marked `?`."""
+    """The line of a member; the last pattern of one that is not alive is marked `?`."""
     status = member.status
     if member.condition is not Condition.ALIVE:
         pattern = f"{status.pattern}?" if status is not None and status.pattern else NOTHING
-        dashes = (NOTHING,) * 5
-        return (
-            member.robot,
-            member.condition,
-            NOTHING,
-            pattern,
-            *dashes[1:],
-            _seen(member),
-            NOTHING,
-        )
+        dashes = (NOTHING,) * 4
+        return (member.robot, member.condition, NOTHING, pattern, *dashes, _seen(member), NOTHING)
     if status is None:
         return (member.robot, "no answer", *(NOTHING,) * 6, _seen(member), NOTHING)
     return (
@@ -99,12 +91,12 @@ def row(member: Member) -> tuple[str, ...]:
         f"{status.health.scan_rate:.1f} Hz",
         seconds(status.health.loop_p99),
         _seen(member),
-        _told(status.report),
+        _report(status.report),
     )
 
 
 def health(view: MembersView) -> Iterator[str]:
-    """Lines that say what is not as it should be, the count first."""
+    """The count of living robots, then a line for each problem."""
     members, alive = view.members, [view.members[name] for name in view.alive]
     yield f"{len(alive)}/{len(members.keys() | view.roster)} alive"
     for condition in (Condition.FAILED, Condition.LEFT):
@@ -116,7 +108,7 @@ def health(view: MembersView) -> Iterator[str]:
     if view.absent:
         yield f"in the roster and never seen: {', '.join(view.absent)}"
     if view.duplicates:
-        yield f"two daemons hold one id: {', '.join(sorted(view.duplicates))}; stop one of each"
+        yield f"two daemons have one id: {', '.join(sorted(view.duplicates))}; stop one of each"
     statuses = [m.status for m in alive if m.status is not None]
     lost: dict[str, list[str]] = {}
     for status in statuses:
@@ -128,10 +120,10 @@ def health(view: MembersView) -> Iterator[str]:
         yield "WARNING: no certificates: anyone on this network can drive these robots"
 
 
-def _told(report: Mapping[str, Scalar]) -> str:
-    """What its pattern reports, as far as a line of a table has room."""
+def _report(report: Mapping[str, Scalar]) -> str:
+    """The report of the pattern, cut to the width of its column."""
     text = ", ".join(f"{name} {number(value)}" for name, value in report.items()) or NOTHING
-    return text if len(text) <= _WIDEST else f"{text[: _WIDEST - 3]}..."
+    return text if len(text) <= _MAX_REPORT else f"{text[: _MAX_REPORT - 3]}..."
 
 
 def _seen(member: Member) -> str:

@@ -1,4 +1,4 @@
-"""What every verb of swarmctl shares: the options that lead to the swarm, and how to answer."""
+"""The options of every verb: which swarm, on which network, and the form of the answer."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ _OPTIONS = (
         "--config",
         type=click.Path(dir_okay=False, path_type=Path),
         metavar="FILE",
-        help="swarm.yaml: swarm, profile, interface and seeds are taken from it [$SWARM_CONFIG].",
+        help="swarm.yaml with swarm, profile, interface and seeds [$SWARM_CONFIG].",
     ),
     click.option(
         "--profile",
         type=click.Choice(["dev", "field"]),
-        help="dev: robots of this machine; field: those on --interface.",
+        help="dev: robots on this machine; field: robots on --interface.",
     ),
     click.option("--interface", metavar="NAME", help="The network interface, such as wlan0."),
     click.option(
@@ -52,7 +52,7 @@ _OPTIONS = (
 
 @dataclass(frozen=True, slots=True)
 class CommonOptions:
-    """The options common to all verbs; None or empty where not given."""
+    """The options of every verb; None or empty if not given."""
 
     swarm: str | None = None
     config: Path | None = None
@@ -64,18 +64,18 @@ class CommonOptions:
 
     @property
     def is_json(self) -> bool:
-        """Whether the answer is to be JSON."""
+        """True if the answer is wanted as JSON."""
         return self.output == "json"
 
-    def over(self, below: CommonOptions) -> CommonOptions:
-        """These options where given, else those of `below`."""
+    def with_defaults(self, defaults: CommonOptions) -> CommonOptions:
+        """These options, those not given from `defaults`."""
         given = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name)}
-        return replace(below, **given)
+        return replace(defaults, **given)
 
     def operator(self) -> Operator:
-        """The swarm's network, to be used with `with`.
+        """A session in the swarm's network, a context manager.
 
-        ConfigError for a file or option that is wrong, NetworkError if there is no network.
+        ConfigError for a wrong file or option, NetworkError if there is no session.
         """
         from swarmd.network.operator import Operator
         from swarmd.network.session import Profile, SessionSettings
@@ -114,29 +114,31 @@ class CommonOptions:
 
 
 def root_options(function: Callable[P, R]) -> Callable[..., R]:
-    """Take the common options before the verb: they hold unless the verb says otherwise."""
+    """Take the common options before the verb; those after the verb override them."""
 
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> R:
         ctx = click.get_current_context()
-        ctx.obj = _taken(kwargs).over(ctx.obj or CommonOptions(config=_config_of_environment()))
+        ctx.obj = _pop_options(kwargs).with_defaults(
+            ctx.obj or CommonOptions(config=_config_of_environment())
+        )
         return function(*args, **kwargs)
 
     return _with_options(wrapper)
 
 
 def common_options(function: Callable[Concatenate[CommonOptions, P], R]) -> Callable[..., R]:
-    """Give a verb the common options, as a CommonOptions, as its first argument."""
+    """Give a verb the common options as its first argument."""
 
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> R:
-        below = click.get_current_context().find_object(CommonOptions) or CommonOptions()
-        return function(_taken(kwargs).over(below), *args, **kwargs)
+        defaults = click.get_current_context().find_object(CommonOptions) or CommonOptions()
+        return function(_pop_options(kwargs).with_defaults(defaults), *args, **kwargs)
 
     return _with_options(wrapper)
 
 
-def _taken(kwargs: dict[str, Any]) -> CommonOptions:
+def _pop_options(kwargs: dict[str, Any]) -> CommonOptions:
     return CommonOptions(**{field.name: kwargs.pop(field.name) for field in fields(CommonOptions)})
 
 

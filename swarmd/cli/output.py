@@ -1,4 +1,4 @@
-"""How swarmctl speaks: results on stdout as a table or JSON, everything else on stderr."""
+"""Output of swarmctl: results on stdout as tables or JSON, everything else on stderr."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ _COLOURS = {
 
 
 def print_json(kind: str, content: Mapping[str, Any]) -> None:
-    """One JSON document on stdout, with the version of its form and its kind."""
+    """Print a JSON document with its kind and the version of the format."""
     document = {"apiVersion": API_VERSION, "kind": kind, **content}
     click.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Aligned columns on stdout; states in colour on a terminal, unless NO_COLOR is set."""
+    """Print aligned columns; states in colour on a terminal, unless NO_COLOR is set."""
     rows = [[printable(text) for text in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
     is_coloured = has_colour(sys.stdout.isatty())
@@ -44,7 +44,7 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 
 def print_section(title: str, rows: Sequence[tuple[str, str]]) -> None:
-    """A heading and `name  value` lines below it; nothing if there are none."""
+    """Print a heading and `name  value` lines; nothing if there are no lines."""
     if not rows:
         return
     width = max(len(name) for name, _ in rows)
@@ -54,22 +54,22 @@ def print_section(title: str, rows: Sequence[tuple[str, str]]) -> None:
 
 
 def warn(text: str) -> None:
-    """A line for the operator that is no result."""
+    """Print a line on stderr."""
     click.echo(printable(text), err=True)
 
 
 def printable(text: str) -> str:
-    """The text on one line and without control characters: others' words reach this terminal."""
+    """The text in one line, control characters as `?`: robots send it to this terminal."""
     return "".join(char if char.isprintable() else "?" for char in text)
 
 
 def has_colour(is_terminal: bool) -> bool:
-    """Whether to colour: on a terminal, unless NO_COLOR says otherwise (no-color.org)."""
+    """True on a terminal with colours, unless NO_COLOR is set (no-color.org)."""
     return is_terminal and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
 
 
 def seconds(value: float) -> str:
-    """A time span as a reader wants it: `3 ms`, `1.2 s`, `5 min`, `3 h`."""
+    """A time span in short: `3 ms`, `1.2 s`, `5 min`, `3 h`."""
     if value < 0.9995:
         return f"{value * 1000:.0f} ms"
     if value < 99.95:
@@ -78,8 +78,8 @@ def seconds(value: float) -> str:
 
 
 def number(value: object) -> str:
-    """A value as a reader wants it: floats with six digits."""
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    """A value in short: floats with six digits, and never `-0`."""
+    return f"{value + 0.0:.6g}" if isinstance(value, float) else str(value)
 
 
 def _cell(text: str, width: int, is_coloured: bool) -> str:

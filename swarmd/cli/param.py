@@ -1,18 +1,22 @@
-"""`swarmctl param`: parameters of the patterns that are running."""
+"""`swarmctl param`: parameters of running patterns."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import click
 
-from swarmd.cli.arguments import read_assignments, read_targets, target_options
+from swarmd.cli.arguments import (
+    Targets,
+    read_assignments,
+    read_targets,
+    takes_targets,
+    target_options,
+)
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_table
 from swarmd.cli.report import report_outcome
-from swarmd.cli.send import expected_of, known_members, send
+from swarmd.cli.send import known_members, send_to
 from swarmd.core.errors import unknown
-from swarmd.core.messages import Member, ParamRequest
+from swarmd.core.messages import Member, Param, ParamRequest
 
 
 @click.group()
@@ -21,32 +25,36 @@ def param() -> None:
 
 
 @param.command("get")
-@target_options
-@click.option("-k", "--key", "keys", multiple=True, metavar="KEY", help="Only this one.")
+@takes_targets(is_required=False)
+@click.option("-k", "--key", "keys", multiple=True, metavar="KEY", help="Only this parameter.")
 @common_options
-def get_params(
-    options: CommonOptions,
-    names: tuple[str, ...],
-    is_all: bool,
-    exclude: tuple[str, ...],
-    keys: tuple[str, ...],
-) -> None:
-    """The parameters in force, and where each comes from; without names of all robots."""
-    targets = read_targets("param get", names, is_all, exclude, needed=False)
+def get_params(options: CommonOptions, targets: Targets, keys: tuple[str, ...]) -> None:
+    """Print the parameters in force on TARGETS, or on all robots, and the source of each."""
     with options.operator() as operator:
         view = known_members(operator)
-    chosen = {name: view.members[name] for name in targets.select(view.members)}
-    _check_keys(keys, chosen)
+    found = {name: _params(view.members[name]) for name in targets.select(view.members)}
+    known = {key for params in found.values() for key in params}
+    for key in keys:
+        if key not in known:
+            raise click.UsageError(unknown("parameter", key, known))
+    chosen = {
+        name: {key: one for key, one in params.items() if not keys or key in keys}
+        for name, params in found.items()
+    }
     if options.is_json:
-        print_json("Params", {"robots": {name: _plain(m, keys) for name, m in chosen.items()}})
+        robots = {
+            name: {"params": {k: {"value": p.value, "source": p.source} for k, p in some.items()}}
+            for name, some in chosen.items()
+        }
+        print_json("Params", {"robots": robots})
         return
     rows = [
-        (name, _pattern(member), key, number(found["value"]), str(found["source"]))
-        for name, member in chosen.items()
-        for key, found in _plain(member, keys)["params"].items()
+        (name, _pattern(view.members[name]), key, number(one.value), one.source)
+        for name, params in chosen.items()
+        for key, one in params.items()
     ]
     print_table(("NAME", "PATTERN", "PARAMETER", "VALUE", "FROM"), rows)
-    idle = [name for name, member in chosen.items() if not _plain(member, ())["params"]]
+    idle = [name for name, params in found.items() if not params]
     if idle:
         click.echo(f"# no pattern is running on {', '.join(idle)}")
 
@@ -64,37 +72,21 @@ def set_params(
 ) -> None:
     """Change parameters on TARGETS, as KEY=VALUE words or with -p, until the next run.
 
-    For example: swarmctl param set --all speed=0.15
+    For example: swarmctl param set --all speed=0.15. `swarmctl patterns show NAME` lists the
+    parameters of a pattern with their bounds.
     """
     words = [*params, *(name for name in names if "=" in name)]
     robots = tuple(name for name in names if "=" not in name)
     if not words:
         raise click.UsageError("param set needs values; add KEY=VALUE, such as speed=0.15")
     values = read_assignments(words)
-    targets = read_targets("param set", robots, is_all, exclude, needed=True)
-    with options.operator() as operator:
-        view = known_members(operator)
-        expected = expected_of(view, targets)
-        outcome = send(operator, view, ParamRequest, expected, options.timeout, params=values)
+    targets = read_targets("param set", robots, is_all, exclude, is_required=True)
+    outcome = send_to(options, ParamRequest, targets, params=values)
     report_outcome(options, "param set", outcome)
 
 
-def _check_keys(keys: tuple[str, ...], chosen: Mapping[str, Member]) -> None:
-    known = {key for member in chosen.values() for key in _plain(member, ())["params"]}
-    for key in keys:
-        if key not in known:
-            raise click.UsageError(unknown("parameter", key, known))
-
-
-def _plain(member: Member, keys: tuple[str, ...]) -> dict[str, dict[str, dict[str, object]]]:
-    params = member.status.params if member.status is not None else {}
-    return {
-        "params": {
-            key: {"value": found.value, "source": found.source}
-            for key, found in params.items()
-            if not keys or key in keys
-        }
-    }
+def _params(member: Member) -> dict[str, Param]:
+    return member.status.params if member.status is not None else {}
 
 
 def _pattern(member: Member) -> str:

@@ -1,4 +1,4 @@
-"""`swarmctl patterns`: which there are on this machine, and what each can be told."""
+"""`swarmctl patterns`: the patterns on this machine, and their parameters."""
 
 from __future__ import annotations
 
@@ -16,17 +16,19 @@ _plugin_dir = click.option(
     "--plugin-dir",
     type=click.Path(file_okay=False, path_type=Path),
     envvar="SWARM_PLUGIN_DIR",
-    help="Folder of one-file patterns besides the installed ones [$SWARM_PLUGIN_DIR].",
+    help="Folder of one-file patterns, in addition to the installed ones [$SWARM_PLUGIN_DIR].",
 )
 _platform = click.option(
-    "--platform", default="waffle_pi", help="Whose derived defaults to show [waffle_pi]."
+    "--platform",
+    default="waffle_pi",
+    help="The platform for defaults that depend on it [waffle_pi].",
 )
 
 
 @click.group(invoke_without_command=True)
 @common_options
 def patterns(options: CommonOptions) -> None:
-    """The patterns there are on this machine, and their parameters."""
+    """Print the patterns on this machine, or one with its parameters."""
     ctx = click.get_current_context()
     ctx.obj = options
     if ctx.invoked_subcommand is None:
@@ -38,7 +40,7 @@ def patterns(options: CommonOptions) -> None:
 @_platform
 @common_options
 def list_patterns(options: CommonOptions, plugin_dir: Path | None, platform: str) -> None:
-    """All patterns, a line each."""
+    """Print all patterns, a line each."""
     rows = describe_patterns((), plugin_dir, platform)
     if options.is_json:
         print_json("Patterns", {"patterns": rows})
@@ -62,7 +64,7 @@ def list_patterns(options: CommonOptions, plugin_dir: Path | None, platform: str
 @_platform
 @common_options
 def show_pattern(options: CommonOptions, name: str, plugin_dir: Path | None, platform: str) -> None:
-    """All about one pattern: what it needs, says, and can be told."""
+    """Print what a pattern needs and sends, and its parameters with their bounds."""
     (row,) = describe_patterns((name,), plugin_dir, platform)
     if "error" in row:
         raise click.UsageError(row["error"])
@@ -84,7 +86,7 @@ def _about(row: Row) -> list[tuple[str, str]]:
         ("kind", row["kind"]),
         ("from", row["source"]),
         ("needs", (", ".join(row["needs"]) or NOTHING) + lacking),
-        ("says", ", ".join(channels) or NOTHING),
+        ("sends", ", ".join(channels) or NOTHING),
         ("rate", f"{row['rate']:g} Hz"),
         ("touches", f"{row['touches']}, if granted" if row["touches"] else NOTHING),
         *([("refused", f"{row['refused']} (on {row['platform']})")] if row["refused"] else []),

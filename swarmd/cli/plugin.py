@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
-from swarmd.cli.arguments import read_targets, target_options
+from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, printable
 from swarmd.cli.report import report_outcome
-from swarmd.cli.send import expected_of, known_members, send
+from swarmd.cli.send import send_to
 from swarmd.core.keys import is_id
 from swarmd.core.messages import ReloadRequest
 
@@ -101,31 +101,18 @@ def check(options: CommonOptions, file: Path) -> None:
 
 @plugin.command("reload")
 @click.argument("name")
-@target_options
-@click.option("--run", "is_run", is_flag=True, help="Run again where it ran, as it was told to.")
+@takes_targets(is_required=True)
+@click.option("--run", "is_run", is_flag=True, help="Run again where it ran, with its parameters.")
 @common_options
-def reload(
-    options: CommonOptions,
-    name: str,
-    names: tuple[str, ...],
-    is_all: bool,
-    exclude: tuple[str, ...],
-    is_run: bool,
-) -> None:
+def reload(options: CommonOptions, name: str, targets: Targets, is_run: bool) -> None:
     """Replace the code of pattern NAME on TARGETS: names, globs such as 'tb3-*', or --all.
 
     Each robot first tries the new code in a process of its own. If that fails, the robot refuses
-    and says why, and what runs goes on undisturbed. Else a robot that runs NAME stops, and its
-    pattern host is replaced. What else runs is not stopped.
+    with the reason and keeps running the old code. Else a robot that runs NAME stops, and its
+    pattern host is replaced. Other patterns keep running.
     """
-    targets = read_targets("plugin reload", names, is_all, exclude, needed=True)
     if not is_id(name):
-        raise click.UsageError(f"{name!r} is no pattern's name; see `swarmctl patterns`")
-    with options.operator() as operator:
-        view = known_members(operator)
-        expected = expected_of(view, targets)
-        timeout = options.timeout or RELOAD_TIMEOUT
-        outcome = send(
-            operator, view, ReloadRequest, expected, timeout, pattern=name, is_rerun=is_run
-        )
+        raise click.UsageError(f"{name!r} is no pattern name; see `swarmctl patterns`")
+    fields = {"pattern": name, "is_rerun": is_run}
+    outcome = send_to(options, ReloadRequest, targets, timeout=RELOAD_TIMEOUT, **fields)
     report_outcome(options, "plugin reload", outcome)

