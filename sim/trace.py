@@ -1,4 +1,4 @@
-"""Traces: what happened in a run, as arrays; the only input of metrics."""
+"""Traces: the record of a run as arrays; the only input of metrics."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Platform
 
 ARENA = -1
-"""The index that stands for walls, boxes and poles in a contact."""
+"""The index of walls, fixed boxes and poles in a contact."""
 
 VERSION = 4
 
@@ -34,29 +34,28 @@ _PARTS = {
 class Trace:
     """A run of n robots over T instants; row i of every (T, n, ...) array is robot `ids[i]`.
 
-    `t` (T,) s. `pose` (T, n, 3) x, y in m, yaw in rad (not wrapped), world frame, truth; NaN once
-    a robot's body is no longer in the arena. `safe` (T, n, 3) linear, angular, lateral: the
-    command in force at the body. `contact_t` (c,), `contact_pair` (c, 2) robot indices, the second
+    `t` (T,) s. `pose` (T, n, 3) x, y in m, yaw in rad (not wrapped), world frame, ground truth; NaN
+    after a robot was taken out of the arena. `safe` (T, n, 3) linear, angular, lateral: the
+    command in force at the base. `contact_t` (c,), `contact_pair` (c, 2) robot indices, the second
     ARENA for a wall and ARENA - 1 - m for movable box m, and `contact_speed` (c, 2) m/s at which
-    each surface moved towards the other: one row for every step of a touch.
-    `platforms` by name, each with its footprint (k, 2); `meta` holds arena, seed and the
-    like, and `modes`: that of protection, by platform.
+    each surface moved towards the other: one row for every step of a contact.
+    `platforms` by name, each with its footprint (k, 2); `meta` holds arena, seed and so
+    on, and `modes`: the protection mode of each platform.
 
-    What only the robots themselves know is None unless they said it: `wish` (T, n, 3), `state`
-    and `reason` (T, n) words, `active` (T, n) bool: protection has replaced or cut the wish, and
-    `decided` and `evaded` (T, n) how many sweeps it has judged while running since the instant
-    before, and in how many of them it was active. `gap` (T, n) m from the footprint to the nearest
-    that the robot saw, NaN if nothing, and `scan_age` (T, n) s, NaN before the first scan. `bound`
-    (T, n, 3) what bound the command most: its bearing in rad from the axle, its gap in m and the
-    speed in m/s at which the outline might at most move towards it; NaN if nothing. `recovering`
-    (T, n) bool: protection judged not the wish but a way around what blocks it.
+    Values that only robots know are None unless they reported them: `requested` (T, n, 3), the
+    command of the pattern; `state` and `reason` (T, n) words; `active` (T, n) bool: protection
+    replaced or reduced the requested command; `decided` and `evaded` (T, n): scans judged while
+    running since the last sample, and those with protection active; `gap` (T, n) m from the
+    footprint to the nearest return, NaN without one; `scan_age` (T, n) s, NaN before the first
+    scan; `bound` (T, n, 3), the tightest constraint: its bearing in rad from the axle, its gap in m
+    and the highest speed in m/s of the outline towards it, NaN without one; `recovering` (T, n)
+    bool: protection replaced the requested command by a way around an obstacle.
 
-    `present` (T, n) bool: the robot's daemon is there (None: all are, always). `report` (T, n) by
-    name: numbers that patterns reported, NaN where they did not; `words` the same for words, empty
-    where they did not.
+    `present` (T, n) bool: the robot has a daemon (None: all, always). `report` (T, n) by name:
+    numbers that patterns reported, NaN where absent; `words`: texts, empty where absent.
 
-    `box_pose` (T, m, 3) are the poses of the movable boxes `movable_boxes`, NaN while one is not in
-    the arena; `box_shapes` (m, k, 2) their outlines in their own frames.
+    `box_pose` (T, m, 3) are the poses of the movable boxes `movable_boxes`, NaN for one outside the
+    arena; `box_shapes` (m, k, 2) their outlines in their own frames.
     """
 
     ids: tuple[str, ...]
@@ -96,7 +95,7 @@ class Trace:
         return self.footprints[self.platforms[robot]]
 
     def save(self, path: Path) -> None:
-        """Write an .npz; the file appears whole or not at all."""
+        """Write an .npz file atomically."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self)}
         head = {
             "version": VERSION,
@@ -117,7 +116,7 @@ class Trace:
 
 
 def load_trace(path: Path) -> Trace:
-    """The trace of a file; ConfigError if it cannot be read or is none."""
+    """The trace in a file; ConfigError if it is unreadable or not a trace."""
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}
@@ -144,7 +143,7 @@ def load_trace(path: Path) -> Trace:
 
 
 def _check_parts(arrays: Mapping[str, NDArray[Any]], sizes: Mapping[str, int]) -> None:
-    """ValueError if kind or shape of an array is not what `_PARTS` says; `sizes` by letter."""
+    """Raise ValueError for a kind or shape that differs from `_PARTS`; `sizes` by letter."""
     sizes = {"T": len(arrays["t"]), "c": len(arrays["contact_t"]), **sizes}
     for name, array in arrays.items():
         kind, *shape = _PARTS[name.partition("/")[0]].split()
@@ -156,7 +155,7 @@ def _check_parts(arrays: Mapping[str, NDArray[Any]], sizes: Mapping[str, int]) -
 
 
 class TraceBuilder:
-    """Gathers a trace of truth and commands while a world runs."""
+    """Builds a trace of ground truth and commands while a world runs."""
 
     def __init__(
         self,
@@ -178,7 +177,7 @@ class TraceBuilder:
         self.clear()
 
     def clear(self) -> None:
-        """Forget everything: the recording begins here."""
+        """Discard all samples."""
         self._t: list[float] = []
         self._pose: list[Array] = []
         self._safe: list[Array] = []
@@ -186,7 +185,7 @@ class TraceBuilder:
         self._contacts: list[tuple[float, int, int, float, float]] = []
 
     def add(self, time: float, pose: Array, safe: Array, box_pose: Array | None = None) -> None:
-        """One instant: poses and commands (n, 3), poses of things (m, 3), which are copied."""
+        """Add a sample: poses and commands (n, 3), poses of boxes (m, 3), which are copied."""
         self._t.append(time)
         self._pose.append(pose.copy())
         self._safe.append(safe.copy())
@@ -194,12 +193,12 @@ class TraceBuilder:
             self._thing_pose.append(box_pose.copy())
 
     def add_contact(self, time: float, a: str, b: str, speed_a: float, speed_b: float) -> None:
-        """One step of a touch between robot `a` and `b`, a robot or part of the arena."""
+        """Add one step of a contact between robot `a` and `b`, a robot or part of the arena."""
         pair = self._index[a], self._index.get(b, ARENA)
         self._contacts.append((time, *pair, speed_a, speed_b))
 
     def trace(self, **meta: Any) -> Trace:
-        """All since the last `clear`; `meta` is added to what the recorder was made with."""
+        """The trace since the last `clear`; `meta` is added to that of the constructor."""
         n, m = len(self._ids), len(self._movable_boxes)
         contacts = np.array(self._contacts, dtype=np.float64).reshape(-1, 5)
         return Trace(

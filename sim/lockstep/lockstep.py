@@ -1,7 +1,7 @@
-"""Lockstep: a whole swarm in one process, as fast as the processor goes, the same bits each time.
+"""Lockstep: a whole swarm in one process, fast and reproducible bit by bit.
 
-The same `World` and the same `Robot` as with live daemons; patterns run inline, messages go through
-the radio model. Nothing sleeps, nothing reads a clock, and every random number comes from the seed.
+It uses the `World` and `Robot` of live runs; patterns run inline, messages pass the radio model.
+Nothing sleeps or reads a clock, and every random number comes from the seed.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ from swarmd.sim.world.seeding import generator
 from swarmd.sim.world.world import World
 
 BASE_TIMEOUT = 0.5
-"""Seconds after which a base whose daemon is gone stops by itself."""
+"""Seconds without a daemon after which a base stops."""
 
 
 def simulate_run(
     scenario: Scenario, seed: int, on_progress: Callable[[float], None] | None = None
 ) -> Trace:
-    """A whole run. SwarmError if it cannot be set up or a robot refuses what it is asked.
+    """Simulate a whole run. Raises SwarmError for an impossible start or a refused request.
 
-    `on_progress` is called after every step with the share that is done, at last with 1.
+    `on_progress` is called after every step with the share done, and with 1 at the end.
     """
     report = on_progress or _ignore
     run, duration = Lockstep(scenario, seed), scenario.duration
@@ -64,7 +64,7 @@ def simulate_run(
 
 
 class Lockstep:
-    """A swarm that goes on for as long as `advance` is told."""
+    """A simulated swarm that `advance` moves on in time."""
 
     def __init__(self, scenario: Scenario, seed: int) -> None:
         self.scenario, self.seed = scenario, seed
@@ -77,7 +77,7 @@ class Lockstep:
             fields=scenario.fields,
             seed=seed,
         )
-        self._platforms = [_as_sensing(p, scenario.realism) for p in self.world.platforms]
+        self._platforms = [_with_scan_noise(p, scenario.realism) for p in self.world.platforms]
         ids, n = self.world.ids, len(self.world.ids)
         origins = pattern_names(scenario.plugin_dir)
         self._find = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
@@ -100,17 +100,17 @@ class Lockstep:
         self._boots = [0] * n
         self._steps = 0
         self.shells: list[RobotShell | None] = [None] * n
-        self._away = n
+        self._absent_count = n
         for row, robot in enumerate(ids):
             if robot not in scenario.absent:
                 self.start(row)
         self._timeline = Timeline(scenario.events, self)
         self._recorder = LockstepRecorder(self.world)
 
-    # What a scenario does with daemons
+    # For the timeline of a scenario
 
     def start(self, row: int) -> None:
-        """A daemon starts on robot `row`; latches that an earlier life wrote down hold it."""
+        """Start a daemon on robot `row`, with the latches that its predecessor stored."""
         now, robot_id = self.world.time, self.world.ids[row]
         layers = self.scenario.layers
         labels = tuple(name for name, ids in self.scenario.groups.items() if robot_id in ids)
@@ -131,14 +131,14 @@ class Lockstep:
         )
         self._boots[row] += 1
         self._silent_at.pop(row, None)
-        self._away -= 1
+        self._absent_count -= 1
         shell = self.shells[row] = RobotShell(row, robot, self._find, self, now)
-        for latches in list(self._peer_latches.values()):  # before it takes any request
-            shell.settle(robot.on_latches(latches, now), now)
+        for latches in list(self._peer_latches.values()):  # before any request
+            shell.apply(robot.on_latches(latches, now), now)
         self._update_neighbors(row)
 
     def end(self, row: int, *, in_order: bool) -> None:
-        """The daemon of robot `row` ends; if it is killed, its base stops by its own timeout."""
+        """End the daemon of robot `row`; after a kill the base stops by its timeout."""
         shell, now = self.shells[row], self.world.time
         assert shell is not None
         if in_order:
@@ -149,16 +149,16 @@ class Lockstep:
         self._peer_latches.pop(row, None)
         self._alarms.set(row, None)
         self.shells[row] = None
-        self._away += 1
+        self._absent_count += 1
 
-    # What shells hand over
+    # The outputs of robots
 
     def command(self, row: int, twist: Twist) -> None:
-        """The base's command from now on."""
+        """Set the base's command."""
         self._commands[row] = twist.linear, twist.angular, twist.lateral
 
     def send_message(self, row: int, name: str, value: Value, now: float) -> None:
-        """Through the radio, in the form in which it would go over the network."""
+        """Send a pattern's message by radio, after a round trip through the codec."""
         try:
             plain = decode_value(encode_value(value))
         except CodecError:
@@ -166,22 +166,22 @@ class Lockstep:
         self._radio.send(row, name, plain, now, self.world.poses(), self._boxes())
 
     def publish_status(self, row: int, status: Status) -> None:
-        """Peers act on the latches of a status alone, now and when they join."""
+        """Keep the latches of a status, on which peers act now and when they join."""
         self._peer_latches.pop(row, None)
         if status.latches:
             self._peer_latches[row] = dict(status.latches)
             self._new_latches.append((row, self._peer_latches[row]))
 
     def set_alarm(self, row: int, at: float | None) -> None:
-        """An alarm between two ticks."""
+        """Tick robot `row` at `at`, even between two ticks."""
         self._alarms.set(row, at)
 
     # Time
 
     def advance(self, seconds: float, on_step: Callable[[float], None] | None = None) -> None:
-        """Go on for so long, to the nearest step. SwarmError if a robot refuses an event.
+        """Simulate `seconds`, to the nearest step. Raises SwarmError if a robot refuses an event.
 
-        `on_step` is called after each with the time.
+        `on_step` is called after each step with the time in s.
         """
         report = on_step or _ignore
         with _without_collection():
@@ -190,7 +190,7 @@ class Lockstep:
                 report(self.world.time)
 
     def trace(self, **meta: Any) -> Trace:
-        """The run so far, up to this instant."""
+        """The trace up to now."""
         self._recorder.record_instant(self.world.time, self._commands, self.shells)
         return self._recorder.trace({**self._meta(), **meta})
 
@@ -211,22 +211,22 @@ class Lockstep:
         for hearer, sender, name, value in self._radio.arrived(now):
             shell = self.shells[hearer]
             if shell is not None:
-                shell.hear(self.world.ids[sender], name, value, now)
-        told, self._new_latches = self._new_latches, []
-        for row, latches in told:
+                shell.message(self.world.ids[sender], name, value, now)
+        received, self._new_latches = self._new_latches, []
+        for row, latches in received:
             for shell in self.shells:
                 if shell is not None and shell.row != row:
-                    shell.settle(shell.robot.on_latches(latches, now), now)
+                    shell.apply(shell.robot.on_latches(latches, now), now)
         for row in self._neighbors_due.due(now):
             self._update_neighbors(int(row))
 
     def _update_neighbors(self, row: int) -> None:
-        """Robot `row` learns who is within hearing."""
+        """Give robot `row` its neighbors."""
         shell = self.shells[row]
         if shell is None:
             return
         heard = self._radio.neighbors(row, self.world.poses(), self._boxes())
-        if self._away:
+        if self._absent_count:
             there = {one.robot.id for one in self.shells if one is not None}
             heard = tuple(neighbor for neighbor in heard if neighbor.id in there)
         shell.neighbors(heard, self.world.time)
@@ -248,7 +248,7 @@ class Lockstep:
 
     def _tick(self, now: float) -> None:
         if len(self._odometry_due.due(now)):
-            # All wheels are read at once, since reading one takes as long as reading a hundred.
+            # All odometers are read at once: one takes as long as a hundred.
             for shell, odometry in zip(self.shells, self.world.odometry(), strict=True):
                 if shell is not None:
                     shell.odometry(odometry, now)
@@ -266,7 +266,7 @@ class Lockstep:
                 del self._silent_at[row]
 
     def _boxes(self) -> Array | None:
-        """The corners (m, 4, 2) of movable boxes, if the radio must see past them."""
+        """The corners (m, 4, 2) of movable boxes, if they can block the radio."""
         if not self.scenario.radio.line_of_sight or not self.world.movable_boxes:
             return None
         return transform(self.world.box_shapes, self.world.box_poses())
@@ -291,8 +291,8 @@ class Lockstep:
         }
 
 
-def _as_sensing(platform: Platform, realism: Realism) -> Platform:
-    """The platform; without noise, scans that stay the same do not betray a frozen sensor."""
+def _with_scan_noise(platform: Platform, realism: Realism) -> Platform:
+    """The platform; without scan noise, repeated scans do not mean a frozen sensor."""
     is_noisy = platform.scan.is_noisy and realism.lidar.differs_each_time
     return replace(platform, scan=replace(platform.scan, is_noisy=is_noisy))
 
@@ -303,7 +303,7 @@ def _ignore(now: float) -> None:
 
 @contextmanager
 def _without_collection() -> Iterator[None]:
-    """No garbage collection: a run makes hardly any cycles, and walking 1000 robots takes long."""
+    """Disable garbage collection: a run makes few cycles, and a pass over 1000 robots is slow."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:

@@ -1,4 +1,4 @@
-"""What of a lockstep run is kept: truth, verdicts and what robots said of themselves."""
+"""Recording of a lockstep run: ground truth, decisions and reports of robots."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _WORD = "U24"
 
 
 class LockstepRecorder:
-    """Gathers a trace, an instant at a time."""
+    """Builds a trace, one sample at a time."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -31,13 +31,13 @@ class LockstepRecorder:
         self._contacts: list[tuple[float, int, int, float, float]] = []
 
     def record_contacts(self, now: float) -> None:
-        """Note who touched in the step that led to `now`."""
-        for touch in self._world.contacts():
-            pair = self._index[touch.a], self._index.get(touch.b, ARENA)
-            self._contacts.append((now, *pair, touch.speed_a, touch.speed_b))
+        """Record the contacts of the step that ended at `now`."""
+        for contact in self._world.contacts():
+            pair = self._index[contact.a], self._index.get(contact.b, ARENA)
+            self._contacts.append((now, *pair, contact.speed_a, contact.speed_b))
 
     def record_instant(self, now: float, safe: Array, shells: Sequence[RobotShell | None]) -> None:
-        """Note how all stand at `now`, with the commands `safe` (n, 3) in force."""
+        """Record all robots at `now`, with the commands `safe` (n, 3) in force."""
         kept = _blank(len(shells))
         kept["pose"], kept["safe"] = self._world.poses(), safe.copy()
         for row, shell in enumerate(shells):
@@ -51,7 +51,7 @@ class LockstepRecorder:
             self._rows.setdefault(name, []).append(values)
 
     def trace(self, meta: Mapping[str, Any]) -> Trace:
-        """All of it."""
+        """The trace of all samples."""
         world, contacts = self._world, np.array(self._contacts).reshape(-1, 5)
         shape = (len(self._t), len(world.ids))
         rows = {name: np.array(values) for name, values in self._rows.items()}
@@ -65,7 +65,7 @@ class LockstepRecorder:
             footprints={platform.name: platform.footprint for platform in world.platforms},
             meta=dict(meta),
             report={name: _filled(self._reports[name], shape) for name in sorted(self._reports)},
-            words={name: _spelled(self._words[name], shape) for name in sorted(self._words)},
+            words={name: _filled_words(self._words[name], shape) for name in sorted(self._words)},
             movable_boxes=tuple(world.movable_boxes),
             box_shapes=world.box_shapes if world.movable_boxes else None,
             **rows,
@@ -80,7 +80,7 @@ class LockstepRecorder:
 
 
 def _blank(n: int) -> dict[str, NDArray[Any]]:
-    """What is known of n robots that are not there."""
+    """The values of n robots without a daemon."""
     flags, counts = np.zeros((3, n), dtype=bool), np.zeros((2, n), dtype=np.int64)
     words, numbers = np.full((2, n), "", dtype=_WORD), np.full((2, n), np.nan)
     return {
@@ -99,7 +99,7 @@ def _blank(n: int) -> dict[str, NDArray[Any]]:
 
 
 def _enter(kept: Mapping[str, NDArray[Any]], row: int, shell: RobotShell) -> None:
-    """Note how robot `row` stands, and what it has judged since the last instant."""
+    """Enter the state of robot `row` and its decisions since the last sample."""
     robot, decision = shell.robot, shell.robot.decision
     kept["present"][row] = True
     kept["state"][row], kept["reason"][row] = robot.state.value, robot.reason or ""
@@ -126,7 +126,7 @@ def _filled(entries: list[tuple[int, int, float]], shape: tuple[int, int]) -> Ar
     return values
 
 
-def _spelled(entries: list[tuple[int, int, str]], shape: tuple[int, int]) -> NDArray[np.str_]:
+def _filled_words(entries: list[tuple[int, int, str]], shape: tuple[int, int]) -> NDArray[np.str_]:
     values = np.full(shape, "", dtype=_WORD)
     instants, rows, words = zip(*entries, strict=True)
     values[list(instants), list(rows)] = words

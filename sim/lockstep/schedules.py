@@ -1,4 +1,4 @@
-"""When periodic things are due in lockstep, each robot in a phase of its own."""
+"""Periodic jobs and alarms in lockstep."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from swarmd.core.values import Array
 from swarmd.sim.world.geometry import Indices
 
 _ROUNDING = 1e-9
-_NOBODY: Indices = np.empty(0, dtype=np.intp)
+_NONE: Indices = np.empty(0, dtype=np.intp)
 
 
 class Schedules:
-    """Periodic jobs of n robots: no two lidars or daemons of a swarm are in step."""
+    """A periodic job of each of n robots, at a phase of its own."""
 
     def __init__(self, rates: Array, begins: Array | None = None) -> None:
-        """`rates` (n,) in Hz. `begins` (n,): when each begins, in s; None: all at once.
+        """`rates` (n,) in Hz. `begins` (n,) in s: the first time of each; None: all at 0.
 
-        Two rhythms that begin together meet again: a robot ticks when its lidar sweeps, as often as
-        it can, and is taken into the processor's caches once for both.
+        Jobs with equal phases coincide: a robot ticks with its scan where the rates allow, and
+        both find its data in the processor's caches.
         """
         self._period = 1.0 / np.asarray(rates, dtype=np.float64)
         starts = np.zeros(len(self._period)) if begins is None else begins
@@ -28,9 +28,9 @@ class Schedules:
         self._soonest = float(self._next.min(initial=np.inf))
 
     def due(self, now: float) -> Indices:
-        """The rows due by `now` s, in order; ask at every step, for each is named once a period."""
+        """The rows due by `now` s, in order; call it at every step."""
         if self._soonest > now + _ROUNDING:
-            return _NOBODY
+            return _NONE
         rows = (self._next <= now + _ROUNDING).nonzero()[0]
         self._ticks[rows] += 1.0
         self._next[rows] = self._phase[rows] + self._ticks[rows] * self._period[rows]
@@ -39,7 +39,7 @@ class Schedules:
 
 
 class Alarms:
-    """One alarm a robot, on the grid of a world's steps."""
+    """At most one alarm for each robot, rounded up to the steps of a world."""
 
     def __init__(self, n: int, dt: float) -> None:
         self._dt = dt
@@ -48,7 +48,7 @@ class Alarms:
         self._rows: dict[int, list[int]] = {}
 
     def set(self, row: int, at: float | None) -> None:
-        """Wake `row` in the first step from `at` s on, not before the next; None: not at all."""
+        """Set the alarm of `row` to the first step from `at` s on, at least the next; None: off."""
         if at is None:
             self._alarms[row] = -1
             return
@@ -58,7 +58,7 @@ class Alarms:
             self._rows.setdefault(step, []).append(row)
 
     def due(self, step: int) -> list[int]:
-        """The rows to wake in this step, in order; to be asked for every step."""
+        """The rows whose alarm is this step, in order; call it for every step."""
         self._step = step
         rows = [row for row in self._rows.pop(step, ()) if self._alarms[row] == step]
         for row in rows:

@@ -1,7 +1,6 @@
-"""One robot in lockstep: a thin shell that carries out what the pure robot asks for.
+"""The shell of one robot in lockstep, which carries out the actions of the pure `Robot`.
 
-It is to `swarmd.robot.robot.Robot` what the daemon is, with an inline pattern and without a
-socket, a thread or a clock.
+It takes the place of the daemon: patterns run inline, without sockets, threads or clocks.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from swarmd.robot.robot import Robot
 
 
 class RobotOutputs(Protocol):
-    """What surrounds a shell: base, radio and alarm of robot `row`."""
+    """The base, radio and alarm of robot `row`."""
 
     def command(self, row: int, twist: Twist) -> None:
-        """Hand the base its command."""
+        """Set the command of the base."""
 
     def send_message(self, row: int, name: str, value: Value, now: float) -> None:
-        """Publish a pattern's message on `<pattern>/<channel>`."""
+        """Send a pattern's message on `<pattern>/<channel>`."""
 
     def publish_status(self, row: int, status: Status) -> None:
         """Publish the robot's status."""
@@ -50,50 +49,50 @@ class RobotShell:
         self._twist: Twist | None = None
         self._outputs = outputs
         self._runner = InlineRunner(lambda: PatternExecutor(find))
-        self.settle(robot.on_driver(True, "simulated", now), now)
+        self.apply(robot.on_driver(True, "simulated", now), now)
 
     def scan(self, scan: Scan, now: float) -> None:
-        """A sweep arrives."""
+        """Take a scan."""
         actions = self.robot.on_scan(scan, now)
         if self.robot.is_running:
             self.decided += 1
             self.evaded += actions.decision.is_active
-        self.settle(actions, now)
+        self.apply(actions, now)
 
     def tick(self, now: float) -> None:
-        """A beat, or an alarm between two."""
-        self.settle(self.robot.tick(now), now)
+        """Tick the robot, periodically or by its alarm."""
+        self.apply(self.robot.tick(now), now)
 
     def odometry(self, odometry: Odometry, now: float) -> None:
-        """A measured pose and twist arrive."""
+        """Take a measured pose and twist."""
         self.robot.on_odometry(odometry, now)
 
     def neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
-        """The radio knows who is within hearing."""
+        """Take the robots in radio contact."""
         self.robot.on_neighbors(neighbors, now)
 
-    def hear(self, sender: str, name: str, value: Value, now: float) -> None:
-        """A message arrives."""
+    def message(self, sender: str, name: str, value: Value, now: float) -> None:
+        """Take a message of another robot."""
         self.robot.on_message(sender, name, value, now)
 
-    def ask(self, request: Request, now: float) -> Reply | None:
-        """An operator asks; the answer, which an inline pattern gives at once."""
+    def request(self, request: Request, now: float) -> Reply | None:
+        """Carry out an operator's request; the reply, which an inline pattern gives at once."""
         self.replies.clear()
-        self.settle(self.robot.on_request(request, now), now)
+        self.apply(self.robot.on_request(request, now), now)
         return next((reply for reply in self.replies if reply.id == request.id), None)
 
     def leave(self, now: float) -> None:
-        """The daemon ends in order."""
-        self.settle(self.robot.on_leave(now), now)
+        """End the daemon in order."""
+        self.apply(self.robot.on_leave(now), now)
 
-    def settle(self, actions: Actions, now: float) -> None:
-        """Carry the actions out, and set the alarm."""
+    def apply(self, actions: Actions, now: float) -> None:
+        """Carry out the actions and set the alarm."""
         self._carry_out(actions, now)
         self._outputs.set_alarm(self.row, self.robot.wake_at(now))
 
     def _carry_out(self, actions: Actions, now: float) -> None:
         outputs = self._outputs
-        if actions.twist is not self._twist:  # most ticks change nothing
+        if actions.twist is not self._twist:  # most ticks keep the command
             self._twist = actions.twist
             outputs.command(self.row, actions.twist)
         if actions.latches is not None:

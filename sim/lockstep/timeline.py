@@ -1,4 +1,4 @@
-"""A scenario's events, carried out as an operator, a power switch or a hand would."""
+"""Carries out the events of a scenario in lockstep."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ _ROUNDING = 1e-9
 
 
 class Swarm(Protocol):
-    """What events act on. `shells`: by row, None where no daemon is."""
+    """The swarm that events act on. `shells`: by row, None without a daemon."""
 
     world: World
     shells: list[RobotShell | None]
 
     def start(self, row: int) -> None:
-        """A daemon starts on robot `row`."""
+        """Start a daemon on robot `row`."""
 
     def end(self, row: int, *, in_order: bool) -> None:
-        """The daemon of robot `row` ends: in order, or killed."""
+        """End the daemon of robot `row`, in order or by a kill."""
 
 
 class Timeline:
-    """Carries events out when they are due."""
+    """Events in order of time, carried out when due."""
 
     def __init__(self, events: Sequence[ScheduledEvent], swarm: Swarm) -> None:
         self._events = events
@@ -46,7 +46,7 @@ class Timeline:
         self._next = 0
 
     def apply(self, now: float) -> None:
-        """Carry out all that is due by `now` s. SwarmError if a robot refuses."""
+        """Carry out the events due by `now` s. Raises SwarmError if a robot refuses one."""
         while self._next < len(self._events) and self._events[self._next].at <= now + _ROUNDING:
             event = self._events[self._next]
             self._next += 1
@@ -73,22 +73,22 @@ class Timeline:
                 if swarm.shells[row] is not None:
                     swarm.end(row, in_order=event.action == "leave")
         else:
-            self._ask_all(event, now)
+            self._request_all(event, now)
 
     def _rows_of(self, event: ScheduledEvent) -> list[int]:
         return [self._rows[robot] for robot in event.robots]
 
-    def _ask_all(self, event: ScheduledEvent, now: float) -> None:
-        """Ask each of the event's robots that is there."""
+    def _request_all(self, event: ScheduledEvent, now: float) -> None:
+        """Send the event's request to each of its robots with a daemon."""
         for row in self._rows_of(event):
             shell = self._swarm.shells[row]
             if shell is None:
                 continue
-            reply = shell.ask(self._request(event, shell, now), now)
+            reply = shell.request(self._request(event, shell, now), now)
             if reply is None or reply.code is not Code.APPLIED:
-                said = "gave no answer" if reply is None else reply.text
+                answer = "gave no answer" if reply is None else reply.text
                 what = f"{event.action} {event.pattern}".rstrip()
-                raise SwarmError(f"at {event.at:g} s {what}: {shell.robot.id}: {said}")
+                raise SwarmError(f"at {event.at:g} s {what}: {shell.robot.id}: {answer}")
 
     def _is_for_all(self, event: ScheduledEvent) -> bool:
         chosen = frozenset(event.robots)

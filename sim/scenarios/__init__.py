@@ -1,1 +1,1 @@
-"""Scenarios: a run but for its seed, from YAML files, checked before anything moves."""
+"""Scenarios: complete descriptions of a run except its seed, from checked YAML files."""

@@ -1,4 +1,4 @@
-"""What is around the robots: arena, fields and air."""
+"""The environment of a scenario: arena, fields and radio."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from swarmd.sim.world.scalar_fields import Field
 
 
 def arena_of(layers: Layered, section: ArenaSection) -> Arena:
-    """The arena; ConfigError if two boxes have one name, or something is not within the walls."""
+    """The arena; ConfigError for duplicate box names and for places outside the walls."""
     boxes = [(index, box.at) for index, box in enumerate(section.boxes) if box.at is not None]
     for index, place in boxes:
         check_inside(layers, section, ("arena", "boxes", index, "at"), place)
@@ -43,7 +43,7 @@ def arena_of(layers: Layered, section: ArenaSection) -> Arena:
 def check_inside(
     layers: Layered, section: ArenaSection, keys: Keys, place: Sequence[float]
 ) -> None:
-    """ConfigError if the place, x and y in m, is beyond a wall."""
+    """Raise ConfigError if the place, x and y in m, is outside the walls."""
     half: Point = (section.size[0] / 2.0, section.size[1] / 2.0)
     if abs(place[0]) > half[0] or abs(place[1]) > half[1]:
         text = f"{dotted(keys)} is {list(place)}; wanted within the walls"
@@ -51,12 +51,12 @@ def check_inside(
 
 
 def fields_of(layers: Layered, sections: Sequence[Mapping[str, Any]]) -> tuple[Field, ...]:
-    """The fields; ConfigError for the first that is wrong."""
+    """The fields; ConfigError for the first invalid one."""
     return tuple(_field(layers, index, dict(data)) for index, data in enumerate(sections))
 
 
-def check_air(layers: Layered, radio: RadioSettings) -> None:
-    """ConfigError if the settings of the radio do not fit together."""
+def check_radio_section(layers: Layered, radio: RadioSettings) -> None:
+    """Raise ConfigError if the settings of the radio contradict each other."""
     try:
         check_radio(radio)
     except ConfigError as error:

@@ -1,4 +1,4 @@
-"""Who takes part: robots by group, each with its platform as a scenario wants it."""
+"""The robots of a scenario by group, each with its platform."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ ALL = "all"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Groups:
-    """The robots in order. `platform_files`: what each platform is made of, complete, by name."""
+    """All robots in order. `platform_files`: the complete content of each platform, by name."""
 
     robots: Mapping[str, Platform]
     groups: Mapping[str, tuple[str, ...]]
     group_of: Mapping[str, str]
     platform_files: Mapping[str, Data]
 
-    def named(self, targets: str) -> tuple[str, ...]:
-        """The robots that a group, a robot's id or `all` stands for; none if it is unknown."""
-        if targets == ALL:
+    def named(self, target: str) -> tuple[str, ...]:
+        """The robots of a group, a robot's id or `all`; empty if unknown."""
+        if target == ALL:
             return tuple(self.robots)
-        return self.groups.get(targets) or ((targets,) if targets in self.robots else ())
+        return self.groups.get(target) or ((target,) if target in self.robots else ())
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All that `named` knows."""
+        """All names that `named` accepts."""
         return (ALL, *self.groups, *self.robots)
 
 
 def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> Groups:
-    """The robots of all groups; ConfigError for ids, groups and platforms that cannot be."""
+    """The robots of all groups; ConfigError for invalid ids, groups and platforms."""
     groups = {name: _ids(layers, name, group) for name, group in file.groups.items()}
     group_of: dict[str, str] = {}
     for name, ids in groups.items():
@@ -65,7 +65,7 @@ def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> G
 
 
 def platform_name(text: str) -> str:
-    """What a platform is called that a group names by name or by path."""
+    """The name of a platform that a group gives by name or by path."""
     return Path(text).stem if text.endswith(".yaml") else text
 
 
@@ -112,7 +112,7 @@ def _check_id(layers: Layered, keys: Keys, value: str, what: str) -> None:
 
 
 def _sensing(platform: Platform, file: ScenarioFile, fields: Sequence[Field]) -> Platform:
-    """The platform with what the scenario lets it sense."""
+    """The platform with the sensors that the scenario adds."""
     heard = replace(platform, provides=platform.provides | {"neighbors"})
     if file.radio.range_and_bearing:
         heard = with_bearings(heard)
@@ -120,7 +120,7 @@ def _sensing(platform: Platform, file: ScenarioFile, fields: Sequence[Field]) ->
 
 
 def _platforms(layers: Layered, file: ScenarioFile) -> dict[str, tuple[Platform, Data]]:
-    """Every platform that a group has, by name, with its complete content."""
+    """The platforms of all groups by name, with their complete content."""
     wanted: dict[str, str] = {}
     for group, section in file.groups.items():
         name, keys = platform_name(section.platform), ("groups", group, "platform")

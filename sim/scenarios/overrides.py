@@ -14,9 +14,9 @@ SWEPT = "--sweep"
 
 
 def parse_override(text: str, source: str = SOURCE) -> tuple[str, Any]:
-    """Key and value of `key=value`, the value read as in a YAML file; ConfigError if it cannot be.
+    """Key and value of `key=value`, the value read as YAML; ConfigError if malformed.
 
-    `null`, or nothing after the =, takes a value away.
+    `null`, or nothing after the =, removes a value.
     """
     key, equals, value = text.partition("=")
     if not equals or not all(key.strip().split(".")):
@@ -32,9 +32,8 @@ def nested(
 ) -> dict[str, Any]:
     """The overrides as a file would hold them. Items of lists go by number: `events.0.at`.
 
-    `base` is what they are meant for: a list of which they change one item is copied from there.
-    ConfigError, which begins with `source`, for an item that is not there and for a group that
-    `base` does not have.
+    `base` is the file that they override: a list of which one item changes is copied from there.
+    Raises ConfigError, which begins with `source`, for a missing item or an unknown group.
     """
     over: dict[str, Any] = {}
     for key, value in overrides.items():

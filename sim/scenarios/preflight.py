@@ -1,4 +1,4 @@
-"""Loads every pattern of a script once, so that a wrong parameter is found before any run."""
+"""Loads every pattern of a scenario once, to find invalid parameters before a run."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ _WORD = 64  # the longest source that a status can name
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ConfiguredParameters:
-    """Called with robot and pattern: layers "platform", "scenario" and "group <name>"."""
+    """The configured parameters of a robot and pattern, in layers by source."""
 
     file: ScenarioFile
     groups: Groups
 
     def __call__(self, robot: str, pattern: str) -> Layers:
-        """The layers that hold anything, weakest first."""
+        """The non-empty layers "platform", "scenario" and "group <name>", weakest first."""
         name = self.groups.group_of[robot]
         group = self.file.groups[name]
         layers: list[tuple[str, Mapping[str, Value]]] = [
@@ -46,7 +46,7 @@ def check_patterns(
     configured: ConfiguredParameters,
     plugin_dir: Path | None,
 ) -> None:
-    """ConfigError for the first pattern that is not there, or that a robot would refuse to run."""
+    """Raise ConfigError for the first pattern that is unknown or that a robot would refuse."""
     try:
         origins = pattern_names(plugin_dir)
     except PluginError as error:
@@ -65,23 +65,23 @@ def check_patterns(
     for preflight in schedule.preflights:
         _check_name(layers, preflight.keys, preflight.pattern, origins)
         load = _load(preflight, groups, configured)
-        # Robots of one kind with the same parameters all do alike.
+        # Robots of one platform with the same parameters give the same result.
         what = repr((load.pattern, load.platform.name, load.layers))
         if what in done:
             continue
         done.add(what)
         try:
             event = executor.handle(load)
-        except SystemExit:  # else it would end the command, and in silence
+        except SystemExit:  # it would end this process without a message
             event = LoadRefused(
                 load.generation, f"{preflight.pattern} calls sys.exit; leave that out"
             )
         if isinstance(event, LoadRefused):
-            keys = _culprit(layers, preflight, groups, event.parameter)
+            keys = _faulty_keys(layers, preflight, groups, event.parameter)
             raise layers.error(keys, f"{dotted(keys)}: {event.text}")
 
 
-def _culprit(layers: Layered, preflight: Preflight, groups: Groups, name: str) -> Keys:
+def _faulty_keys(layers: Layered, preflight: Preflight, groups: Groups, name: str) -> Keys:
     """The keys that give the parameter `name`; without one, the keys that name the pattern."""
     places: tuple[Keys, ...] = (
         (*preflight.keys, name),

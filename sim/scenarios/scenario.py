@@ -1,4 +1,4 @@
-"""A scenario: everything about a run but its seed, checked and complete."""
+"""A scenario: a complete, checked description of a run except its seed."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ Action = Literal[
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ScheduledEvent:
-    """What happens at `at` s of simulation.
+    """An action at `at` s of simulation.
 
-    To `robots` for run (with `pattern`, `parameters` and perhaps `seconds` and `until`), param
+    On `robots` for run (with `pattern`, `parameters` and perhaps `seconds` and `until`), param
     (`parameters`), stop, estop, reset, join, leave and kill; to the box `box` for place (at
     `pose` x, y in m, yaw in rad); to the box `box`, or to `robots` if it is empty, for remove.
     """
@@ -42,15 +42,15 @@ class ScheduledEvent:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Scenario:
-    """A run but for its seed.
+    """A run except its seed.
 
     `robots`: platform by id, in the order of a trace's rows. `starts(seed)` gives start poses
-    (n, 3) x, y in m and yaw in rad; ConfigError if they cannot be. `groups`: ids by group name.
-    `absent`: ids whose daemon is not there until an event lets it join; their bodies stand at
-    their start poses. `layers(robot, pattern)` are the parameters configured beside those of a
-    run, `touch[robot]` where which pattern may touch what is near. `events` in order of time.
-    `effective` is the configuration in plain values, complete and after all overrides:
-    `scenario_of(effective)` is the same scenario again.
+    (n, 3) x, y in m and yaw in rad; ConfigError without room. `groups`: ids by group name.
+    `absent`: ids without a daemon until a join event; their bases stand at their start
+    poses. `layers(robot, pattern)` are the configured parameters, below those of a run;
+    `touch[robot]` are the touch zones of patterns. `events` in order of time.
+    `effective` is the complete configuration in plain values after all overrides:
+    `scenario_of(effective)` gives the same scenario.
     """
 
     name: str

@@ -1,7 +1,7 @@
-"""Scenarios read from files, checked in every respect that does not need a run.
+"""Reads scenarios from files and checks all that can be checked without a run.
 
-Weakest to strongest: what a file extends, the file, overrides. `Scenario.effective` is the whole
-of it in plain values, platforms included, from which the same scenario can be made without files.
+Weakest to strongest: the extended file, the file, overrides. `Scenario.effective` holds the result
+in plain values, platforms included, and gives the same scenario without files.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.kit.touch import granted_zones
 from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import Data, read_extended, shown
-from swarmd.sim.scenarios.environment import arena_of, check_air, fields_of
+from swarmd.sim.scenarios.environment import arena_of, check_radio_section, fields_of
 from swarmd.sim.scenarios.groups import Groups, groups_of, platform_name
 from swarmd.sim.scenarios.overrides import SOURCE, nested, parse_override
 from swarmd.sim.scenarios.preflight import ConfiguredParameters, check_patterns
@@ -44,8 +44,8 @@ def load_scenario(
     """The scenario of that name, or of that file if it ends in .yaml.
 
     `overrides` by dotted keys of the file: {"groups.all.count": 5, "duration": 30}. ConfigError
-    names file, or `source` for what was overridden, key, value, what was wanted and the nearest
-    valid key.
+    names the file, or `source` for an override, the key, the value, what was wanted and the
+    nearest valid key.
     """
     path = _find(str(name), Path())
     return _overridden(tuple(_chain(path)), overrides, path.stem, source)
@@ -86,7 +86,7 @@ def _chain(path: Path) -> Iterator[tuple[str, Data]]:
 
 
 def _anchored(data: Data, folder: Path) -> Data:
-    """The data with paths that do not depend on where the file is."""
+    """The data with absolute paths."""
     holders: list[tuple[Any, str]] = [(data, "plugin_dir")]
     for section, key in (("groups", "platform"), ("platforms", "extends")):
         items = data.get(section)
@@ -119,7 +119,7 @@ def _built(layers: Layered, name: str) -> Scenario:
     if file.extends is not None:
         raise layers.error(("extends",), "extends is for files alone; leave it out here")
     arena, fields = arena_of(layers, file.arena), fields_of(layers, file.fields)
-    check_air(layers, file.radio)
+    check_radio_section(layers, file.radio)
     groups = groups_of(layers, file, fields)
     starts = _starts(layers, file, groups, arena)
     schedule = schedule_of(layers, file, groups)

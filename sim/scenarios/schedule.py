@@ -1,6 +1,6 @@
-"""What the events of a file mean, each by itself.
+"""The schedule of a scenario: its events in order of time, checked against each other.
 
-The time line: events in order, checked against who is there and what they are doing.
+`read_event` checks an event by itself; `schedule_of` follows all robots through the events.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from swarmd.sim.scenarios.scenario import Action, ScheduledEvent
 from swarmd.sim.scenarios.schema import EventSection, ScenarioFile, Values
 
 OF_ROBOTS: tuple[Action, ...] = ("stop", "estop", "reset", "join", "leave", "kill")
-"""Actions whose value is who they happen to."""
+"""Actions whose value is their targets."""
 
 ACTIONS: tuple[Action, ...] = ("run", "param", *OF_ROBOTS, "place", "remove")
 _BESIDES = {
@@ -29,7 +29,7 @@ _BESIDES = {
 
 
 def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) -> ScheduledEvent:
-    """The event of that index; ConfigError if it cannot be, whatever else happens."""
+    """The event of that index; ConfigError if it is invalid by itself."""
     section, keys = file.events[index], ("events", index)
     action = _action(layers, section, keys)
     if section.at >= file.duration:
@@ -54,7 +54,7 @@ def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) 
 
 
 def _until(layers: Layered, section: EventSection, keys: Keys) -> tuple[str, ...]:
-    """The conditions of which any ends the run, each checked."""
+    """The checked conditions, any of which ends the run."""
     if section.until is None:
         return ()
     try:
@@ -65,7 +65,7 @@ def _until(layers: Layered, section: EventSection, keys: Keys) -> tuple[str, ...
 
 
 def targets_of(section: EventSection, action: Action) -> Sequence[str]:
-    """Who an event is for, as it is written; all if nothing is."""
+    """The targets of an event as written; `all` without any."""
     targets = getattr(section, action) if action in (*OF_ROBOTS, "remove") else section.targets
     return (ALL,) if targets is None else (targets,) if isinstance(targets, str) else targets
 
@@ -112,7 +112,7 @@ def _box_event(
 
 
 def _robots(layers: Layered, groups: Groups, keys: Keys, words: Sequence[str]) -> tuple[str, ...]:
-    """Those meant, in the order of the scenario."""
+    """The targeted robots in the order of the scenario."""
     meant: dict[str, None] = {}
     name = f"events[{keys[1]}].{keys[2]}"
     for word in words:
@@ -130,7 +130,7 @@ _MEMBERSHIP = ("join", "leave", "kill")
 
 @dataclass(frozen=True, slots=True)
 class Preflight:
-    """A pattern that a robot is to run with these parameters; `keys` is where that is said."""
+    """A pattern that a robot will run with these parameters; `keys` is its place in the file."""
 
     keys: Keys
     robot: str
@@ -140,7 +140,7 @@ class Preflight:
 
 @dataclass(frozen=True, slots=True)
 class Schedule:
-    """Events in order of time, who joins only later, and the patterns to check."""
+    """Events in order of time, robots that join later, and the patterns to check."""
 
     events: tuple[ScheduledEvent, ...]
     absent: frozenset[str]
@@ -148,9 +148,9 @@ class Schedule:
 
 
 def schedule_of(layers: Layered, file: ScenarioFile, groups: Groups) -> Schedule:
-    """The script of a file; ConfigError names the first event that cannot be.
+    """The schedule of a file; ConfigError names the first impossible event.
 
-    Events of one instant keep the order of the file; groups begin their patterns before any.
+    Simultaneous events keep the order of the file; groups start their patterns before them.
     """
     read = [read_event(layers, file, groups, index) for index in range(len(file.events))]
     order = sorted(range(len(read)), key=lambda index: read[index].at)
@@ -160,7 +160,7 @@ def schedule_of(layers: Layered, file: ScenarioFile, groups: Groups) -> Schedule
     for keys, event in begun:
         checker.run(keys, event)
     for index in order:
-        checker.go(("events", index, read[index].action), read[index])
+        checker.apply(("events", index, read[index].action), read[index])
     events = (*(event for _, event in begun), *(read[index] for index in order))
     return Schedule(events, absent, tuple(checker.preflights))
 
@@ -176,7 +176,7 @@ def _beginnings(
 
 
 def _absent(events: Sequence[ScheduledEvent]) -> frozenset[str]:
-    """Those who come before they go."""
+    """The robots that join before they leave."""
     first: dict[str, str] = {}
     for event in events:
         if event.action in _MEMBERSHIP:
@@ -187,7 +187,7 @@ def _absent(events: Sequence[ScheduledEvent]) -> frozenset[str]:
 
 @dataclass(slots=True)
 class _Robot:
-    """What is known of a robot at a time. `until`: when what it runs ends."""
+    """The state of a robot at a time. `until`: the end of its run."""
 
     is_there: bool
     is_out: bool = False
@@ -198,7 +198,7 @@ class _Robot:
 
 
 class _ScheduleChecker:
-    """Goes through the events in order of time and knows what each robot is doing."""
+    """Follows the state of each robot through the events in order of time."""
 
     def __init__(
         self, layers: Layered, file: ScenarioFile, groups: Groups, absent: frozenset[str]
@@ -208,8 +208,8 @@ class _ScheduleChecker:
         self._robots = {robot: _Robot(is_there=robot not in absent) for robot in groups.robots}
         self.preflights: list[Preflight] = []
 
-    def go(self, keys: Keys, event: ScheduledEvent) -> None:
-        """The event happens; ConfigError if it cannot."""
+    def apply(self, keys: Keys, event: ScheduledEvent) -> None:
+        """Apply an event; ConfigError if it is impossible."""
         if event.box:
             self._place_or_remove_box(keys, event)
         elif event.action == "remove":
@@ -222,7 +222,7 @@ class _ScheduleChecker:
             act(keys, event)
 
     def run(self, keys: Keys, event: ScheduledEvent) -> None:
-        """The event's robots begin to run its pattern."""
+        """Start the event's pattern on its robots."""
         for robot, state in self._present(event):
             if state.is_estopped:
                 raise self._error(keys, f"{robot} is estopped at {event.at:g} s; reset it before")
@@ -272,7 +272,7 @@ class _ScheduleChecker:
         return ((robot, state) for robot, state in robots if state.is_there)
 
     def _check_there(self, keys: Keys, event: ScheduledEvent) -> None:
-        """A group may have members who are not there; robots that are named may not be away."""
+        """Check that a named robot is present, and that a group has a robot that is."""
         words = targets_of(self._sections[int(keys[1])], event.action)
         away = [robot for robot in event.robots if not self._robots[robot].is_there]
         missing = away if len(away) == len(event.robots) else [r for r in away if r in words]

@@ -1,4 +1,4 @@
-"""All that may stand in a scenario's file. Lengths in m, times in s, angles in degrees."""
+"""The keys of a scenario's file. Lengths in m, times in s, angles in degrees."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ Targets = str | list[str]
 
 
 class BoxSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A box by centre and side lengths. With a `mass` in kg it can be pushed, placed and removed.
+    """A box by centre and side lengths; with a `mass` in kg it is movable.
 
-    Such a box without `at` is out of the arena until an event places it.
+    A movable box without `at` is outside the arena until an event places it.
     """
 
     name: str = ""
@@ -49,7 +49,7 @@ class SegmentSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
 
 
 class ArenaSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Four walls around the origin, `size` along x and y, and what is between them."""
+    """Four walls around the origin, `size` along x and y, and obstacles."""
 
     size: tuple[Size, Size] = (6.0, 6.0)
     boxes: list[BoxSection] = []
@@ -58,7 +58,7 @@ class ArenaSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class StartSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where robots start. Layouts, and the keys that each knows, are in `starts.KEYS`."""
+    """Where robots start. `start_poses.KEYS` lists the layouts and their keys."""
 
     layout: str | None = None
     spacing: Size | None = None
@@ -73,11 +73,11 @@ class StartSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Robots of one kind: `count` of them named `<prefix>-01` and on, or those of `robots`.
+    """Robots of one platform: `count` named `<prefix>-01` and on, or the ids of `robots`.
 
-    With a `pattern` they run it from the beginning, except those who join later, whom an event has
-    to tell; `parameters` are the group's for it, whenever it runs. `touch` grants patterns where
-    they may touch what is near, as a daemon's file does.
+    They run `pattern` from the start, except robots that join later, which need a run event;
+    `parameters` apply to it whenever it runs. `touch` grants patterns touch zones, as a daemon's
+    file does.
     """
 
     platform: str = "waffle_pi"
@@ -91,11 +91,11 @@ class GroupSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class EventSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What happens `at` a time: exactly one of the actions of `events.ACTIONS`.
+    """Exactly one of the actions of `schedule.ACTIONS`, `at` a time.
 
     stop, estop, reset, join, leave and kill name robots, a group or `all`; run names a pattern,
-    param holds values and both act on `who` (all, if left out); place names a box, remove a box or
-    a robot or group, whose daemons are killed and whose bodies leave the arena for good.
+    param holds values, and both act on `targets` (default: all); place names a box; remove names a
+    box, or robots whose daemons are killed and which leave the arena for good.
     """
 
     at: Annotated[float, Meta(ge=0.0, le=1e6)]

@@ -1,4 +1,4 @@
-"""Start poses of all groups, for any seed."""
+"""Start poses of all groups for a seed."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     "chain": ("near", "far", *_TURNABLE),
     "list": ("poses",),
 }
-"""What means something, by layout."""
+"""The keys of each layout."""
 
 _SEEDED = ("random", "chain")
-_SPACING, _RADIUS, _CLEARANCE = 1.0, 1.5, 0.2  # m, where a file does not say
+_SPACING, _RADIUS, _CLEARANCE = 1.0, 1.5, 0.2  # m, the defaults
 
 
 @dataclass(frozen=True, slots=True)
 class StartGroup:
-    """Robots (rows) that start together. `where` names file and key, `key` the key alone."""
+    """Robots (rows) with a common layout. `where` names file and key, `key` the key alone."""
 
     where: str
     key: str
@@ -47,7 +47,7 @@ class StartGroup:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StartPoses:
-    """Called with a seed: start poses (n, 3), or ConfigError."""
+    """The start poses of a scenario as a function of the seed."""
 
     names: Sequence[str]
     footprints: Sequence[Array]
@@ -55,14 +55,14 @@ class StartPoses:
     parts: Sequence[StartGroup]
 
     def __call__(self, seed: int) -> Array:
-        """Poses (n, 3) x, y in m and yaw in rad; those that the seed decides come last."""
+        """Poses (n, 3) x, y in m and yaw in rad; seeded layouts are placed last."""
         placement = Placement(self.names, self.footprints, self.arena)
         for part in sorted(self.parts, key=lambda part: layout_of(part.start) in _SEEDED):
             _place(placement, part, seed)
         return placement.poses
 
     def check(self) -> None:
-        """ConfigError if robots that start in the same place for all seeds cannot stand there."""
+        """Raise ConfigError if the layouts without randomness do not fit."""
         placement = Placement(self.names, self.footprints, self.arena)
         for part in self.parts:
             if layout_of(part.start) not in _SEEDED:
@@ -70,14 +70,14 @@ class StartPoses:
 
 
 def layout_of(start: StartSection) -> str:
-    """The layout, or what it is for want of a word."""
+    """The layout, or the default one."""
     return start.layout or ("grid" if start.poses is None else "list")
 
 
 def without_stale(sources: Iterable[tuple[str, Data]]) -> list[tuple[str, Data]]:
-    """The sources, strongest first, each without keys that a stronger one's layout has no use for.
+    """The sources, strongest first, without start keys that a stronger source's layout lacks.
 
-    So a file can change the layout of one it extends and need not take back what that had.
+    So a file can change the layout of the file that it extends without removing its keys.
     """
     kept: list[tuple[str, Data]] = []
     layouts: dict[str, str] = {}
@@ -95,7 +95,7 @@ def without_stale(sources: Iterable[tuple[str, Data]]) -> list[tuple[str, Data]]
 
 
 def _sections(data: Data) -> Iterator[tuple[str, Data]]:
-    """Whatever stands under `start`, by group; that for the whole swarm by an empty name."""
+    """The `start` sections by group; that of the whole swarm under an empty name."""
     groups = data.get("groups")
     holders = [("", data), *(groups.items() if isinstance(groups, dict) else ())]
     for name, holder in holders:
@@ -106,7 +106,7 @@ def _sections(data: Data) -> Iterator[tuple[str, Data]]:
 def start_group_of(
     layers: Layered, keys: Keys, start: StartSection, rows: Sequence[int]
 ) -> StartGroup:
-    """A checked part; ConfigError for unknown layouts and for keys that do not fit theirs."""
+    """A checked group; ConfigError for unknown layouts and for keys of another layout."""
     layout, key = layout_of(start), dotted(keys)
     if layout not in KEYS:
         text = f"{key}.layout: {unknown('layout', layout, KEYS)}"
