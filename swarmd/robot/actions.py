@@ -1,28 +1,36 @@
-"""What a robot asks its shell to do after one event: values only, to be carried out at once.
-
-What a pattern may say: its declared channels, and not too often.
-"""
+"""The effects of one event on a robot: gathered in `Effects`, handed to the shell as `Actions`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from msgspec import Struct
+from msgspec import Struct, structs
 
-from swarmd.core.host_messages import CancelTrial, HostCommand, StartTrial
+from swarmd.core.host_messages import (
+    CancelTrial,
+    HostCommand,
+    KillHost,
+    Load,
+    SetParams,
+    StartTrial,
+    Step,
+)
 from swarmd.core.messages import Reply, Status
 from swarmd.core.values import Twist, Value
 from swarmd.protection.decision import Decision
 from swarmd.robot.latches import LatchRecord
 
+MESSAGES_PER_SECOND = 20.0
+
 
 class Actions(Struct, frozen=True, eq=False):
-    """In this order: hand `twist` to the driver, write `latches` down, tell the `host`, publish.
+    """The work of the shell after one event, in this order.
 
-    `messages` are by `<pattern>/<channel>`. `requested_scan_seq` is the scan
-    behind `twist` (-1: none). `is_idle` if the robot was never asked or has finished, and its base
-    is there. `replies` answer earlier requests too: run is answered when its pattern is ready. `trial` goes
-    to whoever carries `host`, before it, and disturbs nothing that runs.
+    Hand `twist` to the driver, write `latches` to disk, send `trial` and `host` to the pattern
+    host, publish `messages` (by `<pattern>/<channel>`), `status` and `replies`.
+    `requested_scan_seq` is the scan behind `twist` (-1: none). `is_idle`: the state is idle and the
+    base is connected. `replies` may answer earlier requests: a run is answered when its pattern has
+    been loaded. A `trial` has a process of its own and leaves the running pattern alone.
     """
 
     twist: Twist
@@ -37,11 +45,35 @@ class Actions(Struct, frozen=True, eq=False):
     replies: tuple[Reply, ...] = ()
 
 
-MESSAGES_PER_SECOND = 20.0
+class Effects(Struct, eq=False):
+    """The effects of one event at `now`, gathered until the robot settles them into `Actions`."""
+
+    now: float
+    is_tick: bool = False
+    is_latched: bool = False
+    is_new_scan: bool = False
+    is_new_run: bool = False
+    trial: StartTrial | CancelTrial | None = None
+    messages: Mapping[str, Value] = {}
+    replies: tuple[Reply, ...] = ()
+    host: HostCommand | None = None
+
+    def command_host(self, command: KillHost | Load | SetParams | Step) -> None:
+        """Choose the one command of this event for the pattern host.
+
+        KillHost and Load decide which pattern the host holds, so the later of them wins; a Load
+        after a KillHost asks for a fresh host. SetParams and Step are meant for the pattern that
+        the host holds now, so they never replace another command.
+        """
+        if isinstance(command, SetParams | Step) and self.host is not None:
+            return
+        if isinstance(command, Load) and isinstance(self.host, KillHost):
+            command = structs.replace(command, is_fresh=True)
+        self.host = command
 
 
 class Outbox:
-    """Lets at most 20 messages a second pass on each declared channel; counts the rest."""
+    """Passes at most 20 messages per second on each declared channel; counts the others."""
 
     def __init__(self) -> None:
         self._tokens: dict[str, float] = {}
@@ -51,7 +83,7 @@ class Outbox:
     def take(
         self, messages: Mapping[str, Value], channels: frozenset[str], now: float
     ) -> dict[str, Value]:
-        """Those that may be sent at `now`, by channel."""
+        """The messages that may be sent at `now`, by channel."""
         passed = {}
         for channel, value in messages.items():
             if channel in channels and self._spend(channel, now):

@@ -1,19 +1,19 @@
-"""How one robot conducts itself: its state, its pattern, its latches, and what changes them. Pure.
+"""The lifecycle of one robot: state, pattern and latches, and the events that change them. Pure.
 
-A `Turn` gathers what one event leads to; the robot settles it into `Actions`.
+Each method adds the effects of one event to `Effects`; state_machine.py lists which method fires
+which trigger.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
-from msgspec import Struct, structs
+from msgspec import structs
 
 from swarmd.core.host_messages import (
     CancelTrial,
-    HostCommand,
     HostDied,
     HostEvent,
     KillHost,
@@ -23,7 +23,6 @@ from swarmd.core.host_messages import (
     LoadRefused,
     ParamsSet,
     PatternFailed,
-    StartTrial,
     Stepped,
 )
 from swarmd.core.messages import (
@@ -34,388 +33,407 @@ from swarmd.core.messages import (
     ParamRequest,
     Reason,
     Refusal,
+    ReloadRequest,
     Reply,
     Request,
+    RunRequest,
     State,
 )
-from swarmd.core.values import Platform, Scalar, TouchZone, Value
+from swarmd.core.values import Platform, Scalar, TouchZone
 from swarmd.kit.touch import effective_zone
 from swarmd.protection.decision import NO_PERMIT, Permit
-from swarmd.robot.actions import Outbox
+from swarmd.robot.actions import Effects, Outbox
 from swarmd.robot.latches import Latches, LatchRecord
-from swarmd.robot.pattern_run import LOAD_TIMEOUT, SILENT_AFTER, PatternRun, Trying
-from swarmd.robot.state_machine import Event as Change
-from swarmd.robot.state_machine import StateMachine
+from swarmd.robot.pattern_run import LOAD_TIMEOUT, STEP_TIMEOUT, PatternRun, Trial
+from swarmd.robot.state_machine import StateMachine, Trigger
 
-HOLD_LASTS = 2.0
-EVENTS = 10
-LINE = 300
-_ENDS_TRIAL = frozenset({Change.STOP, Change.ESTOP, Change.STALL})
-
-
-class Turn(Struct, eq=False):
-    """What one event leads to, gathered until it is settled."""
-
-    now: float
-    is_beat: bool = False
-    host: HostCommand | None = None
-    trial: StartTrial | CancelTrial | None = None
-    is_latched: bool = False
-    is_new_scan: bool = False
-    is_new_run: bool = False
-    messages: Mapping[str, Value] = {}
-    replies: tuple[Reply, ...] = ()
+MAX_HOLD_TIME = 2.0  # s after which a hold ends the run
+MAX_EVENTS = 10  # kept for `describe`
+MAX_TEXT = 300  # characters
+_ENDS_TRIAL = frozenset({Trigger.STOP, Trigger.ESTOP, Trigger.STALL})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Identity:
-    """What a pattern is loaded for. `touch`: where which pattern may touch what is near."""
+class RobotIdentity:
+    """The robot that a pattern is loaded for.
+
+    `layers` gives the configured parameters of a pattern by layer, weakest first; `touch` the
+    granted touch zones by pattern.
+    """
 
     robot: str
     platform: Platform
     seed: int
     instance: str
+    layers: Callable[[str], Layers]
     touch: Mapping[str, TouchZone] = field(default_factory=dict)
 
 
 class Lifecycle:
-    """State, pattern and latches of one robot. Times in s, handed in with each turn."""
+    """State, pattern and latches of one robot. Times are in s and come with `effects`."""
 
-    def __init__(self, identity: Identity, latches: LatchRecord | None, now: float) -> None:
+    def __init__(self, identity: RobotIdentity, latches: LatchRecord | None, now: float) -> None:
         self._identity = identity
         self._born = now
-        self.supervisor = StateMachine(now)
-        self.hosting = PatternRun()
+        self.state_machine = StateMachine(now)
+        self.pattern_run = PatternRun()
         self.latches = Latches(latches)
         self.outbox = Outbox()
         self.revision = 0
-        self.changed_by = "nobody yet"
+        self.changed_by = "no one yet"
         self.duplicate: str | None = None
         self.report: Mapping[str, Scalar] = {}
-        self.events: deque[LoggedEvent] = deque(maxlen=EVENTS)
+        self.events: deque[LoggedEvent] = deque(maxlen=MAX_EVENTS)
         self.params_request: tuple[ParamRequest, float] | None = None
-        self.trial: Trying | None = None
+        self.trial: Trial | None = None
         self.hold_since: float | None = None
-        self.mistyped = 0
+        self.wrong_type_count = 0
         self._last_fault = ""
         self._load: Load | None = None
         if self.latches.held:
-            self.supervisor.apply(Change.ESTOP, Reason.ESTOP, self.latch_text(), now)
+            self.state_machine.apply(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), now)
 
     @property
     def is_running(self) -> bool:
         """True in state running."""
-        return self.supervisor.state is State.RUNNING
+        return self.state_machine.state is State.RUNNING
 
     @property
     def epoch(self) -> Epoch:
-        """What an operator must quote to change this robot."""
+        """The epoch that a request must quote to change this robot."""
         return Epoch(self._identity.instance, self.revision)
 
     @property
     def permit(self) -> Permit:
-        """What the pattern in force may; nothing outside `running` and while it is replaced."""
-        running = self.hosting.running
-        if running is None or self.hosting.is_restarting:
+        """The permit of the running pattern; NO_PERMIT without one and while it restarts."""
+        running = self.pattern_run.running
+        if running is None or self.pattern_run.is_restarting:
             return NO_PERMIT
         may_recover, _ = running.values.get("recovery", (False, ""))
         return Permit(may_recover=may_recover is True, touch=running.touch)
 
-    def note(self, text: str, now: float) -> None:
-        """Keep an event for describe."""
-        self.events.append(LoggedEvent(at=max(now - self._born, 0.0), text=text[:LINE]))
+    def log(self, text: str, now: float) -> None:
+        """Record an event for `describe`."""
+        self.events.append(LoggedEvent(at=max(now - self._born, 0.0), text=text[:MAX_TEXT]))
 
-    def applied(self, turn: Turn, request: Request, text: str) -> None:
+    def applied(self, effects: Effects, request: Request, text: str) -> None:
         """Acknowledge a request; the reply carries the epoch that follows from it."""
-        self._reply(turn, request, Code.APPLIED, None, text)
+        self._reply(effects, request, Code.APPLIED, None, text)
 
-    def refuse(self, turn: Turn, request: Request, refusal: Refusal, text: str) -> None:
+    def refuse(self, effects: Effects, request: Request, refusal: Refusal, text: str) -> None:
         """Refuse a request."""
-        self._reply(turn, request, Code.REFUSED, refusal, text)
+        self._reply(effects, request, Code.REFUSED, refusal, text)
 
     def _reply(
-        self, turn: Turn, request: Request, code: Code, refusal: Refusal | None, text: str
+        self, effects: Effects, request: Request, code: Code, refusal: Refusal | None, text: str
     ) -> None:
         answer = Reply(
             id=request.id,
             robot=self._identity.robot,
             code=code,
             refusal=refusal,
-            text=text[:LINE],
+            text=text[:MAX_TEXT],
             epoch=self.epoch,
         )
-        turn.replies = (*turn.replies, answer)
+        effects.replies = (*effects.replies, answer)
 
-    def changed(self, by: str) -> None:
-        """Raise the revision: what an operator saw before no longer holds."""
+    def raise_revision(self, by: str) -> None:
+        """Raise the revision, which makes all epochs seen before stale."""
         self.revision += 1
-        self.changed_by = by[:LINE]
+        self.changed_by = by[:MAX_TEXT]
 
     def latch_text(self) -> str:
-        """Who holds the robot, in one line."""
+        """The issuers and reasons of the held latches, in one line."""
         held = self.latches.held.values()
         texts = (f"by {one.issuer}" + (f": {one.reason}" if one.reason else "") for one in held)
-        return ", ".join(dict.fromkeys(texts))[:LINE]
+        return ", ".join(dict.fromkeys(texts))[:MAX_TEXT]
 
     # Events of the pattern host
 
-    def on_host(self, event: HostEvent, turn: Turn) -> None:
-        """Take an answer, a failure or a death; answers of other generations are dropped."""
-        hosting = self.hosting
+    def on_host(self, event: HostEvent, effects: Effects) -> None:
+        """Act on an event of the pattern host; events of other generations are ignored."""
+        pattern_run = self.pattern_run
         if isinstance(event, Loaded | LoadRefused):
-            if hosting.loading is None or event.generation != hosting.loading.generation:
+            if pattern_run.loading is None or event.generation != pattern_run.loading.generation:
                 return
             if isinstance(event, Loaded):
-                self._ready(event, turn)
+                self._on_loaded(event, effects)
             else:
-                self._refused(event, turn)
+                self._on_load_refused(event, effects)
         elif isinstance(event, Stepped):
-            self._stepped(event, turn)
+            self._on_stepped(event, effects)
         elif isinstance(event, ParamsSet):
-            self._params_set(event, turn)
+            self._on_params_set(event, effects)
         elif isinstance(event, PatternFailed):
-            if hosting.running is not None and event.generation == hosting.running.generation:
-                self.fault(event.text, turn)
-            elif hosting.loading is not None and event.generation == hosting.loading.generation:
-                self.fail_load(event.text, turn)
+            if (
+                pattern_run.running is not None
+                and event.generation == pattern_run.running.generation
+            ):
+                self.fault(event.text, effects)
+            elif (
+                pattern_run.loading is not None
+                and event.generation == pattern_run.loading.generation
+            ):
+                self.fail_load(event.text, effects)
         elif isinstance(event, HostDied):
-            self._lose_host(event.text, turn)
+            self._on_host_died(event.text, effects)
 
-    def _ready(self, event: Loaded, turn: Turn) -> None:
-        loading = self.hosting.ready(event, turn.now)
+    def _on_loaded(self, event: Loaded, effects: Effects) -> None:
+        loading = self.pattern_run.ready(event, effects.now)
         self.hold_since = None
-        self.supervisor.apply(Change.RUN, None, "", turn.now)
+        self.state_machine.apply(Trigger.RUN, None, "", effects.now)
         if loading.request is None:
-            self.note(f"{loading.pattern} restarted", turn.now)
+            self.log(f"{loading.pattern} restarted", effects.now)
         else:
-            turn.is_new_run = True
+            effects.is_new_run = True
             self.report = {}
-            self.note(f"runs {loading.pattern}, by {loading.request.operator}", turn.now)
-            self.applied(turn, loading.request, f"runs {loading.pattern}")
-        self._let_touch(loading.pattern, event, turn)
+            self.log(f"runs {loading.pattern}, by {loading.request.operator}", effects.now)
+            self.applied(effects, loading.request, f"runs {loading.pattern}")
+        self._apply_touch_zone(loading.pattern, event, effects)
 
-    def _let_touch(self, pattern: str, event: Loaded, turn: Turn) -> None:
-        """For this generation alone; every way out of it forgets what is running."""
-        assert self.hosting.running is not None
+    def _apply_touch_zone(self, pattern: str, event: Loaded, effects: Effects) -> None:
+        """Grant the touch zone to this generation alone: it ends with `pattern_run.running`."""
+        assert self.pattern_run.running is not None
         granted = self._identity.touch.get(pattern)
-        self.hosting.running.touch, text = effective_zone(pattern, event.touches, granted)
+        self.pattern_run.running.touch, text = effective_zone(pattern, event.touches, granted)
         if text:
-            self.note(f"{pattern} {text}", turn.now)
+            self.log(f"{pattern} {text}", effects.now)
 
-    def _refused(self, event: LoadRefused, turn: Turn) -> None:
+    def _on_load_refused(self, event: LoadRefused, effects: Effects) -> None:
         text = event.text
-        loading, self.hosting.loading = self.hosting.loading, None
+        loading, self.pattern_run.loading = self.pattern_run.loading, None
         if loading is None or loading.request is None:
-            self.end(Change.LOAD_FAILED, Reason.LOAD_FAILED, text, turn)
+            self.end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, text, effects)
             return
-        self.note(f"{loading.pattern} refused: {text}", turn.now)
-        self.refuse(turn, loading.request, event.refusal, text)
-        if self._load is not None and self._load.is_fresh:  # what ran has lost its host for it
-            self.fault("its host was replaced", turn)
+        self.log(f"{loading.pattern} refused: {text}", effects.now)
+        self.refuse(effects, loading.request, event.refusal, text)
+        if (
+            self._load is not None and self._load.is_fresh
+        ):  # the running pattern lost its host to the fresh one
+            self.fault("its host was replaced", effects)
 
-    def _stepped(self, event: Stepped, turn: Turn) -> None:
-        hosting = self.hosting
-        running = hosting.running
+    def _on_stepped(self, event: Stepped, effects: Effects) -> None:
+        pattern_run = self.pattern_run
+        running = pattern_run.running
         if running is None or event.generation != running.generation:
-            if event.generation == hosting.stepped_generation:
-                hosting.awaiting_since = None
+            if event.generation == pattern_run.stepped_generation:
+                pattern_run.awaiting_since = None
             return
-        hosting.stepped(event, turn.now)
-        self.mistyped += event.dropped
+        pattern_run.stepped(event, effects.now)
+        self.wrong_type_count += event.dropped
         twist = event.outputs.twist
         if twist is not None and not twist.is_finite:
-            self.fault("its twist is not finite", turn)
+            self.fault("its twist is not finite", effects)
             return
         self.report = event.outputs.report
-        said = self.outbox.take(event.outputs.messages, running.channels, turn.now)
-        turn.messages = {running.full_name(channel): value for channel, value in said.items()}
+        passed = self.outbox.take(event.outputs.messages, running.channels, effects.now)
+        effects.messages = {running.full_name(channel): value for channel, value in passed.items()}
         if event.outputs.done is not None:
-            self.end(Change.FINISH, Reason.FINISHED, event.outputs.done, turn)
+            self.end(Trigger.FINISH, Reason.FINISHED, event.outputs.done, effects)
 
-    def _params_set(self, event: ParamsSet, turn: Turn) -> None:
+    def _on_params_set(self, event: ParamsSet, effects: Effects) -> None:
         if self.params_request is None or self.params_request[0].id != event.request:
             return
         request, self.params_request = self.params_request[0], None
-        running = self.hosting.running
+        running = self.pattern_run.running
         if not event.params or running is None:
             refusal = Refusal.INVALID_PARAMETER if event.text else Refusal.NOT_RUNNING
-            self.refuse(turn, request, refusal, event.text or "no pattern is running")
+            self.refuse(effects, request, refusal, event.text or "no pattern is running")
             return
         running.values = event.params
         running.params = {**running.params, **request.params}
-        self.applied(turn, request, event.text or "set")
+        self.applied(effects, request, event.text or "set")
 
-    def _lose_host(self, text: str, turn: Turn) -> None:
-        self.hosting.awaiting_since = None
-        loading = self.hosting.loading
+    def _on_host_died(self, text: str, effects: Effects) -> None:
+        self.pattern_run.awaiting_since = None
+        loading = self.pattern_run.loading
         if loading is not None and loading.request is not None:
-            self.fail_load(text, turn)
-        elif self.is_running and self.hosting.restart_at is None:
-            self.fault(text, turn)
+            self.fail_load(text, effects)
+        elif self.is_running and self.pattern_run.restart_at is None:
+            self.fault(text, effects)
 
-    # What goes wrong with a pattern
+    # Failures of a pattern
 
-    def fault(self, text: str, turn: Turn) -> None:
-        """The pattern failed: reload it in a fresh host after a while, or quarantine it."""
-        hosting = self.hosting
-        running, loading = hosting.running, hosting.loading
+    def fault(self, text: str, effects: Effects) -> None:
+        """The pattern failed: restart it in a fresh host after a backoff, or quarantine it."""
+        pattern_run = self.pattern_run
+        running, loading = pattern_run.running, pattern_run.loading
         if running is None or not self.is_running:
             return
-        turn.host = KillHost(text)
+        effects.command_host(KillHost(text))
         self._last_fault = text
-        self.note(f"{running.pattern} failed: {text}", turn.now)
+        self.log(f"{running.pattern} failed: {text}", effects.now)
         if loading is not None and loading.request is not None:
-            self.fail_load(text, turn)
-        elif not hosting.fault(turn.now):
-            self.hold_since = None  # the pattern gets as long to come back as any hold may last
+            self.fail_load(text, effects)
+        elif not pattern_run.fault(effects.now):
+            self.hold_since = None  # the restart may take as long as any other hold
         else:
-            detail = f"{running.pattern} failed {hosting.faults} times, last: {text}"
-            self.end(Change.FAULT, Reason.QUARANTINED, detail, turn)
+            detail = f"{running.pattern} failed {pattern_run.faults} times, last: {text}"
+            self.end(Trigger.FAULT, Reason.QUARANTINED, detail, effects)
 
-    def fail_load(self, text: str, turn: Turn) -> None:
-        """Loading came to nothing, and its host with it."""
-        loading, self.hosting.loading = self.hosting.loading, None
-        turn.host = KillHost(text)
+    def fail_load(self, text: str, effects: Effects) -> None:
+        """End a load that failed, and its host."""
+        loading, self.pattern_run.loading = self.pattern_run.loading, None
+        effects.command_host(KillHost(text))
         if loading is None:
             return
-        self.note(f"{loading.pattern} was not loaded: {text}", turn.now)
+        self.log(f"{loading.pattern} was not loaded: {text}", effects.now)
         detail = f"{loading.pattern}: {text}"
         if loading.request is not None:
-            self._reply(turn, loading.request, Code.FAILED, Refusal.PATTERN_FAILED, detail)
-        self.end(Change.LOAD_FAILED, Reason.LOAD_FAILED, detail, turn)
+            self._reply(effects, loading.request, Code.FAILED, Refusal.PATTERN_FAILED, detail)
+        self.end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, detail, effects)
 
-    def end(self, change: Change, reason: Reason, detail: str, turn: Turn) -> None:
-        """Leave running, or change state while not running; nothing is stepped any more."""
-        loading = self.hosting.loading
-        if change is Change.FINISH and loading is not None and loading.request is not None:
-            self.hosting.end_running()  # what an operator asked for next is still wanted
+    def end(self, trigger: Trigger, reason: Reason, detail: str, effects: Effects) -> None:
+        """End the run, if any, and fire a trigger; no pattern is stepped after it."""
+        loading = self.pattern_run.loading
+        if trigger is Trigger.FINISH and loading is not None and loading.request is not None:
+            self.pattern_run.end_running()  # the next run, already requested, goes on loading
         else:
-            self._cancel_load(reason, turn)
-            self.hosting.end()
-        if change in _ENDS_TRIAL:
+            self._cancel_load(reason, effects)
+            self.pattern_run.end()
+        if trigger in _ENDS_TRIAL:
             text = f"{reason} while the new code was being tried"
-            self.end_trial(Refusal.OVERTAKEN, text, turn)
+            self.end_trial(Refusal.OVERTAKEN, text, effects)
         if self.params_request is not None:
             overtaken, self.params_request = self.params_request[0], None
             text = f"{reason} before the pattern answered"
-            self.refuse(turn, overtaken, Refusal.OVERTAKEN, text)
+            self.refuse(effects, overtaken, Refusal.OVERTAKEN, text)
         self.hold_since = None
-        before = self.supervisor.state
-        self.supervisor.apply(change, reason, detail[:LINE], turn.now)
-        if self.supervisor.state is not before:
-            self.note(f"{self.supervisor.state} ({reason}) {detail}".rstrip(), turn.now)
+        before = self.state_machine.state
+        self.state_machine.apply(trigger, reason, detail[:MAX_TEXT], effects.now)
+        if self.state_machine.state is not before:
+            self.log(f"{self.state_machine.state} ({reason}) {detail}".rstrip(), effects.now)
 
-    def end_trial(self, refusal: Refusal, text: str, turn: Turn) -> None:
-        """Nothing comes of the trial under way, if there is one; what runs is left alone."""
+    def end_trial(self, refusal: Refusal, text: str, effects: Effects) -> None:
+        """End the trial under way, if any, without success; the running pattern goes on."""
         trial, self.trial = self.trial, None
         if trial is not None:
-            turn.trial = CancelTrial(text)
-            self.note(f"{trial.pattern} not reloaded: {text}", turn.now)
-            self.refuse(turn, trial.request, refusal, text)
+            effects.trial = CancelTrial(text)
+            self.log(f"{trial.pattern} not reloaded: {text}", effects.now)
+            self.refuse(effects, trial.request, refusal, text)
 
-    def _cancel_load(self, reason: Reason, turn: Turn) -> None:
-        loading = self.hosting.loading
+    def _cancel_load(self, reason: Reason, effects: Effects) -> None:
+        loading = self.pattern_run.loading
         if loading is None:
             return
-        turn.host = KillHost(f"not wanted any more: {reason}")
+        effects.command_host(KillHost(f"not wanted any more: {reason}"))
         if loading.request is not None:
             text = f"{reason} while it was being loaded"
-            self.refuse(turn, loading.request, Refusal.OVERTAKEN, text)
+            self.refuse(effects, loading.request, Refusal.OVERTAKEN, text)
 
-    # What an operator, a peer or the machine does
+    # Operators, peers and the machine
 
-    def load(self, pattern: str, layers: Layers, turn: Turn) -> None:
-        """Ask the host for the pattern that `hosting.begin` announced."""
-        hosting = self.hosting
-        load = self.load_of(hosting.generation, pattern, layers)
-        until = () if hosting.loading is None else hosting.loading.until
-        turn.host = self._load = structs.replace(load, is_fresh=hosting.is_outdated, until=until)
-        hosting.is_outdated = False
+    def start_run(
+        self,
+        pattern: str,
+        params: Mapping[str, Scalar | None],
+        effects: Effects,
+        *,
+        seconds: float | None = None,
+        until: tuple[str, ...] = (),
+        request: RunRequest | ReloadRequest | None = None,
+        is_fresh: bool = False,
+    ) -> None:
+        """Load a pattern; it runs once its host reports Loaded. `request` None: a restart.
 
-    def load_of(self, generation: int, pattern: str, layers: Layers) -> Load:
-        """What a host needs to load a pattern for this robot."""
-        of = self._identity
-        seed = (of.seed * 1_000_003 + generation) % 2**63
-        return Load(generation, pattern, layers, of.robot, of.platform, seed)
+        `is_fresh`: in a fresh host. `until`: conditions of which any ends the run.
+        """
+        run = self.pattern_run
+        run.begin(pattern, params, seconds, request, effects.now, until)
+        load = self.load_of(run.generation, pattern, params)
+        is_fresh = is_fresh or run.is_outdated
+        self._load = structs.replace(load, is_fresh=is_fresh, until=until)
+        effects.command_host(self._load)
+        run.is_outdated = False
 
-    def latch(self, latch_id: str, latch: Latch, turn: Turn) -> None:
-        """Emergency stop: latched, whatever the state."""
-        turn.is_latched = True
+    def load_of(self, generation: int, pattern: str, params: Mapping[str, Scalar | None]) -> Load:
+        """The command that loads a pattern for this robot; `params` form the strongest layer."""
+        identity = self._identity
+        layers = (*identity.layers(pattern), ("runtime", dict(params)))
+        seed = (identity.seed * 1_000_003 + generation) % 2**63
+        return Load(generation, pattern, layers, identity.robot, identity.platform, seed)
+
+    def latch(self, latch_id: str, latch: Latch, effects: Effects) -> None:
+        """Add a latch and stop, in every state."""
+        effects.is_latched = True
         if self.latches.add(latch_id, latch):
-            self.changed(f"{latch.issuer} (estop)")
-        self.end(Change.ESTOP, Reason.ESTOP, self.latch_text(), turn)
+            self.raise_revision(f"{latch.issuer} (estop)")
+        self.end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
 
-    def take_over(self, latches: Mapping[str, Latch], turn: Turn) -> None:
-        """A peer holds swarm-wide latches: hold them too, unless they were reset here."""
-        new = self.latches.take_over(latches)
+    def adopt_latches(self, latches: Mapping[str, Latch], effects: Effects) -> None:
+        """Adopt the swarm-wide latches of a peer, except those that were reset here."""
+        new = self.latches.adopt(latches)
         if not new:
             return
-        turn.is_latched = True
-        self.changed(f"{latches[new[0]].issuer} (estop)" if new[0] in latches else "estop")
-        self.end(Change.ESTOP, Reason.ESTOP, self.latch_text(), turn)
+        effects.is_latched = True
+        self.raise_revision(f"{latches[new[0]].issuer} (estop)" if new[0] in latches else "estop")
+        self.end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
 
-    def stall(self, late: float, turn: Turn) -> None:
-        """The guardian's loop was late: what was asked for before no longer counts."""
-        self.changed(f"a stall of {late:.1f} s")
+    def stall(self, late: float, effects: Effects) -> None:
+        """The daemon's loop was late: earlier epochs become stale and the run ends."""
+        self.raise_revision(f"a stall of {late:.1f} s")
         detail = f"the daemon did not run for {late:.1f} s"
-        self.end(Change.STALL, Reason.LOOP_STALLED, detail, turn)
+        self.end(Trigger.STALL, Reason.LOOP_STALLED, detail, effects)
 
-    def on_duplicate(self, holder: str | None, turn: Turn) -> None:
-        """Another instance holds this id (None: no longer)."""
+    def on_duplicate(self, holder: str | None, effects: Effects) -> None:
+        """Another instance has this id; None: it has left."""
         if holder is not None and holder != self.duplicate:
-            self.changed("a second robot of this name")
+            self.raise_revision("a second robot of this name")
             detail = f"this id is also held by {holder}"
-            self.end(Change.FAULT, Reason.DUPLICATE_ID, detail, turn)
+            self.end(Trigger.FAULT, Reason.DUPLICATE_ID, detail, effects)
         self.duplicate = holder
 
     # Time
 
-    def advance(self, hold: Reason | None, turn: Turn) -> Reason | None:
-        """Carry out what is due at this time; the hold that is in force now, if any."""
-        hosting, now = self.hosting, turn.now
-        loading = hosting.loading
+    def advance(self, hold: Reason | None, effects: Effects) -> Reason | None:
+        """Act on all deadlines that have passed; returns the present hold, if any."""
+        pattern_run, now = self.pattern_run, effects.now
+        loading = pattern_run.loading
         if loading is not None and now - loading.since >= LOAD_TIMEOUT:
-            self.fail_load(f"loading took more than {LOAD_TIMEOUT:.0f} s", turn)
-        if hosting.awaiting_since is not None and now - hosting.awaiting_since >= SILENT_AFTER:
-            hosting.awaiting_since = None
-            self._end_silent_host(turn)
+            self.fail_load(f"loading took more than {LOAD_TIMEOUT:.0f} s", effects)
+        if (
+            pattern_run.awaiting_since is not None
+            and now - pattern_run.awaiting_since >= STEP_TIMEOUT
+        ):
+            pattern_run.awaiting_since = None
+            self._end_silent_host(effects)
         if self.params_request is not None and now - self.params_request[1] >= LOAD_TIMEOUT:
             request, self.params_request = self.params_request[0], None
             text = "the pattern did not answer"
-            self._reply(turn, request, Code.FAILED, Refusal.PATTERN_FAILED, text)
-        running = hosting.running
+            self._reply(effects, request, Code.FAILED, Refusal.PATTERN_FAILED, text)
+        running = pattern_run.running
         if not self.is_running or running is None:
             return None
         if running.finish_at is not None and now >= running.finish_at:
-            self.end(Change.FINISH, Reason.FINISHED, "its time is over", turn)
+            self.end(Trigger.FINISH, Reason.FINISHED, "its seconds are over", effects)
             return None
-        return self._held(hold, turn)
+        return self._present_hold(hold, effects)
 
-    def _end_silent_host(self, turn: Turn) -> None:
-        """The host hangs in a step; what waits behind that step is loaded in a new one."""
-        hosting, text = self.hosting, f"gave no answer for {SILENT_AFTER:.0f} s"
-        if hosting.loading is None or self._load is None:
-            turn.host = KillHost("silent")
-            self.fault(text, turn)
+    def _end_silent_host(self, effects: Effects) -> None:
+        """End a host that hangs in a step; a load that waits behind it gets a fresh host."""
+        pattern_run, text = self.pattern_run, f"gave no answer for {STEP_TIMEOUT:.0f} s"
+        if pattern_run.loading is None or self._load is None:
+            effects.command_host(KillHost("silent"))
+            self.fault(text, effects)
             return
-        self.note(f"the pattern before {hosting.loading.pattern} {text}", turn.now)
-        hosting.loading = replace(hosting.loading, since=turn.now)
-        turn.host = structs.replace(self._load, is_fresh=True)
+        self.log(f"the pattern before {pattern_run.loading.pattern} {text}", effects.now)
+        pattern_run.loading = replace(pattern_run.loading, since=effects.now)
+        effects.command_host(structs.replace(self._load, is_fresh=True))
 
-    def _held(self, hold: Reason | None, turn: Turn) -> Reason | None:
-        if hold is None and self.hosting.is_restarting:
+    def _present_hold(self, hold: Reason | None, effects: Effects) -> Reason | None:
+        if hold is None and self.pattern_run.is_restarting:
             hold = Reason.PATTERN_RESTARTING
-        if hold is None and self.hosting.is_expired(turn.now):
+        if hold is None and self.pattern_run.is_expired(effects.now):
             hold = Reason.COMMAND_EXPIRED
-        is_switching = hold is Reason.COMMAND_EXPIRED and self.hosting.loading is not None
-        if hold is None or is_switching:  # a load has a limit of its own
+        is_switching = hold is Reason.COMMAND_EXPIRED and self.pattern_run.loading is not None
+        if hold is None or is_switching:  # a load has a timeout of its own
             self.hold_since = None
         elif self.hold_since is None:
-            self.hold_since = turn.now
-        elif turn.now - self.hold_since >= HOLD_LASTS:
-            text = f"for {HOLD_LASTS:.0f} s"
+            self.hold_since = effects.now
+        elif effects.now - self.hold_since >= MAX_HOLD_TIME:
+            text = f"for {MAX_HOLD_TIME:.0f} s"
             if hold is Reason.PATTERN_RESTARTING:
                 text += f", last: {self._last_fault}"
-            self.end(Change.HOLD_LASTED, hold, text, turn)
+            self.end(Trigger.HOLD_LASTED, hold, text, effects)
             return None
         return hold

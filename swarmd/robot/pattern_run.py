@@ -1,4 +1,4 @@
-"""The robot's side of its pattern: loading, stepping, wishes and their expiry, faults. Pure."""
+"""The robot's view of its pattern: load, steps, requested command and its expiry, faults. Pure."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from swarmd.core.host_messages import Loaded, Stepped
 from swarmd.core.messages import ReloadRequest, RunRequest
 from swarmd.core.values import Scalar, TouchZone, Twist
 
-LOAD_TIMEOUT = 3.0
-SILENT_AFTER = 1.0
-MIN_EXPIRY = 0.3
-FAULT_WINDOW = 60.0
+LOAD_TIMEOUT = 3.0  # s
+STEP_TIMEOUT = 1.0  # s after which a host that does not answer a step is ended
+MIN_EXPIRY = 0.3  # s for which a requested command holds at least
+FAULT_WINDOW = 60.0  # s within which faults count towards the quarantine
 FAULTS_BEFORE_QUARANTINE = 4
-FIRST_BACKOFF = 0.1
-ROUNDING = 1e-6  # a deadline is kept, not missed by the last bit of a float
+FIRST_BACKOFF = 0.1  # s before the first restart; doubles with each fault
+ROUNDING = 1e-6  # s: a deadline must not be missed by the last bit of a float
 
 
 class RequestedCommand(Struct, frozen=True):
-    """What the pattern wants, since when, and from which scan (-1: none)."""
+    """The command that the pattern requests, its time, and the scan behind it (-1: none)."""
 
     twist: Twist | None
     at: float
@@ -32,7 +32,7 @@ class RequestedCommand(Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loading:
-    """A pattern on its way in. `request` None: a restart after a fault.
+    """A pattern that is being loaded. `request` None: a restart after a fault.
 
     `until`: conditions of which any ends the run.
     """
@@ -47,8 +47,8 @@ class Loading:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trying:
-    """New code that is being tried, since when, and who asked for it."""
+class Trial:
+    """A trial of new code, under way for a reload request."""
 
     generation: int
     pattern: str
@@ -58,7 +58,7 @@ class Trying:
 
 @dataclass(slots=True, eq=False)
 class Running:
-    """The pattern in force. `touch`: where it may touch what is near."""
+    """The running pattern. `touch`: its granted touch zone."""
 
     generation: int
     pattern: str
@@ -72,24 +72,24 @@ class Running:
     touch: TouchZone | None = None
 
     def channel(self, name: str) -> str | None:
-        """What the pattern itself calls `<pattern>/<channel>`; None if it does not listen to it."""
+        """The pattern's own name of `<pattern>/<channel>`; None if it does not declare it."""
         if name in self.channels:
             return name
         pattern, _, channel = name.partition("/")
         return channel if pattern == self.pattern and channel in self.channels else None
 
     def full_name(self, channel: str) -> str:
-        """The `<pattern>/<channel>` of one of its channels, as all robots know it."""
+        """The `<pattern>/<channel>` under which a channel is published."""
         return channel if "/" in channel else f"{self.pattern}/{channel}"
 
     @property
     def expiry(self) -> float:
-        """Seconds for which a wish holds: three steps, at least 0.3 s."""
+        """Seconds for which a requested command holds: three steps, at least MIN_EXPIRY."""
         return max(MIN_EXPIRY, 3.0 / self.rate)
 
 
 class PatternRun:
-    """What is loaded, what is awaited from the host, and how often it has failed."""
+    """The load and the run of a pattern, the answers awaited from its host, and its faults."""
 
     def __init__(self) -> None:
         self.generation = 0
@@ -100,7 +100,7 @@ class PatternRun:
         self.stepped_generation = 0
         self.last_step = -1.0
         self.is_due = False
-        self.is_outdated = False  # its host may hold code that was replaced meanwhile
+        self.is_outdated = False  # its host may hold code that has been replaced
         self.restarts = 0
         self._faults: deque[float] = deque()
 
@@ -113,14 +113,14 @@ class PatternRun:
         now: float,
         until: tuple[str, ...] = (),
     ) -> Loading:
-        """A new generation is to be loaded; until then the one in force stays, unstepped."""
+        """Begin to load a new generation; the running one stays, without steps, until then."""
         self.generation += 1
         self.loading = Loading(self.generation, pattern, params, seconds, now, request, until)
         self.restart_at = None
         return self.loading
 
     def ready(self, event: Loaded, now: float) -> Loading:
-        """Put the loaded pattern in force, without any wish yet."""
+        """Make the loaded pattern the running one, without a requested command yet."""
         loading, self.loading = self.loading, None
         assert loading is not None
         finish_at = None if loading.seconds is None else now + loading.seconds
@@ -144,19 +144,19 @@ class PatternRun:
         return loading
 
     def stepped(self, event: Stepped, now: float) -> None:
-        """Take the outputs' wish as the newest; its age counts from when its step was asked for."""
+        """Take the requested command of a step; its age counts from the start of the step."""
         assert self.running is not None
         asked_at = now if self.awaiting_since is None else self.awaiting_since
         self.awaiting_since = None
         self.running.requested = RequestedCommand(event.outputs.twist, asked_at, event.scan_seq)
 
     def is_expired(self, now: float) -> bool:
-        """True if the last wish is too old, or there is no pattern."""
+        """True if the last requested command has expired, or no pattern runs."""
         running = self.running
         return running is None or now >= running.requested.at + running.expiry - ROUNDING
 
     def may_step(self, now: float, is_new_scan: bool) -> bool:
-        """True if a step is wanted now and the host is free; else it is remembered as due."""
+        """True if a step is due and the host is free; while the host is busy the step stays due."""
         running = self.running
         if running is None or self.restart_at is not None or self.loading is not None:
             return False
@@ -169,7 +169,7 @@ class PatternRun:
         return True
 
     def stepping(self, now: float) -> float:
-        """A step goes out; the time since the one before (0 at the first)."""
+        """Mark the start of a step; returns the seconds since the last one (0 at the first)."""
         assert self.running is not None
         self.stepped_generation = self.running.generation
         dt = 0.0 if self.last_step < 0.0 else now - self.last_step
@@ -180,17 +180,17 @@ class PatternRun:
 
     @property
     def is_restarting(self) -> bool:
-        """True while a pattern that failed waits to be loaded again, or is being loaded."""
+        """True while a failed pattern waits for its restart or is being loaded again."""
         is_reloading = self.loading is not None and self.loading.request is None
         return self.restart_at is not None or is_reloading
 
     @property
     def faults(self) -> int:
-        """How often the pattern failed within the last minute."""
+        """The number of faults within FAULT_WINDOW."""
         return len(self._faults)
 
     def fault(self, now: float) -> bool:
-        """Count a fault; True if the pattern is to be quarantined, else its restart is due."""
+        """Count a fault; True if the pattern must be quarantined, else its restart is scheduled."""
         self.awaiting_since = None
         self.loading = None
         self.restarts += 1
@@ -204,18 +204,18 @@ class PatternRun:
         return False
 
     def end(self) -> None:
-        """Nothing is loaded any more that may be stepped; a step on its way is still awaited."""
+        """End the run and any load; a step under way is still awaited."""
         self.end_running()
         self.loading = None
 
     def end_running(self) -> None:
-        """As `end`, but what is being loaded stays wanted."""
+        """End the run; a load goes on."""
         self.running = None
         self.restart_at = None
         self.is_due = False
 
     def next_deadline(self, now: float) -> float:
-        """The next time after `now` at which something must be looked at; inf if there is none."""
+        """The next deadline after `now`; inf without one."""
         running, soonest = self.running, math.inf
         if running is not None:
             if self.awaiting_since is None and self.loading is None:
@@ -226,7 +226,7 @@ class PatternRun:
         if self.loading is not None:
             soonest = _sooner(self.loading.since + LOAD_TIMEOUT, soonest, now)
         if self.awaiting_since is not None:
-            soonest = _sooner(self.awaiting_since + SILENT_AFTER, soonest, now)
+            soonest = _sooner(self.awaiting_since + STEP_TIMEOUT, soonest, now)
         if self.restart_at is not None:
             soonest = _sooner(self.restart_at, soonest, now)
         return soonest

@@ -1,4 +1,4 @@
-"""What one robot has heard lately, and whether it is fresh enough to move on."""
+"""The latest inputs of one robot, and whether they are fresh enough to move."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from swarmd.core.values import Inputs, Message, Neighbor, Odometry, Platform, Sc
 from swarmd.protection.decision import DecisionContext
 from swarmd.sensing.conditioning import ScanConditioner
 
-ODOMETRY_STALE_AFTER = 0.5
-NEIGHBOR_FORGOTTEN_AFTER = 3.0
-AGES_EVERY = 0.5  # ages of neighbours are renewed so often: a thousand of them take a while
-OVERHEAD = 200  # bytes of sender, channel and age in a frame
-INBOX_BYTES = 100_000  # of messages kept between two steps; older ones give way
+ODOMETRY_TIMEOUT = 0.5
+NEIGHBOR_TIMEOUT = 3.0  # s without an update after which there are no neighbours
+AGE_UPDATE_PERIOD = 0.5  # s between updates of the neighbours' ages: a thousand take a while
+MESSAGE_OVERHEAD = 200  # bytes of sender, channel and age in a frame
+MAX_INBOX_BYTES = 100_000  # of messages kept between two steps; the oldest are dropped first
 
 
 @dataclass(frozen=True, slots=True)
-class _Heard:
+class _Received:
     message: Message
     at: float
     size: int
 
 
 class Sensors:
-    """Scan, odometry, neighbours, readings, messages and the driver's state, with their ages.
+    """Scan, odometry, neighbours, readings, messages and state of the driver, with their ages.
 
-    All times are in s on the robot's monotonic clock and handed in.
+    All times are in s on the robot's monotonic clock and come with each call.
     """
 
     def __init__(self, platform: Platform) -> None:
         self._stale_after = platform.scan.stale_after
         self._needs_odometry = "odometry" in platform.provides
-        # The barrier remembers what comes too near by itself, and better.
+        # Mode barrier has a better memory of its own for its blind zone.
         guesses_near = platform.protection.get("mode") != "barrier"
         self._conditioner = ScanConditioner(platform.scan, guesses_near=guesses_near)
         self._scan_at: float | None = None
@@ -48,7 +48,7 @@ class Sensors:
         self._aged: tuple[Neighbor, ...] = ()
         self._renewals = 0.0
         self._neighbors_at = 0.0
-        self._inbox: deque[_Heard] = deque()
+        self._inbox: deque[_Received] = deque()
         self._inbox_bytes = 0
         self.overflowed = 0
         self.scan: Scan | None = None
@@ -60,8 +60,8 @@ class Sensors:
     def on_scan(self, scan: Scan, now: float) -> bool:
         """Take in a driver's scan; True if it is a new, valid one."""
         at = self._odometry_at
-        is_told = at is not None and now - at <= ODOMETRY_STALE_AFTER
-        conditioned = self._conditioner.take(scan, self.odometry if is_told else None, now)
+        is_fresh = at is not None and now - at <= ODOMETRY_TIMEOUT
+        conditioned = self._conditioner.take(scan, self.odometry if is_fresh else None, now)
         if isinstance(conditioned, Reason):
             self._problem = conditioned
             return False
@@ -73,9 +73,9 @@ class Sensors:
         return True
 
     def on_odometry(self, odometry: Odometry, now: float) -> None:
-        """Take in a measured pose and twist; one whose stamp stands still does not count.
+        """Take in a measured pose and twist.
 
-        One that is not finite never came.
+        A reading with an old stamp does not renew the age; one that is not finite is ignored.
         """
         if not (odometry.pose.is_finite and odometry.twist.is_finite):
             return
@@ -84,7 +84,7 @@ class Sensors:
         self.odometry = odometry
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
-        """Take in who is near now."""
+        """Take in the present neighbours."""
         if neighbors is not self._neighbors:
             self._neighbors = neighbors
             self._neighbor_ids = frozenset(neighbor.id for neighbor in neighbors)
@@ -92,33 +92,33 @@ class Sensors:
         self._aged, self._renewals = neighbors, 0.0
 
     def on_message(self, sender: str, channel: str, value: Value, now: float) -> bool:
-        """Keep what a neighbour said for the next step; False if its sender is none.
+        """Keep a message for the next step; False if its sender is no neighbour.
 
-        CodecError if it is too large once it is written out again.
+        Raises CodecError if the encoded value is too large.
         """
         is_near = sender in self._neighbor_ids and self._knows_neighbors(now)
         if not is_near:
             return False
-        size = OVERHEAD + len(encode_value(value))
-        self._inbox.append(_Heard(Message(sender, channel, value, 0.0), now, size))
+        size = MESSAGE_OVERHEAD + len(encode_value(value))
+        self._inbox.append(_Received(Message(sender, channel, value, 0.0), now, size))
         self._inbox_bytes += size
-        while self._inbox_bytes > INBOX_BYTES:
+        while self._inbox_bytes > MAX_INBOX_BYTES:
             self._inbox_bytes -= self._inbox.popleft().size
             self.overflowed += 1
         return True
 
     def on_driver(self, is_up: bool, text: str) -> None:
-        """The base is there, or lost and why."""
+        """Take in whether the driver is connected, and why not."""
         self.is_driver_up = is_up
         self.driver_text = text
 
     def neighbors(self, now: float) -> tuple[Neighbor, ...]:
-        """Who is near, with ages to within 0.5 s; nobody once that has not been heard for 3 s."""
+        """The neighbours, with ages to within 0.5 s; none after 3 s without an update."""
         if not self._knows_neighbors(now):
             return ()
-        renewals = (now - self._neighbors_at) // AGES_EVERY
+        renewals = (now - self._neighbors_at) // AGE_UPDATE_PERIOD
         if renewals != self._renewals:
-            self._renewals, passed = renewals, renewals * AGES_EVERY
+            self._renewals, passed = renewals, renewals * AGE_UPDATE_PERIOD
             self._aged = tuple(
                 Neighbor(n.id, n.age + passed, n.distance, n.bearing, n.heading)
                 for n in self._neighbors
@@ -126,30 +126,30 @@ class Sensors:
         return self._aged
 
     def _knows_neighbors(self, now: float) -> bool:
-        return now - self._neighbors_at <= NEIGHBOR_FORGOTTEN_AFTER
+        return now - self._neighbors_at <= NEIGHBOR_TIMEOUT
 
     def scan_age(self, now: float) -> float | None:
-        """Seconds since what the last valid scan holds was known; None before the first.
+        """The age of the last valid scan in s; None before the first.
 
-        That is since it arrived, unless it lacks a sector and is only as new as what is
-        remembered of that.
+        It counts from the arrival; for a scan that lacks a sector, from the time to which the
+        remembered sector is valid.
         """
         return None if self._scan_at is None else now - self._scan_at
 
     def context(self, now: float) -> DecisionContext:
-        """What a decision at `now` rests on."""
+        """The context of a decision at `now`."""
         odometry_age = None if self._odometry_at is None else now - self._odometry_at
         return DecisionContext(now, self.scan_age(now), self.odometry, odometry_age)
 
     def scan_rate(self, now: float) -> float:
-        """Valid scans a second over the last few; 0 once they have stopped."""
+        """Valid scans per second, over the last few; 0 once they have stopped."""
         times = self._scan_times
         if len(times) < 2 or now - times[-1] > 2.0 * self._stale_after:
             return 0.0
         return (len(times) - 1) / max(times[-1] - times[0], 1e-6)
 
     def hold(self, now: float) -> Reason | None:
-        """Why the robot must not move on what it senses; None if nothing forbids it."""
+        """The reason why the sensors forbid motion; None if they do not."""
         if not self.is_driver_up:
             return Reason.DRIVER_LOST
         age = self.scan_age(now)
@@ -158,17 +158,17 @@ class Sensors:
         if age > self._stale_after:
             return self._problem or Reason.STALE_SCAN
         if self._needs_odometry and (
-            self._odometry_at is None or now - self._odometry_at > ODOMETRY_STALE_AFTER
+            self._odometry_at is None or now - self._odometry_at > ODOMETRY_TIMEOUT
         ):
             return Reason.STALE_ODOMETRY
         return None
 
     def stale_at(self) -> float | None:
-        """When the present scan will be too old; None before the first."""
+        """The time at which the present scan becomes too old; None before the first."""
         return None if self._scan_at is None else self._scan_at + self._stale_after
 
     def inputs(self, now: float, dt: float) -> Inputs:
-        """All for one step; messages and the new-scan mark are handed out once."""
+        """The inputs of one step; a message, like the mark of a new scan, is in one step only."""
         inputs = Inputs(
             now=now,
             dt=dt,
@@ -176,7 +176,7 @@ class Sensors:
             is_new_scan=self._is_new_scan,
             odometry=self.odometry,
             neighbors=self.neighbors(now),
-            messages=tuple(_aged(heard, now) for heard in self._inbox),
+            messages=tuple(_aged(received, now) for received in self._inbox),
             readings=self.readings,
         )
         self.forget_messages()
@@ -184,11 +184,11 @@ class Sensors:
         return inputs
 
     def forget_messages(self) -> None:
-        """Drop what was said to an earlier pattern."""
+        """Drop the messages to an earlier pattern."""
         self._inbox.clear()
         self._inbox_bytes = 0
 
 
-def _aged(heard: _Heard, now: float) -> Message:
-    message = heard.message
-    return Message(message.sender, message.channel, message.value, now - heard.at)
+def _aged(received: _Received, now: float) -> Message:
+    message = received.message
+    return Message(message.sender, message.channel, message.value, now - received.at)

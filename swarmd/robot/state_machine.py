@@ -1,4 +1,23 @@
-"""The state machine of one robot; TRANSITIONS is the whole of it."""
+"""The state machine of one robot: states, triggers, and the full transition table.
+
+`StateMachine.apply` is the only code that changes the state. This table lists every caller:
+
+| trigger     | fired by (module lifecycle unless named)              | reason               |
+|-------------|--------------------------------------------------------|----------------------|
+| RUN         | the pattern host reports Loaded                        | none: it runs        |
+| FINISH      | a step returns `done`; the seconds of the run are over | finished             |
+| STOP        | a stop request; the reload of the running pattern      | operator, reloaded   |
+|             | (requests); the daemon leaves (robot)                  | leaving              |
+| HOLD_LASTED | a hold has lasted for MAX_HOLD_TIME                    | the hold             |
+| LOAD_FAILED | a load fails or times out; a restart is refused        | load_failed          |
+| STALL       | the daemon's loop was late by STALL_TIMEOUT (robot)    | loop_stalled         |
+| ESTOP       | an estop request; the latch of a peer; a latch on disk | estop                |
+| FAULT       | too many failures of a pattern; a second robot has     | pattern_quarantined  |
+|             | the same id                                            | duplicate_id         |
+| RESET       | a reset request after which no latch is held           | reset                |
+
+Only RUN leads to `running`, and never from `estopped` or `faulted`.
+"""
 
 from __future__ import annotations
 
@@ -9,40 +28,40 @@ from types import MappingProxyType
 from swarmd.core.messages import Reason, State
 
 
-class Event(StrEnum):
-    """What can change a robot's state."""
+class Trigger(StrEnum):
+    """The causes of a state change."""
 
-    RUN = "run"  # a pattern has been loaded and will be stepped
-    FINISH = "finish"  # the pattern is done, or its time is over
-    STOP = "stop"  # an operator, or the daemon leaving
+    RUN = "run"
+    FINISH = "finish"
+    STOP = "stop"
     HOLD_LASTED = "hold_lasted"
-    LOAD_FAILED = "load_failed"  # the running pattern was to be replaced or reloaded, in vain
-    STALL = "stall"  # the guardian's own loop was late
+    LOAD_FAILED = "load_failed"
+    STALL = "stall"
     ESTOP = "estop"
     FAULT = "fault"
-    RESET = "reset"  # nothing is latched any more
+    RESET = "reset"
 
 
 _I, _R, _S, _E, _F = State.IDLE, State.RUNNING, State.STOPPED, State.ESTOPPED, State.FAULTED
 
-# Every state times every event. Only RUN leads to running, and never from estopped or faulted.
-TRANSITIONS: Mapping[Event, Mapping[State, State]] = MappingProxyType(
+# Every state times every trigger.
+TRANSITIONS: Mapping[Trigger, Mapping[State, State]] = MappingProxyType(
     {
-        Event.RUN: {_I: _R, _R: _R, _S: _R, _E: _E, _F: _F},
-        Event.FINISH: {_I: _I, _R: _I, _S: _S, _E: _E, _F: _F},
-        Event.STOP: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
-        Event.HOLD_LASTED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
-        Event.LOAD_FAILED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
-        Event.STALL: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
-        Event.ESTOP: {_I: _E, _R: _E, _S: _E, _E: _E, _F: _E},
-        Event.FAULT: {_I: _F, _R: _F, _S: _F, _E: _E, _F: _F},
-        Event.RESET: {_I: _I, _R: _R, _S: _I, _E: _I, _F: _I},
+        Trigger.RUN: {_I: _R, _R: _R, _S: _R, _E: _E, _F: _F},
+        Trigger.FINISH: {_I: _I, _R: _I, _S: _S, _E: _E, _F: _F},
+        Trigger.STOP: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
+        Trigger.HOLD_LASTED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
+        Trigger.LOAD_FAILED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
+        Trigger.STALL: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
+        Trigger.ESTOP: {_I: _E, _R: _E, _S: _E, _E: _E, _F: _E},
+        Trigger.FAULT: {_I: _F, _R: _F, _S: _F, _E: _E, _F: _F},
+        Trigger.RESET: {_I: _I, _R: _R, _S: _I, _E: _I, _F: _I},
     }
 )
 
 
 class StateMachine:
-    """State, the one reason for it, one line of detail, and since when."""
+    """The state, its one reason, one line of detail, and the time of the last change of state."""
 
     def __init__(self, now: float) -> None:
         self.state = State.IDLE
@@ -50,13 +69,13 @@ class StateMachine:
         self.detail = ""
         self.since = now
 
-    def apply(self, event: Event, reason: Reason | None, detail: str, now: float) -> None:
-        """Carry out an event; one that changes nothing keeps the older reason.
+    def apply(self, trigger: Trigger, reason: Reason | None, detail: str, now: float) -> None:
+        """Carry out a trigger. Without a change of state the older reason stays.
 
-        Stop, stall and estop renew their reason where the state allows them at all.
+        The triggers of `_RENEWS` replace the reason also without a change of state.
         """
-        target = TRANSITIONS[event][self.state]
-        renews = target is self.state and event in _RENEWS.get(target, ())
+        target = TRANSITIONS[trigger][self.state]
+        renews = target is self.state and trigger in _RENEWS.get(target, ())
         if target is self.state and not renews:
             return
         if target is not self.state:
@@ -64,11 +83,11 @@ class StateMachine:
         self.state, self.reason, self.detail = target, reason, detail
 
 
-_RENEWS: Mapping[State, tuple[Event, ...]] = MappingProxyType(
+_RENEWS: Mapping[State, tuple[Trigger, ...]] = MappingProxyType(
     {
-        _R: (Event.RUN,),
-        _S: (Event.STOP, Event.STALL),
-        _E: (Event.ESTOP,),
-        _F: (Event.FAULT,),
+        _R: (Trigger.RUN,),
+        _S: (Trigger.STOP, Trigger.STALL),
+        _E: (Trigger.ESTOP,),
+        _F: (Trigger.FAULT,),
     }
 )

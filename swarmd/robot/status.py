@@ -1,4 +1,4 @@
-"""What a robot says of itself, put together from its parts."""
+"""The status of a robot, assembled from its parts."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from swarmd.protection.decision import Decision
 from swarmd.robot.lifecycle import Lifecycle
 from swarmd.robot.sensors import Sensors
 
-REPORTED = 16
-ROWS = 4
+MAX_REPORTED = 16
+MAX_ROWS = 4
 SCALAR: Any = BoundedScalar  # the type as msgspec reads it, with its bounds
-WORD = 64
-TEXT = 256
+MAX_NAME = 64
+MAX_VALUE = 256
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RobotSettings:
-    """What a robot knows of itself.
+    """Settings of a robot beside its platform.
 
-    `layers`: the configured parameters of a pattern by name; `touch`: where which pattern may
-    touch what is near.
+    `layers` gives the configured parameters of a pattern by layer, weakest first; `touch` the
+    granted touch zones by pattern.
     """
 
     driver: str
@@ -41,8 +41,8 @@ class RobotSettings:
 
 
 @dataclass(slots=True, eq=False)
-class Duty:
-    """Ticks in `running` since the last run, and in how many of them protection was active."""
+class DutyCycle:
+    """Ticks in `running` since the last run request, and the ticks with active protection."""
 
     decisions: int = 0
     active: int = 0
@@ -57,60 +57,60 @@ def make_status(
     robot: str,
     platform: Platform,
     settings: RobotSettings,
-    conduct: Lifecycle,
-    senses: Sensors,
+    lifecycle: Lifecycle,
+    sensors: Sensors,
     decision: Decision,
-    duty: Duty,
+    duty: DutyCycle,
     born: float,
     now: float,
 ) -> Status:
-    """The status at `now`; the daemon adds what only it can know of its health."""
-    supervisor, running = conduct.supervisor, conduct.hosting.running
-    loading = conduct.hosting.loading
+    """The status at `now`; the daemon adds the health of its own loop."""
+    state_machine, running = lifecycle.state_machine, lifecycle.pattern_run.running
+    loading = lifecycle.pattern_run.loading
     values = {} if running is None else running.values
-    detail = supervisor.detail
+    detail = state_machine.detail
     if loading is not None:
         detail = f"loading {loading.pattern}"
     return Status(
         robot=robot,
-        instance=conduct.epoch.instance,
+        instance=lifecycle.epoch.instance,
         platform=platform.name,
         driver=settings.driver,
         host=settings.host,
         profile=settings.profile,
         is_secured=settings.is_secured,
-        state=supervisor.state,
-        reason=standing_reason(conduct, decision),
+        state=state_machine.state,
+        reason=status_reason(lifecycle, decision),
         detail=detail,
         pattern=None if running is None else running.pattern,
-        generation=conduct.hosting.generation,
-        since=max(now - supervisor.since, 0.0),
-        epoch=conduct.epoch,
-        changed_by=conduct.changed_by,
-        latches=dict(conduct.latches.held),
+        generation=lifecycle.pattern_run.generation,
+        since=max(now - state_machine.since, 0.0),
+        epoch=lifecycle.epoch,
+        changed_by=lifecycle.changed_by,
+        latches=dict(lifecycle.latches.held),
         labels=settings.labels,
         params={name: Param(value=value, source=src) for name, (value, src) in values.items()},
-        report=_clean(conduct.report),
+        report=_clean(lifecycle.report),
         decision=_summary(decision, duty),
         health=Health(
-            scan_rate=senses.scan_rate(now),
-            host_restarts=conduct.hosting.restarts,
-            driver=senses.driver_text[:TEXT],
-            driver_up=senses.is_driver_up,
-            dropped=_dropped(conduct, senses),
+            scan_rate=sensors.scan_rate(now),
+            host_restarts=lifecycle.pattern_run.restarts,
+            driver=sensors.driver_text[:MAX_VALUE],
+            driver_up=sensors.is_driver_up,
+            dropped=_dropped(lifecycle, sensors),
         ),
         uptime=max(now - born, 0.0),
-        readings=_clean(senses.readings),
-        events=tuple(conduct.events),
+        readings=_clean(sensors.readings),
+        events=tuple(lifecycle.events),
     )
 
 
-def standing_reason(conduct: Lifecycle, decision: Decision) -> Reason | None:
-    """The one reason why the robot stands; None while it moves."""
-    return decision.reason if conduct.is_running else conduct.supervisor.reason
+def status_reason(lifecycle: Lifecycle, decision: Decision) -> Reason | None:
+    """The one reason why the robot does not move; None while it moves."""
+    return decision.reason if lifecycle.is_running else lifecycle.state_machine.reason
 
 
-def _summary(decision: Decision, duty: Duty) -> DecisionSummary:
+def _summary(decision: Decision, duty: DutyCycle) -> DecisionSummary:
     return DecisionSummary(
         mode=decision.mode,
         is_active=decision.is_active,
@@ -120,30 +120,30 @@ def _summary(decision: Decision, duty: Duty) -> DecisionSummary:
         safe_angular=decision.safe.angular,
         min_gap=decision.min_gap,
         scan_age=decision.scan_age,
-        rows=decision.rows[:ROWS],
+        rows=decision.rows[:MAX_ROWS],
         is_recovering=decision.is_recovering,
         duty=duty.share,
         decisions=duty.decisions,
     )
 
 
-def _dropped(conduct: Lifecycle, senses: Sensors) -> dict[str, int]:
-    """What of the messages between patterns was dropped here, by kind."""
+def _dropped(lifecycle: Lifecycle, sensors: Sensors) -> dict[str, int]:
+    """The numbers of dropped messages between patterns, by kind."""
     counts = {
-        "msg:inbox_full": senses.overflowed,
-        "msg:wrong_type": conduct.mistyped,
-        "msg:too_much_said": conduct.outbox.dropped,
+        "msg:inbox_full": sensors.overflowed,
+        "msg:wrong_type": lifecycle.wrong_type_count,
+        "msg:too_much_said": lifecycle.outbox.dropped,
     }
     return {kind: count for kind, count in counts.items() if count}
 
 
 def _clean(report: Mapping[str, Scalar]) -> dict[str, Scalar]:
-    """What of a report, or of readings, peers can read: bounded, finite, not too much."""
+    """The entries of a report or of readings that fit the bounds of a status."""
     cleaned: dict[str, Scalar] = {}
-    for name, value in list(report.items())[:REPORTED]:
-        short = value[:TEXT] if isinstance(value, str) else value
+    for name, value in list(report.items())[:MAX_REPORTED]:
+        short = value[:MAX_VALUE] if isinstance(value, str) else value
         try:
-            cleaned[name[:WORD]] = msgspec.convert(short, SCALAR)
+            cleaned[name[:MAX_NAME]] = msgspec.convert(short, SCALAR)
         except msgspec.ValidationError:
             continue
     return cleaned
@@ -152,7 +152,7 @@ def _clean(report: Mapping[str, Scalar]) -> dict[str, Scalar]:
 def with_health(
     status: Status, loop_p99: float, loop_stalls: int, dropped: Mapping[str, int]
 ) -> Status:
-    """The status with what its daemon knows: of its loop in s, and inputs dropped by cause."""
+    """The status with the health of its daemon: loop times in s, dropped inputs by cause."""
     health = msgspec.structs.replace(
         status.health, loop_p99=loop_p99, loop_stalls=loop_stalls, dropped=dropped
     )

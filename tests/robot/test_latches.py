@@ -7,7 +7,7 @@ import pytest
 
 from swarmd.core.messages import Latch
 from swarmd.daemon.latchfile import LatchFile
-from swarmd.robot.latches import HELD, OVERFLOW, REMEMBERED, Latches, LatchRecord
+from swarmd.robot.latches import MAX_CLEARED, MAX_HELD, OVERFLOW, Latches, LatchRecord
 
 SWARM = Latch(issuer="alice", scope="swarm")
 
@@ -24,7 +24,7 @@ def test_a_peers_view_cannot_return_what_was_reset_but_an_estop_can() -> None:
     latches = Latches()
     latches.add("a", SWARM)
     latches.clear(["a"])
-    assert latches.take_over({"a": SWARM}) == ()
+    assert latches.adopt({"a": SWARM}) == ()
     assert not latches.held
     assert latches.add("a", SWARM)
     assert set(latches.held) == {"a"}
@@ -35,18 +35,18 @@ def test_what_was_reset_is_remembered_over_a_restart() -> None:
     latches.add("a", SWARM)
     latches.clear(["a"])
     again = Latches(latches.record())
-    assert again.take_over({"a": SWARM, "b": SWARM}) == ("b",)
+    assert again.adopt({"a": SWARM, "b": SWARM}) == ("b",)
 
 
 def test_a_flood_of_estops_stays_latched_within_bounds() -> None:
     latches = Latches()
     for n in range(10_000):
         latches.add(f"e{n}", SWARM)
-    assert len(latches.held) == HELD + 1
+    assert len(latches.held) == MAX_HELD + 1
     assert latches.held[OVERFLOW].scope == "robots"  # the others already hold every peer
     latches.clear(f"e{n}" for n in range(10_000))
     assert set(latches.held) == {OVERFLOW}
-    assert len(latches.record().cleared) == REMEMBERED
+    assert len(latches.record().cleared) == MAX_CLEARED
 
 
 def test_the_file_gives_back_what_was_written(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 from swarmd.api import Outputs, Twist
 from swarmd.core.host_messages import KillHost, Loaded, Stepped
 from swarmd.core.messages import Code, Epoch, Latch, Reason, State, StopRequest
-from swarmd.robot.latches import HELD
+from swarmd.robot.latches import MAX_HELD
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, standing_state, started
 
@@ -249,7 +249,7 @@ def test_a_second_holder_of_the_id_faults_it_until_it_has_gone_and_a_reset() -> 
 
 def test_a_reset_that_crosses_one_estop_more_than_are_kept_by_name_leaves_it_latched() -> None:
     story = RobotHarness(patterns=PATTERNS)
-    for n in range(HELD + 2):
+    for n in range(MAX_HELD + 2):
         story.send(story.request("estop", id=f"e{n}"))
     reset = story.request("reset", ids=list(story.status.latches))
     story.send(story.request("estop", id="second"))
@@ -264,7 +264,7 @@ def test_a_reset_that_crosses_one_estop_more_than_are_kept_by_name_leaves_it_lat
 
 def test_a_peer_with_many_latches_does_not_change_a_robot_again_and_again() -> None:
     story = RobotHarness(patterns=PATTERNS)
-    many = {f"e{n}": Latch(issuer="eve", scope="swarm") for n in range(3 * HELD)}
+    many = {f"e{n}": Latch(issuer="eve", scope="swarm") for n in range(3 * MAX_HELD)}
     story.carry_out(story.robot.on_latches(many, story.now))
     revision = story.epoch.revision
     for _ in range(3):

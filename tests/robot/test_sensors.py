@@ -12,11 +12,11 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import Neighbor, Odometry, Pose, Twist
 from swarmd.protection.settings import Mode
 from swarmd.robot.sensors import (
-    AGES_EVERY,
-    INBOX_BYTES,
-    NEIGHBOR_FORGOTTEN_AFTER,
-    ODOMETRY_STALE_AFTER,
-    OVERHEAD,
+    AGE_UPDATE_PERIOD,
+    MAX_INBOX_BYTES,
+    MESSAGE_OVERHEAD,
+    NEIGHBOR_TIMEOUT,
+    ODOMETRY_TIMEOUT,
     Sensors,
 )
 from swarmd.settings.platforms import load_platform
@@ -32,9 +32,15 @@ def senses() -> Sensors:
 def test_neighbors_age_in_steps_and_are_forgotten_with_what_they_say(senses: Sensors) -> None:
     senses.on_neighbors((Neighbor("b", 0.25, distance=1.0),), 10.0)
     ages = [senses.neighbors(10.0 + past)[0].age for past in (0.0, 0.4, 0.6, 1.7, 2.9)]
-    assert ages == [0.25, 0.25, 0.25 + AGES_EVERY, 0.25 + 3 * AGES_EVERY, 0.25 + 5 * AGES_EVERY]
+    assert ages == [
+        0.25,
+        0.25,
+        0.25 + AGE_UPDATE_PERIOD,
+        0.25 + 3 * AGE_UPDATE_PERIOD,
+        0.25 + 5 * AGE_UPDATE_PERIOD,
+    ]
     assert senses.neighbors(11.0)[0].distance == 1.0
-    last = 10.0 + NEIGHBOR_FORGOTTEN_AFTER
+    last = 10.0 + NEIGHBOR_TIMEOUT
     assert senses.on_message("b", "w", 1, last)
     assert not senses.on_message("b", "w", 1, last + 0.01)
     assert senses.neighbors(last + 0.01) == ()
@@ -50,7 +56,7 @@ def test_strangers_are_not_heard(senses: Sensors) -> None:
 def test_messages_come_once_with_their_age_and_the_oldest_give_way(senses: Sensors) -> None:
     senses.on_neighbors((Neighbor("b", 0.0),), 0.0)
     word = b"x" * 800
-    fit = INBOX_BYTES // (OVERHEAD + 800 + 4)  # a version byte and MessagePack's own three
+    fit = MAX_INBOX_BYTES // (MESSAGE_OVERHEAD + 800 + 4)  # a version byte and 3 of MessagePack
     for number in range(fit + 3):
         assert senses.on_message("b", f"w{number}", word, 0.5)
     got = senses.inputs(0.75, 0.1).messages
@@ -67,7 +73,7 @@ def test_odometry_whose_stamp_stands_still_grows_stale(senses: Sensors) -> None:
         now = tick * 0.05
         senses.on_odometry(Odometry(1.0, Pose(), Twist()), now)
         senses.on_scan(empty_scan(platform, tick, now), now)
-        late = now > ODOMETRY_STALE_AFTER + 1e-9
+        late = now > ODOMETRY_TIMEOUT + 1e-9
         assert senses.hold(now) is (Reason.STALE_ODOMETRY if late else None)
 
 

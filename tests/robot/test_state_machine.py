@@ -5,12 +5,12 @@ from itertools import product
 import pytest
 
 from swarmd.core.messages import Reason, State
-from swarmd.robot.state_machine import TRANSITIONS, Event, StateMachine
+from swarmd.robot.state_machine import TRANSITIONS, StateMachine, Trigger
 
 
 def test_every_state_has_an_answer_to_every_event() -> None:
     assert {(event, state) for event, row in TRANSITIONS.items() for state in row} == set(
-        product(Event, State)
+        product(Trigger, State)
     )
 
 
@@ -21,11 +21,11 @@ def test_only_a_loaded_pattern_leads_to_running_and_never_from_a_latch() -> None
         for state, target in row.items()
         if target is State.RUNNING and state is not State.RUNNING
     }
-    assert into == {(Event.RUN, State.IDLE), (Event.RUN, State.STOPPED)}
+    assert into == {(Trigger.RUN, State.IDLE), (Trigger.RUN, State.STOPPED)}
 
 
 def test_estop_wins_over_every_state() -> None:
-    assert set(TRANSITIONS[Event.ESTOP].values()) == {State.ESTOPPED}
+    assert set(TRANSITIONS[Trigger.ESTOP].values()) == {State.ESTOPPED}
 
 
 def test_only_a_reset_leaves_estopped_or_faulted() -> None:
@@ -33,17 +33,17 @@ def test_only_a_reset_leaves_estopped_or_faulted() -> None:
         leaving = {
             event
             for event, row in TRANSITIONS.items()
-            if row[latched] is not latched and event is not Event.ESTOP
+            if row[latched] is not latched and event is not Trigger.ESTOP
         }
-        assert leaving == {Event.RESET}
+        assert leaving == {Trigger.RESET}
 
 
-@pytest.mark.parametrize("event", [event for event in Event if event is not Event.RUN])
-def test_whatever_else_happens_leaves_running_or_stays_out_of_it(event: Event) -> None:
+@pytest.mark.parametrize("event", [event for event in Trigger if event is not Trigger.RUN])
+def test_whatever_else_happens_leaves_running_or_stays_out_of_it(event: Trigger) -> None:
     supervisor = StateMachine(0.0)
-    supervisor.apply(Event.RUN, None, "", 1.0)
+    supervisor.apply(Trigger.RUN, None, "", 1.0)
     supervisor.apply(event, Reason.OPERATOR, "why", 2.0)
-    if event is not Event.RESET:
+    if event is not Trigger.RESET:
         assert supervisor.state is not State.RUNNING
         assert (supervisor.reason, supervisor.detail, supervisor.since) == (
             Reason.OPERATOR,
@@ -54,7 +54,7 @@ def test_whatever_else_happens_leaves_running_or_stays_out_of_it(event: Event) -
 
 def test_an_event_that_changes_nothing_keeps_the_older_reason() -> None:
     supervisor = StateMachine(0.0)
-    supervisor.apply(Event.ESTOP, Reason.ESTOP, "by alice", 1.0)
-    supervisor.apply(Event.STOP, Reason.OPERATOR, "by bob", 2.0)
+    supervisor.apply(Trigger.ESTOP, Reason.ESTOP, "by alice", 1.0)
+    supervisor.apply(Trigger.STOP, Reason.OPERATOR, "by bob", 2.0)
     assert (supervisor.state, supervisor.reason) == (State.ESTOPPED, Reason.ESTOP)
     assert supervisor.detail == "by alice"

@@ -12,7 +12,7 @@ import pytest
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.messages import DecisionSummary, Reason, Status
 from swarmd.core.values import Scan
-from swarmd.robot.status import ROWS
+from swarmd.robot.status import MAX_ROWS
 from swarmd.testing.scans import empty_scan
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS
@@ -52,7 +52,7 @@ def summary(
 def test_says_what_bounds_the_command_the_tightest_first(story: RobotHarness) -> None:
     said = summary(story, -20.0, 0.45)
     assert (said.mode, said.is_active) == ("barrier", True)
-    assert 1 <= len(said.rows) <= ROWS
+    assert 1 <= len(said.rows) <= MAX_ROWS
     assert [row.cap for row in said.rows] == sorted(row.cap for row in said.rows)
     tightest = said.rows[0]
     assert math.radians(-40.0) < tightest.bearing < math.radians(-5.0)
