@@ -1,1 +1,1 @@
-"""Where patterns live: child processes that load and step them, and what is said between."""
+"""Child processes that load and step patterns, and the daemon's side of them."""

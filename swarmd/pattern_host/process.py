@@ -1,8 +1,7 @@
-"""A pattern host as its guardian sees it: a child process and a socket, on the guardian's loop.
+"""Pattern hosts as the daemon sees them: child processes with a socket on the daemon's loop.
 
-Tries whether a pattern can be loaded, in a host of its own beside the one in force.
-
-A host in which it was loaded is fresh and warm: it may take the place of the one in force.
+A trial loads a pattern in a host of its own beside the one in use. That host is then fresh and
+warm, and may take the other's place.
 """
 
 from __future__ import annotations
@@ -24,20 +23,21 @@ from swarmd.pattern_host.wire import decode_event
 from swarmd.robot.pattern_run import LOAD_TIMEOUT
 
 OUT_OF_MEMORY = 77
-AT_ONCE = 8  # frames read before the loop's other work: a flood must not bind the guardian
+MAX_FRAMES_PER_READ = 8
+"""Frames read before the loop's other work, so that a flood does not block the daemon."""
 
 
-class Owner(Protocol):
-    """Who started a host, and hears what it says."""
+class HostOwner(Protocol):
+    """Receives the frames and the end of a host."""
 
     def on_frame(self, host: HostProcess, frame: bytes) -> None:
-        """It said something; empty if that was too long to be read."""
+        """The host sent a frame; empty if it was too long to be read."""
 
     def on_end(self, host: HostProcess, code: int) -> None:
-        """It ended by itself."""
+        """The host ended by itself."""
 
-    def buried(self, host: HostProcess) -> None:
-        """Its process has been waited for."""
+    def on_reaped(self, host: HostProcess) -> None:
+        """The host's process has been waited for."""
 
 
 def why_it_ended(code: int) -> str:
@@ -48,9 +48,9 @@ def why_it_ended(code: int) -> str:
 
 
 class HostProcess:
-    """One child process and the guardian's end of its socket; `owner` hears all of it."""
+    """One child process and the daemon's end of its socket."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, owner: Owner) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, owner: HostOwner) -> None:
         self._loop = loop
         self.owner = owner
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -58,7 +58,7 @@ class HostProcess:
         ours.setblocking(False)
         ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 18)
         theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 18)
-        # -P: a random.py where this is called is not to shadow a module.
+        # -P: a random.py in the current folder must not shadow a module.
         command = [sys.executable, "-P", "-m", "swarmd.pattern_host.worker"]
         command += ["--fd", str(theirs.fileno()), "--parent", str(os.getpid())]
         with theirs:
@@ -72,27 +72,24 @@ class HostProcess:
         self._pidfd = os.pidfd_open(self.process.pid)
         loop.add_reader(self.socket, self._on_readable)
         loop.add_reader(self._pidfd, self._on_end)  # end of file never comes if a pattern forked
-        self.has_answered = False
 
     def kill(self) -> None:
-        """End it and all that it started; nothing more is heard of it."""
+        """End the process and all that it started; the owner receives no more frames."""
         self._loop.remove_reader(self.socket)
         self.socket.close()
-        self._signal()
+        self._kill_group()
 
     def reap(self) -> None:
         """Wait for the end of a host that was killed."""
         if self._pidfd >= 0:
             self._on_end()
 
-    def _signal(self) -> None:
-        try:
+    def _kill_group(self) -> None:
+        with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
-        except ProcessLookupError:
-            return
 
     def _on_readable(self) -> None:
-        for _ in range(AT_ONCE):
+        for _ in range(MAX_FRAMES_PER_READ):
             try:
                 frame, _, flags, _ = self.socket.recvmsg(1 << 18)
             except BlockingIOError:
@@ -102,9 +99,8 @@ class HostProcess:
             if not frame:  # closed: the pidfd tells how it ended
                 self._loop.remove_reader(self.socket)
                 return
-            self.has_answered = True
             self.owner.on_frame(self, b"" if flags & socket.MSG_TRUNC else frame)
-            if self.socket.fileno() < 0:  # what it said led to its end
+            if self.socket.fileno() < 0:  # the owner has killed this host because of the frame
                 return
 
     def _on_end(self) -> None:
@@ -112,8 +108,8 @@ class HostProcess:
         os.close(self._pidfd)
         self._pidfd = -1
         code = self.process.wait()
-        self.owner.buried(self)
-        self._signal()  # what the pattern may have forked
+        self.owner.on_reaped(self)
+        self._kill_group()  # processes that the pattern forked
         if self.socket.fileno() >= 0:
             self._on_readable()
             self._loop.remove_reader(self.socket)
@@ -140,7 +136,8 @@ def trial_done(generation: int, event: HostEvent | None) -> TrialDone:
 class Trial:
     """One Load in a process of its own, which stays until `end` or `hand_over`.
 
-    `tell` is called once, unless `end` comes first; `buried` when its process has been waited for.
+    `on_done` is called once, unless `end` comes first; `on_reaped` when the process has been
+    waited for.
     """
 
     def __init__(
@@ -148,47 +145,46 @@ class Trial:
         loop: asyncio.AbstractEventLoop,
         generation: int,
         frame: bytes,
-        tell: Callable[[TrialDone], None],
-        buried: Callable[[HostProcess], None],
+        on_done: Callable[[TrialDone], None],
+        on_reaped: Callable[[HostProcess], None],
     ) -> None:
-        self.buried = buried
+        self.on_reaped = on_reaped
         self._generation = generation
-        self._tell = tell
-        self._is_told = False
+        self._on_done = on_done
+        self._is_done = False
         self._host: HostProcess | None = HostProcess(loop, self)
         with contextlib.suppress(OSError):  # it has just ended: the pidfd is watched
             self._host.socket.send(frame)
 
-    def end(self) -> tuple[HostProcess, ...]:
-        """Kill its process; whoever is still to be waited for."""
+    def end(self) -> HostProcess | None:
+        """Kill the process; the host, if it has still to be waited for."""
         host, self._host = self._host, None
-        if host is None:
-            return ()
-        host.kill()
-        return (host,)
+        if host is not None:
+            host.kill()
+        return host
 
-    def hand_over(self, owner: Owner) -> HostProcess | None:
-        """The host, to be `owner`'s from now on; None if it has ended or has not answered."""
-        if self._host is None or not self._is_told:
+    def hand_over(self, owner: HostOwner) -> HostProcess | None:
+        """The host, which `owner` owns from now on; None if it has ended or not answered."""
+        if self._host is None or not self._is_done:
             return None
         host, self._host = self._host, None
         host.owner = owner
         return host
 
     def on_frame(self, host: HostProcess, frame: bytes) -> None:
-        """It answered."""
+        """The answer to the load."""
         try:
-            self._done(trial_done(self._generation, decode_event(frame)))
+            self._finish(trial_done(self._generation, decode_event(frame)))
         except CodecError as error:
-            self._done(TrialDone(self._generation, str(error)))
+            self._finish(TrialDone(self._generation, str(error)))
 
     def on_end(self, host: HostProcess, code: int) -> None:
-        """It ended by itself, which no load may do."""
+        """The host ended by itself, which no load may cause."""
         self._host = None
         text = f"while it was being loaded {why_it_ended(code)}"
-        self._done(TrialDone(self._generation, text))
+        self._finish(TrialDone(self._generation, text))
 
-    def _done(self, result: TrialDone) -> None:
-        if not self._is_told:
-            self._is_told = True
-            self._tell(result)
+    def _finish(self, result: TrialDone) -> None:
+        if not self._is_done:
+            self._is_done = True
+            self._on_done(result)

@@ -8,7 +8,7 @@ import logging
 from collections import deque
 from collections.abc import Callable, Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
@@ -31,61 +31,50 @@ from swarmd.pattern_host.wire import decode_event, encode_command
 from swarmd.plugins import check_single, installed_patterns, pattern_names
 
 if TYPE_CHECKING:
-    from swarmd.pattern_host.executor import (
-        PatternExecutor,  # for patterns: 7 MB of numpy.random that a guardian can spare
-    )
+    # It brings 7 MB of numpy.random, which only patterns need.
+    from swarmd.pattern_host.executor import PatternExecutor
 
 log = logging.getLogger(__name__)
 
-FIRST_RESPAWN = 0.05
-LAST_RESPAWN = 5.0
-
-
-class Runner(Protocol):
-    """Carries commands to a pattern and its answers back."""
-
-    def send(self, command: HostCommand) -> None:
-        """Hand a command over; never blocks. The robot keeps at most one step in flight."""
-
-    def events(self) -> Iterable[HostEvent]:
-        """The answers since the last call, in order."""
+MIN_RESPAWN_DELAY = 0.05
+MAX_RESPAWN_DELAY = 5.0
 
 
 class InlineRunner:
-    """Runs the pattern in this process, at once: for lockstep and tests."""
+    """Runs the pattern in this process, within `send`: for lockstep and tests."""
 
-    def __init__(self, stage: Callable[[], PatternExecutor]) -> None:
-        self._make = stage
-        self._stage = stage()
+    def __init__(self, make_executor: Callable[[], PatternExecutor]) -> None:
+        self._make_executor = make_executor
+        self._executor = make_executor()
         self._events: deque[HostEvent] = deque()
 
     def send(self, command: HostCommand) -> None:
-        """Carry the command out now; its answer waits in `events`."""
+        """Carry the command out; `events` then has the answer."""
         if isinstance(command, StartTrial | CancelTrial):
             if isinstance(command, StartTrial):
-                answer = self._make().handle(command.load)
+                answer = self._make_executor().handle(command.load)
                 self._events.append(trial_done(command.load.generation, answer))
             return
         if isinstance(command, KillHost):
-            self._stage = self._make()
+            self._executor = self._make_executor()
             return
         if isinstance(command, Load) and command.is_fresh:
-            self._stage = self._make()
-        event = self._stage.handle(command)
+            self._executor = self._make_executor()
+        event = self._executor.handle(command)
         if event is not None:
             self._events.append(event)
 
     def events(self) -> Iterable[HostEvent]:
-        """The answers since the last call, in order."""
+        """The events since the last call, in order."""
         while self._events:
             yield self._events.popleft()
 
 
 class ProcessRunner:
-    """Keeps one warm pattern host; must live on the loop's thread, from before Zenoh is opened.
+    """Keeps one warm pattern host; made on the loop's thread, before Zenoh is opened.
 
-    `wake` is called when there are events. A host that ends by itself is replaced, after a pause
-    that grows if it keeps ending before it said anything.
+    It calls `wake` when there are events. A host that ends by itself is replaced after a delay,
+    which doubles while hosts end before they have sent an event.
     """
 
     def __init__(
@@ -97,7 +86,7 @@ class ProcessRunner:
         self._wake = wake
         self._events: deque[HostEvent] = deque()
         self._generation = 0
-        self._pause = FIRST_RESPAWN
+        self._respawn_delay = MIN_RESPAWN_DELAY
         self._respawn: asyncio.TimerHandle | None = None
         self._is_closed = False
         self._dying: list[HostProcess] = []
@@ -107,15 +96,15 @@ class ProcessRunner:
 
     @property
     def pid(self) -> int | None:
-        """The present host's process id; None between two hosts."""
+        """The process id of the host in use; None between two hosts."""
         return None if self._host is None else self._host.process.pid
 
     def send(self, command: HostCommand) -> None:
-        """Hand a command over; never blocks. What a stopped host cannot take is dropped."""
+        """Send a command; never blocks. A command for which the socket has no room is dropped."""
         if isinstance(command, StartTrial | CancelTrial):
             self._end_trial()
             if isinstance(command, StartTrial):
-                self._try(command.load)
+                self._start_trial(command.load)
             return
         if isinstance(command, KillHost):
             self._replace()
@@ -144,12 +133,12 @@ class ProcessRunner:
             self.dropped += 1
 
     def events(self) -> Iterable[HostEvent]:
-        """The answers since the last call, in order."""
+        """The events since the last call, in order."""
         while self._events:
             yield self._events.popleft()
 
     def close(self) -> None:
-        """End the host."""
+        """End the hosts and wait for their processes."""
         self._is_closed = True
         if self._respawn is not None:
             self._respawn.cancel()
@@ -158,16 +147,16 @@ class ProcessRunner:
         for host in list(self._dying):
             host.reap()
 
-    def buried(self, host: HostProcess) -> None:
+    def on_reaped(self, host: HostProcess) -> None:
         """A host's process has been waited for."""
         if host in self._dying:
             self._dying.remove(host)
 
     def on_frame(self, host: HostProcess, frame: bytes) -> None:
-        """A host said something."""
+        """An event of a host."""
         if host is not self._host:
             return
-        self._pause = FIRST_RESPAWN
+        self._respawn_delay = MIN_RESPAWN_DELAY
         try:
             event = decode_event(frame)
         except CodecError as error:
@@ -182,8 +171,8 @@ class ProcessRunner:
         self._host = None
         self._events.append(HostDied(self._generation, why_it_ended(code)))
         if not self._is_closed:
-            self._respawn = self._loop.call_later(self._pause, self._start_again)
-            self._pause = min(2.0 * self._pause, LAST_RESPAWN)
+            self._respawn = self._loop.call_later(self._respawn_delay, self._start_if_none)
+            self._respawn_delay = min(2.0 * self._respawn_delay, MAX_RESPAWN_DELAY)
         self._wake()
 
     def _with_origins(self, load: Load) -> Load:
@@ -199,33 +188,34 @@ class ProcessRunner:
         platform = dataclasses.replace(load.platform, drivers={})
         return replace(load, origins=origins, platform=platform)
 
-    def _try(self, load: Load) -> None:
+    def _start_trial(self, load: Load) -> None:
         log.info("trying new code of %s", load.pattern)
         self._installed = installed_patterns()  # a new version may have it elsewhere
         number = load.generation
         try:
             frame = encode_command(self._with_origins(load))
-            self._trial = Trial(self._loop, number, frame, self._on_tried, self.buried)
+            self._trial = Trial(self._loop, number, frame, self._on_trial_done, self.on_reaped)
         except (PluginError, CodecError, OSError) as error:
             self._events.append(TrialDone(number, str(error), refusal_of(error)))
             self._loop.call_soon(self._wake)
 
-    def _on_tried(self, tried: TrialDone) -> None:
-        if tried.text:
+    def _on_trial_done(self, result: TrialDone) -> None:
+        if result.text:
             self._end_trial()
-        self._events.append(tried)
+        self._events.append(result)
         self._wake()
 
     def _end_trial(self) -> None:
         if self._trial is not None:
-            self._dying.extend(self._trial.end())
-            self._trial = None
+            host, self._trial = self._trial.end(), None
+            if host is not None:
+                self._dying.append(host)
 
     def _replace(self) -> None:
         self._kill()
-        if self._trial is not None:  # the code that a fresh host is wanted for is loaded there
+        if self._trial is not None:  # its host has loaded the code that a fresh host is wanted for
             self._host = self._trial.hand_over(self)
-        self._start_again()
+        self._start_if_none()
 
     def _kill(self) -> None:
         if self._host is not None:
@@ -233,7 +223,7 @@ class ProcessRunner:
             self._dying.append(self._host)
             self._host = None
 
-    def _start_again(self) -> None:
+    def _start_if_none(self) -> None:
         if self._host is None and not self._is_closed:
             self._start()
 
