@@ -20,7 +20,8 @@ from benchmarks.table import Row, print_table
 from swarmd.core.messages import RunRequest
 from swarmd.network.claim import claim_id
 from swarmd.network.operator import Operator
-from swarmd.network.session import SessionSettings, open_session
+from swarmd.network.session import open_session
+from swarmd.network.settings import NetworkSettings
 from tests.support.fake_daemon import FakeDaemon
 
 RUNS = 50
@@ -29,7 +30,7 @@ TICK = 0.01
 
 
 @contextmanager
-def daemons(settings: SessionSettings, count: int) -> Iterator[None]:
+def daemons(settings: NetworkSettings, count: int) -> Iterator[None]:
     """`count` processes with one light daemon each; they end with their standard input."""
     command = [sys.executable, "-m", "tests.support.fake_daemon", "--swarm", settings.swarm]
     processes = [
@@ -51,8 +52,8 @@ def daemons(settings: SessionSettings, count: int) -> Iterator[None]:
             process.communicate("")
 
 
-def settings() -> SessionSettings:
-    return SessionSettings(swarm=f"bench-{secrets.token_hex(6)}")
+def settings() -> NetworkSettings:
+    return NetworkSettings(swarm=f"bench-{secrets.token_hex(6)}")
 
 
 def timed(function: Callable[[], object]) -> float:
@@ -61,7 +62,7 @@ def timed(function: Callable[[], object]) -> float:
     return time.perf_counter() - started
 
 
-def switch(where: SessionSettings, count: int) -> Row:
+def switch(where: NetworkSettings, count: int) -> Row:
     short = 0
 
     def once() -> None:
@@ -77,7 +78,7 @@ def switch(where: SessionSettings, count: int) -> Row:
     return Row(f"swarm-wide run, cold, {count} daemons", samples, budget, note)
 
 
-def members(where: SessionSettings, count: int) -> Row:
+def members(where: NetworkSettings, count: int) -> Row:
     def once() -> None:
         with Operator(where) as operator:
             operator.members()
@@ -85,7 +86,7 @@ def members(where: SessionSettings, count: int) -> Row:
     return Row(f"members, cold, {count} daemons", [timed(once) for _ in range(RUNS)], "300 ms")
 
 
-def warm_run(where: SessionSettings, count: int) -> Row:
+def warm_run(where: NetworkSettings, count: int) -> Row:
     with Operator(where) as operator:
         targets = operator.members().epochs(f"tb3-{number:02d}" for number in range(count))
         samples = [
@@ -94,7 +95,7 @@ def warm_run(where: SessionSettings, count: int) -> Row:
     return Row(f"swarm-wide run, links up, {count} daemons", samples)
 
 
-def halts(where: SessionSettings, count: int) -> Iterator[Row]:
+def halts(where: NetworkSettings, count: int) -> Iterator[Row]:
     for verb in ("stop", "estop"):
         short = 0
         done: list[float] = []
@@ -181,12 +182,12 @@ def flooded() -> Iterator[Row]:
     yield Row("loop lateness, one key flooded", loud, note=note)
 
 
-def flooder(where: SessionSettings) -> subprocess.Popen[bytes]:
+def flooder(where: NetworkSettings) -> subprocess.Popen[bytes]:
     return subprocess.Popen([sys.executable, "-m", "benchmarks.mesh", "--flood", where.swarm])
 
 
 def flood(swarm: str) -> None:
-    session = open_session(SessionSettings(swarm=swarm))
+    session = open_session(NetworkSettings(swarm=swarm))
     publisher = session.declare_publisher(
         f"swarm/{swarm}/stranger/msg/x/y", congestion_control=zenoh.CongestionControl.BLOCK
     )

@@ -118,7 +118,7 @@ async def serve(config: Path) -> None:
     loop.add_signal_handler(signal.SIGTERM, stop.set)
     settings = load_daemon_settings(config, {})
     driver = StampedDriver(
-        swarm=settings.swarm,
+        swarm=settings.network.swarm,
         robot=settings.id,
         platform=settings.platform,
         options=settings.driver_options,

@@ -20,7 +20,7 @@ import yaml
 from swarmd.core.messages import ResetRequest, RunRequest, State, Status
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
-from swarmd.network.session import SessionSettings
+from swarmd.network.settings import NetworkSettings
 
 HERE = Path(__file__).parent
 PLUGINS = HERE / "plugins"
@@ -132,7 +132,7 @@ class Swarm:
         self.endpoint = json.loads(line)["endpoint"]
         for robot in self.robots:
             self.daemons[robot] = self._spawn(robot, self._daemon_command(robot))
-        self.operator = self._exit.enter_context(Operator(SessionSettings(swarm=self.name)))
+        self.operator = self._exit.enter_context(Operator(NetworkSettings(swarm=self.name)))
         self.wait_ready()
 
     def _spawn_world(self) -> Process:

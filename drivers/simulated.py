@@ -23,7 +23,7 @@ from swarmd.driver_api.hw_codec import (
     encode_command,
 )
 from swarmd.drivers.latest_samples import LatestSamples
-from swarmd.network.session import open_with, opened
+from swarmd.network.session import open_in_thread, open_with
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7790"
 SILENCE = 1.0
@@ -53,7 +53,7 @@ class SimulatedDriver:
         """Feed the sink until cancelled; the session reconnects by itself."""
         loop = asyncio.get_running_loop()
         sink.state(False, f"no body yet at {self._endpoint}")
-        session = await opened(self._open)
+        session = await open_in_thread(self._open)
         inbox = LatestSamples(
             loop,
             lambda name, payload: self._take(sink, name, payload),

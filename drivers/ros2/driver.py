@@ -35,7 +35,7 @@ from swarmd.drivers.ros2.duplicate_nodes import DuplicateNodes
 from swarmd.drivers.ros2.key_scheme import Endpoint, KeyScheme
 from swarmd.drivers.ros2.session import commanding, has_subscriber, hubs_of, open_session
 from swarmd.drivers.ros2.subscriptions import Subscriptions
-from swarmd.network.session import opened
+from swarmd.network.session import open_in_thread
 
 log = logging.getLogger(__name__)
 
@@ -165,7 +165,7 @@ class RosDriver:
     async def _opened(self, sink: Sink) -> zenoh.Session:
         """A session; tries until something listens at the endpoint. Leaves none if cancelled."""
         while True:
-            session = await opened(partial(open_session, self._options.endpoint))
+            session = await open_in_thread(partial(open_session, self._options.endpoint))
             if session is not None:
                 return session
             self._tell(sink, False, unheard(self._scheme, self._options.endpoint))

@@ -77,7 +77,7 @@ def demo(
 def perform(spec: FleetSpec, settings: DemoSettings, *, is_live: bool) -> Summary:
     """Run the demo from start to end; every process is gone when it returns or raises."""
     from swarmd.network.operator import Operator
-    from swarmd.network.session import SessionSettings
+    from swarmd.network.settings import NetworkSettings
     from swarmd.sim.live.demo_run import DemoRun
     from swarmd.sim.live.fleet import Fleet, end_on_signals, started_at
     from swarmd.sim.live.link import WorldView
@@ -88,7 +88,7 @@ def perform(spec: FleetSpec, settings: DemoSettings, *, is_live: bool) -> Summar
     with (
         Fleet(spec) as fleet,
         WorldView(spec.swarm, fleet.endpoint) as world,
-        Operator(SessionSettings(swarm=spec.swarm)) as operator,
+        Operator(NetworkSettings(swarm=spec.swarm)) as operator,
         _screen(is_live) as on_scene,
     ):
         return DemoRun(settings, fleet, operator, world, on_scene).perform(spec.trace, started_at())

@@ -66,12 +66,12 @@ def up(
 def serve(spec: FleetSpec) -> None:
     """Run a fleet until Ctrl-C or SIGTERM; SwarmError if it cannot start, or its world ends."""
     from swarmd.network.operator import Operator
-    from swarmd.network.session import SessionSettings
+    from swarmd.network.settings import NetworkSettings
     from swarmd.sim.live.demo_run import await_robots, statuses_of
     from swarmd.sim.live.fleet import Fleet, end_on_signals
 
     end_on_signals()
-    with Operator(SessionSettings(swarm=spec.swarm)) as operator:
+    with Operator(NetworkSettings(swarm=spec.swarm)) as operator:
         _refuse_taken_names(operator, spec.robots)
         with Fleet(spec) as fleet:
             up = statuses_of(await_robots(operator, fleet, tuple(spec.robots)))

@@ -10,22 +10,18 @@ import yaml
 from msgspec import to_builtins
 
 from swarmd.core.values import Platform
+from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import DaemonSettings
 
 _COLUMN = 40
+NETWORK_KEYS = NetworkSettings.__struct_fields__
 
 
 def effective_config(settings: DaemonSettings) -> str:
     """YAML that `--config` reads back to the same settings; the platform follows as comments."""
     keys = {
         "id": settings.id,
-        "swarm": settings.swarm,
-        "profile": settings.profile,
-        "interface": settings.interface,
-        "listen": list(settings.listen),
-        "seeds": list(settings.seeds),
-        "multicast": settings.multicast,
-        "lease": settings.lease,
+        **{name: to_builtins(getattr(settings.network, name)) for name in NETWORK_KEYS},
         "platform": settings.platform_name,
         "driver": settings.driver,
         "driver_options": dict(settings.driver_options),

@@ -78,11 +78,11 @@ class CommonOptions:
         ConfigError for a wrong file or option, NetworkError if there is no session.
         """
         from swarmd.network.operator import Operator
-        from swarmd.network.session import Profile, SessionSettings
+        from swarmd.network.settings import NetworkSettings, Profile
 
         if self.config is not None:
             return self._operator_of_file(self.config)
-        settings = SessionSettings(
+        settings = NetworkSettings(
             swarm=self.swarm or os.environ.get("SWARM") or DEFAULT_SWARM,
             profile=cast(Profile, self.profile or "dev"),
             interface=self.interface,
@@ -92,7 +92,6 @@ class CommonOptions:
 
     def _operator_of_file(self, config: Path) -> Operator:
         from swarmd.network.operator import Operator
-        from swarmd.network.session import SessionSettings
         from swarmd.settings.swarmfile import load_swarm  # YAML, which most commands do without
 
         overrides = {
@@ -102,15 +101,7 @@ class CommonOptions:
             "seeds": list(self.seeds) or None,
         }
         file = load_swarm(config, overrides, os.environ)
-        settings = SessionSettings(
-            swarm=file.swarm,
-            profile=file.profile,
-            interface=file.interface,
-            seeds=tuple(file.seeds),
-            multicast=file.multicast,
-            lease=file.lease,
-        )
-        return Operator(settings, roster=file.roster)
+        return Operator(file, roster=file.roster)
 
 
 def root_options(function: Callable[P, R]) -> Callable[..., R]:

@@ -45,7 +45,7 @@ def check_daemon(settings: DaemonSettings) -> int:
 
 
 def _findings(settings: DaemonSettings) -> Iterator[Finding]:
-    yield Finding("settings", True, f"robot {settings.id} of swarm {settings.swarm}")
+    yield Finding("settings", True, f"robot {settings.id} of swarm {settings.network.swarm}")
     yield Finding("platform", True, _platform_text(settings))
     yield _network(settings)
     yield _state_dir(settings.state_dir)
@@ -85,12 +85,12 @@ def protection_text(protection: Mapping[str, Any]) -> str:
 
 
 def _network(settings: DaemonSettings) -> Finding:
-    interface = settings.interface or "lo"
+    interface = settings.network.interface_name
     known = [name for _, name in socket.if_nameindex()]
     if interface not in known:
         return Finding("network", False, unknown("network interface", interface, known))
-    text = f"profile {settings.profile} on {interface}"
-    if settings.profile == "field":
+    text = f"profile {settings.network.profile} on {interface}"
+    if settings.network.profile == "field":
         text += "; without certificates anyone on this network can drive this robot"
     return Finding("network", True, text)
 

@@ -14,6 +14,7 @@ import secrets
 import signal
 import socket
 from collections.abc import Mapping
+from functools import partial
 from typing import Any
 
 import msgspec
@@ -32,7 +33,7 @@ from swarmd.daemon.tick_timer import Heartbeat
 from swarmd.driver_api.driver import Driver, check_protected
 from swarmd.network.bus import ZenohBus
 from swarmd.network.claim import Claim, claim_id
-from swarmd.network.session import SessionSettings, opened_session
+from swarmd.network.session import open_in_thread, open_session
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
@@ -74,7 +75,7 @@ class Daemon:
         self._crashed = asyncio.Event()
         self._instance = secrets.token_hex(6)
         self._notify = Notifier()
-        self._latches = LatchFile(settings.state_dir / settings.swarm / settings.id)
+        self._latches = LatchFile(settings.state_dir / settings.network.swarm / settings.id)
         self._runner = ProcessRunner(self._loop, settings.plugin_dir, self._on_host_events)
         self._bus: ZenohBus | None = None
         self._claim: Claim | None = None
@@ -90,7 +91,7 @@ class Daemon:
                 driver=settings.driver,
                 layers=settings.pattern_layers,
                 host=socket.gethostname(),
-                profile=settings.profile,
+                profile=settings.network.profile,
                 labels=settings.labels,
                 touch=settings.touch_zones,
             ),
@@ -133,7 +134,7 @@ class Daemon:
         gc.collect()
         gc.freeze()
         self._notify("READY=1")
-        log.info("ready in swarm %s as %s", self._settings.swarm, self._instance)
+        log.info("ready in swarm %s as %s", self._settings.network.swarm, self._instance)
         await self._drive()  # only now is the base ours
 
     async def _drive(self) -> None:
@@ -164,26 +165,18 @@ class Daemon:
 
     async def _join(self) -> None:
         settings = self._settings
-        wanted = SessionSettings(
-            swarm=settings.swarm,
-            profile=settings.profile,
-            interface=settings.interface,
-            listen=settings.listen,
-            seeds=settings.seeds,
-            multicast=settings.multicast,
-            lease=settings.lease,
-        )
-        if settings.profile == "field":
+        network = settings.network
+        if network.profile == "field":
             log.warning("no certificates: anyone on this network can drive this robot")
-        self._session = await opened_session(wanted)
-        self._bus = bus = ZenohBus(self._session, swarm=settings.swarm, robot=settings.id)
+        self._session = await open_in_thread(partial(open_session, network))
+        self._bus = bus = ZenohBus(self._session, swarm=network.swarm, robot=settings.id)
         self._claim = await claim_id(
             self._session,
-            swarm=settings.swarm,
+            swarm=network.swarm,
             robot=settings.id,
             instance=self._instance,
-            settle=wanted.settle,
-            lease=wanted.lease_seconds,
+            settle=network.settle,
+            lease=network.lease_seconds,
             on_duplicate=self._on_duplicate,
         )
         self._requests.serve(bus, ("estop", "stop", "reset", "param", "forget"))

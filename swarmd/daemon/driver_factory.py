@@ -17,7 +17,7 @@ def make_driver(settings: DaemonSettings) -> Driver:
     common = BaseOptions.__struct_fields__
     factory = load_driver(name)
     driver = factory(
-        swarm=settings.swarm,
+        swarm=settings.network.swarm,
         robot=settings.id,
         platform=settings.platform,
         options={k: v for k, v in settings.driver_options.items() if k not in common},
@@ -55,5 +55,5 @@ def _guarded(
         return wrapped
     from swarmd.driver_api.watchdog_client import WatchedDriver
 
-    name = name_of(settings.swarm, settings.id)
+    name = name_of(settings.network.swarm, settings.id)
     return WatchedDriver(wrapped, spec, name=name, tie=settings.die_with_parent)

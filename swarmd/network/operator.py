@@ -43,7 +43,8 @@ from swarmd.core.messages import (
 from swarmd.network.discovery import Gathering, MembersView
 from swarmd.network.outcome import Acks, Outcome
 from swarmd.network.scouting import swarms_in_reach
-from swarmd.network.session import MAX_WIRE, SessionSettings, open_session, undeclare
+from swarmd.network.session import MAX_WIRE, open_session, undeclare
+from swarmd.network.settings import NetworkSettings
 from swarmd.network.stop_request import Halting, Select
 
 GATHER = 1.0
@@ -89,7 +90,7 @@ class Operator:
     """
 
     def __init__(
-        self, settings: SessionSettings, *, name: str | None = None, roster: Iterable[str] = ()
+        self, settings: NetworkSettings, *, name: str | None = None, roster: Iterable[str] = ()
     ) -> None:
         self.settings = settings.as_operator()
         self.name = _sendable(name, MAX_OPERATOR) if name else operator_name()
@@ -99,7 +100,7 @@ class Operator:
         self._links = 0
         self._gathering: Gathering | None = None
         self._version = 0
-        self._session = open_session(self.settings)
+        self._session = open_session(self.settings, wait_for_peers=False)
         self._listeners = self._watch()
 
     def __enter__(self) -> Self:

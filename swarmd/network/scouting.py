@@ -19,16 +19,16 @@ from swarmd.network.session import (
     FIRST_PORT,
     MULTICAST_ADDRESS,
     PORTS,
-    SessionSettings,
     open_with,
     session_options,
 )
+from swarmd.network.settings import NetworkSettings
 
 _TOKENS = build(ANY, ANY, "alive", ANY)
 
 
 def swarms_in_reach(
-    session: zenoh.Session, settings: SessionSettings, timeout: float
+    session: zenoh.Session, settings: NetworkSettings, timeout: float
 ) -> tuple[str, ...]:
     """Names of swarms with a living daemon, sorted; takes up to three times `timeout` s."""
     if not settings.multicast:
@@ -46,7 +46,7 @@ def _names(session: zenoh.Session, timeout: float) -> set[str]:
     return {key.swarm for key in keys if key is not None}
 
 
-def _names_at(locators: Iterable[str], settings: SessionSettings, timeout: float) -> set[str]:
+def _names_at(locators: Iterable[str], settings: NetworkSettings, timeout: float) -> set[str]:
     options = session_options(settings) | {
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,

@@ -11,7 +11,9 @@ import socket
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal, cast
+from typing import cast
+
+import msgspec
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.host_messages import Layers
@@ -19,6 +21,7 @@ from swarmd.core.keys import check_id
 from swarmd.core.values import Platform, TouchZone, Value
 from swarmd.kit.touch import granted_zones
 from swarmd.kit.touch_config import TouchGrants
+from swarmd.network.settings import NetworkSettings
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.settings.swarmfile import DEFAULT, DaemonFile, ParametersSection, check, layered
@@ -40,13 +43,7 @@ class DaemonSettings:
     """
 
     id: str
-    swarm: str
-    profile: Literal["dev", "field"]
-    interface: str | None
-    listen: tuple[str, ...]
-    seeds: tuple[str, ...]
-    multicast: bool
-    lease: float | None
+    network: NetworkSettings
     platform: Platform
     platform_name: str
     driver: str
@@ -101,13 +98,7 @@ def load_daemon_settings(
     robot = _robot_id(layers, file)
     return DaemonSettings(
         id=robot,
-        swarm=file.swarm,
-        profile=file.profile,
-        interface=file.interface,
-        listen=tuple(file.listen),
-        seeds=tuple(file.seeds),
-        multicast=file.multicast,
-        lease=file.lease,
+        network=msgspec.convert(file, NetworkSettings, from_attributes=True),
         platform=platform,
         platform_name=_absolute(file.platform, near),
         driver=file.driver,

@@ -5,17 +5,17 @@ No numpy here: swarmctl reads swarm.yaml too, to meet the swarm as its robots do
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
-from msgspec import Meta, Struct
+from msgspec import Struct
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import check_id
 from swarmd.core.messages import Scalar
 from swarmd.kit.touch_config import TouchGrants
+from swarmd.network.settings import NetworkSettings
 from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import Data, read, shown
 
@@ -24,7 +24,6 @@ Parameters = dict[str, dict[str, Scalar | None]]
 Option = Scalar | list[Scalar] | dict[str, Scalar | list[Scalar]] | None
 Options = dict[str, Option]
 
-_ENDPOINT = re.compile(r"(tcp|udp|tls|quic)/(\[[0-9a-fA-F:.]+\]|[^/:#?\s]+):\d{1,5}([?#]\S*)?")
 # Command-line options that are not called like their key.
 _OPTIONS = {"driver_options": "--driver-option", "seeds": "--seed"}
 
@@ -36,16 +35,9 @@ class ParametersSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     robots: dict[str, Parameters] = {}
 
 
-class SwarmFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """All that may stand in swarm.yaml: what the robots of one swarm share. `lease` in s."""
+class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The keys of swarm.yaml, which the robots of one swarm share: its network and more."""
 
-    swarm: str = DEFAULT
-    profile: Literal["dev", "field"] = "dev"
-    interface: str | None = None
-    listen: list[str] = []
-    seeds: list[str] = []
-    multicast: bool = True
-    lease: Annotated[float, Meta(ge=0.2, le=60.0)] | None = None
     roster: list[str] = []
     labels: dict[str, list[str]] = {}
     parameters: ParametersSection = ParametersSection()
@@ -108,7 +100,6 @@ def _included(config: Path, own: Data) -> list[tuple[str, Data]]:
 
 
 def _check_names(layers: Layered, file: DaemonFile) -> None:
-    _check_id(layers, ("swarm",), file.swarm, "swarm")
     for index, name in enumerate(file.roster):
         _check_id(layers, ("roster", index), name, f"roster[{index}]")
         if name in file.roster[:index]:
@@ -141,15 +132,5 @@ def _check_id(layers: Layered, keys: Sequence[str | int], value: str, what: str)
 
 
 def _check_network(layers: Layered, file: DaemonFile) -> None:
-    for key, endpoints in (("listen", file.listen), ("seeds", file.seeds)):
-        for index, endpoint in enumerate(endpoints):
-            if not _ENDPOINT.fullmatch(endpoint):
-                raise layers.error(
-                    (key, index),
-                    f"{key}[{index}] is {endpoint!r}; wanted an endpoint such as tcp/10.0.0.1:7440",
-                )
-    if file.profile == "field" and file.interface is None:
-        raise layers.error(
-            ("profile",),
-            "profile field needs `interface`: the network interface to use, such as wlan0",
-        )
+    for keys, text in file.faults():
+        raise layers.error(keys, text)

@@ -94,7 +94,7 @@ def test_the_effective_configuration_names_sources_and_reads_back_the_same(tmp_p
     (tmp_path / "again.yaml").write_text(done.stdout)
     first = load_daemon_settings(tmp_path / "r.yaml", {"id": "r1"}, {"HOME": str(tmp_path)})
     again = load_daemon_settings(tmp_path / "again.yaml", {}, {})
-    same = ("id", "swarm", "roster", "labels", "driver_options", "state_dir", "platform_name")
+    same = ("id", "network", "roster", "labels", "driver_options", "state_dir", "platform_name")
     for key in (*same, "touch"):
         assert getattr(again, key) == getattr(first, key)
 

@@ -144,7 +144,7 @@ def test_an_estop_is_kept_and_answered_though_its_zero_cannot_be_sent(tmp_path: 
     with pytest.raises(OSError, match="unplugged"):
         asyncio.run(live())
     assert [reply.code for reply in asked.replies] == [Code.APPLIED]
-    assert LatchFile(settings.state_dir / settings.swarm / settings.id).read()
+    assert LatchFile(settings.state_dir / settings.network.swarm / settings.id).read()
 
 
 @pytest.mark.parametrize("when", ["while it runs", "when it ends"])

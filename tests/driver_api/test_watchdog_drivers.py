@@ -13,7 +13,7 @@ import pytest
 from swarmd.core.clock import boottime
 from swarmd.core.values import Twist, Value
 from swarmd.network.operator import Operator
-from swarmd.network.session import SessionSettings
+from swarmd.network.settings import NetworkSettings
 from swarmd.testing.driver_rig import is_running
 from tests.drivers.ros2.dds_rig import DdsRobot
 from tests.drivers.ros2.robots import RAYS, BridgedRobot, Robot, ZenohRobot, odometry, scan
@@ -99,7 +99,7 @@ def driven(
     with (
         contextlib.closing(Course(robot)) as course,
         DaemonProcess(tmp_path, swarm=swarm, robot=ROBOT, endpoint="", options=options) as daemon,
-        Operator(SessionSettings(swarm=swarm), name="zoe@test") as operator,
+        Operator(NetworkSettings(swarm=swarm), name="zoe@test") as operator,
     ):
         daemon.wait_ready()
         begun = boottime()

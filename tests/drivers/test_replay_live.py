@@ -10,7 +10,7 @@ from swarmd.core.values import Value
 from swarmd.driver_api.hw_codec import decode_command
 from swarmd.driver_api.recording import read_recording
 from swarmd.network.operator import Operator
-from swarmd.network.session import SessionSettings
+from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from tests.support.drive_daemon import ROBOT, drive, is_running
 from tests.support.fake_body import Body
@@ -32,7 +32,7 @@ def test_what_a_daemon_recorded_drives_another(tmp_path: Path) -> None:
                 endpoint=body.endpoint,
                 options={"driver_options": options},
             ) as daemon,
-            Operator(SessionSettings(swarm=swarm), name="zoe@test") as operator,
+            Operator(NetworkSettings(swarm=swarm), name="zoe@test") as operator,
         ):
             daemon.wait_ready()
             drive(operator)
@@ -53,7 +53,7 @@ def test_what_a_daemon_recorded_drives_another(tmp_path: Path) -> None:
             endpoint="",
             options={"driver": "replay", "driver_options": replay},
         ) as daemon,
-        Operator(SessionSettings(swarm=swarm), name="zoe@test") as operator,
+        Operator(NetworkSettings(swarm=swarm), name="zoe@test") as operator,
     ):
         daemon.wait_ready()
         drive(operator)

@@ -11,7 +11,7 @@ import pytest
 from swarmd.core.clock import boottime
 from swarmd.core.values import Value
 from swarmd.network.operator import Operator
-from swarmd.network.session import SessionSettings
+from swarmd.network.settings import NetworkSettings
 from swarmd.settings.platforms import load_platform
 from tests.driver_api.test_watchdog_drivers import Course
 from tests.drivers.ros2.robots import BridgedRobot, odometry
@@ -70,7 +70,7 @@ def test_a_thymio_drives_and_keeps_off_a_hand(tmp_path: Path) -> None:
     with (
         contextlib.closing(Table(robot)) as table,
         DaemonProcess(tmp_path, swarm=swarm, robot=ROBOT, endpoint="", options=options) as daemon,
-        Operator(SessionSettings(swarm=swarm), name="zoe@test") as operator,
+        Operator(NetworkSettings(swarm=swarm), name="zoe@test") as operator,
     ):
         daemon.wait_ready()
         begun = boottime()

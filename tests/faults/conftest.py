@@ -20,7 +20,8 @@ from swarmd.core.keys import build
 from swarmd.core.messages import REQUEST_TYPES, Code, Epoch, Reason, Reply, State, Status
 from swarmd.core.values import Twist, Value
 from swarmd.network.operator import Operator
-from swarmd.network.session import SessionSettings, open_session
+from swarmd.network.session import open_session
+from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body, Commanded
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
@@ -57,7 +58,7 @@ class Witness:
         self.heard: list[Heard] = []
         self._decode = Decoder(Status)
         self._news = threading.Condition()
-        self.session = open_session(SessionSettings(swarm=swarm))
+        self.session = open_session(NetworkSettings(swarm=swarm))
         self._key = build(swarm, ROBOT, "state", "status")
         self._subscriber = self.session.declare_subscriber(self._key, self._on_status)
 
@@ -155,7 +156,7 @@ class Bench:
         self.body = self._left.enter_context(body)
 
     def _operator(self) -> Operator:
-        return Operator(SessionSettings(swarm=self.swarm), name="zoe@test")
+        return Operator(NetworkSettings(swarm=self.swarm), name="zoe@test")
 
     # Working it
 

@@ -9,15 +9,15 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from swarmd.network.session import SessionSettings
+from swarmd.network.settings import NetworkSettings
 
 Until = Callable[[Callable[[], bool]], Awaitable[None]]
 
 
 @pytest.fixture
-def settings() -> SessionSettings:
+def settings() -> NetworkSettings:
     """Profile dev in a swarm that nobody else is in."""
-    return SessionSettings(swarm=f"test-{secrets.token_hex(6)}")
+    return NetworkSettings(swarm=f"test-{secrets.token_hex(6)}")
 
 
 @pytest.fixture

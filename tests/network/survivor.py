@@ -16,7 +16,7 @@ import time
 
 from swarmd.core.keys import Key
 from swarmd.core.messages import Member
-from swarmd.network.session import SessionSettings
+from swarmd.network.settings import NetworkSettings
 from tests.support.fake_daemon import FakeDaemon
 
 PERIOD = 0.05
@@ -80,7 +80,7 @@ async def _main() -> None:
     parser.add_argument("--listen", action="append", default=[])
     parser.add_argument("--seed", action="append", default=[])
     args = parser.parse_args()
-    settings = SessionSettings(
+    settings = NetworkSettings(
         swarm=args.swarm,
         profile="field",
         interface=args.interface,

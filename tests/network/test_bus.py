@@ -6,7 +6,6 @@ import asyncio
 import threading
 import time
 from collections.abc import Awaitable, Callable, Coroutine
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -16,7 +15,8 @@ from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, Decoder, encode
 from swarmd.core.keys import Key
 from swarmd.core.messages import Condition, Member, PeerView, Status
 from swarmd.network.bus import Query, ZenohBus
-from swarmd.network.session import SessionSettings, open_session
+from swarmd.network.session import open_session
+from swarmd.network.settings import NetworkSettings
 from tests.support.fake_daemon import FakeDaemon, light_status
 
 Until = Callable[[Callable[[], bool]], Awaitable[None]]
@@ -62,16 +62,16 @@ Play = Callable[[RobotHarness], None]
 
 
 @pytest.fixture
-def play(settings: SessionSettings, until: Until) -> Play:
+def play(settings: NetworkSettings, until: Until) -> Play:
     def run(story: RobotHarness) -> None:
         asyncio.run(_stage(settings, until, story))
 
     return run
 
 
-async def _stage(settings: SessionSettings, until: Until, story: RobotHarness) -> None:
-    quick = replace(settings, wait_for_peers=False)
-    session, foreign = open_session(quick), open_session(quick)
+async def _stage(settings: NetworkSettings, until: Until, story: RobotHarness) -> None:
+    session = open_session(settings, wait_for_peers=False)
+    foreign = open_session(settings, wait_for_peers=False)
     bus = ZenohBus(session, swarm=settings.swarm, robot="me")
     try:
         await until(lambda: bool(foreign.info.peers_zid()))
@@ -321,7 +321,7 @@ def test_tokens_that_are_not_ids_are_counted(play: Play) -> None:
     play(story)
 
 
-def test_daemons_see_each_other_and_ask_each_other(settings: SessionSettings, until: Until) -> None:
+def test_daemons_see_each_other_and_ask_each_other(settings: NetworkSettings, until: Until) -> None:
     async def story() -> None:
         one, other = FakeDaemon(settings, "a"), FakeDaemon(settings, "b", roster=("c",))
         async with one, other:
@@ -336,7 +336,7 @@ def test_daemons_see_each_other_and_ask_each_other(settings: SessionSettings, un
 
 
 def test_a_daemon_that_leaves_left_and_one_that_vanishes_failed(
-    settings: SessionSettings, until: Until
+    settings: NetworkSettings, until: Until
 ) -> None:
     async def story() -> None:
         polite, rude = FakeDaemon(settings, "polite"), FakeDaemon(settings, "rude")

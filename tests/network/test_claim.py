@@ -11,7 +11,8 @@ import zenoh
 
 from swarmd.core.errors import NetworkError
 from swarmd.network.claim import MAX_RIVALS, Claim, Rivals, claim_id
-from swarmd.network.session import SessionSettings, open_session
+from swarmd.network.session import open_session
+from swarmd.network.settings import NetworkSettings
 
 Until = Callable[[Callable[[], bool]], Awaitable[None]]
 
@@ -90,7 +91,7 @@ def test_a_flood_of_rivals_is_bounded() -> None:
 
 async def claim(
     session: zenoh.Session,
-    settings: SessionSettings,
+    settings: NetworkSettings,
     instance: str,
     on_duplicate: Callable[[str], object] = print,
 ) -> Claim:
@@ -111,7 +112,7 @@ class Sessions:
     def __init__(self) -> None:
         self._open: list[zenoh.Session] = []
 
-    def __call__(self, settings: SessionSettings) -> zenoh.Session:
+    def __call__(self, settings: NetworkSettings) -> zenoh.Session:
         self._open.append(open_session(settings))
         return self._open[-1]
 
@@ -129,7 +130,7 @@ def sessions() -> Iterator[Sessions]:
 
 @pytest.mark.parametrize("gap", [0.0, 0.01, 0.05, 0.09, 0.11])
 def test_two_at_once_have_exactly_one_owner(
-    settings: SessionSettings, sessions: Sessions, gap: float
+    settings: NetworkSettings, sessions: Sessions, gap: float
 ) -> None:
     """Starting `gap` seconds apart: together, while the first settles, and just after.
 
@@ -162,7 +163,7 @@ def test_two_at_once_have_exactly_one_owner(
 
 
 def test_five_fresh_sessions_at_once_have_exactly_one_owner(
-    settings: SessionSettings, sessions: Sessions
+    settings: NetworkSettings, sessions: Sessions
 ) -> None:
     async def start() -> Claim:
         session = await asyncio.to_thread(sessions, settings)
@@ -177,7 +178,7 @@ def test_five_fresh_sessions_at_once_have_exactly_one_owner(
 
 
 def test_a_held_id_is_refused_in_one_line_that_names_the_holder(
-    settings: SessionSettings, sessions: Sessions
+    settings: NetworkSettings, sessions: Sessions
 ) -> None:
     async def story() -> None:
         first = await claim(sessions(settings), settings, "aaaaaaaaaaaa")
@@ -192,7 +193,7 @@ def test_a_held_id_is_refused_in_one_line_that_names_the_holder(
 
 
 def test_it_waits_for_a_token_that_vanishes_soon(
-    settings: SessionSettings, sessions: Sessions
+    settings: NetworkSettings, sessions: Sessions
 ) -> None:
     """What is left of a machine that lost power goes with its lease."""
 
@@ -208,7 +209,7 @@ def test_it_waits_for_a_token_that_vanishes_soon(
 
 
 def test_a_second_owner_that_comes_later_is_told_to_both(
-    settings: SessionSettings, sessions: Sessions, until: Until
+    settings: NetworkSettings, sessions: Sessions, until: Until
 ) -> None:
     """As when a cut heals: each claimed the id where it could not see the other."""
 
@@ -227,7 +228,7 @@ def test_a_second_owner_that_comes_later_is_told_to_both(
 
 
 def test_a_refused_claim_leaves_nothing_behind(
-    settings: SessionSettings, sessions: Sessions
+    settings: NetworkSettings, sessions: Sessions
 ) -> None:
     async def story() -> None:
         first = await claim(sessions(settings), settings, "aaaaaaaaaaaa")

@@ -18,7 +18,7 @@ from typing import Any
 
 import pytest
 
-from swarmd.network.session import SessionSettings
+from swarmd.network.settings import NetworkSettings
 
 pytestmark = pytest.mark.integration
 
@@ -104,7 +104,7 @@ def is_ready(peer: Peer) -> bool:
 
 
 @pytest.fixture
-def peers(namespaces: Any, settings: SessionSettings) -> Iterator[dict[str, Peer]]:
+def peers(namespaces: Any, settings: NetworkSettings) -> Iterator[dict[str, Peer]]:
     sides = {side: namespaces.join(side, address) for side, address in ADDRESSES.items()}
     made = {
         name: Peer(name, sides[side], settings.swarm, PEERS) for name, (side, _) in PEERS.items()
@@ -153,7 +153,7 @@ def test_peers_that_vanish_fail_and_do_not_stall_the_others(
 
 
 def test_two_that_took_one_id_on_either_side_of_a_cut_are_told_when_it_heals(
-    namespaces: Any, settings: SessionSettings
+    namespaces: Any, settings: NetworkSettings
 ) -> None:
     places = {"one": ("a", 7447), "other": ("far", 7447)}
     sides = {side: namespaces.join(side, ADDRESSES[side]) for side, _ in places.values()}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import random
 from collections.abc import Awaitable, Callable
-from dataclasses import replace
 
 import pytest
 import zenoh
@@ -15,7 +14,8 @@ from swarmd.core.errors import CodecError
 from swarmd.core.keys import Key
 from swarmd.core.messages import RunRequest
 from swarmd.network.bus import Query, ZenohBus
-from swarmd.network.session import SessionSettings, open_session
+from swarmd.network.session import open_session
+from swarmd.network.settings import NetworkSettings
 from tests.support.fake_daemon import light_status
 
 Until = Callable[[Callable[[], bool]], Awaitable[None]]
@@ -99,14 +99,14 @@ class Target:
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_every_put_and_every_query_is_handled_or_counted(
-    settings: SessionSettings, until: Until, seed: int
+    settings: NetworkSettings, until: Until, seed: int
 ) -> None:
     rng = random.Random(seed)
     swarm = settings.swarm
 
     async def story() -> None:
-        quick = replace(settings, wait_for_peers=False)
-        session, foreign = open_session(quick), open_session(quick)
+        session = open_session(settings, wait_for_peers=False)
+        foreign = open_session(settings, wait_for_peers=False)
         target = Target(ZenohBus(session, swarm=swarm, robot="me"))
         try:
             # Declarations travel in order: the last one having arrived, all have.

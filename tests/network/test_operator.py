@@ -7,17 +7,18 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from typing import Any
 
 import pytest
 import zenoh
+from msgspec.structs import replace
 
 from swarmd.core.codec import Decoder
 from swarmd.core.messages import Code, Condition, Epoch, EstopRequest, ResetRequest, RunRequest
 from swarmd.network.operator import HaltVerb, Operator, operator_name
 from swarmd.network.outcome import NO_TARGET, PARTIAL, REFUSED
-from swarmd.network.session import SessionSettings, open_session
+from swarmd.network.session import open_session
+from swarmd.network.settings import NetworkSettings
 from tests.support.fake_daemon import FakeSwarm
 
 Robots = Callable[..., FakeSwarm]
@@ -26,7 +27,7 @@ decode = Decoder(EstopRequest)
 
 
 @pytest.fixture
-def robots(settings: SessionSettings) -> Iterator[Robots]:
+def robots(settings: NetworkSettings) -> Iterator[Robots]:
     """Starts light daemons on a loop of their own; all are gone after the test."""
     made: list[FakeSwarm] = []
 
@@ -40,7 +41,7 @@ def robots(settings: SessionSettings) -> Iterator[Robots]:
         swarm.close()
 
 
-def test_members_come_with_their_own_status(settings: SessionSettings, robots: Robots) -> None:
+def test_members_come_with_their_own_status(settings: NetworkSettings, robots: Robots) -> None:
     swarm = robots("a", "b", "c")
     with Operator(settings) as operator:
         view = operator.members()
@@ -50,7 +51,7 @@ def test_members_come_with_their_own_status(settings: SessionSettings, robots: R
     assert view.epochs(["b"]) == {"b": Epoch(instance=swarm["b"].instance, revision=0)}
 
 
-def test_a_single_robot_is_found(settings: SessionSettings, robots: Robots) -> None:
+def test_a_single_robot_is_found(settings: NetworkSettings, robots: Robots) -> None:
     robots("a")
     with Operator(settings) as operator:
         view = operator.members()
@@ -58,14 +59,14 @@ def test_a_single_robot_is_found(settings: SessionSettings, robots: Robots) -> N
     assert view.alive == ("a",)
 
 
-def test_nobody_is_an_empty_view(settings: SessionSettings) -> None:
+def test_nobody_is_an_empty_view(settings: NetworkSettings) -> None:
     with Operator(settings) as operator:
         assert operator.members().members == {}
         assert operator.request(RunRequest, {}, pattern="x").exit_code == NO_TARGET
         assert operator.stop(timeout=0.2).exit_code == NO_TARGET
 
 
-def test_those_that_left_or_failed_are_listed(settings: SessionSettings, robots: Robots) -> None:
+def test_those_that_left_or_failed_are_listed(settings: NetworkSettings, robots: Robots) -> None:
     swarm = robots("a", "polite", "rude")
     swarm.call(swarm["polite"].leave)
     swarm.call(swarm["rude"].vanish)
@@ -79,7 +80,7 @@ def test_those_that_left_or_failed_are_listed(settings: SessionSettings, robots:
     }
 
 
-def test_a_request_reaches_its_targets_alone(settings: SessionSettings, robots: Robots) -> None:
+def test_a_request_reaches_its_targets_alone(settings: NetworkSettings, robots: Robots) -> None:
     swarm = robots("a", "b", "c")
     with Operator(settings, name="anna@laptop") as operator:
         targets = operator.members().epochs(["a", "b"])
@@ -93,7 +94,7 @@ def test_a_request_reaches_its_targets_alone(settings: SessionSettings, robots: 
     assert swarm["c"].requests == []
 
 
-def test_refusals_and_silence_are_named(settings: SessionSettings, robots: Robots) -> None:
+def test_refusals_and_silence_are_named(settings: NetworkSettings, robots: Robots) -> None:
     robots("a")
     robots("b", answer=lambda request: Code.REFUSED)
     robots("c", answer=lambda request: None)
@@ -104,7 +105,7 @@ def test_refusals_and_silence_are_named(settings: SessionSettings, robots: Robot
     assert outcome.exit_code == PARTIAL
 
 
-def test_all_refused(settings: SessionSettings, robots: Robots) -> None:
+def test_all_refused(settings: NetworkSettings, robots: Robots) -> None:
     robots("a", answer=lambda request: Code.REFUSED)
     with Operator(settings) as operator:
         outcome = operator.request(RunRequest, operator.members().epochs(["a"]), pattern="x")
@@ -113,7 +114,7 @@ def test_all_refused(settings: SessionSettings, robots: Robots) -> None:
 
 @pytest.mark.parametrize("verb", ["stop", "estop"])
 def test_a_halt_reaches_everyone_without_waiting_for_members(
-    settings: SessionSettings, robots: Robots, verb: HaltVerb
+    settings: NetworkSettings, robots: Robots, verb: HaltVerb
 ) -> None:
     swarm = robots("a", "b", "c")
     with Operator(settings) as operator:
@@ -127,7 +128,7 @@ def test_a_halt_reaches_everyone_without_waiting_for_members(
 
 
 def test_an_estop_is_also_put_on_each_robots_own_key(
-    settings: SessionSettings, robots: Robots
+    settings: NetworkSettings, robots: Robots
 ) -> None:
     swarm = robots("a", "b")
     ear = open_session(settings)
@@ -147,7 +148,7 @@ def test_an_estop_is_also_put_on_each_robots_own_key(
     assert set(keys.values()) == {swarm["a"].requests[0].id}
 
 
-def test_a_halt_is_repeated_until_everyone_acked(settings: SessionSettings, robots: Robots) -> None:
+def test_a_halt_is_repeated_until_everyone_acked(settings: NetworkSettings, robots: Robots) -> None:
     swarm = robots("a")
     deaf = robots("deaf", answer=lambda request: Code.APPLIED if count() > 5 else None)
 
@@ -160,7 +161,7 @@ def test_a_halt_is_repeated_until_everyone_acked(settings: SessionSettings, robo
     assert len(swarm["a"].requests) < count()
 
 
-def test_one_that_does_not_ack_a_halt_is_named(settings: SessionSettings, robots: Robots) -> None:
+def test_one_that_does_not_ack_a_halt_is_named(settings: NetworkSettings, robots: Robots) -> None:
     robots("a")
     robots("deaf", answer=lambda request: None)
     with Operator(settings) as operator:
@@ -169,7 +170,7 @@ def test_one_that_does_not_ack_a_halt_is_named(settings: SessionSettings, robots
     assert outcome.exit_code == PARTIAL
 
 
-def test_a_failed_robot_is_named_by_a_halt(settings: SessionSettings, robots: Robots) -> None:
+def test_a_failed_robot_is_named_by_a_halt(settings: NetworkSettings, robots: Robots) -> None:
     swarm = robots("a", "lost")
     swarm.call(swarm["lost"].vanish)
     swarm.until(lambda: swarm["a"].bus.members["lost"].condition is Condition.FAILED)
@@ -179,7 +180,7 @@ def test_a_failed_robot_is_named_by_a_halt(settings: SessionSettings, robots: Ro
 
 
 def test_a_halt_reaches_a_robot_that_joins_while_it_goes_on(
-    settings: SessionSettings, robots: Robots
+    settings: NetworkSettings, robots: Robots
 ) -> None:
     robots("a")
     starting = threading.Thread(target=lambda: robots("late"))
@@ -190,7 +191,7 @@ def test_a_halt_reaches_a_robot_that_joins_while_it_goes_on(
     assert outcome.line == "2 targeted, 2 applied"
 
 
-def test_a_halt_of_some_leaves_the_others(settings: SessionSettings, robots: Robots) -> None:
+def test_a_halt_of_some_leaves_the_others(settings: NetworkSettings, robots: Robots) -> None:
     swarm = robots("a", "b", "c")
     with Operator(settings) as operator:
         outcome = operator.stop(select=lambda names: [name for name in names if name in "ac"])
@@ -198,7 +199,7 @@ def test_a_halt_of_some_leaves_the_others(settings: SessionSettings, robots: Rob
     assert swarm["b"].requests == []
 
 
-def test_two_daemons_with_one_id_show(settings: SessionSettings, robots: Robots) -> None:
+def test_two_daemons_with_one_id_show(settings: NetworkSettings, robots: Robots) -> None:
     swarm = robots("a", "b")
     robots("a", is_claiming=False)
     swarm.until(lambda: list(swarm["b"].bus.duplicates) == ["a"])
@@ -209,7 +210,7 @@ def test_two_daemons_with_one_id_show(settings: SessionSettings, robots: Robots)
     assert outcome.duplicates == ("a",)
 
 
-def test_other_swarms_can_be_seen(settings: SessionSettings, robots: Robots) -> None:
+def test_other_swarms_can_be_seen(settings: NetworkSettings, robots: Robots) -> None:
     robots("a")
     with Operator(replace(settings, swarm="nobody-is-here")) as operator:
         assert settings.swarm in operator.swarms()
@@ -231,7 +232,7 @@ def test_a_name_that_is_no_utf8_is_mended(monkeypatch: pytest.MonkeyPatch) -> No
 )
 @pytest.mark.parametrize("verb", ["estop", "reset"])
 def test_a_reason_that_cannot_be_sent_is_mended_and_never_refused(
-    settings: SessionSettings, robots: Robots, verb: str, reason: str, kept: str
+    settings: NetworkSettings, robots: Robots, verb: str, reason: str, kept: str
 ) -> None:
     swarm = robots("a")
     with Operator(settings, name="\udcff" * 200) as operator:
@@ -247,7 +248,7 @@ def test_a_reason_that_cannot_be_sent_is_mended_and_never_refused(
 
 
 @pytest.mark.integration
-def test_twenty_daemons_ack_each_of_fifty_cold_operators(settings: SessionSettings) -> None:
+def test_twenty_daemons_ack_each_of_fifty_cold_operators(settings: NetworkSettings) -> None:
     names = [f"tb3-{number:02d}" for number in range(1, 21)]
     processes = [start_process(settings, names[part::4]) for part in range(4)]
     took: list[float] = []
@@ -268,7 +269,7 @@ def test_twenty_daemons_ack_each_of_fifty_cold_operators(settings: SessionSettin
     print(f"median {1e3 * sorted(took)[25]:.0f} ms, longest {1e3 * max(took):.0f} ms")
 
 
-def start_process(settings: SessionSettings, names: list[str]) -> subprocess.Popen[str]:
+def start_process(settings: NetworkSettings, names: list[str]) -> subprocess.Popen[str]:
     """Ends with its standard input."""
     return subprocess.Popen(
         [sys.executable, "-m", "tests.support.fake_daemon", "--swarm", settings.swarm, *names],

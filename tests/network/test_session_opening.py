@@ -10,7 +10,7 @@ from collections.abc import Callable
 import pytest
 import zenoh
 
-from swarmd.network.session import opened
+from swarmd.network.session import open_in_thread
 from swarmd.testing.driver_contract import CAP
 
 
@@ -32,13 +32,13 @@ def opener(made: list[zenoh.Session], go_on: threading.Event) -> Callable[[], ze
 
 
 def test_it_is_handed_to_who_waits() -> None:
-    found = asyncio.run(opened(session))
+    found = asyncio.run(open_in_thread(session))
     assert not found.is_closed()
     found.close()
 
 
 def test_none_may_be_found() -> None:
-    assert asyncio.run(opened(lambda: None)) is None
+    assert asyncio.run(open_in_thread(lambda: None)) is None
 
 
 @pytest.mark.parametrize("waits", [False, True])
@@ -47,7 +47,7 @@ def test_it_is_closed_when_nobody_waits_any_more(waits: bool) -> None:
     go_on = threading.Event()
 
     async def run() -> None:
-        task = asyncio.create_task(opened(opener(made, go_on)))
+        task = asyncio.create_task(open_in_thread(opener(made, go_on)))
         await asyncio.sleep(0.01)
         task.cancel()
         if waits:
@@ -68,7 +68,7 @@ def test_it_is_closed_when_it_comes_as_the_wait_ends() -> None:
         return made[-1]
 
     async def run() -> None:
-        task = asyncio.create_task(opened(open_it))
+        task = asyncio.create_task(open_in_thread(open_it))
         await asyncio.sleep(0)
         assert is_made.wait(CAP)  # the loop is held up, and has not heard of it
         task.cancel()

@@ -12,7 +12,8 @@ from collections.abc import Iterator
 import pytest
 import zenoh
 
-from swarmd.network.session import SessionSettings, connected_sockets, open_session, tune_link
+from swarmd.network.session import connected_sockets, open_session, tune_link
+from swarmd.network.settings import NetworkSettings
 
 pytestmark = pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="sockets are found in /proc/self/fd"
@@ -69,7 +70,7 @@ def test_looking_leaves_every_descriptor_open_and_none_more(
     assert pair[1].recv(20) == b"still there"
 
 
-def test_every_live_link_is_tuned(settings: SessionSettings) -> None:
+def test_every_live_link_is_tuned(settings: NetworkSettings) -> None:
     """Both ends are in this process: each of at least three links shows up as two sockets."""
     sessions = [open_session(settings) for _ in range(3)]
     end = time.monotonic() + 20.0

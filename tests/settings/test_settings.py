@@ -33,7 +33,8 @@ def test_without_file_and_options_a_robot_is_named_for_its_host(
 ) -> None:
     monkeypatch.setattr(socket, "gethostname", lambda: "TB3-07.local")
     settings = load()
-    assert (settings.id, settings.swarm, settings.profile) == ("tb3-07", "default", "dev")
+    network = settings.network
+    assert (settings.id, network.swarm, network.profile) == ("tb3-07", "default", "dev")
     assert (settings.platform.name, settings.driver) == ("waffle_pi", "simulated")
     assert settings.state_dir == Path("/home/someone/.local/state/swarmd")
     assert settings.provenance["id"] == "host name"
@@ -51,7 +52,7 @@ def test_the_command_line_wins_over_the_file_and_the_file_over_what_it_includes(
 ) -> None:
     (folder / "swarm.yaml").write_text("swarm: lab\nprofile: dev\nroster: [r1, r2]\nlease: 3")
     settings = load("id: r1\nswarm_file: swarm.yaml\nplatform: burger\nlease: 4", id="r2")
-    assert (settings.id, settings.swarm, settings.lease) == ("r2", "lab", 4.0)
+    assert (settings.id, settings.network.swarm, settings.network.lease) == ("r2", "lab", 4.0)
     assert settings.roster == ("r1", "r2")
     assert settings.provenance["id"] == "--id"
     assert settings.provenance["lease"] == "r.yaml"
@@ -89,7 +90,7 @@ def test_files_are_found_from_the_file_that_names_them(folder: Path) -> None:
         "id: r1\nswarm_file: swarm.yaml\nplatform: mine.yaml\nstate_dir: state\nplugin_dir: own"
     )
     settings = load_daemon_settings(config, {}, HOME)
-    assert (settings.swarm, settings.platform.limits.linear) == ("lab", 0.1)
+    assert (settings.network.swarm, settings.platform.limits.linear) == ("lab", 0.1)
     assert settings.platform_name == str(folder / "etc/mine.yaml")
     assert settings.state_dir == folder / "etc/state"
     assert settings.plugin_dir == folder / "etc/own"

@@ -41,7 +41,7 @@ def test_gives_what_the_file_says(file: Path) -> None:
         },
     )
     assert (swarm.swarm, swarm.profile, swarm.interface) == ("lab", "field", "wlan0")
-    assert swarm.seeds == ["tcp/10.0.0.5:7447", "tls/[fe80::1]:7447"]
+    assert swarm.seeds == ("tcp/10.0.0.5:7447", "tls/[fe80::1]:7447")
     assert (swarm.multicast, swarm.lease) == (False, 4.0)
     assert swarm.parameters.labels == {"red": {"drive": {"linear": 0.1}}}
 

@@ -42,7 +42,8 @@ from swarmd.core.messages import (
 from swarmd.daemon.request_server import read_request
 from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.claim import Claim, claim_id
-from swarmd.network.session import SessionSettings, open_session
+from swarmd.network.session import open_session
+from swarmd.network.settings import NetworkSettings
 
 VERBS = ("run", "stop", "reset", "param", "forget")
 
@@ -85,7 +86,7 @@ class FakeDaemon:
 
     def __init__(
         self,
-        settings: SessionSettings,
+        settings: NetworkSettings,
         robot: str,
         *,
         answer: Answer = lambda _request: Code.APPLIED,
@@ -184,7 +185,7 @@ class FakeDaemon:
 class FakeSwarm:
     """Light daemons on a loop of their own, for code that blocks; by name, until `close`."""
 
-    def __init__(self, settings: SessionSettings, robots: Sequence[str], **options: Any) -> None:
+    def __init__(self, settings: NetworkSettings, robots: Sequence[str], **options: Any) -> None:
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
@@ -224,7 +225,7 @@ class FakeSwarm:
         await asyncio.gather(*(daemon.start() for daemon in self._daemons.values()))
 
 
-async def serve(settings: SessionSettings, robots: list[str]) -> None:
+async def serve(settings: NetworkSettings, robots: list[str]) -> None:
     """Run these robots until cancelled; prints `ready` once all have their ids."""
     daemons = [FakeDaemon(settings, robot) for robot in robots]
     try:
@@ -247,7 +248,7 @@ def main() -> None:
     parser.add_argument("--no-multicast", action="store_true")
     parser.add_argument("robots", nargs="+")
     args = parser.parse_args()
-    settings = SessionSettings(
+    settings = NetworkSettings(
         swarm=args.swarm,
         profile=args.profile,
         interface=args.interface,
@@ -258,7 +259,7 @@ def main() -> None:
     asyncio.run(_until_stdin_ends(settings, args.robots))
 
 
-async def _until_stdin_ends(settings: SessionSettings, robots: list[str]) -> None:
+async def _until_stdin_ends(settings: NetworkSettings, robots: list[str]) -> None:
     reader = asyncio.StreamReader()
     loop = asyncio.get_running_loop()
     await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)

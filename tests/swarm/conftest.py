@@ -22,7 +22,8 @@ from swarmd.core.keys import build
 from swarmd.core.messages import Condition, PeerView, State, Status
 from swarmd.core.values import Value
 from swarmd.network.operator import Operator
-from swarmd.network.session import MAX_WIRE, SessionSettings, open_session
+from swarmd.network.session import MAX_WIRE, open_session
+from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
@@ -108,9 +109,9 @@ class Swarm:
         return self.spawn(robot, body, options).wait_ready()
 
     @property
-    def settings(self) -> SessionSettings:
+    def settings(self) -> NetworkSettings:
         """How to meet this swarm."""
-        return SessionSettings(swarm=self.name)
+        return NetworkSettings(swarm=self.name)
 
     @property
     def session(self) -> zenoh.Session:

@@ -18,7 +18,7 @@ from swarmd.drivers.ros.options import (
     topic,
 )
 from swarmd.drivers.ros2.session import open_session
-from swarmd.network.session import FIELD_PORT
+from swarmd.network.settings import FIELD_PORT
 
 
 def read(options: Mapping[str, Value], robot: str = "tb3-01") -> RmwOptions:

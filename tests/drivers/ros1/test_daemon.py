@@ -9,7 +9,7 @@ import pytest
 
 from swarmd.core.values import Twist, Value
 from swarmd.network.operator import Operator
-from swarmd.network.session import SessionSettings
+from swarmd.network.settings import NetworkSettings
 from swarmd.testing.driver_rig import is_running
 from tests.drivers.ros1.rig import RosRobot, robot
 from tests.support.drive_daemon import ROBOT, drive
@@ -56,7 +56,7 @@ def test_a_daemon_drives_and_its_end_stops_the_robot(roscore: RosCore, tmp_path:
             DaemonProcess(
                 tmp_path, swarm=swarm, robot=ROBOT, endpoint="", options=options
             ) as daemon,
-            Operator(SessionSettings(swarm=swarm), name="zoe@test") as operator,
+            Operator(NetworkSettings(swarm=swarm), name="zoe@test") as operator,
         ):
             daemon.wait_ready()
             body.do("rate", hz=10)

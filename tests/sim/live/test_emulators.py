@@ -14,7 +14,7 @@ import pytest
 from swarmd.core.messages import RunRequest
 from swarmd.core.values import Array
 from swarmd.network.operator import Operator
-from swarmd.network.session import SessionSettings
+from swarmd.network.settings import NetworkSettings
 from swarmd.sim.live.demo_run import WorldWatcher, statuses_of
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_command
 from swarmd.sim.live.link import WorldView
@@ -82,7 +82,7 @@ def on(spec: FleetSpec) -> Iterator[Show]:
     """A fleet that is up; afterwards no process of it is left."""
     pids: set[int] = set()
     with (
-        Operator(SessionSettings(swarm=spec.swarm)) as operator,
+        Operator(NetworkSettings(swarm=spec.swarm)) as operator,
         Fleet(spec) as fleet,
         WorldView(spec.swarm, fleet.endpoint) as view,
     ):

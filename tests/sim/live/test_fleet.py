@@ -15,7 +15,7 @@ import pytest
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import State
 from swarmd.network.operator import Operator
-from swarmd.network.session import SessionSettings
+from swarmd.network.settings import NetworkSettings
 from swarmd.sim.live.demo_run import await_robots, statuses_of
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_command
 from tests.support.processes import children, unique_swarm, wait_until
@@ -55,7 +55,7 @@ def all_gone(pids: set[int]) -> bool:
 
 @contextmanager
 def up(spec: FleetSpec) -> Iterator[Fleet]:
-    with Fleet(spec) as fleet, Operator(SessionSettings(swarm=spec.swarm)) as operator:
+    with Fleet(spec) as fleet, Operator(NetworkSettings(swarm=spec.swarm)) as operator:
         view = await_robots(operator, fleet, tuple(spec.robots))
         assert {s.state for s in statuses_of(view).values()} == {State.IDLE}
         yield fleet
@@ -151,7 +151,7 @@ def test_a_world_that_cannot_be_says_why(tmp_path: Path) -> None:
 @pytest.mark.integration
 def test_a_daemon_that_does_not_come_up_ends_the_wait(tmp_path: Path) -> None:
     spec = make_spec(tmp_path)
-    with Fleet(spec) as fleet, Operator(SessionSettings(swarm=spec.swarm)) as operator:
+    with Fleet(spec) as fleet, Operator(NetworkSettings(swarm=spec.swarm)) as operator:
         os.kill(fleet.pids["tb3-01"], signal.SIGKILL)
         with pytest.raises(SwarmError, match=r"tb3-01 was killed by SIGKILL: "):
             await_robots(operator, fleet, tuple(spec.robots))

@@ -12,7 +12,7 @@ import pytest
 from swarmd.core.messages import RunRequest
 from swarmd.core.values import Array
 from swarmd.network.operator import Operator
-from swarmd.network.session import SessionSettings
+from swarmd.network.settings import NetworkSettings
 from swarmd.sim.live.demo_run import WorldWatcher, await_robots
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.link import WorldView
@@ -61,7 +61,7 @@ def live(pattern: str, poses: Poses, folder: Path) -> Trace:
         realism="ideal",
         trace=trace,
     )
-    with Operator(SessionSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:
+    with Operator(NetworkSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:
         view = await_robots(operator, fleet, tuple(robots))
         with WorldView(swarm, fleet.endpoint) as world:
             world.ask("start")
@@ -142,7 +142,7 @@ def test_voters_with_daemons_come_to_agree_too_and_stay_so(tmp_path: Path) -> No
         arena="6x6",
         layout="grid:1.5",
     )
-    with Operator(SessionSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:
+    with Operator(NetworkSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:
         epochs = await_robots(operator, fleet, ids).epochs(ids)
         outcome = operator.request(RunRequest, epochs, pattern="majority_rule", params=VOTE)
         assert len(outcome.applied) == len(ids)

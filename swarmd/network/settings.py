@@ -1,0 +1,132 @@
+"""The settings of a swarm's network, and their checks. No Zenoh: the schema of files needs them."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from collections.abc import Iterator
+from typing import Annotated, Literal, NamedTuple
+
+from msgspec import Meta, Struct
+from msgspec.structs import replace
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.keys import check_id
+
+FIELD_PORT = 7440  # Zenoh's own 7447 belongs to the bridges and routers of ROS robots
+MIN_LEASE, MAX_LEASE = 0.2, 60.0
+
+Profile = Literal["dev", "field"]
+# Where a setting stands, such as ("seeds", 0), and what is wrong with it.
+Fault = tuple[tuple[str | int, ...], str]
+
+_ENDPOINT = re.compile(r"(tcp|tls|quic|udp)/(\[[0-9a-fA-F:.]+\]|[^/:#?\s]+):(\d{1,5})([?#]\S*)?")
+
+
+class Endpoint(NamedTuple):
+    """A Zenoh endpoint such as `tcp/10.0.0.5:7440#iface=wlan0`; `host` without brackets."""
+
+    protocol: str
+    host: str
+    port: int
+    suffix: str
+
+    @property
+    def is_loopback(self) -> bool:
+        """True if the host is this machine."""
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return self.host == "localhost"
+
+
+def parse_endpoint(text: str) -> Endpoint:
+    """The parts of an endpoint. Raises ConfigError that says what was wanted."""
+    match = _ENDPOINT.fullmatch(text)
+    if match is None or int(match[3]) > 65535:
+        raise ConfigError(f"{text!r}; wanted an endpoint such as tcp/10.0.0.5:{FIELD_PORT}")
+    return Endpoint(match[1], match[2].strip("[]"), int(match[3]), match[4] or "")
+
+
+class NetworkSettings(Struct, frozen=True, kw_only=True):
+    """How to meet the swarm.
+
+    `interface`: required in profile field, which binds nothing else; dev uses `lo`.
+    `listen`: endpoints such as `tcp/10.0.0.5:7440`; empty means an ephemeral port on loopback
+    (dev) or port 7440 on the interface (field).
+    `seeds`: endpoints that are dialled, and again at least every second while they are away.
+    They are the fastest way back after a cut, and the only one with `multicast` off.
+    `lease`: seconds without a sign of life after which a peer counts as gone. A shorter one
+    notices sooner and tolerates less loss. None: 2 s in dev, 3 s in field.
+    """
+
+    swarm: str = "default"
+    profile: Profile = "dev"
+    interface: str | None = None
+    listen: tuple[str, ...] = ()
+    seeds: tuple[str, ...] = ()
+    multicast: bool = True
+    lease: Annotated[float, Meta(ge=MIN_LEASE, le=MAX_LEASE)] | None = None
+
+    @property
+    def lease_seconds(self) -> float:
+        """The lease in force, in s."""
+        if self.lease is not None:
+            return self.lease
+        return 2.0 if self.profile == "dev" else 3.0
+
+    @property
+    def settle(self) -> float:
+        """Seconds for which a claim of a robot id waits for rivals: discovery, with margin."""
+        return 0.1 if self.profile == "dev" else 1.0
+
+    @property
+    def interface_name(self) -> str:
+        """The one interface that is used."""
+        return self.interface or "lo"
+
+    def as_operator(self) -> NetworkSettings:
+        """The same network with any free port, so that an operator fits beside a daemon."""
+        return replace(self, listen=() if self.profile == "dev" else ("tcp/0.0.0.0:0",))
+
+    def faults(self) -> Iterator[Fault]:
+        """What is wrong with the settings."""
+        try:
+            check_id(self.swarm, "swarm")
+        except ConfigError as error:
+            yield ("swarm",), str(error)
+        if self.profile not in ("dev", "field"):
+            yield ("profile",), f"profile is {self.profile!r}; wanted is dev or field"
+        if not MIN_LEASE <= self.lease_seconds <= MAX_LEASE:
+            yield ("lease",), f"lease is {self.lease_seconds:g} s; wanted are 0.2 to 60 s"
+        for key, endpoints in (("listen", self.listen), ("seeds", self.seeds)):
+            for index, text in enumerate(endpoints):
+                if fault := self._fault_of(key, text):
+                    yield (key, index), f"{key}[{index}] is {fault}"
+        if self.profile == "field" and self.interface is None:
+            yield (
+                ("profile",),
+                "profile field needs `interface`: the network interface to use, such as wlan0",
+            )
+        if self.profile == "field" and not self.multicast and not self.seeds:
+            yield (
+                ("multicast",),
+                "profile field with multicast off needs `seeds`: endpoints of robots to dial,"
+                " such as tcp/10.0.0.5:7440",
+            )
+
+    def check(self) -> None:
+        """Raise ConfigError for the first fault."""
+        for _, text in self.faults():
+            raise ConfigError(text)
+
+    def _fault_of(self, key: str, text: str) -> str:
+        try:
+            endpoint = parse_endpoint(text)
+        except ConfigError as error:
+            return str(error)
+        if key == "seeds" and endpoint.port == 0:
+            return f"{text!r}; a robot to dial needs its port"
+        if self.profile == "dev" and not endpoint.is_loopback:
+            return f"{text!r}, but profile dev stays on this machine; use profile field"
+        return ""
