@@ -41,7 +41,7 @@ def test_comes_back_from_the_disk_as_it_was(tmp_path: Path) -> None:
     assert [file.name for file in path.parent.iterdir()] == ["run.npz"]
 
 
-def test_keeps_what_robots_said_of_themselves(tmp_path: Path) -> None:
+def test_keeps_reports_and_words(tmp_path: Path) -> None:
     trace = recorded()
     said = Trace(
         trace.ids, trace.t, trace.pose, trace.safe,

@@ -82,7 +82,7 @@ def stage() -> Iterator[Stage]:
     one.link.close()
 
 
-def test_every_robot_says_what_it_senses_at_its_rates(stage: Stage) -> None:
+def test_every_robot_publishes_its_sensors_at_their_rates(stage: Stage) -> None:
     stage.pass_time(2.0)
     for robot in IDS:
         assert len([r for r, _ in stage.side.scans if r == robot]) in (9, 10)
@@ -90,14 +90,14 @@ def test_every_robot_says_what_it_senses_at_its_rates(stage: Stage) -> None:
     assert all(len(scan.ranges) == 360 for _, scan in stage.side.scans)
 
 
-def test_what_an_lds_does_not_see_is_a_zero(stage: Stage) -> None:
+def test_an_lds_reports_no_return_as_zero(stage: Stage) -> None:
     stage.pass_time(0.5)
     _, scan = stage.side.scans[0]
     assert (scan.ranges == 0.0).any()
     assert not np.isinf(scan.ranges).any()
 
 
-def test_a_body_stops_as_its_base_does_or_never(stage: Stage) -> None:
+def test_an_emulated_base_stops_by_its_own_timeout_or_never(stage: Stage) -> None:
     for robot in IDS:
         stage.side.command(robot, Twist(0.2))
     stage.pass_time(0.45)

@@ -73,7 +73,7 @@ def test_robots_are_named_by_their_platform(platform: str, ids: tuple[str, ...])
     assert robot_ids(platform, 2) == ids
 
 
-def test_the_world_is_told_where_to_write(tmp_path: Path) -> None:
+def test_the_world_gets_the_path_of_the_trace(tmp_path: Path) -> None:
     command = world_command(make_spec(tmp_path, trace=tmp_path / "t.npz", seconds=3.0, seed=4))
     assert command[command.index("--trace") + 1] == str(tmp_path / "t.npz")
     assert command[command.index("--seconds") + 1] == "3.0"
@@ -142,7 +142,7 @@ def test_a_daemon_that_dies_is_named_with_its_log(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_world_that_cannot_be_says_why(tmp_path: Path) -> None:
+def test_an_impossible_world_ends_with_the_reason(tmp_path: Path) -> None:
     spec = make_spec(tmp_path, layout="row:0.1")
     with pytest.raises(SwarmError, match=r"world ended with code 2: .*row:0\.1.*world\.log"):
         Fleet(spec).__enter__()

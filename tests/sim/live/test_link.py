@@ -59,7 +59,7 @@ def state(time: float = 0.0) -> WorldState:
     )  # fmt: skip
 
 
-def test_port_0_takes_a_free_one_and_tells_which(link: WorldLink) -> None:
+def test_port_0_selects_a_free_port_and_shows_it(link: WorldLink) -> None:
     other = WorldLink("s", ("a",), ANY_PORT)
     other.close()
     assert not link.endpoint.endswith(":0")
@@ -72,7 +72,7 @@ def test_an_endpoint_in_use_is_one_clear_error(link: WorldLink) -> None:
 
 
 @pytest.mark.parametrize("endpoint", ["", "127.0.0.1:7790", "tcp/127.0.0.1", "tcp/127.0.0.1:99999"])
-def test_what_is_no_endpoint_is_refused(endpoint: str) -> None:
+def test_an_invalid_endpoint_is_refused(endpoint: str) -> None:
     with pytest.raises(ConfigError, match="wanted is such as"):
         WorldLink("s", ("a",), endpoint)
 
@@ -97,7 +97,7 @@ def test_only_the_newest_command_of_each_robot_is_kept(
     assert set(taken) == {"a", "b"}
 
 
-def test_what_is_no_command_takes_the_place_of_none(link: WorldLink, peer: zenoh.Session) -> None:
+def test_a_malformed_command_replaces_no_valid_one(link: WorldLink, peer: zenoh.Session) -> None:
     taken: dict[str, tuple[CommandWire, float]] = {}
 
     def counted() -> bool:
@@ -112,7 +112,7 @@ def test_what_is_no_command_takes_the_place_of_none(link: WorldLink, peer: zenoh
 
 
 @pytest.mark.parametrize("key", ["swarm/s/*/hw/cmd_vel", "swarm/**", "swarm/s/stranger/hw/cmd_vel"])
-def test_commands_on_other_than_the_concrete_keys_of_its_robots_are_counted_and_left(
+def test_commands_on_other_keys_are_counted_and_dropped(
     link: WorldLink, peer: zenoh.Session, key: str
 ) -> None:
     payload = encode_command(Twist(0.2), -1, -1)
@@ -139,7 +139,7 @@ def test_a_viewer_sees_the_state(link: WorldLink) -> None:
     assert seen[0].arena == (6.0, 6.0)
 
 
-def test_questions_are_answered_by_who_takes_them(link: WorldLink) -> None:
+def test_a_request_gets_the_reply_of_the_world(link: WorldLink) -> None:
     stop = threading.Event()
 
     def serve() -> None:
@@ -182,7 +182,7 @@ def test_senses_reach_the_key_of_their_robot_alone(link: WorldLink, peer: zenoh.
     assert set(heard) == {(keys.build("s", "a", "hw", "scan"), b"ranges")}
 
 
-def test_a_large_state_stays_within_what_is_read() -> None:
+def test_a_state_of_many_robots_stays_within_the_size_limit() -> None:
     n = 500
     big = state()
     whole = WorldState(

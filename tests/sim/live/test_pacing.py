@@ -23,14 +23,14 @@ def test_deadlines_do_not_drift_with_lateness() -> None:
     assert pacer.deadline == pytest.approx(1.01)
 
 
-def test_what_is_late_is_caught_up_and_counted() -> None:
+def test_late_steps_are_caught_up_and_counted() -> None:
     pacer = StepPacer(0.01, now=0.0)
     assert pacer.steps(0.0551) == 5
     assert pacer.overruns == 4
     assert pacer.deadline == pytest.approx(0.06)
 
 
-def test_what_is_hopeless_is_given_up_and_counted() -> None:
+def test_a_long_delay_is_dropped_and_counted() -> None:
     pacer = StepPacer(0.01, now=0.0)
     late = MAX_CATCH_UP + 9.0
     assert pacer.steps(late) == 1

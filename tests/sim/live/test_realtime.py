@@ -126,7 +126,7 @@ def test_a_command_moves_its_robot_and_no_other(stage: Stage) -> None:
     assert stage.speed(1) == 0.0
 
 
-def test_a_body_stops_by_itself_half_a_second_after_its_last_command(stage: Stage) -> None:
+def test_a_base_stops_half_a_second_after_its_last_command(stage: Stage) -> None:
     stage.command("a", encode_command(Twist(0.2), 1, 1))
     stage.pass_time(COMMAND_TIMEOUT - 0.02)
     assert stage.speed() == pytest.approx(0.2)
@@ -144,7 +144,7 @@ def test_a_new_command_moves_it_again(stage: Stage) -> None:
     assert stage.speed() == pytest.approx(-0.1)
 
 
-def test_last_words_of_a_frozen_guardian_do_not_move_it(stage: Stage) -> None:
+def test_late_commands_of_a_frozen_daemon_do_not_move_its_base(stage: Stage) -> None:
     stage.pass_time(3.0)
     newest = stage.world._seq[0] - 1
     stage.command("a", encode_command(Twist(0.2), newest - 4, newest - 4))
@@ -156,7 +156,7 @@ def test_last_words_of_a_frozen_guardian_do_not_move_it(stage: Stage) -> None:
     assert stage.speed() > 0.0
 
 
-def test_a_command_that_cannot_be_read_is_counted_and_does_not_keep_it_going(stage: Stage) -> None:
+def test_a_malformed_command_is_counted_and_does_not_feed_the_timeout(stage: Stage) -> None:
     stage.command("a", encode_command(Twist(0.2), 1, 1))
     stage.pass_time(0.4)
     stage.peer.put("swarm/s/a/hw/cmd_vel", b"\x01rubbish")
@@ -166,7 +166,7 @@ def test_a_command_that_cannot_be_read_is_counted_and_does_not_keep_it_going(sta
     assert stage.server._state().dropped == 1
 
 
-def test_a_command_beyond_what_the_base_can_is_held_within_it(stage: Stage) -> None:
+def test_commands_are_clipped_to_the_limits_of_the_base(stage: Stage) -> None:
     stage.command("a", encode_command(Twist(90.0), 1, 1))
     stage.pass_time(0.4)
     assert stage.speed() == pytest.approx(0.22)
@@ -228,7 +228,7 @@ def heard_by(stage: Stage, key: str) -> bytes:
 
 
 @pytest.mark.parametrize(("reach", "heard"), [(1.5, []), (2.5, ["b"])])
-def test_a_robot_is_told_whom_its_radio_reaches(reach: float, heard: list[str]) -> None:
+def test_a_robot_receives_its_neighbors(reach: float, heard: list[str]) -> None:
     stage = Stage(RecorderSettings(), reach=reach)
     try:
         neighbors = decode_neighbors(heard_by(stage, "neighbors"))
@@ -238,7 +238,7 @@ def test_a_robot_is_told_whom_its_radio_reaches(reach: float, heard: list[str]) 
     assert all(neighbor.distance is None for neighbor in neighbors)
 
 
-def test_a_robot_is_told_what_its_scalar_sensors_read() -> None:
+def test_a_robot_receives_its_scalar_readings() -> None:
     stage = Stage(RecorderSettings(), fields=(UniformField(name="light", value=0.5),))
     try:
         assert decode_readings(heard_by(stage, "readings")) == {"light": 0.5}
@@ -246,7 +246,7 @@ def test_a_robot_is_told_what_its_scalar_sensors_read() -> None:
         stage.close()
 
 
-def test_a_sweep_that_is_under_way_has_not_arrived() -> None:
+def test_a_delayed_scan_has_not_arrived() -> None:
     stage = Stage(RecorderSettings(), Realism(lidar=LidarNoise(latency=1.0), actuation=Actuation()))
     try:
         while stage.world._seq[0] == 0:

@@ -82,7 +82,7 @@ class CollectingSink:
 
 
 @pytest.mark.integration
-def test_a_robot_drives_by_its_driver_and_stops_when_the_driver_falls_silent(
+def test_a_robot_follows_its_driver_and_stops_when_commands_end(
     tmp_path: Path,
 ) -> None:
     trace = tmp_path / "run.npz"
@@ -142,7 +142,7 @@ asyncio.run(drive())
 
 
 @pytest.mark.integration
-def test_a_frozen_driver_stops_its_own_body_and_no_other_is_cut_off() -> None:
+def test_a_frozen_driver_stops_its_own_base_and_no_other() -> None:
     async def story(endpoint: str, frozen: subprocess.Popen[bytes]) -> None:
         heard = CollectingSink()
         driver = SimulatedDriver(
@@ -244,7 +244,7 @@ async def _ended(pidfd: int) -> None:
         ((*TWO, "--radio-range", "-1"), "--radio-range: range is -1"),
     ],
 )
-def test_what_cannot_be_is_one_line_and_exit_code_2(
+def test_an_invalid_option_is_one_line_and_exit_code_2(
     options: tuple[str, ...], complaint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["--swarm", "s", *options]) == 2

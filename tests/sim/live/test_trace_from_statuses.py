@@ -48,7 +48,7 @@ def say(status: Status, robot: str, opinion: int, *, is_active: bool) -> Status:
     )
 
 
-def test_a_word_holds_from_its_time_until_the_next(trace: Trace, status: Status) -> None:
+def test_a_status_holds_until_the_next(trace: Trace, status: Status) -> None:
     statements = StatusLog()
     statements.add(0.5, {"a": say(status, "a", 1, is_active=True)})
     statements.add(
@@ -70,7 +70,7 @@ def test_a_word_holds_from_its_time_until_the_next(trace: Trace, status: Status)
     assert told.requested is None
 
 
-def test_what_bounded_a_robot_is_in_the_trace(trace: Trace, status: Status) -> None:
+def test_the_tightest_constraint_is_in_the_trace(trace: Trace, status: Status) -> None:
     statements = StatusLog()
     statements.add(0.5, {"a": say(status, "a", 1, is_active=True)})
     statements.add(1.0, {"a": say(status, "a", 1, is_active=False)})
@@ -87,7 +87,7 @@ def test_what_bounded_a_robot_is_in_the_trace(trace: Trace, status: Status) -> N
     assert told.recovering[:, 0].tolist() == [*[False] * 5, *[True] * 5, *[False] * 11]
 
 
-def test_metrics_of_what_robots_say_can_then_be_taken(trace: Trace, status: Status) -> None:
+def test_the_merged_trace_gives_metrics_of_protection(trace: Trace, status: Status) -> None:
     assert measure(trace, ["consensus_share"]) == {"consensus_share": None}
     statements = StatusLog()
     both = {"a": say(status, "a", 1, is_active=True), "b": say(status, "b", 1, is_active=True)}
@@ -96,5 +96,5 @@ def test_metrics_of_what_robots_say_can_then_be_taken(trace: Trace, status: Stat
     assert found == {"consensus_share": 1.0, "protection_duty": 1.0}
 
 
-def test_without_a_word_the_trace_stays_as_it_was(trace: Trace) -> None:
+def test_without_statuses_the_trace_is_unchanged(trace: Trace) -> None:
     assert StatusLog().merged_into(trace) is trace

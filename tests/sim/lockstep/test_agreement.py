@@ -103,7 +103,9 @@ def way(trace: Trace) -> Array:
         ("attraction", [(-1.2, 0.1, 0.2), (1.1, -0.2, 2.6)]),
     ],
 )
-def test_lockstep_and_daemons_go_the_same_way(pattern: str, poses: Poses, tmp_path: Path) -> None:
+def test_lockstep_and_daemons_drive_the_same_paths(
+    pattern: str, poses: Poses, tmp_path: Path
+) -> None:
     """To within 5 cm of what lockstep gives for one of some phases of the lidars."""
     expected = [way(in_lockstep(pattern, poses, seed)) for seed in PHASES]
     apart: list[float] = []
@@ -124,7 +126,7 @@ PATIENCE = 40.0
 """Many times what any run in lockstep takes: a loaded machine is slow."""
 
 
-def test_voters_in_lockstep_come_to_agree() -> None:
+def test_voters_in_lockstep_agree() -> None:
     group = {"count": 4, "pattern": "majority_rule", "parameters": VOTE}
     data = {"duration": 15.0, "groups": {"all": group}, "start": {"spacing": 1.5}}
     times = [consensus_time(simulate_run(scenario_of(data), seed)) for seed in range(5)]
@@ -132,7 +134,7 @@ def test_voters_in_lockstep_come_to_agree() -> None:
 
 
 @pytest.mark.integration
-def test_voters_with_daemons_come_to_agree_too_and_stay_so(tmp_path: Path) -> None:
+def test_voters_with_daemons_agree_and_stay_so(tmp_path: Path) -> None:
     ids = tuple(f"r{i}" for i in range(4))
     swarm = f"agree-{secrets.token_hex(4)}"
     spec = FleetSpec(

@@ -95,7 +95,7 @@ def at(trace: Trace, time: float) -> int:
     return int(np.searchsorted(trace.t, time - 1e-9))
 
 
-def test_sweeps_come_at_the_sensors_rate_and_as_late_as_realism_says(plugins: str) -> None:
+def test_scans_arrive_at_the_sensors_rate_with_their_latency(plugins: str) -> None:
     trace = simulate_run(scenario(plugins), 0)
     stamps = np.unique(told(trace, "scan_stamp"))
     assert np.diff(stamps[stamps >= 0.0]) == pytest.approx(0.2)
@@ -122,21 +122,21 @@ def test_a_slow_pattern_has_but_its_beats(plugins: str) -> None:
     assert 4.0 / TICK - 2 <= decisions <= 2 * 4.0 / TICK
 
 
-def test_who_is_near_is_known_twice_a_second(plugins: str) -> None:
+def test_neighbors_are_updated_twice_a_second(plugins: str) -> None:
     radio = {"neighborhood": "range", "range": 6.0, "range_and_bearing": True}
     trace = simulate_run(scenario(plugins, radio=radio), 0)
     # One with noise for each time that it was told, and one from its start.
     assert len(np.unique(told(trace, "distance"))) == pytest.approx(2 * 4.0 + 1, abs=1)
 
 
-def test_words_arrive_as_they_were_said_after_the_delay_and_none_too_long(plugins: str) -> None:
+def test_messages_arrive_unchanged_after_the_delay_unless_too_large(plugins: str) -> None:
     trace = simulate_run(scenario(plugins, radio={"delay": 0.25}), 0)
     assert told(trace, "delay")[-1] == pytest.approx(0.25, abs=0.011)
     assert told(trace, "heard")[-1] == 1.0
     assert told(trace, "long")[-1] == 0.0
 
 
-def test_who_joins_knows_its_neighbors_at_once_and_who_is_gone_is_none(plugins: str) -> None:
+def test_a_joining_robot_has_neighbors_at_once_and_a_gone_one_is_none(plugins: str) -> None:
     trace = simulate_run(
         scenario(
             plugins,
@@ -185,7 +185,7 @@ def test_an_emergency_stop_of_one_robot_outlives_its_daemon(plugins: str) -> Non
     assert list(trace.state[-1]) == ["estopped", "running", "running"]
 
 
-def test_who_joins_a_stopped_swarm_is_held_before_it_can_be_asked_to_run(plugins: str) -> None:
+def test_a_robot_that_joins_an_estopped_swarm_is_latched_before_any_run(plugins: str) -> None:
     """A daemon asks its peers for their latches before it takes a `run`."""
     events: list[dict[str, Any]] = [
         {"at": 0.5, "kill": ["r-01"]},
@@ -199,7 +199,7 @@ def test_who_joins_a_stopped_swarm_is_held_before_it_can_be_asked_to_run(plugins
     assert set(trace.state[is_there, 0]) == {"estopped"}
 
 
-def test_a_latch_that_comes_back_holds_whoever_has_not_reset_it(plugins: str) -> None:
+def test_a_returning_latch_holds_robots_that_did_not_reset_it(plugins: str) -> None:
     """r-03 was killed while the swarm was stopped, and missed the reset; r-04 is new."""
     events: list[dict[str, Any]] = [
         {"at": 0.5, "estop": "all"},
@@ -216,7 +216,7 @@ def test_a_latch_that_comes_back_holds_whoever_has_not_reset_it(plugins: str) ->
     assert list(trace.state[-1]) == ["running", "running", "estopped", "estopped"]
 
 
-def test_judged_sweeps_are_counted_while_running_and_those_cut_by_protection_apart(
+def test_scans_judged_while_running_are_counted_and_active_ones_apart(
     plugins: str,
 ) -> None:
     """It drives at a wall from 1 s on, and is held back near it."""
@@ -254,7 +254,7 @@ def test_an_event_happens_in_the_step_of_its_time(plugins: str) -> None:
     assert (trace.safe[at(trace, 1.23)] == 0.0).all()
 
 
-def test_a_collision_is_noted_when_it_happens_with_who_moved_and_how_fast(plugins: str) -> None:
+def test_a_collision_is_recorded_with_its_time_and_speeds(plugins: str) -> None:
     """r-01 drives at 0.15 m/s into r-02, which stands; nothing keeps it from that."""
     trace = simulate_run(
         scenario(

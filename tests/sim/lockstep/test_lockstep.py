@@ -113,7 +113,7 @@ def test_in_pieces_it_is_the_same_run() -> None:
     np.testing.assert_array_equal(lab.trace().pose, whole.pose)
 
 
-def test_robots_drive_at_their_speed_and_say_so() -> None:
+def test_robots_drive_at_their_speed_and_report_it() -> None:
     trace = simulate_run(scenario(), 0)
     assert trace.t[0] == 0.0
     assert trace.t[-1] == pytest.approx(4.0)
@@ -139,7 +139,7 @@ def test_stop_stops_the_named_robot_alone_and_run_starts_it_again() -> None:
     assert trace.reason[at(trace, 2.5), 1] == "operator"
 
 
-def test_an_estop_of_all_holds_whoever_joins_later_until_a_reset() -> None:
+def test_an_estop_of_all_holds_later_robots_until_a_reset() -> None:
     trace = simulate_run(
         scenario(
             duration=6.0,
@@ -159,7 +159,7 @@ def test_an_estop_of_all_holds_whoever_joins_later_until_a_reset() -> None:
     assert (speeds(trace)[-1] > 0.1).all()
 
 
-def test_who_left_stands_at_once_and_who_was_killed_when_its_base_gives_up() -> None:
+def test_a_leaving_robot_stops_at_once_a_killed_one_by_its_timeout() -> None:
     trace = simulate_run(events({"at": 2.0, "leave": ["r-01"]}, {"at": 2.0, "kill": ["r-02"]}), 0)
     moving = speeds(trace)
     assert trace.present is not None
@@ -170,7 +170,7 @@ def test_who_left_stands_at_once_and_who_was_killed_when_its_base_gives_up() -> 
     assert moving[-1, 2] > 0.1
 
 
-def test_who_is_removed_is_neither_there_nor_seen_nor_touched() -> None:
+def test_a_removed_robot_is_absent_invisible_and_untouched() -> None:
     """Two drive at each other; the one that is taken away leaves the other's way free."""
     trace = simulate_run(
         scenario(
@@ -208,7 +208,7 @@ def test_who_is_removed_is_neither_there_nor_seen_nor_touched() -> None:
     np.testing.assert_allclose(trace.pose[-1, 0, :2], end[:2], atol=0.05)
 
 
-def test_who_joins_later_has_stood_in_its_place() -> None:
+def test_a_robot_that_joins_later_stands_at_its_start_pose() -> None:
     joining = scenario(
         events=[{"at": 1.0, "join": ["r-01"]}, {"at": 2.0, "run": "drive", "targets": ["r-01"]}]
     )
@@ -280,12 +280,12 @@ def test_a_pattern_that_raises_is_restarted_and_then_quarantined(tmp_path: Path)
     assert (speeds(trace) < 1e-6).all()
 
 
-def test_a_refusal_ends_the_run_with_what_the_robot_said(tmp_path: Path) -> None:
+def test_a_refusal_ends_the_run_with_the_robots_reason(tmp_path: Path) -> None:
     with pytest.raises(SwarmError, match=r"at 3 s run drive: r-01: faulted .* reset it first"):
         simulate_run(faulty(tmp_path, {"at": 3.0, "run": "drive"}), 0)
 
 
-def test_a_robot_pushes_a_box_and_the_trace_tells_of_both() -> None:
+def test_a_robot_pushes_a_box_and_the_trace_holds_both() -> None:
     trace = simulate_run(
         scenario(
             duration=6.0,
@@ -348,7 +348,7 @@ def test_readings_reach_the_pattern(tmp_path: Path) -> None:
     np.testing.assert_allclose(trace.report["light"][-1], [-0.5, 4.5], atol=1e-6)
 
 
-def test_who_drives_in_formation_without_noise_is_not_taken_for_frozen() -> None:
+def test_repeated_scans_without_noise_do_not_count_as_frozen() -> None:
     abreast = {"layout": "row", "spacing": 1.5, "heading_deg": 90}
     trace = simulate_run(scenario(duration=6.0, start=abreast), 0)
     assert trace.reason is not None

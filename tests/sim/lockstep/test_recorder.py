@@ -35,7 +35,7 @@ def trace() -> Trace:
     return simulate_run(scenario, 0)
 
 
-def test_keeps_what_bound_a_robot_and_nothing_for_one_that_is_free(trace: Trace) -> None:
+def test_keeps_the_tightest_constraint_and_nan_without_one(trace: Trace) -> None:
     assert trace.bound is not None
     assert trace.active is not None
     bound = trace.bound[:, 0]
@@ -48,7 +48,7 @@ def test_keeps_what_bound_a_robot_and_nothing_for_one_that_is_free(trace: Trace)
     assert np.isnan(trace.bound[:, 1]).all()
 
 
-def test_keeps_how_near_and_how_old_what_it_saw_was(trace: Trace) -> None:
+def test_keeps_gap_and_scan_age(trace: Trace) -> None:
     assert trace.gap is not None
     assert trace.scan_age is not None
     to_wall = 6.0 - trace.pose[:, 0, 0] - 0.038
@@ -59,11 +59,11 @@ def test_keeps_how_near_and_how_old_what_it_saw_was(trace: Trace) -> None:
     assert (trace.scan_age[5:] < 0.3).all()
 
 
-def test_keeps_when_a_robot_was_led_around_something(trace: Trace) -> None:
+def test_keeps_when_a_robot_was_recovering(trace: Trace) -> None:
     assert trace.recovering is not None
     assert trace.recovering[:, 0].any()
     assert not trace.recovering[:, 1].any()
 
 
-def test_says_the_mode_of_each_platform(trace: Trace) -> None:
+def test_keeps_the_mode_of_each_platform(trace: Trace) -> None:
     assert trace.meta["modes"] == {"careful": "barrier"}

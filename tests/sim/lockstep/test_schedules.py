@@ -34,7 +34,7 @@ def test_rhythms_that_begin_together_meet_again() -> None:
         assert len(beaten) >= len(swept)
 
 
-def test_all_begin_at_once_unless_told() -> None:
+def test_all_jobs_begin_at_once_by_default() -> None:
     rhythm = Schedules(np.array([10.0, 10.0]))
     assert [len(rhythm.due(step * DT)) for step in range(11)] == [2, *[0] * 9, 2]
 
@@ -52,7 +52,7 @@ def test_an_alarm_rings_once_in_the_first_step_that_is_not_before_it() -> None:
     assert [wakes.due(step) for step in range(13)] == [*[[]] * 10, [0, 1], [], []]
 
 
-def test_a_later_word_replaces_an_alarm_or_silences_it() -> None:
+def test_a_later_call_replaces_or_removes_an_alarm() -> None:
     wakes = Alarms(2, DT)
     wakes.set(0, 0.05)
     wakes.set(0, 0.08)

@@ -64,13 +64,13 @@ def moved(trace: Trace, since: float = 0.0) -> float:
     ("platform", "start"),
     [("burger", -0.6), ("waffle_pi", -0.6), ("jackal", -1.2)],  # Jackal's sees nothing in 0.8 m
 )
-def test_what_is_asked_for_and_granted_is_pushed(platform: str, start: float) -> None:
+def test_a_granted_touch_request_pushes_a_box(platform: str, start: float) -> None:
     trace = pushed(platform, {"push": AHEAD}, start=start, duration=18)
     assert moved(trace) > 0.1
     assert trace.contact_speed[:, 0].max() <= AHEAD["speed"] + SLIPS
 
 
-def test_a_lower_speed_that_is_granted_holds_also_once_the_lidar_sees_it_no_more() -> None:
+def test_a_granted_speed_holds_when_the_lidar_loses_the_box() -> None:
     trace = pushed(touch={"push": {"half_width_deg": 20, "speed": 0.06}}, duration=20, speed=0.2)
     assert moved(trace) > 0.1
     assert trace.contact_speed[:, 0].max() <= 0.06 + SLIPS
@@ -84,13 +84,13 @@ def test_a_lower_speed_that_is_granted_holds_also_once_the_lidar_sees_it_no_more
         {"push": {"bearing_deg": 90, **AHEAD}},
     ],
 )
-def test_what_is_not_granted_is_not_touched(touch: dict[str, Any]) -> None:
+def test_nothing_is_touched_without_a_grant(touch: dict[str, Any]) -> None:
     trace = pushed(touch=touch)
     assert not len(trace.contact_t)
     assert moved(trace) == pytest.approx(0.0, abs=1e-3)
 
 
-def test_what_its_corners_would_pass_is_not_reached() -> None:
+def test_a_touch_zone_narrower_than_the_robot_is_not_reached() -> None:
     trace = pushed(touch={"push": AHEAD}, width=0.4)
     assert not len(trace.contact_t)
 

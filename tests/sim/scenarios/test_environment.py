@@ -26,7 +26,7 @@ def test_an_arena_has_all_that_the_file_names(load: Load) -> None:
     )
 
 
-def test_an_arena_is_6_by_6_m_and_empty_if_nothing_is_said(load: Load) -> None:
+def test_the_default_arena_is_6_by_6_m_and_empty(load: Load) -> None:
     assert load({"arena": {}}).arena == Arena(6.0, 6.0)
 
 

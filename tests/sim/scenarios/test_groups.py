@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tests.sim.scenarios.conftest import Load
 
 
-def test_robots_are_named_after_group_or_prefix_or_as_told(load: Load) -> None:
+def test_robots_are_named_by_group_prefix_or_list(load: Load) -> None:
     scenario = load({"groups.red.prefix": "tb3"})
     assert scenario.groups == {"red": ("tb3-01", "tb3-02"), "blue": ("b-one", "b-two")}
     assert tuple(scenario.robots) == ("tb3-01", "tb3-02", "b-one", "b-two")
@@ -29,7 +29,7 @@ def test_a_hundred_robots_still_sort_by_name(load: Load) -> None:
     assert sorted(scenario.groups["red"]) == list(scenario.groups["red"])
 
 
-def test_a_platform_is_the_projects_with_what_the_scenario_lets_it_sense(load: Load) -> None:
+def test_a_platform_gets_the_sensors_of_the_scenario(load: Load) -> None:
     robot = load().robots["red-01"]
     assert robot.limits == load_platform("burger").limits
     assert robot.provides == {"scan", "odometry", "neighbors", "reading:light"}
@@ -92,7 +92,7 @@ def test_a_platform_can_be_a_file_beside_the_scenario(load: Load, tmp_path: Path
         ({"groups.all": {"count": 1}}, "groups.all does not hold all robots"),
     ],
 )
-def test_says_who_cannot_take_part(load: Load, changes: dict[str, Any], fault: str) -> None:
+def test_an_invalid_group_is_named(load: Load, changes: dict[str, Any], fault: str) -> None:
     with pytest.raises(ConfigError) as raised:
         load(changes)
     assert fault in str(raised.value)

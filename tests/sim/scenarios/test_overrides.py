@@ -31,7 +31,7 @@ if TYPE_CHECKING:
         (" duration = 30", ("duration", 30)),
     ],
 )
-def test_a_value_is_what_it_would_be_in_a_file(text: str, override: tuple[str, Any]) -> None:
+def test_a_value_is_read_as_in_a_file(text: str, override: tuple[str, Any]) -> None:
     assert parse_override(text) == override
 
 
@@ -45,7 +45,7 @@ def test_a_value_is_what_it_would_be_in_a_file(text: str, override: tuple[str, A
         ("x={a: 1, a: 2}", "is no value"),
     ],
 )
-def test_what_is_no_override_is_refused(text: str, fault: str) -> None:
+def test_a_malformed_override_is_refused(text: str, fault: str) -> None:
     with pytest.raises(ConfigError) as raised:
         parse_override(text)
     assert fault in str(raised.value)
@@ -98,7 +98,7 @@ def test_changes_what_it_names_and_nothing_else(load: Load) -> None:
         ({"groups.red.count": 90}, "here.yaml: groups.red.start: red-01 at (0, -44.5) is not"),
     ],
 )
-def test_what_cannot_be_set_is_refused(
+def test_an_impossible_override_is_refused(
     load: Load, overrides: Mapping[str, Any], fault: str
 ) -> None:
     with pytest.raises(ConfigError) as raised:
@@ -106,7 +106,7 @@ def test_what_cannot_be_set_is_refused(
     assert str(raised.value).startswith(fault)
 
 
-def test_a_fault_in_what_nobody_has_said_is_the_files(load: Load) -> None:
+def test_a_fault_without_a_source_names_the_file(load: Load) -> None:
     with pytest.raises(
         ConfigError, match=r"^here\.yaml: start: green-01 at \(0, 0\) is not inside"
     ):

@@ -93,7 +93,7 @@ def test_a_robot_must_sense_what_the_pattern_needs(load: Load, tmp_path: Path) -
     assert load({**changes, "radio": {"range_and_bearing": True}}).plugin_dir == tmp_path / "mine"
 
 
-def test_a_pattern_that_exits_is_told_of(load: Load, tmp_path: Path) -> None:
+def test_a_pattern_that_exits_is_named(load: Load, tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "leaving.py").write_text(f"{_NEEDY}\nraise SystemExit\n")
     with pytest.raises(ConfigError, match=r"groups\.blue\.pattern: leaving calls sys\.exit"):

@@ -46,7 +46,7 @@ def same(a: Scenario, b: Scenario, seed: int = 3) -> bool:
 
 
 @pytest.mark.parametrize("name", SHIPPED)
-def test_every_shipped_scenario_is_described_and_the_same_from_its_plain_values(name: str) -> None:
+def test_every_shipped_scenario_is_the_same_from_its_plain_values(name: str) -> None:
     scenario = load_scenario(name)
     again = scenario_of(json.loads(json.dumps(scenario.effective)))
     assert same(scenario, again)
@@ -89,7 +89,7 @@ def test_plain_values_can_be_overridden_too(load: Load) -> None:
         scenario_of(load().effective, {"duraton": 30})
 
 
-def test_a_file_without_groups_is_named_and_not_what_was_set(tmp_path: Path) -> None:
+def test_a_file_without_groups_is_named_and_not_the_override(tmp_path: Path) -> None:
     (tmp_path / "bad.yaml").write_text("duration: 3")
     with pytest.raises(ConfigError, match=r"bad\.yaml: groups is missing"):
         load_scenario(tmp_path / "bad.yaml", {"duration": 5})
@@ -100,7 +100,7 @@ def test_a_scenario_can_be_sent_to_another_process(load: Load) -> None:
     assert same(scenario, pickle.loads(pickle.dumps(scenario)))
 
 
-def test_experiment_1_stands_as_the_paper_says() -> None:
+def test_experiment_1_starts_as_in_the_paper() -> None:
     # Jackals stand 20 cm further apart: what is seen of them would be in their blind zones.
     for name, n, apart in (("burger", 7, 1.0), ("waffle_pi", 7, 1.0), ("jackal", 5, 1.2)):
         scenario = load_scenario(f"paper_exp1_{name}")
@@ -138,7 +138,7 @@ def test_extends_another_by_name_or_file(load: Load, tmp_path: Path) -> None:
     assert load_scenario("mine.yaml").duration == 5.0
 
 
-def test_paths_are_relative_to_the_file_in_which_they_stand(
+def test_paths_are_relative_to_their_file(
     load: Load, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "mine.yaml").write_text("extends: burger\nlimits: {linear: 0.1}")
@@ -166,7 +166,7 @@ def test_paths_are_relative_to_the_file_in_which_they_stand(
         ("extends: paper_exp1_burger\nduration: -1", "bad.yaml: duration is -1; wanted"),
     ],
 )
-def test_a_file_that_is_none_is_refused_in_one_line(
+def test_an_invalid_file_is_refused_in_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, fault: str
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -184,7 +184,7 @@ def test_a_file_that_is_none_is_refused_in_one_line(
         ("nowhere/none.yaml", "nowhere/none.yaml: cannot be read: No such file"),
     ],
 )
-def test_a_name_that_is_none_is_refused(name: str, fault: str) -> None:
+def test_an_unknown_name_is_refused(name: str, fault: str) -> None:
     with pytest.raises(ConfigError, match=fault):
         load_scenario(name)
 

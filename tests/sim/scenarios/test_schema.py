@@ -87,7 +87,7 @@ def test_the_scenario_that_is_changed_here_is_right(load: Load) -> None:
         ("evnets", [], "no key 'evnets'; did you mean 'events'?"),
     ],
 )
-def test_says_what_is_wrong(load: Load, key: str, value: Any, fault: str) -> None:
+def test_an_invalid_key_or_value_is_named(load: Load, key: str, value: Any, fault: str) -> None:
     with pytest.raises(ConfigError) as raised:
         load({key: value})
     text = str(raised.value)

@@ -42,7 +42,7 @@ def test_groups_without_a_start_share_one(load: Load) -> None:
     np.testing.assert_allclose(load(changes).starts(0)[:, 1], [0, 0.6, 1.2, 1.8])
 
 
-def test_without_any_word_they_stand_in_a_grid_of_1_m(load: Load) -> None:
+def test_the_default_layout_is_a_grid_of_1_m(load: Load) -> None:
     poses = load({RED: None, BLUE: None}).starts(0)
     np.testing.assert_allclose(poses[:, :2], [[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
 
@@ -91,9 +91,7 @@ def test_random_robots_stand_apart_within_their_region(
     max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 @given(seed=st.integers(0, 2**40))
-def test_in_a_chain_everyone_has_a_neighbour_at_the_distances_asked_for(
-    load: Load, seed: int
-) -> None:
+def test_each_robot_of_a_chain_has_a_neighbor_between_near_and_far(load: Load, seed: int) -> None:
     chain = {"layout": "chain", "near": 0.62, "far": 0.8, "center": [-1.5, 0], "heading_deg": 30}
     poses = load({"groups.red.count": 6, RED: chain}).starts(seed)[:6]
     np.testing.assert_allclose(poses[0, :2], [-1.5, 0])
@@ -103,7 +101,7 @@ def test_in_a_chain_everyone_has_a_neighbour_at_the_distances_asked_for(
         assert 0.62 <= nearest <= 0.8
 
 
-def test_a_box_out_of_the_arena_is_in_nobodys_way(load: Load) -> None:
+def test_a_box_outside_the_arena_is_no_obstacle(load: Load) -> None:
     poses = load({BLUE: {"poses": [[2, 0, 0], [-2, 0, 0]]}, RED: {"layout": "row"}}).starts(0)
     assert np.isfinite(poses).all()
 
@@ -132,14 +130,14 @@ def test_a_box_out_of_the_arena_is_in_nobodys_way(load: Load) -> None:
         ),
     ],
 )
-def test_says_who_cannot_stand_where(load: Load, changes: dict[str, Any], fault: str) -> None:
+def test_a_robot_without_room_is_named(load: Load, changes: dict[str, Any], fault: str) -> None:
     with pytest.raises(ConfigError) as raised:
         load(changes)
     assert str(raised.value).startswith("here.yaml: ")
     assert fault in str(raised.value)
 
 
-def test_a_seed_without_room_says_so_when_it_is_tried(load: Load) -> None:
+def test_a_seed_without_room_is_refused(load: Load) -> None:
     crowd = load({"groups.red.count": 40, RED: {"layout": "random", "clearance": 0.6}})
     with pytest.raises(
         ConfigError, match=r"here.yaml: groups.red.start: no room for red-\d\d, one"

@@ -39,7 +39,7 @@ def test_reads_size_boxes_and_poles() -> None:
         ("6x6,pole:1:1:-0.1", r"a size is -0\.1 m"),
     ],
 )
-def test_tells_what_it_cannot_read(text: str, complaint: str) -> None:
+def test_an_invalid_arena_is_refused(text: str, complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         parse_arena(text)
 
@@ -66,7 +66,7 @@ def test_a_box_that_starts_outside_must_be_movable() -> None:
         "6x6,box/a:1:0:0.5:0.3:0:2,box:-1:0:0.5:0.3:30:1000000:out",
     ],
 )
-def test_its_text_is_what_was_read(text: str) -> None:
+def test_its_text_is_the_parsed_text(text: str) -> None:
     assert parse_arena(text).text == text
 
 

@@ -25,7 +25,7 @@ def driven(actuated: Actuators, steps: int) -> Array:
     return np.array([actuated.now() for _ in range(steps)])
 
 
-def test_ideal_actuation_passes_on_what_it_is_told_at_once() -> None:
+def test_ideal_actuation_passes_commands_on_at_once() -> None:
     actuated = Actuators(IDEAL.actuation, [BURGER, BURGER], DT)
     told = np.array([[np.nan, 1e300, -0.0], [0.1234567, np.inf, 0.3]])
     actuated.put(told)
@@ -43,7 +43,7 @@ def test_the_delay_is_the_nearest_number_of_steps(delay: float, steps: int) -> N
     assert moves == (True, steps)
 
 
-def test_what_is_told_holds_though_the_teller_writes_over_it() -> None:
+def test_commands_are_copied() -> None:
     actuated, told = actuators(), ONE.copy()
     actuated.put(told)
     told[:] = 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 from swarmd.sim.world.delay_queue import DelayQueue
 
 
-def test_nothing_comes_before_its_time_and_nothing_twice() -> None:
+def test_items_are_released_once_at_their_time() -> None:
     held: DelayQueue[str] = DelayQueue()
     held.put(1.0, "a")
     assert held.due(0.99) == []
@@ -21,7 +21,7 @@ def test_comes_by_time_and_then_in_the_order_put_in() -> None:
     assert held.due(3.0) == ["z"]
 
 
-def test_a_sum_of_steps_that_is_a_rounding_error_short_of_the_time_is_in_time() -> None:
+def test_a_rounding_error_of_summed_steps_delays_nothing() -> None:
     held: DelayQueue[int] = DelayQueue()
     held.put(0.3, 1)
     assert held.due(0.1 + 0.1 + 0.1 - 1e-15) == [1]

@@ -100,7 +100,7 @@ def test_a_way_meets_a_wall(
     assert crossings(b, a, np.array(end), np.array(start)) == is_met
 
 
-def test_crossings_work_on_stacks_and_never_meet_what_is_nowhere() -> None:
+def test_crossings_broadcast_and_ignore_nan() -> None:
     rng = np.random.default_rng(7)
     a, b, start, end = rng.uniform(-1.0, 1.0, (4, 200, 2))
     alone = [bool(crossings(*four)) for four in zip(a, b, start, end, strict=True)]

@@ -50,13 +50,13 @@ def test_ring_looks_inwards() -> None:
     np.testing.assert_allclose(ahead, 0.0, atol=1e-12)
 
 
-def test_list_says_it_all() -> None:
+def test_a_list_gives_all_poses() -> None:
     poses = place("list:0:0:90,1:-1:0,-1:2.5:-45")
     np.testing.assert_allclose(poses[:, 2], [math.pi / 2.0, 0.0, -math.pi / 4.0])
     np.testing.assert_array_equal(poses[2, :2], [-1.0, 2.5])
 
 
-def test_random_keeps_its_clearance_from_robots_walls_and_things() -> None:
+def test_random_keeps_its_clearance_from_robots_and_obstacles() -> None:
     arena = parse_arena("4x4,box:0:0:1:1:45,pole:1.2:1.2:0.2")
     footprints = [BURGER, WAFFLE] * 4
     for seed in range(5):
@@ -87,7 +87,7 @@ def test_random_is_its_seed() -> None:
         ("random:2", 30, "no room for robot"),
     ],
 )
-def test_tells_what_cannot_be(text: str, n: int, complaint: str) -> None:
+def test_an_invalid_layout_is_refused(text: str, n: int, complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         place(text, n)
 
@@ -95,7 +95,7 @@ def test_tells_what_cannot_be(text: str, n: int, complaint: str) -> None:
 @pytest.mark.parametrize(
     "obstacle", ["box:0:0:1:1", "box:0:0:1:1:0:2", "pole:0:0.05:0.02", "segment:0:-1:0:1"]
 )
-def test_refuses_to_start_in_what_stands_there(obstacle: str) -> None:
+def test_refuses_to_start_in_an_obstacle(obstacle: str) -> None:
     with pytest.raises(ConfigError, match="stands in a box"):
         place("list:0:0:0", 1, parse_arena(f"8x8,{obstacle}"))
 

@@ -1,4 +1,4 @@
-"""The caster against MuJoCo's own, which shares no code with it."""
+"""Range sensors: rays, exact ranges against MuJoCo, and visibility."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Array, Platform, ScanSpec
-from swarmd.settings.platforms import load_platform
+from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena, Box, Pole, parse_arena
 from swarmd.sim.world.layouts import parse_layout
-from swarmd.sim.world.lidar import Lidar, Visibility
+from swarmd.sim.world.lidar import Lidar, Rays, Visibility
 from swarmd.sim.world.scan_plane import shapes_of
 from swarmd.sim.world.world import World
 from tests.support.platforms import with_plain_scan
@@ -107,7 +107,7 @@ def test_agrees_with_mujoco_about_boxes_that_were_pushed_and_inner_walls(
     assert compared > 10_000
 
 
-def test_a_sweep_is_the_same_whoever_else_is_swept_with_it() -> None:
+def test_a_scan_does_not_depend_on_other_observers() -> None:
     for arena in (OBSTACLES, MOVABLE):
         world = world_of(MIXED, arena, 3, "real")
         together = [scan.ranges for scan in world.scans(np.arange(len(MIXED)))]
@@ -115,7 +115,7 @@ def test_a_sweep_is_the_same_whoever_else_is_swept_with_it() -> None:
             np.testing.assert_array_equal(world.scans(np.array([robot]))[0].ranges, ranges)
 
 
-def test_a_sweep_in_a_crowd_is_the_same_whoever_else_is_swept_with_it() -> None:
+def test_a_scan_in_a_crowd_does_not_depend_on_other_observers() -> None:
     platform = plain("waffle_pi")
     arena = Arena(12.0, 12.0)
     starts = parse_layout("random:0.05", [platform.footprint] * 120, arena, seed=1)
@@ -135,7 +135,7 @@ def test_a_segment_is_seen_from_both_sides() -> None:
         assert scan.ranges[0] == pytest.approx(1.0 - 0.005 + 0.064, abs=1e-9)
 
 
-def test_the_worlds_compared_hold_hits_misses_and_near_things() -> None:
+def test_the_compared_worlds_hold_hits_misses_and_near_returns() -> None:
     # Or the comparison above would prove nothing.
     worlds = [world_of(MIXED, arena, 1, "body") for arena in (OBSTACLES, TIGHT)]
     scans = [scan for world in worlds for scan in world.scans(np.arange(len(MIXED)))]
@@ -159,7 +159,7 @@ def test_at_true_height_a_waffle_sees_of_a_waffle_only_the_lidar_housing() -> No
     assert widths["body"] == 21
 
 
-def test_at_true_height_a_burger_looks_over_a_waffle_which_sees_its_whole_body() -> None:
+def test_at_true_height_a_burger_sees_over_a_waffle_but_not_the_reverse() -> None:
     robots = {"low": plain("waffle_pi"), "high": plain("burger")}
     starts = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     real = World(robots, Arena(20.0, 20.0), starts, visibility="real")
@@ -191,7 +191,7 @@ def look(spec: ScanSpec, arena: Arena, x: float = 0.0, y: float = 0.0, yaw: floa
     ("distance", "expected"),
     [(0.11, -np.inf), (0.13, 0.13), (3.4, 3.4), (3.6, np.inf)],
 )
-def test_too_near_and_too_far_are_told_apart(distance: float, expected: float) -> None:
+def test_too_near_and_too_far_differ(distance: float, expected: float) -> None:
     spec = ScanSpec(np.array([0.0]), 5.0, 0.12, 3.5)
     assert look(spec, Arena(20.0, 20.0), x=10.0 - distance)[0] == pytest.approx(expected)
 
@@ -246,8 +246,52 @@ def test_sees_footprints_of_any_number_of_corners_in_one_swarm() -> None:
     assert ranges[5] == pytest.approx(along)
 
 
-def test_no_robot_sees_itself_even_where_its_sensor_stands_beside_its_body() -> None:
+def test_no_robot_sees_itself_even_with_a_sensor_outside_its_footprint() -> None:
     platform = plain("burger")
     outside = replace(platform, scan=replace(platform.scan, offset=(0.5, 0.0)))
     world = World({"a": outside}, FIELD, np.zeros((1, 3)))
     assert np.isposinf(world.scans(np.array([0]))[0].ranges).all()
+
+
+EVEN = np.radians(np.arange(360.0))
+SHIFTED = np.radians(np.arange(7.0, -353.0, -1.0))
+UNEVEN = np.radians([40.0, -40.0, 20.0, 0.0, 170.0, -170.0, 359.0, 180.0])
+FAN = np.radians(np.linspace(-120.0, 120.0, 241))
+
+
+@pytest.mark.parametrize("bearings", [EVEN, SHIFTED, UNEVEN, FAN])
+def test_finds_the_rays_between_two_bearings(bearings: Array) -> None:
+    rng = np.random.default_rng(3)
+    low = rng.uniform(-3.0 * math.pi, 2.0 * math.pi, 400)
+    high = low + rng.uniform(0.0, math.pi, 400)
+    rays = Rays(bearings)
+    places, counts = rays.within(low, high)
+    found = np.split(rays.number[places], np.cumsum(counts)[:-1])
+    for index, numbers in enumerate(found):
+        after = np.mod(bearings - low[index], 2.0 * math.pi)
+        inside = np.flatnonzero(after <= high[index] - low[index])
+        assert sorted(numbers.tolist()) == inside.tolist()
+
+
+@pytest.mark.parametrize("bearings", [EVEN, SHIFTED, UNEVEN, FAN])
+def test_a_ray_at_the_very_end_of_an_interval_is_in_it_on_both_sides(bearings: Array) -> None:
+    rays = Rays(bearings)
+    for bearing in bearings.tolist():
+        for low, high in ((bearing - 1e-3, bearing), (bearing, bearing + 1e-3)):
+            places, counts = rays.within(np.array([low]), np.array([high]))
+            assert counts.tolist() == [1]
+            np.testing.assert_allclose(rays.cos[places], math.cos(bearing), atol=1e-12)
+            np.testing.assert_allclose(rays.sin[places], math.sin(bearing), atol=1e-12)
+
+
+def test_an_interval_without_rays_takes_no_place() -> None:
+    low, high = np.radians([0.2, 3.5, 5.2]), np.radians([0.8, 5.5, 5.8])
+    places, counts = Rays(EVEN).within(low, high)
+    assert counts.tolist() == [0, 2, 0]
+    assert (places % 360).tolist() == [(180 + 4) % 360, (180 + 5) % 360]
+
+
+@pytest.mark.parametrize("name", platform_names())
+def test_the_lidars_of_our_platforms_need_no_search(name: str) -> None:
+    bearings = load_platform(name).scan.bearings
+    assert Rays(bearings)._is_even == (len(bearings) > 7)  # of few rays a search is as fast

@@ -77,7 +77,7 @@ def test_before_a_box_that_is_too_heavy_the_robot_slips() -> None:
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.4, math.pi / 4.0, 1.5])
-def test_a_sliding_box_stops_where_coulombs_law_says(heading: float) -> None:
+def test_a_sliding_box_stops_by_coulombs_law(heading: float) -> None:
     box = Box(3.0, 0.0, 0.4, 0.2, 0.7, mass=2.0)
     world = sliding((math.cos(heading), math.sin(heading), 0.0), box)
     world.step(100)
@@ -113,7 +113,7 @@ def test_a_box_is_stopped_by_walls_and_pushes_other_boxes() -> None:
     assert near == pytest.approx(1.55, abs=3e-3)
 
 
-def test_a_contact_with_a_box_tells_how_fast_both_came() -> None:
+def test_a_contact_with_a_box_has_both_speeds() -> None:
     world = sliding((-2.0, 0.0, 0.0), ahead(1.0))
     world.set_commands(np.array([[0.2, 0.0, 0.0]]))
     while not world.contacts():
@@ -174,7 +174,7 @@ def test_is_at_rest_where_it_is_placed_whatever_it_did_before() -> None:
     np.testing.assert_allclose(world.box_poses(), [[-3.0, 0.0, 0.0]], atol=1e-9)
 
 
-def test_the_far_end_of_a_long_box_is_refused_where_a_robot_stands() -> None:
+def test_a_long_box_is_refused_if_its_far_end_overlaps_a_robot() -> None:
     world = facing(Box(0.0, 3.0, 2.0, 0.2, name="beam", mass=1.0))
     with pytest.raises(SwarmError, match="a stands there"):
         world.place("beam", (1.0, 0.0, 0.0))
@@ -208,7 +208,7 @@ CROWDED = Arena(
     ],
 )
 @pytest.mark.parametrize("box", ["crate", "late"])
-def test_is_refused_where_something_stands_and_nothing_changes(
+def test_an_overlapping_box_is_refused_and_nothing_changes(
     box: str, pose: tuple[float, float, float], reason: str
 ) -> None:
     world = facing(CROWDED.boxes[0], CROWDED)
@@ -227,7 +227,7 @@ def test_is_refused_where_something_stands_and_nothing_changes(
         ((Box(0.2, 2.0, 0.3, 0.3, name="other", mass=1.0),), "box/other stands there"),
     ],
 )
-def test_cannot_start_where_something_stands(others: tuple[Box, ...], reason: str) -> None:
+def test_a_box_cannot_start_in_an_obstacle(others: tuple[Box, ...], reason: str) -> None:
     crate = Box(0.0, 2.0, 0.3, 0.3, name="crate", mass=1.0)
     with pytest.raises(ConfigError, match=rf"box crate starts at \(0, 2\): {reason}"):
         facing(crate, Arena(6.0, 6.0, boxes=(crate, *others)))
@@ -235,7 +235,7 @@ def test_cannot_start_where_something_stands(others: tuple[Box, ...], reason: st
         facing(crate, Arena(6.0, 4.0, boxes=(crate,)))
 
 
-def test_may_stand_right_beside_another() -> None:
+def test_boxes_may_be_adjacent() -> None:
     boxes = (Box(0.0, 2.0, 0.5, 0.5, mass=1.0), Box(0.5, 2.0, 0.5, 0.5, mass=1.0))
     world = facing(boxes[0], Arena(6.0, 6.0, boxes=boxes))
     world.step(100)
@@ -256,7 +256,7 @@ def test_a_box_that_is_gone_leaves_its_place_to_others() -> None:
         world.place("other", (0.0, 2.0, 0.0))
 
 
-def test_only_what_can_move_is_placed_and_removed() -> None:
+def test_only_movable_boxes_are_placed_and_removed() -> None:
     world = facing(CROWDED.boxes[0], CROWDED)
     with pytest.raises(ConfigError, match="no movable box 'crat'; did you mean 'crate'"):
         world.place("crat", (1.0, 1.0, 0.0))
@@ -266,7 +266,7 @@ def test_only_what_can_move_is_placed_and_removed() -> None:
         world.remove("late")
 
 
-def test_a_crowd_and_its_boxes_neither_sink_in_nor_blow_up_and_repeat_to_the_last_bit() -> None:
+def test_a_crowd_with_boxes_is_stable_and_repeats_bit_by_bit() -> None:
     def run() -> tuple[Array, Array, float]:
         n = 8
         turn = 2.0 * np.pi * np.arange(n) / n

@@ -95,20 +95,20 @@ def test_only_an_lds_loses_blocks() -> None:
     ("zero", "lost"),
     [("lds", 0.0), ("no_return", 0.0), ("unknown", 0.0), ("too_close", math.nan)],
 )
-def test_a_lost_ray_never_reads_as_something_near(zero: str, lost: float) -> None:
+def test_a_lost_ray_never_looks_like_a_near_return(zero: str, lost: float) -> None:
     platform = replace(BURGER, scan=replace(BURGER.scan, zero=zero))
     noisy = sensors(LidarNoise(dropout=1.0), platform=platform)
     assert np.array_equal(measured(noisy, 1.0, 1), np.full((1, 1, RAYS), lost), equal_nan=True)
 
 
-def test_what_is_no_distance_stays_what_it_is() -> None:
+def test_rays_without_return_are_unchanged() -> None:
     exact = np.tile([np.inf, -np.inf, np.nan], RAYS // 3)
     noise = LidarNoise(bias=0.2, near_sd=1.0, far_sd=0.2, resolution=0.1, dropout=1.0)
     given = sensors(noise, platform=PLAIN).apply(np.arange(1), [exact.copy()])[0]
     assert np.array_equal(given, exact, equal_nan=True)
 
 
-def test_beyond_reach_is_nothing_and_before_it_too_near() -> None:
+def test_ranges_outside_the_limits_are_infinite() -> None:
     noise = LidarNoise(near_sd=0.05, near=100.0)
     far = measured(sensors(noise, platform=PLAIN), BURGER.scan.range_max, 5)
     near = measured(sensors(noise, platform=PLAIN), BURGER.scan.range_min, 5)
@@ -120,7 +120,7 @@ def test_beyond_reach_is_nothing_and_before_it_too_near() -> None:
 
 @pytest.mark.parametrize("noise", [IDEAL.lidar, LidarNoise(near_sd=1e-9, far_sd=1e-9)])
 @pytest.mark.parametrize(("platform", "nothing"), [(BURGER, 0.0), (JACKAL, np.inf)])
-def test_what_is_too_near_reads_as_nothing_where_the_sensor_loses_it(
+def test_a_too_near_return_is_no_return_where_the_sensor_loses_it(
     noise: LidarNoise, platform: Platform, nothing: float
 ) -> None:
     within = platform.scan.range_min + 0.1
@@ -129,14 +129,14 @@ def test_what_is_too_near_reads_as_nothing_where_the_sensor_loses_it(
     assert given == pytest.approx([nothing, nothing, within, np.nan], abs=1e-6, nan_ok=True)
 
 
-def test_what_noise_brings_within_the_blind_zone_is_lost_too() -> None:
+def test_a_return_that_noise_brings_below_the_minimum_is_lost_too() -> None:
     noisy = sensors(LidarNoise(near_sd=0.05, near=100.0))
     near = measured(noisy, BURGER.scan.range_min, 5)
     assert (near == 0.0).mean() == pytest.approx(0.5, abs=0.06)
     assert near[near > 0.0].min() >= BURGER.scan.range_min
 
 
-def test_one_lidar_that_loses_and_one_that_tells_sweep_together() -> None:
+def test_lidars_of_both_kinds_scan_together() -> None:
     exact = [np.array([np.inf, -np.inf])] * 3
     noisy = NoisyLidar(IDEAL.lidar, [BURGER, PLAIN, JACKAL], names(3), 0)
     given = noisy.apply(np.array([2, 0, 1]), exact)
@@ -150,7 +150,7 @@ def test_exact_ranges_are_left_alone() -> None:
     assert np.array_equal(exact, before)
 
 
-def test_a_robots_noise_does_not_depend_on_who_sweeps_with_it() -> None:
+def test_noise_does_not_depend_on_other_observers() -> None:
     n = 70
     exact = list(np.random.default_rng(0).uniform(0.0, 4.0, (n, RAYS)))
     together = sensors(REALISTIC.lidar, n)
@@ -162,7 +162,7 @@ def test_a_robots_noise_does_not_depend_on_who_sweeps_with_it() -> None:
             assert np.array_equal(lone.view(np.int64), given[row].view(np.int64))
 
 
-def test_a_robots_noise_does_not_depend_on_who_is_in_the_world() -> None:
+def test_noise_does_not_depend_on_other_robots() -> None:
     ring = [np.full(RAYS, 1.0)]
     many = NoisyLidar(REALISTIC.lidar, [JACKAL, BURGER, BURGER], ["z", "r-0", "b"], 3)
     assert np.array_equal(
@@ -170,7 +170,7 @@ def test_a_robots_noise_does_not_depend_on_who_is_in_the_world() -> None:
     )
 
 
-def test_sensors_of_different_ray_counts_sweep_together() -> None:
+def test_sensors_of_different_ray_counts_scan_together() -> None:
     wide = replace(BURGER, scan=replace(BURGER.scan, bearings=np.linspace(0.0, 6.0, 100)))
     platforms, ids = [BURGER, wide, BURGER], names(3)
     exact = [np.full(len(p.scan.bearings), 1.0 + i) for i, p in enumerate(platforms)]
@@ -188,11 +188,11 @@ def test_two_robots_and_two_seeds_differ() -> None:
     assert not np.array_equal(one, measured(sensors(REALISTIC.lidar, seed=4), 1.0, 1)[0, 0])
 
 
-def test_no_two_sweeps_are_alike() -> None:
+def test_no_two_scans_are_equal() -> None:
     first, second = measured(sensors(REALISTIC.lidar), 1.0, 2)
     assert not np.array_equal(first, second)
 
 
-def test_latency_is_half_a_sweep() -> None:
+def test_latency_is_half_a_scan_period() -> None:
     noisy = NoisyLidar(REALISTIC.lidar, [BURGER, JACKAL], ["a", "b"], 0)
     assert noisy.latency == pytest.approx([0.1, 0.05])

@@ -75,7 +75,7 @@ def test_only_the_asked_for_rows_are_read() -> None:
 
 
 @pytest.mark.parametrize("twist", [(0.2, 0.0), (0.0, 1.5), (0.2, 1.0), (-0.1, -2.8)])
-def test_flawless_wheels_tell_the_truth_also_along_arcs(twist: tuple[float, float]) -> None:
+def test_ideal_wheels_measure_the_truth_also_along_arcs(twist: tuple[float, float]) -> None:
     # Errors too small to matter, so that the way over wheels is gone.
     odometry = odometers(OdometryNoise(slip=1e-12), START)
     poses = path(START, *twist, seconds=20.0, rate=5.0)
@@ -93,14 +93,14 @@ def errors(noise: OdometryNoise, linear: float, angular: float, n: int = 400) ->
     return off
 
 
-def test_a_spin_is_told_longer_by_the_wheelbases_error() -> None:
+def test_a_turn_is_scaled_by_the_wheelbase_error() -> None:
     off = errors(OdometryNoise(wheelbase=0.015), 0.0, 2.0)
     assert np.abs(off[:, 0]).max() == 0.0
     assert (off[:, 1] / 2.0).std() == pytest.approx(0.015, rel=5.0 / math.sqrt(800.0))
     assert abs((off[:, 1] / 2.0).mean()) < 5.0 * 0.015 / math.sqrt(400.0)
 
 
-def test_a_straight_line_is_told_bent_by_unequal_wheels_alone() -> None:
+def test_only_unequal_wheels_bend_a_straight_line() -> None:
     off = errors(OdometryNoise(diameter=0.005), 0.2, 0.0)
     # A larger right wheel turns less often, and the robot believes that it went less far there.
     assert off[:, 1].std() == pytest.approx(0.2 * 0.005 / BASE, rel=5.0 / math.sqrt(800.0))
@@ -114,13 +114,13 @@ def matrix(diameter: float, wheelbase: float) -> Array:
     return np.asarray(told_by_true.T)
 
 
-def test_a_larger_right_wheel_tells_a_straight_line_bent_to_the_right() -> None:
+def test_a_larger_right_wheel_bends_a_measured_line_to_the_right() -> None:
     told_motion = matrix(1.01, 1.0) @ (1.0, 0.0, 0.0)
     assert told_motion[1] == pytest.approx(-0.01 / BASE, rel=0.01)
     assert told_motion[0] == pytest.approx(1.0, abs=1e-4)
 
 
-def test_a_wheelbase_longer_than_assumed_tells_a_spin_longer() -> None:
+def test_a_longer_wheelbase_lengthens_a_measured_turn() -> None:
     assert matrix(1.0, 1.02) @ (0.0, 1.0, 0.0) == pytest.approx([0.0, 1.02, 0.0])
     assert matrix(1.0, 1.02) @ (1.0, 0.0, 0.0) == pytest.approx([1.0, 0.0, 0.0])
 
@@ -154,7 +154,7 @@ def test_drift_of_a_spin_is_the_wheelbases_share_of_it() -> None:
     assert np.abs(got[:, 0, 0, :2]).max() < 1e-12
 
 
-def test_wrong_wheels_tell_the_arc_that_they_believe_in() -> None:
+def test_unequal_wheels_measure_their_own_arc() -> None:
     odometry = odometers(OdometryNoise(diameter=0.02, wheelbase=0.02), np.zeros((20, 3)))
     got = told(odometry, path(np.zeros((20, 3)), 0.2, 1.0, 6.0), (0.2, 1.0, 0.0))
     for row in range(20):
@@ -186,19 +186,19 @@ def test_wheels_do_not_notice_a_shove_to_the_side() -> None:
     assert got[1] == pytest.approx([0.0, 0.0, 0.2], abs=1e-9)
 
 
-def test_a_robot_that_was_not_read_for_long_is_told_no_further_than_it_may_have_gone() -> None:
+def test_a_late_reading_gives_no_longer_path_than_possible() -> None:
     odometry = odometers(REALISTIC.odometry, np.zeros((1, 3)))
     poses = np.array([[[0.5, 0.0, 2.0 * math.pi]], [[0.5, 0.5, 20.0]]])
     assert np.abs(told(odometry, poses, (0.1, 1.0, 0.0))[:, 0, 0, :2]).max() < 2.0
 
 
-def test_yaw_is_told_within_half_a_turn_of_ahead() -> None:
+def test_yaw_is_wrapped() -> None:
     got = told(odometers(REALISTIC.odometry, START), path(START, 0.0, 2.0, 10.0), (0.0, 2.0, 0.0))
     assert np.abs(got[:, 0, 0, 2]).max() <= math.pi
     assert np.abs(got[:, 0, 0, 2]).max() > 3.0
 
 
-def test_a_robots_odometry_does_not_depend_on_who_is_read_with_it() -> None:
+def test_odometry_does_not_depend_on_other_robots() -> None:
     n = 40
     starts = np.random.default_rng(0).uniform(-3.0, 3.0, (n, 3))
     poses = path(starts, 0.2, 0.9, 2.0)

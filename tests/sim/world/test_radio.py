@@ -34,7 +34,7 @@ def crowd(n: int, seed: int = 0) -> Array:
     return np.random.default_rng(seed).uniform(-15.0, 15.0, (n, 3))
 
 
-def test_all_hear_each_other_and_nobody_itself() -> None:
+def test_all_hear_each_other_and_not_themselves() -> None:
     air = radio()
     assert [heard(air.neighbors(row, ROW)) for row in range(3)] == [
         ["r-1", "r-2"],
@@ -44,17 +44,17 @@ def test_all_hear_each_other_and_nobody_itself() -> None:
     assert air.links(ROW).tolist() == [[0, 1], [0, 2], [1, 2]]
 
 
-def test_a_radio_alone_says_no_more_than_who_is_near() -> None:
+def test_a_plain_radio_gives_no_positions() -> None:
     assert radio().neighbors(0, ROW)[0] == Neighbor("r-1", 0.0, None, None, None)
 
 
-def test_range_ends_hearing() -> None:
+def test_the_radio_ends_at_its_range() -> None:
     air = radio(neighborhood="range", range=3.0)
     assert [air.hearers(row, ROW).tolist() for row in range(3)] == [[1], [0, 2], [1]]
     assert air.links(ROW).tolist() == [[0, 1], [1, 2]]
 
 
-def test_a_box_between_ends_hearing_only_with_line_of_sight() -> None:
+def test_a_box_blocks_the_radio_only_with_line_of_sight() -> None:
     walled = Arena(40.0, 40.0, boxes=(Box(3.5, 0.0, 0.5, 4.0),))
     assert radio(arena=walled).hearers(1, ROW).tolist() == [0, 2]
     air = radio(arena=walled, line_of_sight=True)
@@ -63,7 +63,7 @@ def test_a_box_between_ends_hearing_only_with_line_of_sight() -> None:
     assert air.links(ROW).tolist() == [[0, 1]]
 
 
-def test_a_movable_box_that_is_told_of_stands_between() -> None:
+def test_a_movable_box_blocks_the_radio_if_given() -> None:
     crate = Box(1.0, 0.0, 0.5, 0.5, mass=1.0)
     air = radio(arena=Arena(40.0, 40.0, boxes=(crate,)), line_of_sight=True)
     movable_boxes = crate.corners[None]
@@ -82,7 +82,7 @@ def test_a_movable_box_that_is_told_of_stands_between() -> None:
         {"neighborhood": "range", "range": 2.5, "line_of_sight": True},
     ],
 )
-def test_links_are_what_each_hears(values: dict[str, Any]) -> None:
+def test_links_agree_with_hearers(values: dict[str, Any]) -> None:
     boxes = tuple(Box(float(x), float(y), 1.0, 0.3) for x in (-6, 0, 6) for y in (-6, 0, 6))
     n = 120
     air, poses = radio(n, Arena(40.0, 40.0, boxes), **values), crowd(n)
@@ -103,7 +103,7 @@ def test_a_message_without_delay_arrives_at_once_and_once() -> None:
     assert air.arrived(9.0) == []
 
 
-def test_who_hears_is_settled_when_it_is_said() -> None:
+def test_hearers_are_fixed_at_sending() -> None:
     air = radio(neighborhood="range", range=3.0, delay=1.0)
     air.send(0, "a/b", 1, 0.0, ROW)
     assert [hearer for hearer, *_ in air.arrived(1.0)] == [1]
@@ -117,7 +117,7 @@ def test_a_delay_of_whole_steps_ends_with_its_step_despite_rounding() -> None:
     assert len(air.arrived(30 * 0.01)) == 2
 
 
-def test_what_is_said_first_arrives_first_and_then_the_lower_row() -> None:
+def test_simultaneous_arrivals_keep_the_order_of_sending_then_rows() -> None:
     air = radio(delay=0.1)
     air.send(2, "a/b", "x", 0.0, ROW)
     air.send(0, "a/b", "y", 0.0, ROW)
@@ -161,7 +161,7 @@ def test_jitter_is_even_within_its_bounds_and_each_hearers_own() -> None:
     assert np.std(arrivals) == pytest.approx(0.04 / math.sqrt(3.0), rel=0.2)
 
 
-def test_what_arrives_is_in_order_of_arrival() -> None:
+def test_messages_are_in_order_of_arrival() -> None:
     n = 30
     whole, poses = radio(n, delay=0.1, jitter=0.1), crowd(n)
     steps = radio(n, delay=0.1, jitter=0.1)
@@ -172,7 +172,7 @@ def test_what_arrives_is_in_order_of_arrival() -> None:
     assert whole.arrived(1.0) == one_by_one
 
 
-def test_what_one_sends_does_not_change_what_another_loses() -> None:
+def test_losses_do_not_depend_on_other_senders() -> None:
     alone, among = radio(20, loss=0.5), radio(20, loss=0.5)
     poses = crowd(20)
     for _ in range(5):

@@ -60,7 +60,7 @@ def test_all_pairs() -> None:
     assert all_pairs(1).shape == (0, 2)
 
 
-def test_nothing_stands_in_an_open_arena() -> None:
+def test_an_empty_arena_blocks_nothing() -> None:
     assert clear(OPEN, (-9.9, -9.9), (9.9, 9.9))
 
 
@@ -72,7 +72,7 @@ def test_nothing_stands_in_an_open_arena() -> None:
         Arena(20.0, 20.0, segments=(Segment(0.1, -1.0, -0.1, 1.0),)),
     ],
 )
-def test_box_pole_and_inner_wall_stand_between(arena: Arena) -> None:
+def test_box_pole_and_inner_wall_block_the_sight(arena: Arena) -> None:
     assert not clear(arena, (-2.0, 0.0), (2.0, 0.0))
     assert not clear(arena, (-2.0, -0.2), (3.0, 0.25))
     assert clear(arena, (-2.0, 0.0), (-1.0, 0.0))  # in front of it
@@ -81,7 +81,7 @@ def test_box_pole_and_inner_wall_stand_between(arena: Arena) -> None:
     assert clear(arena, (-2.0, 0.0), (0.0, 3.0))  # past its corner
 
 
-def test_movable_boxes_stand_between_only_where_they_are() -> None:
+def test_movable_boxes_block_only_where_they_are() -> None:
     crate = Box(0.0, 0.0, 1.0, 1.0, mass=2.0)
     sight = LineOfSight(Arena(20.0, 20.0, boxes=(crate,)))
     a, b = np.array([[-2.0, 0.0]]), np.array([[2.0, 0.0]])

@@ -46,7 +46,7 @@ def test_fields_of_one_name_add_up_and_others_stay_apart() -> None:
     np.testing.assert_allclose(values["quality"], 3.0)
 
 
-def test_no_reading_is_more_than_can_be_told_to_a_daemon() -> None:
+def test_readings_stay_within_the_bounds_of_the_wire() -> None:
     field = LinearField(name="light", slope=1e6)
     np.testing.assert_array_equal(sample([field], np.array([[9.0, 0.0]]))["light"], [1e6])
 
@@ -66,7 +66,7 @@ def test_no_fields_no_readings() -> None:
         ({"kind": "uniform", "name": "a", "value": 1.0, "sigma": 1.0}, "unknown field `sigma`"),
     ],
 )
-def test_refuses_what_cannot_be(data: dict[str, object], complaint: str) -> None:
+def test_an_invalid_field_is_refused(data: dict[str, object], complaint: str) -> None:
     with pytest.raises(msgspec.ValidationError, match=complaint):
         msgspec.convert(data, Field)
 

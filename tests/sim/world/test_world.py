@@ -95,7 +95,7 @@ def test_a_base_that_cannot_move_sideways_does_not() -> None:
     np.testing.assert_array_equal(world.poses(), 0.0)
 
 
-def test_a_command_that_is_no_number_stands() -> None:
+def test_a_nan_command_stops_the_robot() -> None:
     world = alone("waffle_pi")
     world.set_commands(np.array([[math.nan, math.inf, -math.inf]]))
     world.step(100)
@@ -139,7 +139,7 @@ def test_no_robot_id_is_taken_for_a_part_of_the_arena() -> None:
     assert World(robots, arena, starts).ids == ids
 
 
-def test_names_the_thing_it_drives_into() -> None:
+def test_a_contact_names_the_obstacle() -> None:
     arena = parse_arena("8x8,box:1:0:0.5:0.5:45,pole:-1:0:0.1")
     for yaw, name in ((0.0, "box/0"), (math.pi, "pole/0")):
         world = World({"a": load_platform("burger")}, arena, np.array([[0.0, 0.0, yaw]]))
@@ -147,7 +147,7 @@ def test_names_the_thing_it_drives_into() -> None:
         assert [(contact.a, contact.b) for contact in world.contacts()] == [("a", name)]
 
 
-def test_a_head_on_contact_tells_how_fast_each_came() -> None:
+def test_a_head_on_contact_has_both_speeds() -> None:
     world = pair("waffle_pi", 1.0)
     world.set_commands(np.array([[0.2, 0.0, 0.0], [0.1, 0.0, 0.0]]))
     while not world.contacts():
@@ -160,7 +160,7 @@ def test_a_head_on_contact_tells_how_fast_each_came() -> None:
 
 
 @pytest.mark.parametrize("place", [(0.0, 0.19), (0.16, 0.0)])
-def test_a_corner_that_swings_into_another_comes_fast_though_the_robot_only_turns(
+def test_the_corner_of_a_turning_robot_has_its_own_contact_speed(
     place: tuple[float, float],
 ) -> None:
     platform = load_platform("burger")
@@ -175,7 +175,7 @@ def test_a_corner_that_swings_into_another_comes_fast_though_the_robot_only_turn
     assert contact.speed_b == pytest.approx(0.0, abs=1e-9)
 
 
-def test_contacts_of_all_steps_of_one_call_are_told() -> None:
+def test_contacts_cover_all_steps_of_a_call() -> None:
     bumper = pair("waffle_pi", 0.18)
     drive(bumper, (0.26, 0.0, 0.0), 0.5)
     (contact,) = bumper.contacts()
@@ -279,7 +279,7 @@ def test_without_realism_the_senses_are_exact_whatever_the_seed() -> None:
     np.testing.assert_array_equal(one.scan_latency, 0.0)
 
 
-def test_realistic_senses_are_wrong_by_chance_and_the_same_for_the_same_seed() -> None:
+def test_realistic_sensor_errors_are_random_and_repeat_with_the_seed() -> None:
     exact, first = swarm(), swarm(realism=REALISTIC, seed=1)
     again, other = swarm(realism=REALISTIC, seed=1), swarm(realism=REALISTIC, seed=2)
     measured = ranges_of(first)
@@ -291,7 +291,7 @@ def test_realistic_senses_are_wrong_by_chance_and_the_same_for_the_same_seed() -
     assert (measured != ranges_of(other)).any()
 
 
-def test_what_a_sensor_gives_does_not_depend_on_which_others_sweep_with_it() -> None:
+def test_a_sensor_does_not_depend_on_the_other_observers() -> None:
     together, alone_each = swarm(realism=REALISTIC, seed=1), swarm(realism=REALISTIC, seed=1)
     for _ in range(3):
         together.step(20)
@@ -302,7 +302,7 @@ def test_what_a_sensor_gives_does_not_depend_on_which_others_sweep_with_it() -> 
             np.testing.assert_array_equal(scan.ranges, all_at_once[row])
 
 
-def test_realistic_sweeps_arrive_later_than_they_are_taken() -> None:
+def test_realistic_scans_have_a_latency() -> None:
     world = swarm(realism=REALISTIC)
     np.testing.assert_allclose(world.scan_latency, REALISTIC.lidar.latency / 5.0)
 
@@ -329,7 +329,7 @@ def test_realistic_odometry_drifts_away_from_the_truth() -> None:
     assert len({o.pose.x for o in told}) == 5
 
 
-def test_a_body_that_is_taken_out_is_neither_met_nor_seen() -> None:
+def test_a_robot_taken_out_is_neither_touched_nor_seen() -> None:
     world = pair("burger", 1.0)
     world.take_out(1)
     assert np.isnan(world.poses()[1]).all()
