@@ -1,4 +1,4 @@
-"""`swarmd`: the daemon of one robot. Reads its settings, then serves until it is told to end."""
+"""`swarmd`: the daemon of one robot. Reads its settings, then serves until a signal ends it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class Exit(IntEnum):
-    """How the daemon ended."""
+    """Exit codes of the daemon."""
 
     CLEAN = 0
     INTERNAL = 1
@@ -34,10 +34,10 @@ class Exit(IntEnum):
 
 _EPILOG = """\b
 Exit codes:
-  0  clean stop, zero was sent; with --check: all is well
-  1  internal error; with --check: something is not well
+  0  clean end after a zero command; with --check: no problem found
+  1  internal error; with --check: a problem found
   2  configuration or usage; nothing was started
-  3  the id is held by another daemon of this swarm
+  3  another daemon of this swarm has the same id
   4  no network session
   5  the driver cannot be used on this robot"""
 
@@ -47,12 +47,12 @@ Exit codes:
     "--config",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="The daemon's YAML file; the options below win over it.",
+    help="The daemon's YAML file; the options below override it.",
 )
 @click.option("--id", metavar="ID", help="The robot's id [the host name].")
 @click.option("--swarm", metavar="NAME", help="The swarm's name [$SWARM, or default].")
 @click.option("--platform", metavar="NAME", help="A platform, or a .yaml file [waffle_pi].")
-@click.option("--driver", metavar="NAME", help="What talks to the base [simulated].")
+@click.option("--driver", metavar="NAME", help="The interface to the base [simulated].")
 @click.option(
     "--driver-option",
     "driver_options",
@@ -60,18 +60,20 @@ Exit codes:
     metavar="KEY=VALUE",
     help="An option of the driver; may be repeated.",
 )
-@click.option("--profile", type=click.Choice(["dev", "field"]), help="This machine, or a network.")
+@click.option(
+    "--profile", type=click.Choice(["dev", "field"]), help="dev: this machine; field: a network."
+)
 @click.option("--interface", metavar="NAME", help="The network interface for profile field.")
 @click.option("--seed", "seeds", multiple=True, metavar="ENDPOINT", help="A robot to dial.")
 @click.option(
     "--state-dir",
     type=click.Path(file_okay=False),
-    help="Where latches are kept [~/.local/state/swarmd].",
+    help="Folder for latches [~/.local/state/swarmd].",
 )
-@click.option("--plugin-dir", type=click.Path(file_okay=False), help="Folder of own patterns.")
+@click.option("--plugin-dir", type=click.Path(file_okay=False), help="Folder of one-file patterns.")
 @click.option("--log-level", type=click.Choice(["debug", "info", "warning"]), default="info")
 @click.option("--die-with-parent", type=int, metavar="PID", hidden=True)
-@click.option("--check", is_flag=True, help="Look at everything, move nothing, and exit.")
+@click.option("--check", is_flag=True, help="Check everything, move nothing, and exit.")
 @click.option(
     "--print-effective-config", is_flag=True, help="Show each setting with its source, and exit."
 )
@@ -85,9 +87,9 @@ def swarmd(
     die_with_parent: int | None,
     **options: str | None,
 ) -> None:
-    """Guard and drive one robot: its driver, its protection, and one pattern in a child.
+    """Drive and protect one robot, and run one pattern in a child process.
 
-    Ends on SIGTERM, SIGINT and SIGHUP: zero is sent, the swarm is told, exit code 0.
+    Ends on SIGTERM, SIGINT and SIGHUP: commands zero, leaves the swarm, exit code 0.
     """
     overrides = {
         **options,
@@ -125,7 +127,7 @@ def main(args: list[str] | None = None) -> NoReturn:
 
 
 def exit_code_of(error: SwarmError) -> int:
-    """The exit code that tells a supervisor what kind of error it was."""
+    """The exit code for an error, for a process supervisor such as systemd."""
     if isinstance(error, IdHeldError):
         return Exit.ID_HELD
     if isinstance(error, NetworkError):
@@ -134,12 +136,10 @@ def exit_code_of(error: SwarmError) -> int:
 
 
 def _read_options(words: tuple[str, ...]) -> dict[str, Value]:
-    """The driver's options, as a file would have them: `true` and `false` are not text."""
+    """The driver's options; `true` and `false` are booleans, as in a file."""
     found = read_assignments(words, "--driver-option")
-    return {
-        key: value == "true" if value in ("true", "false") else value
-        for key, value in found.items()
-    }
+    booleans: dict[Value, Value] = {"true": True, "false": False}
+    return {key: booleans.get(value, value) for key, value in found.items()}
 
 
 def _serve(settings: DaemonSettings) -> int:

@@ -1,4 +1,4 @@
-"""`swarmd --print-effective-config`: every setting, and which source gave it."""
+"""`swarmd --print-effective-config`: every setting and its source."""
 
 from __future__ import annotations
 

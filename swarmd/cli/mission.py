@@ -1,4 +1,4 @@
-"""`swarmctl mission`: checks missions before any robot is told to run them."""
+"""`swarmctl mission`: checks missions before robots run them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ def mission() -> None:
 
 @mission.command()
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--platform", default="waffle_pi", help="For which robots [waffle_pi].")
+@click.option("--platform", default="waffle_pi", help="The platform to check for [waffle_pi].")
 @click.option(
     "--plugin-dir",
     type=click.Path(exists=True, file_okay=False, path_type=Path),
@@ -26,14 +26,14 @@ def mission() -> None:
 )
 @common_options
 def check(options: CommonOptions, file: Path, platform: str, plugin_dir: Path | None) -> None:
-    """Check the mission in FILE as a whole; moves nothing and needs no network.
+    """Check the mission in FILE; moves nothing and needs no network.
 
-    Every fault is a line with file, line and key. Exit code 2 if there is one.
+    Prints each fault with file, line and key. Exit code 2 if there is a fault.
     """
     from swarmd.cli.inspect import check_mission
 
     if not file.is_file():
-        raise click.UsageError(f"{file} is no file; wanted is a mission's YAML file")
+        raise click.UsageError(f"{file} is no file; wanted the YAML file of a mission")
     faults = check_mission(file, platform, plugin_dir or file.parent)
     if options.is_json:
         print_json("Mission", {"file": str(file), "platform": platform, "faults": faults})

@@ -1,4 +1,4 @@
-"""`swarmd --check`: looks at everything a run would need and moves nothing."""
+"""`swarmd --check`: checks everything that a run needs, and moves nothing."""
 
 from __future__ import annotations
 
@@ -23,16 +23,23 @@ from swarmd.plugins import pattern_names
 from swarmd.settings.driver_options import base_options, effective_command_timeout
 from swarmd.settings.settings import DaemonSettings
 
-_SECONDS = 4.2  # of five in which all is said; the rest goes into starting Python, and ending
-_DRIVER_SECONDS = 3.0  # at least; else what the rest leaves
-_LEAVING = 0.2  # to close what it opened
+CHECK_TIMEOUT = 4.2  # s for all checks: with starting and ending Python, 5 s
+MIN_DRIVER_TIMEOUT = 3.0  # s for the driver, even if the other checks took long
+CLOSE_TIMEOUT = 0.2  # s for the driver to close its connections
 
 
 def check_daemon(settings: DaemonSettings) -> int:
-    """Print what was found, one line each; 0 if all is well, else 1."""
-    begun = monotonic()
-    findings = [*_findings(settings)]
-    findings += _driver(settings, begun + _SECONDS)
+    """Print a line for each finding; 0 without a problem, else 1."""
+    deadline = monotonic() + CHECK_TIMEOUT
+    findings = [
+        Finding("settings", True, f"robot {settings.id} of swarm {settings.network.swarm}"),
+        Finding("platform", True, _platform_text(settings)),
+        _check_network(settings),
+        check_state_dir(settings.state_dir),
+        *_check_roster(settings),
+        *check_patterns(settings),
+        *_check_driver(settings, deadline),
+    ]
     width = max(len(finding.subject) for finding in findings)
     for finding in findings:
         mark = "ok  " if finding.is_well else "FAIL"
@@ -42,15 +49,6 @@ def check_daemon(settings: DaemonSettings) -> int:
         f"{len(findings)} checked, {bad} not well" if bad else f"{len(findings)} checked, all well"
     )
     return 1 if bad else 0
-
-
-def _findings(settings: DaemonSettings) -> Iterator[Finding]:
-    yield Finding("settings", True, f"robot {settings.id} of swarm {settings.network.swarm}")
-    yield Finding("platform", True, _platform_text(settings))
-    yield _network(settings)
-    yield _state_dir(settings.state_dir)
-    yield from _roster(settings)
-    yield from _patterns(settings)
 
 
 def _platform_text(settings: DaemonSettings) -> str:
@@ -63,28 +61,28 @@ def _platform_text(settings: DaemonSettings) -> str:
 
 
 def protection_text(protection: Mapping[str, Any]) -> str:
-    """The mode in force with its main numbers, from a platform's `protection`."""
+    """The mode of protection with its main numbers, from a platform's `protection`."""
     mode = protection["mode"]
     if mode == "barrier":
-        told = protection["barrier"]
+        barrier = protection["barrier"]
         text = (
-            f"barrier ({told['responsibility']}): others come at up to {told['others_speed']:g}"
-            f" m/s and reach {told['unseen_extent']:g} m beyond what is seen, {told['margin']:g} m"
-            f" more is kept, brakes {told['braking_linear']:g} m/s2 and"
-            f" {told['braking_angular']:g} rad/s2"
+            f"barrier ({barrier['responsibility']}): assumes obstacles of up to"
+            f" {barrier['others_speed']:g} m/s that extend {barrier['unseen_extent']:g} m beyond"
+            f" their returns, and braking with {barrier['braking_linear']:g} m/s2 and"
+            f" {barrier['braking_angular']:g} rad/s2; keeps {barrier['margin']:g} m of margin"
         )
-        keep_out = told["keep_out"]
-        return text if keep_out is None else f"{text}, nothing within {keep_out:g} m of the sensor"
+        keep_out = barrier["keep_out"]
+        return text if keep_out is None else f"{text}, and {keep_out:g} m around the sensor"
     if mode == "stop_zone":
-        told = protection["stop_zone"]
-        share = f"{told['slow_share']:.0%} of the wish"
-        return f"stop_zone: stops within {told['stop']:g} m, {share} within {told['slow']:g} m"
+        zone = protection["stop_zone"]
+        share = f"{zone['slow_share']:.0%} of the requested speed"
+        return f"stop_zone: stops within {zone['stop']:g} m, {share} within {zone['slow']:g} m"
     if mode == "potential_field":
         return f"potential_field ({protection['preset']}) within {protection['threshold']:g} m"
-    return f"{mode}: nothing keeps it from touching anything"
+    return f"{mode}: nothing prevents collisions"
 
 
-def _network(settings: DaemonSettings) -> Finding:
+def _check_network(settings: DaemonSettings) -> Finding:
     interface = settings.network.interface_name
     known = [name for _, name in socket.if_nameindex()]
     if interface not in known:
@@ -95,8 +93,11 @@ def _network(settings: DaemonSettings) -> Finding:
     return Finding("network", True, text)
 
 
-def _state_dir(folder: Path) -> Finding:
-    """Whether the daemon can write there: tried, since modes do not tell; nothing is left."""
+def check_state_dir(folder: Path) -> Finding:
+    """Whether the daemon can write latches: writes a file, since modes are not enough.
+
+    Leaves nothing behind.
+    """
     there = folder.absolute()
     made: list[Path] = []
     try:
@@ -111,18 +112,19 @@ def _state_dir(folder: Path) -> Finding:
         return Finding("state_dir", False, f"{text}; give --state-dir")
     finally:
         for path in reversed(made):
-            with suppress(OSError):  # another has put something into it meanwhile
+            with suppress(OSError):  # not empty: another process uses it
                 path.rmdir()
     return Finding("state_dir", True, str(folder))
 
 
-def _roster(settings: DaemonSettings) -> Iterator[Finding]:
+def _check_roster(settings: DaemonSettings) -> Iterator[Finding]:
     if settings.roster and settings.id not in settings.roster:
         text = f"{unknown('robot in the roster', settings.id, settings.roster)}"
         yield Finding("roster", False, text)
 
 
-def _patterns(settings: DaemonSettings) -> Iterator[Finding]:
+def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
+    """The patterns of this robot, with their configured parameters and touch zones."""
     try:
         origins = pattern_names(settings.plugin_dir)
         own = pattern_names(settings.plugin_dir, {})
@@ -133,7 +135,7 @@ def _patterns(settings: DaemonSettings) -> Iterator[Finding]:
     for row in rows:
         name = row["name"]
         if origins[name].rival:
-            text = f"is there twice: {origins[name].source} and {origins[name].rival}"
+            text = f"exists twice: {origins[name].source} and {origins[name].rival}"
             yield Finding(f"pattern {name}", False, f"{text}; rename one")
         elif "error" in row:
             yield Finding(f"pattern {name}", False, row["error"])
@@ -146,12 +148,12 @@ def _patterns(settings: DaemonSettings) -> Iterator[Finding]:
         else:
             yield Finding(f"pattern {name}", True, row["source"])
     by_name = {row["name"]: row for row in rows}
-    yield from _configured(settings, by_name)
-    yield from _touching(settings, by_name)
+    yield from _check_parameters(settings, by_name)
+    yield from _check_touch(settings, by_name)
 
 
-def _configured(settings: DaemonSettings, rows: Mapping[str, Row]) -> Iterator[Finding]:
-    """Faults in the parameters that the files configure for this robot's patterns."""
+def _check_parameters(settings: DaemonSettings, rows: Mapping[str, Row]) -> Iterator[Finding]:
+    """Faults in the configured parameters of this robot's patterns."""
     parameters = settings.parameters
     own = [parameters.labels.get(label, {}) for label in settings.labels]
     sections = (settings.platform.patterns, *own, parameters.robots.get(settings.id, {}))
@@ -166,8 +168,8 @@ def _configured(settings: DaemonSettings, rows: Mapping[str, Row]) -> Iterator[F
                     yield Finding("parameters", False, f"{source}: {name}: {fault}")
 
 
-def _touching(settings: DaemonSettings, rows: Mapping[str, Row]) -> Iterator[Finding]:
-    """Each pattern that may touch what is near, and whether it asks to."""
+def _check_touch(settings: DaemonSettings, rows: Mapping[str, Row]) -> Iterator[Finding]:
+    """Each pattern with a touch zone, and whether the pattern asks for it."""
     for name, zone in settings.touch_zones.items():
         if name not in rows:
             yield Finding("touch", False, unknown("pattern", name, rows))
@@ -177,7 +179,7 @@ def _touching(settings: DaemonSettings, rows: Mapping[str, Row]) -> Iterator[Fin
 
 
 def _parameter_fault(specs: Mapping[str, Row], key: str, value: object) -> str:
-    """What the pattern host would object to, as far as names and bounds tell; else empty."""
+    """What is wrong with a parameter by its name, type and bounds; empty if nothing."""
     if key not in specs:
         return unknown("parameter", key, specs)
     spec = specs[key]
@@ -192,12 +194,13 @@ def _parameter_fault(specs: Mapping[str, Row], key: str, value: object) -> str:
     return ""
 
 
-def _driver(settings: DaemonSettings, until: float) -> Iterator[Finding]:
-    """What the driver sees by `until`, on the monotonic clock, and how its base stops."""
+def _check_driver(settings: DaemonSettings, deadline: float) -> Iterator[Finding]:
+    """The findings of the driver until `deadline` (monotonic), and how its base stops."""
     subject = f"driver {settings.driver}"
     try:
         driver = make_driver(settings)
-        yield from asyncio.run(driver.check(max(until - monotonic() - _LEAVING, _DRIVER_SECONDS)))
+        timeout = max(deadline - monotonic() - CLOSE_TIMEOUT, MIN_DRIVER_TIMEOUT)
+        yield from asyncio.run(driver.check(timeout))
         yield Finding("command_timeout", True, command_timeout_text(settings, driver))
         check_protected(settings.platform, driver, settings.driver)
     except SwarmError as error:
@@ -205,16 +208,14 @@ def _driver(settings: DaemonSettings, until: float) -> Iterator[Finding]:
 
 
 def command_timeout_text(settings: DaemonSettings, driver: Driver) -> str:
-    """How the base stops when its daemon is lost."""
+    """How the base stops when its daemon dies."""
     base = base_options(settings.driver_options, f"driver {settings.driver}")
     command_timeout = effective_command_timeout(base, driver)
     if command_timeout == "none":
-        source = (
-            "so its platform says" if base.command_timeout else "so it is taken, as none is told"
-        )
-        who = "a stopper" if isinstance(driver, WatchedDriver) else "a process of its driver"
-        text = f"the base never stops by itself ({source}); {who} says zero for a lost daemon"
+        source = "configured" if base.command_timeout else "assumed, since none is configured"
+        process = "the watchdog" if isinstance(driver, WatchedDriver) else "a process of the driver"
+        text = f"the base has none ({source}); {process} commands zero if the daemon dies"
     else:
         after = "" if command_timeout == "base" else f" after {command_timeout:g} s"
-        text = f"the base stops by itself{after} when commands end"
-    return text if base.idle_output == "zeros" else f"{text}; while idle it is left to others"
+        text = f"the base stops by itself{after} without commands"
+    return text if base.idle_output == "zeros" else f"{text}; no commands are sent while idle"

@@ -43,7 +43,7 @@ class Real:
 """
 UNPROTECTED = """extends: burger
 protection: {mode: off}
-drivers: {real: {deadman: base}}
+drivers: {real: {command_timeout: base}}
 """
 
 
@@ -80,7 +80,7 @@ def test_0_after_a_clean_stop(tmp_path: Path, number: signal.Signals) -> None:
 
 
 @pytest.mark.integration
-def test_under_nohup_a_terminal_that_goes_ends_nothing(tmp_path: Path) -> None:
+def test_sighup_is_ignored_under_nohup(tmp_path: Path) -> None:
     with DaemonProcess(
         tmp_path,
         swarm=unique_swarm(),
@@ -95,7 +95,7 @@ def test_under_nohup_a_terminal_that_goes_ends_nothing(tmp_path: Path) -> None:
         assert daemon.terminate() == 0
 
 
-def test_1_and_a_traceback_for_an_error_nobody_foresaw(tmp_path: Path) -> None:
+def test_1_and_a_traceback_for_an_unforeseen_error(tmp_path: Path) -> None:
     done = swarmd(tmp_path, "--id", "r1", "--driver", "wrong")
     assert done.returncode == 1
     assert "ZeroDivisionError" in done.stderr
@@ -103,31 +103,35 @@ def test_1_and_a_traceback_for_an_error_nobody_foresaw(tmp_path: Path) -> None:
 
 def test_2_for_a_driver_that_is_not_there(tmp_path: Path) -> None:
     done = swarmd(tmp_path, "--id", "r1", "--driver", "unusabel")
-    assert (done.returncode, done.stderr) == (
-        2,
-        "error: no driver 'unusabel'; did you mean 'unusable'?\n",
-    )
+    assert done.returncode == 2
+    assert "'unusable'" in done.stderr
 
 
-def test_2_for_a_real_robot_without_protection_before_it_is_touched(tmp_path: Path) -> None:
+@pytest.fixture
+def unprotected(tmp_path: Path) -> tuple[str, ...]:
+    """Options for a platform without protection."""
     (tmp_path / "bare.yaml").write_text(UNPROTECTED)
-    done = swarmd(tmp_path, "--id", "r1", "--platform", "bare.yaml", "--driver", "real")
-    assert (done.returncode, done.stderr) == (
-        2,
-        "error: platform bare: protection.mode is off, and driver real moves a real robot; wanted"
-        " barrier, potential_field or stop_zone: change the platform's file\n",
-    )
+    return ("--id", "r1", "--platform", "bare.yaml", "--driver")
+
+
+def test_2_for_a_real_robot_without_protection(
+    tmp_path: Path, unprotected: tuple[str, ...]
+) -> None:
+    done = swarmd(tmp_path, *unprotected, "real")
+    assert done.returncode == 2
+    assert "protection.mode" in done.stderr
+    assert done.stderr.count("\n") == 1
     assert not (tmp_path / "connected").exists()
 
 
-def test_check_tells_of_a_real_robot_without_protection(tmp_path: Path) -> None:
-    (tmp_path / "bare.yaml").write_text(UNPROTECTED)
-    args = ("--id", "r1", "--platform", "bare.yaml", "--check", "--driver")
-    done = swarmd(tmp_path, *args, "real")
-    (line,) = (line for line in done.stdout.splitlines() if line.startswith("FAIL"))
-    assert done.returncode == 1
-    assert "protection.mode is off, and driver real moves a real robot" in line
-    assert "moves a real robot" not in swarmd(tmp_path, *args, "simulated").stdout
+@pytest.mark.parametrize(("driver", "is_found"), [("real", True), ("simulated", False)])
+def test_check_finds_a_real_robot_without_protection(
+    tmp_path: Path, unprotected: tuple[str, ...], driver: str, is_found: bool
+) -> None:
+    done = swarmd(tmp_path, *unprotected, driver, "--check")
+    lines = [line for line in done.stdout.splitlines() if line.startswith("FAIL")]
+    assert any("protection.mode" in line for line in lines) is is_found
+    assert done.returncode == 1  # the simulated driver finds no world
 
 
 @pytest.mark.integration
@@ -137,19 +141,17 @@ def test_3_if_the_id_is_held(tmp_path: Path) -> None:
         one.wait_ready()
         done = swarmd(tmp_path / "b", "--id", "r1", "--swarm", swarm)
         assert done.returncode == 3
-        assert done.stderr.splitlines()[-1].startswith("error: robot id 'r1' is held by another")
+        assert "'r1'" in done.stderr.splitlines()[-1]
         assert one.process.poll() is None
 
 
 def test_4_without_a_network(tmp_path: Path) -> None:
     done = swarmd(tmp_path, "--id", "r1", "--profile", "field", "--interface", "wlan77")
     assert done.returncode == 4
-    assert "no network interface 'wlan77' on this machine" in done.stderr.splitlines()[-1]
+    assert "'wlan77'" in done.stderr.splitlines()[-1]
 
 
 def test_5_for_a_driver_that_cannot_be_used(tmp_path: Path) -> None:
     done = swarmd(tmp_path, "--id", "r1", "--driver", "unusable")
-    assert (done.returncode, done.stderr) == (
-        5,
-        "error: no base on /dev/ttyACM0; plug it in\n",
-    )
+    assert (done.returncode, done.stderr.count("\n")) == (5, 1)
+    assert "/dev/ttyACM0" in done.stderr

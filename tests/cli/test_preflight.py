@@ -1,14 +1,20 @@
-"""What `swarmd --check` says of protection, for each mode."""
+"""The findings of `swarmd --check`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, get_args
 
 import pytest
 
-from swarmd.cli.preflight import check_daemon, command_timeout_text, protection_text
+from swarmd.cli.preflight import (
+    check_daemon,
+    check_patterns,
+    check_state_dir,
+    command_timeout_text,
+    protection_text,
+)
 from swarmd.core.values import Value
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.driver_api.driver import Finding
@@ -16,92 +22,155 @@ from swarmd.protection.settings import Mode
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 
+EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
-def told(platform: str, mode: str) -> Mapping[str, Any]:
+
+def protection(platform: str, mode: str) -> Mapping[str, Any]:
     return {**load_platform(platform).protection, "mode": mode}
 
 
+def settings_of(folder: Path, text: str = "", **values: Any) -> DaemonSettings:
+    """Settings from the text of a file, with values above it."""
+    (folder / "r.yaml").write_text(text)
+    return load_daemon_settings(
+        folder / "r.yaml" if text else None, {"id": "r1", "state_dir": str(folder), **values}
+    )
+
+
+def faults(findings: Iterable[Finding]) -> list[str]:
+    return [f"{one.subject}: {one.text}" for one in findings if not one.is_well]
+
+
 @pytest.mark.parametrize("mode", get_args(Mode))
-def test_the_mode_in_force_comes_first(mode: str) -> None:
-    assert protection_text(told("jackal", mode)).startswith(mode)
+def test_the_mode_of_protection_comes_first(mode: str) -> None:
+    assert protection_text(protection("jackal", mode)).startswith(mode)
 
 
-def test_the_main_numbers_of_each_mode_are_said() -> None:
+def test_the_main_numbers_of_the_barrier_are_given() -> None:
     barrier = load_platform("jackal").protection["barrier"]
-    text = protection_text(told("jackal", "barrier"))
+    text = protection_text(protection("jackal", "barrier"))
     for name in ("others_speed", "unseen_extent", "margin", "braking_linear", "keep_out"):
         assert f" {barrier[name]:g} m" in text, name
-    assert "of the sensor" in text
-    assert "of the sensor" not in protection_text(told("burger", "barrier"))
-    assert protection_text(told("burger", "potential_field")) == (
-        "potential_field (paper) within 0.5 m"
-    )
-    assert protection_text(told("burger", "stop_zone")) == (
-        "stop_zone: stops within 0.1 m, 30% of the wish within 0.25 m"
-    )
-    assert protection_text(told("burger", "off")) == "off: nothing keeps it from touching anything"
-
-
-def driven(folder: Path, **options: Value) -> DaemonSettings:
-    values = {"id": "r", "state_dir": str(folder), "driver_options": options}
-    return load_daemon_settings(None, values)
+    assert "sensor" not in protection_text(protection("burger", "barrier"))
 
 
 @pytest.mark.parametrize(
-    ("options", "text"),
+    ("mode", "numbers"), [("potential_field", ["0.5 m"]), ("stop_zone", ["0.1 m", "30%", "0.25 m"])]
+)
+def test_the_distances_of_other_modes_are_given(mode: str, numbers: list[str]) -> None:
+    text = protection_text(protection("burger", mode))
+    assert all(number in text for number in numbers)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
     [
-        ({}, "the base stops by itself when commands end"),
-        ({"command_timeout": 0.25}, "the base stops by itself after 0.25 s when commands end"),
-        (
-            {"command_timeout": 0.5, "idle_output": "silent"},
-            "the base stops by itself after 0.5 s when commands end; while idle it is left to"
-            " others",
-        ),
-        (
-            {"command_timeout": "none"},
-            "the base never stops by itself (so its platform says); a stopper says zero for a lost"
-            " daemon",
-        ),
+        ({}, ["stops by itself"]),
+        ({"command_timeout": 0.25}, ["0.25 s"]),
+        ({"command_timeout": 0.5, "idle_output": "silent"}, ["0.5 s", "while idle"]),
+        ({"command_timeout": "none"}, ["configured", "watchdog"]),
     ],
 )
-def test_how_the_base_stops_is_said(
-    tmp_path: Path, options: Mapping[str, Value], text: str
+def test_how_the_base_stops_is_explained(
+    tmp_path: Path, options: Mapping[str, Value], words: list[str]
 ) -> None:
-    settings = driven(tmp_path, **options)
-    assert command_timeout_text(settings, make_driver(settings)) == text
+    settings = settings_of(tmp_path, driver_options=dict(options))
+    text = command_timeout_text(settings, make_driver(settings))
+    assert all(word in text for word in words)
 
 
-def test_a_base_whose_driver_is_its_own_stopper_is_said_to_have_none(tmp_path: Path) -> None:
-    values = {"id": "r", "state_dir": str(tmp_path), "platform": "burger", "driver": "ros1"}
-    settings = load_daemon_settings(None, values)
-    assert command_timeout_text(settings, make_driver(settings)) == (
-        "the base never stops by itself (so its platform says); a process of its driver says zero"
-        " for a lost daemon"
+def test_a_driver_with_its_own_process_needs_no_watchdog(tmp_path: Path) -> None:
+    settings = settings_of(tmp_path, platform="burger", driver="ros1")
+    assert "process of the driver" in command_timeout_text(settings, make_driver(settings))
+
+
+@pytest.mark.parametrize(
+    ("folder", "is_well"), [("/proc/x", False), ("file/state", False), ("a/b", True)]
+)
+def test_the_state_folder_is_written_to_and_left_as_it_was(
+    tmp_path: Path, folder: str, is_well: bool
+) -> None:
+    (tmp_path / "file").touch()
+    finding = check_state_dir(tmp_path / folder)
+    assert finding.is_well is is_well
+    assert is_well or folder in finding.text
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_parameters_that_no_pattern_takes_are_found(tmp_path: Path) -> None:
+    settings = settings_of(
+        tmp_path,
+        "labels: {red: [r1]}\nparameters:\n"
+        "  labels: {red: {drve: {linear: 0.1}}}\n"
+        "  robots: {r1: {drive: {sped: 0.1, speed: 1000}}}\n",
     )
+    unknown_pattern, unknown_parameter, out_of_range = faults(check_patterns(settings))
+    assert "'drive'" in unknown_pattern
+    assert "'speed'" in unknown_parameter
+    assert "speed is 1000" in out_of_range
 
 
-def test_the_driver_has_what_is_left_of_five_seconds(
+def test_touch_zones_are_compared_with_what_patterns_ask_for(tmp_path: Path) -> None:
+    settings = settings_of(
+        tmp_path,
+        f"plugin_dir: {EXAMPLES}\n"
+        "touch: {push: {half_width_deg: 10, speed: 0.1}, pusch: {half_width_deg: 9, speed: 0.1}}",
+    )
+    granted, unknown = (one for one in check_patterns(settings) if one.subject == "touch")
+    assert granted.is_well
+    assert "10 deg" in granted.text
+    assert "20 deg" in granted.text
+    assert not unknown.is_well
+    assert "'push'" in unknown.text
+
+
+def test_missions_are_checked_for_the_platform_of_the_robot(tmp_path: Path) -> None:
+    (tmp_path / "own.yaml").write_text(
+        "mission: Distances for TurtleBots\n"
+        "parts: {vote: {pattern: majority_rule}, move: {pattern: dispersion}}\n"
+        "map: [{from: vote.opinion, to: move.distance, values: [0.6, 1.3, 1.4]}]\n"
+        "parallel: [vote, move]\ndrives: move\n"
+    )
+    found = {
+        platform: {
+            finding.subject: finding
+            for finding in check_patterns(
+                settings_of(tmp_path, platform=platform, plugin_dir=str(tmp_path))
+            )
+        }
+        for platform in ("burger", "jackal")
+    }
+    assert found["burger"]["pattern own"].is_well
+    assert not found["jackal"]["pattern own"].is_well
+    assert "own.yaml:3: map[0]" in found["jackal"]["pattern own"].text
+    shipped = found["jackal"]["pattern discuss_then_disperse"]
+    assert shipped.is_well
+    assert "not for this platform" in shipped.text
+
+
+def test_the_driver_gets_the_rest_of_five_seconds(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     given: list[float] = []
 
-    class Prompt:
+    class PromptDriver:
         is_simulated = True
 
         async def check(self, seconds: float) -> tuple[Finding, ...]:
             given.append(seconds)
             return (Finding("scan", True, "5.0 Hz"),)
 
-    monkeypatch.setattr("swarmd.cli.preflight.make_driver", lambda settings: Prompt())
-    assert check_daemon(driven(tmp_path)) == 0
+    monkeypatch.setattr("swarmd.cli.preflight.make_driver", lambda settings: PromptDriver())
+    assert check_daemon(settings_of(tmp_path)) == 0
     assert 3.0 <= given[0] < 5.0
     assert "scan 5.0 Hz" in " ".join(capsys.readouterr().out.split())
 
 
-def test_a_driver_that_cannot_be_made_is_one_line(
+def test_a_wrong_option_of_the_driver_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert check_daemon(driven(tmp_path, command_timeout="never")) == 1
-    assert "FAIL driver simulated driver simulated: deadman is 'never'; wanted" in " ".join(
-        capsys.readouterr().out.split()
-    )
+    settings = settings_of(tmp_path, driver_options={"command_timeout": "never"})
+    assert check_daemon(settings) == 1
+    (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("FAIL"))
+    assert "driver simulated" in line
+    assert "'never'" in line
