@@ -12,7 +12,7 @@ from swarmd.robot.latches import MAX_CLEARED, MAX_HELD, OVERFLOW, Latches, Latch
 SWARM = Latch(issuer="alice", scope="swarm")
 
 
-def test_reset_clears_only_the_ids_it_names() -> None:
+def test_reset_clears_only_its_ids() -> None:
     latches = Latches()
     latches.add("a", SWARM)
     latches.add("b", SWARM)
@@ -20,7 +20,7 @@ def test_reset_clears_only_the_ids_it_names() -> None:
     assert set(latches.held) == {"b"}
 
 
-def test_a_peers_view_cannot_return_what_was_reset_but_an_estop_can() -> None:
+def test_reset_latch_returns_by_estop_but_not_by_a_peer() -> None:
     latches = Latches()
     latches.add("a", SWARM)
     latches.clear(["a"])
@@ -30,7 +30,7 @@ def test_a_peers_view_cannot_return_what_was_reset_but_an_estop_can() -> None:
     assert set(latches.held) == {"a"}
 
 
-def test_what_was_reset_is_remembered_over_a_restart() -> None:
+def test_reset_ids_survive_a_restart() -> None:
     latches = Latches()
     latches.add("a", SWARM)
     latches.clear(["a"])
@@ -38,7 +38,7 @@ def test_what_was_reset_is_remembered_over_a_restart() -> None:
     assert again.adopt({"a": SWARM, "b": SWARM}) == ("b",)
 
 
-def test_a_flood_of_estops_stays_latched_within_bounds() -> None:
+def test_flood_of_estops_stays_latched_within_bounds() -> None:
     latches = Latches()
     for n in range(10_000):
         latches.add(f"e{n}", SWARM)
@@ -49,7 +49,7 @@ def test_a_flood_of_estops_stays_latched_within_bounds() -> None:
     assert len(latches.record().cleared) == MAX_CLEARED
 
 
-def test_the_file_gives_back_what_was_written(tmp_path: Path) -> None:
+def test_latch_file_round_trip(tmp_path: Path) -> None:
     latches = Latches()
     latches.add("a", SWARM)
     file = LatchFile(tmp_path / "deep" / "down")
@@ -58,7 +58,7 @@ def test_the_file_gives_back_what_was_written(tmp_path: Path) -> None:
     assert LatchFile(tmp_path / "deep" / "down").read() == latches.record()
 
 
-def test_a_repeated_estop_is_not_written_again(tmp_path: Path) -> None:
+def test_unchanged_record_is_not_written_again(tmp_path: Path) -> None:
     file = LatchFile(tmp_path / "state")
     record = LatchRecord(held={"e1": Latch(issuer="anna", scope="swarm")})
     assert file.write(record)
@@ -67,7 +67,7 @@ def test_a_repeated_estop_is_not_written_again(tmp_path: Path) -> None:
     assert (file.path.stat().st_mtime_ns, file.path.stat().st_ino) == written
 
 
-def test_what_could_not_be_written_is_tried_again(tmp_path: Path) -> None:
+def test_failed_write_is_repeated(tmp_path: Path) -> None:
     blocker = tmp_path / "state"
     blocker.write_text("in the way")
     file, record = LatchFile(blocker), LatchRecord(cleared=("e1",))
@@ -77,7 +77,7 @@ def test_what_could_not_be_written_is_tried_again(tmp_path: Path) -> None:
     assert LatchFile(blocker).read() == record
 
 
-def test_the_new_name_is_on_the_disk_as_well_before_the_ack(
+def test_file_and_folder_are_synced_before_the_ack(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     synced: list[int] = []
@@ -93,12 +93,12 @@ def test_the_new_name_is_on_the_disk_as_well_before_the_ack(
     assert synced == [file.path.stat().st_ino, file.path.parent.stat().st_ino]
 
 
-def test_an_unreadable_file_latches(tmp_path: Path) -> None:
+def test_unreadable_file_latches(tmp_path: Path) -> None:
     file = LatchFile(tmp_path)
     file.path.write_bytes(b"rubbish")
     assert Latches(file.read()).held
 
 
-def test_an_unwritable_disk_is_reported_not_raised(tmp_path: Path) -> None:
+def test_unwritable_disk_returns_false(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     assert not LatchFile(tmp_path / "file" / "state").write(Latches().record())

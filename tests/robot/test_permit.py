@@ -19,7 +19,7 @@ from swarmd.api import (
     Twist,
 )
 from swarmd.core.host_messages import Loaded, PatternFailed
-from swarmd.core.messages import Code, State
+from swarmd.core.messages import State
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import NO_PERMIT, Decision, Permit
 from tests.support.robot_harness import RobotHarness
@@ -71,8 +71,8 @@ PATTERNS: Mapping[str, type[Pattern[Any]]] = {
 }
 
 
-class Attentive(Protection):
-    """The front as it is, but it remembers what it was permitted."""
+class RecordingProtection(Protection):
+    """Records the last permit."""
 
     permit: Permit
 
@@ -82,169 +82,161 @@ class Attentive(Protection):
 
 
 @pytest.fixture(autouse=True)
-def attentive(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("swarmd.robot.robot.Protection", Attentive)
+def record_permits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("swarmd.robot.robot.Protection", RecordingProtection)
 
 
-def story(**touch: TouchZone) -> RobotHarness:
+def make_harness(**touch: TouchZone) -> RobotHarness:
     made = RobotHarness(patterns=PATTERNS, touch=touch)
     made.advance(1.0)
     return made
 
 
-def run(tale: RobotHarness, pattern: str, **args: Any) -> None:
-    reply = tale.ask("run", pattern=pattern, **args)
-    assert reply is not None
-    assert reply.code is Code.APPLIED, reply
-    tale.advance(0.3)
+def run_pattern(harness: RobotHarness, pattern: str, **args: Any) -> None:
+    harness.applied("run", pattern=pattern, **args)
+    harness.advance(0.3)
 
 
-def permit(tale: RobotHarness) -> Permit:
+def permit(harness: RobotHarness) -> Permit:
     """What protection was told at the last decision."""
-    front = tale.robot._protection
-    assert isinstance(front, Attentive)
+    front = harness.robot._protection
+    assert isinstance(front, RecordingProtection)
     return front.permit
 
 
-def said(tale: RobotHarness) -> list[str]:
-    return [event.text for event in tale.status.events]
+def event_texts(harness: RobotHarness) -> list[str]:
+    return [event.text for event in harness.status.events]
 
 
-def test_what_is_asked_for_and_granted_reaches_protection_and_is_told() -> None:
-    tale = story(push=LESS)
-    assert permit(tale) == NO_PERMIT
-    run(tale, "push")
-    assert permit(tale).touch == LESS
-    assert said(tale)[-1] == f"push {MAY}"
+def test_granted_touch_zone_reaches_protection_and_events() -> None:
+    harness = make_harness(push=LESS)
+    assert permit(harness) == NO_PERMIT
+    run_pattern(harness, "push")
+    assert permit(harness).touch == LESS
+    assert event_texts(harness)[-1] == f"push {MAY}"
 
 
-def test_without_a_grant_it_runs_protected_as_usual_and_says_where_to_grant_it() -> None:
-    tale = story()
-    run(tale, "push")
-    assert tale.status.state is State.RUNNING
-    assert tale.twist == Twist(0.1)
-    assert permit(tale).touch is None
-    assert "not granted" in said(tale)[-1]
-    assert "touch: {push: ...}" in said(tale)[-1]
+def test_pattern_without_grant_runs_without_touch_zone() -> None:
+    harness = make_harness()
+    run_pattern(harness, "push")
+    assert harness.status.state is State.RUNNING
+    assert harness.twist == Twist(0.1)
+    assert permit(harness).touch is None
+    assert "not granted" in event_texts(harness)[-1]
+    assert "touch: {push: ...}" in event_texts(harness)[-1]
 
 
-def test_a_grant_alone_gives_nothing() -> None:
-    tale = story(forward=LESS)
-    run(tale, "forward")
-    assert permit(tale).touch is None
-    assert said(tale)[-1] == "runs forward, by alice"
+def test_grant_without_a_declared_zone_has_no_effect() -> None:
+    harness = make_harness(forward=LESS)
+    run_pattern(harness, "forward")
+    assert permit(harness).touch is None
+    assert event_texts(harness)[-1] == "runs forward, by alice"
 
 
-def test_a_grant_is_for_the_pattern_of_that_name_alone() -> None:
-    tale = story(other=LESS)
-    run(tale, "push")
-    assert permit(tale).touch is None
+def test_grant_holds_for_its_pattern_only() -> None:
+    harness = make_harness(other=LESS)
+    run_pattern(harness, "push")
+    assert permit(harness).touch is None
 
 
-def test_what_a_part_asks_for_does_not_count() -> None:
-    tale = story(team=LESS, push=LESS)
-    run(tale, "team")
-    assert permit(tale).touch is None
+def test_zone_of_a_part_has_no_effect() -> None:
+    harness = make_harness(team=LESS, push=LESS)
+    run_pattern(harness, "team")
+    assert permit(harness).touch is None
 
 
 @pytest.mark.parametrize("verb", ["stop", "estop"])
-def test_it_ends_with_the_run(verb: str) -> None:
-    tale = story(push=LESS)
-    run(tale, "push")
-    tale.ask(verb)
-    assert permit(tale) == NO_PERMIT
-    tale.advance(0.5)
-    assert permit(tale) == NO_PERMIT
+def test_permit_ends_with_the_run(verb: str) -> None:
+    harness = make_harness(push=LESS)
+    run_pattern(harness, "push")
+    harness.ask(verb)
+    assert permit(harness) == NO_PERMIT
+    harness.advance(0.5)
+    assert permit(harness) == NO_PERMIT
 
 
-def test_it_ends_when_the_time_of_the_run_is_over() -> None:
-    tale = story(push=LESS)
-    run(tale, "push", seconds=1.0)
-    assert permit(tale).touch == LESS
-    tale.advance(1.0)
-    assert permit(tale) == NO_PERMIT
+def test_permit_ends_with_the_seconds_of_the_run() -> None:
+    harness = make_harness(push=LESS)
+    run_pattern(harness, "push", seconds=1.0)
+    assert permit(harness).touch == LESS
+    harness.advance(1.0)
+    assert permit(harness) == NO_PERMIT
 
 
-def test_the_next_run_has_its_own() -> None:
-    tale = story(push=LESS)
-    run(tale, "push")
-    run(tale, "forward")
-    assert permit(tale).touch is None
-    run(tale, "push")
-    assert permit(tale).touch == LESS
+def test_each_run_has_its_own_permit() -> None:
+    harness = make_harness(push=LESS)
+    run_pattern(harness, "push")
+    run_pattern(harness, "forward")
+    assert permit(harness).touch is None
+    run_pattern(harness, "push")
+    assert permit(harness).touch == LESS
 
 
-def test_a_fault_takes_it_and_the_reload_gets_it_again() -> None:
-    tale = story(push=LESS)
-    run(tale, "push")
-    tale.host_says(PatternFailed(tale.status.generation, "ValueError"))
-    assert permit(tale) == NO_PERMIT
-    tale.advance(0.3)
-    assert tale.status.state is State.RUNNING
-    assert permit(tale).touch == LESS
-    assert said(tale)[-2:] == ["push restarted", f"push {MAY}"]
+def test_permit_ends_with_a_fault_and_returns_with_the_restart() -> None:
+    harness = make_harness(push=LESS)
+    run_pattern(harness, "push")
+    harness.host_says(PatternFailed(harness.status.generation, "ValueError"))
+    assert permit(harness) == NO_PERMIT
+    harness.advance(0.3)
+    assert harness.status.state is State.RUNNING
+    assert permit(harness).touch == LESS
+    assert event_texts(harness)[-2:] == ["push restarted", f"push {MAY}"]
 
 
-def test_a_reload_that_asks_for_nothing_any_more_has_nothing() -> None:
-    tale = story(push=LESS)
-    run(tale, "push")
-    tale.is_hung = True
-    tale.host_says(PatternFailed(tale.status.generation, "ValueError"))
-    tale.advance(0.15)
-    tale.host_says(Loaded(tale.status.generation, 10.0, frozenset(), {}))
-    assert tale.status.state is State.RUNNING
-    assert permit(tale).touch is None
+def test_restart_without_a_declared_zone_has_none() -> None:
+    harness = make_harness(push=LESS)
+    run_pattern(harness, "push")
+    harness.is_hung = True
+    harness.host_says(PatternFailed(harness.status.generation, "ValueError"))
+    harness.advance(0.15)
+    harness.host_says(Loaded(harness.status.generation, 10.0, frozenset(), {}))
+    assert harness.status.state is State.RUNNING
+    assert permit(harness).touch is None
 
 
-def test_a_pattern_that_hangs_or_is_quarantined_has_nothing() -> None:
-    tale = story(push=LESS)
-    run(tale, "push")
+def test_quarantined_pattern_has_no_permit() -> None:
+    harness = make_harness(push=LESS)
+    run_pattern(harness, "push")
     for _ in range(4):
-        tale.host_says(PatternFailed(tale.status.generation, "ValueError"))
-        assert permit(tale) == NO_PERMIT
-        tale.advance(1.0)
-    assert tale.status.state is State.FAULTED
-    assert permit(tale) == NO_PERMIT
+        harness.host_says(PatternFailed(harness.status.generation, "ValueError"))
+        assert permit(harness) == NO_PERMIT
+        harness.advance(1.0)
+    assert harness.status.state is State.FAULTED
+    assert permit(harness) == NO_PERMIT
 
 
-def test_a_pattern_that_asks_for_what_nobody_can_grant_is_refused() -> None:
-    tale = story(greedy=LESS)
-    reply = tale.ask("run", pattern="greedy")
-    assert reply is not None
-    assert reply.code is Code.REFUSED
+def test_pattern_with_an_excessive_zone_is_refused() -> None:
+    harness = make_harness(greedy=LESS)
+    reply = harness.refused("run", pattern="greedy")
     assert "touches is TouchZone" in reply.text
 
 
 @pytest.mark.parametrize("name", ["touch", "touches", "bearing_deg"])
-def test_no_operator_can_grant_it(name: str) -> None:
-    tale = story()
-    reply = tale.ask("run", pattern="push", params={name: 0.1})
-    assert reply is not None
-    assert reply.code is Code.REFUSED
-    run(tale, "push")
-    assert permit(tale).touch is None
-    reply = tale.ask("param", params={name: 0.1})
-    assert reply is not None
-    assert reply.code is Code.REFUSED
-    assert permit(tale).touch is None
+def test_no_request_can_grant_a_touch_zone(name: str) -> None:
+    harness = make_harness()
+    harness.refused("run", pattern="push", params={name: 0.1})
+    run_pattern(harness, "push")
+    assert permit(harness).touch is None
+    harness.refused("param", params={name: 0.1})
+    assert permit(harness).touch is None
 
 
-def test_every_pattern_is_led_around_what_blocks_it_unless_it_declares_otherwise() -> None:
-    tale = story()
-    run(tale, "forward")
-    assert permit(tale).may_recover
-    run(tale, "push")
-    assert not permit(tale).may_recover
+def test_recovery_is_permitted_unless_the_pattern_declares_otherwise() -> None:
+    harness = make_harness()
+    run_pattern(harness, "forward")
+    assert permit(harness).may_recover
+    run_pattern(harness, "push")
+    assert not permit(harness).may_recover
 
 
 @pytest.mark.parametrize(("pattern", "value"), [("forward", "false"), ("push", "true")])
-def test_an_operator_can_change_that(pattern: str, value: str) -> None:
-    tale = story()
-    run(tale, pattern, params={"recovery": value})
-    assert permit(tale).may_recover is (value == "true")
-    run(tale, pattern)
-    assert permit(tale).may_recover is not (value == "true")
-    tale.ask("param", params={"recovery": value})
-    tale.advance(0.1)
-    assert permit(tale).may_recover is (value == "true")
-    assert tale.status.params["recovery"].source == "runtime"
+def test_parameter_recovery_overrides_the_default(pattern: str, value: str) -> None:
+    harness = make_harness()
+    run_pattern(harness, pattern, params={"recovery": value})
+    assert permit(harness).may_recover is (value == "true")
+    run_pattern(harness, pattern)
+    assert permit(harness).may_recover is not (value == "true")
+    harness.ask("param", params={"recovery": value})
+    harness.advance(0.1)
+    assert permit(harness).may_recover is (value == "true")
+    assert harness.status.params["recovery"].source == "runtime"

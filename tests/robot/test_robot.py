@@ -1,4 +1,4 @@
-"""One robot and its pattern, told in simulated time."""
+"""One robot and its pattern, in simulated time."""
 
 from __future__ import annotations
 
@@ -16,167 +16,161 @@ from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, standing_state, started
 
 
-def test_never_moves_before_it_is_asked() -> None:
-    story = RobotHarness(patterns=PATTERNS)
-    story.advance(3.0)
-    assert all(twist.is_zero for _, twist in story.commands)
-    assert standing_state(story) == (State.IDLE, Reason.NEVER_ASKED)
+def test_never_moves_before_a_run() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(3.0)
+    assert all(twist.is_zero for _, twist in harness.commands)
+    assert standing_state(harness) == (State.IDLE, Reason.NEVER_ASKED)
 
 
-def test_drives_what_the_pattern_wishes_within_limits() -> None:
-    story = started(speed=1.0)
-    assert story.twist == Twist(story.platform.limits.linear)
-    assert standing_state(story) == (State.RUNNING, None)
+def test_runs_the_requested_command_within_limits() -> None:
+    harness = started(speed=1.0)
+    assert harness.twist == Twist(harness.platform.limits.linear)
+    assert standing_state(harness) == (State.RUNNING, None)
 
 
-def test_a_refused_run_leaves_the_running_pattern_alone() -> None:
-    story = started(speed=0.1)
-    reply = story.ask("run", pattern="forward", params={"sped": 0.2})
-    assert reply is not None
-    assert reply.code is Code.REFUSED
+def test_refused_run_leaves_the_running_pattern_alone() -> None:
+    harness = started(speed=0.1)
+    reply = harness.refused("run", pattern="forward", params={"sped": 0.2})
     assert "did you mean 'speed'" in reply.text
-    story.advance(1.0)
-    assert story.twist == Twist(0.1)
-    assert story.status.pattern == "forward"
+    harness.advance(1.0)
+    assert harness.twist == Twist(0.1)
+    assert harness.status.pattern == "forward"
 
 
-def test_stop_zeroes_at_once_and_needs_a_run() -> None:
-    story = started()
-    reply = story.ask("stop")
-    assert reply is not None
-    assert reply.code is Code.APPLIED
-    assert story.twist.is_zero
-    story.commands.clear()
-    story.advance(3.0)
-    assert all(twist.is_zero for _, twist in story.commands)
-    assert standing_state(story) == (State.STOPPED, Reason.OPERATOR)
-    assert story.ask("run", pattern="forward") is not None
-    story.advance(0.2)
-    assert story.twist.linear > 0.0
+def test_stop_zeroes_at_once_until_the_next_run() -> None:
+    harness = started()
+    harness.applied("stop")
+    assert harness.twist.is_zero
+    harness.commands.clear()
+    harness.advance(3.0)
+    assert all(twist.is_zero for _, twist in harness.commands)
+    assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
+    assert harness.ask("run", pattern="forward") is not None
+    harness.advance(0.2)
+    assert harness.twist.linear > 0.0
 
 
-def test_a_repeated_stop_is_one_change_and_stops_all_the_same() -> None:
-    story = started()
-    stop = story.request("stop")
-    first, again = story.send(stop), story.send(stop)
+def test_repeated_stop_is_one_change() -> None:
+    harness = started()
+    stop = harness.request("stop")
+    first, again = harness.send(stop), harness.send(stop)
     assert first is not None
     assert again is not None
     assert (again.code, again.epoch) == (Code.APPLIED, first.epoch)
-    story.ask("run", pattern="forward")
-    story.advance(0.2)
-    last = story.send(stop)
+    harness.ask("run", pattern="forward")
+    harness.advance(0.2)
+    last = harness.send(stop)
     assert last is not None
     assert last.epoch != first.epoch
-    assert story.twist.is_zero
-    assert standing_state(story) == (State.STOPPED, Reason.OPERATOR)
+    assert harness.twist.is_zero
+    assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
 
 
-def test_a_wish_expires_after_three_steps_and_not_a_tick_later() -> None:
-    story = started()
-    last = story.now
-    story.is_hung = True
-    story.commands.clear()
-    story.advance(0.6)
-    zero_at = next(at for at, twist in story.commands if twist.is_zero)
-    last_wish = max(at for at, twist in story.commands if not twist.is_zero)
+def test_requested_command_expires_after_three_steps() -> None:
+    harness = started()
+    last = harness.now
+    harness.is_hung = True
+    harness.commands.clear()
+    harness.advance(0.6)
+    zero_at = next(at for at, twist in harness.commands if twist.is_zero)
+    last_wish = max(at for at, twist in harness.commands if not twist.is_zero)
     assert zero_at == pytest.approx(last + 0.3, abs=0.051)
     assert zero_at - last <= 0.3 + 1e-9
     assert last_wish < zero_at
-    assert story.status.reason is Reason.COMMAND_EXPIRED
+    assert harness.status.reason is Reason.COMMAND_EXPIRED
 
 
-def test_a_silent_host_is_killed_after_a_second_and_its_pattern_reloaded() -> None:
-    story = started()
-    begin = story.now
-    story.is_hung = True
-    story.sent.clear()
-    story.advance(1.15)
-    assert any(isinstance(command, KillHost) for command in story.sent)
-    assert standing_state(story) == (State.RUNNING, Reason.PATTERN_RESTARTING)
-    story.is_hung = False
-    story.advance(0.3)
-    assert story.twist == Twist(0.2)
-    assert story.status.health.host_restarts == 1
-    assert story.now - begin < 2.0
+def test_silent_host_is_killed_after_1_s_and_its_pattern_restarts() -> None:
+    harness = started()
+    begin = harness.now
+    harness.is_hung = True
+    harness.sent.clear()
+    harness.advance(1.15)
+    assert any(isinstance(command, KillHost) for command in harness.sent)
+    assert standing_state(harness) == (State.RUNNING, Reason.PATTERN_RESTARTING)
+    harness.is_hung = False
+    harness.advance(0.3)
+    assert harness.twist == Twist(0.2)
+    assert harness.status.health.host_restarts == 1
+    assert harness.now - begin < 2.0
 
 
-def test_a_pattern_that_never_comes_back_stops_the_robot_after_two_seconds() -> None:
-    story = started()
-    story.is_hung = True
-    story.advance(2.9)
-    assert standing_state(story) == (State.RUNNING, Reason.PATTERN_RESTARTING)
-    story.advance(0.3)
-    assert standing_state(story) == (State.STOPPED, Reason.PATTERN_RESTARTING)
-    story.is_hung = False
-    story.advance(2.0)
-    assert story.twist.is_zero
+def test_failed_restart_stops_the_robot_after_2_s() -> None:
+    harness = started()
+    harness.is_hung = True
+    harness.advance(2.9)
+    assert standing_state(harness) == (State.RUNNING, Reason.PATTERN_RESTARTING)
+    harness.advance(0.3)
+    assert standing_state(harness) == (State.STOPPED, Reason.PATTERN_RESTARTING)
+    harness.is_hung = False
+    harness.advance(2.0)
+    assert harness.twist.is_zero
 
 
-def test_a_pattern_that_keeps_raising_is_restarted_with_backoff_then_quarantined() -> None:
-    story = started("raiser")
-    story.advance(5.0)
-    assert standing_state(story) == (State.FAULTED, Reason.QUARANTINED)
-    assert "on purpose" in story.status.detail
-    loads = [command for command in story.sent if isinstance(command, Load)]
+def test_pattern_that_keeps_raising_is_quarantined() -> None:
+    harness = started("raiser")
+    harness.advance(5.0)
+    assert standing_state(harness) == (State.FAULTED, Reason.QUARANTINED)
+    assert "on purpose" in harness.status.detail
+    loads = [command for command in harness.sent if isinstance(command, Load)]
     assert len(loads) == 4
-    assert story.twist.is_zero
-    refused = story.ask("run", pattern="forward")
-    assert refused is not None
-    assert refused.code is Code.REFUSED
-    assert story.ask("reset") is not None
-    assert standing_state(story) == (State.IDLE, Reason.RESET)
+    assert harness.twist.is_zero
+    harness.refused("run", pattern="forward")
+    assert harness.ask("reset") is not None
+    assert standing_state(harness) == (State.IDLE, Reason.RESET)
 
 
-def test_a_raising_pattern_zeroes_with_the_very_event() -> None:
-    story = RobotHarness(patterns=PATTERNS)
-    story.advance(1.0)
-    story.ask("run", pattern="raiser")
+def test_raising_pattern_zeroes_at_once() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(1.0)
+    harness.ask("run", pattern="raiser")
     for _ in range(20):
-        story.advance(0.05)
-        if story.status.reason is Reason.PATTERN_RESTARTING:
+        harness.advance(0.05)
+        if harness.status.reason is Reason.PATTERN_RESTARTING:
             break
-    assert story.twist.is_zero
-    assert standing_state(story) == (State.RUNNING, Reason.PATTERN_RESTARTING)
+    assert harness.twist.is_zero
+    assert standing_state(harness) == (State.RUNNING, Reason.PATTERN_RESTARTING)
 
 
-def test_a_dead_host_zeroes_at_once_and_is_replaced() -> None:
-    story = started()
-    story.host_says(HostDied(story.status.generation, "was killed by SIGKILL"))
-    assert story.twist.is_zero
-    assert story.status.reason is Reason.PATTERN_RESTARTING
-    story.advance(0.5)
-    assert story.twist == Twist(0.2)
+def test_dead_host_zeroes_at_once_and_is_replaced() -> None:
+    harness = started()
+    harness.host_says(HostDied(harness.status.generation, "was killed by SIGKILL"))
+    assert harness.twist.is_zero
+    assert harness.status.reason is Reason.PATTERN_RESTARTING
+    harness.advance(0.5)
+    assert harness.twist == Twist(0.2)
 
 
-def test_a_wish_that_is_no_number_counts_as_a_fault() -> None:
-    story = RobotHarness(patterns=PATTERNS)
-    story.advance(1.0)
-    story.ask("run", pattern="not_finite")
-    story.advance(0.1)
-    assert story.twist.is_zero
-    story.advance(3.0)
-    assert standing_state(story) == (State.FAULTED, Reason.QUARANTINED)
+def test_non_finite_command_is_a_fault() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(1.0)
+    harness.ask("run", pattern="not_finite")
+    harness.advance(0.1)
+    assert harness.twist.is_zero
+    harness.advance(3.0)
+    assert standing_state(harness) == (State.FAULTED, Reason.QUARANTINED)
 
 
-def test_a_finished_pattern_leaves_the_robot_idle() -> None:
-    story = started("finisher")
-    story.advance(1.0)
-    assert standing_state(story) == (State.IDLE, Reason.FINISHED)
-    assert story.status.detail == "arrived"
-    assert story.twist.is_zero
+def test_finished_pattern_leaves_the_robot_idle() -> None:
+    harness = started("finisher")
+    harness.advance(1.0)
+    assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
+    assert harness.status.detail == "arrived"
+    assert harness.twist.is_zero
 
 
-def test_a_run_with_a_duration_ends_when_it_is_over() -> None:
-    story = RobotHarness(patterns=PATTERNS)
-    story.advance(1.0)
-    story.ask("run", pattern="forward", seconds=1.0)
-    story.advance(0.9)
-    assert not story.twist.is_zero
-    story.advance(0.15)
-    assert standing_state(story) == (State.IDLE, Reason.FINISHED)
+def test_run_ends_after_its_seconds() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(1.0)
+    harness.ask("run", pattern="forward", seconds=1.0)
+    harness.advance(0.9)
+    assert not harness.twist.is_zero
+    harness.advance(0.15)
+    assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
 
 
-def test_a_pattern_that_failed_once_gets_no_more_time_than_it_was_given() -> None:
+def test_restart_does_not_extend_the_seconds_of_a_run() -> None:
     class Early(MovementPattern[Params]):
         params_type = Params
 
@@ -185,107 +179,108 @@ def test_a_pattern_that_failed_once_gets_no_more_time_than_it_was_given() -> Non
                 raise RuntimeError("not yet")
             return Twist(0.1)
 
-    story = RobotHarness(patterns={"early": Early})
-    story.advance(1.0)
-    story.ask("run", pattern="early", seconds=2.0)
-    story.advance(1.5)
-    assert story.twist == Twist(0.1)
-    story.advance(0.6)
-    assert standing_state(story) == (State.IDLE, Reason.FINISHED)
+    harness = RobotHarness(patterns={"early": Early})
+    harness.advance(1.0)
+    harness.ask("run", pattern="early", seconds=2.0)
+    harness.advance(1.5)
+    assert harness.twist == Twist(0.1)
+    harness.advance(0.6)
+    assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
 
 
-def test_a_command_tells_which_scan_its_wish_rests_on() -> None:
-    story = started()
-    story.is_hung = True
-    story.advance(0.25)
-    actions = story.robot.tick(story.now)
+def test_actions_hold_the_scan_behind_the_command() -> None:
+    harness = started()
+    harness.is_hung = True
+    harness.advance(0.25)
+    actions = harness.robot.tick(harness.now)
     assert 0 <= actions.requested_scan_seq < actions.decision.scan_seq
 
 
-def test_the_pattern_is_stepped_at_its_rate_and_on_every_new_scan() -> None:
-    story = started()
-    story.sent.clear()
-    begin = story.now
-    story.advance(4.0)
-    steps = [command.inputs for command in story.sent if isinstance(command, Step)]
+def test_pattern_steps_at_its_rate_and_on_every_new_scan() -> None:
+    harness = started()
+    harness.sent.clear()
+    begin = harness.now
+    harness.advance(4.0)
+    steps = [command.inputs for command in harness.sent if isinstance(command, Step)]
     assert sum(inputs.is_new_scan for inputs in steps) == 20
     times = [inputs.now for inputs in steps]
     assert max(b - a for a, b in pairwise([begin, *times])) <= 0.1 + 1e-6
 
 
-def test_only_neighbours_are_heard_and_only_on_its_own_channels() -> None:
-    story = started("listener")
-    story.robot.on_neighbors((Neighbor("tb3-02", 0.0),), story.now)
-    assert story.robot.on_message("tb3-02", "listener/count", 7, story.now)
-    assert story.robot.on_message("tb3-02", "listener/count", "seven", story.now)
-    assert story.robot.on_message("tb3-02", "other/count", 8, story.now)
-    assert not story.robot.on_message("tb3-03", "listener/count", 9, story.now)
-    story.advance(0.2)
-    assert story.status.report["heard"] == "(('tb3-02', 7),)"
+def test_messages_arrive_from_neighbours_on_declared_channels() -> None:
+    harness = started("listener")
+    harness.robot.on_neighbors((Neighbor("tb3-02", 0.0),), harness.now)
+    assert harness.robot.on_message("tb3-02", "listener/count", 7, harness.now)
+    assert harness.robot.on_message("tb3-02", "listener/count", "seven", harness.now)
+    assert harness.robot.on_message("tb3-02", "other/count", 8, harness.now)
+    assert not harness.robot.on_message("tb3-03", "listener/count", 9, harness.now)
+    harness.advance(0.2)
+    assert harness.status.report["heard"] == "(('tb3-02', 7),)"
 
 
-def test_what_was_said_to_an_earlier_run_is_not_heard_in_the_next() -> None:
-    story = started("listener")
-    story.robot.on_neighbors((Neighbor("tb3-02", 0.0),), story.now)
-    assert story.robot.on_message("tb3-02", "listener/count", 7, story.now)
-    story.ask("run", pattern="listener")
-    story.advance(0.5)
-    assert story.status.report["heard"] == "()"
+def test_messages_to_an_earlier_run_are_dropped() -> None:
+    harness = started("listener")
+    harness.robot.on_neighbors((Neighbor("tb3-02", 0.0),), harness.now)
+    assert harness.robot.on_message("tb3-02", "listener/count", 7, harness.now)
+    harness.ask("run", pattern="listener")
+    harness.advance(0.5)
+    assert harness.status.report["heard"] == "()"
 
 
-def test_what_it_says_goes_out_on_declared_channels_at_most_twenty_times_a_second() -> None:
-    story = started("listener")
-    story.messages.clear()
+def test_outgoing_messages_are_limited_per_channel() -> None:
+    harness = started("listener")
+    harness.messages.clear()
     for n in range(400):
-        story.now += 0.001
-        generation = story.status.generation
-        story.host_says(Stepped(generation, Outputs(messages={"count": n, "other": n}), -1))
-    names = {name for name, _ in story.messages}
+        harness.now += 0.001
+        generation = harness.status.generation
+        harness.host_says(Stepped(generation, Outputs(messages={"count": n, "other": n}), -1))
+    names = {name for name, _ in harness.messages}
     assert names == {"listener/count"}
-    assert len(story.messages) <= 5 + 0.4 * 20 + 1
+    assert len(harness.messages) <= 5 + 0.4 * 20 + 1
 
 
-def test_a_late_answer_counts_from_when_its_step_was_asked_for() -> None:
-    story = started(speed=0.1)
-    story.is_hung = True
-    story.advance(0.15)
-    generation = story.status.generation
-    story.advance(0.8)
-    story.host_says(Stepped(generation, Outputs(Twist(0.1)), 1))
-    assert story.twist.is_zero
-    assert story.status.reason is Reason.COMMAND_EXPIRED
+def test_age_of_a_late_step_counts_from_its_start() -> None:
+    harness = started(speed=0.1)
+    harness.is_hung = True
+    harness.advance(0.15)
+    generation = harness.status.generation
+    harness.advance(0.8)
+    harness.host_says(Stepped(generation, Outputs(Twist(0.1)), 1))
+    assert harness.twist.is_zero
+    assert harness.status.reason is Reason.COMMAND_EXPIRED
 
 
-def test_what_an_operator_asked_for_next_outlives_the_end_of_the_pattern_before() -> None:
-    story = RobotHarness(patterns=PATTERNS)
-    story.advance(1.0)
-    story.ask("run", pattern="forward", seconds=0.5)
-    story.advance(0.2)
-    story.is_hung = True
-    run = story.request("run", pattern="finisher")
-    assert story.send(run) is None
-    story.advance(0.5)
-    assert story.status.reason is Reason.FINISHED
-    story.host_says(Loaded(2, 10.0, frozenset(), {}))
-    answer = next(reply for reply in story.replies if reply.id == run.id)
-    assert answer.code is Code.APPLIED
-    assert story.status.pattern == "finisher"
+def test_load_outlives_the_end_of_the_run_before() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(1.0)
+    harness.ask("run", pattern="forward", seconds=0.5)
+    harness.advance(0.2)
+    harness.is_hung = True
+    run = harness.request("run", pattern="finisher")
+    assert harness.send(run) is None
+    harness.advance(0.5)
+    assert harness.status.reason is Reason.FINISHED
+    harness.host_says(Loaded(2, 10.0, frozenset(), {}))
+    assert harness.reply_to(run).code is Code.APPLIED
+    assert harness.status.pattern == "finisher"
 
 
 @pytest.mark.parametrize("rate", [8.0, 10.0, 30.0, 50.0])
-def test_any_rate_is_kept_without_scans_too(rate: float) -> None:
-    story = RobotHarness(patterns={"paced": type("Paced", (PATTERNS["listener"],), {"rate": rate})})
-    story.advance(1.0)
-    story.ask("run", pattern="paced")
-    story.sent.clear()
-    story.scans = lambda seq, now: None
-    story.advance(0.5)
-    steps = sum(isinstance(command, Step) for command in story.sent)
+def test_every_rate_is_kept_without_scans(rate: float) -> None:
+    harness = RobotHarness(
+        patterns={"paced": type("Paced", (PATTERNS["listener"],), {"rate": rate})}
+    )
+    harness.advance(1.0)
+    harness.ask("run", pattern="paced")
+    harness.sent.clear()
+    harness.scans = lambda seq, now: None
+    harness.advance(0.5)
+    steps = sum(isinstance(command, Step) for command in harness.sent)
     assert steps == pytest.approx(0.5 * rate, abs=1.01)
 
 
-def test_whatever_a_pattern_reports_its_status_can_be_read() -> None:
-    story = started()
+def test_any_report_gives_a_readable_status() -> None:
+    harness = started()
     report: dict[str, Scalar] = {
         "a": 1e305,
         "b": float("nan"),
@@ -294,22 +289,22 @@ def test_whatever_a_pattern_reports_its_status_can_be_read() -> None:
         "e" * 99: 1,
         "f": True,
     }
-    generation = story.status.generation
-    story.host_says(Stepped(generation, Outputs(Twist(0.1), report=report), 1))
-    read = Decoder(Status)(encode(story.status))
+    generation = harness.status.generation
+    harness.host_says(Stepped(generation, Outputs(Twist(0.1), report=report), 1))
+    read = Decoder(Status)(encode(harness.status))
     assert read.report == {"d": "x" * 256, "e" * 64: 1, "f": True}
 
 
-def test_a_flood_of_messages_keeps_the_newest_and_is_counted() -> None:
-    story = started("listener")
-    story.robot.on_neighbors((Neighbor("tb3-02", 0.0),), story.now)
-    story.sent.clear()
+def test_flood_of_messages_keeps_the_newest_and_is_counted() -> None:
+    harness = started("listener")
+    harness.robot.on_neighbors((Neighbor("tb3-02", 0.0),), harness.now)
+    harness.sent.clear()
     for n in range(1000):
-        story.robot.on_message("tb3-02", "listener/count", [n, "x" * 900], story.now)
-    story.advance(0.1)
-    step = next(command for command in story.sent if isinstance(command, Step))
+        harness.robot.on_message("tb3-02", "listener/count", [n, "x" * 900], harness.now)
+    harness.advance(0.1)
+    step = next(command for command in harness.sent if isinstance(command, Step))
     assert len(encode_command(step)) < MAX_FRAME
     assert step.inputs.messages[-1].value[0] == 999  # type: ignore[index]  # as sent above
-    dropped = story.status.health.dropped
+    dropped = harness.status.health.dropped
     assert dropped["msg:inbox_full"] + len(step.inputs.messages) == 1000
     assert dropped["msg:wrong_type"] == len(step.inputs.messages)

@@ -29,7 +29,7 @@ def senses() -> Sensors:
     return Sensors(load_platform("waffle_pi"))
 
 
-def test_neighbors_age_in_steps_and_are_forgotten_with_what_they_say(senses: Sensors) -> None:
+def test_neighbors_age_in_steps_and_time_out(senses: Sensors) -> None:
     senses.on_neighbors((Neighbor("b", 0.25, distance=1.0),), 10.0)
     ages = [senses.neighbors(10.0 + past)[0].age for past in (0.0, 0.4, 0.6, 1.7, 2.9)]
     assert ages == [
@@ -46,14 +46,14 @@ def test_neighbors_age_in_steps_and_are_forgotten_with_what_they_say(senses: Sen
     assert senses.neighbors(last + 0.01) == ()
 
 
-def test_strangers_are_not_heard(senses: Sensors) -> None:
+def test_messages_of_strangers_are_dropped(senses: Sensors) -> None:
     assert not senses.on_message("b", "w", 1, 0.0)
     senses.on_neighbors((Neighbor("b", 0.0),), 0.0)
     assert senses.on_message("b", "w", 1, 0.0)
     assert not senses.on_message("c", "w", 1, 0.0)
 
 
-def test_messages_come_once_with_their_age_and_the_oldest_give_way(senses: Sensors) -> None:
+def test_messages_arrive_once_and_the_oldest_are_dropped(senses: Sensors) -> None:
     senses.on_neighbors((Neighbor("b", 0.0),), 0.0)
     word = b"x" * 800
     fit = MAX_INBOX_BYTES // (MESSAGE_OVERHEAD + 800 + 4)  # a version byte and 3 of MessagePack
@@ -66,7 +66,7 @@ def test_messages_come_once_with_their_age_and_the_oldest_give_way(senses: Senso
     assert senses.inputs(0.75, 0.1).messages == ()
 
 
-def test_odometry_whose_stamp_stands_still_grows_stale(senses: Sensors) -> None:
+def test_odometry_with_an_old_stamp_becomes_stale(senses: Sensors) -> None:
     senses.on_driver(True, "up")
     platform = load_platform("waffle_pi")
     for tick in range(13):
@@ -77,7 +77,7 @@ def test_odometry_whose_stamp_stands_still_grows_stale(senses: Sensors) -> None:
         assert senses.hold(now) is (Reason.STALE_ODOMETRY if late else None)
 
 
-def test_a_lost_sector_holds_once_it_has_not_been_seen_for_stale_after(senses: Sensors) -> None:
+def test_lost_sector_holds_after_stale_after(senses: Sensors) -> None:
     platform = load_platform("waffle_pi")
     stale_after = platform.scan.stale_after
     senses.on_driver(True, "up")
@@ -98,7 +98,7 @@ def test_a_lost_sector_holds_once_it_has_not_been_seen_for_stale_after(senses: S
 
 
 @pytest.mark.parametrize("mode", ["barrier", "potential_field", "stop_zone"])
-def test_zeros_beside_what_is_near_are_guessed_unless_protection_remembers_it(mode: Mode) -> None:
+def test_zeros_beside_near_rays_count_as_near_unless_in_barrier(mode: Mode) -> None:
     platform = with_mode(load_platform("burger"), mode)
     senses, ranges = Sensors(platform), np.full(360, 2.0)
     ranges[100] = 0.15
@@ -118,7 +118,7 @@ def test_zeros_beside_what_is_near_are_guessed_unless_protection_remembers_it(mo
         Odometry(1.0, Pose(yaw=-math.inf), Twist()),
     ],
 )
-def test_odometry_that_is_not_finite_never_came(senses: Sensors, odometry: Odometry) -> None:
+def test_non_finite_odometry_is_ignored(senses: Sensors, odometry: Odometry) -> None:
     first = Odometry(0.0, Pose(), Twist())
     senses.on_odometry(first, 10.0)
     senses.on_odometry(odometry, 10.2)

@@ -8,13 +8,13 @@ from swarmd.core.messages import Reason, State
 from swarmd.robot.state_machine import TRANSITIONS, StateMachine, Trigger
 
 
-def test_every_state_has_an_answer_to_every_event() -> None:
+def test_table_covers_every_state_and_trigger() -> None:
     assert {(event, state) for event, row in TRANSITIONS.items() for state in row} == set(
         product(Trigger, State)
     )
 
 
-def test_only_a_loaded_pattern_leads_to_running_and_never_from_a_latch() -> None:
+def test_only_run_leads_to_running_and_never_from_a_latch() -> None:
     into = {
         (event, state)
         for event, row in TRANSITIONS.items()
@@ -39,7 +39,7 @@ def test_only_a_reset_leaves_estopped_or_faulted() -> None:
 
 
 @pytest.mark.parametrize("event", [event for event in Trigger if event is not Trigger.RUN])
-def test_whatever_else_happens_leaves_running_or_stays_out_of_it(event: Trigger) -> None:
+def test_every_other_trigger_leaves_running(event: Trigger) -> None:
     supervisor = StateMachine(0.0)
     supervisor.apply(Trigger.RUN, None, "", 1.0)
     supervisor.apply(event, Reason.OPERATOR, "why", 2.0)
@@ -52,7 +52,7 @@ def test_whatever_else_happens_leaves_running_or_stays_out_of_it(event: Trigger)
         )
 
 
-def test_an_event_that_changes_nothing_keeps_the_older_reason() -> None:
+def test_trigger_without_a_change_keeps_the_older_reason() -> None:
     supervisor = StateMachine(0.0)
     supervisor.apply(Trigger.ESTOP, Reason.ESTOP, "by alice", 1.0)
     supervisor.apply(Trigger.STOP, Reason.OPERATOR, "by bob", 2.0)

@@ -1,12 +1,12 @@
-"""A robot's life told in simulated time: the pure robot with an inline pattern, no I/O, no sleep.
+"""One robot in simulated time: the pure robot with an inline pattern, without I/O or sleep.
 
 ::
 
-    story = Story("waffle_pi")
-    story.advance(1.0)
-    story.ask("run", pattern="drive")
-    story.advance(2.0)
-    assert story.twist.linear > 0.0
+    harness = RobotHarness("waffle_pi")
+    harness.advance(1.0)
+    harness.applied("run", pattern="drive")
+    harness.advance(2.0)
+    assert harness.twist.linear > 0.0
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy as np
 
 from swarmd.core.errors import UnknownPatternError, unknown
 from swarmd.core.host_messages import HostCommand, HostEvent, KillHost
-from swarmd.core.messages import REQUEST_TYPES, Epoch, ForgetRequest, Reply, Request, Status
+from swarmd.core.messages import REQUEST_TYPES, Code, Epoch, ForgetRequest, Reply, Request, Status
 from swarmd.core.values import ZERO, Odometry, Pose, Scan, TouchZone, Twist
 from swarmd.kit.behavior import Pattern
 from swarmd.pattern_host.executor import PatternExecutor
@@ -35,11 +35,11 @@ ScanSource = Callable[[int, float], Scan | None]
 
 
 class RobotHarness:
-    """A robot with its senses fed at their nominal rates for as long as `advance` is told.
+    """A robot whose sensors deliver at their nominal rates while `advance` runs.
 
-    `scans(seq, now)` gives each sweep (None: none comes); set it, `odometry`, `is_hung` (the
-    pattern's host answers nothing) or `is_driver_silent` at any time. `twist` is the last safe
-    command, `commands` all of them as (time, twist).
+    `scans(seq, now)` gives each scan (None: no scan). A test may replace it, `odometry` and
+    `is_hung` (the pattern host does not answer) at any time. `twist` is the last safe command,
+    `commands` holds all of them as (time, twist).
     """
 
     def __init__(
@@ -79,18 +79,18 @@ class RobotHarness:
 
     @property
     def status(self) -> Status:
-        """What the robot says of itself now."""
+        """The present status."""
         return self.robot.status(self.now)
 
     @property
     def epoch(self) -> Epoch:
-        """What an operator sees now."""
+        """The present epoch."""
         return self.status.epoch
 
     def advance(self, seconds: float, *, ticks: bool = True) -> None:
-        """Let time pass: 20 ticks a second, sweeps at the sensor's rate, odometry with each tick.
+        """Let time pass: 20 ticks per second, scans at the sensor's rate, odometry at each tick.
 
-        Without `ticks` nothing happens meanwhile: the guardian is frozen.
+        Without `ticks` the daemon is frozen meanwhile.
         """
         if not ticks:
             self.now += seconds
@@ -111,12 +111,12 @@ class RobotHarness:
             self.carry_out(self.robot.tick(self.now))
 
     def scan(self, scan: Scan | None) -> None:
-        """A sweep arrives now."""
+        """A scan arrives now."""
         if scan is not None:
             self.carry_out(self.robot.on_scan(scan, self.now))
 
     def request(self, verb: str, epoch: Epoch | None = None, **args: Any) -> Request:
-        """A request that names this robot at the given epoch (None: the present one)."""
+        """A request that targets this robot at the given epoch (None: the present one)."""
         self._requests += 1
         operator = args.pop("operator", "alice")
         request = REQUEST_TYPES[verb](
@@ -129,22 +129,44 @@ class RobotHarness:
         return request
 
     def send(self, request: Request) -> Reply | None:
-        """The robot gets the request; its answer, unless it follows later."""
+        """Send a request; returns its reply, None if it follows later."""
         before = len(self.replies)
         self.carry_out(self.robot.on_request(request, self.now))
         answers = [reply for reply in self.replies[before:] if reply.id == request.id]
         return answers[-1] if answers else None
 
     def ask(self, verb: str, **args: Any) -> Reply | None:
-        """An operator who has just looked asks for `verb`."""
+        """Send a request with the present epoch; returns its reply, None if it follows later."""
         return self.send(self.request(verb, **args))
 
+    def applied(self, verb: str, **args: Any) -> Reply:
+        """The reply to a request with the present epoch, which must be applied at once."""
+        return self._replied(Code.APPLIED, verb, **args)
+
+    def refused(self, verb: str, **args: Any) -> Reply:
+        """The reply to a request with the present epoch, which must be refused at once."""
+        return self._replied(Code.REFUSED, verb, **args)
+
+    def _replied(self, code: Code, verb: str, **args: Any) -> Reply:
+        reply = self.ask(verb, **args)
+        assert reply is not None
+        assert reply.code is code, reply.text
+        return reply
+
+    def reply_to(self, request: Request) -> Reply:
+        """The reply to an earlier request, which must have come."""
+        return next(reply for reply in self.replies if reply.id == request.id)
+
+    def is_answered(self, request: Request) -> bool:
+        """True once the reply to an earlier request has come."""
+        return any(reply.id == request.id for reply in self.replies)
+
     def host_says(self, event: HostEvent) -> None:
-        """An answer of the pattern host arrives now."""
+        """An event of the pattern host arrives now."""
         self.carry_out(self.robot.on_host(event, self.now))
 
     def carry_out(self, actions: Actions, now: float | None = None) -> None:
-        """What the shell does, without anything outside."""
+        """Do the work of the shell, in this process."""
         self.twist = actions.twist
         self.commands.append((self.now if now is None else now, actions.twist))
         self.replies.extend(actions.replies)
@@ -160,7 +182,7 @@ class RobotHarness:
             self.carry_out(self.robot.on_host(event, self.now if now is None else now), now)
 
     def nan_scan(self, share: float, *, sector: tuple[float, float] | None = None) -> ScanSource:
-        """A source whose sweeps lack a share of single rays, or the sector (rad, from and to)."""
+        """A source whose scans lack a share of single rays, or the sector (rad, from and to)."""
         rng = np.random.default_rng(0)
 
         def source(seq: int, now: float) -> Scan:
