@@ -1,4 +1,4 @@
-"""A robot's base in a test's hand, a driver that runs against it, and what the driver told."""
+"""A fake base that a test controls, a driver that runs with it, and what its sink received."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from typing import Protocol, runtime_checkable
 from swarmd.core.values import Neighbor, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.driver import Driver
 
-CAP = 30.0
-"""Seconds that anything may take before the test fails; nothing waits that long if all is well."""
+TIMEOUT = 30.0
+"""Seconds that a test waits for a condition before it fails."""
 
-PACE = 0.01
+POLL_PERIOD = 0.01
 
 
 class Rig(Protocol):
-    """The robot's base in a test's hand. It is silent at first."""
+    """A fake of the robot's base, controlled by a test; silent at first."""
 
     platform: Platform
 
@@ -28,10 +28,10 @@ class Rig(Protocol):
         """A driver for this base, with `options` added to those it needs to find the base."""
 
     def publish(self) -> None:
-        """Make the base send a scan and an odometry, each with the next stamp."""
+        """Make the base publish a scan and an odometry, each with the next stamp."""
 
     def commands(self) -> Sequence[Twist]:
-        """What has reached the base since the last call, oldest first; the newest is enough."""
+        """Commands that reached the base since the last call, oldest first; at least the newest."""
 
     def close(self) -> None:
         """End the base."""
@@ -39,35 +39,35 @@ class Rig(Protocol):
 
 @runtime_checkable
 class ScriptedRig(Protocol):
-    """What a rig may also do, if its base can be made to say anything at all."""
+    """A rig whose base publishes what the test gives it."""
 
     def publish_scan(self, scan: Scan) -> None:
-        """Make the base send this sweep; its bearings are regular, its range limits do not count.
+        """Make the base publish this scan: its rays, sequence and stamp.
 
-        How many rays it has, what they measured, sequence and stamp are as given.
+        The bearings are regular; the range limits do not count.
         """
 
     def publish_odometry(self) -> None:
-        """Make the base send an odometry with the next stamp, and nothing else."""
+        """Make the base publish an odometry with the next stamp, and nothing else."""
 
     def publish_garbage(self) -> None:
-        """Send bytes that are no message, and messages cut short, wherever the base speaks."""
+        """Publish bytes that are no message, and truncated messages, on every channel."""
 
 
 @runtime_checkable
 class DetachableRig(Protocol):
-    """What a rig may also do, if its base can be taken away, links and all."""
+    """A rig whose base can be taken away with all its links."""
 
     def disconnect(self) -> None:
-        """Be gone from one moment to the next, as by a pulled plug."""
+        """Take the base away at once, as by a pulled plug."""
 
     def reconnect(self) -> None:
-        """Be there again at the same place, silent."""
+        """Bring the base back at the same address, silent."""
 
 
 @dataclass(slots=True)
 class CollectingSink:
-    """A sink that remembers everything."""
+    """A sink that records everything."""
 
     scans: list[Scan] = field(default_factory=list)
     odometries: list[Odometry] = field(default_factory=list)
@@ -80,63 +80,63 @@ class CollectingSink:
 
     @property
     def is_up(self) -> bool:
-        """What the driver said last of its base."""
+        """Whether the base is up, by the driver's last report."""
         return bool(self.states) and self.states[-1][0]
 
     def scan(self, scan: Scan) -> None:
-        """Remember a sweep."""
+        """Record a scan."""
         self.scans.append(scan)
         self.order.append("scan")
         self.threads.add(threading.get_ident())
 
     def odometry(self, odometry: Odometry) -> None:
-        """Remember a pose and twist."""
+        """Record an odometry."""
         self.odometries.append(odometry)
         self.order.append("odometry")
         self.threads.add(threading.get_ident())
 
     def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        """Remember the robots within hearing."""
+        """Record the robots in radio range."""
         self.neighborhoods.append(neighbors)
 
     def readings(self, values: Mapping[str, float]) -> None:
-        """Remember scalar sensors."""
+        """Record scalar sensors."""
         self.values.append(values)
 
     def state(self, is_up: bool, text: str) -> None:
-        """Remember how the base is."""
+        """Record the state of the base."""
         self.states.append((is_up, text))
         self.order.append("up" if is_up else "lost")
 
     def dropped(self, what: str) -> None:
-        """Remember what could not be read."""
+        """Record an input that could not be read."""
         self.lost.append(what)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DriverHarness:
-    """A base, a driver running against it, and what the driver told."""
+    """A base, a driver that runs with it, and the driver's sink."""
 
     rig: Rig
     driver: Driver
     sink: CollectingSink
     task: asyncio.Task[None]
 
-    async def until(self, condition: Callable[[], bool], *, speaking: bool = False) -> None:
-        """Wait for a condition, with the base speaking meanwhile or silent."""
-        async with asyncio.timeout(CAP):
+    async def until(self, condition: Callable[[], bool], *, publishing: bool = False) -> None:
+        """Wait for a condition, while the base publishes or stays silent."""
+        async with asyncio.timeout(TIMEOUT):
             while not condition():
-                if speaking:
+                if publishing:
                     self.rig.publish()
-                await asyncio.sleep(PACE)
+                await asyncio.sleep(POLL_PERIOD)
 
     async def connect(self) -> None:
-        """Let the base speak until the driver says that it is there."""
-        await self.until(lambda: self.sink.is_up, speaking=True)
+        """Let the base publish until the driver reports it up."""
+        await self.until(lambda: self.sink.is_up, publishing=True)
         self.rig.commands()
 
     async def command(self) -> Twist:
-        """The next command that reaches the base, the base being silent."""
+        """The next command that reaches the base, which stays silent."""
         taken: list[Twist] = []
 
         def has_come() -> bool:
@@ -149,13 +149,13 @@ class DriverHarness:
     async def end(self) -> None:
         """Cancel the driver and wait until it has ended."""
         self.task.cancel()
-        async with asyncio.timeout(CAP):
+        async with asyncio.timeout(TIMEOUT):
             await asyncio.gather(self.task, return_exceptions=True)
 
 
 @asynccontextmanager
 async def running_driver(rig: Rig) -> AsyncIterator[DriverHarness]:
-    """A driver running against the rig's base, both gone afterwards."""
+    """A driver that runs with the rig's base; both end with the context."""
     driver, sink = rig.make({}), CollectingSink()
     harness = DriverHarness(rig, driver, sink, asyncio.create_task(driver.run(sink)))
     try:
@@ -166,7 +166,7 @@ async def running_driver(rig: Rig) -> AsyncIterator[DriverHarness]:
 
 
 def is_running(pid: int) -> bool:
-    """True while a process runs; one that has ended and waits to be reaped does not."""
+    """True while a process runs; False for one that waits to be reaped."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text()
     except OSError:

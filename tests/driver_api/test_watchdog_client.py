@@ -20,7 +20,7 @@ from swarmd.driver_api import watchdog_client as guarded
 from swarmd.driver_api.driver import Finding, SenderSpec, Sink
 from swarmd.driver_api.watchdog import FAREWELL, FAULT, READY, TICK, ZEROS, Watchdog
 from swarmd.driver_api.watchdog_client import WatchdogProcess, WatchedDriver
-from swarmd.testing.driver_contract import CAP, CollectingSink
+from swarmd.testing.driver_contract import TIMEOUT, CollectingSink
 
 SPEC = SenderSpec("nowhere:nothing", {})
 
@@ -88,7 +88,7 @@ def test_it_is_fed_a_tick_but_not_more_often_than_needed(clock: Clock, far: sock
         mine.close()
         assert received(far) == [FAREWELL, b"end"]
 
-    asyncio.run(asyncio.wait_for(run(), CAP))
+    asyncio.run(asyncio.wait_for(run(), TIMEOUT))
 
 
 def test_it_is_lost_once_it_has_not_answered_for_a_second(clock: Clock, far: socket.socket) -> None:
@@ -108,7 +108,7 @@ def test_it_is_lost_once_it_has_not_answered_for_a_second(clock: Clock, far: soc
         assert await losing == "has not answered for 1 s"
         mine.close()
 
-    asyncio.run(asyncio.wait_for(run(), CAP))
+    asyncio.run(asyncio.wait_for(run(), TIMEOUT))
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_one_that_cannot_be_ready_is_an_error(
             await mine.start()
         mine.close()
 
-    asyncio.run(asyncio.wait_for(run(), CAP))
+    asyncio.run(asyncio.wait_for(run(), TIMEOUT))
 
 
 # The stopper's end
@@ -337,7 +337,7 @@ def test_the_driver_lives_within_its_stopper_and_each_command_feeds_it(
         driver.send(Twist(0.1), 3, 3)
         assert inner.story[7:] == []
 
-    asyncio.run(asyncio.wait_for(run(), CAP))
+    asyncio.run(asyncio.wait_for(run(), TIMEOUT))
 
 
 def test_without_a_stopper_the_driver_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -354,4 +354,4 @@ def test_without_a_stopper_the_driver_does_not_run(monkeypatch: pytest.MonkeyPat
             await WatchedDriver(inner, SPEC, name="n").run(CollectingSink())
         assert inner.story == ["farewell"]
 
-    asyncio.run(asyncio.wait_for(run(), CAP))
+    asyncio.run(asyncio.wait_for(run(), TIMEOUT))

@@ -23,7 +23,7 @@ from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.settings import load_daemon_settings
 from swarmd.sim.live.link import WorldLink
-from swarmd.testing.driver_contract import CAP, CollectingSink, DriverContract, running_driver
+from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, DriverContract, running_driver
 from tests.support import hand_clock as handclock
 
 PLATFORM = load_platform("burger")
@@ -146,7 +146,7 @@ def played(path: Path, scans: int, **options: Value) -> Timed:
     async def run() -> None:
         driver = make(path, **options)
         task = asyncio.create_task(driver.run(heard))
-        async with asyncio.timeout(CAP):
+        async with asyncio.timeout(TIMEOUT):
             while len(heard.scans) < scans or "ended" not in heard.states[-1][1]:
                 await asyncio.sleep(0.01)
         task.cancel()
@@ -224,7 +224,7 @@ def test_what_is_recorded_from_a_body_is_what_its_driver_told(tmp_path: Path) ->
 
     async def run() -> None:
         async with running_driver(Body()) as harness:
-            await harness.until(lambda: len(harness.sink.scans) >= 8, speaking=True)
+            await harness.until(lambda: len(harness.sink.scans) >= 8, publishing=True)
             harness.driver.send(Twist(0.1), 3, 2)
             harness.driver.send(Twist(0.2), 4, 3)
             await harness.end()

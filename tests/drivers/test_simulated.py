@@ -23,7 +23,7 @@ from swarmd.drivers.simulated import SILENCE, SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
 from swarmd.testing.driver_contract import (
-    CAP,
+    TIMEOUT,
     CollectingSink,
     DriverContract,
     DriverHarness,
@@ -233,7 +233,7 @@ def test_a_run_cancelled_while_it_opens_leaves_no_session_behind() -> None:
 
     class Slow(SimulatedDriver):
         def _open(self) -> zenoh.Session:
-            go_on.wait(CAP)
+            go_on.wait(TIMEOUT)
             sessions.append(super()._open())
             return sessions[-1]
 
@@ -247,7 +247,7 @@ def test_a_run_cancelled_while_it_opens_leaves_no_session_behind() -> None:
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
         go_on.set()
-        async with asyncio.timeout(CAP):
+        async with asyncio.timeout(TIMEOUT):
             while not sessions or not sessions[0].is_closed():
                 await asyncio.sleep(0.005)
         link.close()

@@ -11,7 +11,7 @@ import pytest
 import zenoh
 
 from swarmd.network.session import open_in_thread
-from swarmd.testing.driver_contract import CAP
+from swarmd.testing.driver_contract import TIMEOUT
 
 
 def session() -> zenoh.Session:
@@ -24,7 +24,7 @@ def session() -> zenoh.Session:
 
 def opener(made: list[zenoh.Session], go_on: threading.Event) -> Callable[[], zenoh.Session]:
     def open_it() -> zenoh.Session:
-        go_on.wait(CAP)
+        go_on.wait(TIMEOUT)
         made.append(session())
         return made[-1]
 
@@ -70,7 +70,7 @@ def test_it_is_closed_when_it_comes_as_the_wait_ends() -> None:
     async def run() -> None:
         task = asyncio.create_task(open_in_thread(open_it))
         await asyncio.sleep(0)
-        assert is_made.wait(CAP)  # the loop is held up, and has not heard of it
+        assert is_made.wait(TIMEOUT)  # the loop is held up, and has not heard of it
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
 

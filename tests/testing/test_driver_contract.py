@@ -10,11 +10,11 @@ from swarmd.testing.driver_contract import DriverContract
 from tests.support import broken_drivers as broken
 from tests.support.wire import Good, Wire
 
-QUICK_CAP = 2.5
+SHORT_TIMEOUT = 2.5
 
 BROKEN: dict[str, tuple[type[Good], ...]] = {
-    "says_that_the_base_is_there_before": (broken.HandsOnTooEarly, broken.NeverSaysThere),
-    "what_is_commanded_while_there_is_no": (
+    "reports_the_base_up": (broken.HandsOnTooEarly, broken.NeverSaysThere),
+    "commands_without_a_base": (
         broken.ThereFromTheFirst,
         broken.SendsWhileLost,
         broken.KeepsForLater,
@@ -24,22 +24,22 @@ BROKEN: dict[str, tuple[type[Good], ...]] = {
         broken.OwesZeroForEver,
         broken.TurnsTheOtherWay,
     ),
-    "a_base_that_falls_silent_is_lost": (
+    "a_silent_base_is_lost": (
         broken.NeverLosesIt,
         broken.LosesItWithoutAWord,
         broken.GoesOnWhenItIsBack,
     ),
     "a_base_that_vanishes_and": (broken.GoesOnWhenItIsBack, broken.EndsWhenItIsLost),
-    "a_base_that_falls_silent_is_told": (broken.FallsWithoutZero,),
+    "a_silent_base_gets_zero": (broken.FallsWithoutZero,),
     "slow_and_fast": (broken.CallsASlowSensorSilent, broken.HearsOneInThree),
     "the_last_command_is_zero_and": (
         broken.LeavesItMoving,
         broken.SendsAfterItsEnd,
         broken.RepeatsItself,
     ),
-    "the_last_command_is_zero_though": (broken.StopsOnlyIfCancelled,),
+    "the_last_command_is_zero_if": (broken.StopsOnlyIfCancelled,),
     "a_command_just_before": (broken.KeepsAQueue, broken.RepeatsItself),
-    "nobody_waits": (broken.WaitsForTheBase,),
+    "sending_to_a_lost_base": (broken.WaitsForTheBase,),
     "runs_again": (broken.RunsOnce,),
     "leaves_no_task": (broken.LeavesATask, broken.LeavesASocket, broken.LeavesAProcess),
     "garbage": (
@@ -48,7 +48,7 @@ BROKEN: dict[str, tuple[type[Good], ...]] = {
         broken.TakesGarbage,
         broken.DeafAfterGarbage,
     ),
-    "what_is_unknown": (
+    "nan_and_infinity": (
         broken.TakesNothingForFar,
         broken.TakesUnknownForNothing,
         broken.DropsBlindSweeps,
@@ -64,7 +64,7 @@ BROKEN: dict[str, tuple[type[Good], ...]] = {
     "odometry_is_finite": (broken.IsNowhere, broken.StandsStillInTime),
     "check_finds": (broken.MovesWhenItLooks, broken.SeesNothing),
     "check_of_a_silent": (broken.SeesWhatIsNotThere, broken.SaysNoWhy),
-    "an_option": (broken.TakesAnyOption,),
+    "an_unknown_option": (broken.TakesAnyOption,),
 }
 
 
@@ -78,7 +78,7 @@ def _is_quick(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -
     """What never happens is not waited for as long as it would be elsewhere."""
     if request.cls is None:
         for module in (driver_stage, driver_contract):
-            monkeypatch.setattr(module, "CAP", QUICK_CAP)
+            monkeypatch.setattr(module, "TIMEOUT", SHORT_TIMEOUT)
 
 
 CASES = [(name, kind) for name, kinds in BROKEN.items() for kind in kinds]

@@ -23,7 +23,7 @@ from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.drivers.ros1.options import read_options
 from swarmd.settings.driver_options import BaseOptions
 from swarmd.settings.platforms import load_platform, platform_names
-from swarmd.testing.driver_contract import CAP, CollectingSink
+from swarmd.testing.driver_contract import TIMEOUT, CollectingSink
 from swarmd.testing.driver_rig import is_running
 
 IMPOSTOR = Path(__file__).with_name("ros1_impostor.py")
@@ -47,7 +47,7 @@ def play(
         driver, heard = make(**{"python": sys.executable, **options}), CollectingSink()
         task = asyncio.create_task(driver.run(heard))
         try:
-            async with asyncio.timeout(CAP):
+            async with asyncio.timeout(TIMEOUT):
                 await story(driver, heard)
         finally:
             pid = driver.adapter_pid
@@ -146,7 +146,7 @@ def test_check_says_why_there_is_no_adapter(monkeypatch: pytest.MonkeyPatch) -> 
 
 def test_an_interpreter_without_rospy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PYTHONPATH", "/nowhere")
-    findings = asyncio.run(make(python=sys.executable).check(CAP))
+    findings = asyncio.run(make(python=sys.executable).check(TIMEOUT))
     assert [finding.is_well for finding in findings] == [False]
     assert "install python3-rospy" in findings[0].text
 

@@ -58,7 +58,7 @@ async def says(harness: DriverHarness, *words: str, speaking: bool = True) -> st
     def has_said() -> bool:
         return any(all(word in text for word in words) for _, text in harness.sink.states)
 
-    await harness.until(has_said, speaking=speaking)
+    await harness.until(has_said, publishing=speaking)
     texts = [text for _, text in harness.sink.states]
     return next(text for text in texts if all(word in text for word in words))
 
@@ -127,7 +127,7 @@ def test_several_range_sensors_are_one_scan(roscore: RosCore) -> None:
             body.do("extras")
             return bool(heard.scans) and bool(np.isfinite(heard.scans[-1].ranges).all())
 
-        await harness.until(is_whole, speaking=True)
+        await harness.until(is_whole, publishing=True)
         assert heard.scans[-1].ranges.tolist() == pytest.approx([0.6, 1.5, 2.5])
         assert heard.scans[-1].bearings.tolist() == pytest.approx([math.pi / 2.0, 0.0, -0.5])
 
@@ -165,7 +165,7 @@ def test_a_thymio_sees_with_its_seven_sensors_by_its_file_alone(roscore: RosCore
             body.do("extras")
             return bool(heard.scans) and bool(np.isfinite(heard.scans[-1].ranges).all())
 
-        await harness.until(is_whole, speaking=True)
+        await harness.until(is_whole, publishing=True)
         scan = heard.scans[-1]
         off = scan.bearings - body.platform.scan.bearings
         assert np.cos(off) == pytest.approx(np.ones(7))
@@ -253,10 +253,10 @@ def test_someone_else_on_cmd_vel_is_named_and_nothing_moves_until_he_leaves(
         assert "/swarmd_r_1_" in text
         harness.driver.send(Twist(0.1), 1, 1)
         assert all(twist.is_zero for twist in body.commands())
-        await harness.until(lambda: bool(heard_too.states) and not heard_too.is_up, speaking=True)
+        await harness.until(lambda: bool(heard_too.states) and not heard_too.is_up, publishing=True)
         second.cancel()
         await asyncio.gather(second, return_exceptions=True)
-        await harness.until(lambda: heard.is_up, speaking=True)
+        await harness.until(lambda: heard.is_up, publishing=True)
 
     play(RosRobot(roscore), story)
 

@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable, Mapping
 
 from swarmd.core.values import Value
 from swarmd.driver_api.driver import Finding
-from swarmd.testing.driver_contract import CAP, CollectingSink, DriverHarness
+from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, DriverHarness
 from tests.drivers.ros2.robots import Robot
 
 PACE = 0.01
@@ -47,7 +47,7 @@ def check(
 
     async def run() -> tuple[Finding, ...]:
         checking = asyncio.create_task(robot.make(options).check(seconds))
-        async with asyncio.timeout(CAP):
+        async with asyncio.timeout(TIMEOUT):
             while not checking.done():
                 speak()
                 await asyncio.sleep(PACE)

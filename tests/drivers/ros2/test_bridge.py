@@ -19,7 +19,7 @@ from swarmd.core.values import Twist
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros2.dds_bridge_emulator import BridgedVoice
 from swarmd.drivers.ros2.emulator import End
-from swarmd.testing.driver_contract import CAP, DriverContract, DriverHarness
+from swarmd.testing.driver_contract import TIMEOUT, DriverContract, DriverHarness
 from tests.drivers.ros2.dds_rig import DdsRobot
 from tests.drivers.ros2.robots import open_session
 from tests.drivers.ros2.stories import check, play, told
@@ -48,13 +48,13 @@ async def moves(harness: DriverHarness) -> None:
         taken.extend(harness.rig.commands())
         return bool(taken) and taken[-1] == Twist(0.1, -0.2)
 
-    await harness.until(is_moving, speaking=True)
+    await harness.until(is_moving, publishing=True)
     assert taken[0].is_zero
 
 
 async def tells(harness: DriverHarness, words: str) -> None:
     """Until the driver says that of a base that is lost."""
-    await harness.until(lambda: told(harness, words, is_up=False), speaking=True)
+    await harness.until(lambda: told(harness, words, is_up=False), publishing=True)
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_a_frozen_bridge_is_told_and_nothing_late_moves_the_robot() -> None:
         for _ in range(20):
             harness.driver.send(Twist(0.1), 1, 1)
             await asyncio.sleep(0.05)
-        await harness.until(lambda: not harness.sink.is_up, speaking=True)
+        await harness.until(lambda: not harness.sink.is_up, publishing=True)
         robot.commands()
         robot.bridge.thaw()
         assert (await harness.command()).is_zero
@@ -219,9 +219,9 @@ def test_someone_elses_command_is_told() -> None:
             joystick.say("/cmd_vel", dds_types.Twist(dds_types.Vector3(0.3)))
             return not harness.sink.is_up
 
-        await harness.until(is_lost, speaking=True)
+        await harness.until(is_lost, publishing=True)
         assert told(harness, "someone else drives this robot", is_up=False)
-        await harness.until(lambda: harness.sink.is_up, speaking=True)
+        await harness.until(lambda: harness.sink.is_up, publishing=True)
 
     play(robot, story)
     joystick.close()
@@ -232,7 +232,7 @@ def test_a_scan_of_another_type_is_told() -> None:
 
     async def story(harness: DriverHarness) -> None:
         wanted = "/scan carries geometry_msgs/msg/TwistStamped; wanted is sensor_msgs/msg/LaserScan"
-        await harness.until(lambda: told(harness, wanted), speaking=True)
+        await harness.until(lambda: told(harness, wanted), publishing=True)
         assert not harness.sink.scans
 
     play(robot, story, connected=False)
@@ -315,7 +315,7 @@ def test_check_tells(
     make: Callable[[], DdsRobot], options: dict[str, str], wanted: dict[str, str]
 ) -> None:
     robot = make()
-    found = check(robot, robot.publish, seconds=3.0 if wanted else CAP, **options)
+    found = check(robot, robot.publish, seconds=3.0 if wanted else TIMEOUT, **options)
     assert found["connection"].is_well
     for subject, text in wanted.items():
         assert not found[subject].is_well

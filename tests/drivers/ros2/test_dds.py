@@ -104,7 +104,7 @@ def test_scans_come_in_and_commands_go_out_over_dds() -> None:
     robot = DdsRobot(number, endpoint)
 
     async def story(harness: DriverHarness) -> None:
-        await harness.until(lambda: len(harness.sink.scans) >= 3, speaking=True)
+        await harness.until(lambda: len(harness.sink.scans) >= 3, publishing=True)
         scan = harness.sink.scans[-1]
         assert scan.ranges[100] == pytest.approx(1.1)
         taken: list[Twist] = []
@@ -114,7 +114,7 @@ def test_scans_come_in_and_commands_go_out_over_dds() -> None:
             taken.extend(robot.commands())
             return bool(taken) and not taken[-1].is_zero
 
-        await harness.until(moves, speaking=True)
+        await harness.until(moves, publishing=True)
         assert taken[0].is_zero
         assert taken[-1] == Twist(0.1, -0.2)
         await harness.end()

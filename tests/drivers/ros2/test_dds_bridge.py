@@ -114,7 +114,7 @@ def test_someone_elses_command_is_told_and_nothing_is_commanded_meanwhile() -> N
             robot.put("cmd_vel", robots.command(0.2))
             return not harness.sink.is_up
 
-        await harness.until(is_lost, speaking=True)
+        await harness.until(is_lost, publishing=True)
         assert told(harness, "someone else drives this robot", is_up=False)
         await asyncio.sleep(0.2)
         robot.samples()

@@ -65,10 +65,10 @@ def test_a_base_that_crashed_and_is_back_is_stopped_while_it_can_be() -> None:
             harness.driver.send(Twist(0.1), 1, 1)
         await harness.until(lambda: is_told_to_stand(wanted=False))
         known[f"{where}/02/base"] = BASE
-        await harness.until(lambda: not harness.sink.is_up, speaking=True)
+        await harness.until(lambda: not harness.sink.is_up, publishing=True)
         assert told(harness, "/base crashed and is back", is_up=False)
         await harness.until(lambda: is_told_to_stand(wanted=True))
         del known[f"{where}/01/base"]
-        await harness.until(lambda: harness.sink.is_up, speaking=True)
+        await harness.until(lambda: harness.sink.is_up, publishing=True)
 
     play(robot, story)

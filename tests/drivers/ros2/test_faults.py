@@ -14,7 +14,7 @@ import zenoh
 from swarmd.core.values import Twist
 from swarmd.drivers.ros.messages import dds_name
 from swarmd.drivers.ros2.session import open_session
-from swarmd.testing.driver_contract import CAP, DriverHarness
+from swarmd.testing.driver_contract import TIMEOUT, DriverHarness
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
 from tests.drivers.ros2.stories import check, play, told
@@ -50,7 +50,7 @@ async def stays_lost(harness: DriverHarness, words: str) -> None:
         harness.driver.send(Twist(0.1), 1, 1)
         return told(harness, words, is_up=False)
 
-    await harness.until(is_told, speaking=True)
+    await harness.until(is_told, publishing=True)
     await asyncio.sleep(0.1)
     harness.rig.commands()
     for _ in range(10):
@@ -98,7 +98,7 @@ def test_the_last_zero_is_zero_also_to_a_base_that_takes_it_for_a_twist() -> Non
         await harness.until(lambda: bool(robot.samples()))
         robot.samples()
         announce(robot, "MS", "cmd_vel", TWIST)
-        await harness.until(lambda: not harness.sink.is_up, speaking=True)
+        await harness.until(lambda: not harness.sink.is_up, publishing=True)
         await harness.end()
         said: list[bytes] = []
 
@@ -151,8 +151,8 @@ def test_after_a_hub_that_is_started_anew_in_no_time_the_first_command_is_zero(
             await asyncio.sleep(0.01)
         robot.disconnect()
         robot.reconnect()
-        await harness.until(lambda: told(harness, "was started anew", is_up=False), speaking=True)
-        await harness.until(lambda: harness.sink.is_up, speaking=True)
+        await harness.until(lambda: told(harness, "was started anew", is_up=False), publishing=True)
+        await harness.until(lambda: harness.sink.is_up, publishing=True)
         robot.commands()
         harness.driver.send(Twist(0.1), 2, 2)
         assert (await harness.command()).is_zero
@@ -301,7 +301,7 @@ def test_a_hub_that_answers_as_the_check_ends_leaves_no_session(
     is_over = threading.Event()
 
     def late(endpoint: str) -> zenoh.Session | None:
-        is_over.wait(CAP)
+        is_over.wait(TIMEOUT)
         made.append(open_session(endpoint))
         return made[-1]
 

@@ -43,7 +43,7 @@ def test_a_command_carries_sequence_time_and_the_gid_of_our_token() -> None:
             taken.extend(robot.samples())
             return len(taken) >= 2
 
-        await harness.until(has_two, speaking=True)
+        await harness.until(has_two, publishing=True)
         read = [struct.unpack("<qqB16s", s.attachment.to_bytes()) for s in taken if s.attachment]
         assert [r[0] for r in read] == list(range(read[0][0], read[0][0] + len(taken)))
         said = [token for token in tokens(robot) if "/MP/" in token]
@@ -59,7 +59,7 @@ def test_it_is_a_node_of_the_graph_while_it_runs(is_humble: bool) -> None:
     robot = ZenohRobot(is_humble=is_humble)
 
     async def story(harness: DriverHarness) -> None:
-        await harness.until(lambda: len(tokens(robot)) == 4, speaking=True)
+        await harness.until(lambda: len(tokens(robot)) == 4, publishing=True)
         node, *ends = tokens(robot)
         assert node.endswith("/0/0/NN/%/%/swarmd")
         parts = [token.split("/") for token in ends]
@@ -82,7 +82,7 @@ def test_a_token_that_is_none_ends_nothing() -> None:
         loop.set_exception_handler(lambda _, context: crashes.append(context))
         await harness.connect()
         heard = len(harness.sink.scans)
-        await harness.until(lambda: len(harness.sink.scans) > heard + 2, speaking=True)
+        await harness.until(lambda: len(harness.sink.scans) > heard + 2, publishing=True)
         assert not crashes
 
     declare = robot.hub.liveliness().declare_token

@@ -6,7 +6,7 @@ import asyncio
 import threading
 
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
-from swarmd.testing.driver_contract import CAP, CollectingSink
+from swarmd.testing.driver_contract import TIMEOUT, CollectingSink
 from tests.drivers.ros2.robots import BridgedRobot
 from tests.support import second_codec as second
 
@@ -24,7 +24,7 @@ def test_what_a_base_wants_is_known_before_it_is_heard() -> None:
     async def run() -> bool:
         driver, heard = robot.make({"cmd_vel_type": "twist_stamped"}), CollectingSink()
         running = asyncio.create_task(driver.run(heard))
-        async with asyncio.timeout(CAP):
+        async with asyncio.timeout(TIMEOUT):
             while len(heard.states) < 2:
                 await asyncio.sleep(0.01)
         running.cancel()

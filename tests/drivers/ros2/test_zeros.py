@@ -11,7 +11,7 @@ from swarmd.core.values import Twist
 from swarmd.driver_api.driver import Stopping
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2.session import open_session
-from swarmd.testing.driver_contract import CAP, DriverHarness
+from swarmd.testing.driver_contract import TIMEOUT, DriverHarness
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.robots import BridgedRobot
 from tests.drivers.ros2.stories import play, told
@@ -58,7 +58,7 @@ def test_a_stopper_connects_to_a_base_that_comes_later_before_it_has_to_say_zero
     sender = ros2dds.make_zero_sender(robot="r", given=dict(robot.options({})))
     sender.open()
     robot.reconnect()
-    wait_until(lambda: bool(robot.hub.info.transports()), "it is connected", CAP)
+    wait_until(lambda: bool(robot.hub.info.transports()), "it is connected", TIMEOUT)
     sender.close()
     robot.close()
 
@@ -89,7 +89,7 @@ def test_zeros_of_someone_else_that_do_not_end_are_told_of() -> None:
             robot.put("cmd_vel", robots.command(0.0))
             return told(harness, "someone else tells this robot to stand", is_up=True)
 
-        await harness.until(is_told, speaking=True)
+        await harness.until(is_told, publishing=True)
         assert asyncio.get_running_loop().time() - began > 2.5, "a stopper of ours ends before"
 
     play(robot, story)
