@@ -29,7 +29,7 @@ from swarmd.daemon.driver_factory import make_driver
 from swarmd.daemon.latchfile import LatchFile
 from swarmd.daemon.request_server import RequestServer
 from swarmd.daemon.systemd import Notifier
-from swarmd.daemon.tick_timer import Heartbeat
+from swarmd.daemon.tick_timer import TickTimer
 from swarmd.driver_api.driver import Driver, check_protected
 from swarmd.network.bus import ZenohBus
 from swarmd.network.claim import Claim, claim_id
@@ -43,9 +43,9 @@ from swarmd.settings.settings import DaemonSettings
 
 log = logging.getLogger(__name__)
 
-ASK_PEERS = 0.5
-DRIVER_PAUSE = 1.0
-NEIGHBORS_EVERY = 10  # ticks
+PEER_STATUS_TIMEOUT = 0.5
+DRIVER_RETRY_PERIOD = 1.0
+NEIGHBORS_PERIOD = 10  # ticks
 
 
 async def serve(settings: DaemonSettings) -> int:
@@ -100,7 +100,7 @@ class Daemon:
             now=boottime(),
             latches=self._latches.read(),
         )
-        self._heartbeat = Heartbeat(self._loop, self._on_tick)
+        self._timer = TickTimer(self._loop, self._on_tick)
 
     async def run(self, stop: asyncio.Event) -> None:
         """Serve until `stop` is set. SwarmError if there is no network or the id is held."""
@@ -145,7 +145,7 @@ class Daemon:
             except SwarmError as error:
                 log.warning("driver %s: %s", self._settings.driver, error)
                 self.state(False, str(error))
-            await asyncio.sleep(DRIVER_PAUSE)
+            await asyncio.sleep(DRIVER_RETRY_PERIOD)
 
     def _on_crash(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """A callback of ours raised: a guardian that cannot think must not let the body move."""
@@ -184,7 +184,7 @@ class Daemon:
         bus.on_status(self._on_peer_status)
         bus.listen("msg", "*/*", self._on_message)
         bus.on_member(lambda member: self._tell_neighbors())
-        for robot, payload in await bus.ask("state", "status", timeout=ASK_PEERS):
+        for robot, payload in await bus.ask("state", "status", timeout=PEER_STATUS_TIMEOUT):
             self._on_answered_status(robot, payload)
         self._requests.serve(bus, ("run", "reload"))
         self._tell_neighbors()
@@ -195,12 +195,12 @@ class Daemon:
 
         After a crash nobody is told that it left: its peers list it as failed.
         """
-        self._heartbeat.stop()
+        self._timer.stop()
         self._send(ZERO, -1, -1)
         try:
             if self._crash is None:
                 self._carry_out(self._robot.on_leave(boottime()))
-                self._heartbeat.stop()
+                self._timer.stop()
                 self._say_left()
         finally:
             self._runner.close()
@@ -291,7 +291,7 @@ class Daemon:
     def _on_tick(self) -> None:
         self._ticks += 1
         self._carry_out(self._robot.tick(boottime()))
-        if self._ticks % NEIGHBORS_EVERY == 0:
+        if self._ticks % NEIGHBORS_PERIOD == 0:
             self._tell_neighbors()
             if self._claim is not None and not self._claim.duplicates:
                 self._carry_out(self._robot.on_duplicate(None, boottime()))
@@ -316,7 +316,7 @@ class Daemon:
         for reply in actions.replies:
             self._requests.reply(reply, is_stored=is_kept)
         wake_at = self._robot.wake_at(boottime())
-        self._heartbeat.wake_in(None if wake_at is None else wake_at - boottime())
+        self._timer.wake_in(None if wake_at is None else wake_at - boottime())
 
     def _say(self, name: str, value: object) -> None:
         if self._bus is None:
@@ -335,7 +335,7 @@ class Daemon:
         network = {} if self._bus is None else self._bus.dropped
         frames = {"host/frames": self._runner.dropped} if self._runner.dropped else {}
         dropped = {**status.health.dropped, **network, **self._drops, **frames}
-        return with_health(status, self._heartbeat.p99, self._heartbeat.stalls, dropped)
+        return with_health(status, self._timer.p99, self._timer.stalls, dropped)
 
 
 async def _end(task: asyncio.Task[Any]) -> None:

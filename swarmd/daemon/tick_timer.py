@@ -7,10 +7,10 @@ from collections import deque
 from collections.abc import Callable
 
 PERIOD = 0.05
-KEPT = 400
+MAX_LATENESS_SAMPLES = 400
 
 
-class Heartbeat:
+class TickTimer:
     """Calls `tick` every 50 ms, and once at `wake_in` seconds if that is sooner."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, tick: Callable[[], None]) -> None:
@@ -19,7 +19,7 @@ class Heartbeat:
         self._next = loop.time() + PERIOD
         self._handle = loop.call_at(self._next, self._beat)
         self._wake: asyncio.TimerHandle | None = None
-        self._lateness: deque[float] = deque(maxlen=KEPT)
+        self._lateness: deque[float] = deque(maxlen=MAX_LATENESS_SAMPLES)
         self.stalls = 0
 
     @property

@@ -1,15 +1,9 @@
-"""What a bus is: how one robot speaks with the others, whatever carries it.
-
-`ZenohBus` (`bus.py`) is one. No Zenoh here.
-
-What every bus goes by, whatever carries it: sizes, names, and what a view says of a member.
-
-The bus over Zenoh: one robot's ear and mouth, used by the daemon on its loop.
+"""The bus over Zenoh: how one daemon exchanges messages with the other robots and with operators.
 
 Order of use in a daemon::
 
     session = open_session(settings)
-    bus = ZenohBus(session, swarm="lab", robot="tb3-01")  # hears of members from here on
+    bus = ZenohBus(session, swarm="lab", robot="tb3-01")  # learns of members from here on
     claim = await claim_id(session, ..., on_duplicate=...)  # may raise NetworkError
     bus.serve_view(robot_status, roster)  # state/status and control/members
     bus.serve("control", "run", on_run)  # on_run(query): query.payload, query.reply(bytes)
@@ -20,9 +14,9 @@ Order of use in a daemon::
     bus.publish("state", "status", encode(left))  # has_left=True
     claim.release(); bus.close(); session.close()
 
-Zenoh calls from its own threads; each callback checks key, kind and size, and puts the bytes into
-a lane (`intake.py`). Nothing raises into Zenoh. Undecodable payloads are for the handler to count:
-`bus.drop("control/run:malformed")`.
+Zenoh calls from its own threads. Each callback checks key, kind and size, and puts the bytes into
+an inbound queue (`inbound_queue.py`). Nothing raises into Zenoh. The handlers run on the loop, and
+count payloads that they cannot decode: `bus.drop("control/run:malformed")`.
 """
 
 from __future__ import annotations
@@ -39,24 +33,24 @@ from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE, Decoder, enco
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import ANY, Key, build, parse
 from swarmd.core.messages import Condition, Member, MembersQuery, PeerView, Status
-from swarmd.network.inbound_queue import Drops, Lane
+from swarmd.network.inbound_queue import DropCounter, InboundQueue
 from swarmd.network.membership import Membership
 from swarmd.network.session import undeclare
 
-# The planes whose puts reach a robot at its own key; all others are heard from other robots.
+# The plane whose puts reach a robot at its own key; samples of the others come from other robots.
 SAFETY = "safety"
 
 
 class Query(Protocol):
-    """A question or order put to this robot, on its own key."""
+    """A question or request put to this robot, on its own key."""
 
     payload: bytes
 
     def reply(self, payload: bytes) -> None:
-        """Answer it, at most once, now or later, on the loop; never blocks, never raises."""
+        """Answer, at most once, now or later, on the loop; never blocks, never raises."""
 
     def drop(self) -> None:
-        """Do not answer: the asker is told that nothing more comes. Harmless after `reply`."""
+        """Do not answer; the asker learns that nothing more comes. Harmless after `reply`."""
 
 
 Listener = Callable[[Key, bytes], None]
@@ -64,78 +58,24 @@ Server = Callable[[Query], None]
 MemberListener = Callable[[Member], None]
 StatusListener = Callable[[Status], None]
 
-
-class Bus(Protocol):
-    """One robot's ear and mouth. All handlers run on the loop's thread.
-
-    Samples and queries whose key is not a concrete key that was asked for are dropped and
-    counted in `dropped`, by kind; so is what exceeds the queue between network and loop.
-    """
-
-    robot: str
-
-    @property
-    def dropped(self) -> Mapping[str, int]:
-        """What was dropped so far, by kind, such as `control/run:key`."""
-
-    @property
-    def members(self) -> Mapping[str, Member]:
-        """The other robots that were ever seen and not forgotten, by id."""
-
-    def publish(self, plane: str, name: str, payload: bytes, *, express: bool = False) -> None:
-        """Say something on this robot's own key; dropped where a link is congested."""
-
-    def listen(self, plane: str, name: str, handler: Listener) -> None:
-        """Hear other robots' keys `<plane>/<name>`; each chunk of `name` may be `*`."""
-
-    def serve(self, plane: str, name: str, handler: Server) -> None:
-        """Answer queries on this robot's own key; in plane `safety` also take plain puts."""
-
-    def serve_view(self, status: Callable[[], Status], roster: tuple[str, ...] = ()) -> None:
-        """Answer `state/status` and `control/members` from `status()` and the membership."""
-
-    def view(self, status: Status, roster: tuple[str, ...] = ()) -> PeerView:
-        """What `control/members` answers: `status` is this robot's own."""
-
-    def on_member(self, callback: MemberListener) -> None:
-        """Be told of each member that came, went, left, or was replaced by a new instance."""
-
-    def on_status(self, callback: StatusListener) -> None:
-        """Be told of each status that another robot publishes on its own key."""
-
-    def forget(self, robot: str) -> bool:
-        """Take a robot that is not alive off the list; False if there is none such."""
-
-    async def ask(
-        self, plane: str, name: str, payload: bytes = b"", *, timeout: float = 1.0
-    ) -> list[tuple[str, bytes]]:
-        """Other robots' answers as (robot, payload): all that come within `timeout` s."""
-
-    def drop(self, kind: str, count: int = 1) -> None:
-        """Count something that could not be read, such as `control/run:malformed`."""
-
-    def close(self) -> None:
-        """Fall silent at once. Publish `left` before; handlers are not called afterwards."""
-
-
 _LIMITS = {"msg": MAX_MESSAGE, "sense": MAX_SENSE, "hw": MAX_SENSE}
 
 
 def limit_of(plane: str) -> int:
-    """The most bytes that are read from a sample of this plane."""
+    """The size in bytes above which a sample of this plane is dropped."""
     return _LIMITS.get(plane, MAX_CONTROL)
 
 
 def matches(name: str, wanted: str) -> bool:
-    """True if each chunk of `name` is that of `wanted`, or `*` stands there."""
+    """True if each chunk of `name` equals that of `wanted`, or that one is `*`."""
     chunks, wants = name.split("/"), wanted.split("/")
     return len(chunks) == len(wants) and all(
         want in (ANY, chunk) for chunk, want in zip(chunks, wants, strict=True)
     )
 
 
-def members_to_tell(membership: Membership, now: float) -> tuple[Member, ...]:
-    """All members as a view tells of them: each living instance, which answers for itself."""
+def members_for_view(membership: Membership, now: float) -> tuple[Member, ...]:
+    """The members in a view: each living instance without its status, which it sends itself."""
     told = [_brief(member) for member in membership.members(now).values()]
     for robot, instances in membership.duplicates.items():
         told += [_alive(robot, instance) for instance in instances]
@@ -153,8 +93,8 @@ def _alive(robot: str, instance: str, age: float = 0.0) -> Member:
     return Member(robot=robot, instance=instance, condition=Condition.ALIVE, age=age)
 
 
-# Tokens and emergency stops are not to be lost in a crowd: a longer lane, without breath.
-WIDE = 4096
+# Tokens and emergency stops must not be lost in a flood: a longer queue, without pauses.
+URGENT_CAPACITY = 4096
 MAX_REPLIES = 1024
 _URGENT = frozenset({SAFETY, "hw"})
 
@@ -163,7 +103,7 @@ _members_query = Decoder(MembersQuery)
 
 
 class ZenohQuery:
-    """A query, answered on this robot's own key. See `contract.Query`."""
+    """A `Query` of Zenoh, answered on this robot's own key."""
 
     __slots__ = ("_key", "_query", "payload")
 
@@ -184,14 +124,18 @@ class ZenohQuery:
             return
 
     def drop(self) -> None:
-        """Let the asker know that nothing comes."""
+        """Do not answer."""
         query, self._query = self._query, None
         if query is not None:
             query.drop()
 
 
 class ZenohBus:
-    """See `contract.Bus`; built on the loop's thread, on which all handlers run."""
+    """The bus of one robot; built on the loop's thread, on which all handlers run.
+
+    A sample or query whose key is not a concrete key that was asked for is dropped and counted in
+    `dropped`, by kind; so is what exceeds an inbound queue.
+    """
 
     def __init__(
         self, session: zenoh.Session, *, swarm: str, robot: str, clock: Clock = boottime
@@ -201,13 +145,13 @@ class ZenohBus:
         self._session = session
         self._loop = asyncio.get_running_loop()
         self._clock = clock
-        self._drops = Drops()
+        self._drops = DropCounter()
         self._membership = Membership(robot)
         self._callbacks: list[MemberListener] = []
         self._status_callbacks: list[StatusListener] = []
         self._publishers: dict[tuple[str, str, bool], zenoh.Publisher] = {}
         self._entities: list[zenoh.Subscriber[None] | zenoh.Queryable[None]] = []
-        self._lanes: list[Lane] = []
+        self._queues: list[InboundQueue] = []
         self._served: set[tuple[str, str]] = set()
         self._is_closed = False
         self._watch_tokens()
@@ -215,7 +159,7 @@ class ZenohBus:
 
     @property
     def members(self) -> Mapping[str, Member]:
-        """The other robots, by id."""
+        """The other robots that were ever seen and not forgotten, by id."""
         return self._membership.members(self._clock())
 
     @property
@@ -229,11 +173,11 @@ class ZenohBus:
         return self._drops.counts()
 
     def drop(self, kind: str, count: int = 1) -> None:
-        """Count something that could not be read."""
+        """Count what could not be read, such as `control/run:malformed`."""
         self._drops.add(kind, count)
 
     def publish(self, plane: str, name: str, payload: bytes, *, express: bool = False) -> None:
-        """Say something on the own key; dropped, never waited for, where a link is congested."""
+        """Publish on this robot's own key; dropped where a link is congested."""
         if self._is_closed:
             return
         try:
@@ -242,7 +186,7 @@ class ZenohBus:
             self._drops.add(f"{plane}/{name}:unsent")
 
     def listen(self, plane: str, name: str, handler: Listener) -> None:
-        """Hear other robots' `<plane>/<name>`; `handler(key, payload)` runs on the loop."""
+        """Subscribe to other robots' `<plane>/<name>`, where a chunk of `name` may be `*`."""
         kind = f"{plane}/{name}"
 
         def accepts(key: Key | None) -> bool:
@@ -257,18 +201,18 @@ class ZenohBus:
         self._subscribe(build(self.swarm, ANY, plane, name), kind, plane, accepts, handler)
 
     def serve(self, plane: str, name: str, handler: Server) -> None:
-        """Answer queries on the own key or `*` in its place; `safety` also takes plain puts."""
+        """Answer queries to this robot or to all; in plane `safety` also take plain puts."""
         if (plane, name) in self._served:
             raise ValueError(f"{plane}/{name} is served already")
         self._served.add((plane, name))
         own = build(self.swarm, self.robot, plane, name)
         accepted = frozenset({own, build(self.swarm, ANY, plane, name)})
         kind = f"{plane}/{name}"
-        lane = self._lane(kind, is_wide=plane == SAFETY)
+        queue = self._queue(kind, is_urgent=plane == SAFETY)
 
         def on_query(query: zenoh.Query) -> None:
-            taken = self._take_query(query, accepted, kind, lane)
-            if taken is None or not lane.offer(handler, ZenohQuery(query, own, taken)):
+            taken = self._take_query(query, accepted, kind, queue)
+            if taken is None or not queue.offer(handler, ZenohQuery(query, own, taken)):
                 query.drop()
 
         self._entities.append(self._session.declare_queryable(own, on_query))
@@ -297,20 +241,20 @@ class ZenohBus:
         self.serve("control", "members", on_members)
 
     def view(self, status: Status, roster: tuple[str, ...] = ()) -> PeerView:
-        """This robot's status and what it knows of the others; of an id held twice, both."""
-        members = members_to_tell(self._membership, self._clock())
+        """This robot's status and the members that it knows; both instances of a duplicate id."""
+        members = members_for_view(self._membership, self._clock())
         return PeerView(robot=self.robot, status=status, members=members, roster=roster)
 
     def on_member(self, callback: MemberListener) -> None:
-        """Be told of each member whose instance or condition changed."""
+        """Call back for each member whose instance or condition changed."""
         self._callbacks.append(callback)
 
     def on_status(self, callback: StatusListener) -> None:
-        """Be told of each status that another robot publishes."""
+        """Call back for each status that another robot publishes on its own key."""
         self._status_callbacks.append(callback)
 
     def forget(self, robot: str) -> bool:
-        """Take a robot that is not alive off the list."""
+        """Remove a robot that is not alive from the members; False if there is none such."""
         return self._membership.forget(robot)
 
     async def ask(
@@ -318,11 +262,13 @@ class ZenohBus:
     ) -> list[tuple[str, bytes]]:
         """Other robots' answers on `<plane>/<name>` as (robot, payload), within `timeout` s.
 
-        Returns when all that could be reached have answered: silence is not absence.
+        Returns when all reachable robots have answered. A missing answer does not prove absence.
         """
         answers: list[tuple[str, bytes]] = []
         done = asyncio.Event()
-        lane = Lane(self._loop, self._drops, f"ask {plane}/{name}", capacity=WIDE, breath=0.0)
+        queue = InboundQueue(
+            self._loop, self._drops, f"ask {plane}/{name}", capacity=URGENT_CAPACITY, pause=0.0
+        )
 
         def on_reply(reply: zenoh.Reply) -> None:
             sample = reply.ok
@@ -330,14 +276,14 @@ class ZenohBus:
                 return
             key = parse(str(sample.key_expr))
             if key is None or (key.swarm, key.plane, key.name) != (self.swarm, plane, name):
-                self._drops.add(f"{lane.kind}:key")
+                self._drops.add(f"{queue.kind}:key")
             elif key.robot != self.robot:
-                lane.offer(answers.append, (key.robot, sample.payload.to_bytes()))
+                queue.offer(answers.append, (key.robot, sample.payload.to_bytes()))
 
         try:
             self._session.get(
                 build(self.swarm, ANY, plane, name),
-                Callback(on_reply, lambda: lane.offer(done.set), indirect=False),
+                Callback(on_reply, lambda: queue.offer(done.set), indirect=False),
                 target=zenoh.QueryTarget.ALL,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 congestion_control=zenoh.CongestionControl.DROP,
@@ -347,18 +293,21 @@ class ZenohBus:
             async with asyncio.timeout(timeout + 0.5):
                 await done.wait()
         except (zenoh.ZError, TimeoutError):
-            self._drops.add(f"{lane.kind}:timeout")
+            self._drops.add(f"{queue.kind}:timeout")
         finally:
-            lane.close()
+            queue.close()
         return answers[:MAX_REPLIES]
 
     def close(self) -> None:
-        """Fall silent: nothing is heard, answered or published any more. Idempotent."""
+        """Stop at once: no handler is called and nothing is published any more. Idempotent.
+
+        Publish `left` before.
+        """
         if self._is_closed:
             return
         self._is_closed = True
-        for lane in self._lanes:
-            lane.close()
+        for queue in self._queues:
+            queue.close()
         undeclare(*self._entities, *self._publishers.values())
 
     def _publisher(self, plane: str, name: str, express: bool) -> zenoh.Publisher:
@@ -382,11 +331,11 @@ class ZenohBus:
         accepts: Callable[[Key | None], bool],
         handler: Listener,
     ) -> None:
-        lane = self._lane(kind, is_wide=plane == SAFETY)
+        queue = self._queue(kind, is_urgent=plane == SAFETY)
         limit = limit_of(plane)
 
         def on_sample(sample: zenoh.Sample) -> None:
-            if lane.is_full():
+            if queue.is_full():
                 return
             key = parse(str(sample.key_expr))
             if not accepts(key) or sample.kind != zenoh.SampleKind.PUT:
@@ -394,7 +343,7 @@ class ZenohBus:
             elif len(sample.payload) > limit:
                 self._drops.add(f"{kind}:oversized")
             else:
-                lane.offer(handler, key, sample.payload.to_bytes())
+                queue.offer(handler, key, sample.payload.to_bytes())
 
         self._entities.append(
             self._session.declare_subscriber(
@@ -403,9 +352,9 @@ class ZenohBus:
         )
 
     def _take_query(
-        self, query: zenoh.Query, accepted: frozenset[str], kind: str, lane: Lane
+        self, query: zenoh.Query, accepted: frozenset[str], kind: str, queue: InboundQueue
     ) -> bytes | None:
-        if lane.is_full():
+        if queue.is_full():
             return None
         if str(query.key_expr) not in accepted:
             self._drops.add(f"{kind}:key")
@@ -418,14 +367,14 @@ class ZenohBus:
             return None
         return payload.to_bytes()
 
-    def _lane(self, kind: str, *, is_wide: bool = False) -> Lane:
-        wide: dict[str, Any] = {"capacity": WIDE, "breath": 0.0} if is_wide else {}
-        lane = Lane(self._loop, self._drops, kind, **wide)
-        self._lanes.append(lane)
-        return lane
+    def _queue(self, kind: str, *, is_urgent: bool = False) -> InboundQueue:
+        wide: dict[str, Any] = {"capacity": URGENT_CAPACITY, "pause": 0.0} if is_urgent else {}
+        queue = InboundQueue(self._loop, self._drops, kind, **wide)
+        self._queues.append(queue)
+        return queue
 
     def _watch_tokens(self) -> None:
-        lane = self._lane("alive", is_wide=True)
+        queue = self._queue("alive", is_urgent=True)
 
         def on_token(sample: zenoh.Sample) -> None:
             key = parse(str(sample.key_expr))
@@ -433,7 +382,7 @@ class ZenohBus:
                 self._drops.add("alive:key")
             elif key.robot != self.robot:
                 is_there = sample.kind == zenoh.SampleKind.PUT
-                lane.offer(self._on_token, key.robot, key.name, is_there)
+                queue.offer(self._on_token, key.robot, key.name, is_there)
 
         self._entities.append(
             self._session.liveliness().declare_subscriber(
@@ -444,7 +393,7 @@ class ZenohBus:
     def _on_token(self, robot: str, instance: str, is_there: bool) -> None:
         event = self._membership.on_alive if is_there else self._membership.on_gone
         if event(robot, instance, self._clock()):
-            self._tell(robot)
+            self._notify(robot)
 
     def _on_status(self, key: Key, payload: bytes) -> None:
         try:
@@ -456,18 +405,18 @@ class ZenohBus:
             self._drops.add("state/status:key")
             return
         if self._membership.on_status(status, self._clock()):
-            self._tell(key.robot)
+            self._notify(key.robot)
         for callback in self._status_callbacks:
             callback(status)
 
-    def _tell(self, robot: str) -> None:
+    def _notify(self, robot: str) -> None:
         member = self._membership.member(robot, self._clock())
         if member is not None:
             for callback in self._callbacks:
                 callback(member)
 
     def _is_excused(self, payload: bytes) -> bool:
-        """True if the asker has this robot's answer already, or asks for nothing readable."""
+        """True if the asker has this robot's answer already, or the query is malformed."""
         if not payload:
             return False
         try:

@@ -1,11 +1,11 @@
-"""One owner for each robot id: the two-phase claim, and the watch for a second owner later.
+"""One owner for each robot id: a two-phase claim, and the detection of a second owner later.
 
 A daemon declares the token `claim/<instance>`, listens for rivals, and waits until discovery has
 settled: `settle` seconds without a rival's token or a new link. The smaller claimer wins and
 declares `alive/<instance>`; the other is refused. Asking first and declaring then let two owners
-through in 6 of 12 trials, this let one through in 80 of 80. A foreign `alive` may be what is left
-of a machine that lost power: it is waited for, at most the lease and a second. Two owners can
-still come together, when a cut heals: the watch tells.
+through in 6 of 12 trials, this let one through in 80 of 80. A foreign `alive` may be the leftover
+of a machine that lost power, so the daemon waits for its end, at most the lease and a second. Two
+owners can still meet when a cut heals; then `on_duplicate` is called.
 
 Use::
 
@@ -30,22 +30,22 @@ import zenoh
 from swarmd.core.clock import Clock, boottime
 from swarmd.core.errors import IdHeldError
 from swarmd.core.keys import ANY, build, parse
-from swarmd.network.inbound_queue import Drops, Lane
+from swarmd.network.inbound_queue import DropCounter, InboundQueue
 from swarmd.network.session import undeclare
 
 MAX_RIVALS = 64
-MOST_QUEUED = 4096
-MOST_SETTLES = 10.0
+MAX_QUEUED = 4096
+MAX_SETTLES = 10.0
 
 Phase = Literal["alive", "claim"]
 
 
 @dataclass(slots=True)
 class Rivals:
-    """Pure: the other instances that hold or claim this id, and what that means for `own`.
+    """The other instances that hold or claim this id. Pure.
 
-    `changed_at` is when the picture last changed, `linked_at` when the last link came up,
-    `claimed` all that were ever seen to claim.
+    `changed_at`: time of the last change. `linked_at`: time at which the last link came up.
+    `claimed`: all instances that ever claimed.
     """
 
     own: str
@@ -75,7 +75,7 @@ class Rivals:
 
     @property
     def holder(self) -> str | None:
-        """The instance that stands in the way now: an owner, or a smaller claimer."""
+        """The instance that blocks the claim now: an owner, or a smaller claimer."""
         if self.alive:
             return min(self.alive)
         smaller = [instance for instance in self.claiming if instance < self.own]
@@ -83,23 +83,23 @@ class Rivals:
 
     @property
     def has_lost(self) -> bool:
-        """True once a rival that was seen to claim has become the owner: no leftover, then."""
+        """True once a rival that claimed has become the owner; it is no leftover then."""
         return any(instance in self.claimed for instance in self.alive)
 
     def settles_at(self, settle: float) -> float:
-        """When it is won if nothing more happens, and nobody stands in the way.
+        """The time at which the claim is won if nothing more happens and no holder blocks it.
 
-        That is `settle` after the last news; links that keep coming up, as when a whole swarm
-        starts, are waited for ten times as long at most.
+        That is `settle` after the last news. Links that keep coming up, as when a whole swarm
+        starts, extend it to at most ten times `settle`.
         """
         quiet = max(self.started, self.changed_at) + settle
-        return max(quiet, min(self.linked_at + settle, self.started + MOST_SETTLES * settle))
+        return max(quiet, min(self.linked_at + settle, self.started + MAX_SETTLES * settle))
 
 
 class Claim:
-    """A robot id that is ours: holds the alive token and watches for a second owner.
+    """A robot id that this daemon owns: holds the alive token and detects a second owner.
 
-    Keep it: a token that nobody refers to any more is taken back.
+    Keep a reference: Zenoh undeclares a token that is garbage-collected.
     """
 
     def __init__(self, attempt: _Attempt, alive: zenoh.LivelinessToken) -> None:
@@ -108,11 +108,11 @@ class Claim:
 
     @property
     def duplicates(self) -> Mapping[str, float]:
-        """Other instances that own this id now, and since when."""
+        """Other instances that own this id now, and the time since when."""
         return dict(self._attempt.rivals.alive)
 
     def release(self) -> None:
-        """Give the id up; publish `left` before. Harmless on a closed session.
+        """Release the id; publish `left` before. Harmless on a closed session.
 
         Close the session soon: Zenoh 1.10 may leave a token that is taken back just while another
         session asks for tokens in that session's tables, for as long as this session is open.
@@ -149,7 +149,7 @@ async def claim_id(
 
 
 class _Attempt:
-    """Hears of rivals on Zenoh's threads, and thinks about them on the loop."""
+    """Receives rivals' tokens on Zenoh's threads and handles them on the loop."""
 
     def __init__(
         self, session: zenoh.Session, swarm: str, robot: str, instance: str, clock: Clock
@@ -160,14 +160,14 @@ class _Attempt:
         self._clock = clock
         self._news = asyncio.Event()
         loop = asyncio.get_running_loop()
-        self._lane = Lane(loop, Drops(), "claim", capacity=MOST_QUEUED, breath=0.0)
+        self._queue = InboundQueue(loop, DropCounter(), "claim", capacity=MAX_QUEUED, pause=0.0)
         self._watch = session.liveliness().declare_subscriber(
-            build(swarm, robot, ANY, ANY), self._hear_token, history=True
+            build(swarm, robot, ANY, ANY), self._on_token_sample, history=True
         )
-        self._links = session.info.declare_link_events_listener(self._hear_link)
+        self._links = session.info.declare_link_events_listener(self._on_link_event)
 
     async def win(self, *, settle: float, patience: float) -> None:
-        """Return when the id is ours to take; IdHeldError if it is not within `patience` s."""
+        """Return when the id may be taken; IdHeldError if another holds it for `patience` s."""
         deadline: float | None = None
         while True:
             now = self._clock()
@@ -191,19 +191,19 @@ class _Attempt:
         undeclare(self._links)
 
     def close(self) -> None:
-        """Hear nothing more."""
-        self._lane.close()
+        """Stop listening."""
+        self._queue.close()
         undeclare(self._watch, self._links)
 
-    def _hear_token(self, sample: zenoh.Sample) -> None:
+    def _on_token_sample(self, sample: zenoh.Sample) -> None:
         key = parse(str(sample.key_expr))
         if key is not None and (key.swarm, key.robot) == self._where:
             is_there = sample.kind == zenoh.SampleKind.PUT
-            self._lane.offer(self._on_token, key.plane, key.name, is_there)
+            self._queue.offer(self._on_token, key.plane, key.name, is_there)
 
-    def _hear_link(self, event: zenoh.LinkEvent) -> None:
+    def _on_link_event(self, event: zenoh.LinkEvent) -> None:
         if event.kind == zenoh.SampleKind.PUT:
-            self._lane.offer(self._on_link)
+            self._queue.offer(self._on_link)
 
     def _on_token(self, plane: str, other: str, is_there: bool) -> None:
         if plane not in ("alive", "claim"):

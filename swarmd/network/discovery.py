@@ -1,8 +1,8 @@
-"""Which robots there are, put together from what each daemon says: pure.
+"""The members of a swarm as an operator finds them from tokens and daemons' views. Pure.
 
 A fresh session's links are not complete when it opens: of 20 daemons one answers at once, all
-after 20 to 40 ms. So `Gathering` collects views and tokens until every robot that anyone calls
-alive has answered for itself, and all agree on who is there.
+after 20 to 40 ms. So `Discovery` collects views and tokens until every robot that any view or
+token shows alive has answered for itself, and all views agree.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 
 from swarmd.core.messages import Condition, Epoch, Member, PeerView, Status
 
-# With one answer, or answers that do not agree yet, this long must pass without news, in s.
-QUIET = 0.1
+# With one view, or views that do not agree yet, this long must pass without news, in s.
+QUIET_TIME = 0.1
 MAX_ROBOTS = 1024
 
 _RANK = {Condition.ALIVE: 0, Condition.LEFT: 1, Condition.FAILED: 2}
@@ -23,10 +23,10 @@ _RANK = {Condition.ALIVE: 0, Condition.LEFT: 1, Condition.FAILED: 2}
 class MembersView:
     """The swarm as one operator sees it.
 
-    `members`: all robots by id; those in `answered` with their own status. `silent` are alive,
-    by token or by others' word, and did not answer. `absent` are on the roster and nowhere else.
-    `duplicates`: ids that two living daemons hold, with their instances. `is_complete` is False
-    when the time was up first.
+    `members`: all robots by id; those in `answered` with their own status. `silent` robots are
+    alive by a token or another robot's view, and did not answer. `absent` robots are on the roster
+    and nowhere else. `duplicates`: ids that several instances hold, with those instances.
+    `is_complete` is False if the timeout came first.
     """
 
     members: Mapping[str, Member]
@@ -38,26 +38,26 @@ class MembersView:
 
     @property
     def alive(self) -> tuple[str, ...]:
-        """The names of those that are there."""
+        """The names of the robots that are alive."""
         return self._in(Condition.ALIVE)
 
     @property
     def failed(self) -> tuple[str, ...]:
-        """The names of those that went without a word."""
+        """The names of the robots that vanished without leaving."""
         return self._in(Condition.FAILED)
 
     @property
     def silent(self) -> tuple[str, ...]:
-        """Alive, and no answer from them."""
+        """The names of the robots that are alive and did not answer."""
         return tuple(name for name in self.alive if name not in self.answered)
 
     @property
     def absent(self) -> tuple[str, ...]:
-        """On the roster, and seen by nobody."""
+        """The names on the roster that no view or token mentions."""
         return tuple(sorted(self.roster - self.members.keys()))
 
     def epochs(self, names: Iterable[str]) -> dict[str, Epoch | None]:
-        """What was seen of each, for a request to quote; None for those that did not answer."""
+        """The epoch seen of each robot, to quote in a request; None without an answer."""
         return {name: self._epoch(name) for name in names}
 
     def _epoch(self, name: str) -> Epoch | None:
@@ -68,7 +68,7 @@ class MembersView:
         return tuple(name for name, one in self.members.items() if one.condition is condition)
 
 
-class Gathering:
+class Discovery:
     """Collects views; `tokens` (robot -> instances) is what the own links show from the start."""
 
     def __init__(self, now: float, roster: Iterable[str] = ()) -> None:
@@ -124,29 +124,29 @@ class Gathering:
 
     @property
     def known(self) -> frozenset[str]:
-        """Every name that a token, a daemon or the roster mentions, whatever became of it."""
+        """Every name that a token, a view or the roster mentions."""
         said = {member.robot for view in self._all() for member in view.members}
         return frozenset(said | self._tokens.keys() | self.answered | self._roster)
 
     @property
     def alive(self) -> frozenset[str]:
-        """Everyone that a token, a daemon or its own answer shows to be there."""
+        """The robots that a token, a view or their own answer shows alive."""
         return frozenset(self._alive())
 
     def is_complete(self, now: float) -> bool:
-        """True once everyone alive has answered, and they agree or there was no more news."""
+        """True once all alive robots answered, and the views agree or QUIET_TIME passed."""
         settled = self.settled
         if not settled or not self.alive <= settled:
             return False
-        return self._agree(settled) or now - self._news >= QUIET
+        return self._agree(settled) or now - self._news >= QUIET_TIME
 
     def result(self, now: float) -> MembersView:
-        """All that is known by now."""
+        """The members as known at `now`."""
         members: dict[str, Member] = {}
         for view in self._all():
             for member in view.members:
                 known = members.get(member.robot)
-                members[member.robot] = member if known is None else _truer(known, member)
+                members[member.robot] = member if known is None else _more_certain(known, member)
         for robot in self.alive:
             members[robot] = self._alive_member(robot, members.get(robot))
         for robot, member in list(members.items()):
@@ -162,7 +162,7 @@ class Gathering:
         )
 
     def _alive(self) -> dict[str, set[str]]:
-        """The living instances of each robot, by tokens, others' words and own answers."""
+        """The living instances of each robot, by tokens, others' views and own answers."""
         found: dict[str, set[str]] = {}
         for robot, instances in self._tokens.items():
             if instances:
@@ -202,8 +202,8 @@ def _seen_alive(view: PeerView) -> frozenset[str]:
     return frozenset(member.robot for member in view.members if member.condition is Condition.ALIVE)
 
 
-def _truer(one: Member, other: Member) -> Member:
-    """Of two peers' words on a robot: alive first, then `left` of the same instance, then newer."""
+def _more_certain(one: Member, other: Member) -> Member:
+    """Of two views of a robot: alive first, then `left` of the same instance, then the newer."""
     if Condition.ALIVE in (one.condition, other.condition) or one.instance == other.instance:
         return min(one, other, key=lambda member: (_RANK[member.condition], member.age))
     return min(one, other, key=lambda member: member.age)

@@ -1,8 +1,8 @@
-"""The bounded way in: what Zenoh's threads hear, handed to the loop a few items at a time.
+"""Bounded queues from Zenoh's threads to the loop.
 
-A flood must cost its sender's messages and nothing else. So each kind of message has a lane of
-its own; a full lane drops the newest and counts it, at the price of a comparison; the loop takes
-a small batch and then breathes, so that its timers stay on time.
+A flood must cost its sender's messages and nothing else. So each kind of message has a queue of
+its own. A full queue drops the newest message and counts it, at the price of a comparison. The
+loop takes a small batch and then pauses, so that its timers stay on time.
 """
 
 from __future__ import annotations
@@ -17,23 +17,23 @@ from swarmd.core.threads import hand_over
 
 CAPACITY = 256
 BATCH = 8
-BREATH = 0.001
-_LONGEST_KIND = 64
-_MOST_KINDS = 256
+BATCH_PAUSE = 0.001
+MAX_KIND_LENGTH = 64
+MAX_KINDS = 256
 
 
-class Drops:
-    """Counts what was dropped, by kind; safe from every thread."""
+class DropCounter:
+    """Counts dropped messages by kind; safe from every thread."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._counts: dict[str, int] = {}
 
     def add(self, kind: str, count: int = 1) -> None:
-        """Count it. Of very many kinds the later ones are counted together as `other`."""
-        kind = kind[:_LONGEST_KIND]
+        """Count a drop. Beyond MAX_KINDS kinds the later ones are counted together as `other`."""
+        kind = kind[:MAX_KIND_LENGTH]
         with self._lock:
-            if kind not in self._counts and len(self._counts) >= _MOST_KINDS:
+            if kind not in self._counts and len(self._counts) >= MAX_KINDS:
                 kind = "other"
             self._counts[kind] = self._counts.get(kind, 0) + count
 
@@ -43,38 +43,38 @@ class Drops:
             return dict(self._counts)
 
 
-class Lane:
-    """One kind's queue. `breath`: seconds between batches while more is waiting."""
+class InboundQueue:
+    """The queue of one kind of message. `pause`: s between batches while more is waiting."""
 
     def __init__(
         self,
         loop: asyncio.AbstractEventLoop,
-        drops: Drops,
+        drops: DropCounter,
         kind: str,
         *,
         capacity: int = CAPACITY,
-        breath: float = BREATH,
+        pause: float = BATCH_PAUSE,
     ) -> None:
         self.kind = kind
         self._loop = loop
         self._drops = drops
-        self._full = f"{kind[: _LONGEST_KIND - 5]}:full"
+        self._full = f"{kind[: MAX_KIND_LENGTH - 5]}:full"
         self._capacity = capacity
-        self._breath = breath
+        self._pause = pause
         self._lock = threading.Lock()
         self._items: deque[tuple[Callable[..., object], tuple[Any, ...]]] = deque()
         self._is_scheduled = False
         self._is_closed = False
 
     def is_full(self) -> bool:
-        """True, and counted as dropped, if nothing more fits: ask before any other work."""
+        """True if nothing more fits, which counts a drop. Call it before any other work."""
         if len(self._items) < self._capacity:
             return False
         self._drops.add(self._full)
         return True
 
     def offer(self, function: Callable[..., object], *args: Any) -> bool:
-        """Have `function(*args)` called on the loop; False if the lane is full or closed."""
+        """Call `function(*args)` on the loop; False if the queue is full or closed."""
         if self.is_full():
             return False
         with self._lock:
@@ -88,7 +88,7 @@ class Lane:
         return True
 
     def close(self) -> None:
-        """Forget what is queued and take nothing more."""
+        """Discard the queued calls and take no more."""
         with self._lock:
             self._is_closed = True
             self._items.clear()
@@ -109,7 +109,7 @@ class Lane:
             self._is_scheduled = bool(self._items)
             if not self._is_scheduled:
                 return
-        if self._breath:
-            self._loop.call_later(self._breath, self._drain)
+        if self._pause:
+            self._loop.call_later(self._pause, self._drain)
         else:
             self._loop.call_soon(self._drain)

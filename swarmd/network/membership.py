@@ -1,11 +1,11 @@
-"""Who is in the swarm, as one peer sees it: pure, events in, members out.
+"""The members of a swarm as one peer sees them. Pure: events in, members out.
 
-Tokens say who is there, statuses say how they are; the two come on different threads and may
-overtake each other, so that the outcome never depends on how they interleave. A robot is
+A liveliness token shows that an instance is there, a status shows its state. The two come on
+different threads and may overtake each other; the result does not depend on their order. A robot is
 
-- alive while at least one of its instances holds a token and has not said `left`,
-- left when its latest instance said so, before or after its token went,
-- failed when its last token went without a word; it stays listed until it is forgotten.
+- alive while at least one of its instances holds a token and has not published `has_left`,
+- left when its latest instance published `has_left`, before or after its token vanished,
+- failed when its last token vanished without that; it stays listed until it is forgotten.
 
 Times are in s on the caller's monotonic clock.
 """
@@ -17,14 +17,14 @@ from dataclasses import dataclass, field
 
 from swarmd.core.messages import Condition, Member, Status
 
-# Each of which may hold a status of 64 kB.
+# Each may hold a status of 64 kB.
 MAX_MEMBERS = 256
 MAX_INSTANCES = 4
 
 
 @dataclass(slots=True)
 class _Record:
-    """`seen`: instances that held a token, oldest first; `statuses` also of those yet to come."""
+    """`seen`: instances that held a token, oldest first; `statuses` may come before the token."""
 
     seen: list[str] = field(default_factory=list)
     alive: set[str] = field(default_factory=set)
@@ -37,9 +37,9 @@ class _Record:
 class Membership:
     """The other robots of a swarm; `own` is never among them.
 
-    Each event method says whether a member's instance or condition changed. Bounded: beyond
-    `MAX_MEMBERS` robots a new one takes the place of the one that went the longest ago, and is
-    ignored if all are alive; of one robot's many instances the oldest are dropped.
+    Each event method returns True if a member's instance or condition changed. Bounded: beyond
+    `MAX_MEMBERS` robots a new one replaces the one that vanished the longest ago, and is ignored
+    if all are alive. Of one robot's many instances the oldest are dropped.
     """
 
     def __init__(self, own: str) -> None:
@@ -66,7 +66,7 @@ class Membership:
         return self._settle(record, now)
 
     def on_status(self, status: Status, now: float) -> bool:
-        """A robot spoke; with `has_left` it said that it is leaving."""
+        """A robot published its status; `has_left` in it means that the robot is leaving."""
         record = self._record(status.robot)
         if record is None:
             return False
@@ -76,16 +76,8 @@ class Membership:
             record.left.add(status.instance)
         return self._settle(record, now)
 
-    def on_left(self, robot: str, instance: str, now: float) -> bool:
-        """A robot said that it is leaving."""
-        record = self._record(robot)
-        if record is None:
-            return False
-        record.left.add(instance)
-        return self._settle(record, now)
-
     def forget(self, robot: str) -> bool:
-        """Take a robot off the list; False if it is alive or unknown."""
+        """Remove a robot; False if it is alive or unknown."""
         record = self._records.get(robot)
         if record is None or record.shown is None or record.shown[1] is Condition.ALIVE:
             return False
@@ -132,7 +124,7 @@ class Membership:
         return record
 
     def _make_room(self, has_token: bool) -> bool:
-        """Drop a robot that spoke but never held a token; for one, whoever went longest ago."""
+        """Drop a robot that never held a token; for a token also the one that vanished first."""
         for robot, record in self._records.items():
             if record.shown is None:
                 del self._records[robot]

@@ -1,4 +1,4 @@
-"""The operator's side: how swarmctl meets a swarm, asks it, and makes sure of its answers.
+"""The operator's side: finds the members of a swarm, sends requests and collects the acks.
 
 Synchronous, without asyncio and numpy, since a command must start fast::
 
@@ -7,9 +7,9 @@ Synchronous, without asyncio and numpy, since a command must start fast::
         outcome = operator.request(RunRequest, view.epochs(names), pattern="attraction")
         outcome = operator.estop(reason="...")
 
-Zenoh's threads only put what they hear into tables under one lock; the caller's thread waits.
+Zenoh's threads only put what they receive into tables under one lock; the caller's thread waits.
 Queries use DROP, since a reply inherits the query's congestion control and must not block a
-daemon's loop; what may get lost is repeated.
+daemon's loop; a query that may get lost is repeated.
 """
 
 from __future__ import annotations
@@ -40,19 +40,19 @@ from swarmd.core.messages import (
     Reply,
     StopRequest,
 )
-from swarmd.network.discovery import Gathering, MembersView
+from swarmd.network.discovery import Discovery, MembersView
 from swarmd.network.outcome import Acks, Outcome
 from swarmd.network.scouting import swarms_in_reach
 from swarmd.network.session import MAX_WIRE, open_session, undeclare
 from swarmd.network.settings import NetworkSettings
-from swarmd.network.stop_request import Halting, Select
+from swarmd.network.stop_request import PendingStop, Select
 
-GATHER = 1.0
-HALT = 3.0
-# Rounds are quick while links come up, then spare the network, in s.
-ROUND = 0.015
-SLOW_ROUND = 0.1
-QUICK_FOR = 0.2
+DISCOVERY_TIMEOUT = 1.0
+STOP_TIMEOUT = 3.0
+# Polls are frequent while links come up, then spare the network, in s.
+FAST_POLL_PERIOD = 0.015
+SLOW_POLL_PERIOD = 0.1
+FAST_POLL_TIME = 0.2
 # What a request may hold, in characters.
 MAX_OPERATOR = 128
 MAX_REASON = 256
@@ -66,7 +66,7 @@ _reply = Decoder(Reply, MAX_CONTROL)
 
 
 def operator_name() -> str:
-    """Who asks, such as `anna@laptop`."""
+    """The name of this operator, such as `anna@laptop`."""
     try:
         user = getpass.getuser()
     except (OSError, KeyError):
@@ -83,10 +83,10 @@ def _sendable(text: str, length: int) -> str:
 
 
 class Operator:
-    """A visitor in a swarm: a context manager that holds one session.
+    """An operator's session in a swarm; a context manager.
 
     `settings` are those of the swarm; the session takes any free port. `roster` names robots
-    that are expected whether or not anyone has seen them. NetworkError if there is no session.
+    that are expected even if no daemon has seen them. Raises NetworkError without a session.
     """
 
     def __init__(
@@ -98,7 +98,7 @@ class Operator:
         self._news = threading.Condition()
         self._tokens: dict[str, set[str]] = {}
         self._links = 0
-        self._gathering: Gathering | None = None
+        self._discovery: Discovery | None = None
         self._version = 0
         self._session = open_session(self.settings, wait_for_peers=False)
         self._listeners = self._watch()
@@ -121,20 +121,20 @@ class Operator:
 
     @property
     def links(self) -> int:
-        """How many links the session has had so far; 0: nobody was met."""
+        """The number of links that the session has had so far."""
         return self._links
 
-    def members(self, *, timeout: float = GATHER) -> MembersView:
-        """Who is there: as soon as all that are alive have answered, at most `timeout` s."""
-        gathering = self._gather()
-        pace = Pace(time.monotonic(), timeout)
+    def members(self, *, timeout: float = DISCOVERY_TIMEOUT) -> MembersView:
+        """The members, as soon as all that are alive have answered; takes at most `timeout` s."""
+        discovery = self._new_discovery()
+        pace = PollSchedule(time.monotonic(), timeout)
         while True:
             with self._news:
                 now, version = time.monotonic(), self._version
-                if gathering.is_complete(now) or pace.is_over(now):
-                    return gathering.result(now)
+                if discovery.is_complete(now) or pace.is_over(now):
+                    return discovery.result(now)
             if pace.is_due(now):
-                self._ask_members(gathering)
+                self._ask_members(discovery)
             self._wait(version, pace.pause(now))
 
     def request(
@@ -174,7 +174,7 @@ class Operator:
         *,
         select: Select | None = None,
         reason: str = "",
-        timeout: float = HALT,
+        timeout: float = STOP_TIMEOUT,
     ) -> Outcome:
         """Stop or estop: sent at once on every link, and repeated to each robot without an ack.
 
@@ -189,19 +189,19 @@ class Operator:
         else:
             scope = "swarm" if select is None else "robots"
             request = self._new(EstopRequest, targets=targets, scope=scope, reason=reason)
-        gathering = self._gather()
-        pace = Pace(time.monotonic(), timeout)
-        halting = Halting(request, select, gathering, pace.started)
+        discovery = self._new_discovery()
+        pace = PollSchedule(time.monotonic(), timeout)
+        pending_stop = PendingStop(request, select, discovery, pace.started)
         links = -1
         while True:
             with self._news:
                 now, version = time.monotonic(), self._version
-                if halting.is_done(now) or pace.is_over(now):
-                    return halting.outcome(now)
+                if pending_stop.is_done(now) or pace.is_over(now):
+                    return pending_stop.outcome(now)
                 news, links = self._links != links, self._links
             if news or pace.is_due(now):
-                self._send_halt(halting, verb, to_all=news and halting.is_for_all)
-                self._ask_members(gathering)
+                self._send_halt(pending_stop, verb, to_all=news and pending_stop.is_for_all)
+                self._ask_members(discovery)
             self._wait(version, pace.pause(now))
 
     def stop(self, **options: Any) -> Outcome:
@@ -213,7 +213,7 @@ class Operator:
         return self.halt("estop", **options)
 
     def swarms(self, *, timeout: float = 0.3) -> tuple[str, ...]:
-        """The names of all swarms that can be seen from here, for those who meet nobody."""
+        """The names of all swarms within reach, for an operator who finds no member of this one."""
         return swarms_in_reach(self._session, self.settings, timeout)
 
     def _new(self, kind: type[R], **fields: Any) -> R:
@@ -221,45 +221,45 @@ class Operator:
             fields["reason"] = _sendable(fields["reason"], MAX_REASON)
         return kind(id=uuid.uuid4().hex[:12], operator=self.name, **fields)
 
-    def _gather(self) -> Gathering:
+    def _new_discovery(self) -> Discovery:
         now = time.monotonic()
-        gathering = Gathering(now, self._roster)
+        discovery = Discovery(now, self._roster)
         with self._news:
             for robot, instances in self._tokens.items():
                 for instance in instances:
-                    gathering.on_token(robot, instance, True, now)
-            self._gathering = gathering
-        return gathering
+                    discovery.on_token(robot, instance, True, now)
+            self._discovery = discovery
+        return discovery
 
-    def _ask_members(self, gathering: Gathering) -> None:
+    def _ask_members(self, discovery: Discovery) -> None:
         with self._news:
-            known = sorted(gathering.settled)
+            known = sorted(discovery.settled)
 
         def on_view(key: Key, payload: bytes) -> None:
             view = _view(payload)
             if view.robot == key.robot:
-                gathering.on_view(view, time.monotonic())
+                discovery.on_view(view, time.monotonic())
 
         self._get(
             self._key(ANY, "control", "members"),
             encode(MembersQuery(answered=tuple(known))),
-            GATHER,
+            DISCOVERY_TIMEOUT,
             self._checked("control", "members", on_view),
         )
 
-    def _send_halt(self, halting: Halting, verb: HaltVerb, *, to_all: bool) -> None:
-        """To everyone while links are new, and to each known robot that has not acked."""
+    def _send_halt(self, pending_stop: PendingStop, verb: HaltVerb, *, to_all: bool) -> None:
+        """Send it to each known robot without an ack, and on new links to all robots."""
         plane = "safety" if verb == "estop" else "control"
         with self._news:
-            payload, names = halting.payload(), halting.pending()
-        on_reply = self._on_ack(halting.acks, plane, verb)
+            payload, names = pending_stop.payload(), pending_stop.pending()
+        on_reply = self._on_ack(pending_stop.acks, plane, verb)
         if to_all:
-            self._get(self._key(ANY, plane, verb), payload, HALT, on_reply)
+            self._get(self._key(ANY, plane, verb), payload, STOP_TIMEOUT, on_reply)
         for name in names:
             key = self._key(name, plane, verb)
             if verb == "estop":
                 self._put(key, payload)
-            self._get(key, payload, HALT, on_reply)
+            self._get(key, payload, STOP_TIMEOUT, on_reply)
 
     def _put(self, key: str, payload: bytes) -> None:
         self._session.put(
@@ -291,7 +291,7 @@ class Operator:
             payload = sample.payload.to_bytes()
             with self._news, contextlib.suppress(CodecError):
                 handler(key, payload)
-                self._tell()
+                self._notify()
 
         return on_reply
 
@@ -315,7 +315,7 @@ class Operator:
             if event.kind == zenoh.SampleKind.PUT:
                 with self._news:
                     self._links += 1
-                    self._announce(lambda gathering, now: gathering.on_link(now))
+                    self._announce(lambda discovery, now: discovery.on_link(now))
 
         def on_token(sample: zenoh.Sample) -> None:
             key = parse(str(sample.key_expr))
@@ -335,14 +335,14 @@ class Operator:
             instances.add(instance)
         else:
             instances.discard(instance)
-        self._announce(lambda gathering, now: gathering.on_token(robot, instance, is_there, now))
+        self._announce(lambda discovery, now: discovery.on_token(robot, instance, is_there, now))
 
-    def _announce(self, tell: Callable[[Gathering, float], None]) -> None:
-        if self._gathering is not None:
-            tell(self._gathering, time.monotonic())
-        self._tell()
+    def _announce(self, tell: Callable[[Discovery, float], None]) -> None:
+        if self._discovery is not None:
+            tell(self._discovery, time.monotonic())
+        self._notify()
 
-    def _tell(self) -> None:
+    def _notify(self) -> None:
         self._version += 1
         self._news.notify_all()
 
@@ -354,8 +354,8 @@ class Operator:
         return build(self.settings.swarm, robot, plane, name)
 
 
-class Pace:
-    """When to ask again: quick rounds while links come up, then slow ones, until `timeout`."""
+class PollSchedule:
+    """When to send again: often while links come up, then less often, until `timeout`."""
 
     def __init__(self, now: float, timeout: float) -> None:
         self.started = now
@@ -363,16 +363,18 @@ class Pace:
         self._next = now
 
     def is_over(self, now: float) -> bool:
-        """True once the time is up."""
+        """True once the timeout has passed."""
         return now >= self._end
 
     def is_due(self, now: float) -> bool:
-        """True once a round; the next is due later."""
+        """True once a period."""
         if now < self._next:
             return False
-        self._next = now + (ROUND if now - self.started < QUICK_FOR else SLOW_ROUND)
+        self._next = now + (
+            FAST_POLL_PERIOD if now - self.started < FAST_POLL_TIME else SLOW_POLL_PERIOD
+        )
         return True
 
     def pause(self, now: float) -> float:
-        """How long to wait for news before looking again."""
+        """Seconds to wait for news before the next look."""
         return max(0.001, min(self._next, self._end) - now)

@@ -1,14 +1,14 @@
-"""What became of a request: pure bookkeeping of who was meant, who answered, and how.
+"""The outcome of a request: the targeted robots, their replies, and the exit code. Pure.
 
 An empty list of acks is never success. The exit codes of swarmctl:
 
 ====  ==========================================================================
-0     every robot that was meant has applied it
+0     every targeted robot applied it
 1     every one failed
 2     usage: nothing was sent, or every robot refused the request as a mistake in it
-3     partial: some applied it and some did not, or refusals, failures and silence mixed
-4     no robot was meant
-5     nobody answered in time
+3     partial: some applied it and some did not, or refusals, failures and no answers mixed
+4     no robot was targeted
+5     no robot answered in time
 6     no daemon could be reached (decided before anything is sent)
 7     every one refused
 ====  ==========================================================================
@@ -31,15 +31,15 @@ MISTAKES = frozenset(
     }
 )
 APPLIED, FAILED, USAGE, PARTIAL, NO_TARGET, TIMEOUT, UNREACHABLE, REFUSED = range(8)
-# A robot that failed this recently was meant by whoever said `--all`, in s.
-RECENT = 60.0
+# A robot that failed this recently counts as targeted by `--all`, in s.
+RECENT_FAILURE = 60.0
 
 _SEVERITY = {Code.APPLIED: 0, Code.REFUSED: 1, Code.FAILED: 2}
 
 
 @dataclass(frozen=True, slots=True)
 class Expected:
-    """Whom a request is for: `asked` are sent it, `absent` count as silent from the start.
+    """The robots that a request is for: it is sent to `asked`; `absent` cannot answer.
 
     `warnings` are lines for the operator about robots that are not counted.
     """
@@ -51,7 +51,7 @@ class Expected:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a request ended: `replies` by robot, and the `missing` who did not answer."""
+    """The replies to a request by robot, and the robots that did not answer (`missing`)."""
 
     replies: Mapping[str, Reply]
     missing: tuple[str, ...] = ()
@@ -61,22 +61,22 @@ class Outcome:
 
     @property
     def targeted(self) -> int:
-        """How many robots were meant."""
+        """The number of targeted robots."""
         return len(self.replies) + len(self.missing)
 
     @property
     def applied(self) -> tuple[str, ...]:
-        """Those that did it."""
+        """The robots that applied it."""
         return self._with(Code.APPLIED)
 
     @property
     def refused(self) -> tuple[str, ...]:
-        """Those that would not."""
+        """The robots that refused it."""
         return self._with(Code.REFUSED)
 
     @property
     def failed(self) -> tuple[str, ...]:
-        """Those that could not."""
+        """The robots that failed to apply it."""
         return self._with(Code.FAILED)
 
     @property
@@ -128,10 +128,10 @@ class Outcome:
 
 
 class Acks:
-    """Collects the answers to one request.
+    """Collects the replies to one request.
 
-    Two answers under one name come from two daemons that hold one id: the worse one counts, and
-    the name is among the outcome's `duplicates`.
+    Two replies of one robot come from two daemons that hold one id. The worse one counts, and the
+    name is among the outcome's `duplicates`.
     """
 
     def __init__(self, request_id: str) -> None:
@@ -140,7 +140,7 @@ class Acks:
         self.strange = 0
 
     def on_reply(self, robot: str, reply: Reply) -> bool:
-        """Take the answer heard on `robot`'s key; False if it answers something else."""
+        """Take a reply that came on `robot`'s key; False if it answers another request."""
         if reply.robot != robot or reply.id != self._request_id:
             self.strange += 1
             return False
@@ -154,12 +154,12 @@ class Acks:
         return frozenset(self._replies)
 
     def lacks(self, robot: str, instances: Collection[str]) -> bool:
-        """True unless the robot has answered, with each of these daemons if more than one."""
-        boots = self._replies.get(robot, {}).keys()
-        return not boots or (len(instances) > 1 and not set(instances) <= boots)
+        """True unless the robot answered; if it has several instances, unless each did."""
+        answered = self._replies.get(robot, {}).keys()
+        return not answered or (len(instances) > 1 and not set(instances) <= answered)
 
     def missing(self, expected: Iterable[str]) -> tuple[str, ...]:
-        """Who of `expected` has not answered, in the order of names."""
+        """The names in `expected` without a reply, sorted."""
         return tuple(sorted(set(expected) - self._replies.keys()))
 
     def outcome(
@@ -170,9 +170,9 @@ class Acks:
         warnings: tuple[str, ...] = (),
         seconds: float = 0.0,
     ) -> Outcome:
-        """How it ended; a robot that answered without being expected counts as meant.
+        """The outcome; a robot that answered without being expected counts as targeted.
 
-        Those in `silent` count as missing even if one daemon has answered in their name.
+        Those in `silent` count as missing even if one of their instances has answered.
         """
         answered = sorted(self._replies.keys() - set(silent))
         return Outcome(
@@ -193,11 +193,11 @@ def _worst(replies: Iterable[Reply]) -> Reply:
 def expected_to_run(
     members: Mapping[str, Member], roster: Collection[str], selected: Collection[str]
 ) -> Expected:
-    """Whom `run`, `reset` and `param` are for, of the robots the operator `selected`.
+    """The robots that `run`, `reset` and `param` are for, of those that the operator `selected`.
 
-    Alive ones are asked. One that failed within the last minute, or that the roster names, is
-    absent, so that the outcome is partial; other failed ones only warn; those that left do not
-    count unless the roster names them.
+    Robots that are alive are asked. A robot that failed within the last minute, or that the
+    roster names, is absent, so that the outcome is partial. Other failed robots cause a warning.
+    Robots that left do not count unless the roster names them.
     """
     asked, absent, warnings = [], [], []
     for name in sorted(set(selected)):
@@ -205,7 +205,9 @@ def expected_to_run(
         if member is not None and member.condition is Condition.ALIVE:
             asked.append(name)
         elif name in roster or (
-            member is not None and member.condition is Condition.FAILED and member.age <= RECENT
+            member is not None
+            and member.condition is Condition.FAILED
+            and member.age <= RECENT_FAILURE
         ):
             absent.append(name)
         elif member is not None and member.condition is Condition.FAILED:
@@ -219,10 +221,9 @@ def expected_to_run(
 def expected_to_stop(
     members: Mapping[str, Member], roster: Collection[str], selected: Collection[str]
 ) -> frozenset[str]:
-    """Who must ack `stop` and `estop`, of the robots `selected`: all but those that left.
+    """The robots that must ack a stop or estop, of those `selected`: all but those that left.
 
-    Failed ones always count, and so does the whole roster: a robot that cannot be reached may
-    be moving.
+    Failed robots count, and so does the whole roster: a robot that cannot be reached may move.
     """
     return frozenset(
         name

@@ -1,7 +1,7 @@
-"""Which swarms can be seen from here: for an operator who meets nobody in the one that was named.
+"""The swarms within reach, for an operator who finds no member of the swarm that was named.
 
-Swarms meet on one of 64 multicast ports by their name. All are scouted at once; whoever answers
-is dialled, and its tokens tell the names.
+A swarm meets on one of 64 multicast ports, chosen by its name. All are scouted at once; each peer
+that answers is dialled, and its tokens contain the names.
 """
 
 from __future__ import annotations

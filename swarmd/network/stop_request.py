@@ -1,4 +1,4 @@
-"""Whom a stop must still reach, and when everyone has acked: pure."""
+"""The state of a stop or estop on its way: which robots lack an ack, and when it is done. Pure."""
 
 from __future__ import annotations
 
@@ -8,74 +8,74 @@ import msgspec
 
 from swarmd.core.codec import encode
 from swarmd.core.messages import EstopRequest, StopRequest
-from swarmd.network.discovery import Gathering
+from swarmd.network.discovery import Discovery
 from swarmd.network.outcome import Acks, Outcome, expected_to_stop
 
 Select = Callable[[Collection[str]], Collection[str]]
-# After this many seconds the answers that came are taken for the membership.
-GATHER = 1.0
+# After this many seconds the views that came count as the membership.
+DISCOVERY_TIMEOUT = 1.0
 
 
-class Halting:
-    """One `stop` or `estop` on its way. `select` picks of the names known so far; None: all.
+class PendingStop:
+    """One stop or estop that is repeated until every robot acked.
 
-    Everyone is told with `targets` None, which needs no knowledge of who is there; a selection
-    names its targets. The request's id is the same in every repetition.
+    `select` picks from the names known so far; None: all. A request to all has `targets` None,
+    which needs no membership; a selection names its targets. Every repetition has the same id.
     """
 
     def __init__(
         self,
         request: StopRequest | EstopRequest,
         select: Select | None,
-        gathering: Gathering,
+        discovery: Discovery,
         started: float,
     ) -> None:
         self.acks = Acks(request.id)
         self._request = request
         self._select = select
-        self._gathering = gathering
+        self._discovery = discovery
         self._started = started
 
     @property
     def is_for_all(self) -> bool:
-        """True if every robot is meant."""
+        """True if every robot is targeted."""
         return self._select is None
 
     def payload(self) -> bytes:
-        """The request as it is to be sent now."""
+        """The bytes to send now."""
         if self._select is None:
             return encode(self._request)
         targets = dict.fromkeys(sorted(self._selected()), None)
         return encode(msgspec.structs.replace(self._request, targets=targets))
 
     def pending(self) -> tuple[str, ...]:
-        """Robots that are meant and have not acked: each is to be sent it once more."""
+        """The targeted robots without an ack: the request is sent to each once more."""
         return self._lacking(self._selected())
 
     def is_done(self, now: float) -> bool:
-        """True once the membership is known and everyone that must ack has."""
-        if not self._gathering.known:
+        """True once the membership is known and every robot that must ack has."""
+        if not self._discovery.known:
             return False
-        is_known = self._gathering.is_complete(now) or now - self._started >= GATHER
+        is_known = self._discovery.is_complete(now) or now - self._started >= DISCOVERY_TIMEOUT
         return is_known and not self._lacking(self._expected(now))
 
     def outcome(self, now: float) -> Outcome:
-        """How it stands."""
+        """The outcome if it ended now."""
         expected = self._expected(now)
         return self.acks.outcome(
             expected, silent=self._lacking(expected), seconds=now - self._started
         )
 
     def _lacking(self, names: frozenset[str]) -> tuple[str, ...]:
-        """Of an id that two daemons hold, both must ack."""
+        """Those without an ack; of an id that two daemons hold, both must ack."""
         return tuple(
-            sorted(name for name in names if self.acks.lacks(name, self._gathering.holders(name)))
+            sorted(name for name in names if self.acks.lacks(name, self._discovery.holders(name)))
         )
 
     def _selected(self) -> frozenset[str]:
-        known = self._gathering.known
+        known = self._discovery.known
         return known if self._select is None else frozenset(self._select(known))
 
     def _expected(self, now: float) -> frozenset[str]:
-        view = self._gathering.result(now)
+        view = self._discovery.result(now)
         return expected_to_stop(view.members, view.roster, self._selected())

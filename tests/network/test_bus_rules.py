@@ -6,7 +6,7 @@ import pytest
 
 from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE
 from swarmd.core.messages import Condition
-from swarmd.network.bus import limit_of, matches, members_to_tell
+from swarmd.network.bus import limit_of, matches, members_for_view
 from swarmd.network.membership import Membership
 from tests.support.fake_daemon import light_status
 
@@ -43,7 +43,7 @@ def test_living_members_are_told_without_status_and_both_of_two() -> None:
         membership.on_status(light_status(robot, instance), 0.0)
         membership.on_alive(robot, instance, 0.0)
     membership.on_gone("gone", "1", 1.0)
-    told = members_to_tell(membership, 3.0)
+    told = members_for_view(membership, 3.0)
     assert [(member.robot, member.instance, member.condition) for member in told] == [
         ("a", "1", Condition.ALIVE),
         ("a", "2", Condition.ALIVE),

@@ -55,7 +55,7 @@ def payload(rng: random.Random) -> bytes:
 
 
 class Target:
-    """A bus that counts what its handlers get, by lane."""
+    """A bus that counts what its handlers get, by queue."""
 
     def __init__(self, bus: ZenohBus) -> None:
         self.bus = bus
@@ -65,11 +65,11 @@ class Target:
         bus.serve("safety", "estop", self._serve("safety/estop"))
         bus.serve("control", "run", self._serve("control/run"))
 
-    def counted(self, lane: str) -> int:
+    def counted(self, queue: str) -> int:
         """What came through and what was dropped by the bus before any handler saw it."""
         causes = ("key", "oversized", "full")
-        return self.handled[lane] + sum(
-            self.bus.dropped.get(f"{lane}:{cause}", 0) for cause in causes
+        return self.handled[queue] + sum(
+            self.bus.dropped.get(f"{queue}:{cause}", 0) for cause in causes
         )
 
     def estops(self) -> int:
@@ -78,20 +78,20 @@ class Target:
         puts = (self.bus.dropped.get(f"safety/estop:put:{cause}", 0) for cause in causes)
         return self.counted("safety/estop") + sum(puts)
 
-    def _on(self, lane: str) -> Callable[[Key, bytes], None]:
+    def _on(self, queue: str) -> Callable[[Key, bytes], None]:
         def handle(heard: Key, _payload: bytes) -> None:
             assert heard.robot != "me"
-            self.handled[lane] += 1
+            self.handled[queue] += 1
 
         return handle
 
-    def _serve(self, lane: str) -> Callable[[Query], None]:
+    def _serve(self, queue: str) -> Callable[[Query], None]:
         def handle(query: Query) -> None:
-            self.handled[lane] += 1
+            self.handled[queue] += 1
             try:
                 request_of(query.payload)
             except CodecError:
-                self.bus.drop(f"{lane}:malformed")
+                self.bus.drop(f"{queue}:malformed")
             query.drop()
 
         return handle
@@ -118,7 +118,7 @@ def test_every_put_and_every_query_is_handled_or_counted(
             expected = await asyncio.to_thread(flood, foreign, rng, swarm)
             await until(lambda: target.counted("msg/*/*") >= expected["msg/*/*"])
             await until(lambda: target.estops() >= expected["safety/estop"])
-            # The bus itself listens to statuses as well: each lane counts what it drops.
+            # The bus itself listens to statuses as well: each queue counts what it drops.
             await until(lambda: target.counted("state/status") >= expected["state/status"])
             assert target.counted("msg/*/*") == expected["msg/*/*"]
             assert target.estops() == expected["safety/estop"]
@@ -135,7 +135,7 @@ def test_every_put_and_every_query_is_handled_or_counted(
 
 
 def flood(foreign: zenoh.Session, rng: random.Random, swarm: str) -> dict[str, int]:
-    """Put garbage; how many of the puts concern each lane, by Zenoh's own rules."""
+    """Put garbage; how many of the puts concern each queue, by Zenoh's own rules."""
     lanes = {
         "msg/*/*": zenoh.KeyExpr(f"swarm/{swarm}/*/msg/*/*"),
         "state/status": zenoh.KeyExpr(f"swarm/{swarm}/*/state/status"),
@@ -145,8 +145,8 @@ def flood(foreign: zenoh.Session, rng: random.Random, swarm: str) -> dict[str, i
     for _ in range(PUTS):
         where = zenoh.KeyExpr.autocanonize(key(rng, swarm))
         foreign.put(where, payload(rng), congestion_control=zenoh.CongestionControl.BLOCK)
-        for lane, key_expr in lanes.items():
-            expected[lane] += where.intersects(key_expr)
+        for queue, key_expr in lanes.items():
+            expected[queue] += where.intersects(key_expr)
     return expected
 
 

@@ -7,20 +7,20 @@ import threading
 
 import pytest
 
-from swarmd.network.inbound_queue import BATCH, CAPACITY, Drops, Lane
+from swarmd.network.inbound_queue import BATCH, CAPACITY, DropCounter, InboundQueue
 
 pytestmark = pytest.mark.filterwarnings("error")
 
 
-def lane(drops: Drops, **options: float) -> Lane:
-    return Lane(asyncio.get_running_loop(), drops, "msg/x", **options)  # type: ignore[arg-type]
+def queue(drops: DropCounter, **options: float) -> InboundQueue:
+    return InboundQueue(asyncio.get_running_loop(), drops, "msg/x", **options)  # type: ignore[arg-type]
 
 
 def test_items_from_a_thread_come_in_order() -> None:
     async def story() -> list[int]:
         got: list[int] = []
         done = asyncio.Event()
-        way = lane(Drops())
+        way = queue(DropCounter())
 
         def foreign() -> None:
             for number in range(100):
@@ -39,8 +39,8 @@ def test_items_from_a_thread_come_in_order() -> None:
 def test_a_full_lane_drops_the_newest_and_counts_it() -> None:
     async def story() -> tuple[list[int], dict[str, int]]:
         got: list[int] = []
-        drops = Drops()
-        way = lane(drops)
+        drops = DropCounter()
+        way = queue(drops)
         accepted = [way.offer(got.append, number) for number in range(CAPACITY + 10)]
         assert accepted.count(False) == 10
         while len(got) < CAPACITY:
@@ -56,7 +56,7 @@ def test_the_loop_gets_its_turn_between_batches() -> None:
     async def story() -> list[int]:
         got: list[int] = []
         seen: list[int] = []
-        way = lane(Drops())
+        way = queue(DropCounter())
         for number in range(4 * BATCH):
             way.offer(got.append, number)
         while len(got) < 4 * BATCH:
@@ -73,7 +73,7 @@ def test_a_handler_that_raises_costs_only_its_own_item() -> None:
         errors: list[object] = []
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda _loop, context: errors.append(context["exception"]))
-        way = lane(Drops())
+        way = queue(DropCounter())
         way.offer(got.append, 1)
         way.offer(lambda: 1 // 0)
         way.offer(got.append, 2)
@@ -89,7 +89,7 @@ def test_a_handler_that_raises_costs_only_its_own_item() -> None:
 def test_a_closed_lane_forgets_and_takes_nothing() -> None:
     async def story() -> list[int]:
         got: list[int] = []
-        way = lane(Drops())
+        way = queue(DropCounter())
         way.offer(got.append, 1)
         way.close()
         assert not way.offer(got.append, 2)
@@ -101,7 +101,7 @@ def test_a_closed_lane_forgets_and_takes_nothing() -> None:
 
 
 def test_kinds_are_bounded_in_length_and_number() -> None:
-    drops = Drops()
+    drops = DropCounter()
     for number in range(1000):
         drops.add(f"{number}" + "x" * 200)
     counts = drops.counts()

@@ -61,7 +61,7 @@ def test_left_after_the_token_went(membership: Membership) -> None:
 
 
 def test_left_before_the_token_was_seen_at_all(membership: Membership) -> None:
-    membership.on_left("a", "1", 0.0)
+    membership.on_status(light_status("a", "1", has_left=True), 0.0)
     assert condition(membership) is None
     membership.on_alive("a", "1", 1.0)
     assert condition(membership) is LEFT
