@@ -29,7 +29,7 @@ test: $(VENV)/tools
 
 # The tests marked `evidence`, then every study with its usual seeds.
 evidence: $(VENV)/tools
-	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -m evidence --timeout 3600 $(ARGS)
+	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m evidence --timeout 3600 $(ARGS)
 	@$(MAKE) --no-print-directory ARGS= outcomes paper voting safety
 
 check: $(VENV)/tools
@@ -106,4 +106,4 @@ lock:
 
 clean:
 	rm -rf $(VENV) build dist mutants *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
-	find swarmd patterns drivers sim config tests benchmarks examples -name __pycache__ -type d -prune -exec rm -rf {} +
+	find swarmd patterns drivers sim config tests benchmarks studies examples -name __pycache__ -type d -prune -exec rm -rf {} +

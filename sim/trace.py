@@ -181,7 +181,7 @@ class TraceBuilder:
         self._t: list[float] = []
         self._pose: list[Array] = []
         self._safe: list[Array] = []
-        self._thing_pose: list[Array] = []
+        self._box_pose: list[Array] = []
         self._contacts: list[tuple[float, int, int, float, float]] = []
 
     def add(self, time: float, pose: Array, safe: Array, box_pose: Array | None = None) -> None:
@@ -190,7 +190,7 @@ class TraceBuilder:
         self._pose.append(pose.copy())
         self._safe.append(safe.copy())
         if self._movable_boxes and box_pose is not None:
-            self._thing_pose.append(box_pose.copy())
+            self._box_pose.append(box_pose.copy())
 
     def add_contact(self, time: float, a: str, b: str, speed_a: float, speed_b: float) -> None:
         """Add one step of a contact between robot `a` and `b`, a robot or part of the arena."""
@@ -213,6 +213,6 @@ class TraceBuilder:
             footprints=self._footprints,
             meta={**self._meta, **meta},
             movable_boxes=self._movable_boxes,
-            box_pose=np.array(self._thing_pose).reshape(-1, m, 3) if m else None,
+            box_pose=np.array(self._box_pose).reshape(-1, m, 3) if m else None,
             box_shapes=self._shapes,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 from swarmd.core.values import Array
 from swarmd.sim.lockstep.shell import RobotShell
-from swarmd.sim.trace import ARENA, Trace
+from swarmd.sim.trace import Trace, TraceBuilder
 from swarmd.sim.world.world import World
 
 _WORD = "U24"
@@ -22,53 +23,50 @@ class LockstepRecorder:
 
     def __init__(self, world: World) -> None:
         self._world = world
-        self._index = {robot: row for row, robot in enumerate(world.ids)}
-        self._index |= {f"box/{name}": ARENA - 1 - i for i, name in enumerate(world.movable_boxes)}
-        self._t: list[float] = []
+        self._builder = TraceBuilder(
+            world.ids,
+            world.platforms,
+            {},
+            movable_boxes=world.movable_boxes,
+            box_shapes=world.box_shapes,
+        )
+        self._samples = 0
         self._rows: dict[str, list[NDArray[Any]]] = {}
         self._reports: dict[str, list[tuple[int, int, float]]] = {}
         self._words: dict[str, list[tuple[int, int, str]]] = {}
-        self._contacts: list[tuple[float, int, int, float, float]] = []
 
     def record_contacts(self, now: float) -> None:
         """Record the contacts of the step that ended at `now`."""
         for contact in self._world.contacts():
-            pair = self._index[contact.a], self._index.get(contact.b, ARENA)
-            self._contacts.append((now, *pair, contact.speed_a, contact.speed_b))
+            self._builder.add_contact(now, *astuple(contact))
 
     def record_instant(self, now: float, safe: Array, shells: Sequence[RobotShell | None]) -> None:
         """Record all robots at `now`, with the commands `safe` (n, 3) in force."""
-        kept = _blank(len(shells))
-        kept["pose"], kept["safe"] = self._world.poses(), safe.copy()
+        world, kept = self._world, _blank(len(shells))
+        self._builder.add(now, world.poses(), safe, world.box_poses())
         for row, shell in enumerate(shells):
             if shell is not None:
                 _enter(kept, row, shell)
-                self._note(shell.robot.report, len(self._t), row)
-        self._t.append(now)
-        if self._world.movable_boxes:
-            kept["box_pose"] = self._world.box_poses()
+                self._note(shell.robot.report, self._samples, row)
+        self._samples += 1
         for name, values in kept.items():
             self._rows.setdefault(name, []).append(values)
 
     def trace(self, meta: Mapping[str, Any]) -> Trace:
         """The trace of all samples."""
-        world, contacts = self._world, np.array(self._contacts).reshape(-1, 5)
-        shape = (len(self._t), len(world.ids))
-        rows = {name: np.array(values) for name, values in self._rows.items()}
-        return Trace(
-            ids=world.ids,
-            t=np.array(self._t),
-            contact_t=contacts[:, 0],
-            contact_pair=contacts[:, 1:3].astype(np.int64),
-            contact_speed=contacts[:, 3:],
-            platforms=tuple(platform.name for platform in world.platforms),
-            footprints={platform.name: platform.footprint for platform in world.platforms},
-            meta=dict(meta),
-            report={name: _filled(self._reports[name], shape) for name in sorted(self._reports)},
-            words={name: _filled_words(self._words[name], shape) for name in sorted(self._words)},
-            movable_boxes=tuple(world.movable_boxes),
-            box_shapes=world.box_shapes if world.movable_boxes else None,
-            **rows,
+        shape = (self._samples, len(self._world.ids))
+        known: dict[str, Any] = {name: np.array(rows) for name, rows in self._rows.items()}
+        return replace(
+            self._builder.trace(**meta),
+            report={
+                name: _filled(entries, np.full(shape, np.nan))
+                for name, entries in sorted(self._reports.items())
+            },
+            words={
+                name: _filled(entries, np.full(shape, "", dtype=_WORD))
+                for name, entries in sorted(self._words.items())
+            },
+            **known,
         )
 
     def _note(self, report: Mapping[str, Any], record_instant: int, row: int) -> None:
@@ -119,15 +117,8 @@ def _enter(kept: Mapping[str, NDArray[Any]], row: int, shell: RobotShell) -> Non
         kept["bound"][row] = astuple(decision.rows[0])
 
 
-def _filled(entries: list[tuple[int, int, float]], shape: tuple[int, int]) -> Array:
-    values = np.full(shape, np.nan)
-    instants, rows, numbers = zip(*entries, strict=True)
-    values[list(instants), list(rows)] = numbers
-    return values
-
-
-def _filled_words(entries: list[tuple[int, int, str]], shape: tuple[int, int]) -> NDArray[np.str_]:
-    values = np.full(shape, "", dtype=_WORD)
-    instants, rows, words = zip(*entries, strict=True)
-    values[list(instants), list(rows)] = words
+def _filled(entries: Sequence[tuple[int, int, Any]], values: NDArray[Any]) -> NDArray[Any]:
+    """Enter (sample, row, value) into `values`."""
+    samples, rows, items = zip(*entries, strict=True)
+    values[list(samples), list(rows)] = items
     return values

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import heapq
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,6 +14,7 @@ from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Neighbor, Platform, Value
 from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.delay_queue import DelayQueue
 from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.radio_visibility import LineOfSight, all_pairs, near_pairs
 from swarmd.sim.world.seeding import generator
@@ -25,7 +25,6 @@ Arrival = tuple[int, int, str, Value]
 NEIGHBORS_RATE = 2.0
 """Hz at which a robot learns its neighbors, in live worlds and in lockstep."""
 
-_ROUNDING = 1e-9  # s, of times that are sums of steps
 # Errors of range-and-bearing boards: our choice, of the order that their makers report.
 _DISTANCE_SD, _DISTANCE_SHARE, _ANGLE_SD = 0.02, 0.02, math.radians(2.0)
 _BEARINGS = ("neighbors", "neighbors.distance", "neighbors.bearing", "neighbors.heading")
@@ -89,8 +88,7 @@ class Radio:
         self._loss_rngs = [generator(seed, "radio", robot) for robot in ids]
         self._bearing_rngs = [generator(seed, "bearings", robot) for robot in ids]
         self._plain = [Neighbor(robot, 0.0) for robot in ids]
-        self._queue: list[tuple[float, int, list[int], int, str, Value]] = []
-        self._sent = 0
+        self._in_flight: DelayQueue[tuple[list[int], int, str, Value]] = DelayQueue()
         self._all_others: dict[int, tuple[Neighbor, ...]] = {}
 
     def neighbors(
@@ -149,19 +147,18 @@ class Radio:
             spread = rng.uniform(-settings.jitter, settings.jitter, len(rows)).tolist()
             groups = [(due + off, [hearer]) for off, hearer in zip(spread, rows, strict=True)]
         for at, group in groups:
-            heapq.heappush(self._queue, (at, self._sent, group, row, name, value))
-        self._sent += 1
+            self._in_flight.put(at, (group, row, name, value))
 
     def arrived(self, now: float) -> list[Arrival]:
         """Take the messages that arrived by `now` s: (hearer, sender, name, value).
 
         In order of arrival, then of sending, then of the hearer's row.
         """
-        found: list[Arrival] = []
-        while self._queue and self._queue[0][0] <= now + _ROUNDING:
-            _, _, hearers, sender, name, value = heapq.heappop(self._queue)
-            found.extend((hearer, sender, name, value) for hearer in hearers)
-        return found
+        return [
+            (hearer, sender, name, value)
+            for hearers, sender, name, value in self._in_flight.due(now)
+            for hearer in hearers
+        ]
 
     def links(self, poses: Array, movable_boxes: Array | None = None) -> Indices:
         """All pairs of rows in radio contact: (k, 2), the lower first, in order."""
