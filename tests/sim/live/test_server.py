@@ -125,13 +125,13 @@ _DRIVE = """
 import asyncio, sys
 from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.settings.platforms import load_platform
-from swarmd.testing.driver_contract import Heard
+from swarmd.testing.driver_contract import CollectingSink
 from swarmd.core.values import Twist
 
 async def drive():
     driver = SimulatedDriver(swarm="s", robot="a", platform=load_platform("waffle_pi"),
                              options={"endpoint": sys.argv[1]})
-    heard = Heard()
+    heard = CollectingSink()
     task = asyncio.create_task(driver.run(heard))
     while True:
         driver.send(Twist(0.0, 0.5), heard.scans[-1].seq if heard.scans else -1, -1)
