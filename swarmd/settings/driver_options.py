@@ -1,7 +1,7 @@
-"""What is true of a base whichever driver speaks to it: what it does when commands end.
+"""The options common to all drivers, and the output of an idle robot.
 
-Every driver's options may hold these keys, in the platform's file under `drivers.<name>` or in
-`driver_options`; the core takes them out before the driver sees the rest.
+They stand in the platform's file under `drivers.<name>` or in `driver_options`; the driver receives
+only the other options.
 """
 
 from __future__ import annotations
@@ -18,21 +18,24 @@ from swarmd.driver_api.driver import Driver
 from swarmd.settings.layered import Layered
 
 IDLE_ZEROS_PERIOD = 1.0
-"""Seconds of zeros to a robot that has just become idle, before it is left alone."""
+"""Seconds of zero commands to a robot that becomes idle, with `idle_output: silent`."""
 
 DEFAULT_COMMAND_TIMEOUT = 0.5
-"""Seconds without a command after which most bases that stop by themselves do."""
+"""Seconds without a command after which a base with `command_timeout: base` stops."""
 
 Timeout = Annotated[float, Meta(ge=0.1, le=2.0)]
 
 
 class BaseOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The keys common to all drivers.
+    """The options common to all drivers.
 
-    `deadman`: how the base stops when commands end: `base`, by itself; a number, by itself after
-    so many s; `none`, never, so a stopper must say zero. Not told: `none`, of a simulated driver
-    `base`. `idle_output`: whether an idle robot is told `zeros` again and again, or is left
-    `silent` so that a joystick can have it. `record`: a file for all that is heard and commanded.
+    - `command_timeout`: how the base stops when commands end. `base`: by itself. A number: by
+      itself after so many s. `none`: never, so that the watchdog sends zero. By default `none`, of
+      a simulated driver `base`. A value shorter than the base's own is wrong: a robot whose daemon
+      is lost drives on for longer than assumed.
+    - `idle_output`: `zeros` are sent to an idle robot at every tick, or it is left `silent` so that
+      a joystick can drive it; then nothing stops it while it is idle.
+    - `record`: a file for all inputs and commands of the driver; it grows while the daemon runs.
     """
 
     command_timeout: Timeout | Literal["base", "none"] | None = None
@@ -41,7 +44,7 @@ class BaseOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class IdleOutputFilter:
-    """Which commands reach the driver of an idle robot; pure, time handed in."""
+    """Decides which commands reach the driver of an idle robot. Pure."""
 
     def __init__(self, kind: str) -> None:
         self._is_silent = kind == "silent"
@@ -60,13 +63,13 @@ class IdleOutputFilter:
 
 
 def base_options(options: Mapping[str, Value], what: str) -> BaseOptions:
-    """The common keys among a driver's options; ConfigError, after `what:`, if one is wrong."""
+    """The common options of a driver; ConfigError, starting with `what:`, if one is wrong."""
     common = {key: options[key] for key in BaseOptions.__struct_fields__ if key in options}
     found = Layered((what, common)).build(BaseOptions)
     if found.idle_output == "silent" and found.command_timeout == "none":
         raise ConfigError(
-            f"{what}: idle_output is silent, but deadman is none: a base that never stops by itself"
-            " must be told; wanted is idle_output: zeros, or a base with a timeout"
+            f"{what}: idle_output is silent, but command_timeout is none: a base that never stops"
+            " by itself needs zeros; wanted idle_output: zeros, or a base with a timeout"
         )
     return found
 
@@ -74,7 +77,7 @@ def base_options(options: Mapping[str, Value], what: str) -> BaseOptions:
 def stops_after(options: Mapping[str, Value], what: str) -> float:
     """Seconds after which a real base with these options stops by itself; inf if it never does.
 
-    `base` says that it does, not when: 0.5 s.
+    0.5 s for `command_timeout: base`, which does not say when.
     """
     command_timeout = base_options(options, what).command_timeout
     if command_timeout is None or command_timeout == "none":
@@ -83,5 +86,5 @@ def stops_after(options: Mapping[str, Value], what: str) -> float:
 
 
 def effective_command_timeout(base: BaseOptions, driver: Driver) -> float | Literal["base", "none"]:
-    """The deadman in force: of a real robot none, unless its platform says otherwise."""
+    """The command timeout, with its default: `none` for a real robot, else `base`."""
     return base.command_timeout or ("base" if driver.is_simulated else "none")

@@ -1,11 +1,11 @@
-"""Platforms: one kind of robot a file, read and checked. The schema is this file's structs."""
+"""Platforms: the file of one kind of robot, its schema and its checks."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Literal, cast
+from typing import Annotated, Any, Literal, cast
 
 import numpy as np
 from msgspec import Meta, Struct, to_builtins
@@ -22,7 +22,7 @@ from swarmd.protection.settings import (
     StopZoneSettings,
 )
 from swarmd.settings.driver_options import base_options
-from swarmd.settings.layered import Layered
+from swarmd.settings.layered import Fault, Keys, Layered, fault_at
 from swarmd.settings.swarmfile import Options, Parameters
 from swarmd.settings.yamlfile import Data, read_extended, shown
 
@@ -36,7 +36,11 @@ _READING = "reading:"
 
 
 class LimitsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What the base can do: m/s, rad/s; `lateral` 0 for bases that cannot move sideways."""
+    """The limits of the base, m/s and rad/s; commands are clipped to them.
+
+    Above what the base can do, protection assumes turns and brakes that do not come. `lateral`:
+    0 for a base that cannot move sideways.
+    """
 
     linear: Annotated[float, Meta(gt=0.0, le=20.0)]
     angular: Annotated[float, Meta(gt=0.0, le=50.0)]
@@ -44,11 +48,20 @@ class LimitsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The range sensor: rate in Hz, ranges in m, and where its rays go.
+    """The range sensor.
 
-    `rays` many are spread evenly over 360 degrees, or each has its own among `bearings_deg`.
-    `latency`: the mean age of its rays in s when a sweep arrives; None: half a sweep, as of one
-    that turns. `near`: whether it tells of what is nearer than `range_min`.
+    - `rays`: their number, spread evenly over 360 degrees; or `bearings_deg`: the bearing of each.
+    - `rate`: scans a second (Hz). Too high: the robot is held, as its scans count as too old.
+    - `range_min`, `range_max`: the ranges in m that it measures.
+    - `first_bearing_deg`: bearing of the first ray. Wrong: every obstacle is turned.
+    - `offset`: its position from the axle, m. Wrong: obstacles are nearer than assumed.
+    - `zero`: the meaning of a range of 0.
+    - `noisy`: two equal scans mean a frozen sensor. False if equal scans are normal.
+    - `max_gap_deg`: the widest unknown sector that is bridged. Wider: a larger object can stand in
+      it unseen. Narrower: more scans are invalid, which holds the robot.
+    - `near`: `lost` if an object nearer than `range_min` looks like no object.
+    - `latency`: mean age of its rays in s when a scan arrives; None: half a scan period, as of a
+      rotating lidar. Too low: protection acts on where obstacles were.
     """
 
     rays: Annotated[int, Meta(ge=1, le=10_000)] | None = None
@@ -66,7 +79,7 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
 
 
 class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The arbiter: its mode, and what each mode is told; `preset` is the potential field's."""
+    """The protection mode and the settings of each; `preset` names one of the potential field."""
 
     mode: Mode = "barrier"
     preset: str
@@ -76,7 +89,16 @@ class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """All that may stand in a platform's file."""
+    """The keys of a platform's file.
+
+    - `extends`: a platform or file; this file then holds only what differs.
+    - `footprint`: convex outline in m, counter-clockwise. Too small: collisions; too large: the
+      robot stops earlier and does not fit through gaps that it could pass.
+    - `provides`: what patterns may need. Patterns that need more are refused.
+    - `patterns`: parameters by pattern that override the derived ones.
+    - `drivers`: default options by driver.
+    - `body`: properties of the simulated robot; no effect on a real one.
+    """
 
     description: str = ""
     extends: str | None = None
@@ -91,7 +113,7 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 def platform_names() -> tuple[str, ...]:
-    """The platforms that come with the project."""
+    """The names of the shipped platforms."""
     return tuple(sorted(path.stem for path in _folder().glob("*.yaml")))
 
 
@@ -105,16 +127,14 @@ def load_platform(name: str, near: Path | None = None) -> Platform:
 
 
 def platform_sources(name: str, near: Path | None = None) -> tuple[tuple[str, Data], ...]:
-    """What `load_platform` reads: the file and those it extends, by name, strongest first."""
+    """The file of a platform and those that it extends, each with its name, strongest first."""
     files = read_extended(_find(name, near or Path()), _find)
     return tuple((shown(path), data) for path, data in files)
 
 
 def platform_of(name: str, layers: Layered) -> Platform:
     """The platform that the layers describe; ConfigError as `load_platform`."""
-    file = layers.build(PlatformFile)
-    _check(layers, file)
-    return _platform(name, file)
+    return _platform(name, layers.build(PlatformFile, _check))
 
 
 def _folder() -> Path:
@@ -131,100 +151,89 @@ def _find(name: str, near: Path) -> Path:
     return _folder() / f"{name}.yaml"
 
 
-def _check(layers: Layered, file: PlatformFile) -> None:
-    _check_scan(layers, file.scan)
-    _check_protection(layers, file)
+def _check(value: Any, keys: Keys) -> Iterator[Fault]:
+    match value:
+        case ScanSection():
+            yield from _check_scan(value, keys)
+        case ProtectionSection():
+            yield from _check_protection(value, keys)
+        case PlatformFile():
+            yield from _check_file(value)
+
+
+def _check_scan(scan: ScanSection, keys: Keys) -> Iterator[Fault]:
+    if (scan.rays is None) == (scan.bearings_deg is None):
+        fault = "is missing" if scan.rays is None else f"is {scan.rays} beside bearings_deg"
+        text = f"{fault}; wanted one of the two: a number of rays, or a list of bearings"
+        yield fault_at((*keys, "rays"), text)
+    if scan.range_min >= scan.range_max:
+        text = f"is {scan.range_min:g}; wanted less than scan.range_max ({scan.range_max:g})"
+        yield fault_at((*keys, "range_min"), text)
+    if scan.near == "lost" and scan.zero == "too_close":
+        text = "is lost, but scan.zero is too_close; wanted reported, or another zero"
+        yield fault_at((*keys, "near"), text)
+
+
+def _check_protection(protection: ProtectionSection, keys: Keys) -> Iterator[Fault]:
+    zone = protection.stop_zone
+    if protection.preset not in protection.presets:
+        text = f"names {unknown('preset', protection.preset, protection.presets)}"
+        yield fault_at((*keys, "preset"), text)
+    if zone.slow < zone.stop:
+        text = f"is {zone.slow:g}; wanted at least stop ({zone.stop:g})"
+        yield fault_at((*keys, "stop_zone", "slow"), text)
+
+
+def _check_file(file: PlatformFile) -> Iterator[Fault]:
     for name, options in file.drivers.items():
         try:
             base_options(cast(Mapping[str, Value], options), f"drivers.{name}")
         except ConfigError as error:
-            raise layers.error(("drivers", name), str(error)) from error
+            yield ("drivers", name), str(error)
     for index, word in enumerate(file.provides):
         if word not in (*_SENSED, *_OF_NEIGHBORS) and not _is_reading(word):
             words = (*_SENSED, *_OF_NEIGHBORS, f"{_READING}<name>")
-            raise layers.error(("provides", index), f"provides: {unknown('word', word, words)}")
+            yield fault_at(("provides", index), f"names {unknown('word', word, words)}")
     fault = _shape_fault(file.footprint)
     if fault:
-        raise layers.error(
-            ("footprint",),
-            f"footprint {fault}; wanted a convex polygon in m, counter-clockwise seen from above",
-        )
-    if file.protection.mode == "stop_zone":
-        _check_stop_zone(layers, file)
-
-
-def _check_scan(layers: Layered, scan: ScanSection) -> None:
-    if (scan.rays is None) == (scan.bearings_deg is None):
-        fault = "is missing" if scan.rays is None else f"is {scan.rays} beside bearings_deg"
-        text = f"scan.rays {fault}; wanted is one of the two: how many, or a list of bearings"
-        raise layers.error(("scan", "rays"), text)
-    if scan.range_min >= scan.range_max:
-        text = f"scan.range_min is {scan.range_min:g}"
-        raise layers.error(
-            ("scan", "range_min"), f"{text}; wanted less than scan.range_max ({scan.range_max:g})"
-        )
-    if scan.near == "lost" and scan.zero == "too_close":
-        raise layers.error(
-            ("scan", "near"),
-            "scan.near is lost, but scan.zero is too_close; wanted is reported, or another zero",
-        )
-
-
-def _check_protection(layers: Layered, file: PlatformFile) -> None:
-    scan, protection = file.scan, file.protection
-    if protection.preset not in protection.presets:
-        fault = unknown("preset", protection.preset, protection.presets)
-        raise layers.error(("protection", "preset"), f"protection.preset: {fault}")
-    measured = f"between {scan.range_min:g} and {scan.range_max:g}"
-    for name, preset in protection.presets.items():
-        if not scan.range_min < preset.threshold < scan.range_max:
-            key = ("protection", "presets", name, "threshold")
-            raise layers.error(
-                key,
-                f"{'.'.join(key)} is {preset.threshold:g}; wanted a range the sensor can measure,"
-                f" {measured}",
-            )
-    zone, barrier = protection.stop_zone, protection.barrier
-    if zone.slow < zone.stop:
-        raise layers.error(
-            ("protection", "stop_zone"),
-            f"protection.stop_zone.slow is {zone.slow:g}; wanted at least stop ({zone.stop:g})",
-        )
-    keep_out = None if barrier is None else barrier.keep_out
-    if keep_out is not None and not scan.range_min < keep_out < scan.range_max:
-        raise layers.error(
-            ("protection", "barrier", "keep_out"),
-            f"protection.barrier.keep_out is {keep_out:g}; wanted a range the sensor can measure,"
-            f" {measured}",
-        )
-    if protection.mode == "barrier":
-        _check_barrier(layers, file)
-
-
-def _check_stop_zone(layers: Layered, file: PlatformFile) -> None:
-    """What stands in the zone that stops the robot must be seen there."""
-    stop = file.protection.stop_zone.stop
-    reach, _ = Footprint(np.array(file.footprint)).circles(file.scan.offset)
-    if reach + stop < file.scan.range_min:
-        wanted = math.ceil(100.0 * (file.scan.range_min - reach)) / 100.0
-        raise layers.error(
-            ("protection", "mode"),
-            f"protection.mode is stop_zone, whose stop is {stop:g} m from the outline, where the"
-            f" sensor sees nothing yet; wanted is protection.stop_zone.stop of at least {wanted:g}"
-            " (and slow beyond it), or another mode",
-        )
-
-
-def _check_barrier(layers: Layered, file: PlatformFile) -> None:
-    """What mode `barrier` cannot do without."""
-    if file.protection.barrier is None:
-        lacks = "protection.barrier; give it others_speed and unseen_extent"
-    elif "odometry" not in file.provides:
-        lacks = "odometry; add it to provides"
-    else:
+        text = f"{fault}; wanted a convex polygon in m, counter-clockwise seen from above"
+        yield fault_at(("footprint",), text)
         return
-    text = f"protection.mode is barrier, which needs {lacks}, or take another mode"
-    raise layers.error(("protection", "mode"), text)
+    yield from _check_ranges(file)
+    if file.protection.mode == "barrier":
+        lacks = ""
+        if file.protection.barrier is None:
+            lacks = "protection.barrier; give it others_speed and unseen_extent"
+        elif "odometry" not in file.provides:
+            lacks = "odometry; add it to provides"
+        if lacks:
+            text = f"is barrier, which needs {lacks}, or take another mode"
+            yield fault_at(("protection", "mode"), text)
+
+
+def _check_ranges(file: PlatformFile) -> Iterator[Fault]:
+    """Distances of protection must be ranges that the sensor measures."""
+    scan, protection = file.scan, file.protection
+    places: dict[Keys, float | None] = {
+        ("protection", "presets", name, "threshold"): preset.threshold
+        for name, preset in protection.presets.items()
+    }
+    if protection.barrier is not None:
+        places["protection", "barrier", "keep_out"] = protection.barrier.keep_out
+    for keys, distance in places.items():
+        if distance is not None and not scan.range_min < distance < scan.range_max:
+            measured = f"between {scan.range_min:g} and {scan.range_max:g}"
+            text = f"is {distance:g}; wanted a range that the sensor measures, {measured}"
+            yield fault_at(keys, text)
+    stop = protection.stop_zone.stop
+    reach, _ = Footprint(np.array(file.footprint)).circles(scan.offset)
+    if protection.mode == "stop_zone" and reach + stop < scan.range_min:
+        wanted = math.ceil(100.0 * (scan.range_min - reach)) / 100.0
+        text = (
+            f"is stop_zone, whose stop is {stop:g} m from the outline, nearer than the sensor"
+            f" measures; wanted protection.stop_zone.stop of at least {wanted:g}, or another mode"
+        )
+        yield fault_at(("protection", "mode"), text)
 
 
 def _is_reading(word: str) -> bool:
@@ -232,7 +241,7 @@ def _is_reading(word: str) -> bool:
 
 
 def _shape_fault(points: list[Point]) -> str:
-    """What keeps the points from being a convex counter-clockwise polygon; empty if nothing."""
+    """Why the points are not a convex counter-clockwise polygon; empty if they are."""
     if len(points) < 3:
         return f"has {len(points)} corners"
     edges = list(zip(points, points[1:] + points[:1], strict=True))
@@ -251,10 +260,10 @@ def _shape_fault(points: list[Point]) -> str:
 
 
 def _bearings(scan: ScanSection) -> Array:
-    """(n,) rad, where the rays go."""
+    """The bearings of the rays, (n,) rad."""
     given = scan.bearings_deg
     if given is None:
-        rays = scan.rays or 0  # one of the two is there
+        rays = scan.rays or 0  # _check_scan: one of the two is set
         step = 2.0 * math.pi / rays
         first = math.radians(scan.first_bearing_deg)
         return np.array([wrap(first + i * step) for i in range(rays)])

@@ -1,7 +1,7 @@
-"""The settings of one daemon, read once: files, command line and environment into one value.
+"""The settings of one daemon, read once from files, command line and environment.
 
 Weakest to strongest: defaults, `$SWARM`, the file named by `swarm_file`, the daemon's own file,
-the command line. `provenance` says for every key which of them won.
+the command line. `provenance` names the source of every key.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ from swarmd.settings.yamlfile import shown
 
 __all__ = ["DaemonSettings", "load_daemon_settings", "load_platform", "platform_names"]
 
-_WORD = 64  # the longest source that a status can name
+_MAX_SOURCE_LENGTH = 64  # of a source in a status
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DaemonSettings:
-    """Everything one daemon is told, checked.
+    """The checked settings of one daemon.
 
-    `platform_name` is what was asked for: a name, or the absolute path of a file. `labels` are
-    this robot's, `label_members` everyone's. `state_dir` is shared by all daemons of a user:
-    `<state_dir>/<swarm>/<id>` is this one's.
-    `provenance`: key -> file, `--option`, `$VARIABLE`, `host name` or `default`.
+    `platform_name` is the configured name, or the absolute path of a file. `labels` are those of
+    this robot, `label_members` the robots of every label. All daemons of a user share `state_dir`;
+    `<state_dir>/<swarm>/<id>` belongs to this one. `provenance`: key -> file, `--option`,
+    `$VARIABLE`, `host name` or `default`.
     """
 
     id: str
@@ -60,7 +60,7 @@ class DaemonSettings:
 
     @property
     def touch_zones(self) -> Mapping[str, TouchZone]:
-        """Where which pattern may touch what is near."""
+        """The zones in which patterns may touch obstacles."""
         return granted_zones(self.touch)
 
     def pattern_layers(self, pattern: str) -> Layers:
@@ -71,7 +71,7 @@ class DaemonSettings:
         labelled = self.parameters.labels
         layers = [("platform", self.platform.patterns.get(pattern, {}))]
         layers += [
-            (f"label {name}"[:_WORD], labelled.get(name, {}).get(pattern, {}))
+            (f"label {name}"[:_MAX_SOURCE_LENGTH], labelled.get(name, {}).get(pattern, {}))
             for name in self.labels
         ]
         layers += [("robot", self.parameters.robots.get(self.id, {}).get(pattern, {}))]
@@ -91,11 +91,10 @@ def load_daemon_settings(
     given = {key: value for key, value in overrides.items() if value is not None}
     parent = given.pop("die_with_parent", None)
     layers = layered(config, given, environ)
-    file = layers.build(DaemonFile)
-    check(layers, file)
+    file = layers.build(DaemonFile, check)
     near = config.parent if config is not None and "platform" not in given else Path()
     platform = load_platform(file.platform, near)
-    robot = _robot_id(layers, file)
+    robot = file.id or _host_id()
     return DaemonSettings(
         id=robot,
         network=msgspec.convert(file, NetworkSettings, from_attributes=True),
@@ -115,16 +114,9 @@ def load_daemon_settings(
     )
 
 
-def _robot_id(layers: Layered, file: DaemonFile) -> str:
-    if file.id is None:
-        name = socket.gethostname().partition(".")[0].lower()
-        return check_id(
-            name, "the robot's id, taken from the host name as none was given with --id,"
-        )
-    try:
-        return check_id(file.id, "id")
-    except ConfigError as error:
-        raise layers.error(("id",), str(error)) from error
+def _host_id() -> str:
+    name = socket.gethostname().partition(".")[0].lower()
+    return check_id(name, "the robot's id, taken from the host name as none was given with --id,")
 
 
 def _absolute(platform: str, near: Path) -> str:
@@ -138,7 +130,7 @@ def _driver_options(platform: Platform, file: DaemonFile) -> Mapping[str, Value]
 
 
 def _path(layers: Layered, key: str, value: str | None, config: Path | None) -> Path | None:
-    """The path; one from the file is relative to the file, one from the command line to here."""
+    """The path; relative to the file that holds it, or to the working directory."""
     if value is None:
         return None
     is_ours = config is not None and layers.source(key) == shown(config)
@@ -147,7 +139,7 @@ def _path(layers: Layered, key: str, value: str | None, config: Path | None) -> 
 
 def _state_dir(environ: Mapping[str, str]) -> Path:
     base = environ.get("XDG_STATE_HOME", "")
-    if os.path.isabs(base):  # the XDG specification: relative ones are to be ignored
+    if os.path.isabs(base):  # the XDG specification: relative paths are ignored
         return Path(base) / "swarmd"
     home = environ.get("HOME", "")
     if not os.path.isabs(home):

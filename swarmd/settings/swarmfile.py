@@ -1,11 +1,11 @@
-"""What may stand in swarm.yaml and in a daemon's own file, and the checks they must pass.
+"""The schemas of swarm.yaml and of a daemon's own file, and their checks.
 
-No numpy here: swarmctl reads swarm.yaml too, to meet the swarm as its robots do.
+Imports no numpy: swarmctl reads swarm.yaml too, for the network settings of the swarm.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from swarmd.core.keys import check_id
 from swarmd.core.messages import Scalar
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.network.settings import NetworkSettings
-from swarmd.settings.layered import Layered
+from swarmd.settings.layered import Fault, Keys, Layered, dotted, fault_at
 from swarmd.settings.yamlfile import Data, read, shown
 
 DEFAULT = "default"
@@ -24,7 +24,7 @@ Parameters = dict[str, dict[str, Scalar | None]]
 Option = Scalar | list[Scalar] | dict[str, Scalar | list[Scalar]] | None
 Options = dict[str, Option]
 
-# Command-line options that are not called like their key.
+# Command-line options that are not named like their key.
 _OPTIONS = {"driver_options": "--driver-option", "seeds": "--seed"}
 
 
@@ -36,7 +36,13 @@ class ParametersSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields
 
 
 class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """The keys of swarm.yaml, which the robots of one swarm share: its network and more."""
+    """The keys of swarm.yaml, which the robots of one swarm share, beside those of the network.
+
+    - `roster`: ids of all robots; then an unknown id in this file is an error, and missing robots
+      are reported.
+    - `labels`: names for groups of robots, as targets and for `parameters`.
+    - `touch`: the zones in which patterns may touch obstacles.
+    """
 
     roster: list[str] = []
     labels: dict[str, list[str]] = {}
@@ -45,7 +51,15 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
 
 
 class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """All that may stand in the file of one daemon: swarm.yaml's keys and its own."""
+    """The keys of the file of one daemon: those of swarm.yaml and its own.
+
+    - `swarm_file`: the swarm.yaml to include; keys of this file override it.
+    - `id`: this robot's id, default the host name. Two daemons of one id refuse each other.
+    - `platform`, `driver`, `driver_options`: the robot and the connection to its base.
+    - `state_dir`: folder for what survives a restart, such as the estop latch; on a memory disk a
+      reboot clears a latched estop.
+    - `plugin_dir`: folder of patterns and missions of your own.
+    """
 
     swarm_file: str | None = None
     id: str | None = None
@@ -59,11 +73,8 @@ class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 def load_swarm(
     config: Path | None, overrides: Mapping[str, object], environ: Mapping[str, str]
 ) -> SwarmFile:
-    """What an operator must know to meet the swarm; a daemon's own file will do as well."""
-    layers = layered(config, overrides, environ)
-    file = layers.build(DaemonFile)
-    check(layers, file)
-    return file
+    """The swarm's settings for an operator, from swarm.yaml or a daemon's own file."""
+    return layered(config, overrides, environ).build(DaemonFile, check)
 
 
 def layered(
@@ -83,10 +94,11 @@ def layered(
     return Layered(*sources, (DEFAULT, {}))
 
 
-def check(layers: Layered, file: DaemonFile) -> None:
-    """Raise ConfigError for names that no key may hold, and for a network that cannot be."""
-    _check_names(layers, file)
-    _check_network(layers, file)
+def check(file: Any, _: Keys) -> Iterator[Fault]:
+    """Faults of a DaemonFile: names that no key may hold, and impossible network settings."""
+    if isinstance(file, DaemonFile):
+        yield from file.faults()
+        yield from _check_names(file)
 
 
 def _included(config: Path, own: Data) -> list[tuple[str, Data]]:
@@ -99,38 +111,33 @@ def _included(config: Path, own: Data) -> list[tuple[str, Data]]:
     return [(shown(path), data)]
 
 
-def _check_names(layers: Layered, file: DaemonFile) -> None:
+def _check_names(file: DaemonFile) -> Iterator[Fault]:
+    if file.id is not None:
+        yield from _check_id(("id",), file.id)
     for index, name in enumerate(file.roster):
-        _check_id(layers, ("roster", index), name, f"roster[{index}]")
+        yield from _check_id(("roster", index), name)
         if name in file.roster[:index]:
-            raise layers.error(("roster", index), f"roster names {name!r} twice; keep one")
+            yield ("roster", index), f"roster names {name!r} twice; keep one"
     for label, robots in file.labels.items():
-        _check_id(layers, ("labels", label), label, f"labels.{label}")
+        yield from _check_id(("labels", label), label)
         for name in robots:
-            _check_robot(layers, ("labels", label), name, file.roster)
+            yield from _check_robot(("labels", label), name, file.roster)
     for label in file.parameters.labels:
         if label not in file.labels:
-            text = f"parameters.labels: {unknown('label', label, file.labels)}"
-            raise layers.error(("parameters", "labels", label), text)
+            text = f"names {unknown('label', label, file.labels)}"
+            yield fault_at(("parameters", "labels", label), text)
     for name in file.parameters.robots:
-        _check_robot(layers, ("parameters", "robots", name), name, file.roster)
+        yield from _check_robot(("parameters", "robots", name), name, file.roster)
 
 
-def _check_robot(layers: Layered, keys: Sequence[str], name: str, roster: list[str]) -> None:
-    _check_id(layers, keys, name, ".".join(keys))
+def _check_robot(keys: Keys, name: str, roster: list[str]) -> Iterator[Fault]:
+    yield from _check_id(keys, name)
     if roster and name not in roster:
-        raise layers.error(
-            keys, f"{'.'.join(keys)}: {unknown('robot in the roster', name, roster)}"
-        )
+        yield fault_at(keys, f"names {unknown('robot in the roster', name, roster)}")
 
 
-def _check_id(layers: Layered, keys: Sequence[str | int], value: str, what: str) -> None:
+def _check_id(keys: Keys, value: str) -> Iterator[Fault]:
     try:
-        check_id(value, what)
+        check_id(value, dotted(keys))
     except ConfigError as error:
-        raise layers.error(keys, str(error)) from error
-
-
-def _check_network(layers: Layered, file: DaemonFile) -> None:
-    for keys, text in file.faults():
-        raise layers.error(keys, text)
+        yield keys, str(error)

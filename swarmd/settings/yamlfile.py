@@ -1,7 +1,7 @@
-"""YAML files read strictly: what stands in them, or one line that names file and line.
+"""YAML files read strictly; each error is one line with file and line number.
 
-Refused are duplicate keys, keys that are not text, and anchors (so that no file can refer to
-itself). What the values mean is checked by `swarmd.settings.layered`.
+Duplicate keys, keys that are not text, and anchors (a file could refer to itself) are refused.
+`swarmd.settings.layered` checks the values.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ def read(path: Path) -> Data:
 
 
 def read_extended(path: Path, find: Callable[[str, Path], Path]) -> Iterator[tuple[Path, Data]]:
-    """A file and those it `extends`, strongest first; `find(name, folder)` says where they are.
+    """A file and those it `extends`, strongest first; `find(name, folder)` gives their paths.
 
-    ConfigError if a file extends itself, or one that is not there.
+    ConfigError if a file extends itself or a missing one.
     """
     seen: list[Path] = []
     while True:
@@ -64,12 +64,12 @@ def read_extended(path: Path, find: Callable[[str, Path], Path]) -> Iterator[tup
 
 
 def read_value(text: str) -> Any:
-    """What the text would be as a value in a file; ConfigError if it could not be one."""
+    """The value that the text has in a file; ConfigError if it is not valid YAML."""
     try:
         return yaml.load(text, Loader=_StrictLoader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ConfigError(
-            f"{brief(text)} is no value; wanted is YAML, such as 3 or [1, 2]"
+            f"{brief(text)} is not a value; wanted YAML, such as 3 or [1, 2]"
         ) from error
 
 
@@ -95,7 +95,7 @@ def key_lines(path: Path) -> Mapping[tuple[str | int, ...], int]:
 
 
 def shown(path: Path) -> str:
-    """The path as errors show it: relative to where we are if it is below, else in full."""
+    """The path as errors show it: relative if it is below the working directory, else absolute."""
     real, here = path.resolve(), Path.cwd()
     return str(real.relative_to(here)) if real.is_relative_to(here) else str(real)
 

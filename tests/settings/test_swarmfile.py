@@ -58,71 +58,67 @@ def test_takes_the_file_of_a_daemon_as_well(file: Path) -> None:
     assert load(file, {"swarm": "lab", "id": "r1", "platform": "burger"}).swarm == "lab"
 
 
+PUSH = {"half_width_deg": 20, "speed": 0.1}
+
+
 @pytest.mark.parametrize(
-    ("data", "fault"),
+    ("data", "subjects"),
     [
-        ({"swarm": "La b"}, "swarm.yaml: swarm is 'La b'; wanted are 1 to 63 of a-z"),
-        ({"swarm": "a/*"}, "swarm.yaml: swarm is 'a/*'; wanted"),
-        ({"swarms": "lab"}, "swarm.yaml: no key 'swarms'; did you mean 'swarm'?"),
-        ({"profile": "feld"}, "swarm.yaml: profile is 'feld'; wanted dev or field"),
-        ({"profile": "field"}, "swarm.yaml: profile field needs `interface`: the network"),
-        ({"seeds": ["10.0.0.5"]}, "swarm.yaml: seeds[0] is '10.0.0.5'; wanted an endpoint such"),
-        ({"listen": ["tcp/x"]}, "swarm.yaml: listen[0] is 'tcp/x'; wanted an endpoint such as"),
-        ({"lease": 0}, "swarm.yaml: lease is 0; wanted a number of at least 0.2 and up to 60"),
-        ({"roster": "r1"}, "swarm.yaml: roster is 'r1'; wanted a list, each text"),
-        ({"roster": ["r1", "R2"]}, "swarm.yaml: roster[1] is 'R2'; wanted are"),
-        ({"roster": ["r1", "r1"]}, "swarm.yaml: roster names 'r1' twice; keep one"),
-        ({"labels": {"Red": ["r1"]}}, "swarm.yaml: labels.Red is 'Red'; wanted are"),
-        (
-            {"roster": ["r1", "r2"], "labels": {"red": ["r3"]}},
-            "swarm.yaml: labels.red: no robot in the roster 'r3'; there are: r1, r2",
-        ),
+        ({"swarm": "La b"}, ["swarm is 'La b'"]),
+        ({"swarm": "a/*"}, ["swarm is 'a/*'"]),
+        ({"swarms": "lab"}, ["no key 'swarms'; did you mean 'swarm'?"]),
+        ({"profile": "feld"}, ["profile is 'feld'", "dev", "field"]),
+        ({"profile": "field"}, ["profile field", "interface"]),
+        ({"seeds": ["10.0.0.5"]}, ["seeds[0] is '10.0.0.5'"]),
+        ({"listen": ["tcp/x"]}, ["listen[0] is 'tcp/x'"]),
+        ({"lease": 0}, ["lease is 0", "0.2"]),
+        ({"roster": "r1"}, ["roster is 'r1'"]),
+        ({"roster": ["r1", "R2"]}, ["roster[1] is 'R2'"]),
+        ({"roster": ["r1", "r1"]}, ["roster", "'r1' twice"]),
+        ({"labels": {"Red": ["r1"]}}, ["labels.Red is 'Red'"]),
+        ({"roster": ["r1", "r2"], "labels": {"red": ["r3"]}}, ["labels.red", "'r3'", "r1, r2"]),
         (
             {"labels": {"red": []}, "parameters": {"labels": {"rot": {}}}},
-            "swarm.yaml: parameters.labels: no label 'rot'; there are: red",
+            ["parameters.labels.rot", "'rot'", "red"],
         ),
         (
             {"roster": ["r1"], "parameters": {"robots": {"r12": {}}}},
-            "swarm.yaml: parameters.robots.r12: no robot in the roster 'r12'; did you mean 'r1'?",
+            ["parameters.robots.r12", "'r12'", "'r1'"],
         ),
         (
             {"parameters": {"robots": {"r1": {"drive": {"linear": [1]}}}}},
-            "swarm.yaml: parameters.robots.r1.drive.linear is [1]; wanted",
+            ["parameters.robots.r1.drive.linear is [1]"],
         ),
-        (
-            {"touch": {"push": {"half_width_deg": 20, "speed": 0.31}}},
-            "swarm.yaml: touch.push.speed is 0.31; wanted a number above 0 and up to 0.3",
-        ),
-        (
-            {"touch": {"push": {"half_width_deg": 61, "speed": 0.1}}},
-            "swarm.yaml: touch.push.half_width_deg is 61; wanted a number above 0 and up to 60",
-        ),
-        (
-            {"touch": {"push": {"speed": 0.1}}},
-            "swarm.yaml: touch.push.half_width_deg is missing; wanted a number above 0",
-        ),
-        (
-            {"touch": {"push": {"half_width": 20, "speed": 0.1}}},
-            "swarm.yaml: touch.push has no key 'half_width'; did you mean 'half_width_deg'?",
-        ),
-        ({"touch": {"push": True}}, "swarm.yaml: touch.push is True; wanted keys and values:"),
-        ({"swarm_file": "none.yaml"}, "none.yaml: cannot be read: No such file"),
+        ({"touch": {"push": {**PUSH, "speed": 0.31}}}, ["touch.push.speed is 0.31", "0.3"]),
+        ({"touch": {"push": {**PUSH, "half_width_deg": 61}}}, ["push.half_width_deg is 61", "60"]),
+        ({"touch": {"push": {"speed": 0.1}}}, ["touch.push.half_width_deg is missing"]),
+        ({"touch": {"push": {"half_width": 20, "speed": 0.1}}}, ["'half_width'"]),
+        ({"touch": {"push": True}}, ["touch.push is True"]),
     ],
 )
-def test_refuses_in_one_line(file: Path, data: dict[str, Any], fault: str) -> None:
+def test_a_wrong_value_is_refused_in_one_line(
+    file: Path, data: dict[str, Any], subjects: list[str]
+) -> None:
     with pytest.raises(ConfigError) as caught:
         load(file, data)
-    assert str(caught.value).startswith(fault)
-    assert "\n" not in str(caught.value)
+    text = str(caught.value)
+    assert text.startswith("swarm.yaml: ")
+    assert all(subject in text for subject in subjects)
+    assert "\n" not in text
+
+
+def test_a_missing_swarm_file_is_refused(file: Path) -> None:
+    with pytest.raises(ConfigError, match=r"^none\.yaml"):
+        load(file, {"swarm_file": "none.yaml"})
 
 
 def test_a_fault_on_the_command_line_names_the_option(file: Path) -> None:
-    with pytest.raises(ConfigError, match=r"^--seed: seeds\[0\] is 'x'; wanted an endpoint"):
+    with pytest.raises(ConfigError, match=r"^--seed: seeds\[0\]"):
         load(file, {}, seeds=["x"])
 
 
 def test_a_fault_in_the_environment_names_the_variable() -> None:
-    with pytest.raises(ConfigError, match=r"^\$SWARM: swarm is 'a b'; wanted"):
+    with pytest.raises(ConfigError, match=r"^\$SWARM: swarm"):
         load_swarm(None, {}, {"SWARM": "a b"})
 
 

@@ -89,5 +89,5 @@ def test_a_value_alone_is_read_as_in_a_file() -> None:
     assert [read_value(text) for text in ("1e-3", "[1, a]", "{a: 1}", "true", "")] == [
         *(0.001, [1, "a"], {"a": 1}, True, None)
     ]
-    with pytest.raises(ConfigError, match=r"'\[1' is no value; wanted is YAML, such as 3 or"):
+    with pytest.raises(ConfigError, match=r"'\[1' is not a value"):
         read_value("[1")

@@ -79,7 +79,7 @@ def test_sweeps_keep_their_order_and_types() -> None:
         (["a..b=1"], "wanted is key=a,b,c"),
         (["speed="], "a value is empty"),
         (["a=1", "a=2"], "--sweep a is given twice"),
-        (["a=[1"], "--sweep a: '[1' is no value"),
+        (["a=[1"], "--sweep a: '[1'"),
     ],
 )
 def test_sweeps_that_cannot_be_are_one_line(words: list[str], fault: str) -> None:
