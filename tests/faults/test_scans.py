@@ -1,4 +1,4 @@
-"""Sweeps that stop, freeze or are spoiled, and a body that goes: stopped, with the right reason."""
+"""Missing, frozen and invalid scans, and a lost driver, stop the robot with the right reason."""
 
 from __future__ import annotations
 
@@ -23,12 +23,14 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.integration
 
-Sweep = Callable[[ScanSpec, int, float], Scan | bytes | None]
+ScanSource = Callable[[ScanSpec, int, float], Scan | bytes | None]
 
-OF_SCANS = frozenset({Reason.NO_SCAN, Reason.STALE_SCAN, Reason.INVALID_SCAN, Reason.FROZEN_SCAN})
+SCAN_REASONS = frozenset(
+    {Reason.NO_SCAN, Reason.STALE_SCAN, Reason.INVALID_SCAN, Reason.FROZEN_SCAN}
+)
 
 
-def sweep(spec: ScanSpec, seq: int, stamp: float, ranges: Array) -> Scan:
+def scan_of(spec: ScanSpec, seq: int, stamp: float, ranges: Array) -> Scan:
     return Scan(seq, stamp, trembling(ranges, seq), spec.bearings, spec.range_min, spec.range_max)
 
 
@@ -37,16 +39,16 @@ def none(spec: ScanSpec, seq: int, stamp: float) -> None:
 
 
 def frozen(spec: ScanSpec, seq: int, stamp: float) -> Scan:
-    return sweep(spec, 1, 0.05, np.full(len(spec.bearings), 3.0))
+    return scan_of(spec, 1, 0.05, np.full(len(spec.bearings), 3.0))
 
 
 def all_unknown(spec: ScanSpec, seq: int, stamp: float) -> Scan:
-    return sweep(spec, seq, stamp, np.full(len(spec.bearings), np.nan))
+    return scan_of(spec, seq, stamp, np.full(len(spec.bearings), np.nan))
 
 
 def sector_lost(spec: ScanSpec, seq: int, stamp: float) -> Scan:
     in_sector = np.abs(spec.bearings - math.pi) <= math.radians(15.0)
-    return sweep(spec, seq, stamp, np.where(in_sector, np.nan, 3.0))
+    return scan_of(spec, seq, stamp, np.where(in_sector, np.nan, 3.0))
 
 
 def of_different_length(spec: ScanSpec, seq: int, stamp: float) -> bytes:
@@ -62,15 +64,17 @@ def garbage(spec: ScanSpec, seq: int, stamp: float) -> bytes:
 def changing_rays(spec: ScanSpec, seq: int, stamp: float) -> Scan:
     n = len(spec.bearings) - 10 + 5 * (seq % 5)
     bearings = np.linspace(0.0, 2.0 * math.pi, n, endpoint=False)
-    return replace(sweep(spec, seq, stamp, np.full(n, 3.0)), bearings=bearings)
+    return replace(scan_of(spec, seq, stamp, np.full(n, 3.0)), bearings=bearings)
 
 
 def a_tenth_unknown(spec: ScanSpec, seq: int, stamp: float) -> Scan:
     unknown = np.random.default_rng(seq).random(len(spec.bearings)) < 0.1
-    return sweep(spec, seq, stamp, np.where(unknown, np.nan, 3.0))
+    return scan_of(spec, seq, stamp, np.where(unknown, np.nan, 3.0))
 
 
-def script(platform: Platform, source: Sweep) -> Callable[[int, float], Scan | bytes | None]:
+def source_of(
+    platform: Platform, source: ScanSource
+) -> Callable[[int, float], Scan | bytes | None]:
     return lambda seq, stamp: source(platform.scan, seq, stamp)
 
 
@@ -85,11 +89,11 @@ def script(platform: Platform, source: Sweep) -> Callable[[int, float], Scan | b
         (garbage, Reason.STALE_SCAN),
     ],
 )
-def test_bad_scans_stop_a_driving_robot_and_good_ones_do_not_start_it(
-    robot: Bench, source: Sweep, reason: Reason
+def test_bad_scans_stop_a_robot_and_good_scans_do_not_start_it(
+    robot: Bench, source: ScanSource, reason: Reason
 ) -> None:
     moving = robot.drive()
-    robot.body.scans = script(robot.body.platform, source)
+    robot.body.scans = source_of(robot.body.platform, source)
     broken = boottime()
 
     held = robot.await_reason(reason, broken)
@@ -105,8 +109,8 @@ def test_bad_scans_stop_a_driving_robot_and_good_ones_do_not_start_it(
     assert (status.state, status.reason) == (State.STOPPED, reason)
 
 
-@pytest.mark.parametrize("twist", [Twist(0.2), Twist()], ids=["moves", "is held up"])
-def test_a_noisy_sensor_that_repeats_itself_counts_as_frozen(robot: Bench, twist: Twist) -> None:
+@pytest.mark.parametrize("twist", [Twist(0.2), Twist()], ids=["moves", "stands"])
+def test_repeated_scans_of_a_noisy_sensor_are_frozen(robot: Bench, twist: Twist) -> None:
     robot.drive()
     robot.body.odometry = twist
     first = robot.body.clear(1, 0.0)
@@ -114,7 +118,7 @@ def test_a_noisy_sensor_that_repeats_itself_counts_as_frozen(robot: Bench, twist
     robot.body.scans = lambda seq, stamp: replace(first, seq=seq, stamp=stamp)
     held = robot.await_reason(Reason.FROZEN_SCAN, begun)
     zero = robot.body.wait_zero(begun)
-    print(f"zero {zero.at - begun:.3f} s after the first identical sweep")
+    print(f"zero {zero.at - begun:.3f} s after the first identical scan")
     stopped = robot.await_state(State.STOPPED, Reason.FROZEN_SCAN, held.at)
     assert held.status.state is State.RUNNING
     assert begun < held.at < stopped.at
@@ -125,7 +129,7 @@ def test_a_noisy_sensor_that_repeats_itself_counts_as_frozen(robot: Bench, twist
 def test_garbage_instead_of_scans_is_counted(robot: Bench) -> None:
     status = robot.status()
     instance, before = status.epoch.instance, status.health.dropped.get("driver/hw/scan", 0)
-    robot.body.scans = script(robot.body.platform, garbage)
+    robot.body.scans = source_of(robot.body.platform, garbage)
     robot.witness.wait(
         "garbage counted",
         lambda status: status.health.dropped.get("driver/hw/scan", 0) >= before + 3,
@@ -135,39 +139,37 @@ def test_garbage_instead_of_scans_is_counted(robot: Bench) -> None:
 
 
 @pytest.mark.parametrize("source", [changing_rays, a_tenth_unknown])
-def test_what_a_real_lidar_does_all_day_does_not_stop_a_driving_robot(
-    robot: Bench, source: Sweep
-) -> None:
-    robot.body.scans = script(robot.body.platform, source)
+def test_normal_lidar_defects_do_not_stop_a_robot(robot: Bench, source: ScanSource) -> None:
+    robot.body.scans = source_of(robot.body.platform, source)
     moving = robot.drive()
     robot.body.wait(lambda command: command.scan_seq >= moving.scan_seq + 20, moving.at)
     assert robot.status().state is State.RUNNING
     said = {heard.status.reason for heard in robot.witness.heard if heard.at > moving.at}
-    assert not said & OF_SCANS
+    assert not said & SCAN_REASONS
     used = {c.scan_seq for c in robot.body.commands if c.at > moving.at and not c.twist.is_zero}
     assert len(used) >= 18
 
 
-def test_a_body_that_goes_and_returns_finds_its_robot_stopped(bench: Bench) -> None:
+def test_returned_driver_finds_its_robot_stopped(bench: Bench) -> None:
     bench.start()
     bench.drive()
     gone = boottime()
     bench.body.close()
     bench.await_reason(Reason.DRIVER_LOST, gone)
     stopped = bench.await_state(State.STOPPED, Reason.DRIVER_LOST, gone)
-    print(f"stopped {stopped.at - gone:.3f} s after its body went")
+    print(f"stopped {stopped.at - gone:.3f} s after its driver left")
 
     bench.replace_body(same_place(bench.body))
     returned = boottime()
     first = bench.body.wait(lambda command: True)
-    print(f"commanded again {first.at - returned:.3f} s after its body returned")
+    print(f"commanded again {first.at - returned:.3f} s after its driver returned")
     bench.moves_not(0.0)
     status = bench.status()
     assert (status.state, status.reason) == (State.STOPPED, Reason.DRIVER_LOST)
     bench.drive()
 
 
-def test_a_body_that_returns_while_its_robot_still_runs_first_gets_a_zero(bench: Bench) -> None:
+def test_returned_driver_of_a_running_robot_first_gets_zero(bench: Bench) -> None:
     bench.start()
     bench.drive()
     gone = boottime()
@@ -176,7 +178,7 @@ def test_a_body_that_returns_while_its_robot_still_runs_first_gets_a_zero(bench:
     bench.replace_body(same_place(bench.body))
     returned = boottime()
     first = bench.body.wait(lambda command: True)
-    print(f"commanded again {first.at - returned:.3f} s after its body returned")
+    print(f"commanded again {first.at - returned:.3f} s after its driver returned")
     assert first.twist.is_zero
     print("afterwards:", bench.status().state)
 

@@ -12,8 +12,8 @@ from swarmd.core.values import ZERO, Array, Odometry, Platform, Pose, Scan, Twis
 from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import (
     HERE,
+    FilterRun,
     FilterSim,
-    Ride,
     box,
     placed,
     pole,
@@ -64,7 +64,7 @@ def test_robot_does_not_hit_an_obstacle_at_the_end_of_its_path(name: str, seed: 
     assert run.touch is None or run.touch.speed <= NO_FAULT
 
 
-def rendezvous(platform: Platform, seed: int) -> Ride:
+def rendezvous(platform: Platform, seed: int) -> FilterRun:
     rng, told = np.random.default_rng(seed), platform.protection["barrier"]
     linear, angular = ((1, 1), (4, 1), (1, 4))[int(rng.integers(3))]
     braking = linear * told["braking_linear"], angular * told["braking_angular"]
@@ -108,8 +108,8 @@ class Lossy(FilterSim):
 
     lost: tuple[tuple[int, int, float, float], ...] = ()
 
-    def sweep(self) -> Scan:
-        scan = super().sweep()
+    def scan(self) -> Scan:
+        scan = super().scan()
         ranges = scan.ranges.copy()
         for first, last, middle, half in self.lost:
             if first <= scan.seq <= last:
@@ -185,8 +185,8 @@ class StuckLidar(FilterSim):
     stuck = math.inf
     last: Array | None = None
 
-    def sweep(self) -> Scan:
-        scan = super().sweep()
+    def scan(self) -> Scan:
+        scan = super().scan()
         if self.time < self.stuck or self.last is None:
             self.last = scan.ranges
         return replace(scan, ranges=self.last)
@@ -210,8 +210,8 @@ class PartialLidar(FilterSim):
 
     first, last = 0, 360
 
-    def sweep(self) -> Scan:
-        scan = super().sweep()
+    def scan(self) -> Scan:
+        scan = super().scan()
         rays = slice(self.first, self.last)
         return replace(scan, ranges=scan.ranges[rays], bearings=scan.bearings[rays])
 

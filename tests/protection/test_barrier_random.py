@@ -13,8 +13,8 @@ from swarmd.core.values import Platform, Pose, Twist
 from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import (
     HERE,
+    FilterRun,
     FilterSim,
-    Ride,
     Shape,
     box,
     placed,
@@ -59,7 +59,7 @@ def things(platform: Platform, rng: Generator, speed: float) -> list[Shape]:
     return found
 
 
-def random_run(kind: str, seed: int, share: float, seconds: float) -> Ride:
+def random_run(kind: str, seed: int, share: float, seconds: float) -> FilterRun:
     platform, rng = KINDS[kind], np.random.default_rng(seed)
     speed = share * platform.protection["barrier"]["others_speed"]
     sim = FilterSim(

@@ -17,26 +17,27 @@ BEARINGS = np.radians(np.arange(0.0, 360.0, 1.0))
 SPEC = ScanSpec(BEARINGS, 5.0, 0.12, 3.5, is_noisy=False)
 NOISY = replace(SPEC, is_noisy=True)
 DRIVING = Odometry(0.0, Pose(), Twist(0.2))
+STANDING = Odometry(0.0, Pose(), Twist())
 
 
-def sweep(ranges: Array | float, seq: int, bearings: Array = BEARINGS) -> Scan:
+def raw_scan(ranges: Array | float, seq: int, bearings: Array = BEARINGS) -> Scan:
     filled = np.broadcast_to(np.asarray(ranges, dtype=np.float64), bearings.shape).copy()
     return Scan(seq, seq * 0.2, filled, bearings, 0.0, 100.0)
 
 
 def conditioned(conditioner: ScanConditioner, ranges: Array | float, seq: int) -> Array:
-    scan = conditioner.take(sweep(ranges, seq), DRIVING, seq * 0.2)
+    scan = conditioner.take(raw_scan(ranges, seq), DRIVING, seq * 0.2)
     assert isinstance(scan, Scan), scan
     return scan.ranges
 
 
-def test_limits_come_from_the_platform_not_from_the_message() -> None:
-    scan = ScanConditioner(SPEC).take(sweep(1.0, 1), None, 0.0)
+def test_limits_come_from_the_platform() -> None:
+    scan = ScanConditioner(SPEC).take(raw_scan(1.0, 1), None, 0.0)
     assert isinstance(scan, Scan)
     assert (scan.range_min, scan.range_max) == (0.12, 3.5)
 
 
-def test_too_near_is_near_and_too_far_is_nothing() -> None:
+def test_ranges_beyond_the_limits_become_infinite() -> None:
     ranges = np.full(360, 1.0)
     ranges[:4] = [0.05, 9.0, np.inf, -np.inf]
     got = conditioned(ScanConditioner(SPEC), ranges, 1)
@@ -46,14 +47,14 @@ def test_too_near_is_near_and_too_far_is_nothing() -> None:
 @pytest.mark.parametrize(
     ("zero", "meaning"), [("no_return", np.inf), ("too_close", -np.inf), ("unknown", 1.0)]
 )
-def test_zero_means_what_the_platform_says(zero: str, meaning: float) -> None:
+def test_meaning_of_zero_comes_from_the_platform(zero: str, meaning: float) -> None:
     conditioner = ScanConditioner(replace(SPEC, zero=zero))
     ranges = np.full(360, 1.0)
     ranges[7] = 0.0
     assert conditioned(conditioner, ranges, 1)[7] == meaning
 
 
-def test_an_lds_zero_is_too_close_where_something_was_near_just_before() -> None:
+def test_lds_zero_after_a_near_return_is_too_close() -> None:
     conditioner = ScanConditioner(replace(SPEC, zero="lds"))
     before = np.full(360, 2.0)
     before[100] = 0.2
@@ -70,7 +71,7 @@ def test_an_lds_zero_is_too_close_where_something_was_near_just_before() -> None
     ("width", "is_lost"), [(1, True), (PACKET_RAYS, True), (PACKET_RAYS + 1, False)]
 )
 @pytest.mark.parametrize("first", [97, 357], ids=["anywhere", "across the first ray"])
-def test_a_packet_that_an_lds_loses_beside_what_is_near_is_not_something_nearer(
+def test_lost_lds_packet_beside_a_near_return_is_a_drop_out(
     first: int, width: int, is_lost: bool
 ) -> None:
     conditioner = ScanConditioner(replace(SPEC, zero="lds"))
@@ -84,7 +85,7 @@ def test_a_packet_that_an_lds_loses_beside_what_is_near_is_not_something_nearer(
     assert got[rays].tolist() == (before[rays] if is_lost else np.full(width, -np.inf)).tolist()
 
 
-def test_who_remembers_what_is_near_himself_has_no_zeros_guessed() -> None:
+def test_zeros_are_not_guessed_near_when_switched_off() -> None:
     conditioner = ScanConditioner(replace(SPEC, zero="lds"), guesses_near=False)
     before = np.full(360, 2.0)
     before[100] = 0.2
@@ -96,7 +97,7 @@ def test_who_remembers_what_is_near_himself_has_no_zeros_guessed() -> None:
     assert np.isposinf(got[-1]).all()
 
 
-def test_an_lds_zero_is_something_near_for_a_second_after_it_was_measured_near() -> None:
+def test_near_return_explains_lds_zeros_for_1_s() -> None:
     conditioner = ScanConditioner(replace(SPEC, zero="lds"))
     before = np.full(360, 2.0)
     before[100] = 0.15
@@ -109,7 +110,7 @@ def test_an_lds_zero_is_something_near_for_a_second_after_it_was_measured_near()
     assert [np.isneginf(ranges).sum() for ranges in got] == [7] * 4 + [0] * 2
 
 
-def test_an_lds_zero_is_no_return_where_nothing_was_seen_before() -> None:
+def test_lds_zero_without_an_earlier_return_is_no_return() -> None:
     conditioner = ScanConditioner(replace(SPEC, zero="lds"))
     before = np.full(360, 2.0)
     before[50] = np.inf
@@ -119,7 +120,7 @@ def test_an_lds_zero_is_no_return_where_nothing_was_seen_before() -> None:
     assert conditioned(conditioner, after, 2)[50] == np.inf
 
 
-def test_an_lds_zero_where_the_last_return_is_too_old_is_no_return() -> None:
+def test_lds_zero_after_a_stale_return_is_no_return() -> None:
     conditioner = ScanConditioner(replace(SPEC, zero="lds"))
     conditioned(conditioner, 2.0, 1)
     lost = np.full(360, 2.0)
@@ -129,30 +130,30 @@ def test_an_lds_zero_where_the_last_return_is_too_old_is_no_return() -> None:
     assert got == [2.0, 2.0, 2.0, np.inf, np.inf]
 
 
-def test_a_ray_far_from_all_that_is_remembered_has_no_memory() -> None:
+def test_ray_far_from_remembered_rays_has_no_memory() -> None:
     """Half a turn was known; of the other half nothing is made up."""
     conditioner = ScanConditioner(replace(SPEC, bearings=BEARINGS[:180]))
-    front = sweep(1.0, 1, BEARINGS[:180])
+    front = raw_scan(1.0, 1, BEARINGS[:180])
     assert isinstance(conditioner.take(front, DRIVING, 0.2), Scan)
     ranges = np.full(360, 1.0)
     ranges[186:201] = np.nan
-    assert conditioner.take(sweep(ranges, 2), DRIVING, 0.4) is Reason.INVALID_SCAN
+    assert conditioner.take(raw_scan(ranges, 2), DRIVING, 0.4) is Reason.INVALID_SCAN
 
 
 def facing(yaw: float) -> Odometry:
     return Odometry(0.0, Pose(0.0, 0.0, yaw), Twist(0.0, 1.0))
 
 
-def test_what_is_remembered_stays_where_it_was_while_the_sensor_turns() -> None:
+def test_memory_turns_against_the_sensor() -> None:
     conditioner = ScanConditioner(replace(SPEC, zero="lds"))
     before = np.zeros(360)
     before[60:80] = 1.0
     before[200] = 0.15
-    conditioner.take(sweep(before, 1), facing(3.0), 0.2)
+    conditioner.take(raw_scan(before, 1), facing(3.0), 0.2)
     after = np.zeros(360)
     after[30:50] = 1.0
     after[35:41] = 0.0  # a drop-out
-    scan = conditioner.take(sweep(after, 2), facing(3.0 + math.radians(30.0)), 0.4)
+    scan = conditioner.take(raw_scan(after, 2), facing(3.0 + math.radians(30.0)), 0.4)
     assert isinstance(scan, Scan)
     assert np.flatnonzero(scan.ranges == 1.0).tolist() == list(range(30, 50))
     assert np.flatnonzero(np.isneginf(scan.ranges)).tolist() == list(range(167, 174))
@@ -162,33 +163,33 @@ def test_slow_turns_add_up() -> None:
     conditioner = ScanConditioner(replace(SPEC, zero="lds"))
     ranges = np.zeros(360)
     ranges[100] = 0.15
-    conditioner.take(sweep(ranges, 0), facing(0.0), 0.0)
+    conditioner.take(raw_scan(ranges, 0), facing(0.0), 0.0)
     for n in range(1, 10):
-        scan = conditioner.take(sweep(np.zeros(360), n), facing(math.radians(0.3 * n)), 0.1 * n)
+        scan = conditioner.take(raw_scan(np.zeros(360), n), facing(math.radians(0.3 * n)), 0.1 * n)
     assert isinstance(scan, Scan)
     assert abs(np.flatnonzero(np.isneginf(scan.ranges)).mean() - 97.3) <= 1.0
 
 
 @pytest.mark.parametrize("odometry", [None, facing(math.nan)])
-def test_without_a_heading_what_is_remembered_stays_by_the_ray(odometry: Odometry | None) -> None:
+def test_memory_stays_at_its_ray_without_a_heading(odometry: Odometry | None) -> None:
     conditioner = ScanConditioner(SPEC)
-    conditioner.take(sweep(1.0, 1), facing(1.0), 0.2)
+    conditioner.take(raw_scan(1.0, 1), facing(1.0), 0.2)
     for seq, told in ((2, odometry), (3, facing(2.0))):
         ranges = np.full(360, 2.0)
         ranges[5] = np.nan
-        scan = conditioner.take(sweep(ranges, seq), told, 0.2 * seq)
+        scan = conditioner.take(raw_scan(ranges, seq), told, 0.2 * seq)
         assert isinstance(scan, Scan)
         assert scan.ranges[5] == 1.0
 
 
-def test_an_unknown_ray_keeps_its_last_range_for_stale_after_only() -> None:
+def test_unknown_ray_keeps_its_range_for_stale_after() -> None:
     conditioner = ScanConditioner(SPEC)
     conditioned(conditioner, 1.0, 1)
     lost = np.full(360, 2.0)
     lost[5:40] = np.nan  # wider than may be bridged
     for seq in range(2, 5):
         assert (conditioned(conditioner, lost, seq)[5:40] == 1.0).all()
-    assert conditioner.take(sweep(lost, 5), DRIVING, 1.0) is Reason.INVALID_SCAN
+    assert conditioner.take(raw_scan(lost, 5), DRIVING, 1.0) is Reason.INVALID_SCAN
 
 
 LOST, NARROW = slice(5, 40), slice(100, 110)
@@ -210,53 +211,55 @@ def lacking(*sectors: slice, what: float = np.nan) -> Array:
     return ranges
 
 
-def test_a_scan_that_lacks_a_wide_sector_is_as_old_as_what_is_remembered_of_it() -> None:
+def test_scan_without_a_wide_sector_has_the_age_of_its_memory() -> None:
     raws = [lacking(), lacking(LOST), lacking(LOST), lacking(), lacking(LOST)]
     assert ages(SPEC, raws) == [0.0, 0.2, 0.4, 0.0, 0.2]
 
 
-def test_what_is_seen_again_is_as_new_as_the_rest() -> None:
+def test_returned_sector_has_the_age_of_the_scan() -> None:
     assert ages(SPEC, [lacking(), lacking(LOST), lacking(slice(200, 240))]) == [0.0, 0.2, 0.2]
 
 
-def test_single_rays_and_sectors_that_can_be_bridged_do_not_make_a_scan_older() -> None:
+def test_bridged_sectors_do_not_age_a_scan() -> None:
     scattered = lacking()
     scattered[::3] = np.nan
     assert ages(SPEC, [lacking(), lacking(NARROW), lacking(NARROW), scattered]) == [0.0] * 4
 
 
-def test_a_lost_sector_is_as_new_as_its_rays_without_those_that_can_be_bridged() -> None:
+def test_bridged_rays_do_not_count_for_the_age_of_a_sector() -> None:
     """Of the sector's rays a few were missing already the time before: that was no lost sector."""
     inside = slice(15, 20)
     assert ages(SPEC, [lacking(), lacking(inside), lacking(LOST)]) == [0.0, 0.0, 0.2]
     assert ages(SPEC, [lacking(), lacking(slice(0, 20)), lacking(LOST)]) == [0.0, 0.2, 0.4]
 
 
-def test_a_lost_sector_across_the_first_ray_counts_too() -> None:
+def test_lost_sector_across_the_first_ray_ages_a_scan() -> None:
     around = [slice(0, 10), slice(350, 360)]
     assert ages(SPEC, [lacking(), lacking(*around)]) == [0.0, 0.2]
     clockwise = ScanConditioner(SPEC)
     for seq, ranges in enumerate([lacking(), lacking(*around)]):
-        assert isinstance(clockwise.take(sweep(ranges, seq, -BEARINGS), DRIVING, seq * 0.2), Scan)
+        assert isinstance(
+            clockwise.take(raw_scan(ranges, seq, -BEARINGS), DRIVING, seq * 0.2), Scan
+        )
     assert clockwise.known_at == 0.0
 
 
-def test_of_two_rays_one_is_a_lost_sector() -> None:
+def test_one_of_two_rays_is_a_lost_sector() -> None:
     pair = np.array([0.0, math.pi])
     conditioner = ScanConditioner(replace(SPEC, bearings=pair))
     for seq, ranges in enumerate((np.ones(2), np.array([1.0, np.nan]))):
-        assert isinstance(conditioner.take(sweep(ranges, seq, pair), DRIVING, seq * 0.2), Scan)
+        assert isinstance(conditioner.take(raw_scan(ranges, seq, pair), DRIVING, seq * 0.2), Scan)
     assert conditioner.known_at == 0.0
 
 
-def test_zeros_of_an_lds_do_not_make_a_scan_older() -> None:
+def test_lds_zeros_do_not_age_a_scan() -> None:
     """They say that nothing is there, as soon as they have lasted."""
     raws = [lacking(), *[lacking(LOST, what=0.0)] * 5]
     assert ages(replace(SPEC, zero="lds"), raws) == [0.0] * 6
     assert ages(replace(SPEC, zero="unknown"), raws[:4]) == [0.0, 0.2, 0.4, 0.6]
 
 
-def test_a_narrow_unknown_sector_takes_the_nearer_of_its_edges() -> None:
+def test_narrow_unknown_sector_takes_the_nearer_edge() -> None:
     ranges = np.full(360, 3.0)
     ranges[20:31] = np.nan
     ranges[19] = 1.5
@@ -264,7 +267,7 @@ def test_a_narrow_unknown_sector_takes_the_nearer_of_its_edges() -> None:
     assert (got[20:31] == 1.5).all()
 
 
-def test_an_unknown_sector_across_the_first_ray_is_bridged_too() -> None:
+def test_unknown_sector_across_the_first_ray_is_bridged() -> None:
     ranges = np.full(360, 3.0)
     ranges[-5:] = np.nan
     ranges[:5] = np.nan
@@ -275,28 +278,28 @@ def test_an_unknown_sector_across_the_first_ray_is_bridged_too() -> None:
 
 
 @pytest.mark.parametrize("width", [12, 13])
-def test_a_sector_wider_than_max_gap_makes_the_scan_invalid(width: int) -> None:
+def test_sector_wider_than_max_gap_is_invalid(width: int) -> None:
     ranges = np.full(360, 3.0)
     ranges[20 : 20 + width - 1] = np.nan  # the gap reaches from known ray to known ray
-    got = ScanConditioner(SPEC).take(sweep(ranges, 1), None, 0.0)
+    got = ScanConditioner(SPEC).take(raw_scan(ranges, 1), None, 0.0)
     assert isinstance(got, Scan) == (width <= 12)
 
 
-def test_fewer_than_half_known_rays_are_no_scan_even_with_a_memory() -> None:
+def test_fewer_than_half_known_rays_are_invalid() -> None:
     conditioner = ScanConditioner(SPEC)
     conditioned(conditioner, 1.0, 1)
     ranges = np.full(360, 1.0)
     ranges[:181] = np.nan
-    assert conditioner.take(sweep(ranges, 2), DRIVING, 0.4) is Reason.INVALID_SCAN
+    assert conditioner.take(raw_scan(ranges, 2), DRIVING, 0.4) is Reason.INVALID_SCAN
 
 
-def test_every_second_ray_unknown_is_still_a_scan() -> None:
+def test_every_second_ray_unknown_is_valid() -> None:
     ranges = np.full(360, 1.0)
     ranges[::2] = np.nan
     assert (conditioned(ScanConditioner(SPEC), ranges, 1) == 1.0).all()
 
 
-def test_the_number_of_rays_may_change_and_the_memory_follows_the_bearing() -> None:
+def test_memory_follows_the_bearing_when_the_rays_change() -> None:
     conditioner = ScanConditioner(SPEC)
     before = np.full(360, 2.0)
     before[90] = 0.5
@@ -305,23 +308,23 @@ def test_the_number_of_rays_may_change_and_the_memory_follows_the_bearing() -> N
     ranges = np.full(355, 2.0)
     lost = int(np.argmin(np.abs(bearings - math.pi / 2)))
     ranges[lost] = np.nan
-    scan = conditioner.take(sweep(ranges, 2, bearings), DRIVING, 0.4)
+    scan = conditioner.take(raw_scan(ranges, 2, bearings), DRIVING, 0.4)
     assert isinstance(scan, Scan)
     assert scan.ranges[lost] == 0.5
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 90), (0, 1), (30, 347), (0, 345)])
-def test_where_no_ray_goes_nothing_would_be_seen(first: int, last: int) -> None:
+def test_scan_without_rays_in_a_sector_is_invalid(first: int, last: int) -> None:
     """A sensor that looks all around has sent the beginning of a sweep, or some of it."""
     bearings = BEARINGS[first:last]
-    got = ScanConditioner(SPEC).take(sweep(1.0, 1, bearings), None, 0.0)
+    got = ScanConditioner(SPEC).take(raw_scan(1.0, 1, bearings), None, 0.0)
     assert got is Reason.INVALID_SCAN
     few = replace(SPEC, bearings=bearings)
-    assert isinstance(ScanConditioner(few).take(sweep(1.0, 1, bearings), None, 0.0), Scan)
+    assert isinstance(ScanConditioner(few).take(raw_scan(1.0, 1, bearings), None, 0.0), Scan)
 
 
-def test_a_few_rays_less_are_none_the_worse() -> None:
-    got = ScanConditioner(SPEC).take(sweep(1.0, 1, BEARINGS[5:355]), None, 0.0)
+def test_few_missing_rays_are_valid() -> None:
+    got = ScanConditioner(SPEC).take(raw_scan(1.0, 1, BEARINGS[5:355]), None, 0.0)
     assert isinstance(got, Scan)
 
 
@@ -335,3 +338,97 @@ def test_any_garbage_gives_a_clean_scan_or_a_reason(ranges: Array, n: int) -> No
         assert ((got.ranges[known] >= 0.12) & (got.ranges[known] <= 3.5)).all()
     else:
         assert got is Reason.INVALID_SCAN
+
+
+@pytest.mark.parametrize("same", ["seq", "stamp"])
+def test_same_sequence_or_stamp_is_frozen(same: str) -> None:
+    conditioner = ScanConditioner(SPEC)
+    first = raw_scan(1.0, 1)
+    conditioner.take(first, None, 0.0)
+    again = replace(first, stamp=0.4) if same == "seq" else replace(first, seq=2)
+    assert conditioner.take(again, None, 0.2) is Reason.FROZEN_SCAN
+
+
+def test_repeated_scan_keeps_the_age_of_the_first() -> None:
+    conditioner = ScanConditioner(NOISY)
+    for n in range(6):
+        got = conditioner.take(raw_scan(1.0, n), DRIVING, 7.0 + n * 0.2)
+        assert got is Reason.FROZEN_SCAN if n >= 3 else isinstance(got, Scan)
+        assert conditioner.known_at == 7.0
+    assert isinstance(conditioner.take(raw_scan(1.1, 6), DRIVING, 8.2), Scan)
+    assert conditioner.known_at == 8.2
+
+
+@pytest.mark.parametrize("odometry", [STANDING, None], ids=["standing", "unknown"])
+def test_repeats_of_a_standing_scene_are_frozen(
+    odometry: Odometry | None,
+) -> None:
+    """Else a robot that is set going would rest on a sweep from long ago."""
+    conditioner = ScanConditioner(NOISY)
+    got = [conditioner.take(raw_scan(1.0, n), odometry, 7.0 + n * 0.2) for n in range(9)]
+    assert got[3:] == [Reason.FROZEN_SCAN] * 6
+    assert conditioner.known_at == 7.0
+
+
+def test_few_equal_returns_are_valid_while_standing() -> None:
+    ranges = np.full(360, np.inf)
+    ranges[:7] = 1.0
+    conditioner = ScanConditioner(NOISY)
+    for n in range(9):
+        assert isinstance(conditioner.take(raw_scan(ranges, n), STANDING, n * 0.2), Scan)
+    got = [conditioner.take(raw_scan(ranges, n), DRIVING, n * 0.2) for n in range(9, 15)]
+    assert got[-1] is Reason.FROZEN_SCAN
+
+
+@pytest.mark.parametrize("buffers", [2, 3, 4])
+def test_old_scans_in_turn_are_repeats(buffers: int) -> None:
+    conditioner = ScanConditioner(NOISY)
+    got = [
+        conditioner.take(raw_scan(1.0 + 0.1 * (n % buffers), n), DRIVING, n * 0.2)
+        for n in range(12)
+    ]
+    assert all(isinstance(scan, Scan) for scan in got[:buffers])
+    assert got[buffers + 2 :] == [Reason.FROZEN_SCAN] * (10 - buffers)
+    assert conditioner.known_at == pytest.approx(0.2 * (buffers - 1))
+
+
+def test_old_scans_with_old_sequences_are_frozen() -> None:
+    conditioner = ScanConditioner(SPEC)
+    got = [conditioner.take(raw_scan(1.0, 10 + n % 2), DRIVING, n * 0.2) for n in range(12)]
+    assert got[2:] == [Reason.FROZEN_SCAN] * 10
+
+
+def test_restarted_sensor_is_accepted_after_3_scans() -> None:
+    conditioner = ScanConditioner(SPEC)
+    got = [conditioner.take(raw_scan(1.0, n % 50), DRIVING, n * 0.2) for n in range(40, 60)]
+    assert [isinstance(scan, Scan) for scan in got] == [*[True] * 10, *[False] * 3, *[True] * 7]
+
+
+@pytest.mark.parametrize("nothing", [np.inf, 0.0])
+def test_sudden_loss_of_all_returns_is_invalid(
+    nothing: float,
+) -> None:
+    spec = replace(SPEC, zero="no_return")
+    conditioner, dark = ScanConditioner(spec), np.full(360, nothing)
+    some = np.where(np.arange(360) < 36, 2.0, np.inf)
+    assert isinstance(conditioner.take(raw_scan(some, 1), DRIVING, 0.2), Scan)
+    got = [conditioner.take(raw_scan(dark, n), DRIVING, n * 0.2) for n in range(2, 30)]
+    assert got == [Reason.INVALID_SCAN] * 28
+    assert isinstance(conditioner.take(raw_scan(some, 30), DRIVING, 6.0), Scan)
+
+
+@pytest.mark.parametrize(("rays", "distance"), [(35, 2.0), (360, 3.2), (360, 0.2)])
+def test_few_or_near_returns_may_vanish_at_once(rays: int, distance: float) -> None:
+    conditioner = ScanConditioner(SPEC)
+    some = np.where(np.arange(360) < rays, distance, np.inf)
+    assert isinstance(conditioner.take(raw_scan(some, 1), DRIVING, 0.2), Scan)
+    assert isinstance(conditioner.take(raw_scan(np.inf, 2), DRIVING, 0.4), Scan)
+
+
+@pytest.mark.parametrize("why", ["exact_sensor", "empty_arena"])
+def test_identical_scans_of_exact_sensors_are_valid(why: str) -> None:
+    spec = SPEC if why == "exact_sensor" else NOISY
+    seen = np.inf if why == "empty_arena" else 1.0
+    conditioner = ScanConditioner(spec)
+    for n in range(30):
+        assert isinstance(conditioner.take(raw_scan(seen, n), DRIVING, n * 0.2), Scan)

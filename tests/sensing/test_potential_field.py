@@ -74,7 +74,7 @@ def ahead(rays: int, distance: float) -> Array:
     bias=st.floats(-2.0, 2.0),
     high=st.floats(0.2, 4.0),
 )
-def test_ignoring_near_rays_it_is_the_original(
+def test_ignore_near_gives_the_original_field(
     kind: FieldKind, ranges: list[float], bias: float, high: float
 ) -> None:
     bearings = np.linspace(-3.0, 3.0, len(ranges))
@@ -90,7 +90,7 @@ def test_ignoring_near_rays_it_is_the_original(
 
 @pytest.mark.parametrize("kind", KINDS)
 @given(ranges=st.lists(st.floats(0.12, 5.0) | st.sampled_from([INF, NAN]), max_size=40))
-def test_without_near_rays_ours_is_the_original_too(kind: FieldKind, ranges: list[float]) -> None:
+def test_field_without_near_rays_is_the_original(kind: FieldKind, ranges: list[float]) -> None:
     bearings: Array = np.linspace(-3.0, 3.0, len(ranges))
     ours = field(np.array(ranges), bearings, kind=kind)
     original = field(np.array(ranges), bearings, kind=kind, ignore_near=True)
@@ -99,7 +99,7 @@ def test_without_near_rays_ours_is_the_original_too(kind: FieldKind, ranges: lis
 
 
 @pytest.mark.parametrize("too_near", [0.119, 0.01, 0.0, -1.0, -INF])
-def test_what_is_too_near_counts_as_range_min(too_near: float) -> None:
+def test_near_ray_counts_as_range_min(too_near: float) -> None:
     expected = field(ahead(12, 0.12))
     result = field(ahead(12, too_near))
     assert result.count == expected.count == 12
@@ -108,12 +108,12 @@ def test_what_is_too_near_counts_as_range_min(too_near: float) -> None:
 
 
 @pytest.mark.parametrize(("rays", "is_alone"), [(5, True), (6, False)])
-def test_five_rays_are_ignored_and_six_are_not(rays: int, is_alone: bool) -> None:
+def test_ray_threshold_decides_is_alone(rays: int, is_alone: bool) -> None:
     assert field(ahead(rays, 0.3)).is_alone is is_alone
 
 
 @pytest.mark.parametrize("distance", [0.5, 1.0, INF, NAN])
-def test_a_ray_at_or_beyond_range_max_does_not_count(distance: float) -> None:
+def test_ray_at_range_max_does_not_count(distance: float) -> None:
     result = field(np.full(360, distance))
     assert result.count == 0
     assert result.vector.tolist() == [2.0, 0.0]
@@ -121,7 +121,7 @@ def test_a_ray_at_or_beyond_range_max_does_not_count(distance: float) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("distance", [0.3, 0.0, -INF])
-def test_a_range_max_of_zero_is_no_field(kind: FieldKind, distance: float) -> None:
+def test_range_max_of_zero_is_no_field(kind: FieldKind, distance: float) -> None:
     result = field(np.full(360, distance), high=0.0, kind=kind)
     assert result.is_alone
     assert result.count == 0
@@ -132,7 +132,7 @@ def test_no_rays_are_no_field() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_left_and_right_are_mirrored(kind: FieldKind) -> None:
+def test_mirrored_rays_give_the_mirrored_field(kind: FieldKind) -> None:
     ranges = np.random.default_rng(0).uniform(0.0, 0.7, 360)
     here, there = field(ranges, RING, kind=kind), field(ranges, -RING, kind=kind)
     np.testing.assert_allclose(here.vector, there.vector * [1.0, -1.0], rtol=0.0, atol=1e-12)
@@ -148,7 +148,7 @@ def test_repulsion_leads_away_and_attraction_towards(kind: FieldKind, sign: floa
     assert np.sign(result.vector[1]) == sign
 
 
-def test_inputs_are_left_alone() -> None:
+def test_inputs_are_not_modified() -> None:
     ranges, bearings = np.array([0.05, 0.3, 9.0, NAN]), np.array([0.0, 1.0, 2.0, 3.0])
     before = ranges.copy(), bearings.copy()
     field(ranges, bearings)
@@ -158,7 +158,7 @@ def test_inputs_are_left_alone() -> None:
 
 
 @given(x=st.floats(-10.0, 10.0), y=st.floats(-10.0, 10.0))
-def test_the_command_is_always_at_full_speed_along_the_field(x: float, y: float) -> None:
+def test_field_command_has_full_speed(x: float, y: float) -> None:
     length = math.hypot(x, y)
     expected = Twist()
     if length > 1e-9:
@@ -169,11 +169,11 @@ def test_the_command_is_always_at_full_speed_along_the_field(x: float, y: float)
 
 
 @pytest.mark.parametrize("vector", [(0.0, 0.0), (NAN, 1.0), (INF, 1.0), (1.0, -INF), (1e-12, 0.0)])
-def test_a_field_without_direction_gives_zero(vector: tuple[float, float]) -> None:
+def test_field_without_direction_gives_zero(vector: tuple[float, float]) -> None:
     assert field_twist(np.array(vector), 0.26, 1.82) == Twist()
 
 
-def test_the_turn_reaches_half_pi_times_its_limit() -> None:
+def test_turn_reaches_half_pi_times_its_limit() -> None:
     assert field_twist(np.array([0.0, 1.0]), 0.26, 1.82).angular == pytest.approx(
         1.82 * math.pi / 2
     )

@@ -27,7 +27,7 @@ def test_nearest_is_the_shortest_known_ray() -> None:
     assert ray == pytest.approx(Ray(1.0, -math.pi / 2))
 
 
-def test_nearest_looks_only_where_told() -> None:
+def test_nearest_looks_only_in_the_sector() -> None:
     some = scan([1.0, 2.0, 3.0], [90, 5, 355])
     assert nearest(some, half_width=math.radians(30)) == pytest.approx(Ray(2.0, 5 * DEGREE))
     assert nearest(some, bearing=math.pi, half_width=math.radians(30)) is None
@@ -40,45 +40,45 @@ def test_nearest_looks_across_the_end_of_the_circle() -> None:
     )
 
 
-def test_what_is_too_near_is_at_range_min() -> None:
+def test_nearest_of_a_near_ray_is_range_min() -> None:
     assert nearest(scan([-INF, 1.0], [20, 0])) == pytest.approx(Ray(0.12, 20 * DEGREE))
 
 
 @pytest.mark.parametrize("ranges", [[], [INF], [NAN, NAN]])
-def test_nothing_is_nearest_when_nothing_is_seen(ranges: list[float]) -> None:
+def test_nearest_without_a_return_is_none(ranges: list[float]) -> None:
     assert nearest(scan(ranges, [0.0] * len(ranges))) is None
     assert nearest(None) is None
 
 
-def test_sectors_are_counted_from_ahead_to_the_left() -> None:
+def test_sectors_count_from_ahead_to_the_left() -> None:
     some = scan([1.0, 2.0, 3.0, 4.0, 5.0], [0, 90, 180, 270, 44])
     assert sectors(some, 4).tolist() == [1.0, 2.0, 3.0, 4.0]
 
 
-def test_a_sector_without_a_known_ray_sees_nothing() -> None:
+def test_sector_without_a_known_ray_is_infinite() -> None:
     assert sectors(scan([1.0, NAN], [0, 90]), 4).tolist() == [1.0, INF, INF, INF]
     assert sectors(None, 3).tolist() == [INF, INF, INF]
 
 
-def test_a_wall_and_a_robot_have_one_closest_point_each() -> None:
+def test_wall_and_robot_have_one_closest_point_each() -> None:
     room = scan_of(BURGER, [Disc(0.0, 0.8, 0.1)], room=4.0, noise=0.005)
     points = closest_points(room, within=2.5)
     found = sorted((round(r, 1), round(math.degrees(b), -1) % 360) for r, b in points.tolist())
     assert found == [(0.7, 90.0), (2.0, 0.0), (2.0, 180.0), (2.0, 270.0)]
 
 
-def test_a_closest_point_is_the_nearest_ray_itself() -> None:
+def test_closest_point_is_the_nearest_ray() -> None:
     some = scan([1.0, 0.9, 1.1, 2.0], [10, 13, 16, 200])
     points = closest_points(some, within=1.5)
     np.testing.assert_allclose(points, [[0.9, 13 * DEGREE]])
 
 
-def test_what_is_farther_than_asked_has_no_closest_point() -> None:
+def test_far_obstacle_has_no_closest_point() -> None:
     assert closest_points(scan([1.0, 2.0], [0, 90]), within=0.9).shape == (0, 2)
     assert closest_points(None, within=1.0).shape == (0, 2)
 
 
-def test_the_nearest_ray_of_all_is_always_a_closest_point() -> None:
+def test_nearest_ray_is_always_a_closest_point() -> None:
     for some in busy_scans(BURGER, 50):
         ray = nearest(some)
         assert ray is not None
@@ -95,16 +95,16 @@ def test_gaps_come_widest_first() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
-def test_an_unknown_ray_is_no_gap() -> None:
+def test_unknown_ray_is_no_gap() -> None:
     assert gaps(scan([NAN, 1.0], [0, 90]), beyond=2.0) == []
 
 
-def test_free_all_round_is_one_gap() -> None:
+def test_free_scan_is_one_gap() -> None:
     assert gaps(scan([INF, 5.0], [0, 90]), beyond=2.0) == [Gap(0.0, 2.0 * math.pi)]
 
 
 @pytest.mark.parametrize("ranges", [[0.5], []])
-def test_no_gap_where_nothing_is_free(ranges: list[float]) -> None:
+def test_blocked_scan_has_no_gap(ranges: list[float]) -> None:
     assert gaps(scan(ranges, [0.0] * len(ranges)), beyond=2.0) == []
     assert gaps(None, beyond=2.0) == []
 
@@ -122,42 +122,42 @@ def test_objects_have_range_bearing_width_and_rays() -> None:
     assert found.is_free.all()
 
 
-def test_an_object_across_the_start_of_the_rays_is_one() -> None:
+def test_object_across_the_first_ray_is_one() -> None:
     assert len(clusters(scan_of(BURGER, [Disc(1.0, 0.0, 0.2)]), within=3.0)) == 1
 
 
-def test_a_room_is_one_object_all_round() -> None:
+def test_room_is_one_object() -> None:
     found = clusters(scan_of(BURGER, room=3.0, noise=0.01), within=10.0)
     assert len(found) == 1
     assert found.counts.tolist() == [360]
 
 
 @pytest.mark.parametrize("open_rays", [0, 1, 5, 20])
-def test_a_room_is_wide_however_narrow_its_door(open_rays: int) -> None:
+def test_room_with_a_narrow_door_is_wide(open_rays: int) -> None:
     room = scan_of(BURGER, room=3.0)
     room.ranges[:open_rays] = INF
     assert clusters(room, within=10.0).widths.tolist() == [pytest.approx(9.0, abs=1.0)]
 
 
-def test_a_wall_seen_at_a_flat_angle_does_not_fall_to_pieces() -> None:
+def test_wall_at_a_flat_angle_is_one_object() -> None:
     # 0.3 m beside a wall, neighbouring rays are up to 0.4 m apart on it.
     beside = scan_of(BURGER, [Disc(0.0, 500.3, 500.0)])
     assert len(clusters(beside, within=2.5)) == 1
 
 
-def test_a_robot_before_a_wall_is_free_and_the_wall_is_not() -> None:
+def test_robot_before_a_wall_is_free_and_the_wall_is_not() -> None:
     found = clusters(scan_of(BURGER, [Disc(1.0, 0.0, 0.1)], room=4.0), within=4.0)
     widths = found.widths[found.is_free]
     assert len(found) == 2
     assert widths.tolist() == [pytest.approx(0.2, abs=0.05)]
 
 
-def test_a_robot_half_hidden_by_another_is_not_free() -> None:
+def test_half_hidden_robot_is_not_free() -> None:
     found = clusters(scan_of(BURGER, [Disc(1.0, 0.0, 0.1), Disc(1.6, 0.2, 0.1)]), within=3.0)
     assert found.is_free[np.argsort(found.ranges)].tolist() == [True, False]
 
 
-def test_a_few_unknown_rays_do_not_split_an_object() -> None:
+def test_few_unknown_rays_do_not_split_an_object() -> None:
     whole = scan_of(BURGER, [Disc(0.6, 0.0, 0.2)])
     whole.ranges[[3, 4]] = NAN
     assert len(clusters(whole, within=3.0)) == 1
@@ -175,7 +175,7 @@ def test_odd_scans_are_read_without_error(name: str) -> None:
     assert int(found.counts.sum()) == np.count_nonzero(np.maximum(odd.ranges, 0.12) <= 2.0)
 
 
-def test_the_order_of_the_rays_means_nothing() -> None:
+def test_order_of_rays_does_not_matter() -> None:
     rng = np.random.default_rng(0)
     for some in busy_scans(BURGER, 20):
         other = reordered(some, rng)
@@ -185,5 +185,5 @@ def test_the_order_of_the_rays_means_nothing() -> None:
         np.testing.assert_array_equal(sectors(some, 24), sectors(other, 24))
 
 
-def test_nothing_is_an_object_before_the_first_scan() -> None:
+def test_no_objects_before_the_first_scan() -> None:
     assert len(clusters(None, within=1.0)) == 0

@@ -1,8 +1,8 @@
-"""A yard: one robot under protection among shapes that move as they are told, with real delays.
+"""Closed-loop simulation of one robot under protection among moving shapes, with real delays.
 
-What the robot sees comes late, what it commands is carried out late, and it brakes no better than
-protection assumes. All geometry is exact and this file's own: it judges protection, so it shares
-nothing with it. One robot, no physics, no pattern; for whole swarms there is the lockstep lab.
+Scans arrive late, commands take effect late, and the robot brakes no better than protection
+assumes. All geometry is exact and implemented here: it judges protection, so it shares no code
+with it. One robot, no physics, no pattern; the lockstep simulation covers whole swarms.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ HERE = Pose()
 RequestedCommand = Twist | Callable[[float], Twist]
 
 
-def under_barrier(platform: Platform, **told: object) -> Platform:
-    """The platform in mode `barrier`, some of what that mode is told replaced."""
+def under_barrier(platform: Platform, **changes: object) -> Platform:
+    """The platform in mode `barrier`, with some settings of that mode replaced."""
     protection = platform.protection
-    settings = {**protection["barrier"], **told}
+    settings = {**protection["barrier"], **changes}
     return replace(platform, protection={**protection, "mode": "barrier", "barrier": settings})
 
 
@@ -50,7 +50,7 @@ def decided(
     age: float = 0.0,
     touch: TouchZone | None = None,
 ) -> Decision:
-    """What fresh protection makes of the wish of a robot at rest, `age` s after its first sweep."""
+    """The decision of new protection for a robot at rest, `age` s after its first scan."""
     protection, begin = Protection(platform), 10.0
     odometry = Odometry(begin, HERE, ZERO)
     protection.observe(scan, DecisionContext(begin, 0.0, odometry, 0.0))
@@ -66,10 +66,10 @@ def decided(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shape:
-    """A convex thing: `corners` (k, 2) counter-clockwise in its own frame in m, and how it moves.
+    """A convex obstacle: `corners` (k, 2) counter-clockwise in its own frame in m, and its motion.
 
     It is at `pose` at time 0 and moves with `velocity` (x, y) in m/s and `spin` in rad/s from
-    `begin` to `end` s. `seen` (j, 2): what the scan plane meets of it, if that is not all.
+    `begin` to `end` s. `seen` (j, 2): its outline in the scan plane, if different.
     """
 
     corners: Array
@@ -95,7 +95,7 @@ def box(length: float, width: float, pose: Pose = HERE, **motion: object) -> Sha
 
 
 def pole(radius: float, pose: Pose = HERE, **motion: object) -> Shape:
-    """A round thing, as a polygon of 24 corners around the circle; `motion` as in Shape."""
+    """A round obstacle, as a polygon of 24 corners around the circle; `motion` as in Shape."""
     return Shape(round_corners(radius), pose, **motion)  # type: ignore[arg-type]  # as above
 
 
@@ -116,10 +116,10 @@ class Touch:
 
 
 @dataclass(slots=True, eq=False)
-class Ride:
-    """What happened, every `DT`: times, poses, twists (measured), gaps to the nearest shape in m.
+class FilterRun:
+    """The course of a run, every `DT`: times, poses, measured twists, smallest gaps in m.
 
-    `verdicts` with the times of their decisions. It ends at the first touch.
+    `decisions` come with their times. A run ends at the first touch.
     """
 
     times: list[float] = field(default_factory=list)
@@ -138,10 +138,9 @@ class Ride:
 class FilterSim:
     """One robot of a platform among shapes.
 
-    `latency`: how much later than it is taken a sweep arrives (None: as the platform says);
-    `phase`: when the first sweep is taken; `delay`: from command to base, both in s.
-    `braking`: m/s2 and rad/s2 (None: what protection is told to assume). `noise`: the standard
-    deviation of ranges in m. `has_lidar` and `has_odometry` can be set to false at any time.
+    `latency`: delay of a scan (None: that of the platform); `phase`: time of the first scan;
+    `delay`: from command to base; all in s. `braking`: m/s2 and rad/s2 (None: as protection
+    assumes). `noise`: the standard deviation of ranges in m. `has_lidar` and `has_odometry` can be set to false at any time.
     """
 
     def __init__(
@@ -160,40 +159,45 @@ class FilterSim:
         self.platform, self.shapes = platform, tuple(shapes)
         self.pose, self.twist, self.time = start, ZERO, 0.0
         self.has_lidar = self.has_odometry = True
-        self.protection, self.senses = Protection(platform), Sensors(platform)
-        self.senses.on_driver(True, "a yard")
+        self.protection, self.sensors = Protection(platform), Sensors(platform)
+        self.sensors.on_driver(True, "a simulation")
         self._latency = platform.scan.latency if latency is None else latency
-        told = platform.protection["barrier"] or {"braking_linear": 1.0, "braking_angular": 3.0}
-        self._braking = braking or (told["braking_linear"], told["braking_angular"])
-        speeding = platform.body["linear_acceleration"], platform.body["angular_acceleration"]
-        self._speeding = max(speeding[0], self._braking[0]), max(speeding[1], self._braking[1])
+        settings = platform.protection["barrier"] or {"braking_linear": 1.0, "braking_angular": 3.0}
+        self._braking = braking or (settings["braking_linear"], settings["braking_angular"])
+        accelerating = platform.body["linear_acceleration"], platform.body["angular_acceleration"]
+        self._accelerating = (
+            max(accelerating[0], self._braking[0]),
+            max(accelerating[1], self._braking[1]),
+        )
         self._line = [ZERO] * (round(delay / DT) + 1)
         self._noise, self._rng = noise, np.random.default_rng(seed)
         self._phase, self._seq, self._step = phase, 0, 0
         self._coming: list[tuple[float, Scan]] = []
         self._near: dict[int, tuple[Array, Array]] = {}
 
-    def run(self, requested: RequestedCommand, seconds: float, permit: Permit = NO_PERMIT) -> Ride:
-        """Go on for so long, or to the first touch; a wish may depend on the time."""
-        ride = Ride()
+    def run(
+        self, requested: RequestedCommand, seconds: float, permit: Permit = NO_PERMIT
+    ) -> FilterRun:
+        """Run for `seconds`, or to the first touch; `requested` may depend on the time."""
+        run = FilterRun()
         wanted = requested if callable(requested) else lambda _: requested
         for _ in range(round(seconds / DT)):
             self._sense()
             if self._arrive() or self._step % round(TICK / DT) == 0:
-                ride.decisions.append((self.time, self._decide(wanted(self.time), permit)))
+                run.decisions.append((self.time, self._decide(wanted(self.time), permit)))
             self._move()
             gap, touch = self._judge()
-            ride.times.append(self.time)
-            ride.poses.append(self.pose)
-            ride.twists.append(self.twist)
-            ride.gaps.append(gap)
+            run.times.append(self.time)
+            run.poses.append(self.pose)
+            run.twists.append(self.twist)
+            run.gaps.append(gap)
             if touch is not None:
-                ride.touch = touch
+                run.touch = touch
                 break
-        return ride
+        return run
 
-    def sweep(self) -> Scan:
-        """What the lidar sees now, as its driver would hand it over."""
+    def scan(self) -> Scan:
+        """The present scan, as a driver delivers it."""
         spec = self.platform.scan
         sensor = placed(np.array([spec.offset]), self.pose)[0]
         outlines = [
@@ -206,47 +210,47 @@ class FilterSim:
             ranges = ranges + self._rng.normal(0.0, self._noise, len(ranges))
         else:
             ranges = trembling(ranges, self._seq)
-        said = as_driver(ranges, spec)
-        return Scan(self._seq, self.time, said, spec.bearings, spec.range_min, spec.range_max)
+        reported = driver_ranges(ranges, spec)
+        return Scan(self._seq, self.time, reported, spec.bearings, spec.range_min, spec.range_max)
 
     def odometry(self) -> Odometry:
-        """What the base measures now."""
+        """The present odometry."""
         return Odometry(self.time, self.pose, self.twist)
 
     def _sense(self) -> None:
         period = round(1.0 / (self.platform.scan.rate * DT))
         if (self._step - round(self._phase / DT)) % period == 0 and self.has_lidar:
-            self._coming.append((self.time + self._latency - 1e-9, self.sweep()))
+            self._coming.append((self.time + self._latency - 1e-9, self.scan()))
         if self._step % round(TICK / DT) == 0 and self.has_odometry:
-            self.senses.on_odometry(self.odometry(), self.time)
+            self.sensors.on_odometry(self.odometry(), self.time)
 
     def _arrive(self) -> bool:
-        """Hand over what has arrived; true if a valid sweep has."""
+        """Deliver the scans that have arrived; true if a valid one is among them."""
         is_new = False
         while self._coming and self._coming[0][0] <= self.time:
             _, scan = self._coming.pop(0)
-            is_new = self.senses.on_scan(scan, self.time)
-            if is_new and self.senses.scan is not None:
-                self.protection.observe(self.senses.scan, self.senses.context(self.time))
+            is_new = self.sensors.on_scan(scan, self.time)
+            if is_new and self.sensors.scan is not None:
+                self.protection.observe(self.sensors.scan, self.sensors.context(self.time))
         return is_new
 
     def _decide(self, requested: Twist, permit: Permit) -> Decision:
         decision = self.protection.decide(
             requested,
-            self.senses.context(self.time),
+            self.sensors.context(self.time),
             is_running=True,
-            hold=self.senses.hold(self.time),
+            hold=self.sensors.hold(self.time),
             permit=permit,
         )
         self._line[-1] = decision.safe
         return decision
 
     def _move(self) -> None:
-        told = self._line[0]
+        command = self._line[0]
         self._line = [*self._line[1:], self._line[-1]]
         v, w = self.twist.linear, self.twist.angular
-        (b_v, b_w), (a_v, a_w) = self._braking, self._speeding
-        v, w = ramped(v, told.linear, a_v, b_v), ramped(w, told.angular, a_w, b_w)
+        (b_v, b_w), (a_v, a_w) = self._braking, self._accelerating
+        v, w = ramped(v, command.linear, a_v, b_v), ramped(w, command.angular, a_w, b_w)
         x, y, yaw = self.pose.x, self.pose.y, self.pose.yaw + 0.5 * w * DT
         self.pose = Pose(x + v * DT * math.cos(yaw), y + v * DT * math.sin(yaw), yaw + 0.5 * w * DT)
         self.twist = Twist(v, w)
@@ -272,21 +276,21 @@ class FilterSim:
         return float(moves @ towards)
 
 
-def ramped(now: float, told: float, speeding: float, braking: float) -> float:
+def ramped(now: float, wanted: float, accelerating: float, braking: float) -> float:
     """The speed a step later: towards zero it changes with `braking`, away from it faster."""
-    is_braking = now != 0.0 and (now * told < 0.0 or abs(told) < abs(now))
+    is_braking = now != 0.0 and (now * wanted < 0.0 or abs(wanted) < abs(now))
     if is_braking:
-        target = 0.0 if now * told < 0.0 else told
+        target = 0.0 if now * wanted < 0.0 else wanted
         return now + min(max(target - now, -braking * DT), braking * DT)
-    return now + min(max(told - now, -speeding * DT), speeding * DT)
+    return now + min(max(wanted - now, -accelerating * DT), accelerating * DT)
 
 
-def as_driver(ranges: Array, spec: ScanSpec) -> Array:
-    """True distances as the platform's driver gives them: what is too near, and what too far."""
+def driver_ranges(ranges: Array, spec: ScanSpec) -> Array:
+    """True distances as the ranges of the platform's driver: too near, too far, or as they are."""
     nothing = 0.0 if spec.zero == "lds" else math.inf
     near = nothing if spec.near == "lost" else -math.inf
-    said = np.where(ranges > spec.range_max, nothing, ranges)
-    return np.where(ranges < spec.range_min, near, said)
+    reported = np.where(ranges > spec.range_max, nothing, ranges)
+    return np.where(ranges < spec.range_min, near, reported)
 
 
 def placed(points: Array, pose: Pose) -> Array:

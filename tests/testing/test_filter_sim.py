@@ -10,9 +10,9 @@ from swarmd.core.values import Platform, Pose, Twist
 from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import (
     FilterSim,
-    as_driver,
     box,
     cast,
+    driver_ranges,
     placed,
     pole,
     ramped,
@@ -40,13 +40,13 @@ def off(platform: Platform) -> Platform:
         (Pose(0.0, 0.0, 0.3), 0.0),
     ],
 )
-def test_the_gap_of_two_outlines(pose: Pose, gap: float) -> None:
+def test_gap_of_two_outlines(pose: Pose, gap: float) -> None:
     other = placed(UNIT, pose)
     assert separation(UNIT, other)[0] == pytest.approx(gap, abs=1e-12)
     assert separation(other, UNIT)[0] == pytest.approx(gap, abs=1e-12)
 
 
-def test_the_nearest_place_and_where_the_other_is() -> None:
+def test_nearest_place_and_direction() -> None:
     _, at, towards = separation(UNIT, placed(UNIT, Pose(4.0, 5.0)))
     assert at == pytest.approx([0.5, 0.5])
     assert towards == pytest.approx([0.6, 0.8])
@@ -60,19 +60,19 @@ def test_rays_end_at_the_nearest_outline() -> None:
     assert ranges == pytest.approx([2.5, 1.5 * math.sqrt(2.0), np.inf, np.inf])
 
 
-def test_a_round_outline_holds_its_circle() -> None:
+def test_round_outline_contains_its_circle() -> None:
     radii = np.hypot(*round_corners(0.2).T)
     assert radii.min() > 0.2
     assert radii.max() < 0.2 * 1.01
 
 
-def test_what_a_driver_says_of_near_and_nothing() -> None:
+def test_driver_ranges_of_near_and_no_returns() -> None:
     truth = np.array([0.05, 1.0, np.inf])
     reported = replace(BURGER.scan, near="reported")
-    assert as_driver(truth, reported).tolist() == [-np.inf, 1.0, 0.0]
-    assert as_driver(truth, replace(reported, near="lost")).tolist() == [0.0, 1.0, 0.0]
+    assert driver_ranges(truth, reported).tolist() == [-np.inf, 1.0, 0.0]
+    assert driver_ranges(truth, replace(reported, near="lost")).tolist() == [0.0, 1.0, 0.0]
     lost = replace(reported, near="lost", zero="no_return")
-    assert as_driver(truth, lost).tolist() == [np.inf, 1.0, np.inf]
+    assert driver_ranges(truth, lost).tolist() == [np.inf, 1.0, np.inf]
 
 
 @pytest.mark.parametrize(
@@ -85,33 +85,33 @@ def test_what_a_driver_says_of_near_and_nothing() -> None:
         (0.0, 0.01, 0.01),
     ],
 )
-def test_speeds_change_no_faster_than_the_base_can(now: float, told: float, then: float) -> None:
-    assert ramped(now, told, speeding=2.5, braking=1.0) == pytest.approx(then)
+def test_speeds_change_at_the_rates_of_the_base(now: float, told: float, then: float) -> None:
+    assert ramped(now, told, accelerating=2.5, braking=1.0) == pytest.approx(then)
 
 
-def test_commands_are_carried_out_late_and_sweeps_arrive_late() -> None:
-    yard = FilterSim(off(BURGER), [pole(0.1, Pose(3.0, 0.0))], delay=0.03)
-    ride = yard.run(Twist(0.2), 1.0)
-    moving = next(t for t, twist in zip(ride.times, ride.twists, strict=True) if twist.linear > 0)
-    first = next(t for t, decision in ride.decisions if decision.safe.linear > 0)
+def test_commands_and_scans_are_delayed() -> None:
+    sim = FilterSim(off(BURGER), [pole(0.1, Pose(3.0, 0.0))], delay=0.03)
+    run = sim.run(Twist(0.2), 1.0)
+    moving = next(t for t, twist in zip(run.times, run.twists, strict=True) if twist.linear > 0)
+    first = next(t for t, decision in run.decisions if decision.safe.linear > 0)
     assert first == pytest.approx(BURGER.scan.latency, abs=0.011)
     assert moving == pytest.approx(first + 0.04)  # 30 ms late, and noted at the step's end
 
 
-def test_a_touch_ends_the_ride_with_the_robots_own_speed() -> None:
-    yard = FilterSim(off(BURGER), [box(0.2, 0.2, Pose(0.5, 0.0), velocity=(-0.05, 0.0))])
-    ride = yard.run(Twist(0.2), 9.0)
-    assert ride.touch is not None
-    assert ride.touch.speed == pytest.approx(0.2)
-    assert ride.poses[-1].x == pytest.approx(0.4 - 0.05 * ride.touch.time - 0.038, abs=0.003)
-    assert ride.min_gap == 0.0
+def test_touch_ends_the_run_and_has_the_own_speed() -> None:
+    sim = FilterSim(off(BURGER), [box(0.2, 0.2, Pose(0.5, 0.0), velocity=(-0.05, 0.0))])
+    run = sim.run(Twist(0.2), 9.0)
+    assert run.touch is not None
+    assert run.touch.speed == pytest.approx(0.2)
+    assert run.poses[-1].x == pytest.approx(0.4 - 0.05 * run.touch.time - 0.038, abs=0.003)
+    assert run.min_gap == 0.0
 
 
-def test_a_spinning_robot_touches_with_its_corner() -> None:
-    yard = FilterSim(off(BURGER), [box(0.2, 2.0, Pose(0.25, 0.0))])
-    ride = yard.run(Twist(0.0, 2.0), 9.0)
-    assert ride.touch is None
-    yard = FilterSim(off(BURGER), [box(2.0, 0.2, Pose(0.0, 0.21))])
-    ride = yard.run(Twist(0.0, 2.0), 9.0)
-    assert ride.touch is not None
-    assert 0.05 < ride.touch.speed < 2.0 * 0.135
+def test_spinning_robot_touches_with_its_corner() -> None:
+    sim = FilterSim(off(BURGER), [box(0.2, 2.0, Pose(0.25, 0.0))])
+    run = sim.run(Twist(0.0, 2.0), 9.0)
+    assert run.touch is None
+    sim = FilterSim(off(BURGER), [box(2.0, 0.2, Pose(0.0, 0.21))])
+    run = sim.run(Twist(0.0, 2.0), 9.0)
+    assert run.touch is not None
+    assert 0.05 < run.touch.speed < 2.0 * 0.135
