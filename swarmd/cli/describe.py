@@ -19,7 +19,7 @@ from swarmd.core.messages import Condition, Member, Status
 def describe(options: CommonOptions, robot: str) -> None:
     """Print the whole status of ROBOT, and why it does not move."""
     with options.operator() as operator:
-        view = known_members(operator)
+        view = known_members(operator, options.timeout)
     check_known(robot, view.members)
     member = view.members[robot]
     if options.is_json:

@@ -46,7 +46,7 @@ def members(options: CommonOptions) -> None:
     if ctx.invoked_subcommand is not None:
         return
     with options.operator() as operator:
-        view = known_members(operator)
+        view = known_members(operator, options.timeout)
     notes = tuple(health(view))
     if options.is_json:
         rows = [to_builtins(member) for member in view.members.values()]
@@ -64,7 +64,7 @@ def members(options: CommonOptions) -> None:
 def forget(options: CommonOptions, name: str) -> None:
     """Remove a robot that failed or left from the lists of all robots."""
     with options.operator() as operator:
-        view = known_members(operator)
+        view = known_members(operator, options.timeout)
         check_known(name, view.members)
         if view.members[name].condition is Condition.ALIVE:
             raise Refused(f"{name} is alive; only robots that failed or left can be forgotten")

@@ -31,7 +31,7 @@ def param() -> None:
 def get_params(options: CommonOptions, targets: Targets, keys: tuple[str, ...]) -> None:
     """Print the parameters in force on TARGETS, or on all robots, and the source of each."""
     with options.operator() as operator:
-        view = known_members(operator)
+        view = known_members(operator, options.timeout)
     found = {name: _params(view.members[name]) for name in targets.select(view.members)}
     known = {key for params in found.values() for key in params}
     for key in keys:

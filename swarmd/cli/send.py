@@ -27,9 +27,12 @@ class Unreachable(click.ClickException):
     exit_code = UNREACHABLE
 
 
-def known_members(operator: Operator) -> MembersView:
-    """The swarm; Unreachable, naming the swarms that were found, if no daemon was reached."""
-    view = operator.members()
+def known_members(operator: Operator, timeout: float | None = None) -> MembersView:
+    """The swarm, once all have answered or after `timeout` s; None: 1 s.
+
+    Unreachable, naming the swarms that were found, if no daemon was reached.
+    """
+    view = operator.members() if timeout is None else operator.members(timeout=timeout)
     if view.members:
         return view
     settings = operator.settings

@@ -1,4 +1,4 @@
-"""Robots to talk about, as their daemons would describe them."""
+"""Members of a swarm, as daemons describe them."""
 
 from __future__ import annotations
 

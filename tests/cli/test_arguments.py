@@ -1,4 +1,4 @@
-"""The small languages of the command line."""
+"""Durations, assignments and targets of the command line."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def test_reads_durations(text: str, seconds: float) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "0", "0s", "-3s", "s", "3 days", "nan", "1e9h", "1e3s"])
-def test_refuses_what_is_no_duration(text: str) -> None:
+def test_refuses_wrong_durations(text: str) -> None:
     with pytest.raises(click.BadParameter, match="is no duration"):
         Duration().convert(text, None, None)
 

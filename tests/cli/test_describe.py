@@ -25,7 +25,7 @@ def test_shows_parameters_with_their_sources(make_member: MakeMember) -> None:
     }
 
 
-def test_shows_what_protection_makes_of_the_wish(make_member: MakeMember) -> None:
+def test_shows_the_requested_and_the_safe_command(make_member: MakeMember) -> None:
     rows = shown(make_member())["Protection"]
     assert rows["mode"] == "potential_field, active"
     assert rows["requested"] == "0.200 m/s, 0.000 rad/s"
@@ -33,7 +33,7 @@ def test_shows_what_protection_makes_of_the_wish(make_member: MakeMember) -> Non
     assert rows["nearest"] == "0.61 m"
 
 
-def test_shows_each_obstacle_that_bounds_the_command_the_tightest_first(
+def test_shows_each_obstacle_that_limits_the_command(
     make_member: MakeMember,
 ) -> None:
     rows = (
@@ -52,7 +52,7 @@ def test_shows_each_obstacle_that_bounds_the_command_the_tightest_first(
     ]
 
 
-def test_shows_what_it_does_and_who_said_so(make_member: MakeMember) -> None:
+def test_shows_the_state_and_who_changed_it(make_member: MakeMember) -> None:
     member = make_member(reason=Reason.NO_REQUESTED_COMMAND, detail="thinks")
     assert shown(member)["State"] == {
         "state": "running for 3.0 s",
@@ -65,18 +65,18 @@ def test_shows_what_it_does_and_who_said_so(make_member: MakeMember) -> None:
     }
 
 
-def test_shows_who_it_is(make_member: MakeMember) -> None:
+def test_shows_the_robot(make_member: MakeMember) -> None:
     rows = shown(make_member())["Robot"]
     assert rows["labels"] == "red"
     assert rows["driver"] == "simulated (up)"
     assert rows["up for"] == "2 min"
 
 
-def test_shows_who_stopped_it_and_why(estopped: Member) -> None:
+def test_shows_the_issuer_of_an_emergency_stop(estopped: Member) -> None:
     assert shown(estopped)["Emergency stops"] == {"e1": "by bob@desk, for swarm: smoke"}
 
 
-def test_shows_what_its_scalar_sensors_told(make_member: MakeMember) -> None:
+def test_shows_readings(make_member: MakeMember) -> None:
     member = make_member(readings={"battery": 0.71, "battery_voltage": 11.5})
     assert shown(member)["Readings"] == {"battery": "0.71", "battery_voltage": "11.5"}
 
@@ -85,8 +85,8 @@ def test_shows_events_by_their_age(make_member: MakeMember) -> None:
     assert shown(make_member())["Events"] == {"3.0 s ago": "loading drive"}
 
 
-def test_leaves_no_field_of_a_status_out(make_member: MakeMember) -> None:
-    """Whatever is added to Status must be thought of here too."""
+def test_shows_every_field_of_a_status(make_member: MakeMember) -> None:
+    """A new field of Status must be shown too."""
     member = make_member()
     assert member.status is not None
     text = repr(sections(member, member.status))

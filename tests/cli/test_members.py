@@ -1,4 +1,4 @@
-"""The table of members and what it says of those that are not well."""
+"""The table of members, and the notes below it."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ def test_shows_a_running_robot(make_member: MakeMember) -> None:
     }
 
 
-def test_shows_what_a_pattern_reports_as_far_as_there_is_room(make_member: MakeMember) -> None:
+def test_shows_the_report_of_the_pattern_cut_to_its_column(make_member: MakeMember) -> None:
     assert line(make_member(report={}))["REPORT"] == "-"
-    told = {"phase": "disperse", "opinion": 2, "distance": 1.4000000001}
-    assert line(make_member(report=told))["REPORT"] == "phase disperse, opinion 2, distance 1.4"
+    report = {"phase": "disperse", "opinion": 2, "distance": 1.4000000001}
+    assert line(make_member(report=report))["REPORT"] == "phase disperse, opinion 2, distance 1.4"
     assert len(line(make_member(report={"text": "long " * 30}))["REPORT"]) == 60
 
 
@@ -46,23 +46,23 @@ def test_shows_what_protection_is_doing(make_member: MakeMember) -> None:
         assert line(make_member(decision=decision))["PROTECTION"] == word
 
 
-def test_shows_why_a_robot_stands(make_member: MakeMember) -> None:
+def test_shows_the_reason_of_a_stopped_robot(make_member: MakeMember) -> None:
     shown = line(make_member(state=State.STOPPED, reason=Reason.STALE_SCAN, pattern=None))
     assert (shown["STATE"], shown["REASON"], shown["PATTERN"]) == ("stopped", "stale_scan", "-")
 
 
-def test_marks_what_a_failed_robot_was_last_known_to_do(make_member: MakeMember) -> None:
+def test_marks_the_last_pattern_of_a_failed_robot(make_member: MakeMember) -> None:
     shown = line(make_member(condition=Condition.FAILED, age=38.0))
     assert (shown["STATE"], shown["PATTERN"], shown["SCAN"]) == ("failed", "drive?", "-")
     assert shown["SEEN"] == "38.0 s ago"
 
 
-def test_has_no_pattern_to_mark_where_none_ran(make_member: MakeMember) -> None:
+def test_a_robot_that_left_without_a_pattern_has_no_mark(make_member: MakeMember) -> None:
     shown = line(make_member(condition=Condition.LEFT, age=1.0, pattern=None))
     assert (shown["STATE"], shown["PATTERN"]) == ("left", "-")
 
 
-def test_lists_a_robot_that_has_not_told_how_it_is() -> None:
+def test_lists_a_robot_without_a_status() -> None:
     member = Member(robot="r1", instance="x", condition=Condition.ALIVE, age=0.0)
     assert line(member)["STATE"] == "no answer"
 
@@ -76,11 +76,11 @@ def notes(*members: Member, roster: tuple[str, ...] = ()) -> list[str]:
     return list(health(view))
 
 
-def test_says_nothing_but_the_count_if_all_are_well(make_member: MakeMember) -> None:
+def test_without_problems_the_only_note_is_the_count(make_member: MakeMember) -> None:
     assert notes(make_member("r1"), make_member("r2")) == ["2/2 alive"]
 
 
-def test_names_who_failed_left_or_never_came(make_member: MakeMember) -> None:
+def test_names_robots_that_failed_left_or_were_never_seen(make_member: MakeMember) -> None:
     found = notes(
         make_member("r1"),
         make_member("r2", condition=Condition.FAILED, age=5.0),
@@ -95,7 +95,7 @@ def test_names_who_failed_left_or_never_came(make_member: MakeMember) -> None:
     ]
 
 
-def test_names_whose_driver_is_lost(make_member: MakeMember) -> None:
+def test_names_robots_with_a_lost_driver(make_member: MakeMember) -> None:
     lost = make_member("r2", health=Health(driver="no odometry for 2 s", driver_up=False))
     assert notes(make_member("r1"), lost)[1:] == ["driver lost: r2 (no odometry for 2 s)"]
 
@@ -107,7 +107,7 @@ def test_warns_that_anyone_on_an_open_network_can_drive(make_member: MakeMember)
     assert notes(make_member(profile="field", is_secured=True)) == ["1/1 alive"]
 
 
-def test_names_the_ids_that_two_daemons_hold(make_member: MakeMember) -> None:
+def test_names_ids_of_two_daemons(make_member: MakeMember) -> None:
     view = MembersView(
         members={"r1": make_member()},
         answered=frozenset({"r1"}),
@@ -116,7 +116,7 @@ def test_names_the_ids_that_two_daemons_hold(make_member: MakeMember) -> None:
     assert list(health(view))[1].startswith("two daemons have one id: r1; ")
 
 
-def test_names_who_is_there_and_does_not_answer(make_member: MakeMember) -> None:
+def test_names_robots_that_are_alive_and_do_not_answer(make_member: MakeMember) -> None:
     view = MembersView(
         members={"r1": make_member(), "r2": make_member("r2")}, answered=frozenset({"r1"})
     )

@@ -1,4 +1,4 @@
-"""How answers look."""
+"""Tables, sections, JSON and colours."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from swarmd.cli.output import has_colour, print_json, print_section, print_table, seconds
 
 
-def test_json_carries_the_version_of_its_form(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_has_the_version_of_the_format(capsys: pytest.CaptureFixture[str]) -> None:
     print_json("Members", {"members": [{"robot": "r1"}]})
     assert json.loads(capsys.readouterr().out) == {
         "apiVersion": "swarm/v1",
@@ -18,7 +18,7 @@ def test_json_carries_the_version_of_its_form(capsys: pytest.CaptureFixture[str]
     }
 
 
-def test_a_table_is_aligned_and_plain_where_nobody_looks(
+def test_a_table_is_aligned_and_plain_without_a_terminal(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     print_table(("NAME", "STATE"), [("r1", "running"), ("robot-2", "failed")])
@@ -74,7 +74,7 @@ def test_time_spans_are_short(value: float, text: str) -> None:
     assert seconds(value) == text
 
 
-def test_others_words_cannot_steer_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+def test_texts_of_robots_cannot_control_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     print_table(["ROBOT"], [["tb3\x1b[2J\n"]])
     print_section("Events", [("now", "by \x1b]0;mine\x07")])
     printed = capsys.readouterr().out

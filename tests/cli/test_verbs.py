@@ -68,7 +68,7 @@ class Swarm:
         )
 
     def json(self, *args: str) -> Any:
-        answer = json.loads(self.ctl(*args, "-o", "json").stdout)
+        answer = json.loads(self.ctl(*args, "-o", "json", "--timeout", "10s").stdout)
         assert answer["apiVersion"] == "swarm/v1"
         return answer
 
@@ -108,8 +108,8 @@ def last_line(done: subprocess.CompletedProcess[str]) -> str:
     return done.stdout.splitlines()[-1]
 
 
-def test_members_lists_everyone_and_what_is_not_well(swarm: Swarm) -> None:
-    done = swarm.ctl("members")
+def test_members_lists_all_robots_and_problems(swarm: Swarm) -> None:
+    done = swarm.ctl("members", "--timeout", "10s")
     lines = done.stdout.splitlines()
     assert (done.returncode, done.stderr) == (0, "")
     assert lines[0].split()[:4] == ["NAME", "STATE", "REASON", "PATTERN"]
@@ -118,7 +118,7 @@ def test_members_lists_everyone_and_what_is_not_well(swarm: Swarm) -> None:
     assert lines[5].startswith("# driver lost: r1, r2, r3 (")
 
 
-def test_run_ends_with_the_line_that_counts(swarm: Swarm) -> None:
+def test_run_ends_with_a_count(swarm: Swarm) -> None:
     done = swarm.ctl("run", "drive", "r1", "r[23]", "-p", "speed=0.1", "--for", "60s")
     assert (done.returncode, done.stderr) == (0, "")
     assert last_line(done) == "3 targeted, 3 applied"
@@ -134,12 +134,6 @@ def test_a_run_ends_when_its_condition_holds(swarm: Swarm) -> None:
     assert status["detail"] == "until 0.5 s have passed"
 
 
-def test_a_wrong_condition_is_told_of_before_anything_is_sent(swarm: Swarm) -> None:
-    done = swarm.ctl("run", "drive", "r1", "--until", "near:1")
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: no condition 'near'; did you mean 'nearer'?")
-
-
 def test_run_in_json_keeps_stdout_parseable(swarm: Swarm) -> None:
     answer = swarm.json("run", "drive", "--all", "--exclude", "r3")
     assert (answer["kind"], answer["exit_code"]) == ("Outcome", 0)
@@ -148,18 +142,16 @@ def test_run_in_json_keeps_stdout_parseable(swarm: Swarm) -> None:
 
 
 @pytest.mark.parametrize(
-    ("args", "fault"),
+    ("args", "subject", "page"),
     [
-        (["run", "driv", "--all"], "no pattern 'driv'; did you mean 'drive'?"),
-        (["run", "drive", "r1", "-p", "sped=1"], "no parameter 'sped'; did you mean 'speed'?"),
-        (["run", "drive", "r1", "-p", "speed=99"], "parameter speed is 99 m/s (from runtime)"),
-        (["run", "drive", "r1", "-p", "speed=nan"], "parameter speed is 'nan' m/s (from runtime)"),
-        (["param", "set", "r1", "sped=1"], "no parameter 'sped'; did you mean 'speed'?"),
-        (["param", "set", "r1", "speed=99"], "parameter speed is 99 m/s"),
+        (["run", "driv", "--all"], "'drive'", "swarmctl patterns"),
+        (["run", "drive", "r1", "-p", "sped=1"], "'speed'", "swarmctl patterns show"),
+        (["run", "drive", "r1", "-p", "speed=99"], "speed is 99", "swarmctl patterns show"),
+        (["param", "set", "r1", "speed=99"], "speed is 99", "swarmctl patterns show"),
     ],
 )
-def test_a_mistake_that_only_robots_can_see_is_one_line_and_exit_2_and_changes_nothing(
-    swarm: Swarm, args: list[str], fault: str
+def test_a_mistake_that_robots_refuse_is_one_line_and_changes_nothing(
+    swarm: Swarm, args: list[str], subject: str, page: str
 ) -> None:
     swarm.ctl("run", "drive", "r1", "-p", "speed=0.1")
     before = swarm.status("r1")
@@ -167,17 +159,18 @@ def test_a_mistake_that_only_robots_can_see_is_one_line_and_exit_2_and_changes_n
     after = swarm.status("r1")
     assert done.returncode == 2
     assert done.stderr.startswith("error: ")
-    assert fault in done.stderr
+    assert subject in done.stderr
+    assert f"(see {page}" in done.stderr
     assert done.stderr.count("\n") == 1
     assert after["params"] == before["params"]
     assert after["state"] == before["state"]
 
 
 @pytest.mark.parametrize("verb", ["run drive", "stop", "estop", "reset", "describe"])
-def test_a_robot_nobody_knows_ends_with_4_and_the_nearest(swarm: Swarm, verb: str) -> None:
+def test_an_unknown_robot_ends_with_4_and_the_nearest_name(swarm: Swarm, verb: str) -> None:
     done = swarm.ctl(*verb.split(), "r11")
     assert (done.returncode, done.stdout) == (4, "")
-    assert "no robot 'r11'; did you mean 'r1'?" in done.stderr
+    assert "'r1'" in done.stderr
 
 
 def test_a_mistyped_exclusion_sends_nothing(swarm: Swarm) -> None:
@@ -202,27 +195,27 @@ def test_estop_is_held_until_reset_names_it(swarm: Swarm) -> None:
     assert [swarm.status(robot)["state"] for robot in ROBOTS] == ["idle"] * 3
 
 
-def test_an_estop_of_some_is_none_of_the_swarm(swarm: Swarm) -> None:
+def test_an_estop_of_named_robots_is_not_swarm_wide(swarm: Swarm) -> None:
     assert last_line(swarm.ctl("estop", "r1")) == "1 targeted, 1 applied"
     assert [latch["scope"] for latch in swarm.status("r1")["latches"].values()] == ["robots"]
     assert swarm.status("r2")["latches"] == {}
 
 
-def test_a_frozen_daemon_is_named_by_estop_and_the_answer_is_partial(swarm: Swarm) -> None:
+def test_estop_names_a_frozen_daemon_and_is_partial(swarm: Swarm) -> None:
     swarm.daemons["r2"].freeze()
     done = swarm.ctl("estop")
     assert done.returncode == 3
     assert last_line(done) == "3 targeted, 2 applied, 1 no answer (r2)"
 
 
-def test_stop_stops_whom_it_can_and_counts_the_name_nobody_knows(swarm: Swarm) -> None:
+def test_stop_counts_a_name_that_no_robot_has(swarm: Swarm) -> None:
     done = swarm.ctl("stop", "r1", "r11")
     assert done.returncode == 3
     assert last_line(done) == "2 targeted, 1 applied, 1 no answer (r11)"
-    assert "no robot 'r11'; did you mean 'r1'?" in done.stderr
+    assert "'r1'" in done.stderr
 
 
-def test_nobody_answering_in_time_ends_with_5(swarm: Swarm) -> None:
+def test_no_answer_in_time_ends_with_5(swarm: Swarm) -> None:
     swarm.daemons["r3"].freeze()
     done = swarm.ctl("run", "drive", "r3", "--timeout", "500ms")
     assert (done.returncode, last_line(done)) == (5, "1 targeted, 0 applied, 1 no answer (r3)")
@@ -233,30 +226,31 @@ def test_a_pattern_that_cannot_be_loaded_ends_with_1(swarm: Swarm) -> None:
     assert (done.returncode, last_line(done)) == (1, "1 targeted, 0 applied, 1 failed (r1)")
 
 
-def test_another_swarm_is_answered_with_the_names_there_are(swarm: Swarm) -> None:
+def test_an_unreachable_swarm_names_the_swarms_found(swarm: Swarm) -> None:
     done = swarm.ctl("members", "--swarm", unique_swarm())
     assert done.returncode == 6
     assert swarm.name in done.stderr
 
 
-def test_param_set_changes_the_running_pattern_and_param_get_tells_the_source(
+def test_param_set_changes_and_param_get_shows_the_source(
     swarm: Swarm,
 ) -> None:
     swarm.ctl("run", "drive", "--all")
     done = swarm.ctl("param", "set", "r1", "speed=0.05", "-p", "turn=0.5")
     assert (done.returncode, last_line(done)) == (0, "1 targeted, 1 applied")
-    wait_until(lambda: "0.05" in swarm.ctl("param", "get", "r1").stdout, "speed 0.05 in force")
-    rows = [line.split() for line in swarm.ctl("param", "get", "-k", "turn").stdout.splitlines()]
+    look = ("param", "get", "--timeout", "10s")
+    wait_until(lambda: "0.05" in swarm.ctl(*look, "r1").stdout, "speed 0.05 in force")
+    rows = [line.split() for line in swarm.ctl(*look, "-k", "turn").stdout.splitlines()]
     assert rows[1] == ["r1", "drive", "turn", "0.5", "runtime"]
     assert rows[2][:4] == ["r2", "drive", "turn", "0"]
-    assert swarm.ctl("param", "get", "-k", "trun").returncode == 2
+    assert swarm.ctl(*look, "-k", "trun").returncode == 2
 
 
-def test_param_get_says_where_nothing_runs(swarm: Swarm) -> None:
+def test_param_get_names_robots_without_a_pattern(swarm: Swarm) -> None:
     assert last_line(swarm.ctl("param", "get", "r1")) == "# no pattern is running on r1"
 
 
-def test_describe_says_why_it_stands_and_shows_everything(swarm: Swarm) -> None:
+def test_describe_explains_and_shows_everything(swarm: Swarm) -> None:
     lines = swarm.ctl("describe", "r1").stdout.splitlines()
     assert lines[0].startswith("r1: stopped: ")
     assert {"Robot", "State", "Protection", "Health", "Events"} <= set(lines)
@@ -309,7 +303,7 @@ def reads_stdin(pid: int) -> bool:
     ],
     ids=["yes", "no", "ctrl-c", "sigint"],
 )
-def test_reset_asks_back_on_a_terminal(
+def test_reset_asks_for_confirmation_on_a_terminal(
     swarm: Swarm, act: Callable[[int, int], None], code: int, state: str
 ) -> None:
     swarm.ctl("estop", "r1")
@@ -319,7 +313,7 @@ def test_reset_asks_back_on_a_terminal(
     assert swarm.status("r1")["state"] == state
 
 
-def test_a_robot_that_was_killed_is_listed_until_it_is_forgotten(
+def test_a_killed_robot_is_listed_until_it_is_forgotten(
     tmp_path: Path,
 ) -> None:
     swarm = Swarm(tmp_path)
