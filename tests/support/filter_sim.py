@@ -140,7 +140,8 @@ class FilterSim:
 
     `latency`: delay of a scan (None: that of the platform); `phase`: time of the first scan;
     `delay`: from command to base; all in s. `braking`: m/s2 and rad/s2 (None: as protection
-    assumes). `noise`: the standard deviation of ranges in m. `has_lidar` and `has_odometry` can be set to false at any time.
+    assumes). `noise`: the standard deviation of ranges in m. A test may set `has_lidar` and
+    `has_odometry` to false at any time.
     """
 
     def __init__(
