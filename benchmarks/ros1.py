@@ -25,7 +25,8 @@ from benchmarks.plain_field import plain_field
 from benchmarks.table import Row, print_table
 from swarmd.core.clock import boottime
 from swarmd.core.values import Scan, Twist
-from swarmd.drivers.ros1 import wire
+from swarmd.drivers.ros.messages import LaserScan
+from swarmd.drivers.ros1 import serialization
 from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.robot.robot import Robot
 from swarmd.robot.status import RobotSettings
@@ -160,7 +161,7 @@ def decoding() -> Iterator[Row]:
     samples = []
     for _ in range(DECODED):
         begin = time.perf_counter()
-        wire.decode_laser_scan(data)
+        serialization.decode(LaserScan, data)
         samples.append(time.perf_counter() - begin)
     yield Row("decode of a 360-ray LaserScan", samples, "p50 10 us")
 

@@ -14,7 +14,7 @@ from swarmd.core import keys
 from swarmd.core.errors import CodecError, ConfigError, unknown
 from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
-from swarmd.driver_api.driver import Finding, NullSink, SenderSpec, Sink
+from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
 from swarmd.driver_api.hw_codec import (
     decode_neighbors,
     decode_odometry,
@@ -96,10 +96,10 @@ class SimulatedDriver:
             await asyncio.gather(task, return_exceptions=True)
         return self._findings(seen, has_taker)
 
-    def zero_sender(self) -> SenderSpec:
+    def zero_sender(self) -> ZeroSenderSpec:
         """How a stopper says zero to this body."""
         where = {"swarm": self._swarm, "robot": self._robot, "endpoint": self._endpoint}
-        return SenderSpec(f"{__name__}:SimulatedZeros", where)
+        return ZeroSenderSpec(f"{__name__}:SimulatedZeros", where)
 
     def _findings(self, seen: _Seen, has_taker: bool) -> tuple[Finding, ...]:
         where = f"from {self._robot} of swarm {self._swarm} at {self._endpoint}"

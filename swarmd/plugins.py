@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import click
 
     from swarmd.driver_api.driver import DriverFactory
-    from swarmd.driver_api.emulator import RobotSideFactory
+    from swarmd.driver_api.emulator import EmulatorFactory
 
 PATTERNS = "swarmd.patterns"
 DRIVERS = "swarmd.drivers"
@@ -106,9 +106,9 @@ def load_driver(name: str) -> DriverFactory:
     return cast("DriverFactory", _load("driver", DRIVERS, name))
 
 
-def load_emulator(name: str) -> RobotSideFactory:
+def load_emulator(name: str) -> EmulatorFactory:
     """The robots' side of the driver of that name, imported."""
-    return cast("RobotSideFactory", _load("emulator", EMULATORS, name))
+    return cast("EmulatorFactory", _load("emulator", EMULATORS, name))
 
 
 def command_names() -> Mapping[str, EntryPoint]:

@@ -10,7 +10,7 @@ import msgspec
 import pytest
 import yaml
 
-from swarmd.driver_api.driver import Driver, Sink, Stopping
+from swarmd.driver_api.driver import Driver, Sink, ZeroSenderProvider
 from swarmd.drivers.replay import ReplayOptions
 from swarmd.drivers.ros.options import RmwOptions
 from swarmd.drivers.ros1.options import Ros1Options
@@ -108,7 +108,7 @@ def test_what_a_driver_offers_and_tells_is_explained() -> None:
     text = (ROOT / "docs" / "drivers.md").read_text()
     said = {
         name
-        for kind in (Driver, Stopping, Sink, Rig, ScriptedRig, DetachableRig)
+        for kind in (Driver, ZeroSenderProvider, Sink, Rig, ScriptedRig, DetachableRig)
         for name in vars(kind)
     }
     said |= set(Driver.__annotations__) | set(Rig.__annotations__)

@@ -1,251 +1,330 @@
-"""What is wrong with a topic and the next step, going by what the others announce. Pure.
+"""What is wrong with a ROS robot, each with the next step: for `--check` and for a lost base. Pure.
 
-`swarmd --check` of a ROS 2 driver: what was seen of the robot, each with the next step. Pure.
+Both ROS: a `Middleware` names the tools, and the graph is the topics that other nodes announce.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass
+from difflib import SequenceMatcher
+from typing import Protocol
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Scan, ScanSpec
 from swarmd.driver_api.driver import Finding
-from swarmd.drivers.ros.cdr import name_of
-from swarmd.drivers.ros.topic_stats import Sense
-from swarmd.drivers.ros2.key_scheme import Endpoint, KeyScheme
-from swarmd.drivers.ros2.subscriptions import Subscriptions
+from swarmd.drivers.ros.subscriptions import Subscriptions
+from swarmd.drivers.ros.topic_stats import TopicStats
 from swarmd.sensing.conditioning import ScanConditioner
 
-_SHOWN = 4
-_COMMANDS = {
-    "geometry_msgs/msg/Twist": "cmd_vel_type: twist",
-    "geometry_msgs/msg/TwistStamped": "cmd_vel_type: twist_stamped",
-}
+ENOUGH_MESSAGES = 5
+MIN_CHECK_TIME = 1.0
+
+_MAX_LISTED = 4
+_COMMAND_OPTIONS = {"Twist": "cmd_vel_type: twist", "TwistStamped": "cmd_vel_type: twist_stamped"}
 
 
-def why_silent(sense: Sense, graph: Collection[Endpoint], scheme: KeyScheme) -> str:
-    """Why nothing comes on a topic, in one line with the next step."""
-    wanted, topic, option = name_of(sense.kind), sense.topic, f"driver_options.{sense.option}"
-    said = [end for end in graph if end.is_publisher]
-    here = [end for end in said if end.domain == scheme.domain]
-    types = sorted({end.type for end in here if end.topic == topic})
-    if wanted in types:
-        return f"{topic} is announced but silent; look at the sensor: ros2 topic hz {topic}"
-    if types:
-        return f"{topic} carries {', '.join(types)}; wanted is {wanted}: correct {option}"
-    domains = _domains(end for end in said if (end.topic, end.type) == (topic, wanted))
-    if here and not domains:
-        alike = sorted({end.topic for end in here if end.type == wanted})
+@dataclass(frozen=True, slots=True)
+class Endpoint:
+    """One end of a topic, as it is announced: a publisher or a subscription.
+
+    `topic` such as `/tb3_01/scan`, `type` such as `sensor_msgs/msg/LaserScan`; `domain` is None and
+    `node` empty where the announcement does not tell them. `zid` is the Zenoh session that
+    announced it; empty in ROS 1.
+    """
+
+    is_publisher: bool
+    topic: str
+    type: str
+    zid: str = ""
+    domain: int | None = None
+    node: str = ""
+
+    @property
+    def owner(self) -> str:
+        """The node; without one, the bridge that announces the endpoint."""
+        return self.node or f"a node behind bridge {self.zid[:8]}"
+
+
+class Middleware(Protocol):
+    """The words of one way to speak ROS.
+
+    `hub` is what the driver connects to, `start` the step that starts it, and `endpoint_option` the
+    option that says where it listens. `silent` says that the hub announces no topic, and the next
+    step. `silent_topic` is what to look at when a topic is announced and silent, with the command
+    that takes the topic's name last; `topic_info` is the command that names its publishers.
+    """
+
+    hub: str
+    start: str
+    endpoint_option: str
+    silent: str
+    silent_topic: str
+    topic_info: str
+    domain: int | None
+
+    def type_name(self, message_type: type) -> str:
+        """Such as `sensor_msgs/msg/LaserScan`."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Graph:
+    """The endpoints that other nodes announce, in the words of their middleware."""
+
+    middleware: Middleware
+    endpoints: Collection[Endpoint] = ()
+
+    def publishers(self, topic: str) -> list[Endpoint]:
+        """The publishers of a topic in the driver's domain."""
+        return [end for end in self._here(is_publisher=True) if end.topic == topic]
+
+    def silence(self, stats: TopicStats) -> str:
+        """Why no message arrives on a topic."""
+        middleware, topic = self.middleware, stats.topic
+        wanted, option = middleware.type_name(stats.message_type), f"driver_options.{stats.option}"
+        announced = [end for end in self.endpoints if end.is_publisher]
+        here = self._here(is_publisher=True)
+        types = sorted({end.type for end in here if end.topic == topic})
+        if wanted in types:
+            return f"{topic} is announced but silent; {middleware.silent_topic} {topic}"
+        if types:
+            return f"{topic} carries {', '.join(types)}; wanted is {wanted}: correct {option}"
+        domains = _domains(end for end in announced if (end.topic, end.type) == (topic, wanted))
+        if here and not domains:
+            alike = {end.topic for end in here if end.type == wanted}
+            if alike:
+                return (
+                    f"no {topic}, but {listed(_nearest_first(topic, alike))} of that type; correct"
+                    f" driver_options.namespace or {option}"
+                )
+            names = sorted({end.topic for end in here})
+            return f"no {topic} among {listed(names)}; start the sensor, or correct {option}"
+        domains = domains or _domains(announced)
+        if domains:
+            what = topic if here else "topic"
+            return (
+                f"no {what} in domain {middleware.domain}, but in {listed(map(str, domains))};"
+                " correct driver_options.domain"
+            )
+        return f"no {topic}, and {middleware.hub} {middleware.silent}"
+
+    def unreadable(self, stats: TopicStats) -> str:
+        """Why the messages of a topic cannot be used."""
+        types = {end.type for end in self.publishers(stats.topic)}
+        if types and self.middleware.type_name(stats.message_type) not in types:
+            return self.silence(stats)
+        return (
+            f"{stats.topic}: {stats.fault}; correct driver_options.{stats.option}, or look at what"
+            f" publishes it: {self._info(stats.topic)}"
+        )
+
+    def unreliable(self, stats: TopicStats) -> str:
+        """Why the messages of a topic cannot be relied on; empty if they can."""
+        topic = stats.topic
+        if not stats.stamps_advance():
+            return (
+                f"{topic}: messages come, all with the stamp {stats.stamps[-1]:.12g}; look at the"
+                " sensor, which is frozen, or at its publisher, which fills in none"
+            )
+        publishers = self.publishers(topic)
+        if len(publishers) > 1 and stats.is_needed:
+            owners = listed(sorted({end.owner for end in publishers}))
+            return (
+                f"{len(publishers)} publish {topic}: {owners}; end all but one, or give each robot"
+                " a namespace"
+            )
+        if stats.stamps_go_back():
+            return (
+                f"the stamps of {topic} go back again and again: two publish it, or a clock is"
+                f" being set; look at {self._info(topic)}"
+            )
+        return ""
+
+    def no_subscriber(self, topic: str, command_type: type, *, has_subscriber: bool) -> str:
+        """Why no base receives the commands; empty if one does.
+
+        `has_subscriber`: whether any node subscribes to the commands, announced or not.
+        """
+        wanted = self.middleware.type_name(command_type)
+        here = self._here(is_publisher=False)
+        types = sorted({end.type for end in here if end.topic == topic})
+        if types and wanted not in types:
+            option = _COMMAND_OPTIONS.get(_short(types[0]), "cmd_vel, or cmd_vel_type")
+            return f"{topic} wants {listed(types)}, not {wanted}; set driver_options.{option}"
+        if types or has_subscriber:
+            return ""
+        alike = sorted({end.topic for end in here if _short(end.type) in _COMMAND_OPTIONS})
         if alike:
             return (
-                f"no {topic}, but {shown(alike)} of that type; correct driver_options.namespace"
-                f" or {option}"
+                f"no node subscribes to {topic}, but to {listed(alike)}; correct"
+                " driver_options.namespace or driver_options.cmd_vel"
             )
-        names = sorted({end.topic for end in here})
-        return f"no {topic} among {shown(names)}; start the sensor, or correct {option}"
-    domains = domains or _domains(said)
-    if domains:
-        what = topic if here else "topic"
-        return (
-            f"no {what} in domain {scheme.domain}, but in {shown(map(str, domains))}; correct"
-            " driver_options.domain"
-        )
-    return f"no {topic}, and {scheme.hub} announces no topic at all; {scheme.silent}"
+        return f"no node subscribes to {topic}; start the base, or correct driver_options.cmd_vel"
+
+    def _here(self, *, is_publisher: bool) -> list[Endpoint]:
+        domain = self.middleware.domain
+        return [e for e in self.endpoints if e.is_publisher is is_publisher and e.domain == domain]
+
+    def _info(self, topic: str) -> str:
+        return f"{self.middleware.topic_info} {topic}"
 
 
-def why_refused(sense: Sense, graph: Collection[Endpoint], scheme: KeyScheme) -> str:
-    """What came on a topic and could not be taken, in one line with the next step."""
-    wanted, topic = name_of(sense.kind), sense.topic
-    types = {end.type for end in _publishing(topic, graph, scheme)}
-    if types and wanted not in types:
-        return why_silent(sense, graph, scheme)
+def unreachable(middleware: Middleware, endpoint: str, fault: str = "") -> str:
+    """Nothing answers at the endpoint; `fault` is the connection's own error."""
+    why = f" ({fault})" if fault else ""
     return (
-        f"{topic}: {sense.fault}; correct driver_options.{sense.option}, or look at what publishes"
-        f" it: ros2 topic info -v {topic}"
+        f"nothing answers at {endpoint}{why}; {middleware.start}, or correct"
+        f" {middleware.endpoint_option}"
     )
 
 
-def why_misleading(sense: Sense, graph: Collection[Endpoint], scheme: KeyScheme) -> str:
-    """Why what comes on a topic cannot be relied on, with the next step; empty if it can."""
-    topic = sense.topic
-    if not sense.advances():
-        return (
-            f"{topic}: messages come, all with the stamp {sense.stamps[-1]:.12g}; look at the"
-            " sensor, which is frozen, or at its publisher, which fills in none"
-        )
-    said = _publishing(topic, graph, scheme)
-    if len(said) > 1 and sense.is_needed:
-        whose = shown(sorted({end.who for end in said}))
-        return (
-            f"{len(said)} publish {topic}: {whose}; end all but one, or give each robot a namespace"
-        )
-    if sense.goes_back():
-        return (
-            f"the stamps of {topic} go back again and again: two publish it, or a clock is being"
-            f" set; look at ros2 topic info -v {topic}"
-        )
-    return ""
-
-
-def why_blind(sense: Sense, scan: Scan, spec: ScanSpec) -> str:
-    """Why this sweep alone shows too little, with the next step; empty if it shows enough."""
+def incomplete(stats: TopicStats, scan: Scan, spec: ScanSpec) -> str:
+    """Why this scan leaves too much unseen; empty if it does not."""
     if ScanConditioner(spec).take(scan, None, 0.0) is not Reason.INVALID_SCAN:
         return ""
     return (
-        f"{sense.topic}: {len(scan.ranges)} rays that leave too wide a sector unseen; look at the"
+        f"{stats.topic}: {len(scan.ranges)} rays that leave too wide a sector unseen; look at the"
         " sensor, or correct the platform's scan"
     )
 
 
-def why_unheard(
-    topic: str, command: type, graph: Collection[Endpoint], scheme: KeyScheme, *, has_taker: bool
-) -> str:
-    """Why commands lead nowhere, with the next step; empty if they have a taker.
-
-    `has_taker`: whether anyone at all listens on the key, announced or not.
-    """
-    wanted = name_of(command)
-    heard = [end for end in graph if not end.is_publisher and end.domain == scheme.domain]
-    types = sorted({end.type for end in heard if end.topic == topic})
-    if types and wanted not in types:
-        option = _COMMANDS.get(types[0], "cmd_vel, or cmd_vel_type")
-        return f"{topic} wants {shown(types)}, not {wanted}; set driver_options.{option}"
-    if types or has_taker:
+def too_slow(stats: TopicStats, spec: ScanSpec) -> str:
+    """Why scans come too rarely for the platform; empty if they do not."""
+    rate = stats.rate()
+    if not 0.0 < rate * spec.slowest_period < 1.0:
         return ""
-    alike = sorted({end.topic for end in heard if end.type in _COMMANDS})
-    if alike:
-        return (
-            f"nobody subscribes to {topic}, but to {shown(alike)}; correct driver_options.namespace"
-            " or driver_options.cmd_vel"
-        )
-    return f"nobody subscribes to {topic}; start the base, or correct driver_options.cmd_vel"
-
-
-def shown(names: Iterable[str]) -> str:
-    """The first few, and how many more."""
-    listed = list(names)
-    more = f" and {len(listed) - _SHOWN} more" if len(listed) > _SHOWN else ""
-    return ", ".join(listed[:_SHOWN]) + more
-
-
-def _domains(ends: Iterable[Endpoint]) -> list[int]:
-    return sorted({end.domain for end in ends if end.domain is not None})
-
-
-def _publishing(topic: str, graph: Iterable[Endpoint], scheme: KeyScheme) -> list[Endpoint]:
-    return [
-        end
-        for end in graph
-        if end.is_publisher and end.topic == topic and end.domain == scheme.domain
-    ]
-
-
-ENOUGH = 5
-AT_LEAST = 1.0
-
-
-def has_enough(hearing: Subscriptions, elapsed: float) -> bool:
-    """Whether all that is needed was heard often enough to tell its rate, and the rest at all."""
-    senses = hearing.senses.values()
-    return elapsed >= AT_LEAST and all(
-        sense.count >= (ENOUGH if sense.is_needed else 1) for sense in senses
+    return (
+        f"{stats.topic} comes at {rate:.1f} Hz; the platform's scan.rate is {spec.rate:g}, so the"
+        " robot would stop for old scans now and then: correct one of them"
     )
 
 
-def unheard(scheme: KeyScheme, endpoint: str) -> str:
-    """Nothing listens at the endpoint."""
-    return f"nothing answers at {endpoint}; {scheme.start}, or correct driver_options.endpoint"
+def driven_by_others(topic: str, publishers: Iterable[str] = ()) -> str:
+    """Another node publishes commands. `publishers`: the nodes, where they are known."""
+    names = listed(publishers)
+    if names:
+        return (
+            f"another node may drive this robot: {topic} is also published by {names}; end that"
+            " node, or set driver_options.shared_cmd_vel if the base has a multiplexer"
+        )
+    return (
+        f"another node drives this robot: commands on {topic} that are not this driver's; stop what"
+        " publishes them, and this driver takes over 2 s later"
+    )
+
+
+def unconnected(topic: str, nodes: Iterable[str]) -> str:
+    """The base subscribes in ROS 1 and opens no connection to this machine."""
+    return (
+        f"{listed(nodes)} subscribes to {topic}, but does not connect to this machine; look at"
+        " ROS_IP here"
+    )
+
+
+def has_enough(subscriptions: Subscriptions, elapsed: float) -> bool:
+    """True once all needed topics tell their rate, and each other topic has a message."""
+    return elapsed >= MIN_CHECK_TIME and all(
+        stats.count >= (ENOUGH_MESSAGES if stats.is_needed else 1)
+        for stats in subscriptions.topics.values()
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Report:
-    """What a driver knows of its robot after having looked for a while.
+    """What a driver found out about its robot during a check.
 
-    `graph`: what others announce. `has_taker`: whether anyone listens for commands on the key.
-    `others`: how many commands of others came.
+    `connection_fault` is empty if the hub answers. `has_subscriber`: whether any node subscribes to
+    the commands. `foreign_commands`: commands of other nodes that arrived. `is_exclusive`: whether
+    another publisher of commands is a fault although it publishes nothing.
     """
 
-    scheme: KeyScheme
+    graph: Graph
     endpoint: str
-    is_connected: bool
-    hearing: Subscriptions
+    connection_fault: str = ""
+    subscriptions: Subscriptions
     spec: ScanSpec
-    graph: Collection[Endpoint]
     cmd_vel: str
-    command: type
-    has_taker: bool
-    others: int
+    command_type: type
+    has_subscriber: bool
+    foreign_commands: int = 0
+    foreign_publishers: Collection[str] = ()
+    is_exclusive: bool = False
 
     def findings(self) -> tuple[Finding, ...]:
-        """One line each: the hub, every topic, where commands go, who else commands."""
-        if not self.is_connected:
-            return (Finding("connection", False, unheard(self.scheme, self.endpoint)),)
+        """One line each: the hub, every topic, the subscriber of commands, other publishers."""
+        if self.connection_fault:
+            return (Finding("connection", False, self.connection_fault),)
         return tuple(self._findings())
 
     def _findings(self) -> Iterator[Finding]:
-        yield Finding("connection", True, f"{self.scheme.hub} at {self.endpoint}")
-        for sense in self.hearing.senses.values():
-            if sense.is_needed or sense.count or sense.name in ("imu", "battery"):
-                yield self._of(sense)
-        yield self._taker()
-        yield self._rivals()
-
-    def _of(self, sense: Sense) -> Finding:
-        fault = self._fault(sense)
-        if fault:
-            is_wanting = sense.is_needed or sense.count or sense.faults
-            text = fault if is_wanting else f"not heard, and not needed to drive: {fault}"
-            return Finding(sense.name, not is_wanting, text)
-        by_stamp, by_clock = sense.passed()
-        kind = name_of(sense.kind)
-        rate = f"{sense.rate():.1f} Hz, " if sense.rate() else ""
-        clock = f"stamps went on {by_stamp:.1f} s in {by_clock:.1f} s" if rate else ""
-        said = ", ".join(part for part in (sense.text, clock) if part)
-        return Finding(sense.name, True, f"{sense.topic} ({kind}): {rate}{said}".rstrip(": "))
-
-    def _fault(self, sense: Sense) -> str:
-        """What is wrong on one topic; empty if nothing is."""
-        if sense.faults:
-            return why_refused(sense, self.graph, self.scheme)
-        if not sense.count:
-            return why_silent(sense, self.graph, self.scheme)
-        fault = why_misleading(sense, self.graph, self.scheme)
-        if not fault and sense.name != "odometry" and sense.is_needed:
-            return self._scan_fault(sense)
-        return fault
-
-    def _scan_fault(self, sense: Sense) -> str:
-        rate, wanted = sense.rate(), self.spec.rate
-        if 0.0 < rate * self.spec.slowest_period < 1.0:
-            return (
-                f"{sense.topic} comes at {rate:.1f} Hz; the platform's scan.rate is {wanted:g},"
-                " so the robot would stop for old scans now and then: correct one of them"
-            )
-        scan = self.hearing.scan
-        return "" if scan is None else why_blind(sense, scan, self.spec)
-
-    def _taker(self) -> Finding:
-        fault = why_unheard(
-            self.cmd_vel, self.command, self.graph, self.scheme, has_taker=self.has_taker
+        middleware = self.graph.middleware
+        yield Finding("connection", True, f"{middleware.hub} at {self.endpoint}")
+        for stats in self.subscriptions.topics.values():
+            if stats.is_needed or stats.count or stats.name in ("imu", "battery"):
+                yield self._topic(stats)
+        fault = self.graph.no_subscriber(
+            self.cmd_vel, self.command_type, has_subscriber=self.has_subscriber
         )
-        well = f"{self.cmd_vel} ({name_of(self.command)}) has a subscriber"
-        return Finding("cmd_vel", not fault, fault or well)
+        well = f"{self.cmd_vel} ({middleware.type_name(self.command_type)}) has a subscriber"
+        yield Finding("cmd_vel", not fault, fault or well)
+        yield self._others()
 
-    def _rivals(self) -> Finding:
-        if self.others:
+    def _topic(self, stats: TopicStats) -> Finding:
+        fault = self._fault(stats)
+        if fault:
+            is_fault = stats.is_needed or stats.count or stats.faults
+            text = fault if is_fault else f"no message, and not needed to drive: {fault}"
+            return Finding(stats.name, not is_fault, text)
+        by_stamp, by_clock = stats.elapsed()
+        kind = self.graph.middleware.type_name(stats.message_type)
+        rate = f"{stats.rate():.1f} Hz" if stats.rate() else ""
+        clock = f"stamps advanced by {by_stamp:.1f} s in {by_clock:.1f} s" if rate else ""
+        details = ", ".join(part for part in (rate, stats.summary, clock) if part)
+        return Finding(stats.name, True, f"{stats.topic} ({kind}): {details}".rstrip(": "))
+
+    def _fault(self, stats: TopicStats) -> str:
+        """What is wrong on one topic; empty if nothing is."""
+        if stats.faults:
+            return self.graph.unreadable(stats)
+        if not stats.count:
+            return self.graph.silence(stats)
+        fault = self.graph.unreliable(stats)
+        if fault or not stats.is_needed or stats.name == "odometry":
+            return fault
+        scan = self.subscriptions.scan
+        return too_slow(stats, self.spec) or (incomplete(stats, scan, self.spec) if scan else "")
+
+    def _others(self) -> Finding:
+        topic, names = self.cmd_vel, sorted(self.foreign_publishers)
+        if self.foreign_commands:
             return Finding(
                 "others",
                 False,
-                f"{self.others} commands of someone else on {self.cmd_vel}; stop what publishes"
-                " them, unless it is this robot's own daemon or stopper",
+                f"{self.foreign_commands} commands of another node on {topic}; stop what publishes"
+                " them, unless it is this robot's own daemon or watchdog",
             )
-        said = [
-            end.who
-            for end in self.graph
-            if end.is_publisher and end.topic == self.cmd_vel and end.domain == self.scheme.domain
-        ]
-        if said:
-            text = f"{shown(sorted(said))} may publish {self.cmd_vel} too, but does not now"
+        if names and self.is_exclusive:
+            return Finding("others", False, driven_by_others(topic, names))
+        if names:
+            text = f"{listed(names)} may publish {topic} too, but does not now"
             return Finding("others", True, text)
-        return Finding("others", True, f"nobody else publishes {self.cmd_vel}")
+        return Finding("others", True, f"no other node publishes {topic}")
+
+
+def listed(names: Iterable[str]) -> str:
+    """The first few names, and how many more."""
+    known = list(names)
+    more = f" and {len(known) - _MAX_LISTED} more" if len(known) > _MAX_LISTED else ""
+    return ", ".join(known[:_MAX_LISTED]) + more
+
+
+def _nearest_first(topic: str, names: Collection[str]) -> list[str]:
+    return sorted(names, key=lambda name: (-SequenceMatcher(None, topic, name).ratio(), name))
+
+
+def _short(type_name: str) -> str:
+    return type_name.rpartition("/")[2]
+
+
+def _domains(ends: Iterable[Endpoint]) -> list[int]:
+    return sorted({end.domain for end in ends if end.domain is not None})

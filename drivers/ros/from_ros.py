@@ -17,13 +17,13 @@ from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
 from swarmd.driver_api.hw_codec import MAX_RAYS
 from swarmd.drivers.ros import messages as ros
 
-_WIDEST = 1.1 * 2.0 * math.pi  # of a sweep: some sensors repeat their first rays at the end
-_FARTHEST = 4.0 * math.pi
+_MAX_SPAN = 1.1 * 2.0 * math.pi  # of a scan: some sensors repeat their first rays at the end
+_MAX_FIRST_ANGLE = 4.0 * math.pi
 _PER_CENT = 100.0  # TurtleBot3 gives its battery's percentage in per cent, not as a share of 1
 
 
 def stamp_of(stamp: ros.Time) -> float:
-    """Seconds on the sender's clock, of which only the progress means something."""
+    """Seconds on the sender's clock; only differences have a meaning."""
     return stamp.sec + 1e-9 * stamp.nanosec
 
 
@@ -35,16 +35,17 @@ def scan_of(
     *,
     is_upside_down: bool = False,
 ) -> Scan:
-    """The sweep in the base frame's directions, of a sensor whose zero looks to `yaw` rad.
+    """The scan with bearings in the base frame, of a sensor whose zero points to `yaw` rad.
 
-    One that is upside down turns the other way round. CodecError if its angles are none.
+    A sensor that is upside down turns the other way round. Raises CodecError if the angles are no
+    scan of at most one turn.
     """
     count, first, step = len(message.ranges), message.angle_min, message.angle_increment
-    sweep = step * max(count - 1, 0)
+    span = step * max(count - 1, 0)
     if count > MAX_RAYS:
         raise CodecError(f"{count} rays; wanted are at most {MAX_RAYS}")
-    if not (abs(first) <= _FARTHEST and abs(sweep) <= _WIDEST):  # false for NaN too
-        raise CodecError(f"rays from {first:g} rad over {sweep:g} rad; wanted is one turn at most")
+    if not (abs(first) <= _MAX_FIRST_ANGLE and abs(span) <= _MAX_SPAN):  # false for NaN too
+        raise CodecError(f"rays from {first:g} rad over {span:g} rad; wanted is one turn at most")
     side = -1.0 if is_upside_down else 1.0
     return Scan(
         seq,
@@ -57,7 +58,7 @@ def scan_of(
 
 
 def odometry_of(message: ros.Odometry) -> Odometry:
-    """Pose and twist; CodecError if they are not finite or the orientation is none."""
+    """Pose and twist; CodecError if they are not finite or the orientation is no rotation."""
     position, orientation = message.pose.pose.position, message.pose.pose.orientation
     linear, angular = message.twist.twist.linear, message.twist.twist.angular
     pose = Pose(position.x, position.y, yaw_of(orientation))
@@ -68,7 +69,7 @@ def odometry_of(message: ros.Odometry) -> Odometry:
 
 
 def yaw_of(q: ros.Quaternion) -> float:
-    """The turn about the vertical axis in rad; CodecError if this is no unit quaternion."""
+    """The rotation about the vertical axis in rad; CodecError without a unit quaternion."""
     square = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
     if not 0.8 < square < 1.2:  # false for NaN too
         raise CodecError("the orientation is no unit quaternion")
@@ -111,18 +112,21 @@ def stamped_message(twist: Twist, frame: str) -> ros.TwistStamped:
     )
 
 
-def twist_of(message: ros.Twist) -> Twist:
-    """The command that a Twist asks for."""
+def twist_of(message: object) -> Twist:
+    """The command of a Twist or TwistStamped."""
+    if isinstance(message, ros.TwistStamped):
+        message = message.twist
+    assert isinstance(message, ros.Twist)
     return Twist(message.linear.x, message.angular.z, message.linear.y)
 
 
 class RangeRing:
     """Several range sensors, each with its own topic, as one scan.
 
-    A scan is complete when each has spoken since the last one, or when one speaks for the second
-    time: those that did not are NaN, unknown. One whose stamp stands still has not spoken.
-    `bearings` (n,) rad; `distances` (n,) m from the scan's origin to each sensor are added to what
-    it measures.
+    A scan is complete when each sensor has sent a value since the last scan, or when one sends its
+    second: sensors without a value are NaN, unknown. A value with the stamp of the one before does
+    not count. `bearings` (n,) rad; `distances` (n,) m from the scan's origin to each sensor are
+    added to its values.
     """
 
     def __init__(
@@ -136,7 +140,7 @@ class RangeRing:
         self._seq = 0
 
     def take(self, index: int, message: ros.Range) -> Scan | None:
-        """One sensor's value; the scan that it completes, if it does."""
+        """Add one sensor's value; the scan that it completes, or None."""
         stamp = stamp_of(message.header.stamp)
         if self._stamps.get(index) == stamp:
             return None
@@ -160,7 +164,7 @@ class RangeRing:
 
 @lru_cache(maxsize=8)
 def _bearings(first: float, step: float, count: int) -> Array:
-    """Within [-pi, pi); one array for all scans alike, so that much is computed only once."""
+    """Bearings within [-pi, pi); one array for equal scans, computed once."""
     bearings = _wrapped(first + step * np.arange(count, dtype=np.float64))
     bearings.flags.writeable = False
     return bearings

@@ -1,4 +1,4 @@
-"""What may stand in `driver_options` of the ROS 2 drivers, read and checked."""
+"""The options of the ROS drivers, read and checked."""
 
 from __future__ import annotations
 
@@ -15,84 +15,93 @@ from swarmd.core.values import Value
 from swarmd.settings.layered import Layered
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+MAX_BEARING, MAX_OFFSET = 360.0, 10.0
+"""Bounds of a range sensor's place in `ranges`: degrees, and m from the scan's origin."""
 
 _ENDPOINT = re.compile(r"(tcp|tls|quic|udp)/(\[[0-9a-fA-F:.]+\]|[^/:#?\s]+):\d{1,5}([?#]\S*)?")
-_TOPIC = re.compile(r"/?[A-Za-z0-9_]+(/[A-Za-z0-9_]+)*")
+_NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z0-9_]+)*")
 _ROBOT = "{robot}"
-_TURN, _REACH = 360.0, 10.0
 
 Degrees = Annotated[float, Meta(ge=-360.0, le=360.0)]
+Name = Annotated[str, Meta(min_length=1, max_length=200)]
 
 
-class RosOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Where the robot is on the network, and how its topics are called.
+class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The names and types of a robot's topics, and how its sensors are mounted.
 
-    `namespace` stands before every topic that does not begin with a slash; `{robot}` in it is the
-    robot's id, with `_` for `-`. `ranges` makes one scan of several `sensor_msgs/Range`: topic to
-    bearing in degrees, or to bearing and the sensor's distance in m from the scan's origin;
-    `scan` is not listened to then. `scan_yaw_deg`: where the lidar's own zero looks, from the
-    base's front to the left; `scan_upside_down`: it hangs, and so turns the other way round.
+    `namespace` precedes every topic that does not begin with a slash; `{robot}` in it is the
+    robot's id, with `_` for `-`. `imu` and `battery` are subscribed to only if named; they become
+    the readings `yaw` in rad, `battery` (0 to 1) and `battery_voltage`. `ranges` makes one scan of
+    several `sensor_msgs/Range` in place of `scan`: topic to bearing in degrees, or to bearing and
+    the sensor's distance in m from the scan's origin. `scan_yaw_deg`: where the lidar's own zero
+    points, from the base's front to the left; `scan_upside_down`: the lidar hangs, and so turns the
+    other way round. `cmd_vel_frame` is the frame of stamped commands.
     """
 
-    endpoint: str = DEFAULT_ENDPOINT
     namespace: str = ""
-    scan: str = "scan"
-    odometry: str = "odom"
-    cmd_vel: str = "cmd_vel"
-    imu: str | None = None
-    battery: str | None = None
+    scan: Name = "scan"
+    odometry: Name = "odom"
+    cmd_vel: Name = "cmd_vel"
+    imu: Name | None = None
+    battery: Name | None = None
     cmd_vel_type: Literal["twist", "twist_stamped"] = "twist"
-    cmd_vel_frame: str = "base_link"
+    cmd_vel_frame: Annotated[str, Meta(max_length=200)] = "base_link"
     scan_yaw_deg: Degrees = 0.0
     scan_upside_down: bool = False
     # Unbounded here: msgspec 0.22 crashes on a union of a bounded number and a tuple of such.
     ranges: dict[str, float | tuple[float, float]] = {}
 
+    def topic(self, name: str) -> str:
+        """The full name of a topic, such as `/tb3_01/scan`."""
+        namespace = self.namespace.strip("/")
+        if name.startswith("/") or not namespace:
+            return f"/{name.strip('/')}"
+        return f"/{namespace}/{name}"
+
+    def ring(self) -> tuple[tuple[str, float, float], ...]:
+        """Topic, bearing in rad and distance in m of each sensor of `ranges`."""
+        placed = ((name, *_place(place)) for name, place in self.ranges.items())
+        return tuple((name, math.radians(degrees), distance) for name, degrees, distance in placed)
+
+
+class RosOptions(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Options of the ROS 2 drivers. `endpoint`: where the bridge or router listens."""
+
+    endpoint: str = DEFAULT_ENDPOINT
+
 
 class RmwOptions(RosOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Those of rmw_zenoh: `domain` is ROS_DOMAIN_ID on the robot."""
+    """Options of rmw_zenoh: `domain` is ROS_DOMAIN_ID on the robot."""
 
     domain: Annotated[int, Meta(ge=0, le=232)] = 0
 
 
-O = TypeVar("O", bound=RosOptions)  # noqa: E741
+O = TypeVar("O", bound=TopicOptions)  # noqa: E741
 
 
 def read_options(kind: type[O], options: Mapping[str, Value], driver: str, robot: str) -> O:
-    """The options, `{robot}` filled in; ConfigError names the one that is wrong."""
+    """The options, `{robot}` filled in; ConfigError names the option that is wrong."""
     read = Layered((f"driver {driver}", options)).build(kind)
-    filled = msgspec.structs.replace(
-        read, namespace=read.namespace.replace(_ROBOT, robot.replace("-", "_"))
-    )
+    own_name = re.sub(r"[^A-Za-z0-9_]", "_", robot)
+    filled = msgspec.structs.replace(read, namespace=read.namespace.replace(_ROBOT, own_name))
     _check(filled, driver)
     return filled
 
 
-def topic(options: RosOptions, name: str) -> str:
-    """The full name of a topic, such as `/tb3_01/scan`."""
-    namespace = options.namespace.strip("/")
-    if name.startswith("/") or not namespace:
-        return f"/{name.strip('/')}"
-    return f"/{namespace}/{name}"
-
-
-def ring_of(options: RosOptions) -> tuple[tuple[str, float, float], ...]:
-    """Topic, bearing in rad and distance in m of each sensor of `ranges`."""
-    placed = (
-        (name, place if isinstance(place, tuple) else (place, 0.0))
-        for name, place in options.ranges.items()
-    )
-    return tuple((name, math.radians(degrees), distance) for name, (degrees, distance) in placed)
-
-
-def _check(options: RosOptions, driver: str) -> None:
-    if _ENDPOINT.fullmatch(options.endpoint) is None:
+def _check(options: TopicOptions, driver: str) -> None:
+    if isinstance(options, RosOptions) and _ENDPOINT.fullmatch(options.endpoint) is None:
         raise ConfigError(
             f"driver {driver}: endpoint is {options.endpoint!r}; wanted is such as"
             f" {DEFAULT_ENDPOINT}"
         )
-    check_ring(options.ranges, driver)
-    named = {
+    for sensor, place in options.ranges.items():
+        degrees, distance = _place(place)
+        if not (abs(degrees) <= MAX_BEARING and 0.0 <= distance <= MAX_OFFSET):
+            raise ConfigError(
+                f"driver {driver}: ranges.{sensor} is {place}; wanted is a bearing in degrees, or"
+                f" [bearing, distance] with 0 to {MAX_OFFSET:g} m"
+            )
+    names = {
         "namespace": options.namespace.strip("/") or None,
         "scan": options.scan,
         "odometry": options.odometry,
@@ -101,38 +110,30 @@ def _check(options: RosOptions, driver: str) -> None:
         "battery": options.battery,
         **{f"ranges.{name}": name for name in options.ranges},
     }
-    for key, name in named.items():
-        if name is not None and _TOPIC.fullmatch(name) is None:
+    for option, name in names.items():
+        if name is not None and _NAME.fullmatch(name) is None:
             raise ConfigError(
-                f"driver {driver}: {key} is {name!r}; wanted is a ROS name such as tb3_01 or"
-                " front/scan (letters, digits, _ and /)"
+                f"driver {driver}: {option} is {name!r}; wanted is a ROS name such as tb3_01 or"
+                " front/scan (letters, digits, _ and /, a letter first)"
             )
-    del named["namespace"]
+    del names["namespace"]
     if options.ranges:
-        del named["scan"]
-    check_topics({key: topic(options, n) for key, n in named.items() if n is not None}, driver)
+        del names["scan"]
+    _check_distinct({o: options.topic(n) for o, n in names.items() if n is not None}, driver)
 
 
-def check_topics(topics: Mapping[str, str], driver: str) -> None:
-    """ConfigError if two of the options name one topic: what comes there is of one type.
-
-    `topics`: the full names by option.
-    """
-    keys: dict[str, str] = {}
-    for key, full in topics.items():
-        if full in keys:
+def _check_distinct(topics: Mapping[str, str], driver: str) -> None:
+    """ConfigError if two options name one topic, which carries one type. `topics`: by option."""
+    options: dict[str, str] = {}
+    for option, topic in topics.items():
+        if topic in options:
             raise ConfigError(
-                f"driver {driver}: {keys[full]} and {key} are both {full}; wanted is a topic each"
+                f"driver {driver}: {options[topic]} and {option} are both {topic}; wanted is a"
+                " topic each"
             )
-        keys[full] = key
+        options[topic] = option
 
 
-def check_ring(ranges: Mapping[str, float | tuple[float, float]], driver: str) -> None:
-    """ConfigError unless each has a bearing in degrees and a distance in m that can be."""
-    for name, place in ranges.items():
-        degrees, distance = place if isinstance(place, tuple) else (place, 0.0)
-        if not (abs(degrees) <= _TURN and 0.0 <= distance <= _REACH):
-            raise ConfigError(
-                f"driver {driver}: ranges.{name} is {place}; wanted is a bearing in degrees, or"
-                f" [bearing, distance] with 0 to {_REACH:g} m"
-            )
+def _place(place: float | tuple[float, float]) -> tuple[float, float]:
+    """Bearing in degrees and distance in m."""
+    return place if isinstance(place, tuple) else (place, 0.0)

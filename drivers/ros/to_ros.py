@@ -1,7 +1,7 @@
-"""What a robot's own ROS nodes say: the core's values as messages of its sensors and its base.
+"""The core's values as messages of a robot's sensors and base, for simulated robots.
 
-The other direction of `conversion`, for robots that are none. Ranges pass as the sensor gave them,
-zeros, infinities and NaN too.
+The other direction of `from_ros`. Ranges pass as the sensor gave them, zeros, infinities and NaN
+too.
 """
 
 from __future__ import annotations
@@ -15,27 +15,27 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, ScanSpec
 from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.from_ros import twist_message
-from swarmd.drivers.ros.options import RosOptions, ring_of, topic
+from swarmd.drivers.ros.options import RosOptions
 
-_EVEN = 1e-4  # rad: how far a bearing may be from its place among evenly spread ones
-_APART = math.radians(0.5)
-_NEAREST = 0.001
+_MAX_UNEVENNESS = 1e-4  # rad from a bearing to its place among evenly spread ones
+_MAX_MISMATCH = math.radians(0.5)
+_MIN_RANGE = 0.001
 _NO_INTENSITIES = np.empty(0, dtype=np.float32)
 _UNKNOWN = np.zeros(36)
 
 
-class LaserVoice:
-    """Says sweeps as a LaserScan: angle_min of the first ray, and one increment."""
+class LaserScanEncoder:
+    """Scans as a LaserScan: angle_min of the first ray, and one increment."""
 
     def __init__(self, options: RosOptions, platform: Platform) -> None:
         """ConfigError if the platform's rays are not evenly spread."""
         self._spec = platform.scan
-        self.topics = ((topic(options, options.scan), ros.LaserScan),)
+        self.topics = ((options.topic(options.scan), ros.LaserScan),)
         first, step = _evenly(platform)
         side = -1.0 if options.scan_upside_down else 1.0
         self._first, self._step = side * (first - math.radians(options.scan_yaw_deg)), side * step
 
-    def say(self, scan: Scan) -> tuple[object, ...]:
+    def encode(self, scan: Scan) -> tuple[object, ...]:
         """The message, for the one topic."""
         count, spec = len(scan.ranges), self._spec
         message = ros.LaserScan(
@@ -53,26 +53,26 @@ class LaserVoice:
         return (message,)
 
 
-class RingVoice:
-    """Says sweeps of a few rays as one Range a ray, each with a topic of its own."""
+class RangeRingEncoder:
+    """Scans of a few rays as one Range a ray, each with a topic of its own."""
 
     def __init__(self, options: RosOptions, platform: Platform) -> None:
-        """ConfigError if a sensor of `ranges` looks where the platform has no ray."""
-        ring = ring_of(options)
+        """ConfigError if a sensor of `ranges` points where the platform has no ray."""
+        ring = options.ring()
         self._spec = platform.scan
-        self.topics = tuple((topic(options, name), ros.Range) for name, _, _ in ring)
+        self.topics = tuple((options.topic(name), ros.Range) for name, _, _ in ring)
         self._rays = tuple(
             (_ray_at(platform, name, bearing), distance) for name, bearing, distance in ring
         )
 
-    def say(self, scan: Scan) -> tuple[object, ...]:
+    def encode(self, scan: Scan) -> tuple[object, ...]:
         """A message for each topic, in their order."""
         return tuple(self._range(scan, ray, distance) for ray, distance in self._rays)
 
     def _range(self, scan: Scan, ray: int, distance: float) -> ros.Range:
         value = float(scan.ranges[ray])
         if 0.0 < value < math.inf:
-            value = max(value - distance, _NEAREST)
+            value = max(value - distance, _MIN_RANGE)
         return ros.Range(
             header=header(scan.stamp, "base_scan"),
             radiation_type=ros.Range.INFRARED,
@@ -84,9 +84,9 @@ class RingVoice:
         )
 
 
-def scan_voice(options: RosOptions, platform: Platform) -> LaserVoice | RingVoice:
-    """How a robot with these options says what it sees."""
-    return (RingVoice if options.ranges else LaserVoice)(options, platform)
+def scan_encoder(options: RosOptions, platform: Platform) -> LaserScanEncoder | RangeRingEncoder:
+    """The encoder that suits a robot's options."""
+    return (RangeRingEncoder if options.ranges else LaserScanEncoder)(options, platform)
 
 
 def odometry_message(odometry: Odometry, child: str = "base_footprint") -> ros.Odometry:
@@ -121,7 +121,7 @@ def _evenly(platform: Platform) -> tuple[float, float]:
     first, count = float(bearings[0]), len(bearings)
     step = (float(bearings[-1]) - first) / (count - 1) if count > 1 else 0.0
     off: Array = np.abs(bearings - (first + step * np.arange(count)))
-    if off.max() > _EVEN:
+    if off.max() > _MAX_UNEVENNESS:
         raise ConfigError(
             f"platform {platform.name}: the rays of its scan are not evenly spread, as those of a"
             " LaserScan are; wanted is `ranges` among the driver's options, a topic for each ray"
@@ -133,9 +133,9 @@ def _ray_at(platform: Platform, name: str, bearing: float) -> int:
     spec: ScanSpec = platform.scan
     apart = [abs(wrap(float(ray) - bearing)) for ray in spec.bearings]
     ray = int(np.argmin(apart))
-    if apart[ray] > _APART:
+    if apart[ray] > _MAX_MISMATCH:
         raise ConfigError(
-            f"platform {platform.name}: ranges.{name} looks to {math.degrees(bearing):g} degrees,"
+            f"platform {platform.name}: ranges.{name} points to {math.degrees(bearing):g} degrees,"
             " where its scan has no ray; wanted is one of scan.bearings_deg"
         )
     return ray

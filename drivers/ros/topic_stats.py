@@ -1,4 +1,4 @@
-"""What has come on one topic: how often, when, with which stamps, and what could not be read."""
+"""Statistics of one topic: arrival times, stamps, rate, and messages that could not be read."""
 
 from __future__ import annotations
 
@@ -6,37 +6,41 @@ import math
 from collections import deque
 from dataclasses import dataclass, field
 
-RECENT = 64
-FAULT_LASTS = 2.0
-SETBACKS_WITHIN = 10.0
+WINDOW = 64
+"""Messages of which arrival times and stamps are kept."""
+FAULT_TIMEOUT = 2.0
+"""Seconds after which a fault no longer counts as recent."""
+SETBACK_WINDOW = 10.0
+"""Seconds within which stamps that go back twice count as those of two publishers."""
 
-_LATE = 8  # messages over which the stamps must go on; some sensors say a thing twice
+_STAMP_WINDOW = 8  # messages over which stamps must advance; some sensors publish one stamp twice
 
 
 @dataclass(slots=True, eq=False)
-class Sense:
-    """One topic and its record. `topic` is its full name, `option` what names it in the options.
+class TopicStats:
+    """One subscribed topic and what arrived on it.
 
-    Times are those of arrival, in s on the loop's clock; stamps are the sender's. Both begin anew
-    when stamps go back, as they do when a robot is restarted: `setbacks` has the last two times.
+    `topic` is the full name and `option` the driver option that names it. `times` are arrivals in
+    s on the loop's clock and `stamps` those of the sender. Both begin anew when stamps go back, as
+    they do when a robot restarts; `setbacks` holds the last two times of that.
     """
 
     name: str
     option: str
     topic: str
-    kind: type
+    message_type: type
     is_needed: bool = False
     count: int = 0
-    times: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
-    stamps: deque[float] = field(default_factory=lambda: deque(maxlen=RECENT))
+    times: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOW))
+    stamps: deque[float] = field(default_factory=lambda: deque(maxlen=WINDOW))
     setbacks: deque[float] = field(default_factory=lambda: deque(maxlen=2))
-    text: str = ""
+    summary: str = ""
     fault: str = ""
     fault_at: float = -math.inf
     faults: int = 0
 
-    def hear(self, now: float, stamp: float, text: str = "") -> None:
-        """A message has come; `text` says briefly what is in it."""
+    def record(self, now: float, stamp: float, summary: str = "") -> None:
+        """Count a message that could be read; `summary` describes its content briefly."""
         self.count += 1
         if self.stamps and stamp < self.stamps[-1]:
             self.setbacks.append(now)
@@ -44,39 +48,39 @@ class Sense:
             self.stamps.clear()
         self.times.append(now)
         self.stamps.append(stamp)
-        self.text = text
+        self.summary = summary
 
-    def complain(self, now: float, fault: str) -> None:
-        """Something has come that could not be taken; the first of a row says why."""
-        self.fault = self.complaint(now) or fault
+    def record_fault(self, now: float, fault: str) -> None:
+        """Count a message that could not be used; of a series the first fault is kept."""
+        self.fault = self.recent_fault(now) or fault
         self.fault_at = now
         self.faults += 1
 
-    def heard_at(self) -> float:
-        """When the last message came."""
+    def last_arrival(self) -> float:
+        """When the last message arrived; minus infinity before the first."""
         return self.times[-1] if self.times else -math.inf
 
-    def complaint(self, now: float) -> str:
-        """What is wrong with what came lately; empty if nothing is."""
-        return self.fault if now - self.fault_at < FAULT_LASTS else ""
+    def recent_fault(self, now: float) -> str:
+        """The fault of the last FAULT_TIMEOUT; empty without one."""
+        return self.fault if now - self.fault_at < FAULT_TIMEOUT else ""
 
     def rate(self) -> float:
-        """Messages a second over the last few; 0 before the second one."""
+        """Messages a second over the window; 0 before the second message."""
         if len(self.times) < 2:
             return 0.0
         return (len(self.times) - 1) / max(self.times[-1] - self.times[0], 1e-6)
 
-    def advances(self) -> bool:
-        """Whether the stamps have gone on of late; true while there are too few to tell."""
-        count = min(len(self.stamps), _LATE)
+    def stamps_advance(self) -> bool:
+        """False if the last few stamps are all the same; true below three messages."""
+        count = min(len(self.stamps), _STAMP_WINDOW)
         return count < 3 or self.stamps[-1] > self.stamps[-count]
 
-    def goes_back(self) -> bool:
-        """Whether the stamps have gone back again and again of late, as of two senders."""
-        return len(self.setbacks) == 2 and self.heard_at() - self.setbacks[0] < SETBACKS_WITHIN
+    def stamps_go_back(self) -> bool:
+        """True if the stamps went back twice within SETBACK_WINDOW, as those of two publishers."""
+        return len(self.setbacks) == 2 and self.last_arrival() - self.setbacks[0] < SETBACK_WINDOW
 
-    def passed(self) -> tuple[float, float]:
-        """Seconds by the stamps and by this machine's clock, from the first to the last kept."""
+    def elapsed(self) -> tuple[float, float]:
+        """Seconds over the window by the stamps and by this machine's clock."""
         if not self.times:
             return 0.0, 0.0
         return self.stamps[-1] - self.stamps[0], self.times[-1] - self.times[0]

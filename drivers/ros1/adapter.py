@@ -28,26 +28,27 @@ from swarmd.drivers.ros1.adapter_process import (
     EVENT,
 )
 
-PATIENCE = 1.0
+ALIVE_TIMEOUT = 1.0
 """Seconds without a sign of life after which an adapter is killed."""
-STARTS_WITHIN = 20.0
+START_TIMEOUT = 20.0
 """Seconds until the first sign of life; importing rospy takes a second on a small machine."""
-OLD = 0.5
-"""Seconds after which a message that waited in the socket tells nothing any more."""
+MAX_MESSAGE_AGE = 0.5
+"""Seconds after which a message that waited in the socket is dropped."""
 
 _BUFFER = 1 << 20
-_LARGEST = 1 << 19
-_LEAVES_WITHIN = 2.5
-_ENDS_WITHIN = 1.0
-_KEPT_LINES = 20
+_MAX_FRAME = 1 << 19
+_LEAVE_TIMEOUT = 2.5
+_END_TIMEOUT = 1.0
+_MAX_LINES = 20
 
 
-class State(Struct, frozen=True, tag_field="event", tag="state"):
-    """What the master knows: nothing, and why in `text`, or who publishes and listens to what.
+class MasterState(Struct, frozen=True, tag_field="event", tag="state"):
+    """What the master knows of our topics; `master` is False while it does not answer: see `text`.
 
-    By topic: the nodes that publish it, its type. `candidates`: topics with a publisher by type.
-    `others` publish commands, `listeners` take them, `connected` of these have a connection;
-    `wants`: the type each has subscribed to, told if some have not connected.
+    `publishers` and `types`: nodes and type by topic; `candidates`: published topics by type.
+    `others` are the other nodes that publish commands, `listeners` those that subscribe to them, of
+    which `connected` have a connection. `wants`: the type of each listener's subscription, known
+    only while some have no connection.
     """
 
     master: bool
@@ -61,8 +62,8 @@ class State(Struct, frozen=True, tag_field="event", tag="state"):
     wants: dict[str, str] = {}
 
 
-class Link(Struct, frozen=True, tag_field="event", tag="link"):
-    """Messages with this `link` come from `node`, which says what `topic` carries."""
+class PublisherLink(Struct, frozen=True, tag_field="event", tag="link"):
+    """Messages with this `link` come from `node`, which publishes `topic` with this type."""
 
     link: int
     topic: str
@@ -71,23 +72,23 @@ class Link(Struct, frozen=True, tag_field="event", tag="link"):
     md5sum: str
 
 
-class Told(Struct, frozen=True, tag_field="event", tag="told"):
-    """Why the adapter ends: `fatal` if it cannot work, `restart` with the master, else `end`."""
+class AdapterEnd(Struct, frozen=True, tag_field="event", tag="end"):
+    """Why the adapter ends; `kind`: `fatal` without rospy, `restart` with the master, `end`."""
 
     kind: str
     text: str
 
 
-Event = State | Link | Told
+Event = MasterState | PublisherLink | AdapterEnd
 
 _events: msgspec.json.Decoder[Event] = msgspec.json.Decoder(Event)
 
 
-class Listener(Protocol):
-    """Who hears the adapter; called on the loop's thread."""
+class AdapterListener(Protocol):
+    """Receives what the adapter sends; called on the loop's thread."""
 
     def on_event(self, event: Event) -> None:
-        """The adapter tells something."""
+        """One event."""
 
     def on_message(self, link: int, data: bytes) -> None:
         """The newest message of one publisher on one topic."""
@@ -97,7 +98,7 @@ class Listener(Protocol):
 
 
 class AdapterProcess:
-    """One life of the adapter. It is not killed with its guardian: it has zeros to send then."""
+    """One life of the adapter. It outlives its daemon: it sends the zeros then."""
 
     def __init__(
         self,
@@ -105,15 +106,15 @@ class AdapterProcess:
         python: str,
         config: Mapping[str, Any],
         environ: Mapping[str, str],
-        listener: Listener,
+        listener: AdapterListener,
     ) -> None:
         """Start it; DriverError if the interpreter is not there. Needs a running loop."""
         self._listener = listener
         self._loop = asyncio.get_running_loop()
         self._ended = asyncio.Event()
-        self._heard = self._loop.time() + STARTS_WITHIN - PATIENCE
-        self._lines: deque[str] = deque(maxlen=_KEPT_LINES)
-        self._buffer = memoryview(bytearray(_LARGEST))
+        self._alive_at = self._loop.time() + START_TIMEOUT - ALIVE_TIMEOUT
+        self._lines: deque[str] = deque(maxlen=_MAX_LINES)
+        self._buffer = memoryview(bytearray(_MAX_FRAME))
         try:
             self._socket, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         except OSError as error:
@@ -165,8 +166,8 @@ class AdapterProcess:
                 await self._ended.wait()
         except TimeoutError:
             self._on_readable()  # what waited while this process was stopped
-            if self._loop.time() - self._heard > PATIENCE and not self._ended.is_set():
-                self._lines.append(f"did not answer for {PATIENCE:g} s")
+            if self._loop.time() - self._alive_at > ALIVE_TIMEOUT and not self._ended.is_set():
+                self._lines.append(f"did not answer for {ALIVE_TIMEOUT:g} s")
                 self._process.kill()
                 self._hang_up()
         return self._ended.is_set()
@@ -177,9 +178,9 @@ class AdapterProcess:
             if politely and not self._ended.is_set():
                 with contextlib.suppress(OSError):
                     self._socket.send(BYE)
-                await self._wait(_LEAVES_WITHIN)
+                await self._wait(_LEAVE_TIMEOUT)
             elif politely:
-                await self._wait(_ENDS_WITHIN)
+                await self._wait(_END_TIMEOUT)
         finally:
             self._hang_up()
             if self._process.poll() is None:
@@ -218,7 +219,7 @@ class AdapterProcess:
         kind = frame[:1]
         if kind == DATA and len(frame) >= DATA_HEAD.size:
             _, link, arrival = DATA_HEAD.unpack_from(frame)
-            is_old = not abs(time.monotonic() - arrival) < OLD
+            is_old = not abs(time.monotonic() - arrival) < MAX_MESSAGE_AGE
             if is_old or link in newest:
                 self._listener.on_dropped("overtaken")
             if not is_old:
@@ -233,7 +234,7 @@ class AdapterProcess:
         elif frame != ALIVE:
             self._listener.on_dropped("garbage")
             return
-        self._heard = self._loop.time()
+        self._alive_at = self._loop.time()
 
     def _on_error_output(self) -> None:
         try:

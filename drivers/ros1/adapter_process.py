@@ -2,11 +2,11 @@
 
 It passes serialised messages on, in both directions, over the socket that is its standard input,
 and tells what the master knows. Needs Python 3.8, rospy and the standard library; of this project
-it imports `ros1_master` alone, which lies beside it. The driver imports it for the frames, which
+it imports `master.py` alone, which lies beside it. The driver imports it for the frames, which
 are single packets:
 
     to the driver   D link arrival bytes   a message; arrival in s on CLOCK_MONOTONIC
-                    J {...}                an event as JSON: state, link, told
+                    J {...}                an event as JSON: state, link, end
                     H                      it lives
     to the adapter  C time bytes           a command, made at `time` on CLOCK_MONOTONIC
                     B                      bye: send zero and leave
@@ -101,7 +101,7 @@ class Adapter:
     def end(self, seconds: float, why: str = "", kind: str = "end") -> None:
         """Tell the driver why, send zeros for that long unless the base stands, then leave."""
         if why and self._ends_at is None:
-            self._event({"event": "told", "kind": kind, "text": why})
+            self._event({"event": "end", "kind": kind, "text": why})
         ends_at = time.monotonic() + seconds
         self._ends_at = ends_at if self._ends_at is None else min(ends_at, self._ends_at)
 
@@ -240,7 +240,7 @@ class Adapter:
             "types": {topic: types.get(topic, "") for topic in topics},
             "candidates": {
                 kind: sorted(t for t, k in types.items() if k == kind and publishes.get(t))
-                for kind in self._config["kinds"]
+                for kind in self._config["types"]
             },
             "others": [n for n in others if master.is_alive(n)],
             "listeners": listeners,
@@ -378,7 +378,7 @@ def main() -> None:
         rospy = load_rospy()
     except ImportError as error:
         sock.send(
-            EVENT + json.dumps({"event": "told", "kind": "fatal", "text": str(error)}).encode()
+            EVENT + json.dumps({"event": "end", "kind": "fatal", "text": str(error)}).encode()
         )
         return
     adapter = Adapter(config, sock, rospy, master)

@@ -1,6 +1,7 @@
 """The ROS master as a node sees it, with a limit of time for each call.
 
-For `ros1_adapter`: needs Python 3.8 and the standard library, and imports nothing of this project.
+For `adapter_process.py`: it needs Python 3.8 and the standard library, and imports nothing of this
+project.
 """
 
 from __future__ import annotations

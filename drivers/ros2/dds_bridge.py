@@ -1,78 +1,120 @@
 """ROS 2 over DDS, through a zenoh-bridge-ros2dds: a topic is its key, a sample is raw CDR.
 
 Keys and announcements as in the bridge's own source (eclipse-zenoh/zenoh-plugin-ros2dds 1.10:
-`ros2_utils.rs`, `liveliness_mgt.rs`).
+`ros2_utils.rs`, `liveliness_mgt.rs`). `make_robots` is the robots' side, for simulated robots.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 
 from swarmd.core.values import Platform, Value
-from swarmd.driver_api.driver import SenderSpec
+from swarmd.driver_api.driver import ZeroSenderSpec
+from swarmd.driver_api.emulator import OnCommand
+from swarmd.drivers.ros.cdr import name_of
+from swarmd.drivers.ros.diagnosis import Endpoint
 from swarmd.drivers.ros.options import RosOptions, read_options
 from swarmd.drivers.ros2.driver import RosDriver
-from swarmd.drivers.ros2.key_scheme import Endpoint
+from swarmd.drivers.ros2.emulator import EmulatedEndpoint, EmulatedRobots, EmulatorSpec
+from swarmd.drivers.ros2.key_scheme import Ros2Middleware
 from swarmd.drivers.ros2.zero_sender import RosZeroSender, zero_sender_of
 
 NAME = "ros2dds"
+
+_BEST_EFFORT = ":0::0,5"
+_RELIABLE = ":1::0,10"
 
 
 def make_driver(
     *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
 ) -> RosDriver:
-    """A driver that has not connected yet; ConfigError for options it does not know."""
+    """A driver that has not connected yet; ConfigError for unknown options."""
     read = read_options(RosOptions, options, NAME, robot)
-    stopping = SenderSpec(f"{__name__}:make_zero_sender", {"robot": robot, "given": dict(options)})
-    return RosDriver(NAME, Ros2Dds(), platform, read, stopping)
+    spec = ZeroSenderSpec(f"{__name__}:make_zero_sender", {"robot": robot, "given": dict(options)})
+    return RosDriver(NAME, Ros2Dds(), platform, read, spec)
 
 
 def make_zero_sender(*, robot: str, given: Mapping[str, Value]) -> RosZeroSender:
-    """What the stopper's process says zero with."""
+    """The zero sender of the watchdog's process."""
     return zero_sender_of(Ros2Dds(), read_options(RosOptions, given, NAME, robot))
 
 
-class Ros2Dds:
+def make_robots(
+    *, robots: Mapping[str, Platform], endpoint: str, on_command: OnCommand
+) -> EmulatedRobots:
+    """Robots, each in a namespace of its own, at one bridge that listens at `endpoint`."""
+    spec = EmulatorSpec(NAME, RosOptions, lambda options, index: EmulatedBridge())
+    return EmulatedRobots(spec, robots, endpoint, on_command)
+
+
+class Ros2Dds(Ros2Middleware):
     """The bridge's keys: the topic without its first slash, behind the bridge's namespace."""
 
     hub = "zenoh-bridge-ros2dds"
     start = "start zenoh-bridge-ros2dds on the robot"
     silent = (
-        "start the robot's ROS 2 or, if it runs, the bridge anew, with its ROS_DOMAIN_ID,"
-        " ROS_DISTRO and localhost settings"
+        "announces no topic at all; start the robot's ROS 2 or, if it runs, the bridge anew, with"
+        " its ROS_DOMAIN_ID, ROS_DISTRO and localhost settings"
     )
-    graph = "@/*/@ros2_lv/**"
+    tokens = "@/*/@ros2_lv/**"
     nodes = "@/*/ros2/node/**"
     domain: int | None = None
 
-    def listening(self, topic: str) -> str:
+    def subscription_key(self, topic: str) -> str:
         """The one key of the topic."""
         return topic.removeprefix("/")
 
-    def fault(self, key: str, topic: str, kind: type) -> str:
-        """Only a wildcard put can be wrong: the key says nothing of the type."""
-        return "" if key == self.listening(topic) else f"said on key {key[:80]!a}"
+    def key_fault(self, key: str, topic: str, message_type: type) -> str:
+        """Only a put on a wildcard key can be wrong: the key does not name the type."""
+        return "" if key == self.subscription_key(topic) else f"sent on key {key[:80]!a}"
 
-    def announced(self, token: str) -> Endpoint | None:
+    def parse_token(self, token: str) -> Endpoint | None:
         """From `@/<zid>/@ros2_lv/{MP|MS}/<key>/<type>/<qos>`, with § for the slashes inside."""
         parts = token.split("/")
         if len(parts) != 7 or parts[3] not in ("MP", "MS"):
             return None
-        topic, kind = (part.replace("§", "/") for part in parts[4:6])
-        return Endpoint(parts[3] == "MP", f"/{topic}", kind, parts[1])
+        topic, type_name = (part.replace("§", "/") for part in parts[4:6])
+        return Endpoint(parts[3] == "MP", f"/{topic}", type_name, parts[1])
 
-    def command_keys(self, topic: str, kind: type) -> tuple[str, ...]:
+    def command_keys(self, topic: str, message_type: type) -> tuple[str, ...]:
         """The one key of the topic."""
-        return (self.listening(topic),)
+        return (self.subscription_key(topic),)
 
-    def command_key(self, topic: str, kind: type) -> str:
+    def command_key(self, topic: str, message_type: type) -> str:
         """The one key of the topic."""
-        return self.listening(topic)
+        return self.subscription_key(topic)
 
     def attachment(self) -> bytes | None:
         """None: the bridge wants the payload alone."""
         return None
 
-    def introduce(self, zid: str, heard: Iterable[tuple[str, type]]) -> tuple[str, ...]:
-        """Nothing: only a bridge announces itself to bridges."""
+    def own_tokens(self, zid: str, topics: Iterable[tuple[str, type]]) -> tuple[str, ...]:
+        """None: only a bridge announces itself to bridges."""
         return ()
+
+
+class EmulatedBridge:
+    """The keys and announcements that a bridge makes of a robot's topics."""
+
+    def key(self, topic: str, message_type: type) -> str:
+        """The topic without its first slash."""
+        return topic.removeprefix("/")
+
+    def tokens(
+        self, zid: str, ends: Sequence[EmulatedEndpoint]
+    ) -> tuple[Sequence[str], Sequence[str]]:
+        """No token of a node; of each endpoint as `Ros2Dds.parse_token` reads it."""
+        return (), tuple(self._token(zid, end) for end in ends)
+
+    def attachment(self, token: str) -> bytes | None:
+        """None: a bridge sends the payload alone."""
+        return None
+
+    def _token(self, zid: str, end: EmulatedEndpoint) -> str:
+        key, type_name = (
+            text.replace("/", "§")
+            for text in (self.key(end.topic, end.message_type), name_of(end.message_type))
+        )
+        direction = "MP" if end.is_publisher else "MS"
+        qos = _BEST_EFFORT if end.is_sensor else _RELIABLE
+        return f"@/{zid}/@ros2_lv/{direction}/{key}/{type_name}/{qos}"

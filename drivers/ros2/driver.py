@@ -1,4 +1,4 @@
-"""A ROS 2 robot over a Zenoh session of its own: what both dialects share but keys and framing."""
+"""A ROS 2 robot over a Zenoh session of its own; a key scheme gives keys, framing and tokens."""
 
 from __future__ import annotations
 
@@ -14,44 +14,46 @@ from swarmd.core.errors import CodecError
 from swarmd.core.threads import hand_over
 from swarmd.core.values import ZERO, Platform, Twist
 from swarmd.driver_api.command_gate import CommandGate
-from swarmd.driver_api.driver import Finding, NullSink, SenderSpec, Sink
+from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
 from swarmd.drivers.latest_samples import LatestSamples
-from swarmd.drivers.ros import cdr
-from swarmd.drivers.ros import from_ros as conversion
+from swarmd.drivers.ros import cdr, from_ros
+from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.diagnosis import (
+    Endpoint,
+    Graph,
     Report,
+    driven_by_others,
     has_enough,
-    unheard,
-    why_blind,
-    why_misleading,
-    why_refused,
-    why_silent,
-    why_unheard,
+    incomplete,
+    unreachable,
 )
-from swarmd.drivers.ros.messages import Twist as TwistMessage
-from swarmd.drivers.ros.messages import TwistStamped
-from swarmd.drivers.ros.options import RosOptions, topic
+from swarmd.drivers.ros.options import RosOptions
+from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros2.duplicate_nodes import DuplicateNodes
-from swarmd.drivers.ros2.key_scheme import Endpoint, KeyScheme
-from swarmd.drivers.ros2.session import commanding, has_subscriber, hubs_of, open_session
-from swarmd.drivers.ros2.subscriptions import Subscriptions
+from swarmd.drivers.ros2.key_scheme import KeyScheme
+from swarmd.drivers.ros2.session import (
+    command_publisher,
+    has_subscriber,
+    linked_hubs,
+    open_session,
+)
 from swarmd.network.session import open_in_thread
 
 log = logging.getLogger(__name__)
 
 SILENCE = 1.0
 """Seconds without scan or odometry after which the base counts as lost; longer for slow scans."""
-OTHERS_LAST = 2.0
-"""Seconds for which somebody else's command keeps this driver from commanding."""
+YIELD_TIME = 2.0
+"""Seconds without commands after another node has published a non-zero one."""
 
-ZEROS_OF_OTHERS = 3.0
-"""Seconds after which zeros that others say are told of: longer than our own stopper's."""
+MAX_FOREIGN_ZEROS = 3.0
+"""Seconds of another node's zeros after which they are reported; a watchdog's last 2 s."""
 
 _PERIOD = 0.1
-_PATIENCE = 2.0
-_MOST_ANNOUNCED, _LONGEST = 4096, 1000
+_EXPLAIN_PERIOD = 2.0
+_MAX_ENDPOINTS, _MAX_TOKEN = 4096, 1000
 _COMMAND = "cmd_vel"
-_MISTAKEN = ":type"
+_KEY_FAULT = ":type"
 
 
 class RosDriver:
@@ -65,22 +67,22 @@ class RosDriver:
         scheme: KeyScheme,
         platform: Platform,
         options: RosOptions,
-        stopping: SenderSpec,
+        zero_sender: ZeroSenderSpec,
     ) -> None:
         """Not connected yet."""
         self._name, self._scheme, self._platform = name, scheme, platform
-        self._options, self._stopping = options, stopping
-        self._cmd_vel = topic(options, options.cmd_vel)
+        self._options, self._zero_sender = options, zero_sender
+        self._cmd_vel = options.topic(options.cmd_vel)
         self._is_stamped = options.cmd_vel_type == "twist_stamped"
-        self._command: type = TwistStamped if self._is_stamped else TwistMessage
+        self._command_type: type = ros.TwistStamped if self._is_stamped else ros.Twist
         self._silence = max(SILENCE, 3.5 / platform.scan.rate)
-        self._hearing = Subscriptions(options, platform)
-        cdr.warm(self._command, *(sense.kind for sense in self._hearing.senses.values()))
+        self._subscriptions = Subscriptions(options, platform)
+        cdr.warm(self._command_type, *(t.message_type for t in self._subscriptions.topics.values()))
         self._reset()
 
     async def run(self, sink: Sink) -> None:
         """Feed the sink until cancelled; the session reconnects by itself."""
-        await self._run(sink, looks_only=False)
+        await self._run(sink, is_check=False)
 
     def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         """Send a safe command; dropped while the base is lost, zero the first time it is back."""
@@ -88,19 +90,19 @@ class RosDriver:
         if command is not None:
             self._put(command, self._options.cmd_vel_frame)
 
-    def zero_sender(self) -> SenderSpec:
-        """How a stopper says zero to this base."""
-        return self._stopping
+    def zero_sender(self) -> ZeroSenderSpec:
+        """How the watchdog sends zero to this base."""
+        return self._zero_sender
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """Topics, rates, types, clocks and what is missing, each with the next step."""
         loop = asyncio.get_running_loop()
         began = loop.time()
-        task = asyncio.create_task(self._run(NullSink(), looks_only=True))
+        task = asyncio.create_task(self._run(NullSink(), is_check=True))
         try:
             while loop.time() - began < seconds and not task.done():
                 await asyncio.sleep(min(_PERIOD, seconds))
-                if has_enough(self._hearing, loop.time() - began):
+                if has_enough(self._subscriptions, loop.time() - began):
                     break
             return self._report().findings()
         finally:
@@ -108,50 +110,52 @@ class RosDriver:
             await asyncio.gather(task, return_exceptions=True)
 
     def _report(self) -> Report:
-        session = self._session
+        graph = self._foreign_graph()
+        is_connected = self._session is not None and bool(linked_hubs(self._session))
         return Report(
-            scheme=self._scheme,
+            graph=graph,
             endpoint=self._options.endpoint,
-            is_connected=session is not None and bool(hubs_of(session)),
-            hearing=self._hearing,
+            connection_fault="" if is_connected else self._unreachable(),
+            subscriptions=self._subscriptions,
             spec=self._platform.scan,
-            graph=self._others(),
             cmd_vel=self._cmd_vel,
-            command=self._command,
-            has_taker=self._has_taker(),
-            others=self._other_commands,
+            command_type=self._command_type,
+            has_subscriber=self._has_subscriber(),
+            foreign_commands=self._foreign_commands,
+            foreign_publishers=[end.owner for end in graph.publishers(self._cmd_vel)],
         )
 
     def _reset(self) -> None:
         self._session: zenoh.Session | None = None
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
-        self._graph: dict[str, Endpoint] = {}
+        self._endpoints: dict[str, Endpoint] = {}
         self._hubs: frozenset[str] = frozenset()
-        self._census = DuplicateNodes(self._scheme.nodes, self._cmd_vel)
+        self._duplicates = DuplicateNodes(self._scheme.nodes, self._cmd_vel)
         self._gate = CommandGate()
         self._was_linked = False
-        self._other_at = self._other_zero_at = self._other_zeros_from = -math.inf
-        self._other_commands = 0
-        self._told: tuple[bool, str] | None = None
-        self._told_at = -math.inf
-        self._was_blind = False
+        self._foreign_motion_at = -math.inf
+        self._foreign_zeros_from = self._foreign_zero_at = -math.inf
+        self._foreign_commands = 0
+        self._reported: tuple[bool, str] | None = None
+        self._reported_at = -math.inf
+        self._was_incomplete = False
 
-    async def _run(self, sink: Sink, *, looks_only: bool) -> None:
+    async def _run(self, sink: Sink, *, is_check: bool) -> None:
         loop = asyncio.get_running_loop()
-        self._hearing = Subscriptions(self._options, self._platform)
-        self._tell(sink, False, f"nothing heard yet from {self._options.endpoint}")
+        self._subscriptions = Subscriptions(self._options, self._platform)
+        self._report_state(sink, False, f"no message yet from {self._options.endpoint}")
         session = await self._opened(sink)
-        inbox = LatestSamples(loop, partial(self._take, sink, looks_only), sink.dropped)
+        inbox = LatestSamples(loop, partial(self._take, sink, is_check), sink.dropped)
         try:
             self._session = session
-            for key in self._scheme.command_keys(self._cmd_vel, self._command):
-                self._publishers[key] = commanding(session, key)
+            for key in self._scheme.command_keys(self._cmd_vel, self._command_type):
+                self._publishers[key] = command_publisher(session, key)
             self._listen(session, inbox, loop)
             opened = loop.time()
             while True:
                 await asyncio.sleep(_PERIOD)
-                self._census.look(session, loop.time())
+                self._duplicates.query(session, loop.time())
                 self._watch(sink, session, loop.time(), opened)
         finally:
             inbox.close()
@@ -163,12 +167,12 @@ class RosDriver:
                 session.close()
 
     async def _opened(self, sink: Sink) -> zenoh.Session:
-        """A session; tries until something listens at the endpoint. Leaves none if cancelled."""
+        """A session, opened once something listens at the endpoint; closed if this is cancelled."""
         while True:
             session = await open_in_thread(partial(open_session, self._options.endpoint))
             if session is not None:
                 return session
-            self._tell(sink, False, unheard(self._scheme, self._options.endpoint))
+            self._report_state(sink, False, self._unreachable())
 
     def _listen(
         self, session: zenoh.Session, inbox: LatestSamples, loop: asyncio.AbstractEventLoop
@@ -177,198 +181,205 @@ class RosDriver:
             is_there = sample.kind == zenoh.SampleKind.PUT
             hand_over(loop, self._on_token, str(sample.key_expr), is_there)
 
-        # Before the topics: what a base wants is known when it is first heard.
-        session.liveliness().declare_subscriber(self._scheme.graph, on_token, history=True)
-        heard = [(s.name, s.topic, s.kind) for s in self._hearing.senses.values()]
-        for name, full, kind in (*heard, (_COMMAND, self._cmd_vel, self._command)):
+        # Before the topics: the base's command type is known when its first message arrives.
+        session.liveliness().declare_subscriber(self._scheme.tokens, on_token, history=True)
+        topics = [(t.name, t.topic, t.message_type) for t in self._subscriptions.topics.values()]
+        for name, topic, message_type in (
+            *topics,
+            (_COMMAND, self._cmd_vel, self._command_type),
+        ):
             session.declare_subscriber(
-                self._scheme.listening(full),
-                _receiver(self._scheme, inbox, name, full, kind),
+                self._scheme.subscription_key(topic),
+                _receiver(self._scheme, inbox, name, topic, message_type),
                 allowed_origin=zenoh.Locality.REMOTE,
             )
 
     def _on_token(self, token: str, is_there: bool) -> None:
-        if len(token) > _LONGEST or not token.isprintable():
+        if len(token) > _MAX_TOKEN or not token.isprintable():
             return
-        end = self._scheme.announced(token)
+        end = self._scheme.parse_token(token)
         if end is None:
             return
-        if is_there and len(self._graph) < _MOST_ANNOUNCED:
-            self._graph[token] = end
+        if is_there and len(self._endpoints) < _MAX_ENDPOINTS:
+            self._endpoints[token] = end
         elif not is_there:
-            self._graph.pop(token, None)
+            self._endpoints.pop(token, None)
             if not end.is_publisher and end.topic == self._cmd_vel:
                 self._gate.require_zero()
 
-    def _others(self) -> tuple[Endpoint, ...]:
-        """What is announced, but for our own tokens."""
+    def _foreign_graph(self) -> Graph:
+        """The endpoints of others."""
         own = str(self._session.info.zid()) if self._session is not None else ""
-        return tuple(end for end in self._graph.values() if end.zid != own)
+        foreign = [end for end in self._endpoints.values() if end.zid != own]
+        return Graph(middleware=self._scheme, endpoints=foreign)
 
-    def _take(self, sink: Sink, looks_only: bool, name: str, payload: bytes) -> None:
+    def _take(self, sink: Sink, is_check: bool, name: str, payload: bytes) -> None:
         now = asyncio.get_running_loop().time()
-        if name.removesuffix(_MISTAKEN) == _COMMAND:
+        if name.removesuffix(_KEY_FAULT) == _COMMAND:
             self._on_command(sink, name, payload, now)
-        elif name.endswith(_MISTAKEN):
-            sense = self._hearing.senses[name.removesuffix(_MISTAKEN)]
-            sense.complain(now, payload.decode(errors="replace"))
+        elif name.endswith(_KEY_FAULT):
+            stats = self._subscriptions.topics[name.removesuffix(_KEY_FAULT)]
+            stats.record_fault(now, payload.decode(errors="replace"))
             sink.dropped(name)
         else:
             try:
-                deliver = self._hearing.take(name, payload, now)
+                deliver = self._subscriptions.read(name, payload, now)
             except CodecError as error:
-                self._hearing.senses[name].complain(now, f"cannot be read: {error}")
+                self._subscriptions.topics[name].record_fault(now, f"cannot be read: {error}")
                 sink.dropped(name)
                 return
-            self._rise(sink, looks_only, now)
+            self._open_gate(sink, is_check, now)
             if self._gate.is_open:
                 deliver(sink)
 
     def _on_command(self, sink: Sink, name: str, payload: bytes, now: float) -> None:
-        """Somebody else commands this base; nobody is in charge who commands zero."""
-        self._other_commands += 1
+        """Another node publishes a command; a zero does not count as driving."""
+        self._foreign_commands += 1
         if name == _COMMAND:
             try:
-                if _asked(cdr.decode(self._command, payload)).is_zero:
-                    if now - self._other_zero_at > OTHERS_LAST:
-                        self._other_zeros_from = now
-                    self._other_zero_at = now
+                if from_ros.twist_of(cdr.decode(self._command_type, payload)).is_zero:
+                    if now - self._foreign_zero_at > YIELD_TIME:
+                        self._foreign_zeros_from = now
+                    self._foreign_zero_at = now
                     return
             except CodecError:
-                pass  # not what we would say: it may well move the robot
-        self._other_at = now
+                pass  # of another type than ours: it may well move the robot
+        self._foreign_motion_at = now
         if self._gate.is_open:
-            self._fall(sink, self._driven_by_others())
+            self._close_gate(sink, driven_by_others(self._cmd_vel))
 
-    def _driven_by_others(self) -> str:
-        return (
-            f"someone else drives this robot: commands on {self._cmd_vel} that are not ours; stop"
-            " what publishes them, and this driver takes over 2 s later"
-        )
-
-    def _rise(self, sink: Sink, looks_only: bool, now: float) -> None:
-        if self._gate.is_open or self._hearing.heard_at < now or self._obstacle(now):
+    def _open_gate(self, sink: Sink, is_check: bool, now: float) -> None:
+        if self._gate.is_open or self._subscriptions.last_arrival < now or self._obstacle(now):
             return
         self._gate.open()
-        self._tell(sink, True, self._place())
-        if not looks_only and not self._tokens and self._session is not None:
-            topics = [(s.topic, s.kind) for s in self._hearing.senses.values()]
+        self._report_state(sink, True, self._place())
+        if not is_check and not self._tokens and self._session is not None:
+            topics = [(t.topic, t.message_type) for t in self._subscriptions.topics.values()]
             zid = str(self._session.info.zid())
-            for token in self._scheme.introduce(zid, [*topics, (self._cmd_vel, self._command)]):
+            for token in self._scheme.own_tokens(
+                zid, [*topics, (self._cmd_vel, self._command_type)]
+            ):
                 self._tokens.append(self._session.liveliness().declare_token(token))
 
-    def _fall(self, sink: Sink, text: str) -> None:
+    def _close_gate(self, sink: Sink, text: str) -> None:
         if self._gate.close(asyncio.get_running_loop().time()):
-            self._put(ZERO, frame="")  # without a name in it, it is zero as a Twist too
-        self._tell(sink, False, text)
+            self._put(ZERO, frame="")  # without a frame it is zero also as a Twist
+        self._report_state(sink, False, text)
 
     def _watch(self, sink: Sink, session: zenoh.Session, now: float, opened: float) -> None:
-        hubs, before = hubs_of(session), self._hubs
+        hubs, before = linked_hubs(session), self._hubs
         self._hubs = hubs or before
-        silent = now - self._hearing.heard_at
+        silent = now - self._subscriptions.last_arrival
         if hubs and (not self._was_linked or hubs != before):
             self._gate.repeat_zero(now)
         self._was_linked = bool(hubs)
         if self._gate.is_open and not hubs:
-            self._fall(sink, unheard(self._scheme, self._options.endpoint))
+            self._close_gate(sink, self._unreachable())
         elif self._gate.is_open and before and hubs != before:
-            self._fall(sink, f"{self._place()} was started anew")
+            self._close_gate(sink, f"{self._place()} was started anew")
         elif self._gate.is_open and silent > self._silence:
-            self._fall(sink, f"no scan and no odometry from {self._place()} for {silent:.1f} s")
+            self._close_gate(
+                sink, f"no scan and no odometry from {self._place()} for {silent:.1f} s"
+            )
         elif self._gate.is_open and (obstacle := self._obstacle(now)):
-            self._fall(sink, obstacle)
-        elif self._gate.repeats_zero(now) and now - self._other_at >= OTHERS_LAST:
+            self._close_gate(sink, obstacle)
+        elif self._gate.repeats_zero(now) and now - self._foreign_motion_at >= YIELD_TIME:
             self._put(ZERO, frame="")
-        if now - self._told_at >= _PATIENCE and now - opened >= _PATIENCE:
+        if now - self._reported_at >= _EXPLAIN_PERIOD and now - opened >= _EXPLAIN_PERIOD:
             self._explain(sink, now, is_linked=bool(hubs))
 
     def _explain(self, sink: Sink, now: float, *, is_linked: bool) -> None:
-        """Say anew why it is lost, or what is missing although it is there."""
+        """Report anew why the base is lost, or what is missing although it is connected."""
         if is_linked:
-            is_heard = now - self._hearing.heard_at <= self._silence
-            obstacle = self._obstacle(now) if is_heard or now - self._other_at < OTHERS_LAST else ""
-            self._tell(sink, self._gate.is_open, obstacle or self._trouble(now) or self._place())
+            is_alive = now - self._subscriptions.last_arrival <= self._silence
+            obstacle = (
+                self._obstacle(now)
+                if is_alive or now - self._foreign_motion_at < YIELD_TIME
+                else ""
+            )
+            self._report_state(
+                sink, self._gate.is_open, obstacle or self._trouble(now) or self._place()
+            )
         else:
-            self._tell(sink, self._gate.is_open, unheard(self._scheme, self._options.endpoint))
+            self._report_state(sink, self._gate.is_open, self._unreachable())
 
     def _obstacle(self, now: float) -> str:
-        """Why this base is not to be commanded although it is heard; empty if nothing is."""
-        if now - self._other_at < OTHERS_LAST:
-            return self._driven_by_others()
-        if self._census.twin:
-            hub = self._scheme.hub
-            return f"{self._census.twin} crashed and is back; {hub} will forget it: start that anew"
-        others = self._others()
-        has_taker = not others or self._has_taker()  # where nothing is announced nobody can tell
-        return why_unheard(self._cmd_vel, self._command, others, self._scheme, has_taker=has_taker)
+        """Why the base must not be commanded although its messages arrive; empty otherwise."""
+        if now - self._foreign_motion_at < YIELD_TIME:
+            return driven_by_others(self._cmd_vel)
+        if self._duplicates.duplicate:
+            node, hub = self._duplicates.duplicate, self._scheme.hub
+            return f"{node} crashed and is back; {hub} will forget it: start that anew"
+        graph = self._foreign_graph()
+        # Without announcements the subscribers of the base are unknown.
+        has_subscriber = not graph.endpoints or self._has_subscriber()
+        return graph.no_subscriber(self._cmd_vel, self._command_type, has_subscriber=has_subscriber)
 
-    def _has_taker(self) -> bool:
+    def _has_subscriber(self) -> bool:
         return any(has_subscriber(publisher) for publisher in self._publishers.values())
 
     def _trouble(self, now: float) -> str:
-        """The first thing that is wrong with what the robot says; empty if nothing is."""
-        lasts = self._other_zero_at - self._other_zeros_from
-        if lasts > ZEROS_OF_OTHERS and now - self._other_zero_at < OTHERS_LAST:
+        """The first fault of the robot's topics; empty without one."""
+        lasts = self._foreign_zero_at - self._foreign_zeros_from
+        if lasts > MAX_FOREIGN_ZEROS and now - self._foreign_zero_at < YIELD_TIME:
             return (
-                f"someone else tells this robot to stand: zeros on {self._cmd_vel} that are not"
-                " ours, such as of the stopper of an earlier daemon; end what says them"
+                f"another node stops this robot: zeros on {self._cmd_vel} that are not this"
+                " driver's, such as those of the watchdog of an earlier daemon; end that node"
             )
-        graph, senses = self._others(), self._hearing.senses.values()
-        missing = self._hearing.missing(now, max(_PATIENCE, self._silence))
+        graph, topics = self._foreign_graph(), self._subscriptions.topics.values()
+        silent = self._subscriptions.silent(now, max(_EXPLAIN_PERIOD, self._silence))
         faults = (
-            *(why_refused(sense, graph, self._scheme) for sense in senses if sense.complaint(now)),
-            *(why_silent(sense, graph, self._scheme) for sense in missing),
-            *(why_misleading(sense, graph, self._scheme) for sense in senses if sense.is_needed),
+            *(graph.unreadable(stats) for stats in topics if stats.recent_fault(now)),
+            *(graph.silence(stats) for stats in silent),
+            *(graph.unreliable(stats) for stats in topics if stats.is_needed),
         )
-        return next(filter(None, faults), "") or self._blindness()
+        return next(filter(None, faults), "") or self._incompleteness()
 
-    def _blindness(self) -> str:
-        """What all sweeps lack, as far as the last two that were looked at tell."""
-        scan, was_blind = self._hearing.scan, self._was_blind
-        sense = next(iter(self._hearing.senses.values()))
-        fault = "" if scan is None else why_blind(sense, scan, self._platform.scan)
-        self._was_blind = bool(fault)
-        return fault if was_blind else ""
+    def _incompleteness(self) -> str:
+        """What all scans lack, as far as the last two that were examined tell."""
+        scan, was_incomplete = self._subscriptions.scan, self._was_incomplete
+        stats = next(iter(self._subscriptions.topics.values()))
+        fault = "" if scan is None else incomplete(stats, scan, self._platform.scan)
+        self._was_incomplete = bool(fault)
+        return fault if was_incomplete else ""
+
+    def _unreachable(self) -> str:
+        return unreachable(self._scheme, self._options.endpoint)
 
     def _place(self) -> str:
         return f"{self._scheme.hub} at {self._options.endpoint}"
 
-    def _tell(self, sink: Sink, is_up: bool, text: str) -> None:
-        self._told_at = asyncio.get_running_loop().time()
-        if self._told == (is_up, text):
+    def _report_state(self, sink: Sink, is_up: bool, text: str) -> None:
+        self._reported_at = asyncio.get_running_loop().time()
+        if self._reported == (is_up, text):
             return
-        if self._told is not None and not isinstance(sink, NullSink):
+        if self._reported is not None and not isinstance(sink, NullSink):
             is_well = is_up and text == self._place()
             log.log(logging.INFO if is_well else logging.WARNING, "driver %s: %s", self._name, text)
-        self._told = (is_up, text)
+        self._reported = (is_up, text)
         sink.state(is_up, text)
 
     def _put(self, twist: Twist, frame: str) -> None:
-        publisher = self._publishers.get(self._scheme.command_key(self._cmd_vel, self._command))
+        publisher = self._publishers.get(
+            self._scheme.command_key(self._cmd_vel, self._command_type)
+        )
         if publisher is None:
             return
         message = (
-            conversion.stamped_message(twist, frame)
+            from_ros.stamped_message(twist, frame)
             if self._is_stamped
-            else conversion.twist_message(twist)
+            else from_ros.twist_message(twist)
         )
         publisher.put(cdr.encode(message), attachment=self._scheme.attachment())
 
 
-def _asked(message: object) -> Twist:
-    if isinstance(message, TwistStamped):
-        message = message.twist
-    assert isinstance(message, TwistMessage)
-    return conversion.twist_of(message)
-
-
 def _receiver(
-    scheme: KeyScheme, inbox: LatestSamples, name: str, full: str, kind: type
+    scheme: KeyScheme, inbox: LatestSamples, name: str, topic: str, message_type: type
 ) -> Callable[[zenoh.Sample], None]:
     def on_sample(sample: zenoh.Sample) -> None:
-        fault = scheme.fault(str(sample.key_expr), full, kind)
+        fault = scheme.key_fault(str(sample.key_expr), topic, message_type)
         if fault:
-            inbox.put(f"{name}{_MISTAKEN}", fault.encode())
+            inbox.put(f"{name}{_KEY_FAULT}", fault.encode())
         else:
             inbox.put(name, sample.payload.to_bytes())
 

@@ -1,8 +1,9 @@
-"""Nodes that crashed and are back under their name, as a zenoh-bridge-ros2dds knows them.
+"""Nodes that crashed and restarted under their name, as a zenoh-bridge-ros2dds knows them.
 
-DDS takes a process that was killed for alive for 10 s, or as long as its lease. When that is over
-the bridge (1.10, its issue 702) takes back what it announced of every node of that name, for good:
-a base that is back by then no longer hears a command, not even zero. It is told in time here.
+DDS counts a killed process as alive for the time of its lease, 10 s by default. At the lease's end
+the bridge (1.10, its issue 702) withdraws the announcements of every node of that name, for good: a
+base that restarted meanwhile no longer receives commands, not even zero. The driver finds the
+duplicate in time and stops the base.
 """
 
 from __future__ import annotations
@@ -15,44 +16,49 @@ from collections.abc import Mapping
 import zenoh
 
 PERIOD = 2.0
-"""Seconds between two rounds."""
+"""Seconds between two queries."""
 
-_MOST = 1024
-_LONGEST = 100_000
-_WITHIN = 1.0
+_MAX_NODES = 1024
+_MAX_PAYLOAD = 100_000
+_QUERY_TIMEOUT = 1.0
 
 
 class DuplicateNodes:
-    """Asks a bridge for its nodes, round after round.
+    """Queries a bridge for its nodes, again and again.
 
-    `twin` is a node that listens to the topic and is there twice, as `/base`; empty if none is.
+    `duplicate` is a node that subscribes to the topic and is listed twice, such as `/base`; empty
+    without one.
     """
 
     def __init__(self, selector: str, topic: str) -> None:
-        """`selector`: where a bridge tells of its nodes; none is asked if that is empty."""
+        """`selector`: of a bridge's answers about its nodes; empty where there is no bridge."""
         self._selector, self._topic = selector, topic
         self._known: dict[str, bytes] = {}
         self._begun = -math.inf
-        self.twin = ""
+        self.duplicate = ""
 
-    def look(self, session: zenoh.Session, now: float) -> None:
-        """Begin a new round if it is time, and go by what the last one has brought."""
+    def query(self, session: zenoh.Session, now: float) -> None:
+        """Query anew each PERIOD, and evaluate the answers to the query before."""
         if not self._selector or now - self._begun < PERIOD:
             return
-        self._begun, self.twin = now, twin_of(self._known.copy(), self._topic)
+        self._begun, self.duplicate = now, duplicate_of(self._known.copy(), self._topic)
         known: dict[str, bytes] = {}
         self._known = known
 
         def on_reply(reply: zenoh.Reply) -> None:
             sample = reply.ok
-            if sample is not None and len(known) < _MOST and len(sample.payload) <= _LONGEST:
+            if (
+                sample is not None
+                and len(known) < _MAX_NODES
+                and len(sample.payload) <= _MAX_PAYLOAD
+            ):
                 known[str(sample.key_expr)] = sample.payload.to_bytes()
 
-        session.get(self._selector, on_reply, timeout=_WITHIN)
+        session.get(self._selector, on_reply, timeout=_QUERY_TIMEOUT)
 
 
-def twin_of(known: Mapping[str, bytes], topic: str) -> str:
-    """Which node that listens to the topic has two participants; empty if none.
+def duplicate_of(known: Mapping[str, bytes], topic: str) -> str:
+    """The node that subscribes to the topic and has two participants; empty without one.
 
     Keys are `@/<zid>/ros2/node/<participant>/<name>`, each with the node's topics as JSON.
     """
@@ -73,7 +79,7 @@ def _named(key: str) -> tuple[str, str]:
 def _takes(payload: bytes, topic: str) -> bool:
     try:
         heard = json.loads(payload)["subscribers"]
-        # A bridge's namespace stands before the topic, but not in what it tells of its nodes.
+        # A bridge's namespace stands before the topic, but not in its answers about nodes.
         return any(topic.endswith(one["name"]) for one in heard)
     except (ValueError, KeyError, TypeError, RecursionError):
         return False

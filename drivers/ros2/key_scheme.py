@@ -3,64 +3,51 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Protocol
 
-
-@dataclass(frozen=True, slots=True)
-class Endpoint:
-    """One end of a topic, as it is announced: a publisher or a subscription.
-
-    `topic` such as `/tb3_01/scan`, `type` such as `sensor_msgs/msg/LaserScan`; `domain` None where
-    the announcement does not tell it, `node` empty likewise. `zid` is the session that announced
-    it.
-    """
-
-    is_publisher: bool
-    topic: str
-    type: str
-    zid: str
-    domain: int | None = None
-    node: str = ""
-
-    @property
-    def who(self) -> str:
-        """The node, or what stands for all of those that a bridge announces without a name."""
-        return self.node or f"a node behind bridge {self.zid[:8]}"
+from swarmd.drivers.ros.cdr import name_of
+from swarmd.drivers.ros.diagnosis import Endpoint, Middleware
 
 
-class KeyScheme(Protocol):
+class Ros2Middleware:
+    """What both ways have in common."""
+
+    endpoint_option = "driver_options.endpoint"
+    silent_topic = "look at the sensor: ros2 topic hz"
+    topic_info = "ros2 topic info -v"
+
+    def type_name(self, message_type: type) -> str:
+        """Such as `sensor_msgs/msg/LaserScan`."""
+        return name_of(message_type)
+
+
+class KeyScheme(Middleware, Protocol):
     """Keys and framing of one way of speaking ROS 2 over Zenoh.
 
-    `hub` is what listens at the endpoint, `start` the step that starts it, `silent` what to look
-    at when it announces no topic at all. `graph` is the key expression of the announcements,
-    `nodes` that of a bridge's answers about its nodes, or empty.
+    `tokens` is the key expression of the announcements and `nodes` that of a bridge's answers about
+    its nodes, empty where there is no bridge.
     """
 
-    hub: str
-    start: str
-    silent: str
-    graph: str
+    tokens: str
     nodes: str
-    domain: int | None
 
-    def listening(self, topic: str) -> str:
+    def subscription_key(self, topic: str) -> str:
         """The key expression to subscribe to for a topic."""
 
-    def fault(self, key: str, topic: str, kind: type) -> str:
-        """What is wrong with a sample's key; empty if it is one of that topic and type."""
+    def key_fault(self, key: str, topic: str, message_type: type) -> str:
+        """What is wrong with a sample's key; empty if it is of that topic and type."""
 
-    def announced(self, token: str) -> Endpoint | None:
-        """What a liveliness token announces; None if no topic."""
+    def parse_token(self, token: str) -> Endpoint | None:
+        """The endpoint that a liveliness token announces; None if it announces no topic."""
 
-    def command_keys(self, topic: str, kind: type) -> tuple[str, ...]:
-        """All keys on which a robot may listen for commands."""
+    def command_keys(self, topic: str, message_type: type) -> tuple[str, ...]:
+        """All keys on which a robot may subscribe to commands."""
 
-    def command_key(self, topic: str, kind: type) -> str:
-        """The one of them on which this robot listens, going by what was heard of it."""
+    def command_key(self, topic: str, message_type: type) -> str:
+        """The one of them that this robot uses, as far as its samples tell."""
 
     def attachment(self) -> bytes | None:
-        """What goes with the next command, beside its payload."""
+        """The attachment of the next command."""
 
-    def introduce(self, zid: str, heard: Iterable[tuple[str, type]]) -> tuple[str, ...]:
-        """The tokens that make us known to the others, as a node that hears these topics."""
+    def own_tokens(self, zid: str, topics: Iterable[tuple[str, type]]) -> tuple[str, ...]:
+        """The tokens that announce the driver as a node with these topics, commands last."""

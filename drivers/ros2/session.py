@@ -1,8 +1,7 @@
-"""The session to a robot's hub: a client, since only a client is heard beyond a Zenoh router.
+"""The session to a robot's hub: a client, since only a client's data pass a Zenoh router.
 
-Two peers around one router do not hear each other (Zenoh 1.10), and every node of rmw_zenoh is a
-peer. A client finds its way back by itself after a first opening, which fails while nothing is
-there.
+Two peers at one router exchange nothing (Zenoh 1.10), and every node of rmw_zenoh is a peer. A
+client reconnects by itself once it was open; opening fails while nothing listens.
 """
 
 from __future__ import annotations
@@ -14,12 +13,12 @@ import zenoh
 from swarmd.core.errors import NetworkError
 from swarmd.network.session import open_with, tune_sockets
 
-CUT_AFTER = 5.0
+LINK_TIMEOUT = 5.0
 """Seconds without an acknowledgement after which a link is given up and dialled anew."""
 
 
 def open_session(endpoint: str, *, within: float = 1.0) -> zenoh.Session | None:
-    """A session to what listens at `endpoint`; None if nothing does, within that many seconds."""
+    """A session to the hub at `endpoint`; None if there is none within that time in s."""
     options: dict[str, object] = {
         "mode": "client",
         "scouting/multicast/enabled": False,
@@ -40,19 +39,19 @@ def open_session(endpoint: str, *, within: float = 1.0) -> zenoh.Session | None:
         session = open_with(options, what=endpoint)
     except NetworkError:
         return None
-    tune_sockets(session, CUT_AFTER)
+    tune_sockets(session, LINK_TIMEOUT)
     return session
 
 
-def hubs_of(session: zenoh.Session) -> frozenset[str]:
-    """Whom it is linked to, by an id that is new at each start; empty while to nobody."""
+def linked_hubs(session: zenoh.Session) -> frozenset[str]:
+    """The ids of the hubs it is linked to, new at each start of a hub; empty without a link."""
     with contextlib.suppress(zenoh.ZError):
         return frozenset(map(str, (*session.info.routers_zid(), *session.info.peers_zid())))
     return frozenset()
 
 
-def commanding(session: zenoh.Session, key: str) -> zenoh.Publisher:
-    """A publisher that never waits, goes before everything else, and is not heard by itself."""
+def command_publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
+    """A publisher that never waits, has the highest priority and skips its own session."""
     return session.declare_publisher(
         key,
         allowed_destination=zenoh.Locality.REMOTE,
@@ -63,6 +62,6 @@ def commanding(session: zenoh.Session, key: str) -> zenoh.Publisher:
 
 
 def has_subscriber(publisher: zenoh.Publisher) -> bool:
-    """Whether anyone else listens to what it says."""
+    """True if another session subscribes to its key."""
     # The stubs call it a bool; it is an object with that attribute.
     return bool(getattr(publisher.matching_status, "matching", False))

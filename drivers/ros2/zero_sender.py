@@ -1,4 +1,4 @@
-"""A second connection to a ROS base that can say nothing but zero, for the stopper's process."""
+"""A second connection to a ROS 2 base that sends nothing but zero, for the watchdog's process."""
 
 from __future__ import annotations
 
@@ -11,24 +11,23 @@ from swarmd.core.values import ZERO
 from swarmd.drivers.ros.cdr import encode
 from swarmd.drivers.ros.from_ros import stamped_message, twist_message
 from swarmd.drivers.ros.messages import Twist, TwistStamped
-from swarmd.drivers.ros.options import RosOptions, topic
+from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros2.key_scheme import KeyScheme
-from swarmd.drivers.ros2.session import commanding, open_session
+from swarmd.drivers.ros2.session import command_publisher, open_session
 
-_AT_OPENING = 0.3
-_TRY_FOR = 1.0
-_AGAIN_AFTER = 0.5
+_OPEN_TIMEOUT = 0.3
+_CONNECT_TIMEOUT = 1.0
+_RETRY_PERIOD = 0.5
 
 
 class RosZeroSender:
-    """Commands zero on every key on which the robot may listen.
+    """Sends zero on every key to which the robot may subscribe.
 
-    A thread connects, however long that takes: what listens there may start after the robot's
-    daemon, and be far away.
+    A thread connects, however long that takes: the hub may start after the daemon, or be far away.
     """
 
     def __init__(self, scheme: KeyScheme, endpoint: str, keys: tuple[str, ...], payload: bytes):
-        """Not connected yet; `payload` is the zero as the robot wants it."""
+        """Not connected yet; `payload` is a zero of the robot's command type."""
         self._scheme, self._endpoint = scheme, endpoint
         self._keys, self._payload = keys, payload
         self._session: zenoh.Session | None = None
@@ -37,13 +36,13 @@ class RosZeroSender:
         self._connecting = threading.Thread(target=self._connect, name="connecting", daemon=True)
 
     def open(self) -> None:
-        """Begin to connect; returns when it is done, or after a moment."""
+        """Begin to connect; returns once connected, or after 0.3 s."""
         self._connecting.start()
-        self._connecting.join(_AT_OPENING)
+        self._connecting.join(_OPEN_TIMEOUT)
 
     @property
     def is_connected(self) -> bool:
-        """Whether it has found the hub; from then on the session finds it again by itself."""
+        """True once connected; from then on the session reconnects by itself."""
         return bool(self._publishers)
 
     def send_zero(self) -> None:
@@ -53,7 +52,7 @@ class RosZeroSender:
                 publisher.put(self._payload, attachment=self._scheme.attachment())
 
     def close(self) -> None:
-        """Disconnect; commands nothing."""
+        """Disconnect; sends nothing."""
         self._closing.set()
         self._connecting.join()
         session, self._session, self._publishers = self._session, None, ()
@@ -62,21 +61,21 @@ class RosZeroSender:
 
     def _connect(self) -> None:
         while self._session is None and not self._closing.is_set():
-            session = open_session(self._endpoint, within=_TRY_FOR)
+            session = open_session(self._endpoint, within=_CONNECT_TIMEOUT)
             if session is None:
-                self._closing.wait(_AGAIN_AFTER)
+                self._closing.wait(_RETRY_PERIOD)
                 continue
             self._session = session
-            self._publishers = tuple(commanding(session, key) for key in self._keys)
+            self._publishers = tuple(command_publisher(session, key) for key in self._keys)
 
 
 def zero_sender_of(scheme: KeyScheme, options: RosOptions) -> RosZeroSender:
     """The sender for a robot with these options."""
     is_stamped = options.cmd_vel_type == "twist_stamped"
-    # A base that takes this for a Twist reads the frame's name as a speed: none is 0, where
-    # `base_link` would be 1e180 m/s to the side. What it wants cannot be asked here.
+    # A base that reads this as a Twist takes the frame's name for a speed: an empty name is 0,
+    # `base_link` would be 1e180 m/s to the side. The type that it wants is not known here.
     message = stamped_message(ZERO, "") if is_stamped else twist_message(ZERO)
     keys = scheme.command_keys(
-        topic(options, options.cmd_vel), TwistStamped if is_stamped else Twist
+        options.topic(options.cmd_vel), TwistStamped if is_stamped else Twist
     )
     return RosZeroSender(scheme, options.endpoint, keys, encode(message))

@@ -30,7 +30,7 @@ from swarmd.core.values import (
     Value,
 )
 from swarmd.driver_api.command_gate import CommandGate
-from swarmd.driver_api.driver import Finding, SenderSpec, Sink
+from swarmd.driver_api.driver import Finding, Sink, ZeroSenderSpec
 
 SILENCE = 1.0
 HELLO = 0.2
@@ -123,9 +123,9 @@ class UdpDriver:
             for what in ("scan", "odometry")
         )
 
-    def zero_sender(self) -> SenderSpec:
+    def zero_sender(self) -> ZeroSenderSpec:
         """How a stopper says zero, for a base with `deadman: none`."""
-        return SenderSpec(f"{__name__}:UdpZeroSender", {"base": self._base})
+        return ZeroSenderSpec(f"{__name__}:UdpZeroSender", {"base": self._base})
 
     def _take(self, sink: Sink, data: bytes) -> None:
         try:

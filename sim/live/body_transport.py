@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from swarmd.core.values import Neighbor, Odometry, Platform, Scan, Twist
-from swarmd.driver_api.emulator import RobotSide, RobotSideFactory
+from swarmd.driver_api.emulator import Emulator, EmulatorFactory
 from swarmd.driver_api.hw_codec import (
     encode_neighbors,
     encode_odometry,
@@ -96,7 +96,7 @@ class EmulatorTransport:
 
     def __init__(
         self,
-        factory: RobotSideFactory,
+        factory: EmulatorFactory,
         robots: Mapping[str, Platform],
         endpoint: str,
         *,
@@ -106,9 +106,7 @@ class EmulatorTransport:
         self._clock = clock
         self._lock = threading.Lock()
         self._commands: dict[str, Command] = {}
-        self.side: RobotSide = factory(
-            robots=robots, endpoint=endpoint, on_command=self._on_command
-        )
+        self.side: Emulator = factory(robots=robots, endpoint=endpoint, on_command=self._on_command)
 
     @property
     def dropped(self) -> int:

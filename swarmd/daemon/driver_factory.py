@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from swarmd.core.errors import ConfigError
-from swarmd.driver_api.driver import Driver, Stopping
+from swarmd.driver_api.driver import Driver, ZeroSenderProvider
 from swarmd.driver_api.watchdog import name_of
 from swarmd.plugins import load_driver
 from swarmd.settings.driver_options import BaseOptions, base_options, effective_command_timeout
@@ -45,7 +45,7 @@ def _guarded(
             f"driver {settings.driver}: idle_output is silent, but no deadman is told, which counts"
             " as none; wanted is also deadman: base, or its seconds, if this base has a timeout"
         )
-    if not isinstance(driver, Stopping):
+    if not isinstance(driver, ZeroSenderProvider):
         raise ConfigError(
             f"driver {settings.driver}: deadman is none, and this driver has no stopper; wanted is"
             " deadman: base, or its seconds, if this base stops by itself when commands end"

@@ -63,7 +63,7 @@ class Driver(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class SenderSpec:
+class ZeroSenderSpec:
     """How the stopper's process makes its ZeroSender: `maker`, `module:callable`, by keywords.
 
     The options must be what JSON can carry.
@@ -92,10 +92,10 @@ class ZeroSender(Protocol):
 
 
 @runtime_checkable
-class Stopping(Protocol):
+class ZeroSenderProvider(Protocol):
     """What a driver also offers if it may drive a base that never stops by itself."""
 
-    def zero_sender(self) -> SenderSpec | None:
+    def zero_sender(self) -> ZeroSenderSpec | None:
         """How a stopper says zero to this base.
 
         None: the driver arranges it, with a process of its own that outlives the guardian.

@@ -15,7 +15,7 @@ OnCommand = Callable[[str, Twist], None]
 """Takes a robot's id and what it is told; called on a thread of the network's."""
 
 
-class RobotSide(Protocol):
+class Emulator(Protocol):
     """Robots that daemons reach with a driver: says what they sense, hears what they are told.
 
     `driver_options`: what the driver of each of them must be told beside its platform's file.
@@ -35,12 +35,12 @@ class RobotSide(Protocol):
         """Say and hear nothing any more."""
 
 
-class RobotSideFactory(Protocol):
+class EmulatorFactory(Protocol):
     """How a robots' side is made; its entry point in group `swarmd.emulators` is one of these."""
 
     def __call__(
         self, *, robots: Mapping[str, Platform], endpoint: str, on_command: OnCommand
-    ) -> RobotSide:
+    ) -> Emulator:
         """Listening at `endpoint` (port 0: a free one) from now on.
 
         ConfigError if a platform cannot be spoken for in this language, or the endpoint is none;

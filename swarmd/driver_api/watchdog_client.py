@@ -21,7 +21,7 @@ from typing import Any
 from swarmd.core.clock import boottime
 from swarmd.core.errors import DriverError
 from swarmd.core.values import ZERO, Twist
-from swarmd.driver_api.driver import Driver, Finding, SenderSpec, Sink
+from swarmd.driver_api.driver import Driver, Finding, Sink, ZeroSenderSpec
 from swarmd.driver_api.watchdog import FAREWELL, FAULT, READY, SILENCE, TICK, ZEROS
 
 log = logging.getLogger(__name__)
@@ -38,7 +38,7 @@ class WatchdogProcess:
     `name` (None: none): see `stopper.name_of`. `tie`: a process whose end ends the stopper too.
     """
 
-    def __init__(self, spec: SenderSpec, *, name: str | None, tie: int | None = None) -> None:
+    def __init__(self, spec: ZeroSenderSpec, *, name: str | None, tie: int | None = None) -> None:
         self._loop = asyncio.get_running_loop()
         self._first: asyncio.Future[bytes] = self._loop.create_future()
         self._lost: asyncio.Future[str] = self._loop.create_future()
@@ -138,7 +138,7 @@ class WatchdogProcess:
 
 
 def _started(
-    spec: SenderSpec, fd: int, name: str | None, tie: int | None
+    spec: ZeroSenderSpec, fd: int, name: str | None, tie: int | None
 ) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-P", "-m", "swarmd.driver_api.watchdog", "--fd", str(fd)]
     command += ["--maker", spec.maker, "--options", json.dumps(dict(spec.options))]
@@ -157,7 +157,7 @@ class WatchedDriver:
     """Runs `driver` only while a stopper, made from `spec`, watches over its base."""
 
     def __init__(
-        self, driver: Driver, spec: SenderSpec, *, name: str, tie: int | None = None
+        self, driver: Driver, spec: ZeroSenderSpec, *, name: str, tie: int | None = None
     ) -> None:
         self.is_simulated = driver.is_simulated
         self._driver, self._spec, self._name, self._tie = driver, spec, name, tie

@@ -17,12 +17,12 @@ from swarmd.core.errors import DriverError
 from swarmd.core.values import Twist
 from swarmd.driver_api import watchdog as watchdog
 from swarmd.driver_api import watchdog_client as guarded
-from swarmd.driver_api.driver import Finding, SenderSpec, Sink
+from swarmd.driver_api.driver import Finding, Sink, ZeroSenderSpec
 from swarmd.driver_api.watchdog import FAREWELL, FAULT, READY, TICK, ZEROS, Watchdog
 from swarmd.driver_api.watchdog_client import WatchdogProcess, WatchedDriver
 from swarmd.testing.driver_contract import TIMEOUT, CollectingSink
 
-SPEC = SenderSpec("nowhere:nothing", {})
+SPEC = ZeroSenderSpec("nowhere:nothing", {})
 
 
 class Clock:
@@ -313,7 +313,7 @@ def test_the_driver_lives_within_its_stopper_and_each_command_feeds_it(
     async def run() -> None:
         inner, made = Inner(), list[Process]()
 
-        def start(spec: SenderSpec, **keywords: Any) -> Process:
+        def start(spec: ZeroSenderSpec, **keywords: Any) -> Process:
             made.append(Process(inner.story, **keywords))
             return made[-1]
 
@@ -344,7 +344,7 @@ def test_without_a_stopper_the_driver_does_not_run(monkeypatch: pytest.MonkeyPat
     async def run() -> None:
         inner, made = Inner(), list[Process]()
 
-        def start(spec: SenderSpec, **keywords: Any) -> Process:
+        def start(spec: ZeroSenderSpec, **keywords: Any) -> Process:
             made.append(Process(inner.story, **keywords))
             made[-1].ready.set_exception(DriverError("no stopper: see the log"))
             return made[-1]

@@ -16,7 +16,7 @@ import pytest
 from swarmd.core.clock import boottime
 from swarmd.core.errors import DriverError
 from swarmd.core.messages import Code, Reason, State
-from swarmd.driver_api.driver import SenderSpec
+from swarmd.driver_api.driver import ZeroSenderSpec
 from swarmd.driver_api.watchdog import AT_LEAST, name_of
 from swarmd.driver_api.watchdog_client import WatchdogProcess
 from swarmd.drivers.simulated import SimulatedDriver
@@ -245,7 +245,7 @@ def test_a_silent_daemon_leaves_an_idle_robot_alone_and_no_other(bench: Bench) -
 
 def test_who_is_at_work_is_not_relieved_and_who_is_silent_is() -> None:
     where = {"swarm": "s", "robot": "r", "endpoint": "tcp/127.0.0.1:9"}
-    spec = SenderSpec(SimulatedDriver.__module__ + ":SimulatedZeros", where)
+    spec = ZeroSenderSpec(SimulatedDriver.__module__ + ":SimulatedZeros", where)
     name = name_of(unique_swarm(), "r")
 
     async def feed(watchdog: WatchdogProcess) -> None:
@@ -273,7 +273,7 @@ def test_who_is_at_work_is_not_relieved_and_who_is_silent_is() -> None:
 
 def test_what_it_is_tied_to_ends_it_although_its_guardian_never_returns() -> None:
     where = {"swarm": "s", "robot": "r", "endpoint": "tcp/127.0.0.1:9"}
-    spec = SenderSpec(SimulatedDriver.__module__ + ":SimulatedZeros", where)
+    spec = ZeroSenderSpec(SimulatedDriver.__module__ + ":SimulatedZeros", where)
     parent = subprocess.Popen(["sleep", "600"])
 
     async def leave_without_a_word() -> int:

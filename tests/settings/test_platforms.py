@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from swarmd.core.errors import ConfigError
-from swarmd.driver_api.driver import Stopping
+from swarmd.driver_api.driver import ZeroSenderProvider
 from swarmd.plugins import driver_names, load_driver
 from swarmd.settings.driver_options import BaseOptions, base_options
 from swarmd.settings.platforms import load_platform, platform_names
@@ -262,7 +262,7 @@ def test_drivers_accept_the_options_of_shipped_platforms(name: str) -> None:
         make = load_driver(driver)
         made = make(swarm="s", robot="r-1", platform=platform, options=rest)
         assert made.is_simulated or base.command_timeout is not None, f"{driver}: how does it stop?"
-        assert base.command_timeout != "none" or isinstance(made, Stopping)
+        assert base.command_timeout != "none" or isinstance(made, ZeroSenderProvider)
 
 
 @pytest.mark.parametrize("name", ["burger_lds02", "waffle_pi_lds02"])

@@ -1,130 +1,303 @@
-"""What `swarmd --check` says of what was heard: pure; over Zenoh: `test_ros2dds.py`."""
+"""What a check of a ROS robot reports: pure; over real links in the tests of the drivers."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
+import numpy as np
 import pytest
+from msgspec.structs import replace
 
+from swarmd.core.values import Scan, Value
 from swarmd.driver_api.driver import Finding
 from swarmd.drivers.ros import messages
-from swarmd.drivers.ros.diagnosis import Report, has_enough
-from swarmd.drivers.ros.options import RosOptions
-from swarmd.drivers.ros.topic_stats import Sense
+from swarmd.drivers.ros.diagnosis import Endpoint, Graph, Middleware, Report, has_enough
+from swarmd.drivers.ros.options import TopicOptions
+from swarmd.drivers.ros.subscriptions import Subscriptions
+from swarmd.drivers.ros.topic_stats import TopicStats
+from swarmd.drivers.ros1.adapter import MasterState, PublisherLink
+from swarmd.drivers.ros1.master_graph import MasterGraph, Ros1
+from swarmd.drivers.ros1.options import read_options
+from swarmd.drivers.ros1.serialization import definition, type_name
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
-from swarmd.drivers.ros2.key_scheme import Endpoint
-from swarmd.drivers.ros2.subscriptions import Subscriptions
-from tests.drivers.ros2 import robots
+from swarmd.settings.platforms import load_platform
 
-TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
+BURGER = load_platform("burger")
+STEADY = [(0.2 * i, 50.0 + 0.2 * i) for i in range(6)]
+both = pytest.mark.parametrize("middleware", [Ros1(), Ros2Dds()], ids=["ros1", "ros2"])
 
 
-def hearing(scans: Iterable[tuple[float, float]], odometries: int = 5) -> Subscriptions:
+def received(
+    scans: Iterable[tuple[float, float]] = STEADY, odometries: int = 5, **options: Any
+) -> Subscriptions:
     """Scans with these arrivals and stamps."""
-    made = Subscriptions(RosOptions(), robots.PLATFORM)
+    made = Subscriptions(TopicOptions(**options), BURGER)
     for now, stamp in scans:
-        made.take("scan", robots.scan(stamp).serialize(), now)
+        made.topics["scan"].record(now, stamp, "360 rays")
     for count in range(odometries):
-        made.take("odometry", robots.odometry(0.1 * count).serialize(), 0.1 * count)
+        made.topics["odometry"].record(0.1 * count, 0.1 * count)
     return made
 
 
-WELL = [(0.2 * i, 50.0 + 0.2 * i) for i in range(6)]
-
-
 def found(
-    heard: Subscriptions, graph: Iterable[Endpoint] = (), *, has_taker: bool = True, others: int = 0
+    middleware: Middleware,
+    subscriptions: Subscriptions,
+    graph: Iterable[Endpoint] = (),
+    *,
+    has_subscriber: bool = True,
+    **others: Any,
 ) -> dict[str, Finding]:
     report = Report(
-        scheme=Ros2Dds(),
-        endpoint="tcp/127.0.0.1:7447",
-        is_connected=True,
-        hearing=heard,
-        spec=robots.PLATFORM.scan,
-        graph=list(graph),
+        graph=Graph(middleware=middleware, endpoints=list(graph)),
+        endpoint="here",
+        subscriptions=subscriptions,
+        spec=BURGER.scan,
         cmd_vel="/cmd_vel",
-        command=messages.Twist,
-        has_taker=has_taker,
-        others=others,
+        command_type=messages.Twist,
+        has_subscriber=has_subscriber,
+        **others,
     )
     return {finding.subject: finding for finding in report.findings()}
 
 
-def end(kind: str, *, says: bool, topic: str = "/cmd_vel") -> Endpoint:
-    return Endpoint(says, topic, kind, "abc", node="/teleop")
+def end(middleware: Middleware, kind: type, topic: str, *, is_publisher: bool) -> Endpoint:
+    return Endpoint(is_publisher, topic, middleware.type_name(kind), node="/node")
 
 
-def test_all_is_well_where_all_is_there() -> None:
-    well = found(hearing(WELL))
+@both
+def test_all_is_well_where_everything_arrives(middleware: Middleware) -> None:
+    well = found(middleware, received())
     assert all(finding.is_well for finding in well.values())
-    assert "5.0 Hz, 360 rays, stamps went on 1.0 s in 1.0 s" in well["scan"].text
+    assert "5.0 Hz, 360 rays, stamps advanced by 1.0 s in 1.0 s" in well["scan"].text
+
+
+def test_an_unreachable_hub_is_the_only_finding() -> None:
+    assert list(found(Ros1(), received(), connection_fault="refused")) == ["connection"]
+
+
+@both
+@pytest.mark.parametrize(
+    ("scans", "subject"),
+    [
+        ([(0.2 * i, 5.0) for i in range(6)], "stamp 5;"),
+        ([(0.2 * i, 1763711479.5) for i in range(6)], "stamp 1763711479.5;"),
+        ([(0.5 * i, 0.5 * i) for i in range(6)], "2.0 Hz"),
+        ([], "no topic"),
+    ],
+)
+def test_scans_that_cannot_be_relied_on_are_a_fault(
+    middleware: Middleware, scans: list[tuple[float, float]], subject: str
+) -> None:
+    scan = found(middleware, received(scans))["scan"]
+    assert not scan.is_well
+    assert subject in scan.text
+
+
+@pytest.mark.parametrize(("period", "is_well"), [(0.38, True), (0.42, False)])
+def test_scans_below_half_the_rate_of_the_platform_are_too_slow(
+    period: float, is_well: bool
+) -> None:
+    scans = [(period * i, period * i) for i in range(6)]
+    assert found(Ros2Dds(), received(scans))["scan"].is_well is is_well
+
+
+@pytest.mark.parametrize(("unseen", "is_well"), [(0, True), (30, False), (360, False)])
+def test_a_scan_that_leaves_too_much_unseen_is_a_fault(unseen: int, is_well: bool) -> None:
+    subscriptions, spec = received(), BURGER.scan
+    ranges = np.full(360, 1.0)
+    ranges[:unseen] = np.nan
+    subscriptions.scan = Scan(1, 1.0, ranges, spec.bearings, spec.range_min, spec.range_max)
+    assert found(Ros1(), subscriptions)["scan"].is_well is is_well
+
+
+@both
+def test_an_optional_topic_without_messages_is_reported_and_no_fault(
+    middleware: Middleware,
+) -> None:
+    subscriptions = received(battery="battery_state")
+    battery = found(middleware, subscriptions)["battery"]
+    assert battery.is_well
+    assert "/battery_state" in battery.text
+
+
+@both
+def test_messages_that_cannot_be_read_are_a_fault(middleware: Middleware) -> None:
+    subscriptions = received()
+    subscriptions.topics["scan"].record_fault(1.0, "12 bytes")
+    scan = found(middleware, subscriptions)["scan"]
+    assert not scan.is_well
+    assert "12 bytes" in scan.text
+
+
+@both
+def test_the_topics_of_the_wanted_type_are_named(middleware: Middleware) -> None:
+    ends = [
+        end(middleware, messages.LaserScan, topic, is_publisher=True) for topic in ("/b", "/a/scan")
+    ]
+    assert "/a/scan, /b" in found(middleware, received([]), ends)["scan"].text
+
+
+@both
+def test_a_topic_of_another_type_is_a_fault(middleware: Middleware) -> None:
+    ends = [end(middleware, messages.Imu, "/scan", is_publisher=True)]
+    scan = found(middleware, received([]), ends)["scan"]
+    assert not scan.is_well
+    assert middleware.type_name(messages.Imu) in scan.text
+
+
+@both
+def test_two_publishers_of_a_needed_topic_are_a_fault(middleware: Middleware) -> None:
+    ends = [end(middleware, messages.LaserScan, "/scan", is_publisher=True)] * 2
+    assert not found(middleware, received(), ends)["scan"].is_well
+
+
+@both
+def test_commands_of_another_node_are_a_fault_and_a_publisher_is_named(
+    middleware: Middleware,
+) -> None:
+    assert not found(middleware, received(), foreign_commands=1)["others"].is_well
+    others: dict[str, Any] = {"foreign_publishers": ["/teleop"]}
+    silent = found(middleware, received(), **others)["others"]
+    assert silent.is_well
+    assert "/teleop" in silent.text
+    exclusive = found(middleware, received(), is_exclusive=True, **others)["others"]
+    assert not exclusive.is_well
+    assert "/teleop" in exclusive.text
+
+
+@both
+@pytest.mark.parametrize(
+    ("kind", "topic", "has_subscriber", "subject"),
+    [
+        (messages.Twist, "/cmd_vel", False, ""),
+        (messages.TwistStamped, "/cmd_vel", True, "cmd_vel_type: twist_stamped"),
+        (messages.Imu, "/cmd_vel", True, "cmd_vel_type"),
+        (messages.Twist, "/a/cmd_vel", False, "/a/cmd_vel"),
+        (None, "", False, "start the base"),
+        (None, "", True, ""),
+    ],
+)
+def test_a_base_that_gets_no_command_is_a_fault(
+    middleware: Middleware, kind: type | None, topic: str, has_subscriber: bool, subject: str
+) -> None:
+    ends = [end(middleware, kind, topic, is_publisher=False)] if kind else []
+    finding = found(middleware, received(), ends, has_subscriber=has_subscriber)["cmd_vel"]
+    assert finding.is_well is not bool(subject)
+    assert subject in finding.text
+
+
+def test_a_check_has_enough_after_5_messages_of_what_is_needed_and_a_second() -> None:
+    assert has_enough(received(), 1.0)
+    assert not has_enough(received(), 0.99)
+    assert not has_enough(received(STEADY[:4]), 5.0)
+
+
+# The graph of a ROS 1 master
+
+MASTER = MasterState(
+    master=True,
+    publishers={"/scan": ["/lidar"], "/odom": ["/base"]},
+    types={"/scan": "sensor_msgs/LaserScan", "/odom": "nav_msgs/Odometry"},
+    listeners=["/base"],
+    connected=1,
+)
+
+
+def master_graph(state: MasterState = MASTER, **options: Value) -> MasterGraph:
+    read = read_options(options, "r")
+    made = MasterGraph(read, Subscriptions(read, BURGER).topics)
+    made.state = state
+    return made
+
+
+def silence(made: MasterGraph) -> str:
+    return made.graph().silence(TopicStats("scan", "scan", "/scan", messages.LaserScan))
 
 
 @pytest.mark.parametrize(
-    ("scans", "said"),
+    ("state", "subject"),
     [
-        ([(0.2 * i, 5.0) for i in range(6)], "all with the stamp 5;"),
-        ([(0.2 * i, 1763711479.5) for i in range(6)], "all with the stamp 1763711479.5;"),
-        ([(0.5 * i, 0.5 * i) for i in range(6)], "comes at 2.0 Hz; the platform's scan.rate is 5"),
-        ([], "announces no topic at all"),
+        (MASTER, "/scan is announced but silent"),
+        (replace(MASTER, types={}), "/scan is announced but silent"),
+        (replace(MASTER, publishers={}), "no /scan"),
+        (replace(MASTER, types={"/scan": "sensor_msgs/PointCloud"}), "sensor_msgs/PointCloud"),
+        (
+            replace(
+                MASTER, publishers={"/scan": []}, candidates={"sensor_msgs/LaserScan": ["/a", "/b"]}
+            ),
+            "/a, /b",
+        ),
     ],
 )
-def test_scans_that_cannot_be_driven_on_are_told(
-    scans: list[tuple[float, float]], said: str
+def test_a_topic_without_messages_is_explained_by_the_master(
+    state: MasterState, subject: str
 ) -> None:
-    scan = found(hearing(scans))["scan"]
-    assert not scan.is_well
-    assert said in scan.text
+    assert subject in silence(master_graph(state))
 
 
-def test_who_else_commands_is_told_from_who_only_could() -> None:
-    assert not found(hearing(WELL), others=1)["others"].is_well
-    could = found(hearing(WELL), [end(TWIST, says=True)])["others"]
-    assert could.is_well
-    assert "/teleop may publish /cmd_vel too" in could.text
+def test_another_md5_sum_of_the_same_name_is_another_type() -> None:
+    made, kind = master_graph(), type_name(messages.LaserScan)
+    made.on_link(PublisherLink(0, "/scan", "/lidar", kind, "0" * 32))
+    assert made.stats_of(0) is None
+    assert made.is_of_another_type(0)
+    assert not made.is_of_another_type(1)
+    assert "0" * 32 in silence(made)
+    made.on_link(PublisherLink(1, "/scan", "/lidar", kind, definition(messages.LaserScan)[1]))
+    found_stats = made.stats_of(1)
+    assert found_stats is not None
+    assert found_stats.topic == "/scan"
+    assert "0" * 32 not in silence(made)
 
 
-def test_a_base_that_takes_another_type_or_is_not_there_is_told() -> None:
-    other = found(hearing(WELL), [end(STAMPED, says=False)])["cmd_vel"]
-    assert not other.is_well
-    assert "set driver_options.cmd_vel_type: twist_stamped" in other.text
-    nobody = found(hearing(WELL), [end(TWIST, says=True)], has_taker=False)["cmd_vel"]
-    assert not nobody.is_well
-    assert "nobody subscribes to /cmd_vel" in nobody.text
-    assert found(hearing(WELL), [end(TWIST, says=False)], has_taker=False)["cmd_vel"].is_well
+@pytest.mark.parametrize("kind", ["", "*", "geometry_msgs/Twist"])
+def test_a_listener_whose_type_is_unknown_counts_as_right(kind: str) -> None:
+    graph = master_graph(replace(MASTER, connected=0, wants={"/base": kind})).graph()
+    assert not graph.no_subscriber("/cmd_vel", messages.Twist, has_subscriber=True)
 
 
-def test_it_has_enough_after_5_messages_of_what_is_needed_and_a_second() -> None:
-    assert has_enough(hearing(WELL), 1.0)
-    assert not has_enough(hearing(WELL), 0.99)
-    assert not has_enough(hearing(WELL[:4]), 5.0)
+def test_another_publisher_of_commands_blocks_unless_it_is_permitted() -> None:
+    others = replace(MASTER, others=["/teleop"])
+    assert master_graph(others).blocks
+    assert not master_graph(others, shared_cmd_vel=True).blocks
+    assert not master_graph().blocks
 
 
-def sense() -> Sense:
-    return Sense("scan", "scan", "/scan", messages.LaserScan)
+# Statistics of one topic
 
 
-def test_a_rate_is_that_of_the_gaps() -> None:
-    made = sense()
-    made.hear(1.0, 1.0)
-    assert made.rate() == 0.0
+@pytest.fixture
+def stats() -> TopicStats:
+    return TopicStats("scan", "scan", "/scan", messages.LaserScan)
+
+
+def test_a_rate_is_that_of_the_gaps(stats: TopicStats) -> None:
+    stats.record(1.0, 1.0)
+    assert stats.rate() == 0.0
     for now in (1.25, 1.5):
-        made.hear(now, now)
-    assert made.rate() == 4.0
+        stats.record(now, now)
+    assert stats.rate() == 4.0
 
 
-def test_a_complaint_lasts_2_s() -> None:
-    made = sense()
-    made.complain(1.0, "rubbish")
-    assert (made.complaint(2.99), made.complaint(3.0)) == ("rubbish", "")
+def test_a_fault_is_recent_for_2_s(stats: TopicStats) -> None:
+    stats.record_fault(1.0, "rubbish")
+    assert (stats.recent_fault(2.99), stats.recent_fault(3.0)) == ("rubbish", "")
 
 
-def test_stamps_advance_only_if_the_last_is_later() -> None:
-    made = sense()
+def test_stamps_advance_only_if_the_last_is_later(stats: TopicStats) -> None:
     for stamp in (5.0, 5.0):
-        made.hear(stamp, stamp)
-    assert made.advances(), "too few to tell"
-    made.hear(6.0, 5.0)
-    assert not made.advances()
-    made.hear(7.0, 5.5)
-    assert made.advances()
+        stats.record(stamp, stamp)
+    assert stats.stamps_advance(), "too few to tell"
+    stats.record(6.0, 5.0)
+    assert not stats.stamps_advance()
+    stats.record(7.0, 5.5)
+    assert stats.stamps_advance()
+
+
+@pytest.mark.parametrize(("seconds", "go_back"), [(9.0, True), (11.0, False)])
+def test_stamps_that_go_back_twice_within_10_s_are_those_of_two_publishers(
+    stats: TopicStats, seconds: float, go_back: bool
+) -> None:
+    for now, stamp in ((0.0, 5.0), (1.0, 4.0), (1.0 + seconds, 3.0)):
+        stats.record(now, stamp)
+    assert stats.stamps_go_back() is go_back

@@ -14,8 +14,6 @@ from swarmd.drivers.ros.options import (
     RmwOptions,
     RosOptions,
     read_options,
-    ring_of,
-    topic,
 )
 from swarmd.drivers.ros2.session import open_session
 from swarmd.network.settings import FIELD_PORT
@@ -28,7 +26,7 @@ def read(options: Mapping[str, Value], robot: str = "tb3-01") -> RmwOptions:
 def test_defaults_are_those_of_a_bridge_on_this_machine() -> None:
     options = read_options(RosOptions, {}, "ros2dds", "r")
     assert options.endpoint == "tcp/127.0.0.1:7447"
-    assert topic(options, options.scan) == "/scan"
+    assert options.topic(options.scan) == "/scan"
 
 
 def test_a_bridge_of_this_machine_and_a_daemon_in_the_field_are_not_in_each_others_way() -> None:
@@ -48,12 +46,12 @@ def test_a_bridge_of_this_machine_and_a_daemon_in_the_field_are_not_in_each_othe
     ],
 )
 def test_the_namespace_stands_before_relative_names(namespace: str, name: str, wanted: str) -> None:
-    assert topic(read({"namespace": namespace}), name) == wanted
+    assert read({"namespace": namespace}).topic(name) == wanted
 
 
 def test_a_ring_of_ranges_is_by_topic() -> None:
     options = read({"ranges": {"left": 90, "front": [0.0, 0.08]}})
-    assert ring_of(options) == (("left", math.pi / 2.0, 0.0), ("front", 0.0, 0.08))
+    assert options.ring() == (("left", math.pi / 2.0, 0.0), ("front", 0.0, 0.08))
 
 
 @pytest.mark.parametrize(

@@ -19,7 +19,7 @@ from swarmd.settings.platforms import load_platform
 from tests.support.processes import CAP, wait_until
 from tests.support.roscore import PYTHON, RosCore
 
-SCRIPT = Path(__file__).with_name("ros1_robot.py")
+SCRIPT = Path(__file__).with_name("robot.py")
 PLATFORM = load_platform("burger")
 
 _numbers = itertools.count(1)

@@ -26,7 +26,7 @@ from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.testing.driver_contract import TIMEOUT, CollectingSink
 from swarmd.testing.driver_rig import is_running
 
-IMPOSTOR = Path(__file__).with_name("ros1_impostor.py")
+IMPOSTOR = Path(__file__).with_name("impostor.py")
 PLATFORM = load_platform("burger")
 
 
@@ -156,7 +156,7 @@ def test_an_interpreter_without_rospy_is_named(monkeypatch: pytest.MonkeyPatch) 
     [
         ({"mastre": "http://127.0.0.1:1"}, "did you mean 'master'"),
         ({"master": "127.0.0.1:11311"}, "wanted is such as http://"),
-        ({"scan": "front scan"}, "scan is 'front scan'; wanted a topic's name"),
+        ({"scan": "front scan"}, "scan is 'front scan'; wanted"),
         ({"namespace": "robot-1"}, "namespace is 'robot-1'"),
         ({"ranges": {"left": 400}}, "ranges.left is 400"),
         ({"ranges": {"left": [20, 0.1], "a b": 3}}, "ranges.a b is 'a b'"),

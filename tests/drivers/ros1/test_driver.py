@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Twist, Value
-from swarmd.drivers.ros1.driver import Ros1Driver
-from swarmd.drivers.ros1.view import SILENCE
+from swarmd.drivers.ros1.driver import SILENCE, Ros1Driver
 from swarmd.settings.driver_options import BaseOptions
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import DriverContract, DriverHarness, running_driver
@@ -213,7 +212,7 @@ def test_a_base_that_wants_another_type_of_command_is_named(roscore: RosCore) ->
 
 def test_a_scan_of_another_type_is_named_and_nothing_moves(roscore: RosCore) -> None:
     async def story(harness: DriverHarness, body: RosRobot) -> None:
-        text = await says(harness, "sensor_msgs/Range", "md5")
+        text = await says(harness, "carries sensor_msgs/Range")
         assert "wanted is sensor_msgs/LaserScan" in text
         assert "ros1/type" in harness.sink.lost
         assert not harness.sink.is_up
@@ -224,7 +223,7 @@ def test_a_scan_of_another_type_is_named_and_nothing_moves(roscore: RosCore) -> 
 
 def test_a_robot_without_a_base_is_not_driven(roscore: RosCore) -> None:
     async def story(harness: DriverHarness, body: RosRobot) -> None:
-        assert "start the base's node" in await says(harness, "nobody listens")
+        assert "start the base" in await says(harness, "no node subscribes")
         assert not harness.sink.is_up
 
     play(RosRobot(roscore, "--no-base"), story, connected=False)
@@ -233,11 +232,11 @@ def test_a_robot_without_a_base_is_not_driven(roscore: RosCore) -> None:
 def test_a_topic_without_data_is_told_from_one_without_a_publisher(roscore: RosCore) -> None:
     async def story(harness: DriverHarness, body: RosRobot) -> None:
         topic = f"{body.namespace}/scan"
-        assert body.namespace in await says(harness, topic, "nothing comes", speaking=False)
+        assert body.namespace in await says(harness, topic, "announced but silent", speaking=False)
 
     async def elsewhere(harness: DriverHarness, body: RosRobot) -> None:
-        text = await says(harness, f"nobody publishes {body.namespace}/front/scan", speaking=False)
-        assert f"sensor_msgs/LaserScan is on {body.namespace}/scan" in text
+        text = await says(harness, f"no {body.namespace}/front/scan", speaking=False)
+        assert f"{body.namespace}/scan" in text
 
     play(RosRobot(roscore), story, connected=False)
     play(Wanting(roscore, {"scan": "front/scan"}), elsewhere, connected=False)
@@ -249,7 +248,7 @@ def test_someone_else_on_cmd_vel_is_named_and_nothing_moves_until_he_leaves(
     async def story(harness: DriverHarness, body: RosRobot) -> None:
         other, heard = body.make({}), harness.sink
         second = asyncio.create_task(other.run(heard_too := type(heard)()))
-        text = await says(harness, "someone else", f"{body.namespace}/cmd_vel is also published by")
+        text = await says(harness, "another node", f"{body.namespace}/cmd_vel is also published by")
         assert "/swarmd_r_1_" in text
         harness.driver.send(Twist(0.1), 1, 1)
         assert all(twist.is_zero for twist in body.commands())
@@ -267,11 +266,11 @@ def test_check_says_what_is_there_and_moves_nothing(roscore: RosCore) -> None:
         found = check(body)
         assert not body.commands()
     assert all(is_well for is_well, _ in found.values()), found
-    assert list(found) == ["master", "scan", "odometry", "cmd_vel"]
-    said = f"{body.namespace}/scan (sensor_msgs/LaserScan) from {body.namespace}/robot: "
-    assert said in found["scan"][1]
-    assert "360 rays, stamps went on" in found["scan"][1]
-    rate = float(found["scan"][1].partition("robot: ")[2].partition(" Hz")[0])
+    assert list(found) == ["connection", "scan", "odometry", "cmd_vel", "others"]
+    text = found["scan"][1]
+    assert f"{body.namespace}/scan (sensor_msgs/LaserScan): " in text
+    assert "360 rays, stamps advanced" in text
+    rate = float(text.partition("): ")[2].partition(" Hz")[0])
     assert rate == pytest.approx(10.0, rel=0.3)
 
 
@@ -280,10 +279,11 @@ def test_check_of_half_a_robot_says_what_is_missing(roscore: RosCore) -> None:
         body.do("rate", hz=10)
         found = check(body, 5.0)
     assert {subject: is_well for subject, (is_well, _) in found.items()} == {
-        "master": True,
+        "connection": True,
         "scan": False,
         "odometry": True,
         "cmd_vel": False,
+        "others": True,
     }
     assert "wanted is sensor_msgs/LaserScan" in found["scan"][1]
-    assert "nobody listens" in found["cmd_vel"][1]
+    assert "no node subscribes" in found["cmd_vel"][1]

@@ -1,6 +1,6 @@
 """When driver `ros1` commands, and what first: exactly, with an adapter that is none.
 
-With a real one: `test_ros1_child.py` and, with ROS, `test_ros1.py`.
+With a real one: `test_adapter.py` and, with ROS, `test_driver.py`.
 """
 
 from __future__ import annotations
@@ -17,20 +17,21 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.values import Twist, Value
+from swarmd.drivers.ros.messages import LaserScan, Odometry
 from swarmd.drivers.ros1 import adapter as ros1_child
 from swarmd.drivers.ros1 import adapter_process as ros1_adapter
 from swarmd.drivers.ros1 import driver as ros1
-from swarmd.drivers.ros1 import wire
-from swarmd.drivers.ros1.adapter import Link, State, Told
+from swarmd.drivers.ros1.adapter import AdapterEnd, MasterState, PublisherLink
 from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.drivers.ros1.options import read_options
+from swarmd.drivers.ros1.serialization import definition, encode_twist, type_name
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink
 from tests.support import hand_clock as handclock
 
 MOVING = Twist(0.1, -0.2)
-FIRST = [wire.encode_twist(Twist()), wire.encode_twist(MOVING)]
-WELL = State(
+FIRST = [encode_twist(Twist()), encode_twist(MOVING)]
+WELL = MasterState(
     master=True,
     publishers={"/scan": ["/lidar"], "/odom": ["/base"]},
     listeners=["/base"],
@@ -48,6 +49,10 @@ def scan(*ranges: float) -> bytes:
 def odometry(x: float = 0.5) -> bytes:
     pose = struct.pack("<7d", x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     return HEADER + bytes(4) + pose + bytes(288) + struct.pack("<6d", *[0.1] * 6) + bytes(288)
+
+
+def link_of(link: int, topic: str, kind: type) -> PublisherLink:
+    return PublisherLink(link, topic, "/node", type_name(kind), definition(kind)[1])
 
 
 class Adapter:
@@ -83,16 +88,16 @@ class Scene:
     def adapter(self) -> Adapter:
         return self.started[-1]
 
-    def tell(self, state: State = WELL) -> None:
+    def tell(self, state: MasterState = WELL) -> None:
         self.adapter.listener.on_event(state)
 
     def rise(self) -> None:
         """All that is needed is there."""
         self.tell()
         for link, (topic, kind, data) in enumerate(
-            (("/scan", wire.LASER_SCAN, scan(1.0)), ("/odom", wire.ODOMETRY, odometry()))
+            (("/scan", LaserScan, scan(1.0)), ("/odom", Odometry, odometry()))
         ):
-            self.adapter.listener.on_event(Link(link, topic, "/node", kind.name, kind.md5sum))
+            self.adapter.listener.on_event(link_of(link, topic, kind))
             self.adapter.listener.on_message(link, data)
 
     def is_moved(self) -> bool:
@@ -149,10 +154,10 @@ def test_it_commands_only_a_base_that_is_there_and_zero_first(
 @pytest.mark.parametrize(
     "lost",
     [
-        State(master=False, text="refused"),
+        MasterState(master=False, text="refused"),
         replace(WELL, others=["/teleop"]),
         replace(WELL, listeners=[], connected=0),
-        Told("end", "ROS has shut it down"),
+        AdapterEnd("end", "ROS has shut it down"),
     ],
     ids=["master", "someone else", "no base", "the end"],
 )
@@ -165,7 +170,7 @@ def test_what_takes_the_base_away_ends_commands_at_once(
         scene.tell(lost)
         assert not scene.heard.is_up
         assert not scene.is_moved()
-        if isinstance(lost, State):
+        if isinstance(lost, MasterState):
             scene.tell()
             assert scene.command() == FIRST
 
@@ -212,8 +217,8 @@ def test_what_cannot_be_read_or_is_of_another_type_is_counted_and_no_sign_of_lif
     async def story(scene: Scene) -> None:
         scene.tell()
         listener = scene.adapter.listener
-        listener.on_event(Link(0, "/scan", "/lidar", wire.LASER_SCAN.name, wire.LASER_SCAN.md5sum))
-        listener.on_event(Link(1, "/odom", "/base", wire.ODOMETRY.name, "0" * 32))
+        listener.on_event(link_of(0, "/scan", LaserScan))
+        listener.on_event(PublisherLink(1, "/odom", "/base", type_name(Odometry), "0" * 32))
         listener.on_message(0, scan(1.0)[:-1])
         listener.on_message(1, odometry())
         listener.on_message(2, odometry())

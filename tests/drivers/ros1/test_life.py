@@ -26,7 +26,7 @@ from tests.drivers.ros1.rig import RosRobot, robot
 from tests.support.processes import wait_until
 from tests.support.roscore import RosCore
 
-DAEMON = Path(__file__).with_name("ros1_daemon.py")
+DAEMON = Path(__file__).with_name("daemon_process.py")
 
 
 def play(rig: RosRobot, story: Callable[[DriverHarness, RosRobot], Awaitable[None]]) -> None:
@@ -73,7 +73,7 @@ def test_a_master_that_comes_late_goes_and_comes_back(roscore: RosCore, tmp_path
         task = asyncio.create_task(driver.run(heard))
         for _ in range(2):
             harness = DriverHarness(maker, driver, heard, task)
-            await harness.until(lambda: f"no ROS master at {core.uri}" in why(heard))
+            await harness.until(lambda: f"answers at {core.uri}" in why(heard))
             assert "start roscore" in why(heard)
             await asyncio.to_thread(core.start)
             body = await asyncio.to_thread(RosRobot, core, namespace=namespace)

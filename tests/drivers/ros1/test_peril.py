@@ -19,9 +19,10 @@ import pytest
 
 from swarmd.core.values import Twist
 from swarmd.driver_api.command_gate import ZERO_REPEAT_TIME
+from swarmd.drivers.ros.messages import LaserScan
 from swarmd.drivers.ros1 import driver as ros1
-from swarmd.drivers.ros1 import wire
 from swarmd.drivers.ros1.adapter_process import SILENCE, STOPPING
+from swarmd.drivers.ros1.serialization import definition, type_name
 from swarmd.testing.driver_contract import CollectingSink, DriverHarness
 from swarmd.testing.driver_rig import is_running
 from tests.drivers.ros1.rig import RosRobot, robot
@@ -71,7 +72,7 @@ def test_who_else_drives_is_left_alone_after_zeros_and_named_once_in_the_log(
     with caplog.at_level("INFO", "swarmd.drivers.ros1.driver"):
         play(RosRobot(roscore), story)
     lines = [record.getMessage() for record in caplog.records]
-    named = [line for line in lines if "someone else" in line and "end that daemon" in line]
+    named = [line for line in lines if "another node" in line and "is also published by" in line]
     assert 1 <= len(named) <= 2  # by each of the two
     assert lines[-1].startswith("driver ros1: drives on ")
 
@@ -140,12 +141,12 @@ class Liar(threading.Thread):
         self.start()
         uri = f"http://127.0.0.1:{self._api.server_address[1]}"
         with _master_of(core) as master:
-            master.registerPublisher("/liar", topic, wire.LASER_SCAN.name, uri)
+            master.registerPublisher("/liar", topic, type_name(LaserScan), uri)
 
     def run(self) -> None:
         with self._server, self._server.accept()[0] as reader:
             reader.recv(4096)
-            says = {"type": wire.LASER_SCAN.name, "md5sum": wire.LASER_SCAN.md5sum}
+            says = {"type": type_name(LaserScan), "md5sum": definition(LaserScan)[1]}
             head = b"".join(_sized(f"{key}={value}") for key, value in says.items())
             try:
                 reader.sendall(len(head).to_bytes(4, "little") + head + b"\xff\xff\xff\xff")
@@ -178,7 +179,7 @@ def test_a_master_that_hangs_stops_the_robot_until_it_answers(
                 taken = await moving(harness, 1.0, lambda: not harness.sink.is_up)
                 assert taken[-1].is_zero
                 said = harness.sink.states[-1][1]
-                assert f"no ROS master at {core.uri} (timed out); start roscore" in said
+                assert f"{core.uri} (timed out)" in said
             finally:
                 core.send(signal.SIGCONT)
             await harness.until(lambda: harness.sink.is_up)
@@ -215,7 +216,7 @@ def test_an_address_that_is_a_nodes_and_no_masters_is_said(roscore: RosCore) -> 
         driver = body.make({"master": node.rstrip("/")})
         findings = asyncio.run(driver.check(10.0))
     assert [finding.is_well for finding in findings] == [False]
-    assert f"no ROS master at {node.rstrip('/')} (" in findings[0].text
+    assert f"{node.rstrip('/')} (" in findings[0].text
     assert "correct driver_options.master" in findings[0].text
 
 

@@ -1,7 +1,7 @@
 """When the adapter of driver `ros1` sends zeros by itself: exactly, without ROS or a second thread.
 
 What stands in for rospy keeps what is published, and the clock is in the test's hand; with a real
-roscore: `test_ros1_life.py`.
+roscore: `test_life.py`.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import pytest
 
 from swarmd.core.values import Twist
 from swarmd.drivers.ros1 import adapter_process as ros1_adapter
-from swarmd.drivers.ros1 import wire as ros1_wire
+from swarmd.drivers.ros1 import serialization
 from swarmd.drivers.ros1.adapter_process import (
     BYE,
     COMMAND,
@@ -30,8 +30,8 @@ from swarmd.drivers.ros1.adapter_process import (
 )
 
 BEGIN = 1000.0
-MOVING = ros1_wire.encode_twist(Twist(0.1, -0.2))
-TURNING = ros1_wire.encode_twist(Twist(0.0, 0.1))
+MOVING = serialization.encode_twist(Twist(0.1, -0.2))
+TURNING = serialization.encode_twist(Twist(0.0, 0.1))
 ZERO = bytes(48)
 STAMPED = {"type": "geometry_msgs/TwistStamped", "frame_id": "base"}
 
@@ -236,14 +236,14 @@ def test_once_it_is_to_end_no_command_is_passed_on(scene: Scene) -> None:
     scene.published.clear()
     scene.command(MOVING)
     assert not scene.published
-    assert scene.told[-1] == {"event": "told", "kind": "end", "text": "somebody ended the adapter"}
+    assert scene.told[-1] == {"event": "end", "kind": "end", "text": "somebody ended the adapter"}
 
 
 def test_zeros_of_its_own_are_of_the_bases_type(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = Scene(monkeypatch, command=STAMPED)
     scene.command(struct.pack("<4I", 0, 1, 2, 0) + MOVING)
     scene.pass_time(0.5)
-    assert scene.published[0][1] == ros1_wire.encode_twist_stamped(
+    assert scene.published[0][1] == serialization.encode_twist_stamped(
         Twist(), 0, 5_000_000_007, "base"
     )
 

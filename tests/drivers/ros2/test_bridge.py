@@ -17,8 +17,8 @@ import zenoh
 
 from swarmd.core.values import Twist
 from swarmd.drivers.ros import cdr, messages
-from swarmd.drivers.ros2.dds_bridge_emulator import BridgedVoice
-from swarmd.drivers.ros2.emulator import End
+from swarmd.drivers.ros2.dds_bridge import EmulatedBridge
+from swarmd.drivers.ros2.emulator import EmulatedEndpoint
 from swarmd.testing.driver_contract import TIMEOUT, DriverContract, DriverHarness
 from tests.drivers.ros2.dds_rig import DdsRobot
 from tests.drivers.ros2.robots import open_session
@@ -220,7 +220,7 @@ def test_someone_elses_command_is_told() -> None:
             return not harness.sink.is_up
 
         await harness.until(is_lost, publishing=True)
-        assert told(harness, "someone else drives this robot", is_up=False)
+        assert told(harness, "another node drives this robot", is_up=False)
         await harness.until(lambda: harness.sink.is_up, publishing=True)
 
     play(robot, story)
@@ -248,9 +248,9 @@ def test_the_bridge_announces_and_says_what_the_stand_in_does() -> None:
     )
     session.declare_subscriber("scan", samples.append)
     ends = (
-        End("/scan", messages.LaserScan, is_publisher=True, is_sensor=True),
-        End("/odom", messages.Odometry, is_publisher=True),
-        End("/cmd_vel", messages.Twist, is_publisher=False),
+        EmulatedEndpoint("/scan", messages.LaserScan, is_publisher=True, is_sensor=True),
+        EmulatedEndpoint("/odom", messages.Odometry, is_publisher=True),
+        EmulatedEndpoint("/cmd_vel", messages.Twist, is_publisher=False),
     )
 
     def is_all_there() -> bool:
@@ -259,7 +259,7 @@ def test_the_bridge_announces_and_says_what_the_stand_in_does() -> None:
 
     wait_until(is_all_there, "three tokens and a scan")
     zid = next(iter(tokens)).split("/")[1]
-    assert tokens == set(BridgedVoice().announce(zid, ends)[1])
+    assert tokens == set(EmulatedBridge().tokens(zid, ends)[1])
     assert samples[0].attachment is None
     assert len(cdr.decode(messages.LaserScan, samples[0].payload.to_bytes()).ranges) == 360
     session.close()
@@ -348,4 +348,4 @@ def test_check_tells_of_who_may_command_and_of_who_does(speed: float | None) -> 
         assert "a node behind bridge" in others.text
     else:
         assert not others.is_well
-        assert "commands of someone else on /cmd_vel" in others.text
+        assert "commands of another node on /cmd_vel" in others.text

@@ -115,7 +115,7 @@ def test_someone_elses_command_is_told_and_nothing_is_commanded_meanwhile() -> N
             return not harness.sink.is_up
 
         await harness.until(is_lost, publishing=True)
-        assert told(harness, "someone else drives this robot", is_up=False)
+        assert told(harness, "another node drives this robot", is_up=False)
         await asyncio.sleep(0.2)
         robot.samples()
         harness.driver.send(Twist(0.1), 2, 2)
@@ -285,7 +285,7 @@ def test_check_tells_of_others_who_command() -> None:
 
     found = check(robot, speak)
     assert not found["others"].is_well
-    assert "commands of someone else on /cmd_vel" in found["others"].text
+    assert "commands of another node on /cmd_vel" in found["others"].text
 
 
 def test_check_tells_of_a_clock_that_stands_still() -> None:

@@ -8,7 +8,7 @@ import pytest
 import zenoh
 
 from swarmd.core.values import Twist
-from swarmd.drivers.ros2.duplicate_nodes import twin_of
+from swarmd.drivers.ros2.duplicate_nodes import duplicate_of
 from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2.robots import BridgedRobot
 from tests.drivers.ros2.stories import play, told
@@ -40,7 +40,7 @@ CAMERA = json.dumps({"publishers": [{"name": "/image", "type": "x"}], "subscribe
 def test_a_node_that_takes_commands_and_is_there_twice_is_found(
     known: dict[str, bytes], wanted: str, topic: str
 ) -> None:
-    assert twin_of(known, topic) == wanted
+    assert duplicate_of(known, topic) == wanted
 
 
 def test_a_base_that_crashed_and_is_back_is_stopped_while_it_can_be() -> None:

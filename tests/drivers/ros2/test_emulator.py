@@ -15,17 +15,15 @@ import pytest
 from swarmd.core.errors import ConfigError, NetworkError, PluginError
 from swarmd.core.values import Odometry, Platform, Pose, Scan, Twist
 from swarmd.driver_api.driver import Driver
-from swarmd.driver_api.emulator import RobotSide
+from swarmd.driver_api.emulator import Emulator
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros.options import RosOptions
-from swarmd.drivers.ros.to_ros import LaserVoice, odometry_message
-from swarmd.drivers.ros2.dds_bridge import Ros2Dds
-from swarmd.drivers.ros2.dds_bridge_emulator import BridgedVoice
-from swarmd.drivers.ros2.emulator import End
-from swarmd.drivers.ros2.rmw_zenoh import RmwZenoh, gid_of
-from swarmd.drivers.ros2.rmw_zenoh_emulator import NodeVoice
+from swarmd.drivers.ros.subscriptions import Subscriptions
+from swarmd.drivers.ros.to_ros import LaserScanEncoder, odometry_message
+from swarmd.drivers.ros2.dds_bridge import EmulatedBridge, Ros2Dds
+from swarmd.drivers.ros2.emulator import EmulatedEndpoint
+from swarmd.drivers.ros2.rmw_zenoh import EmulatedNode, RmwZenoh, gid_of
 from swarmd.drivers.ros2.session import open_session
-from swarmd.drivers.ros2.subscriptions import Subscriptions
 from swarmd.plugins import load_driver, load_emulator
 from swarmd.settings.driver_options import BaseOptions, stops_after
 from swarmd.settings.platforms import load_platform
@@ -37,9 +35,9 @@ from tests.support.processes import wait_until
 ANY_PORT = "tcp/127.0.0.1:0"
 BURGER = load_platform("burger")
 ENDS = (
-    End("/a/scan", messages.LaserScan, is_publisher=True, is_sensor=True),
-    End("/a/odom", messages.Odometry, is_publisher=True),
-    End("/a/cmd_vel", messages.Twist, is_publisher=False),
+    EmulatedEndpoint("/a/scan", messages.LaserScan, is_publisher=True, is_sensor=True),
+    EmulatedEndpoint("/a/odom", messages.Odometry, is_publisher=True),
+    EmulatedEndpoint("/a/cmd_vel", messages.Twist, is_publisher=False),
 )
 
 
@@ -62,7 +60,7 @@ class Stage:
     def __init__(self, scheme: str, platform: Platform) -> None:
         self.scheme, self.platform = scheme, platform
         self.told: list[tuple[str, Twist]] = []
-        self.side: RobotSide = load_emulator(scheme)(
+        self.side: Emulator = load_emulator(scheme)(
             robots=dict.fromkeys(("r-1", "r-2"), platform),
             endpoint=ANY_PORT,
             on_command=lambda robot, twist: self.told.append((robot, twist)),
@@ -93,7 +91,7 @@ def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
 
 def test_a_laser_scan_is_what_an_lds_says() -> None:
     said = sweep(BURGER)
-    (message,) = LaserVoice(RosOptions(), BURGER).say(said)
+    (message,) = LaserScanEncoder(RosOptions(), BURGER).encode(said)
     heard = second.LaserScan.deserialize(cdr.encode(message))
     assert heard.angle_min == 0.0
     assert heard.angle_increment == pytest.approx(math.radians(1.0), abs=1e-8)
@@ -105,7 +103,7 @@ def test_a_laser_scan_is_what_an_lds_says() -> None:
 
 
 def test_a_turned_lidar_begins_where_it_looks() -> None:
-    (message,) = LaserVoice(RosOptions(scan_yaw_deg=90.0), BURGER).say(sweep(BURGER))
+    (message,) = LaserScanEncoder(RosOptions(scan_yaw_deg=90.0), BURGER).encode(sweep(BURGER))
     assert second.LaserScan.deserialize(cdr.encode(message)).angle_min == pytest.approx(
         -math.pi / 2
     )
@@ -114,9 +112,9 @@ def test_a_turned_lidar_begins_where_it_looks() -> None:
 @pytest.mark.parametrize("hangs", [False, True])
 def test_a_lidar_however_mounted_is_heard_as_it_was_said(hangs: bool) -> None:
     options, said = RosOptions(scan_yaw_deg=70.0, scan_upside_down=hangs), sweep(BURGER)
-    (message,) = LaserVoice(options, BURGER).say(said)
+    (message,) = LaserScanEncoder(options, BURGER).encode(said)
     heard = CollectingSink()
-    Subscriptions(options, BURGER).take("scan", cdr.encode(message), 0.0)(heard)
+    Subscriptions(options, BURGER).read("scan", cdr.encode(message), 0.0)(heard)
     off = np.abs(np.exp(1j * heard.scans[0].bearings) - np.exp(1j * said.bearings))
     assert off.max() < 1e-5
 
@@ -131,9 +129,9 @@ def test_odometry_is_that_of_nav_msgs() -> None:
 
 
 def test_a_bridges_tokens_are_those_that_the_driver_knows() -> None:
-    _, tokens = BridgedVoice().announce("ab12", ENDS)
+    _, tokens = EmulatedBridge().tokens("ab12", ENDS)
     assert tokens[0] == "@/ab12/@ros2_lv/MP/a§scan/sensor_msgs§msg§LaserScan/:0::0,5"
-    found = [Ros2Dds().announced(token) for token in tokens]
+    found = [Ros2Dds().parse_token(token) for token in tokens]
     assert [(e.topic, e.is_publisher) for e in found if e] == [
         ("/a/scan", True),
         ("/a/odom", True),
@@ -142,11 +140,11 @@ def test_a_bridges_tokens_are_those_that_the_driver_knows() -> None:
 
 
 def test_a_nodes_tokens_are_those_that_the_driver_knows() -> None:
-    (node,), tokens = NodeVoice(30, "a", 2).announce("ab12", ENDS)
+    (node,), tokens = EmulatedNode(30, "a", 2).tokens("ab12", ENDS)
     assert node == "@ros2_lv/30/ab12/2/200/NN/%/%a/base"
     kind = f"sensor_msgs::msg::dds_::LaserScan_/{HASHES['LaserScan']}"
     assert tokens[0] == f"@ros2_lv/30/ab12/2/201/MP/%/%a/base/%a%scan/{kind}/2::,5:,:,:,,"
-    found = [RmwZenoh(30, "/a/cmd_vel").announced(token) for token in tokens]
+    found = [RmwZenoh(30, "/a/cmd_vel").parse_token(token) for token in tokens]
     assert [(e.topic, e.is_publisher, e.domain) for e in found if e] == [
         ("/a/scan", True, 30),
         ("/a/odom", True, 30),
@@ -155,9 +153,9 @@ def test_a_nodes_tokens_are_those_that_the_driver_knows() -> None:
 
 
 def test_each_publisher_of_a_node_counts_for_itself() -> None:
-    voice = NodeVoice(0, "a", 0)
-    _, (scans, poses, _) = voice.announce("ab12", ENDS)
-    payloads = [voice.attachment(token) for token in (scans, poses, scans)]
+    node = EmulatedNode(0, "a", 0)
+    _, (scans, poses, _) = node.tokens("ab12", ENDS)
+    payloads = [node.attachment(token) for token in (scans, poses, scans)]
     read = [struct.unpack("<qqB16s", payload or b"") for payload in payloads]
     assert [sequence for sequence, *_ in read] == [1, 1, 2]
     assert [gid for *_, gid in read] == [gid_of(scans), gid_of(poses), gid_of(scans)]

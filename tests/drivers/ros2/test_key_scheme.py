@@ -12,8 +12,8 @@ import pytest
 from zenoh.ext import Int64, z_serialize
 
 from swarmd.drivers.ros import messages
+from swarmd.drivers.ros.diagnosis import Endpoint
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
-from swarmd.drivers.ros2.key_scheme import Endpoint
 from swarmd.drivers.ros2.rmw_zenoh import NO_HASH, RmwZenoh, gid_of
 from tests.drivers.ros2.robots import HASHES
 
@@ -35,7 +35,7 @@ def scheme(domain: int = 0) -> RmwZenoh:
 
 
 def test_a_published_talker_is_understood() -> None:
-    end = scheme().announced(TALKER)
+    end = scheme().parse_token(TALKER)
     assert end is not None
     assert (end.is_publisher, end.topic, end.type) == (True, "/chatter", "std_msgs/msg/String")
     assert (end.domain, end.node) == (2, "/talker")
@@ -43,7 +43,7 @@ def test_a_published_talker_is_understood() -> None:
 
 
 def test_a_published_listener_is_understood() -> None:
-    end = scheme().announced(LISTENER)
+    end = scheme().parse_token(LISTENER)
     assert end is not None
     assert (end.is_publisher, end.node) == (False, "/listener")
 
@@ -59,19 +59,19 @@ def test_a_published_listener_is_understood() -> None:
     ],
 )
 def test_other_tokens_announce_no_topic(token: str) -> None:
-    assert scheme().announced(token) is None
+    assert scheme().parse_token(token) is None
 
 
 def test_our_tokens_have_the_published_form_and_are_understood_again() -> None:
     ours = scheme(2)
-    node, hears, says = ours.introduce(
+    node, hears, says = ours.own_tokens(
         "aac3178e146ba6f1fc6e6a4085e77f21",
         [("/scan", messages.LaserScan), ("/cmd_vel", messages.Twist)],
     )
     assert node == "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/swarmd"
     assert [part.count("/") for part in (hears, says)] == [LISTENER.count("/")] * 2
     assert hears.split("/")[:9] == [*LISTENER.split("/")[:4], "1", "MS", "%", "%", "swarmd"]
-    end = ours.announced(says)
+    end = ours.parse_token(says)
     assert end is not None
     assert (end.is_publisher, end.topic, end.type) == (True, "/cmd_vel", "geometry_msgs/msg/Twist")
     assert says.endswith(f"/{HASHES['Twist']}/::,1:,:,:,,")
@@ -87,7 +87,7 @@ def test_the_gid_is_the_tokens_hash() -> None:
 
 def test_the_attachment_is_sequence_time_and_gid() -> None:
     ours = scheme()
-    tokens = ours.introduce("ab", [("/cmd_vel", messages.Twist)])
+    tokens = ours.own_tokens("ab", [("/cmd_vel", messages.Twist)])
     first, second = ours.attachment(), ours.attachment()
     assert first is not None
     assert second is not None
@@ -114,7 +114,7 @@ def test_the_attachment_is_sequence_time_and_gid() -> None:
     ],
 )
 def test_type_and_hash_of_a_key_are_checked(key: str, complaint: str) -> None:
-    fault = scheme().fault(key, "/bot/scan", messages.LaserScan)
+    fault = scheme().key_fault(key, "/bot/scan", messages.LaserScan)
     assert complaint in fault
     assert bool(fault) == bool(complaint)
 
@@ -123,7 +123,7 @@ def test_commands_go_out_as_the_robots_distribution_names_them() -> None:
     ours = scheme(3)
     prefix = "3/cmd_vel/geometry_msgs::msg::dds_::Twist_/"
     assert ours.command_key("/cmd_vel", messages.Twist) == prefix + HASHES["Twist"]
-    assert ours.fault(f"3/scan/{LASER}/{NO_HASH}", "/scan", messages.LaserScan) == ""
+    assert ours.key_fault(f"3/scan/{LASER}/{NO_HASH}", "/scan", messages.LaserScan) == ""
     assert ours.command_key("/cmd_vel", messages.Twist) == prefix + NO_HASH
     assert set(ours.command_keys("/cmd_vel", messages.Twist)) == {
         prefix + HASHES["Twist"],
@@ -135,39 +135,39 @@ def test_what_others_command_says_nothing_of_the_robots_distribution() -> None:
     ours = scheme()
     mine = ours.command_key("/cmd_vel", messages.Twist)
     for key in ours.command_keys("/cmd_vel", messages.Twist):  # a stopper's zeros go out on each
-        assert ours.fault(key, "/cmd_vel", messages.Twist) == ""
+        assert ours.key_fault(key, "/cmd_vel", messages.Twist) == ""
         assert ours.command_key("/cmd_vel", messages.Twist) == mine
 
 
 def test_the_bridges_keys_are_topics_without_their_first_slash() -> None:
     ours = Ros2Dds()
-    assert ours.listening("/bot1/scan") == "bot1/scan"
+    assert ours.subscription_key("/bot1/scan") == "bot1/scan"
     assert ours.command_keys("/cmd_vel", messages.Twist) == ("cmd_vel",)
-    assert ours.fault("bot1/scan", "/bot1/scan", messages.LaserScan) == ""
-    assert ours.fault("**", "/bot1/scan", messages.LaserScan)
+    assert ours.key_fault("bot1/scan", "/bot1/scan", messages.LaserScan) == ""
+    assert ours.key_fault("**", "/bot1/scan", messages.LaserScan)
     assert ours.attachment() is None
 
 
 def test_the_announcements_of_a_bridge_since_iron_are_understood() -> None:
     """As zenoh-bridge-ros2dds 1.10 says them: the type's hash behind the quality of service."""
     zid, hashed = "ad21b741805add91719f8b8dd4f837a7", "typehash=RIHS01_9c45bf16fe0983d8;"
-    end = Ros2Dds().announced(
+    end = Ros2Dds().parse_token(
         f"@/{zid}/@ros2_lv/MS/cmd_vel/geometry_msgs§msg§Twist/:1::0,10:{hashed}"
     )
     assert end == Endpoint(False, "/cmd_vel", "geometry_msgs/msg/Twist", zid)
-    assert Ros2Dds().announced(f"@/{zid}/@ros2_lv") is None
+    assert Ros2Dds().parse_token(f"@/{zid}/@ros2_lv") is None
 
 
 def test_the_bridges_announcements_are_understood() -> None:
-    end = Ros2Dds().announced(
+    end = Ros2Dds().parse_token(
         "@/8b20917502ee955a/@ros2_lv/MP/bot1§scan/sensor_msgs§msg§LaserScan/:::1,5"
     )
     assert end is not None
     assert (end.is_publisher, end.topic) == (True, "/bot1/scan")
     assert end.type == "sensor_msgs/msg/LaserScan"
-    assert Ros2Dds().announced("@/8b20917502ee955a/@ros2_lv/SS/a/b") is None
-    assert Ros2Dds().announced("@/8b20917502ee955a/@ros2_lv") is None
+    assert Ros2Dds().parse_token("@/8b20917502ee955a/@ros2_lv/SS/a/b") is None
+    assert Ros2Dds().parse_token("@/8b20917502ee955a/@ros2_lv") is None
 
 
 def test_a_topic_is_heard_in_its_domain_whatever_its_type_and_hash() -> None:
-    assert scheme(3).listening("/bot/scan") == "3/bot/scan/*/*"
+    assert scheme(3).subscription_key("/bot/scan") == "3/bot/scan/*/*"

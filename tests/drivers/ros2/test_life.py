@@ -1,7 +1,7 @@
 """When a ROS 2 driver takes its robot for lost, and what it commands then: exactly, without Zenoh.
 
 The session is a stand-in, and the clock is in the test's hand; against real sessions:
-`test_ros2dds.py`.
+`test_dds_bridge.py`.
 """
 
 from __future__ import annotations

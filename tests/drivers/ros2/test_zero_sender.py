@@ -1,4 +1,4 @@
-"""What a stopper says zero with, without Zenoh; over Zenoh: `test_ros2dds.py`."""
+"""What a stopper says zero with, without Zenoh; over Zenoh: `test_dds_bridge.py`."""
 
 from __future__ import annotations
 

@@ -8,7 +8,7 @@ import pytest
 import zenoh
 
 from swarmd.core.values import Twist
-from swarmd.driver_api.driver import Stopping
+from swarmd.driver_api.driver import ZeroSenderProvider
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2.session import open_session
 from swarmd.testing.driver_contract import TIMEOUT, DriverHarness
@@ -21,7 +21,7 @@ from tests.support.processes import wait_until
 def test_a_stopper_can_say_zero_to_this_base() -> None:
     robot = BridgedRobot()
     driver = robot.make({})
-    assert isinstance(driver, Stopping)
+    assert isinstance(driver, ZeroSenderProvider)
     spec = driver.zero_sender()
     assert spec is not None
     assert spec.maker == "swarmd.drivers.ros2.dds_bridge:make_zero_sender"
@@ -87,7 +87,7 @@ def test_zeros_of_someone_else_that_do_not_end_are_told_of() -> None:
 
         def is_told() -> bool:
             robot.put("cmd_vel", robots.command(0.0))
-            return told(harness, "someone else tells this robot to stand", is_up=True)
+            return told(harness, "another node stops this robot", is_up=True)
 
         await harness.until(is_told, publishing=True)
         assert asyncio.get_running_loop().time() - began > 2.5, "a stopper of ours ends before"

@@ -1,6 +1,6 @@
-"""A guardian in little: runs driver `ros1` and commands 0.1 m/s at 20 Hz while its base is there.
+"""A small daemon: runs driver `ros1` and commands 0.1 m/s at 20 Hz while its base is there.
 
-    python ros1_daemon.py OPTIONS_AS_JSON
+    python daemon_process.py OPTIONS_AS_JSON
 
 Prints the adapter's process id each time that the base has come.
 """

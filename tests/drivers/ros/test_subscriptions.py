@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from swarmd.core.errors import CodecError
 from swarmd.drivers.ros.options import RosOptions
-from swarmd.drivers.ros2.subscriptions import Subscriptions
+from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2 import robots
 from tests.support import second_codec as second
@@ -45,7 +45,7 @@ def test_whatever_is_said_is_a_value_or_the_one_error(
     def check(value: Any) -> None:
         heard = CollectingSink()
         with suppress(CodecError):
-            Subscriptions(OPTIONS, robots.PLATFORM).take(name, value.serialize(), 0.0)(heard)
+            Subscriptions(OPTIONS, robots.PLATFORM).read(name, value.serialize(), 0.0)(heard)
         assert all(np.isfinite(scan.bearings).all() for scan in heard.scans)
         assert all(odometry.pose.is_finite for odometry in heard.odometries)
         assert all(np.isfinite(list(values.values())).all() for values in heard.values)
@@ -55,53 +55,53 @@ def test_whatever_is_said_is_a_value_or_the_one_error(
 
 def test_only_what_moves_counts_as_a_sign_of_life() -> None:
     hearing = Subscriptions(OPTIONS, robots.PLATFORM)
-    hearing.take("battery", second.BatteryState().serialize(), 5.0)
-    assert hearing.heard_at < 0.0
-    hearing.take("odometry", robots.odometry(1.0).serialize(), 6.0)
-    assert hearing.heard_at == 6.0
+    hearing.read("battery", second.BatteryState().serialize(), 5.0)
+    assert hearing.last_arrival < 0.0
+    hearing.read("odometry", robots.odometry(1.0).serialize(), 6.0)
+    assert hearing.last_arrival == 6.0
 
 
 def test_what_is_needed_and_silent_is_missing() -> None:
     hearing = Subscriptions(OPTIONS, robots.PLATFORM)
-    assert [sense.name for sense in hearing.missing(0.0, 2.0)] == ["scan", "odometry"]
-    hearing.take("scan", robots.scan(1.0).serialize(), 0.0)
-    assert [sense.name for sense in hearing.missing(1.0, 2.0)] == ["odometry"]
-    assert [sense.name for sense in hearing.missing(3.0, 2.0)] == ["scan", "odometry"]
+    assert [sense.name for sense in hearing.silent(0.0, 2.0)] == ["scan", "odometry"]
+    hearing.read("scan", robots.scan(1.0).serialize(), 0.0)
+    assert [sense.name for sense in hearing.silent(1.0, 2.0)] == ["odometry"]
+    assert [sense.name for sense in hearing.silent(3.0, 2.0)] == ["scan", "odometry"]
 
 
 def test_scans_are_counted_by_arrival() -> None:
     hearing, heard = Subscriptions(OPTIONS, robots.PLATFORM), CollectingSink()
     for stamp in (3.0, 1.0, 1.0):
-        hearing.take("scan", robots.scan(stamp).serialize(), 0.0)(heard)
+        hearing.read("scan", robots.scan(stamp).serialize(), 0.0)(heard)
     assert [(scan.seq, scan.stamp) for scan in heard.scans] == [(1, 3.0), (2, 1.0), (3, 1.0)]
 
 
 def test_a_ring_stands_for_the_scan() -> None:
     hearing, heard = Subscriptions(RING, robots.PLATFORM), CollectingSink()
-    assert "scan" not in hearing.senses
+    assert "scan" not in hearing.topics
     for name, metres in (("ranges.a", 0.5), ("ranges.b", 0.25)):
         message = second.OlderRange(header=second.stamped(1.0), range=metres)
-        hearing.take(name, message.serialize(), 0.0)(heard)
+        hearing.read(name, message.serialize(), 0.0)(heard)
     assert heard.scans[0].ranges.tolist() == pytest.approx([0.5, 0.35])
 
 
 def test_readings_of_several_sensors_are_told_together() -> None:
     hearing, heard = Subscriptions(OPTIONS, robots.PLATFORM), CollectingSink()
-    hearing.take("imu", second.Imu().serialize(), 0.0)(heard)
-    hearing.take("battery", second.BatteryState(percentage=0.5).serialize(), 0.0)(heard)
+    hearing.read("imu", second.Imu().serialize(), 0.0)(heard)
+    hearing.read("battery", second.BatteryState(percentage=0.5).serialize(), 0.0)(heard)
     assert heard.values[-1] == {"yaw": 0.0, "battery": 0.5, "battery_voltage": 0.0}
 
 
 def test_the_lidars_turn_is_in_degrees_counted_to_the_left() -> None:
     heard = CollectingSink()
     turned = Subscriptions(RosOptions(scan_yaw_deg=90.0), robots.PLATFORM)
-    turned.take("scan", robots.scan(1.0, [1.0] * 4).serialize(), 0.0)(heard)
+    turned.read("scan", robots.scan(1.0, [1.0] * 4).serialize(), 0.0)(heard)
     assert np.degrees(heard.scans[0].bearings[:2]).tolist() == pytest.approx([90.0, -180.0])
 
 
 def test_silence_is_counted_from_the_last_arrival_and_its_bound_is_no_silence() -> None:
     hearing = Subscriptions(OPTIONS, robots.PLATFORM)
     for name, message in (("scan", robots.scan(1.0)), ("odometry", robots.odometry(1.0))):
-        hearing.take(name, message.serialize(), 10.0)
-    assert not hearing.missing(12.0, 2.0)
-    assert len(hearing.missing(12.001, 2.0)) == 2
+        hearing.read(name, message.serialize(), 10.0)
+    assert not hearing.silent(12.0, 2.0)
+    assert len(hearing.silent(12.001, 2.0)) == 2

@@ -1,0 +1,116 @@
+"""The messages of a ROS robot's topics as values for a sink, with statistics of each topic."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from swarmd.core.values import Platform, Scan
+from swarmd.driver_api.driver import Sink
+from swarmd.drivers.ros import cdr, from_ros
+from swarmd.drivers.ros.messages import BatteryState, Imu, LaserScan, Odometry, Range
+from swarmd.drivers.ros.options import TopicOptions
+from swarmd.drivers.ros.topic_stats import TopicStats
+
+Deliver = Callable[[Sink], None]
+Decode = Callable[[type, bytes], Any]
+"""Reads a message of the given class; raises CodecError."""
+
+_SIGNS_OF_LIFE = (LaserScan, Range, Odometry)
+
+
+class Subscriptions:
+    """Reads a robot's topics. A driver makes one for each run: scan sequences begin anew with it.
+
+    `topics`: the statistics of each topic by its name in this driver, such as `scan`.
+    `last_arrival`: of a scan, a range or odometry. `scan`: the last one, None before the first.
+    """
+
+    def __init__(
+        self, options: TopicOptions, platform: Platform, decode: Decode = cdr.decode
+    ) -> None:
+        """Nothing received yet."""
+        self._decode, self._spec = decode, platform.scan
+        self._yaw = math.radians(options.scan_yaw_deg)
+        self._is_upside_down = options.scan_upside_down
+        self._scan_seq = 0
+        self.scan: Scan | None = None
+        self.last_arrival = -math.inf
+        self._readings: dict[str, float] = {}
+        ring = options.ring()
+        self._ring = from_ros.RangeRing(
+            [bearing for _, bearing, _ in ring], [away for _, _, away in ring], platform.scan
+        )
+        self._ring_index = {_range_name(name): index for index, (name, _, _) in enumerate(ring)}
+        self.topics: Mapping[str, TopicStats] = {
+            stats.name: stats for stats in _topics(options, platform)
+        }
+
+    def read(self, name: str, payload: bytes, now: float) -> Deliver:
+        """Decode one message; how to deliver it once the base is connected. Raises CodecError."""
+        stats = self.topics[name]
+        message = self._decode(stats.message_type, payload)
+        stamp = from_ros.stamp_of(message.header.stamp)
+        deliver, summary = self._value(stats, message)
+        stats.record(now, stamp, summary)
+        if stats.message_type in _SIGNS_OF_LIFE:
+            self.last_arrival = now
+        return deliver
+
+    def silent(self, now: float, timeout: float) -> tuple[TopicStats, ...]:
+        """The needed topics without a message for longer than `timeout` s."""
+        return tuple(
+            stats
+            for stats in self.topics.values()
+            if stats.is_needed and now - stats.last_arrival() > timeout
+        )
+
+    def _value(self, stats: TopicStats, message: Any) -> tuple[Deliver, str]:
+        if stats.message_type is LaserScan:
+            self._scan_seq += 1
+            self.scan = scan = from_ros.scan_of(
+                message, self._scan_seq, self._spec, self._yaw, is_upside_down=self._is_upside_down
+            )
+            return partial(_deliver_scan, scan), f"{len(scan.ranges)} rays"
+        if stats.message_type is Range:
+            whole = self._ring.take(self._ring_index[stats.name], message)
+            self.scan = whole or self.scan
+            return partial(_deliver_scan, whole), f"{message.range:.3g} m"
+        if stats.message_type is Odometry:
+            odometry = from_ros.odometry_of(message)
+            return lambda sink: sink.odometry(odometry), ""
+        is_imu = stats.message_type is Imu
+        values = (from_ros.imu_readings if is_imu else from_ros.battery_readings)(message)
+        self._readings = readings = {**self._readings, **values}
+        summary = ", ".join(f"{name} {value:.3g}" for name, value in values.items())
+        return lambda sink: sink.readings(readings), summary
+
+
+def _deliver_scan(scan: Scan | None, sink: Sink) -> None:
+    if scan is not None:
+        sink.scan(scan)
+
+
+def _topics(options: TopicOptions, platform: Platform) -> list[TopicStats]:
+    topic = options.topic
+    found = [
+        TopicStats(_range_name(name), "ranges", topic(name), Range, is_needed=True)
+        for name in options.ranges
+    ] or [TopicStats("scan", "scan", topic(options.scan), LaserScan, is_needed=True)]
+    needs_odometry = "odometry" in platform.provides
+    found.append(
+        TopicStats("odometry", "odometry", topic(options.odometry), Odometry, needs_odometry)
+    )
+    for name, given, message_type in (
+        ("imu", options.imu, Imu),
+        ("battery", options.battery, BatteryState),
+    ):
+        if given is not None:
+            found.append(TopicStats(name, name, topic(given), message_type))
+    return found
+
+
+def _range_name(topic: str) -> str:
+    return f"ranges.{topic}"

@@ -1,0 +1,100 @@
+"""What the ROS 1 master and the publishers tell of a robot's topics, as a graph for diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from swarmd.drivers.ros.diagnosis import Endpoint, Graph
+from swarmd.drivers.ros.topic_stats import TopicStats
+from swarmd.drivers.ros1 import serialization
+from swarmd.drivers.ros1.adapter import MasterState, PublisherLink
+from swarmd.drivers.ros1.options import Ros1Options
+
+
+class Ros1:
+    """The words of ROS 1's tools."""
+
+    hub = "roscore"
+    start = "start roscore"
+    endpoint_option = "driver_options.master (or ROS_MASTER_URI)"
+    silent = (
+        "knows no topic of that type; start the robot's nodes, or correct driver_options.namespace"
+    )
+    silent_topic = (
+        "look at the sensor, at whether its node still runs, and at ROS_IP on both machines:"
+        " rostopic hz"
+    )
+    topic_info = "rostopic info"
+    domain: int | None = None
+
+    def type_name(self, message_type: type) -> str:
+        """Such as `sensor_msgs/LaserScan`."""
+        return serialization.type_name(message_type)
+
+
+class MasterGraph:
+    """What the master and the publishers tell of the robot's topics, in one life of the adapter."""
+
+    def __init__(self, options: Ros1Options, topics: Mapping[str, TopicStats]) -> None:
+        """Nothing is known yet."""
+        self.cmd_vel = options.topic(options.cmd_vel)
+        self.state: MasterState | None = None
+        self._options = options
+        self._topics = {stats.topic: stats for stats in topics.values()}
+        self._links: dict[int, TopicStats | None] = {}
+        self._foreign_types: dict[tuple[str, str], str] = {}
+
+    def on_link(self, link: PublisherLink) -> None:
+        """A publisher names its type; messages of another type than the driver's are dropped."""
+        stats = self._topics.get(link.topic)
+        if stats is not None:
+            wanted = serialization.type_name(stats.message_type)
+            md5sum = serialization.definition(stats.message_type)[1]
+            self._foreign_types.pop((link.topic, link.node), None)
+            if link.md5sum != md5sum:
+                note = f" (md5 {link.md5sum}, not {md5sum})" if link.type == wanted else ""
+                self._foreign_types[link.topic, link.node] = link.type + note
+                stats = None
+        self._links[link.link] = stats
+
+    def stats_of(self, link: int) -> TopicStats | None:
+        """The topic whose messages have this link; None if they cannot be used."""
+        return self._links.get(link)
+
+    def is_of_another_type(self, link: int) -> bool:
+        """True if the publisher of this link has another type than the driver's."""
+        return link in self._links and self._links[link] is None
+
+    @property
+    def blocks(self) -> bool:
+        """True if another node's publisher of commands keeps the driver from commanding."""
+        return bool(self.state and self.state.others) and not self._options.shared_cmd_vel
+
+    def graph(self) -> Graph:
+        """The endpoints of other nodes."""
+        state, ends = self.state or MasterState(master=False), list[Endpoint]()
+        for topic, nodes in state.publishers.items():
+            for node in nodes:
+                known = state.types.get(topic, "")
+                kind = self._foreign_types.get((topic, node), self._type_of(topic, known))
+                ends.append(Endpoint(True, topic, kind, node=node))
+        ends += [
+            Endpoint(True, topic, kind)
+            for kind, topics in state.candidates.items()
+            for topic in topics
+            if topic not in state.publishers
+        ]
+        command = serialization.type_name(self._options.command_type)
+        for node in state.listeners:
+            kind = state.wants.get(node, "")
+            ends.append(
+                Endpoint(False, self.cmd_vel, command if kind in ("", "*") else kind, node=node)
+            )
+        return Graph(middleware=Ros1(), endpoints=ends)
+
+    def _type_of(self, topic: str, kind: str) -> str:
+        """The type that the master names; where it knows none, the wanted one."""
+        stats = self._topics.get(topic)
+        if kind in ("", "*") and stats is not None:
+            return serialization.type_name(stats.message_type)
+        return kind
