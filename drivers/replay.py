@@ -93,10 +93,10 @@ class ReplayDriver:
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """What the recording holds."""
-        recording, head = self._recording, self._recording.head
+        recording, header = self._recording, self._recording.header
         kinds = Counter[str](entry.kind for entry in recording.entries)
         length = max(recording.duration, 1e-9)
-        text = f"{recording.duration:.1f} s of {head.robot} ({head.platform}, {head.driver})"
+        text = f"{recording.duration:.1f} s of {header.robot} ({header.platform}, {header.driver})"
         findings = [Finding("recording", True, f"{text}, {recording.cut or 'whole'}")]
         for kind, is_needed in (("scan", True), ("odometry", True), ("neighbors", False)):
             count = kinds[kind]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from swarmd.core.errors import ConfigError
 from swarmd.driver_api.driver import Driver, ZeroSenderProvider
-from swarmd.driver_api.watchdog import name_of
+from swarmd.driver_api.watchdog import watchdog_name
 from swarmd.plugins import load_driver
 from swarmd.settings.driver_options import BaseOptions, base_options, effective_command_timeout
 from swarmd.settings.settings import DaemonSettings
@@ -55,5 +55,5 @@ def _guarded(
         return wrapped
     from swarmd.driver_api.watchdog_client import WatchedDriver
 
-    name = name_of(settings.network.swarm, settings.id)
+    name = watchdog_name(settings.network.swarm, settings.id)
     return WatchedDriver(wrapped, spec, name=name, tie=settings.die_with_parent)

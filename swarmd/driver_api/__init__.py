@@ -1,1 +1,1 @@
-"""What all drivers have in common: their contract, the base's deadman, recordings."""
+"""The driver API: contract, command gate, watchdog, recordings, and the wire of simulated bases."""

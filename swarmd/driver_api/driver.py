@@ -1,7 +1,4 @@
-"""What a driver is: the only code that knows its robot.
-
-A sink for who only looks.
-"""
+"""The driver's contract: the only code that knows its robot, and the sink that it feeds."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from swarmd.core.values import Neighbor, Odometry, Platform, Scan, Twist, Value
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of `swarmd --check`: what was looked at, whether it is well, and the next step."""
+    """One line of `swarmd --check`: its subject, whether it is well, and the next step if not."""
 
     subject: str
     is_well: bool
@@ -23,22 +20,22 @@ class Finding:
 
 
 class Sink(Protocol):
-    """Where a driver puts what it hears; called on the loop's thread only."""
+    """Receives what a driver's base sends; called on the loop's thread only."""
 
     def scan(self, scan: Scan) -> None:
-        """A sweep as the sensor gave it; the core conditions it."""
+        """A scan as the sensor gave it; the core conditions it."""
 
     def odometry(self, odometry: Odometry) -> None:
         """A measured pose and twist."""
 
     def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        """The robots within hearing, if the body knows; never called means all members."""
+        """The robots within radio range, if the base knows; never called means all members."""
 
     def readings(self, values: Mapping[str, float]) -> None:
         """Scalar sensors by name."""
 
     def state(self, is_up: bool, text: str) -> None:
-        """The base is there, or is lost and why."""
+        """The base is connected, or lost and why."""
 
     def dropped(self, what: str) -> None:
         """Count one input that could not be read."""
@@ -55,18 +52,18 @@ class Driver(Protocol):
     def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         """Hand over a safe command: never blocks, keeps no queue, drops while the base is lost.
 
-        The first command after a reconnect is zero.
+        The first command after a (re)connect is zero: see `CommandGate`.
         """
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
-        """What can be seen of the robot within `seconds`; moves nothing."""
+        """What the driver finds out about the robot within `seconds`; moves nothing."""
 
 
 @dataclass(frozen=True, slots=True)
 class ZeroSenderSpec:
-    """How the stopper's process makes its ZeroSender: `maker`, `module:callable`, by keywords.
+    """How the watchdog's process makes its ZeroSender: `maker`, `module:callable`, and keywords.
 
-    The options must be what JSON can carry.
+    JSON must be able to carry the options.
     """
 
     maker: str
@@ -74,45 +71,45 @@ class ZeroSenderSpec:
 
 
 class ZeroSender(Protocol):
-    """A second connection to a base, which can say nothing but zero.
+    """A second connection to a base, which sends nothing but zero.
 
-    It lives in the stopper's process (`stopper.py`), with no loop. One whose `open` may return
-    before there is a connection also has `is_connected`; as long as that is false the guardian
-    says zero.
+    It lives in the watchdog's process (`watchdog.py`), which has no event loop. A sender whose
+    `open` may return before it is connected also has `is_connected`; while that is false the
+    daemon's commands are zero.
     """
 
     def open(self) -> None:
-        """Connect, and keep connected from then on; SwarmError if that can never be."""
+        """Connect, and stay connected from then on; SwarmError if that is impossible."""
 
     def send_zero(self) -> None:
-        """Command zero once, now; never blocks for longer than a tick."""
+        """Send zero once, now; never blocks for longer than a tick."""
 
     def close(self) -> None:
-        """Disconnect; commands nothing."""
+        """Disconnect; sends nothing."""
 
 
 @runtime_checkable
 class ZeroSenderProvider(Protocol):
-    """What a driver also offers if it may drive a base that never stops by itself."""
+    """What a driver also offers if its base may lack a command timeout."""
 
     def zero_sender(self) -> ZeroSenderSpec | None:
-        """How a stopper says zero to this base.
+        """How the watchdog sends zero to this base.
 
-        None: the driver arranges it, with a process of its own that outlives the guardian.
+        None: the driver has a process of its own for it, which outlives the daemon.
         """
 
 
 class DriverFactory(Protocol):
-    """How a driver is made; its entry point in group `swarmd.drivers` is one of these."""
+    """Makes a driver; the type of the entry points in group `swarmd.drivers`."""
 
     def __call__(
         self, *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
     ) -> Driver:
-        """A driver that has not connected yet; ConfigError for options it does not know."""
+        """A driver that has not connected yet; ConfigError for unknown options."""
 
 
 def check_protected(platform: Platform, driver: Driver, name: str) -> None:
-    """ConfigError if nothing would stand between a pattern and a real base: driver `name`'s."""
+    """ConfigError if protection is off and driver `name` moves a real base."""
     if platform.protection["mode"] == "off" and not driver.is_simulated:
         raise ConfigError(
             f"platform {platform.name}: protection.mode is off, and driver {name} moves a real"
@@ -121,22 +118,22 @@ def check_protected(platform: Platform, driver: Driver, name: str) -> None:
 
 
 class NullSink:
-    """Takes everything and keeps nothing."""
+    """A sink that keeps nothing."""
 
     def scan(self, scan: Scan) -> None:
-        """It is not kept."""
+        """Drop it."""
 
     def odometry(self, odometry: Odometry) -> None:
-        """It is not kept."""
+        """Drop it."""
 
     def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        """They are not kept."""
+        """Drop them."""
 
     def readings(self, values: Mapping[str, float]) -> None:
-        """They are not kept."""
+        """Drop them."""
 
     def state(self, is_up: bool, text: str) -> None:
-        """It is not kept."""
+        """Drop it."""
 
     def dropped(self, what: str) -> None:
-        """It is not counted."""
+        """Do not count it."""

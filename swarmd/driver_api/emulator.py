@@ -1,6 +1,6 @@
-"""The robots' side of a driver's language, so that a body that is no real robot can speak it.
+"""The robots' side of a driver's protocol, for simulated robots.
 
-It lives beside its driver and is found under the driver's name by entry-point group
+An emulator lives beside its driver and is found under the driver's name in the entry-point group
 `swarmd.emulators`: the simulated world imports no driver.
 """
 
@@ -12,13 +12,13 @@ from typing import Protocol
 from swarmd.core.values import Odometry, Platform, Scan, Twist, Value
 
 OnCommand = Callable[[str, Twist], None]
-"""Takes a robot's id and what it is told; called on a thread of the network's."""
+"""Takes a robot's id and its command; called on a thread of the network's."""
 
 
 class Emulator(Protocol):
-    """Robots that daemons reach with a driver: says what they sense, hears what they are told.
+    """Simulated robots that daemons reach with a driver: publishes scans and takes commands.
 
-    `driver_options`: what the driver of each of them must be told beside its platform's file.
+    `driver_options`: the options that the robots' drivers need beside the platform's file.
     `dropped`: how many commands could not be read.
     """
 
@@ -26,23 +26,23 @@ class Emulator(Protocol):
     dropped: int
 
     def scan(self, robot: str, scan: Scan) -> None:
-        """Say a sweep, as that robot's sensor gave it; never blocks."""
+        """Publish a scan, as that robot's sensor gave it; never blocks."""
 
     def odometry(self, robot: str, odometry: Odometry) -> None:
-        """Say a measured pose and twist; never blocks."""
+        """Publish a measured pose and twist; never blocks."""
 
     def close(self) -> None:
-        """Say and hear nothing any more."""
+        """Close all connections."""
 
 
 class EmulatorFactory(Protocol):
-    """How a robots' side is made; its entry point in group `swarmd.emulators` is one of these."""
+    """Makes an emulator; the type of the entry points in group `swarmd.emulators`."""
 
     def __call__(
         self, *, robots: Mapping[str, Platform], endpoint: str, on_command: OnCommand
     ) -> Emulator:
-        """Listening at `endpoint` (port 0: a free one) from now on.
+        """An emulator that listens at `endpoint` (port 0: a free one) from now on.
 
-        ConfigError if a platform cannot be spoken for in this language, or the endpoint is none;
-        NetworkError if it cannot be had.
+        Raises ConfigError if the protocol cannot express a platform or the endpoint is malformed,
+        NetworkError if the endpoint is not available.
         """

@@ -1,6 +1,6 @@
-"""The wire between a simulated body and its daemon: scan, odometry, neighbours, readings, command.
+"""The wire between a simulated robot and its daemon: scan, odometry, neighbours, readings, command.
 
-The body is any process that publishes `hw/*` and listens to `hw/cmd_vel`. Arrays travel as
+The robot is any process that publishes `hw/*` and subscribes to `hw/cmd_vel`. Arrays travel as
 little-endian float32; regular bearings as (first, step). `range_min` and `range_max` come from the
 platform file, not from the message.
 """
@@ -22,13 +22,13 @@ from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, ScanSpec, 
 Angle = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Stamp = Annotated[float, Meta(ge=-1e10, le=1e10)]
 """Seconds on the sensor's clock: a real one counts from 1970."""
-Place = Annotated[float, Meta(ge=-1e9, le=1e9)]
+Coordinate = Annotated[float, Meta(ge=-1e9, le=1e9)]
 """Metres in the odometry frame, which may be that of a map."""
 MAX_RAYS = 20_000
 
 
 class ScanWire(Struct, frozen=True, array_like=True):
-    """One sweep; `bearings` (first, step) in rad if regular, else float32 bytes."""
+    """One scan; `bearings` (first, step) in rad if regular, else float32 bytes."""
 
     seq: Count
     stamp: Stamp
@@ -40,8 +40,8 @@ class OdometryWire(Struct, frozen=True, array_like=True):
     """Pose in the odometry frame and measured twist."""
 
     stamp: Stamp
-    x: Place
-    y: Place
+    x: Coordinate
+    y: Coordinate
     yaw: Metres
     linear: Speed
     angular: Speed
@@ -49,7 +49,7 @@ class OdometryWire(Struct, frozen=True, array_like=True):
 
 
 class NeighborWire(Struct, frozen=True, array_like=True):
-    """One robot within hearing; None: not sensed."""
+    """One robot within radio range; None: not sensed."""
 
     id: Name
     distance: Metres | None = None
@@ -58,7 +58,7 @@ class NeighborWire(Struct, frozen=True, array_like=True):
 
 
 class NeighborsWire(Struct, frozen=True, array_like=True):
-    """All robots within hearing."""
+    """All robots within radio range."""
 
     neighbors: tuple[NeighborWire, ...]
 
@@ -70,7 +70,7 @@ class ReadingsWire(Struct, frozen=True, array_like=True):
 
 
 class CommandWire(Struct, frozen=True, array_like=True):
-    """The safe command, the scan its verdict used and the scan its wish used (-1: none)."""
+    """The safe command, the scan of its decision and the scan of its request (-1: none)."""
 
     linear: Speed
     angular: Speed
@@ -129,7 +129,7 @@ def decode_odometry(payload: bytes) -> Odometry:
 
 
 def encode_neighbors(neighbors: tuple[Neighbor, ...]) -> bytes:
-    """The bytes of the list of robots within hearing."""
+    """The bytes of the list of robots within radio range."""
     return encode(
         NeighborsWire(
             tuple(NeighborWire(n.id, n.distance, n.bearing, n.heading) for n in neighbors)
@@ -138,7 +138,7 @@ def encode_neighbors(neighbors: tuple[Neighbor, ...]) -> bytes:
 
 
 def decode_neighbors(payload: bytes) -> tuple[Neighbor, ...]:
-    """The robots within hearing; their age is 0, counted from arrival."""
+    """The robots within radio range; their age is 0, counted from arrival."""
     wire = _neighbors(payload)
     return tuple(Neighbor(n.id, 0.0, n.distance, n.bearing, n.heading) for n in wire.neighbors)
 
@@ -161,13 +161,13 @@ def encode_command(twist: Twist, scan_seq: int, requested_scan_seq: int) -> byte
 
 
 def decode_command(payload: bytes) -> CommandWire:
-    """A safe command and the scans it rests on."""
+    """A safe command and the scans behind it."""
     return _command(payload)
 
 
 @lru_cache(maxsize=8)
 def _regular(first: float, step: float, count: int) -> Array:
-    """Evenly spread bearings: one array for all scans alike, so that much is computed only once."""
+    """Evenly spread bearings; one array for equal scans, computed once."""
     bearings = first + step * np.arange(count, dtype=np.float64)
     bearings.flags.writeable = False
     return bearings

@@ -1,7 +1,7 @@
-"""Recordings: what a driver heard and was told, in order and with its times, in one file.
+"""Recordings: a driver's inputs and commands, in order and with their times, in one file.
 
-A line of text, then frames: four bytes of length (little-endian) and a struct on the wire's own
-terms. The first frame is the head. A recording that is cut off keeps what came before the cut.
+The file is a line of text, then frames: four bytes of length (little-endian) and a struct encoded
+as on the wire. The first frame is the header. A truncated recording is read up to the cut.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ log = logging.getLogger(__name__)
 MAGIC = b"swarmd recording 1\n"
 MAX_FRAME = MAX_SENSE + 1024
 T = TypeVar("T")
-Kind = Literal["scan", "odometry", "neighbors", "readings", "state", "command"]
+EntryKind = Literal["scan", "odometry", "neighbors", "readings", "state", "command"]
 
 
-class Head(Struct, frozen=True, kw_only=True):
-    """What was recorded: by which driver, of which robot and platform."""
+class Header(Struct, frozen=True, kw_only=True):
+    """Which driver recorded which robot, and its platform."""
 
     robot: str = ""
     platform: str = ""
@@ -47,21 +47,21 @@ class Head(Struct, frozen=True, kw_only=True):
 
 
 class Entry(Struct, frozen=True, array_like=True):
-    """One thing heard, or commanded, `at` s after the recording began; `payload`: see `kind`.
+    """One input or command, `at` s after the recording began.
 
-    As in `sensing.py`; of `state` it is `1` or `0`, then the text.
+    `payload` is encoded as in `hw_codec.py`; of `state` it is `1` or `0`, then the text.
     """
 
     at: Annotated[float, Meta(ge=0.0, le=1e9)]
-    kind: Kind
+    kind: EntryKind
     payload: bytes
 
 
 @dataclass(frozen=True, slots=True)
 class Recording:
-    """A whole recording. `cut` says where it was cut off; empty if it is whole."""
+    """One recording. `cut` describes where the file is truncated; empty if it is whole."""
 
-    head: Head
+    header: Header
     entries: tuple[Entry, ...]
     cut: str
 
@@ -72,7 +72,7 @@ class Recording:
 
 
 def named_file(name: str, what: str) -> Path:
-    """The file that an option names; ConfigError, after `what`, if no file can be called so."""
+    """The file that option `what` names; ConfigError if no file can have that name."""
     try:
         path = Path(name).expanduser()
     except RuntimeError:
@@ -82,12 +82,12 @@ def named_file(name: str, what: str) -> Path:
     return path
 
 
-_head = Decoder(Head)
+_header = Decoder(Header)
 _entry = Decoder(Entry, MAX_FRAME)
 
 
 def read_recording(path: Path) -> Recording:
-    """The recording of a file; ConfigError if it cannot be read, is none, or is damaged."""
+    """The recording of a file; ConfigError if it is unreadable, no recording, or damaged."""
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -113,7 +113,7 @@ def read_recording(path: Path) -> Recording:
     if at < len(data):
         last = entries[-1].at if entries else 0.0
         cut = f"cut off at byte {at} of {len(data)}, {last:.1f} s after it began"
-    return Recording(_decoded(path, _head, *frames[0]), entries, cut)
+    return Recording(_decoded(path, _header, *frames[0]), entries, cut)
 
 
 def _entries(path: Path, frames: list[tuple[int, bytes]]) -> Iterator[Entry]:
@@ -138,10 +138,10 @@ def _damaged(path: Path, at: int, what: str) -> ConfigError:
 
 
 class Recorder:
-    """Appends to a new file, frame by frame; once that fails it logs so and records no more."""
+    """Appends to a new file, frame by frame; after a failure it logs that and stops recording."""
 
-    def __init__(self, path: Path, head: Mapping[str, str]) -> None:
-        """DriverError if the file cannot be made. An earlier recording of that name is kept."""
+    def __init__(self, path: Path, header: Mapping[str, str]) -> None:
+        """Open the file; DriverError if that fails. An earlier recording of that name is kept."""
         try:
             self._path = _unused(path)
             self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -151,16 +151,16 @@ class Recorder:
                 f"record: {path} cannot be written: {error.strerror}; give another file"
             ) from error
         self._begin = boottime()
-        self._write(MAGIC, _framed(Head(**head)))
+        self._write(MAGIC, _framed(Header(**header)))
         log.info("recording to %s", self._path)
 
-    def add(self, kind: Kind, payload: bytes, at: float | None = None) -> None:
+    def add(self, kind: EntryKind, payload: bytes, at: float | None = None) -> None:
         """One entry: now, or `at` s after the beginning."""
         since = boottime() - self._begin if at is None else at
         self._write(_framed(Entry(since, kind, payload)))
 
     def close(self) -> None:
-        """End it."""
+        """Close the file."""
         if self._file is not None:
             self._file.close()
             self._file = None
@@ -180,16 +180,16 @@ class Recorder:
 
 
 class RecordingSink:
-    """Hands everything on to `sink`, and writes it down but for what could not be read again.
+    """Passes everything on to `sink` and records what can be decoded again.
 
-    A single such value, a battery of 1e38 V, would make the whole recording a damaged one.
+    A single value beyond the codec's bounds, a battery of 1e38 V, would damage the recording.
     """
 
     def __init__(self, sink: Sink, recorder: Recorder) -> None:
         self._sink, self._recorder = sink, recorder
 
     def scan(self, scan: Scan) -> None:
-        """A sweep."""
+        """A scan."""
         self._sink.scan(scan)
         payload = encode_scan(scan)
         if len(payload) <= MAX_SENSE:
@@ -203,7 +203,7 @@ class RecordingSink:
         self._add("odometry", encode_odometry(odometry), decode_odometry)
 
     def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        """The robots within hearing."""
+        """The robots within radio range."""
         self._sink.neighbors(neighbors)
         self._add("neighbors", encode_neighbors(neighbors), decode_neighbors)
 
@@ -213,15 +213,15 @@ class RecordingSink:
         self._add("readings", encode_readings(values), decode_readings)
 
     def state(self, is_up: bool, text: str) -> None:
-        """How the base is."""
+        """The state of the base."""
         self._sink.state(is_up, text)
         self._recorder.add("state", f"{int(is_up)}{text}".encode()[:1000])
 
     def dropped(self, what: str) -> None:
-        """What could not be read is not recorded."""
+        """Passed on, not recorded."""
         self._sink.dropped(what)
 
-    def _add(self, kind: Kind, payload: bytes, decode: Callable[[bytes], object]) -> None:
+    def _add(self, kind: EntryKind, payload: bytes, decode: Callable[[bytes], object]) -> None:
         try:
             decode(payload)
         except CodecError:
@@ -231,16 +231,16 @@ class RecordingSink:
 
 
 class RecordedDriver:
-    """A driver whose inputs and commands are written to a file while it runs."""
+    """A driver whose inputs and commands are recorded while it runs."""
 
-    def __init__(self, driver: Driver, path: Path, head: Mapping[str, str]) -> None:
+    def __init__(self, driver: Driver, path: Path, header: Mapping[str, str]) -> None:
         self.is_simulated = driver.is_simulated
-        self._driver, self._path, self._head = driver, path, head
+        self._driver, self._path, self._header = driver, path, header
         self._recorder: Recorder | None = None
 
     async def run(self, sink: Sink) -> None:
         """Run the driver, recording."""
-        self._recorder = Recorder(self._path, self._head)
+        self._recorder = Recorder(self._path, self._header)
         try:
             await self._driver.run(RecordingSink(sink, self._recorder))
         finally:
@@ -248,7 +248,7 @@ class RecordedDriver:
             self._recorder = None
 
     def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
-        """Hand a command on, and write it down."""
+        """Pass a command on and record it."""
         self._driver.send(twist, scan_seq, requested_scan_seq)
         if self._recorder is not None:
             self._recorder.add("command", encode_command(twist, scan_seq, requested_scan_seq))
@@ -264,7 +264,7 @@ def _framed(message: Struct) -> bytes:
 
 
 def _unused(path: Path) -> Path:
-    """The path, or the first of `<stem>-2`, `<stem>-3` ... that is not there yet."""
+    """The path, or the first of `<stem>-2`, `<stem>-3` ... that does not exist."""
     candidate, number = path, 1
     while candidate.exists():
         number += 1

@@ -1,13 +1,13 @@
-"""The stopper: a second process that says zero to a base when its guardian falls silent.
+"""The watchdog: a second process that sends zero to a base when its daemon falls silent.
 
-For bases that keep their last command for ever. It is started before the driver, with a connection
-of its own that is already open, and fed by the guardian's tick over a socket pair. End of file, or
-0.4 s of silence: it sends zeros until the guardian is back, for at least 2 s. A guardian that is
-back before they end says zero as well, so that the base stands.
+It serves bases that keep their last command for ever. It starts before the driver, with an open
+connection of its own, and the daemon's tick feeds it over a socket pair. At end of file, or after
+0.4 s without a tick, it sends zeros until the daemon is back, for at least 2 s. A daemon that is
+back before the zeros end sends zero as well, so that the base stands.
 
-Before the first tick it sends nothing. After a farewell, SIGTERM, or when a new guardian's stopper
-relieves it, the 2 s are enough; the new one is ready when they are over. It detaches from its
-guardian, whose end must not be its own.
+Before the first tick the watchdog sends nothing. After a farewell, SIGTERM, or when the watchdog of
+a new daemon relieves it, it ends after the 2 s; the new watchdog is ready then. It detaches from
+its daemon, so that it survives the daemon's end.
 """
 
 from __future__ import annotations
@@ -32,93 +32,104 @@ from swarmd.core.errors import DriverError, SwarmError
 if TYPE_CHECKING:
     from swarmd.driver_api.driver import ZeroSender
 
-SILENCE = 0.4
+TICK_TIMEOUT = 0.4
 """Seconds without a tick after which zeros are sent."""
-AT_LEAST = 2.0
-"""Seconds for which zeros are sent, however soon the guardian is back."""
-PERIOD = 0.05
+MIN_ZERO_TIME = 2.0
+"""Seconds for which zeros are sent, however soon the daemon is back."""
+ZERO_PERIOD = 0.05
 
 TICK, FAREWELL = b"t", b"f"
 READY, FAULT = b"r", b"e"
 ZEROS = b"z"
-"""The answer to a tick, and what is said unasked, while zeros are sent; else a tick itself.
+"""The answer to a tick while zeros are sent; the answer otherwise is a tick.
 
-Also the answer while no zero could be sent: what cannot be stopped must not move.
+It is also the answer while the watchdog is not connected: a base that cannot be stopped must not
+move. The watchdog sends its answer unasked when it changes.
 """
 _RELIEF = b"relief"
-_CLAIM_WITHIN = 5.0
+_CLAIM_TIMEOUT = 5.0
 
 
-class CommandTimeout:
-    """When zeros are sent; pure. Times in s on one monotonic clock, handed in, never falling.
+class WatchdogTimer:
+    """Decides when zeros are sent. Pure; times in s on one monotonic clock, handed in.
 
-    Armed by the first tick: whoever never drove must not stop who does.
+    The first tick arms it, so that a daemon that never drove cannot interrupt another driver.
     """
 
     def __init__(self) -> None:
-        self._heard: float | None = None
-        self._began: float | None = None
-        self._has_left = False
+        self._ticked_at: float | None = None
+        self._zeros_from: float | None = None
+        self._is_closed = False
         self._may_end = False
 
     @property
-    def has_left(self) -> bool:
-        """True once the guardian's end is closed."""
-        return self._has_left
+    def is_closed(self) -> bool:
+        """True once the daemon's end of the socket is closed."""
+        return self._is_closed
 
     @property
     def is_relieved(self) -> bool:
-        """True if nothing was heard since another took over."""
+        """True if no tick came since another watchdog took over."""
         return self._may_end
 
     def tick(self, now: float) -> None:
-        """The guardian lives."""
-        self._heard = now
+        """The daemon has ticked."""
+        self._ticked_at = now
         self._may_end = False
 
-    def leave(self, now: float) -> None:
-        """The guardian's end is closed: end of file."""
-        self._has_left = True
-        if self._began is None and self._heard is not None and not self._may_end:
-            self._began = now
+    def close(self, now: float) -> None:
+        """The daemon's end is closed: end of file."""
+        self._is_closed = True
+        if self._zeros_from is None and self._ticked_at is not None and not self._may_end:
+            self._zeros_from = now
 
     def relieve(self) -> None:
-        """Another watches over the base from now on, or somebody asked for the end."""
+        """Another watchdog has taken over, or this one was asked to end."""
         self._may_end = True
 
     def is_silent(self, now: float) -> bool:
-        """True if nothing was heard for SILENCE, or never will be again."""
-        return self._has_left or (self._heard is not None and now - self._heard >= SILENCE)
+        """True without a tick for TICK_TIMEOUT, or after end of file."""
+        return self._is_closed or (
+            self._ticked_at is not None and now - self._ticked_at >= TICK_TIMEOUT
+        )
 
     def is_sending(self, now: float) -> bool:
         """True if zeros are to be sent at `now`."""
-        if self._heard is None:
+        if self._ticked_at is None:
             return False
         is_wanted = self.is_silent(now) and not self._may_end
-        if self._began is None and is_wanted:
-            self._began = now
-        elif self._began is not None and not is_wanted and now - self._began >= AT_LEAST:
-            self._began = None
-        return self._began is not None
+        if self._zeros_from is None and is_wanted:
+            self._zeros_from = now
+        elif (
+            self._zeros_from is not None
+            and not is_wanted
+            and now - self._zeros_from >= MIN_ZERO_TIME
+        ):
+            self._zeros_from = None
+        return self._zeros_from is not None
 
     def is_done(self, now: float) -> bool:
-        """True once nobody can be heard any more and enough zeros were sent."""
-        if not self._has_left or self._heard is None:
-            return self._has_left
+        """True after end of file, once enough zeros were sent."""
+        if not self._is_closed or self._ticked_at is None:
+            return self._is_closed
         return self._may_end and not self.is_sending(now)
 
     def wait(self, now: float) -> float:
-        """Seconds until there may be something to do, if nothing is heard meanwhile."""
-        if self._began is not None or self._has_left:
-            return PERIOD
-        return SILENCE if self._heard is None else max(self._heard + SILENCE - now, 0.0)
+        """Seconds until zeros may be due if no tick comes."""
+        if self._zeros_from is not None or self._is_closed:
+            return ZERO_PERIOD
+        return (
+            TICK_TIMEOUT
+            if self._ticked_at is None
+            else max(self._ticked_at + TICK_TIMEOUT - now, 0.0)
+        )
 
 
 class Watchdog:
-    """Serves one guardian's socket until it has gone and enough zeros were sent.
+    """Serves one daemon's socket until its end and until enough zeros were sent.
 
-    `name` (None: none) is the robot's: its last holder is relieved, once its guardian is silent.
-    `tie` is a process whose end ends this one, as if somebody had asked.
+    `name` (None: unnamed) is the robot's: the watchdog that holds it is relieved once its daemon is
+    silent. `tie` is a process whose end asks this one to end.
     """
 
     def __init__(
@@ -126,7 +137,7 @@ class Watchdog:
     ) -> None:
         self._daemon, self._sender = daemon, sender
         daemon.setblocking(False)
-        self._command_timeout = CommandTimeout()
+        self._timer = WatchdogTimer()
         self._name = None if name is None else _claimed(name)
         self._tie = -1 if tie is None else _pidfd(tie)
         self._is_sending = False
@@ -137,51 +148,51 @@ class Watchdog:
         signal.signal(signal.SIGTERM, self._on_sigterm)
 
     def serve(self) -> None:
-        """Run to the end."""
+        """Run until done."""
         self._answer(READY + str(os.getpid()).encode())
         now = boottime()
-        while not self._command_timeout.is_done(now):
-            self._poll(self._command_timeout.wait(now))
+        while not self._timer.is_done(now):
+            self._poll(self._timer.wait(now))
             now = boottime()
             self._act(now)
             self._hand_over()
 
     def _act(self, now: float) -> None:
-        if self._is_asked and self._command_timeout.has_left:
-            self._command_timeout.relieve()
-        is_sending = self._command_timeout.is_sending(now)
+        if self._is_asked and self._timer.is_closed:
+            self._timer.relieve()
+        is_sending = self._timer.is_sending(now)
         if is_sending and now >= self._next:
-            self._next = now + PERIOD
+            self._next = now + ZERO_PERIOD
             try:
                 self._sender.send_zero()
-            except Exception as error:  # a sender may raise anything; the next may get through
+            except Exception as error:  # a sender may raise anything; the next zero may get through
                 self._faults += 1
                 if self._faults == 1:
                     say(f"a zero could not be sent: {error}")
         if is_sending != self._is_sending:
             self._is_sending = is_sending
             self._answer(TICK if self._may_move() else ZEROS)
-            gone = "ended" if self._command_timeout.has_left else "is silent"
-            say(f"the guardian {gone}: sending zeros" if is_sending else "no more zeros")
+            gone = "ended" if self._timer.is_closed else "is silent"
+            say(f"the daemon {gone}: sending zeros" if is_sending else "no more zeros")
 
     def _poll(self, seconds: float) -> None:
         poll = select.poll()
-        if not self._command_timeout.has_left:
+        if not self._timer.is_closed:
             poll.register(self._daemon, select.POLLIN)
         if self._name is not None:
             poll.register(self._name, select.POLLIN)
         if self._tie >= 0:
             poll.register(self._tie, select.POLLIN)
-        ready = {fd for fd, _ in poll.poll(1e3 * min(seconds, SILENCE))}
+        ready = {fd for fd, _ in poll.poll(1e3 * min(seconds, TICK_TIMEOUT))}
         if self._daemon.fileno() in ready:
-            self._hear()
+            self._read_ticks()
         if self._name is not None and self._name.fileno() in ready:
             self._on_relief(self._name)
         if self._tie in ready:
             os.close(self._tie)
             self._tie, self._is_asked = -1, True
 
-    def _hear(self) -> None:
+    def _read_ticks(self) -> None:
         while True:
             try:
                 frame = self._daemon.recv(16)
@@ -190,10 +201,10 @@ class Watchdog:
             except OSError:
                 frame = b""
             if frame == TICK:
-                self._command_timeout.tick(boottime())
+                self._timer.tick(boottime())
                 self._answer(TICK if self._may_move() else ZEROS)
                 continue
-            self._command_timeout.leave(boottime())
+            self._timer.close(boottime())
             self._is_asked |= frame == FAREWELL
             return
 
@@ -201,47 +212,47 @@ class Watchdog:
         is_connected = bool(getattr(self._sender, "is_connected", True))
         if is_connected != self._was_connected:
             self._was_connected = is_connected
-            say("connected" if is_connected else "not connected yet: until then it is zero")
+            say("connected" if is_connected else "not connected yet: commands are zero")
         return is_connected and not self._is_sending
 
     def _on_relief(self, name: socket.socket) -> None:
         with contextlib.suppress(OSError):
             name.recv(16)
-        if self._command_timeout.is_silent(boottime()):
-            self._command_timeout.relieve()
+        if self._timer.is_silent(boottime()):
+            self._timer.relieve()
 
     def _hand_over(self) -> None:
-        """The name is given up only after the last zero: who has it next may move the base."""
-        if self._name is not None and self._command_timeout.is_relieved and not self._is_sending:
+        """Release the name after the last zero: its next holder may move the base."""
+        if self._name is not None and self._timer.is_relieved and not self._is_sending:
             self._name.close()
             self._name = None
 
     def _answer(self, frame: bytes) -> None:
-        with contextlib.suppress(OSError):  # frozen or gone: seen by its silence
+        with contextlib.suppress(OSError):  # frozen or gone: found by its silence
             self._daemon.send(frame)
 
     def _on_sigterm(self, number: int, frame: object) -> None:
         self._is_asked = True
 
 
-def name_of(swarm: str, robot: str) -> str:
-    """The name under which one robot's stoppers relieve each other on this machine."""
+def watchdog_name(swarm: str, robot: str) -> str:
+    """The name under which one robot's watchdogs relieve each other on this machine."""
     digest = sha256(f"{swarm}/{robot}".encode()).hexdigest()[:32]
-    return f"swarmd/stopper/{os.getuid()}/{digest}"
+    return f"swarmd/watchdog/{os.getuid()}/{digest}"
 
 
 def say(text: str) -> None:
-    """One line on stderr if that does not block: nobody may be there to read it any more."""
+    """Write one line to stderr unless that would block: its reader may be gone."""
     with contextlib.suppress(OSError, ValueError):
         if select.select([], [2], [], 0.0)[1]:
-            os.write(2, f"stopper: {text}\n".encode())
+            os.write(2, f"watchdog: {text}\n".encode())
 
 
 def _claimed(name: str) -> socket.socket:
-    """The robot's name, an abstract datagram socket; DriverError if a guardian at work has it."""
+    """The robot's name, an abstract datagram socket; DriverError if a ticking daemon's has it."""
     claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     claim.setblocking(False)
-    deadline = boottime() + _CLAIM_WITHIN
+    deadline = boottime() + _CLAIM_TIMEOUT
     while True:
         try:
             claim.bind(f"\0{name}")
@@ -250,10 +261,10 @@ def _claimed(name: str) -> socket.socket:
             if error.errno != errno.EADDRINUSE or boottime() >= deadline:
                 claim.close()
                 raise DriverError(
-                    "another daemon on this machine drives this robot, its stopper is at work;"
-                    " end that one first"
+                    "another daemon on this machine drives this robot and has a watchdog at work;"
+                    " end that daemon first"
                 ) from error
-        with contextlib.suppress(OSError):  # it has gone meanwhile, or is about to
+        with contextlib.suppress(OSError):  # its holder has ended meanwhile
             claim.sendto(_RELIEF, f"\0{name}")
         time.sleep(0.02)
 
@@ -274,14 +285,14 @@ def _made(maker: str, options: str) -> ZeroSender:
 def main() -> NoReturn:
     """Entry of `python -m swarmd.driver_api.watchdog`."""
     parser = argparse.ArgumentParser(prog="swarmd.driver_api.watchdog", description=__doc__)
-    parser.add_argument("--fd", type=int, required=True, help="the guardian's socket")
+    parser.add_argument("--fd", type=int, required=True, help="the daemon's socket")
     parser.add_argument("--maker", required=True, help="module:callable, gives the ZeroSender")
     parser.add_argument("--options", default="{}", help="its keywords, as JSON")
-    parser.add_argument("--name", help="the robot's, to relieve an earlier stopper")
+    parser.add_argument("--name", help="the robot's name, to relieve an earlier watchdog")
     parser.add_argument("--tie", type=int, help="end when this process has ended")
     args = parser.parse_args()
     if os.fork():
-        os._exit(0)  # the guardian reaps this one at once, and none is left to be reaped later
+        os._exit(0)  # the daemon reaps this process at once; the fork has no parent to reap it
     os.set_inheritable(args.fd, False)
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, signal.SIG_IGN)

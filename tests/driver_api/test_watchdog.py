@@ -13,7 +13,13 @@ from swarmd.core.errors import ConfigError, DriverError
 from swarmd.core.values import ZERO, Twist, Value
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.driver_api.driver import Finding, Sink
-from swarmd.driver_api.watchdog import AT_LEAST, PERIOD, SILENCE, CommandTimeout, name_of
+from swarmd.driver_api.watchdog import (
+    MIN_ZERO_TIME,
+    TICK_TIMEOUT,
+    ZERO_PERIOD,
+    WatchdogTimer,
+    watchdog_name,
+)
 from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.settings.driver_options import (
     IDLE_ZEROS_PERIOD,
@@ -25,18 +31,18 @@ from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 from swarmd.testing.driver_rig import CollectingSink
 
 
-def sending(command_timeout: CommandTimeout, *times: float) -> list[bool]:
-    return [command_timeout.is_sending(time) for time in times]
+def sending(timer: WatchdogTimer, *times: float) -> list[bool]:
+    return [timer.is_sending(time) for time in times]
 
 
-def fed(until: float = 0.0) -> CommandTimeout:
-    command_timeout = CommandTimeout()
-    command_timeout.tick(until)
-    return command_timeout
+def fed(until: float = 0.0) -> WatchdogTimer:
+    timer = WatchdogTimer()
+    timer.tick(until)
+    return timer
 
 
 def test_the_numbers_are_those_promised() -> None:
-    assert (SILENCE, AT_LEAST, PERIOD) == (0.4, 2.0, 0.05)
+    assert (TICK_TIMEOUT, MIN_ZERO_TIME, ZERO_PERIOD) == (0.4, 2.0, 0.05)
 
 
 def test_begins_after_exactly_0_4_s_of_silence() -> None:
@@ -44,96 +50,96 @@ def test_begins_after_exactly_0_4_s_of_silence() -> None:
 
 
 def test_each_tick_begins_the_wait_anew() -> None:
-    command_timeout = fed()
+    timer = fed()
     for i in range(1, 100):
-        assert not command_timeout.is_sending(0.39 * i)
-        command_timeout.tick(0.39 * i)
+        assert not timer.is_sending(0.39 * i)
+        timer.tick(0.39 * i)
 
 
 def test_sends_for_2_s_although_the_guardian_is_back_at_once() -> None:
-    command_timeout = fed()
-    assert command_timeout.is_sending(0.4)
+    timer = fed()
+    assert timer.is_sending(0.4)
     for i in range(41, 240):
-        command_timeout.tick(0.01 * i)
-        assert command_timeout.is_sending(0.01 * i)
-    command_timeout.tick(2.4)
-    assert not command_timeout.is_sending(2.4)
+        timer.tick(0.01 * i)
+        assert timer.is_sending(0.01 * i)
+    timer.tick(2.4)
+    assert not timer.is_sending(2.4)
 
 
 def test_sends_until_the_guardian_is_back_however_long_that_takes() -> None:
-    command_timeout = fed()
-    assert all(sending(command_timeout, 0.4, 2.4, 10.0, 3600.0))
-    assert not command_timeout.is_done(3600.0)
-    command_timeout.tick(3600.05)
-    assert not command_timeout.is_sending(3600.05)
+    timer = fed()
+    assert all(sending(timer, 0.4, 2.4, 10.0, 3600.0))
+    assert not timer.is_done(3600.0)
+    timer.tick(3600.05)
+    assert not timer.is_sending(3600.05)
 
 
 def test_a_second_silence_is_as_good_as_the_first() -> None:
-    command_timeout = fed()
-    command_timeout.is_sending(0.4)
-    command_timeout.tick(3.0)
-    assert sending(command_timeout, 3.0, 3.25, 3.5, 5.25) == [False, False, True, True]
-    command_timeout.tick(5.25)
-    assert sending(command_timeout, 5.375, 5.5) == [True, False]
+    timer = fed()
+    timer.is_sending(0.4)
+    timer.tick(3.0)
+    assert sending(timer, 3.0, 3.25, 3.5, 5.25) == [False, False, True, True]
+    timer.tick(5.25)
+    assert sending(timer, 5.375, 5.5) == [True, False]
 
 
 def test_end_of_file_is_acted_on_at_once_and_lasts_until_relieved() -> None:
-    command_timeout = fed()
-    command_timeout.leave(0.01)
-    assert all(sending(command_timeout, 0.01, 1.0, 100.0))
-    assert not command_timeout.is_done(100.0)
-    command_timeout.relieve()
-    assert command_timeout.is_done(100.0)
+    timer = fed()
+    timer.close(0.01)
+    assert all(sending(timer, 0.01, 1.0, 100.0))
+    assert not timer.is_done(100.0)
+    timer.relieve()
+    assert timer.is_done(100.0)
 
 
 def test_relieved_early_it_still_sends_for_2_s() -> None:
-    command_timeout = fed()
-    command_timeout.leave(1.0)
-    command_timeout.relieve()
-    assert sending(command_timeout, 1.0, 2.9) == [True, True]
-    assert not command_timeout.is_done(2.9)
-    assert command_timeout.is_done(3.0)
-    assert not command_timeout.is_sending(3.0)
+    timer = fed()
+    timer.close(1.0)
+    timer.relieve()
+    assert sending(timer, 1.0, 2.9) == [True, True]
+    assert not timer.is_done(2.9)
+    assert timer.is_done(3.0)
+    assert not timer.is_sending(3.0)
 
 
 def test_before_the_first_tick_it_never_sends() -> None:
-    command_timeout = CommandTimeout()
-    assert sending(command_timeout, 0.0, 10.0) == [False, False]
-    command_timeout.leave(11.0)
-    assert not command_timeout.is_sending(11.0)
-    assert command_timeout.is_done(11.0)
+    timer = WatchdogTimer()
+    assert sending(timer, 0.0, 10.0) == [False, False]
+    timer.close(11.0)
+    assert not timer.is_sending(11.0)
+    assert timer.is_done(11.0)
 
 
 def test_relieved_of_a_frozen_guardian_it_ends_its_zeros_but_watches_on() -> None:
-    command_timeout = fed()
-    assert command_timeout.is_sending(0.4)
-    command_timeout.relieve()
-    assert sending(command_timeout, 2.3, 2.5, 9.0) == [True, False, False]
-    assert not command_timeout.is_done(9.0)
-    command_timeout.tick(9.1)  # the thaw
-    assert sending(command_timeout, 9.2, 9.5) == [False, True]
+    timer = fed()
+    assert timer.is_sending(0.4)
+    timer.relieve()
+    assert sending(timer, 2.3, 2.5, 9.0) == [True, False, False]
+    assert not timer.is_done(9.0)
+    timer.tick(9.1)  # the thaw
+    assert sending(timer, 9.2, 9.5) == [False, True]
 
 
 def test_a_relieved_guardian_that_is_killed_while_frozen_disturbs_nobody() -> None:
-    command_timeout = fed()
-    command_timeout.is_sending(0.4)
-    command_timeout.relieve()
-    command_timeout.is_sending(2.5)
-    command_timeout.leave(5.0)
-    assert not command_timeout.is_sending(5.0)
-    assert command_timeout.is_done(5.0)
+    timer = fed()
+    timer.is_sending(0.4)
+    timer.relieve()
+    timer.is_sending(2.5)
+    timer.close(5.0)
+    assert not timer.is_sending(5.0)
+    assert timer.is_done(5.0)
 
 
 def test_wakes_when_the_silence_is_long_enough_and_then_every_tick() -> None:
-    command_timeout = fed(1.0)
-    assert command_timeout.wait(1.1) == pytest.approx(0.3)
-    assert command_timeout.wait(2.0) == 0.0
-    command_timeout.is_sending(2.0)
-    assert command_timeout.wait(2.0) == PERIOD
+    timer = fed(1.0)
+    assert timer.wait(1.1) == pytest.approx(0.3)
+    assert timer.wait(2.0) == 0.0
+    timer.is_sending(2.0)
+    assert timer.wait(2.0) == ZERO_PERIOD
 
 
 def test_names_differ_by_robot_and_swarm_and_fit_into_a_socket_address() -> None:
-    names = {name_of(swarm, robot) for swarm in ("a", "b" * 63) for robot in ("r", "s" * 63)}
+    names = {watchdog_name(swarm, robot) for swarm in ("a", "b" * 63) for robot in ("r", "s" * 63)}
     assert len(names) == 4
     assert all(len(name) < 100 for name in names)
 

@@ -171,7 +171,7 @@ def serve(clock: Clock, monkeypatch: pytest.MonkeyPatch, mine: Watchdog, until: 
     def poll(seconds: float) -> None:
         if clock.now > 1000.0 + until:
             raise Over
-        mine._hear()
+        mine._read_ticks()
         clock.now = round(clock.now + 0.01, 3)
 
     monkeypatch.setattr(mine, "_poll", poll)
@@ -227,7 +227,7 @@ def test_as_long_as_it_is_not_connected_the_guardian_is_to_say_zero(
     for is_connected, answer in ((False, ZEROS), (True, TICK), (True, TICK)):
         sender.is_connected = is_connected
         daemon[0].send(TICK)
-        mine._hear()
+        mine._read_ticks()
         assert received(daemon[0]) == [answer]
 
 
@@ -238,10 +238,10 @@ def test_only_one_whose_guardian_is_silent_is_relieved(
     sender = Sender(clock)
     mine = Watchdog(daemon[1], sender, name, None)
     daemon[0].send(TICK)
-    mine._hear()
+    mine._read_ticks()
     monkeypatch.setattr(watchdog, "_CLAIM_WITHIN", 0.0)
     reliefs: list[float] = []
-    monkeypatch.setattr(mine._command_timeout, "relieve", lambda: reliefs.append(clock.now))
+    monkeypatch.setattr(mine._timer, "relieve", lambda: reliefs.append(clock.now))
     for after, is_relieved in ((0.0, False), (0.39, False), (0.41, True)):
         clock.now = 1000.0 + after
         with pytest.raises(DriverError, match="another daemon on this machine drives this robot"):
@@ -284,7 +284,7 @@ class Process:
     """A stopper's process that is ready when the test says so."""
 
     pid = 7
-    says_zero = False
+    requires_zero = False
 
     def __init__(self, story: list[str], **_: object) -> None:
         self.story = story
@@ -303,7 +303,7 @@ class Process:
     def close(self) -> None:
         self.story.append("farewell")
 
-    def bury(self) -> None:
+    def kill_if_frozen(self) -> None:
         self.story.append("buried")
 
 

@@ -232,7 +232,7 @@ def test_what_is_recorded_from_a_body_is_what_its_driver_told(tmp_path: Path) ->
 
     asyncio.run(run())
     recording = read_recording(path)
-    assert (recording.head.robot, recording.cut) == ("r", "")
+    assert (recording.header.robot, recording.cut) == ("r", "")
     commands = [decode_command(e.payload) for e in recording.entries if e.kind == "command"]
     assert [(c.linear, c.scan_seq, c.requested_scan_seq) for c in commands] == [
         (0.1, 3, 2),

@@ -40,7 +40,7 @@ def test_what_a_daemon_recorded_drives_another(tmp_path: Path) -> None:
             body.wait(lambda one: one.at > moving.at + 2.0)
             assert daemon.terminate() == 0
     recording = read_recording(file)
-    assert (recording.cut, recording.head.robot) == ("", ROBOT)
+    assert (recording.cut, recording.header.robot) == ("", ROBOT)
     commands = [decode_command(e.payload) for e in recording.entries if e.kind == "command"]
     assert any(command.linear > 0.0 for command in commands)
 

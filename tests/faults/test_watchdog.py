@@ -17,7 +17,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.errors import DriverError
 from swarmd.core.messages import Code, Reason, State
 from swarmd.driver_api.driver import ZeroSenderSpec
-from swarmd.driver_api.watchdog import AT_LEAST, name_of
+from swarmd.driver_api.watchdog import MIN_ZERO_TIME, watchdog_name
 from swarmd.driver_api.watchdog_client import WatchdogProcess
 from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.testing.driver_rig import is_running
@@ -121,7 +121,7 @@ def test_a_frozen_guardian_is_stopped_for_and_thawed_it_does_not_move(guarded: B
     wait_until(lambda: guarded.body.commands[-1].twist.linear > 0.0, "it drives on undisturbed")
 
 
-def test_a_guardian_that_is_back_before_the_zeros_end_says_zero_too(guarded: Bench) -> None:
+def test_a_guardian_that_is_back_before_the_zeros_end_requires_zero_too(guarded: Bench) -> None:
     guarded.drive()
     frozen = boottime()
     guarded.daemon.freeze()
@@ -129,14 +129,16 @@ def test_a_guardian_that_is_back_before_the_zeros_end_says_zero_too(guarded: Ben
         first = guarded.body.wait_zero(frozen)
     finally:
         guarded.daemon.thaw()
-    guarded.body.wait(lambda one: one.at > first.at + AT_LEAST + 0.5)
-    meanwhile = [one for one in guarded.body.commands if 0.0 < one.at - first.at < AT_LEAST - 0.1]
+    guarded.body.wait(lambda one: one.at > first.at + MIN_ZERO_TIME + 0.5)
+    meanwhile = [
+        one for one in guarded.body.commands if 0.0 < one.at - first.at < MIN_ZERO_TIME - 0.1
+    ]
     moving = [one for one in meanwhile if not one.twist.is_zero]
     assert len(moving) <= 1, "but for one that was on its way when the guardian froze"
     wait_until(lambda: not guarded.body.commands[-1].twist.is_zero, "it drives on", 10.0)
 
 
-def test_told_to_end_it_says_zero_for_two_seconds_and_is_gone(guarded: Bench) -> None:
+def test_told_to_end_it_requires_zero_for_two_seconds_and_is_gone(guarded: Bench) -> None:
     guarded.drive()
     watchdog = watchdog_of(guarded)
     assert guarded.daemon.terminate() == 0
@@ -246,7 +248,7 @@ def test_a_silent_daemon_leaves_an_idle_robot_alone_and_no_other(bench: Bench) -
 def test_who_is_at_work_is_not_relieved_and_who_is_silent_is() -> None:
     where = {"swarm": "s", "robot": "r", "endpoint": "tcp/127.0.0.1:9"}
     spec = ZeroSenderSpec(SimulatedDriver.__module__ + ":SimulatedZeros", where)
-    name = name_of(unique_swarm(), "r")
+    name = watchdog_name(unique_swarm(), "r")
 
     async def feed(watchdog: WatchdogProcess) -> None:
         while True:
@@ -285,7 +287,7 @@ def test_what_it_is_tied_to_ends_it_although_its_guardian_never_returns() -> Non
 
     try:
         pid = asyncio.run(leave_without_a_word())
-        time.sleep(AT_LEAST + 0.5)
+        time.sleep(MIN_ZERO_TIME + 0.5)
         assert is_running(pid)
     finally:
         parent.kill()

@@ -16,7 +16,7 @@ from types import TracebackType
 import yaml
 
 from swarmd.core.values import Value
-from swarmd.driver_api.watchdog import name_of
+from swarmd.driver_api.watchdog import watchdog_name
 from swarmd.testing.driver_rig import is_running
 
 CAP = 60.0
@@ -156,7 +156,7 @@ def children(pid: int) -> list[int]:
 
 def watchdogs(swarm: str, robot: str) -> list[int]:
     """The process ids of the stoppers that watch over a robot, or did."""
-    name, found = name_of(swarm, robot).encode(), []
+    name, found = watchdog_name(swarm, robot).encode(), []
     for cmdline in Path("/proc").glob("[0-9]*/cmdline"):
         try:
             if name in cmdline.read_bytes().split(b"\0"):

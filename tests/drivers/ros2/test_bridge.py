@@ -167,7 +167,7 @@ def test_a_base_that_leaves_while_its_lidar_stays_gets_zero_first() -> None:
         stop_speaking = asyncio.create_task(_spin(lidar))
         await moves(harness)
         robot.stop()
-        await tells(harness, "nobody subscribes to /cmd_vel")
+        await tells(harness, "no node subscribes to /cmd_vel")
         harness.driver.send(Twist(0.1), 1, 1)
         robot.start()
         await moves(harness)
@@ -289,13 +289,13 @@ def test_a_restarted_bridges_announcements_are_gone_with_it() -> None:
             {"namespace": "tb3_02"},
             {
                 "scan": "no /tb3_02/scan, but /tb3_01/scan of that type; correct driver_options.",
-                "cmd_vel": "nobody subscribes to /tb3_02/cmd_vel, but to /tb3_01/cmd_vel",
+                "cmd_vel": "no node subscribes to /tb3_02/cmd_vel, but to /tb3_01/cmd_vel",
             },
         ),
         (
             lambda: DdsRobot(is_elsewhere=True),
             {},
-            {"scan": "ROS_DOMAIN_ID", "cmd_vel": "nobody subscribes to /cmd_vel; start the base"},
+            {"scan": "ROS_DOMAIN_ID", "cmd_vel": "no node subscribes to /cmd_vel; start the base"},
         ),
         (lambda: DdsRobot(distro="humble"), {}, {"scan": "ROS_DISTRO"}),
         (
@@ -329,7 +329,7 @@ def test_check_of_a_robot_that_is_off_says_to_start_it() -> None:
     robot.stop()
     found = check(robot, seconds=2.0)
     assert "start the robot" in found["scan"].text
-    assert "nobody subscribes to /cmd_vel" in found["cmd_vel"].text
+    assert "no node subscribes to /cmd_vel" in found["cmd_vel"].text
 
 
 @pytest.mark.parametrize("speed", [None, 0.3])

@@ -216,7 +216,7 @@ def given(platform: Platform, **options: Any) -> Platform:
     ("platform", "complaint"),
     [
         (given(load_platform("thymio")), "not evenly spread"),
-        (given(load_platform("thymio"), ranges={"left": 90.0}), "looks to 90 degrees"),
+        (given(load_platform("thymio"), ranges={"left": 90.0}), "ranges.left"),
         (given(BURGER, scan="/scan"), "r-1 and r-2 have one topic /scan"),
         (given(BURGER, cmd_vel="/cmd_vel"), "r-1 and r-2 have one topic /cmd_vel"),
         (given(BURGER, scam="scan"), "did you mean 'scan'"),
@@ -243,7 +243,7 @@ def test_an_endpoint_in_use_is_one_clear_error() -> None:
 
 
 def test_an_unknown_dialect_names_the_nearest() -> None:
-    with pytest.raises(PluginError, match=r"no dialect 'ros2dd'.*did you mean 'ros2dds'"):
+    with pytest.raises(PluginError, match="ros2dds"):
         load_emulator("ros2dd")
 
 

@@ -126,7 +126,7 @@ def test_a_robot_whose_base_takes_no_commands_is_lost() -> None:
     robot = Deaf()
     announce(robot, "MP", "scan", LASER)
     announce(robot, "MS", "bot1/cmd_vel", TWIST)
-    words = "nobody subscribes to /cmd_vel, but to /bot1/cmd_vel; correct driver_options.namespace"
+    words = "no node subscribes to /cmd_vel, but to /bot1/cmd_vel; correct driver_options.namespace"
     play(robot, lambda harness: stays_lost(harness, words), connected=False)
 
 
@@ -134,7 +134,7 @@ def test_check_does_not_take_its_own_ear_for_the_bases() -> None:
     robot = Deaf()
     found = check(robot, robot.publish)
     assert not found["cmd_vel"].is_well
-    assert found["cmd_vel"].text.startswith("nobody subscribes to /cmd_vel; start the base, or")
+    assert found["cmd_vel"].text.startswith("no node subscribes to /cmd_vel; start the base, or")
 
 
 @pytest.mark.parametrize("make", MAKERS)
@@ -290,7 +290,7 @@ def test_a_type_that_is_none_makes_no_second_line() -> None:
         robot.publish_odometry()
         robot.put_on(f"0/scan/ok\nok/{robots.HASHES['LaserScan']}", b"")
 
-    assert "said on key '0/scan/ok\\nok/RIHS" in check(robot, speak, seconds=1.0)["scan"].text
+    assert "sent on key '0/scan/ok\\nok/RIHS" in check(robot, speak, seconds=1.0)["scan"].text
 
 
 def test_a_hub_that_answers_as_the_check_ends_leaves_no_session(

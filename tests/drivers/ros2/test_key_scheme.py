@@ -107,10 +107,10 @@ def test_the_attachment_is_sequence_time_and_gid() -> None:
         (f"0/bot/scan/{LASER}/{NO_HASH}", ""),
         (f"0/bot/scan/{LASER}/RIHS01_0000", "type hash RIHS01_0000, which no distribution has"),
         (f"0/bot/scan/sensor_msgs::msg::dds_::PointCloud2_/{NO_HASH}", "carries sensor_msgs/msg/P"),
-        (f"1/bot/scan/{LASER}/{NO_HASH}", "said on key"),
-        (f"0/bot/scan/front/{LASER}/{NO_HASH}", "said on key"),
-        ("0/bot/scan/**", "said on key"),
-        ("**", "said on key"),
+        (f"1/bot/scan/{LASER}/{NO_HASH}", "sent on key"),
+        (f"0/bot/scan/front/{LASER}/{NO_HASH}", "sent on key"),
+        ("0/bot/scan/**", "sent on key"),
+        ("**", "sent on key"),
     ],
 )
 def test_type_and_hash_of_a_key_are_checked(key: str, complaint: str) -> None:

@@ -1,4 +1,4 @@
-"""What a stopper says zero with, without Zenoh; over Zenoh: `test_dds_bridge.py`."""
+"""The zero sender of the watchdog, without Zenoh; over Zenoh: `test_dds_bridge.py`."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class Hub:
         self.said: list[tuple[str, bytes, bytes | None]] = []
         self.is_faulty = False
         monkeypatch.setattr(zero, "open_session", self._open)
-        monkeypatch.setattr(zero, "commanding", self._commanding)
+        monkeypatch.setattr(zero, "command_publisher", self._publisher)
 
     def _open(self, endpoint: str, *, within: float) -> Any:
         return SimpleNamespace(close=lambda: None) if self.is_there else None
 
-    def _commanding(self, session: object, key: str) -> Any:
+    def _publisher(self, session: object, key: str) -> Any:
         def put(payload: bytes, *, attachment: bytes | None) -> None:
             if self.is_faulty:
                 raise zenoh.ZError("closed")
