@@ -151,12 +151,12 @@ def rerun(
     need("mujoco")
     from swarmd.sim.cli.progress import ends_on_sigterm, progress
     from swarmd.sim.experiments import rerun as again
-    from swarmd.sim.experiments.pool import TIMEOUT
+    from swarmd.sim.experiments.pool import STEP_TIMEOUT
 
     for line in again.warnings(folder):
         warn(f"warning: {line}; results may differ")
     with ends_on_sigterm(), progress() as on_progress:
-        matches = again.rerun(folder, out, jobs, on_progress, timeout or TIMEOUT)
+        matches = again.rerun(folder, out, jobs, on_progress, timeout or STEP_TIMEOUT)
     if _is_json(ctx, output):
         listed = [{"run": m.run, "identical": m.is_identical, "why": m.why} for m in matches]
         print_json("Rerun", {"folder": str(folder), "runs": listed})
@@ -301,14 +301,18 @@ def new_folder(base: Path, stem: str) -> Path:
 def _conducted(manifest: Manifest, folder: Path, processes: int, timeout: float | None) -> Results:
     """All runs done; on Ctrl-C and SIGTERM a line says how to go on."""
     from swarmd.sim.cli.progress import ends_on_sigterm, progress
-    from swarmd.sim.experiments.pool import TIMEOUT
+    from swarmd.sim.experiments.pool import STEP_TIMEOUT
     from swarmd.sim.experiments.simulate import run_experiment
 
     total = len(manifest.plan.runs)
     try:
         with ends_on_sigterm(), progress() as on_progress:
             return run_experiment(
-                manifest, folder, processes, timeout=timeout or TIMEOUT, on_progress=on_progress
+                manifest,
+                folder,
+                processes,
+                timeout=timeout or STEP_TIMEOUT,
+                on_progress=on_progress,
             )
     except (KeyboardInterrupt, SystemExit):
         from swarmd.sim.experiments.results import load_results

@@ -1,4 +1,4 @@
-"""What the command line says of an experiment: `--seeds`, `--set` and `--sweep`."""
+"""Parse the arguments of experiments: `--seeds`, `--set` and `--sweep`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def parse_seeds(text: str) -> tuple[int, ...]:
         first, last = (int(match[1]), int(match[2] or match[1])) if match else (1, 0)
         if last < first:
             raise ConfigError(
-                f"--seeds {text!r}: {part!r} is no seed or range;"
+                f"--seeds {text!r}: {part!r} is not a seed or range;"
                 " wanted 20 (0 to 19), 500-519 or 3,5,9"
             )
         _bounded(len(seeds) + last - first + 1, text)
@@ -30,7 +30,7 @@ def parse_seeds(text: str) -> tuple[int, ...]:
 
 
 def parse_sets(words: Iterable[str]) -> dict[str, Any]:
-    """The values of `--set key=value`; ConfigError for what is none, or twice there."""
+    """The values of `--set key=value`; ConfigError for an invalid or repeated one."""
     found: dict[str, Any] = {}
     for word in words:
         key, value = parse_override(word)
@@ -41,7 +41,7 @@ def parse_sets(words: Iterable[str]) -> dict[str, Any]:
 
 
 def parse_sweeps(words: Iterable[str]) -> dict[str, list[Any]]:
-    """The values of `--sweep key=a,b,c` by key; ConfigError for what is none, or twice there."""
+    """The values of `--sweep key=a,b,c` by key; ConfigError for an invalid or repeated one."""
     found: dict[str, list[Any]] = {}
     for word in words:
         key, equals, text = word.partition("=")

@@ -1,4 +1,4 @@
-"""Which metrics differ between two experiments, by how much, and how sure that is."""
+"""Which metrics differ between two experiments, by how much, and how certain that is."""
 
 from __future__ import annotations
 
@@ -71,12 +71,12 @@ class Difference:
 
 
 def sides(a: str, b: str) -> list[tuple[Side, Side]]:
-    """The pairs that `A` and `B` stand for: FOLDER, or FOLDER:VARIANT of a sweep.
+    """The pairs of variants that `A` and `B` name: FOLDER, or FOLDER:VARIANT of a sweep.
 
-    Two folders with the same variants are compared variant by variant. ConfigError if it is not
-    clear which variants are meant.
+    Two folders with the same variants are compared variant by variant. ConfigError if the names
+    are ambiguous.
     """
-    left, right = _named(a), _named(b)
+    left, right = _sides_of(a), _sides_of(b)
     if len(left) == 1 or len(right) == 1:
         if len(left) == len(right):
             return [(left[0], right[0])]
@@ -92,11 +92,11 @@ def sides(a: str, b: str) -> list[tuple[Side, Side]]:
 
 
 def compare(a: Side, b: Side, names: Sequence[str] | None = None) -> list[Difference]:
-    """How each metric that both have differs; ConfigError for a name that is none of them.
+    """The difference of each metric that both sides have; ConfigError for an unknown name.
 
-    Where both were to have the same seeds each run is compared with that of the same seed, which
-    takes away what the seeds do to both, and a run that failed takes its counterpart along; else
-    the two are resampled independently.
+    With the same planned seeds on both sides, each run is compared with the run of the same seed,
+    which removes the common effect of the seed; a failed run drops its counterpart too. Otherwise
+    the sides are resampled independently.
     """
     known = [name for name in a.results.metrics if name in b.results.metrics]
     for name in names or ():
@@ -106,7 +106,7 @@ def compare(a: Side, b: Side, names: Sequence[str] | None = None) -> list[Differ
 
 
 def expected_by_chance(differences: Sequence[Difference]) -> float:
-    """How many of these would be found to differ if nothing did: 5 % of those with an interval."""
+    """The expected number of false differences: 5 % of the metrics with an interval."""
     return 0.05 * sum(one.interval is not None for one in differences)
 
 
@@ -185,9 +185,9 @@ def _mean(values: Array) -> float | None:
     return float(values.mean()) if values.size else None
 
 
-def _named(text: str) -> list[Side]:
-    """The variants that one word of the command line stands for."""
-    folder, variant = _parted(text)
+def _sides_of(text: str) -> list[Side]:
+    """The variants that one argument of the command line names."""
+    folder, variant = _split(text)
     results = load_results(folder)
     if not results.rows:
         raise ConfigError(f"{folder}: no run of it has finished; run it first")
@@ -197,7 +197,7 @@ def _named(text: str) -> list[Side]:
     return [Side(f"{folder}:{name}" if name else str(folder), results, name) for name in wanted]
 
 
-def _parted(text: str) -> tuple[Path, str | None]:
+def _split(text: str) -> tuple[Path, str | None]:
     """Folder and variant: the part before a colon is the folder, unless the whole is one."""
     if Path(text).is_dir():
         return Path(text), None

@@ -1,4 +1,4 @@
-"""The manifest of an experiment: all that it takes to make it again, bit by bit."""
+"""The manifest of an experiment: everything needed to repeat it bit by bit."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ FORMAT = 1
 
 
 class VariantEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A variant as it stands in a manifest."""
+    """A variant in a manifest."""
 
     name: str
     values: dict[str, Any]
@@ -29,13 +29,13 @@ class VariantEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fie
 
 
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What was to be run, and with what.
+    """The runs of an experiment, and the software that made them.
 
-    `scenario` as it was named, `sets` and `sweep` by dotted key, and what they came to as
-    `variants`, each with its whole scenario. `made_with` are versions and the digest of the code,
-    `plugins` digests of one-file patterns by name, `git` the checkouts of swarmd and of the
-    scenario's folder, None where there was none. `traces`: whether they were kept. `command` the
-    words that do the same again, empty if it was Python. `created` in UTC.
+    `scenario` is its name as given; `sets` and `sweep` are by dotted key; `variants` hold the
+    resulting complete scenarios. `made_with`: versions and the digest of the code. `plugins`:
+    digests of one-file patterns by name. `git`: the checkouts of swarmd and of the scenario's
+    folder, None without one. `traces`: whether they are kept. `command`: the command line that
+    repeats it, empty if it was made from Python. `created` in UTC.
     """
 
     format: int
@@ -53,7 +53,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     @property
     def plan(self) -> Plan:
-        """The runs; from this alone, not from any scenario file."""
+        """The runs, from the manifest alone and not from a scenario file."""
         return Plan(
             scenario=self.scenario,
             seeds=check_seeds(self.seeds),
@@ -64,7 +64,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 def manifest_of(plan: Plan, *, traces: bool, command: list[str]) -> Manifest:
-    """The manifest of a plan that is run here and now."""
+    """The manifest of a plan, with the present software."""
     place = Path(plan.scenario)
     return Manifest(
         format=FORMAT,
@@ -89,14 +89,14 @@ def manifest_of(plan: Plan, *, traces: bool, command: list[str]) -> Manifest:
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values as JSON has them, so that what runs is what the manifest says.
+    """The values as JSON gives them back, so that runs and manifest agree.
 
-    SwarmError if they are none, such as infinite ones.
+    SwarmError for values that JSON cannot hold, such as infinite ones.
     """
     try:
         text = json.dumps(values, allow_nan=False)
     except (TypeError, ValueError) as error:
-        raise SwarmError(f"the scenario cannot be written down as JSON: {error}") from error
+        raise SwarmError(f"the scenario cannot be written as JSON: {error}") from error
     found: dict[str, Any] = json.loads(text)
     return found
 
@@ -131,7 +131,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 
 def differences(old: Manifest, new: Manifest) -> Iterator[str]:
-    """In words, what of `new` would give other results than `old`, or other files."""
+    """A text for each difference that changes results or files."""
     if old.scenario != new.scenario:
         yield f"the scenario was {old.scenario}, now {new.scenario}"
     if old.seeds != new.seeds:
@@ -146,7 +146,7 @@ def differences(old: Manifest, new: Manifest) -> Iterator[str]:
 
 
 def software_differences(old: Manifest, new: Manifest) -> Iterator[str]:
-    """In words, what of versions, code and plugins differs; each alone may change results."""
+    """A text for each difference of versions, code and plugins; each may change results."""
     names = sorted({*old.made_with, *new.made_with})
     for name in names:
         was, now = old.made_with.get(name, "unknown"), new.made_with.get(name, "unknown")
@@ -165,7 +165,7 @@ def write_json(path: Path, data: Any) -> None:
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file; it appears whole or not at all, and nothing is left of a failure."""
+    """Write a text file; it appears whole or not at all, and a failure leaves nothing."""
     partial = path.with_name(f".{path.name}.partial")
     try:
         partial.write_text(text, encoding="utf-8")

@@ -1,4 +1,4 @@
-"""What an experiment consists of: variants of a scenario, seeds, and the runs they make."""
+"""The plan of an experiment: variants of a scenario, seeds, and their runs."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LONGEST = 120  # characters of a run's id, which is a file's name
 
 @dataclass(frozen=True, slots=True)
 class Variant:
-    """One point of a sweep: `values` by swept key, `effective` its whole scenario, plain values.
+    """One point of a parameter sweep: `values` by key, `effective` its complete scenario.
 
     Its name is such as `speed=0.1,law=paper`, or empty where nothing is swept.
     """
@@ -64,18 +64,18 @@ class Plan:
 
 
 def check_seeds(seeds: Iterable[int]) -> tuple[int, ...]:
-    """The seeds; ConfigError if there is none, one is twice there, or one cannot be."""
+    """The seeds; ConfigError if they are empty, repeated or invalid."""
     found = tuple(seeds)
     if not found:
         raise ConfigError("seeds: there is none; wanted at least one, such as --seeds 20")
     seen: set[int] = set()
     for seed in found:
         if isinstance(seed, bool) or not isinstance(seed, Integral) or not 0 <= seed <= MAX_SEED:
-            raise ConfigError(f"seeds: {seed!r} is none; wanted whole numbers 0 to {MAX_SEED}")
+            raise ConfigError(f"seeds: {seed!r} is no seed; wanted whole numbers 0 to {MAX_SEED}")
         if seed in seen:
-            raise ConfigError(f"seeds: {seed} stands twice; keep one")
+            raise ConfigError(f"seeds: {seed} is given twice; keep one")
         seen.add(seed)
-    return tuple(map(int, found))  # numpy's are none that JSON knows
+    return tuple(map(int, found))  # JSON cannot hold numpy's
 
 
 def make_plan(
@@ -87,8 +87,8 @@ def make_plan(
 ) -> Plan:
     """The plan of the full grid of `sweep`, its last key changing fastest.
 
-    `effective` gives the whole scenario for overrides by dotted key and raises ConfigError if it
-    cannot be: it is asked for every variant, so that no mistake waits for the hundredth run.
+    `effective` gives the complete scenario for overrides by dotted key, and raises ConfigError
+    for invalid ones. It is called for every variant, so that errors appear before the first run.
     """
     found = check_seeds(seeds)
     for key, values in sweep.items():
@@ -110,7 +110,7 @@ def make_plan(
 
 
 def shown(value: object) -> str:
-    """A value of a sweep as names and columns show it."""
+    """A swept value as text in names and columns."""
     is_plain = isinstance(value, str) and value.isprintable()
     return str(value) if is_plain else json.dumps(value, separators=(",", ":"))
 
@@ -127,22 +127,22 @@ def _check_sweep(
     for other in (*sets, *sweep):
         if other.startswith(f"{key}."):
             raise ConfigError(
-                f"sweep {key}: {other} lies in it and would be lost; keep one of them"
+                f"sweep {key}: {other} is part of it and would be lost; keep one of them"
             )
     names = [shown(value) for value in values]
     for i, name in enumerate(names):
         if name in names[:i]:
-            raise ConfigError(f"sweep {key}: {name} stands twice; keep one")
+            raise ConfigError(f"sweep {key}: {name} is given twice; keep one")
 
 
 def _short_keys(keys: Sequence[str]) -> dict[str, str]:
-    """Keys by their last words, where those tell them apart."""
+    """Each key's last part, or the whole key where last parts are equal."""
     last = [key.rpartition(".")[2] for key in keys]
     return {k: s if last.count(s) == 1 else k for k, s in zip(keys, last, strict=True)}
 
 
 def _stems(names: Sequence[str]) -> list[str]:
-    """Names as parts of file names: unsafe characters and lengths are made safe, and unique."""
+    """Names as unique parts of file names, without unsafe characters and not too long."""
     stems = [re.sub(r"[^A-Za-z0-9_.,=+-]", "-", name).lstrip(".-") for name in names]
     folded = [stem.lower() for stem in stems]
     return [

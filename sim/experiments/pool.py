@@ -1,13 +1,7 @@
-"""One run as a job: what it takes, what comes of it, and the doing itself.
+"""Runs in worker processes: a run that crashes or hangs fails alone.
 
-Many jobs in several processes: what kills or hangs one process costs one run.
-
-A process that does one job after another: `python -m swarmd.sim.experiments.pool FD PARENT`.
-
-Jobs come and run_jobs go by the connection of descriptor FD; on the way to an outcome it says now
-and then which share has been simulated. It is a program of its own rather than a multiprocessing
-child, so that a script needs no `if __name__ == "__main__"`. Each job is done by a fork of it: what
-one run does to its process, no other run sees.
+A worker process runs jobs one after the other, each in a fork of its own, and reports progress and
+results through a pipe. The parent ends a worker whose run makes no progress.
 """
 
 from __future__ import annotations
@@ -33,10 +27,22 @@ from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.scenarios.scenariofile import scenario_of
 
+STEP_TIMEOUT = 60.0
+"""Limit in s of wall time for one step of a simulation, or for its set-up."""
+_EXIT_TIMEOUT = 2.0  # s for a worker without work to end by itself
+_POLL_PERIOD = 0.5  # s between two checks of workers that report nothing
+_PROGRESS_PERIOD = 0.25  # s between two reports of a worker
+_MAX_LOG_TAIL = 8192  # bytes of a worker's output that are searched for its last line
+_MAX_REASON = 300  # characters
+_MODULE = "swarmd.sim.experiments.pool"
+_ONE_THREAD = {
+    f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL", "NUMEXPR", "VECLIB")
+}
+
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A run to be done: a whole scenario in plain values, a seed, and where its trace goes."""
+    """A run: its id, a complete scenario as plain values, a seed, and the path of its trace."""
 
     run: str
     effective: Mapping[str, Any]
@@ -60,10 +66,10 @@ class JobResult:
 
 
 def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> JobResult:
-    """Simulate, measure, and write the trace down, in this process.
+    """Simulate, measure and write the trace, in this process.
 
-    Nothing is raised for what goes wrong in the run: patterns and metrics may be anyone's.
-    `on_progress` is told after each step which share has been simulated.
+    An error in the run is returned as the reason, not raised: patterns may come from anyone.
+    `on_progress` receives the simulated share after each step.
     """
     begin = time.perf_counter()
     try:
@@ -75,7 +81,7 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
         return JobResult(job.run, reason=one_line(f"{type(error).__name__}: {error}"))
     if job.trace is not None:
         try:
-            job.trace.parent.stat()  # a folder that was taken away is not made anew
+            job.trace.parent.stat()  # a removed folder is not made again
             trace.save(job.trace)
         except OSError as error:
             remove_partial(job.trace)
@@ -84,7 +90,7 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
 
 
 def remove_partial(trace: Path) -> None:
-    """Remove what is left of a trace that was not written to its end, if it can be."""
+    """Remove a partly written trace, if that is possible."""
     with suppress(OSError):
         trace.with_name(f".{trace.name}.partial").unlink(missing_ok=True)
 
@@ -92,63 +98,53 @@ def remove_partial(trace: Path) -> None:
 def one_line(text: str) -> str:
     """The text on one line of at most 300 characters."""
     line = "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
-    return line if len(line) <= 300 else f"{line[:297]}..."
-
-
-WORKER = "swarmd.sim.experiments.pool"
-GRACE = 2.0  # s in which a worker without work ends by itself
-TIMEOUT = 60.0  # s on the clock for one step of a simulation, or for setting it up
-_LOOK = 0.5  # s between two looks at workers that say nothing
-_TAIL = 8192  # bytes of what a worker has said last
-_ONE_THREAD = {
-    f"{name}_NUM_THREADS": "1" for name in ("OPENBLAS", "OMP", "MKL", "NUMEXPR", "VECLIB")
-}
+    return line if len(line) <= _MAX_REASON else f"{line[: _MAX_REASON - 3]}..."
 
 
 def run_jobs(
-    jobs: Iterable[Job], processes: int, timeout: float = TIMEOUT
+    jobs: Iterable[Job], processes: int, timeout: float = STEP_TIMEOUT
 ) -> Generator[JobResult, None, None]:
-    """The outcome of each job as it comes; `processes` of them are done at a time.
+    """The result of each job as it arrives, from `processes` workers.
 
-    One that gets no further in its simulation for `timeout` s is ended and has failed. Close the
-    iterator (`contextlib.closing`) if it is not exhausted: the workers end with it.
+    A run that makes no progress for `timeout` s is ended and has failed. Close the iterator
+    (`contextlib.closing`) if it is not exhausted, which ends the workers.
     """
     waiting = deque(jobs)
     workers: dict[Connection, _Worker] = {}
     try:
         for _ in range(min(processes, len(waiting))):
-            _employ(workers, waiting.popleft())
+            _start_worker(workers, waiting.popleft())
         before = time.monotonic()
         while workers:
-            ready = wait(list(workers), _LOOK)
+            ready = wait(list(workers), _POLL_PERIOD)
             now = time.monotonic()
-            # Time in which this process stood still too, as a suspended one does, does not count.
-            passed, before = min(now - before, 2.0 * _LOOK), now
+            # Time in which this process did not run either, as if suspended, does not count.
+            passed, before = min(now - before, 2.0 * _POLL_PERIOD), now
             for pipe, worker in list(workers.items()):
-                outcome = worker.outcome() if pipe in ready else worker.silent(passed, timeout)
-                if outcome is None:
+                result = worker.receive() if pipe in ready else worker.add_silence(passed, timeout)
+                if result is None:
                     continue
                 if worker.is_alive and waiting:
-                    worker.give(waiting.popleft())
+                    worker.assign(waiting.popleft())
                 else:
                     workers.pop(pipe).end()
                     if waiting:
-                        _employ(workers, waiting.popleft())
-                yield outcome
+                        _start_worker(workers, waiting.popleft())
+                yield result
     finally:
         for worker in workers.values():
             worker.kill()
             worker.clean()
 
 
-def _employ(workers: dict[Connection, _Worker], job: Job) -> None:
+def _start_worker(workers: dict[Connection, _Worker], job: Job) -> None:
     worker = _Worker()
     workers[worker.pipe] = worker
-    worker.give(job)
+    worker.assign(job)
 
 
 class _Worker:
-    """One process, the pipe to it, and the job it is at. `is_alive`: it can take another."""
+    """A worker process, its pipe and its job. `is_alive`: it can take another job."""
 
     def __init__(self) -> None:
         self.is_alive = True
@@ -156,105 +152,92 @@ class _Worker:
         self._log = tempfile.TemporaryFile()  # noqa: SIM115  # closed by `kill`
         with theirs:
             self._process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-P",
-                    "-m",
-                    "swarmd.sim.experiments.pool",
-                    *self._arguments(theirs),
-                ],
+                [sys.executable, "-P", "-m", _MODULE, str(theirs.fileno()), str(os.getpid())],
                 pass_fds=(theirs.fileno(),),
                 stdin=subprocess.DEVNULL,
                 stdout=self._log,
                 stderr=self._log,
                 env={**os.environ, **_ONE_THREAD},
-                process_group=0,  # Ctrl-C is for the parent, which ends them
+                process_group=0,  # Ctrl-C goes to the parent, which ends the workers
             )
 
-    @staticmethod
-    def _arguments(theirs: Connection) -> tuple[str, str]:
-        return str(theirs.fileno()), str(os.getpid())
-
-    def give(self, job: Job) -> None:
-        """Let it do a job; if it has gone, `outcome` will say so."""
+    def assign(self, job: Job) -> None:
+        """Send it a job; if the worker has ended, `receive` returns that."""
         self._job = job
         self._silence: float | None = 0.0
         self._begin = os.fstat(self._log.fileno()).st_size
         with suppress(OSError):
             self.pipe.send(job)
 
-    def outcome(self) -> JobResult | None:
-        """What came of the job, None if it was but a word on the way; it must have said something.
+    def receive(self) -> JobResult | None:
+        """The result of the job, None for a report of progress; the pipe must be readable.
 
-        If it has ended instead, that is the outcome.
+        If the worker has ended instead, the result is a failure.
         """
         try:
-            word: JobResult | float = self.pipe.recv()
-        except Exception:  # its end, or what a pattern has written into the pipe
+            received: JobResult | float = self.pipe.recv()
+        except Exception:  # the worker's end, or bytes that a pattern wrote into the pipe
             with suppress(subprocess.TimeoutExpired):
-                self._process.wait(GRACE)
+                self._process.wait(_EXIT_TIMEOUT)
             self._end_group()
             code = self._process.returncode
-            hint = " (the memory was full, or someone did it)" if code == -signal.SIGKILL else ""
-            return self._lost(f"its process {how_it_ended(code)}{hint}")
-        if isinstance(word, JobResult):
-            return word
-        self._silence = 0.0 if word < 1.0 else None  # what is left is up to nobody's pattern
+            hint = " (out of memory, or killed by hand)" if code == -signal.SIGKILL else ""
+            return self._failed(f"its process {how_it_ended(code)}{hint}")
+        if isinstance(received, JobResult):
+            return received
+        self._silence = 0.0 if received < 1.0 else None  # from here on no pattern runs
         return None
 
-    def silent(self, seconds: float, timeout: float) -> JobResult | None:
-        """It has said nothing for so long again: ended, and the outcome, if that is too long."""
+    def add_silence(self, seconds: float, timeout: float) -> JobResult | None:
+        """Add time without a report; at the limit, end the worker and return the failure."""
         if self._silence is None:
             return None
         self._silence += seconds
         if self._silence < timeout:
             return None
         self._end_group()
-        return self._lost(f"it got no further in {timeout:g} s, as if a pattern never returned")
+        return self._failed(f"no progress in {timeout:g} s; a pattern may not return")
 
     def end(self) -> None:
-        """Let it end, as it does when nothing more can come."""
+        """Close the pipe, which ends an idle worker, and wait for it."""
         self.pipe.close()
         with suppress(subprocess.TimeoutExpired):
-            self._process.wait(GRACE)
+            self._process.wait(_EXIT_TIMEOUT)
         self.kill()
 
     def kill(self) -> None:
-        """End it now, whatever it is at."""
+        """End it immediately."""
         self._end_group()
         self.pipe.close()
         self._log.close()
 
     def clean(self) -> None:
-        """Remove what it has left of the trace it was at; it must have ended."""
+        """Remove the partly written trace of its job; the worker must have ended."""
         if self._job.trace is not None:
             remove_partial(self._job.trace)
 
     def _end_group(self) -> None:
-        """End it and all that it or a pattern has started."""
+        """End the worker and every process that it or a pattern has started."""
         with suppress(ProcessLookupError):
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.wait()
 
-    def _lost(self, reason: str) -> JobResult:
+    def _failed(self, reason: str) -> JobResult:
         self.is_alive = False
         self.clean()
-        return JobResult(self._job.run, reason=f"{reason}{self._last_words()}")
+        return JobResult(self._job.run, reason=f"{reason}{self._last_line()}")
 
-    def _last_words(self) -> str:
-        """The last line it has said since it was given its job."""
+    def _last_line(self) -> str:
+        """The last line of its output since it received its job."""
         end = self._log.seek(0, os.SEEK_END)
-        self._log.seek(max(self._begin, end - _TAIL))
+        self._log.seek(max(self._begin, end - _MAX_LOG_TAIL))
         lines = self._log.read().decode(errors="replace").split("\n")
-        said = [line for line in lines if line.strip()]
-        return f": {one_line(said[-1])}" if said else ""
-
-
-BEAT = 0.25  # s between two words of progress
+        written = [line for line in lines if line.strip()]
+        return f": {one_line(written[-1])}" if written else ""
 
 
 def main(descriptor: int, parent: int) -> None:
-    """Do jobs until there are no more."""
+    """Run jobs until the pipe is closed. This is the worker process."""
     die_with_parent(parent)
     # Loaded once, for all the forks: what a job imports, and what metrics import lazily.
 
@@ -266,24 +249,26 @@ def main(descriptor: int, parent: int) -> None:
                 job = connection.recv()
             except EOFError:
                 return
-            _do_apart(job, connection)
+            _run_in_fork(job, connection)
 
 
-def _do_apart(job: Job, connection: Connection) -> None:
-    """Do the job in a fork; if that ends before it has an outcome, end in the same way."""
+def _run_in_fork(job: Job, connection: Connection) -> None:
+    """Run the job in a fork; if the fork ends without a result, end in the same way."""
     ours, theirs = os.pipe()
     worker = os.getpid()
     child = os.fork()
     if child == 0:
         die_with_parent(worker)
-        os.register_at_fork(after_in_child=connection.close)  # a pattern's fork has no say
+        os.register_at_fork(
+            after_in_child=connection.close
+        )  # so that a pattern's fork cannot write into it
         _do(job, connection)
         os.write(theirs, b"1")
-        os._exit(0)  # whatever a pattern has left to be waited for
+        os._exit(0)  # without waiting for threads of a pattern
     os.close(theirs)
     _, status = os.waitpid(child, 0)
     os.set_blocking(ours, False)
-    with suppress(BlockingIOError):  # what the pattern forked has the other end still
+    with suppress(BlockingIOError):  # a process that the pattern forked holds the other end
         if os.read(ours, 1):
             os.close(ours)
             return
@@ -293,21 +278,21 @@ def _do_apart(job: Job, connection: Connection) -> None:
 def _do(job: Job, connection: Connection) -> None:
     from swarmd.sim.experiments.pool import run_job
 
-    next_beat = 0.0
+    next_report = 0.0
 
-    def tell(share: float) -> None:
-        nonlocal next_beat
+    def report(share: float) -> None:
+        nonlocal next_report
         now = time.monotonic()
-        if now >= next_beat or share == 1.0:
-            next_beat = now + BEAT
+        if now >= next_report or share == 1.0:
+            next_report = now + _PROGRESS_PERIOD
             connection.send(share)
 
-    connection.send(run_job(job, tell))
+    connection.send(run_job(job, report))
 
 
 def _end_with(code: int) -> None:
     if code < 0:
-        with suppress(OSError, ValueError):  # SIGKILL knows no handler
+        with suppress(OSError, ValueError):  # SIGKILL has no handler
             signal.signal(-code, signal.SIG_DFL)
         os.kill(os.getpid(), -code)
     os._exit(code)

@@ -1,4 +1,4 @@
-"""What results depend on besides the scenario: versions, code, plugins, and the state of git."""
+"""Versions, digests and git commits: what results depend on besides the scenario."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from swarmd.core.errors import SwarmError
 from swarmd.plugins import mission_files
 
 NOT_IN_RUNS = frozenset({"__pycache__", "cli", "live", "network", "plots", "testing"})
-"""Folders of swarmd that no run reads from: a change there changes no result."""
+"""Folders of swarmd that no run imports; a change there changes no result."""
 
 _GIT_SECONDS = 10.0
 
@@ -30,10 +30,10 @@ class GitState(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 def made_with() -> dict[str, str]:
-    """Versions of all that results can hang on, by name; `code` is a digest of swarmd's sources.
+    """Versions of everything that results depend on; `code` is a digest of swarmd's sources.
 
-    numpy chooses its arithmetic by what the processor can, and the last bits follow from that:
-    `simd` holds what it has found. OpenBLAS does likewise, and OPENBLAS_CORETYPE overrules it.
+    numpy chooses its instructions by the processor, which changes last bits: `simd` holds the
+    extensions that it found. OpenBLAS does the same; OPENBLAS_CORETYPE overrides it.
     """
     import mujoco
     import numpy as np
@@ -54,9 +54,9 @@ def made_with() -> dict[str, str]:
 
 
 def digest_of_code(folder: Path) -> str:
-    """The SHA-256 of names and contents of the Python files that runs may use, links followed.
+    """The SHA-256 of names and contents of all Python files that runs may import, and of missions.
 
-    And of the missions that come with them.
+    Symbolic links are followed.
     """
     digest = hashlib.sha256()
     for path in (*_python_files(folder), *mission_files(folder / "config" / "missions")):
@@ -79,7 +79,7 @@ def digests_of_plugins(folder: Path | None) -> dict[str, str]:
 
 
 def git_state(folder: Path) -> GitState | None:
-    """The state of the checkout that has files of `folder`; None if none has, or without git."""
+    """The state of the checkout that tracks files of `folder`; None without one, or without git."""
     tracked = _git(folder, "ls-files", "--", ".")
     commit = _git(folder, "rev-parse", "HEAD") if tracked else None
     if not commit:
@@ -89,7 +89,7 @@ def git_state(folder: Path) -> GitState | None:
 
 
 def _git(folder: Path, *words: str) -> str | None:
-    """What git says; None if it is not there or has nothing to say about the folder."""
+    """The output of a git command; None without git, or if the command fails."""
     try:
         done = subprocess.run(
             ["git", "-C", str(folder), *words],
@@ -98,7 +98,7 @@ def _git(folder: Path, *words: str) -> str | None:
             timeout=_GIT_SECONDS,
             check=False,
             stdin=subprocess.DEVNULL,
-            env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},  # looking changes nothing
+            env={**os.environ, "GIT_OPTIONAL_LOCKS": "0"},  # read only
         )
     except (OSError, subprocess.TimeoutExpired, UnicodeDecodeError):
         return None

@@ -1,4 +1,4 @@
-"""An experiment made again from its manifest alone, and compared with itself bit by bit."""
+"""Repeat an experiment from its manifest alone, and compare it bit by bit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import manifest_of, read_manifest, software_differences
-from swarmd.sim.experiments.pool import TIMEOUT
+from swarmd.sim.experiments.pool import STEP_TIMEOUT
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import OnProgress, run_experiment
 from swarmd.sim.trace import Trace
@@ -21,7 +21,7 @@ from swarmd.sim.trace import Trace
 
 @dataclass(frozen=True, slots=True)
 class RunComparison:
-    """Whether a run came out the same; if not, `why` says what differs."""
+    """The comparison of a run with its repetition; `why` names what differs, empty if nothing."""
 
     run: str
     why: str
@@ -33,7 +33,7 @@ class RunComparison:
 
 
 def warnings(folder: Path) -> list[str]:
-    """In words, what is not as it was when the experiment was made; ConfigError if it is none."""
+    """A text for each difference of the software since; ConfigError if it is no experiment."""
     old = read_manifest(folder)
     return list(software_differences(old, manifest_of(old.plan, traces=old.traces, command=[])))
 
@@ -43,13 +43,13 @@ def rerun(
     out: Path | None,
     processes: int,
     on_progress: OnProgress | None = None,
-    timeout: float = TIMEOUT,
+    timeout: float = STEP_TIMEOUT,
 ) -> list[RunComparison]:
-    """Make the experiment of `folder` again in `out`, and compare each run that it finished.
+    """Repeat the experiment of `folder` in `out`, and compare each finished run.
 
-    Without `out` those runs alone are made again, in a folder that is gone afterwards. Nothing but
-    the manifest is read to make them, and nothing in `folder` is changed. ConfigError if `folder`
-    is no experiment, has finished no run, or is `out` itself.
+    Without `out` only finished runs are repeated, in a temporary folder. They are made from the
+    manifest alone, and nothing in `folder` changes. ConfigError if `folder` is no experiment, has
+    no finished run, or is `out` itself.
     """
     before = load_results(folder)
     if not before.runs:
@@ -62,21 +62,21 @@ def rerun(
         run_experiment, manifest, processes=processes, on_progress=on_progress, timeout=timeout
     )
     if out is not None:
-        return _matches(before, again(out))
+        return _comparisons(before, again(out))
     only = {run.id for run in before.runs}
     with TemporaryDirectory(prefix="swarmd-exp-") as place:
-        return _matches(before, again(Path(place), only=only))
+        return _comparisons(before, again(Path(place), only=only))
 
 
 def trace_differences(a: Trace, b: Trace) -> Iterator[str]:
-    """The names of what differs between two traces, in a single bit or more."""
+    """The names of the fields that differ between two traces in at least one bit."""
     for field in fields(Trace):
         one, other = getattr(a, field.name), getattr(b, field.name)
         if not _same(one, other):
             yield field.name
 
 
-def _matches(before: Results, after: Results) -> list[RunComparison]:
+def _comparisons(before: Results, after: Results) -> list[RunComparison]:
     rows = [{row["run"]: row for row in results.rows} for results in (before, after)]
     return [
         RunComparison(

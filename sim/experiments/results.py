@@ -1,4 +1,4 @@
-"""What an experiment has found, read from its folder: rows, statistics and traces."""
+"""The results of an experiment, read from its folder: rows, statistics and traces."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from swarmd.sim.metrics.catalog import METRICS, is_time_to_event
 from swarmd.sim.trace import Trace, load_trace
 
 YES_OR_NO = "0 or 1"
-"""The unit of metrics that are true or false of a run."""
+"""The unit of metrics that are true or false for a run."""
 
 
 class Traces(Sequence[Trace]):
-    """Traces of finished runs, each read from the disk when it is asked for, by number or run."""
+    """Traces of finished runs, by number or run id; each is read from the disk when accessed."""
 
     def __init__(self, folder: Path, runs: Sequence[Run]) -> None:
         self._folder = folder
@@ -54,8 +54,8 @@ class Traces(Sequence[Trace]):
 class Results:
     """The finished runs of an experiment, in the order of its plan.
 
-    `failures` has the reason of each run that failed, by run. `variants` are the points of the
-    sweep by name, one without a name if nothing was swept.
+    `failures`: the reason of each failed run, by run. `variants`: the names of the points of the
+    parameter sweep, one empty name without a sweep.
     """
 
     def __init__(
@@ -108,9 +108,9 @@ class Results:
     def summary(
         self, variant: str | None = None, names: Sequence[str] | None = None
     ) -> dict[str, Summary]:
-        """Mean, median and their 95 % intervals by metric, of the variant, or the only one.
+        """Statistics by metric, of a variant or the only one; of all metrics without `names`.
 
-        Of the named metrics alone, if any are. ConfigError if a variant must be named.
+        ConfigError if there are several variants and none is named.
         """
         if variant is None:
             if len(self.variants) > 1:
@@ -169,9 +169,9 @@ class Results:
 
 
 def load_results(folder: str | Path) -> Results:
-    """What an experiment's folder holds, also of one that was interrupted.
+    """The results in an experiment's folder, also of an interrupted one.
 
-    ConfigError in one line if it is no such folder or damaged.
+    ConfigError in one line if it is no such folder, or damaged.
     """
     place = Path(folder)
     plan = read_manifest(place).plan
@@ -181,7 +181,7 @@ def load_results(folder: str | Path) -> Results:
 
 
 def unit_of(metric: str) -> str:
-    """The unit of a metric; none for one that is not known, as of another version."""
+    """The unit of a metric; empty for an unknown one, such as that of another version."""
     return METRICS[metric].unit if metric in METRICS else ""
 
 

@@ -23,7 +23,7 @@ from typing import Any, cast
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
 from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan
-from swarmd.sim.experiments.pool import TIMEOUT, Job, JobResult, run_job, run_jobs
+from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, run_job, run_jobs
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.store import Store, gone, open_store
 from swarmd.sim.metrics.catalog import METRICS
@@ -32,7 +32,7 @@ from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
 
 OnProgress = Callable[[int, int, int], None]
-"""Told after each run: how many are done, of how many, and how many of them failed."""
+"""Called after each run with the number of runs that are done, of all, and that have failed."""
 
 
 def simulate(
@@ -44,20 +44,19 @@ def simulate(
     jobs: int = 1,
     out: str | Path | None = None,
     traces: bool = True,
-    timeout: float = TIMEOUT,
+    timeout: float = STEP_TIMEOUT,
 ) -> Results:
     """Run a scenario once for each seed (a number n means 0 to n - 1), and measure every run.
 
     `set` and `sweep` are by dotted key of the scenario's file: `{"groups.all.count": 5}`, and
     `{"groups.all.parameters.law": ["ours", "paper"]}` for every combination. With `jobs` above 1
-    runs are done by as many processes, from scripts and notebooks alike; with 1 in this one. The
-    results are the same, bit by bit. In processes of its own a run that gets no further for
-    `timeout` s is ended and has failed. `out` is a folder as `swarmctl exp` makes and reads them,
-    where an interrupted call goes on if it is made again; without it, results last as long as
-    this process needs them.
+    as many worker processes do the runs, from scripts and notebooks alike; with 1, this process
+    does them. The results are the same, bit by bit. In worker processes, a run without progress
+    for `timeout` s is ended and has failed. `out` is a folder as of `swarmctl exp`; the same call
+    continues an interrupted one. Without `out`, the results are deleted with the returned object.
 
-    ConfigError before anything runs if scenario, seeds or overrides cannot be. Runs that fail are
-    in `failures` of the results; SwarmError if all of them did.
+    ConfigError before anything runs if scenario, seeds or overrides are invalid. Failed runs are
+    in `failures` of the results; SwarmError if all runs failed.
     """
     if jobs < 1:
         raise ConfigError(f"jobs is {jobs}; wanted 1 or more")
@@ -86,7 +85,7 @@ def plan_of(
     set: Mapping[str, Any] | None = None,
     sweep: Mapping[str, Sequence[Any]] | None = None,
 ) -> Plan:
-    """The plan of an experiment, every variant of the scenario checked, start poses included."""
+    """The plan of an experiment; every variant of the scenario is checked, start poses too."""
     name = scenario.name if isinstance(scenario, Scenario) else str(scenario)
     first = check_seeds(seeds)
     given = [*([SOURCE] * bool(set)), *([SWEPT] * bool(sweep))]
@@ -106,15 +105,13 @@ def run_experiment(
     *,
     is_here: bool = False,
     only: Collection[str] | None = None,
-    timeout: float = TIMEOUT,
+    timeout: float = STEP_TIMEOUT,
     on_progress: OnProgress | None = None,
 ) -> Results:
-    """Do all runs of a manifest that its folder does not have yet, and sum up.
+    """Do all runs of a manifest that are missing in its folder, and write the summary.
 
-    Those of `only` alone, if it is given, and in this process alone if `is_here`; elsewhere none
-    may stand still for `timeout` s. Whatever ends
-    it early, what was finished stays in the folder and can be read. SwarmError if the folder
-    cannot be used or its disk is full.
+    `only` limits the runs. `is_here`: in this process, without `timeout`. If it ends early, the
+    finished runs stay in the folder. SwarmError if the folder cannot be used or the disk is full.
     """
     with open_store(folder, manifest, tuple(METRICS)) as store:
         try:
@@ -123,7 +120,7 @@ def run_experiment(
             found = _here(jobs) if is_here else run_jobs(jobs, processes, timeout)
             _gather(store, runs, found, on_progress)
         except BaseException:
-            with suppress(SwarmError, OSError):  # what has ended it is what is to be told
+            with suppress(SwarmError, OSError):  # the first error is the one to report
                 store.close(_results(store).document())
             raise
         results = _results(store)

@@ -1,17 +1,15 @@
-"""The rows of an experiment as runs.csv: appended one by one, read strictly.
-
-A line is either whole or not there: a file whose last line is torn, as a killed process leaves it,
-is read without that line.
-
-The folder of an experiment while it is made: what is in it is whole at every instant.
+"""The folder of an experiment, complete at every instant.
 
 ::
 
     manifest.json   what was to be run, and with what
-    runs.csv        a row for each finished run
-    traces/ID.npz   what happened in it
+    runs.csv        a row for each finished run, appended as it finishes
+    traces/ID.npz   the trace of a run
     failures.json   the runs that failed, and why
     summary.json    means, medians and intervals by variant and metric
+
+The last line of runs.csv may be torn, as a killed process leaves it. It is read as if it were not
+there.
 """
 
 from __future__ import annotations
@@ -31,7 +29,6 @@ from typing import Any
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments import manifest as manifests
-from swarmd.sim.experiments import store as table
 from swarmd.sim.experiments.manifest import (
     Manifest,
     read_manifest,
@@ -41,20 +38,20 @@ from swarmd.sim.experiments.manifest import (
 )
 from swarmd.sim.experiments.plan import Plan, Run, shown
 
-NAME = "runs.csv"
+TABLE = "runs.csv"
 _FIRST, _LAST = ("run", "variant"), "wall"
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """What came of one run: metrics by name, None where there is no value, and seconds it took."""
+    """A finished run: metrics by name, None without a value, and its duration `wall` in s."""
 
     run: Run
     metrics: Mapping[str, float | None]
     wall: float
 
     def plain(self) -> dict[str, Any]:
-        """As Python shows it: run, variant, swept values, seed, metrics and wall."""
+        """As a dict: run, variant, swept values, seed, metrics and wall."""
         about = {"run": self.run.id, "variant": self.run.variant.name, **self.run.variant.values}
         return {**about, "seed": self.run.seed, **self.metrics, _LAST: self.wall}
 
@@ -79,9 +76,9 @@ def lines(rows: Iterable[Sequence[str]]) -> str:
 def read_table(folder: Path, plan: Plan) -> tuple[tuple[str, ...], dict[str, Row]]:
     """The metrics' names and the rows by run, in the order of the plan.
 
-    ConfigError naming file and line for anything that `line_of` does not write.
+    ConfigError with file and line for anything that `line_of` does not write.
     """
-    path = folder / NAME
+    path = folder / TABLE
     text = _whole_lines(path)
     try:
         records = list(csv.reader(io.StringIO(text), strict=True))
@@ -93,7 +90,7 @@ def read_table(folder: Path, plan: Plan) -> tuple[tuple[str, ...], dict[str, Row
     for number, cells in enumerate(records[1:], start=2):
         row = _row(path, number, cells, metrics, runs)
         if row.run.id in rows:
-            raise _damaged(path, number, f"run {row.run.id} stands twice")
+            raise _damaged(path, number, f"run {row.run.id} appears twice")
         rows[row.run.id] = row
     return metrics, {name: rows[name] for name in runs if name in rows}
 
@@ -106,7 +103,7 @@ def _whole_lines(path: Path) -> str:
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     except UnicodeDecodeError as error:
-        raise _damaged(path, 1, "it is no UTF-8 text") from error
+        raise _damaged(path, 1, "not UTF-8 text") from error
     return text[: text.rfind("\n") + 1]
 
 
@@ -130,7 +127,7 @@ def _row(
         raise _damaged(path, number, f"no run of its manifest: {cells[0] if cells else ''!r}")
     about = _about(run)
     if tuple(cells[: len(about)]) != about or len(cells) != len(about) + len(metrics) + 1:
-        raise _damaged(path, number, f"it is not about run {run.id} of its manifest")
+        raise _damaged(path, number, f"it does not match run {run.id} of the manifest")
     try:
         values = [float(cell) if cell else None for cell in cells[len(about) : -1]]
         wall = float(cells[-1])
@@ -164,9 +161,9 @@ _HEAD = {"apiVersion": "swarm/v1", "kind": "ExperimentSummary"}
 
 
 class Store:
-    """An experiment's folder, open for more. `rows` and `failures` (reasons) are by run.
+    """An experiment's folder, open for writing. `rows` and `failures` (reasons) are by run.
 
-    Runs that failed before are not among `failures`: they are tried again.
+    Runs that failed earlier are not in `failures`: they are run again.
     """
 
     def __init__(self, folder: Path, manifest: Manifest, rows: dict[str, Row]) -> None:
@@ -187,33 +184,33 @@ class Store:
 
     @property
     def is_whole(self) -> bool:
-        """Whether nobody has taken the folder away, or its traces."""
+        """Whether the folder and its traces still exist."""
         return (self.folder / (TRACES if self.manifest.traces else manifests.NAME)).exists()
 
     def add(self, run: Run, metrics: Mapping[str, float | None], wall: float) -> None:
-        """Keep a finished run; SwarmError if the disk does not take it."""
+        """Append a finished run; SwarmError if it cannot be written."""
         row = Row(run, metrics, round(wall, 3))
-        with _told(self.folder):
+        with _translate_errors(self.folder):
             try:
-                _append(self.folder / table.NAME, table.line_of(row))
+                _append(self.folder / TABLE, line_of(row))
             except FileNotFoundError as error:
                 raise gone(self.folder) from error
         self.rows[run.id] = row
 
     def fail(self, run: Run, reason: str) -> None:
-        """Keep that a run failed, and why; SwarmError if the disk does not take it."""
+        """Record that a run failed, and why; SwarmError if it cannot be written."""
         self.failures[run.id] = reason
-        with _told(self.folder):
+        with _translate_errors(self.folder):
             self._write_failures()
 
     def close(self, summary: Mapping[str, object]) -> None:
         """Put the rows in order and write the summary; SwarmError if the disk is full."""
         rows = [self.rows[run.id] for run in self.plan.runs if run.id in self.rows]
-        with _told(self.folder):
+        with _translate_errors(self.folder):
             if rows:
-                head = table.lines([table.header(self.plan, rows[0].metrics)])
-                text = head + "".join(map(table.line_of, rows))
-                write_whole(self.folder / table.NAME, text)
+                head = lines([header(self.plan, rows[0].metrics)])
+                text = head + "".join(map(line_of, rows))
+                write_whole(self.folder / TABLE, text)
             self._write_failures()
             write_json(self.folder / SUMMARY, {**_HEAD, **summary})
 
@@ -230,20 +227,20 @@ class Store:
 
 @contextmanager
 def open_store(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Iterator[Store]:
-    """The folder for this experiment: a new one, or the same experiment's, which goes on.
+    """The folder for this experiment: a new one, or one in which the same experiment goes on.
 
-    ConfigError, and nothing is touched, if the folder holds anything else, belongs to another
+    ConfigError, with nothing changed, if the folder holds anything else, belongs to another
     experiment or is in use.
     """
-    with _told(folder):
+    with _translate_errors(folder):
         made = not folder.is_dir()
         folder.mkdir(parents=True, exist_ok=True)
-    with _held(folder):
+    with _locked(folder):
         if (folder / manifests.NAME).exists():
             store = _resumed(folder, manifest, metrics)
         else:
             if not made:
-                _refuse_strangers(folder)
+                _refuse_other_files(folder)
             _begin(folder, manifest, metrics)
             store = Store(folder, manifest, {})
         yield store
@@ -264,8 +261,8 @@ def read_failures(folder: Path) -> dict[str, str]:
 
 
 def gone(folder: Path) -> SwarmError:
-    """The error that someone took the folder, or a file of it, away."""
-    text = f"{folder}: it, or what was in it, has been removed meanwhile"
+    """The error that the folder, or a file of it, was removed."""
+    text = f"{folder}: the folder or a file of it was removed"
     return SwarmError(f"{text}; restore it or remove the rest, and give the same command again")
 
 
@@ -275,13 +272,13 @@ def trace_path(folder: Path, run: Run) -> Path:
 
 
 def _begin(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> None:
-    with _told(folder):
-        write_manifest(manifest, folder)  # first: with it, the folder is an experiment's
+    with _translate_errors(folder):
+        write_manifest(manifest, folder)  # first: it makes the folder that of an experiment
         _begin_table(folder, manifest, metrics)
 
 
 def _begin_table(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> None:
-    write_whole(folder / table.NAME, table.lines([table.header(manifest.plan, metrics)]))
+    write_whole(folder / TABLE, lines([header(manifest.plan, metrics)]))
     if manifest.traces:
         (folder / TRACES).mkdir(exist_ok=True)
 
@@ -292,26 +289,26 @@ def _resumed(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Stor
     if differing is not None:
         text = f"{folder}: holds another experiment: {differing}"
         raise ConfigError(f"{text}; name another folder with --out, or remove this one")
-    if not (folder / table.NAME).exists():  # cut off between the two, or deleted
-        with _told(folder):
+    if not (folder / TABLE).exists():  # interrupted between the two, or deleted
+        with _translate_errors(folder):
             _begin_table(folder, old, metrics)
-    known, rows = table.read_table(folder, old.plan)
+    known, rows = read_table(folder, old.plan)
     if known != metrics:
         raise ConfigError(f"{folder}: holds other metrics; name another folder with --out")
-    with _told(folder):
+    with _translate_errors(folder):
         for partial in (folder / TRACES).glob(".*.partial"):
             partial.unlink()
-        _cut_torn_line(folder / table.NAME)
+        _cut_torn_line(folder / TABLE)
         if old.traces:
             (folder / TRACES).mkdir(exist_ok=True)
     return Store(folder, old, rows)
 
 
-def _refuse_strangers(folder: Path) -> None:
+def _refuse_other_files(folder: Path) -> None:
     cut_off = f".{manifests.NAME}.partial"
-    strangers = sorted(path.name for path in folder.iterdir() if path.name != cut_off)
-    if strangers:
-        text = f"{folder}: is no experiment's folder: it holds {strangers[0]}"
+    others = sorted(path.name for path in folder.iterdir() if path.name != cut_off)
+    if others:
+        text = f"{folder}: is not the folder of an experiment: it holds {others[0]}"
         raise ConfigError(f"{text}; name a new or empty one with --out")
 
 
@@ -325,7 +322,7 @@ def _append(path: Path, line: str) -> None:
             while written < len(data):
                 written += file.write(data[written:]) or 0
         except BaseException:
-            with suppress(OSError):  # else the line is torn, and is cut off when it goes on
+            with suppress(OSError):  # otherwise the torn line is removed at the next start
                 file.truncate(size)
             raise
 
@@ -338,14 +335,14 @@ def _cut_torn_line(path: Path) -> None:
 
 
 @contextmanager
-def _held(folder: Path) -> Iterator[None]:
-    """The folder for this process alone; ConfigError if another has it."""
+def _locked(folder: Path) -> Iterator[None]:
+    """Hold an exclusive lock of the folder; ConfigError if another process holds it."""
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
-            text = f"{folder}: another swarmctl is at work in it"
+            text = f"{folder}: another swarmctl is using it"
             raise ConfigError(f"{text}; wait for it, or name another folder") from error
         yield
     finally:
@@ -353,8 +350,8 @@ def _held(folder: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _told(folder: Path) -> Iterator[None]:
-    """What the disk refuses is one line that names the folder."""
+def _translate_errors(folder: Path) -> Iterator[None]:
+    """Turn errors of the file system into one line that names the folder."""
     try:
         yield
     except (FileExistsError, NotADirectoryError) as error:

@@ -78,7 +78,7 @@ def test_plugins_are_listed_with_their_digests(tmp_path: Path) -> None:
 
 def test_a_plugin_that_cannot_be_read_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "a.py").symlink_to("nowhere")
-    with pytest.raises(SwarmError, match=r"a\.py: cannot be read: No such file"):
+    with pytest.raises(SwarmError, match=r"a\.py"):
         digests_of_plugins(tmp_path)
 
 

@@ -144,7 +144,7 @@ def test_failed_runs_are_told_and_the_others_are_there(duo: Path) -> None:
 
 
 def test_if_all_runs_fail_it_raises(duo: Path) -> None:
-    with pytest.raises(SwarmError, match="all 1 runs failed; the first, s0000: its process ended"):
+    with pytest.raises(SwarmError, match="s0000"):
         small(duo, seeds=1, set={END: "exit"}, jobs=2)
 
 
@@ -156,7 +156,7 @@ def test_names_that_are_none_are_one_line(duo: Path) -> None:
         results.traces["s0009"]
     with pytest.raises(IndexError):
         results.traces[2]
-    with pytest.raises(SwarmError, match="there is no trace; it was not kept"):
+    with pytest.raises(SwarmError, match=r"s0000\.npz"):
         results.traces[0]
 
 
@@ -166,7 +166,7 @@ def test_names_that_are_none_are_one_line(duo: Path) -> None:
         ({"jobs": 0}, "jobs is 0"),
         ({"timeout": 0.5}, "timeout is 0.5; wanted 1 s or more"),
         ({"seeds": 0}, "there is none"),
-        ({"seeds": [1, 1]}, "1 stands twice"),
+        ({"seeds": [1, 1]}, "seeds: 1"),
         ({"sweep": {"duration": []}}, "there is no value"),
         ({"sweep": {"duraton": [1]}}, "did you mean 'duration'"),
         ({"sweep": {"duration": [1, -1]}}, "duration is -1"),

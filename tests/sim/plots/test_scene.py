@@ -83,9 +83,9 @@ def test_the_longer_side_has_the_length_asked_for() -> None:
 
 
 def test_what_holds_nothing_cannot_be_drawn(walk: Walk) -> None:
-    with pytest.raises(SwarmError, match="no instant: nothing to draw"):
+    with pytest.raises(SwarmError, match="no instant"):
         check_drawable(walk(2, 0))
-    with pytest.raises(SwarmError, match="no robot: nothing to draw"):
+    with pytest.raises(SwarmError, match="no robot"):
         check_drawable(walk(0))
 
 

@@ -93,9 +93,9 @@ def test_nothing_is_unseen_where_lidars_see_whole_bodies(platform: str) -> None:
 
 
 def test_a_scene_that_is_none_is_refused_with_the_nearest() -> None:
-    with pytest.raises(ConfigError, match="no family 'goal'; did you mean 'goals'"):
+    with pytest.raises(ConfigError, match="goals"):
         scenario(Scene("goal", "burger"))
-    with pytest.raises(ConfigError, match="a Jackal's lidar looks over TurtleBots"):
+    with pytest.raises(ConfigError, match="Jackal"):
         scenario(Scene("goals", "mixed", "real"))
 
 
