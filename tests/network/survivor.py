@@ -1,4 +1,4 @@
-"""A light daemon that says what it sees, one JSON line an event; run in a network namespace.
+"""A fake daemon that prints its events, one JSON line each; run in a network namespace.
 
 Publishes 3 kB at 20 Hz, so that links to vanished peers hold unacknowledged data. Lines:
 {"ready": name}, {"member": name, "condition": ..., "at": s}, and on each line of standard input

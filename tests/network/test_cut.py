@@ -1,8 +1,8 @@
-"""Profile field on real interfaces: cables that are cut without a word, and healed.
+"""Profile field on real interfaces: a cable that is cut, and healed.
 
-Eight peers in three network namespaces on one bridge. What is proved: the peers that vanish are
-failed once their lease is over, those that stay go on hearing each other meanwhile (without the
-socket tuner they hear nothing for about 10 s), and all is as before soon after the cable is back.
+Eight peers in three network namespaces on one bridge. The peers that vanish fail once their lease
+is over. Those that stay receive each other's messages meanwhile (without the tuning of sockets
+they receive nothing for about 10 s). Soon after the cable is back all members are alive again.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from swarmd.network.settings import NetworkSettings
 
 pytestmark = pytest.mark.integration
 
-SURVIVOR = Path(__file__).with_name("survivor.py")
+ROOT = Path(__file__).parents[2]
 ADDRESSES = {"a": "10.77.0.1", "b": "10.77.0.2", "far": "10.77.0.3"}
 STAYING = {"a": ("a", 7447), "b": ("b", 7447)}
 VANISHING = {f"v{number}": ("far", 7447 + number) for number in range(6)}
@@ -49,10 +49,10 @@ class Peer:
         ]
         self._changed = threading.Condition()
         self._process = subprocess.Popen(
-            ["ip", "netns", "exec", namespace, sys.executable, str(SURVIVOR), robot or name,
-             "--swarm", swarm, "--interface", "eth0",
+            ["ip", "netns", "exec", namespace, sys.executable, "-m",
+             "tests.network.survivor", robot or name, "--swarm", swarm, "--interface", "eth0",
              "--listen", f"tcp/{ADDRESSES[side]}:{port}", *seeds],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT,
         )  # fmt: skip
         self.events: list[dict[str, Any]] = []
         self.conditions: dict[str, str] = {}
@@ -67,7 +67,7 @@ class Peer:
             assert self._changed.wait_for(lambda: condition(self), 30.0), str(self.events)
 
     def silences(self) -> dict[str, float]:
-        """The longest silence of each other peer since this was last asked, in s."""
+        """The longest gap between messages of each other peer since the last call, in s."""
         assert self._process.stdin is not None
         count = len(self.gaps)
         self._process.stdin.write("gaps\n")
@@ -122,7 +122,7 @@ def alive(names: set[str]) -> Any:
     return lambda peer: {n for n, c in peer.conditions.items() if c == "alive"} == names
 
 
-def test_peers_that_vanish_fail_and_do_not_stall_the_others(
+def test_vanished_peers_fail_and_do_not_stall_the_others(
     namespaces: Any, peers: dict[str, Peer]
 ) -> None:
     everyone = set(PEERS)
@@ -152,7 +152,7 @@ def test_peers_that_vanish_fail_and_do_not_stall_the_others(
     print(f"noticed {noticed:.2f} s, longest silence {gap:.2f} s, healed {healed:.2f} s")
 
 
-def test_two_that_took_one_id_on_either_side_of_a_cut_are_told_when_it_heals(
+def test_two_owners_of_an_id_are_detected_when_a_cut_heals(
     namespaces: Any, settings: NetworkSettings
 ) -> None:
     places = {"one": ("a", 7447), "other": ("far", 7447)}

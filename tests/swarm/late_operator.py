@@ -16,7 +16,7 @@ from swarmd.network.operator import Operator
 
 
 def run(operator: Operator, epochs: dict[str, Epoch | None]) -> dict[str, list[str] | None]:
-    outcome = operator.request(RunRequest, epochs, pattern="drive")
+    outcome = operator.request(RunRequest, epochs, pattern="drive", timeout=2.0)
     answers = {name: [reply.code.value, reply.text] for name, reply in outcome.replies.items()}
     return dict.fromkeys(outcome.missing) | answers
 

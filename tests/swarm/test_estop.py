@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.messages import Code, ResetRequest, State
+from swarmd.core.messages import Code, Refusal, ResetRequest, State
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm
@@ -30,7 +30,6 @@ def test_a_daemon_started_after_an_estop_of_all_is_estopped(swarm: Swarm) -> Non
     body.wait_zero(started)
     done = swarm.ctl("run", "drive", "r2")
     assert done.code == 7
-    assert "reset it first" in done.out
     assert not body.moved_since(started)
 
 
@@ -71,7 +70,7 @@ def test_a_reset_that_crosses_a_second_estop_leaves_every_robot_estopped(swarm: 
         "r1": Code.REFUSED,
         "r2": Code.REFUSED,
     }
-    assert all("changed since you looked, by ben@" in r.text for r in outcome.replies.values())
+    assert {reply.refusal for reply in outcome.replies.values()} == {Refusal.STALE_EPOCH}
 
     # Nor with a fresh look, if only the first is named: the second stays.
     fresh = swarm.operator.members()
@@ -129,17 +128,17 @@ def test_an_estop_with_one_daemon_frozen_names_it_and_holds_it_after_the_thaw(
     assert not bodies["r3"].moved_anew(thawed)
 
 
-def test_an_estop_that_nobody_acks_is_no_success(swarm: Swarm) -> None:
+def test_an_estop_without_acks_is_no_success(swarm: Swarm) -> None:
     daemons = [swarm.start(robot) for robot in ("r1", "r2")]
     for daemon in daemons:
         daemon.freeze()
-    done = swarm.ctl("estop")
+    done = swarm.ctl("estop", "--timeout", "0.5s")
     assert (done.code, done.out) == (6, "")
     assert done.err.startswith(f"error: no daemon of swarm '{swarm.name}' can be reached")
 
-    # With a roster, those that must be there are named even if nobody can tell of them.
+    # The robots on the roster are named even if no daemon answers.
     roster = swarm.folder / "swarm.yaml"
     roster.write_text(f"swarm: {swarm.name}\nroster: [r1, r2]\n")
-    done = swarm.ctl("estop", "--config", str(roster))
+    done = swarm.ctl("estop", "--config", str(roster), "--timeout", "0.5s")
     assert done.code == 5
     assert done.out.splitlines()[-1] == "2 targeted, 0 applied, 2 no answer (r1, r2)"

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.integration
 
-HERE = Path(__file__).parent
+ROOT = Path(__file__).parents[2]
 ADDRESSES = {"a": "10.78.0.1", "b": "10.78.0.2"}
 ROBOTS: dict[str, tuple[str, ...]] = {"a": ("r1", "r2"), "b": ("r3", "r4")}
 PORTS = (7447, 7448)
@@ -35,7 +35,7 @@ class Talker:
 
     def __init__(self, command: Sequence[str]) -> None:
         pipe = subprocess.PIPE
-        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True)
+        self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, cwd=ROOT)
 
     def say(self, word: str) -> None:
         """Say it, and do not wait."""
@@ -73,8 +73,9 @@ class Side:
         self._address = address
         self._left = contextlib.ExitStack()
         self._left.callback(swarm.close)
-        script = str(HERE / "bodies.py")
-        self.bodies = self.talk([sys.executable, script, "--swarm", swarm.name, *robots])
+        self.bodies = self.talk(
+            [sys.executable, "-m", "tests.swarm.bodies", "--swarm", swarm.name, *robots]
+        )
         self._endpoints = self.bodies.hear()["endpoints"]
 
     def close(self) -> None:
@@ -157,7 +158,7 @@ def start(field: Field) -> None:
 ALL_ALIVE = dict.fromkeys(("r1", "r2", "r3", "r4"), "alive")
 
 
-def test_a_swarm_cut_in_two_is_stopped_side_by_side_and_nothing_stale_moves_it(
+def test_no_late_run_moves_a_swarm_that_was_cut_in_two(
     field: Field, namespaces: Namespaces
 ) -> None:
     a, b = field["a"], field["b"]
@@ -168,11 +169,13 @@ def test_a_swarm_cut_in_two_is_stopped_side_by_side_and_nothing_stale_moves_it(
     assert (done.code, done.out.splitlines()[-1]) == (0, "4 targeted, 4 applied")
     for side in (a, b):
         side.bodies.ask("moving")
-    late = a.talk([sys.executable, str(HERE / "late_operator.py"), str(a.swarm.config)])
+    late = a.talk([sys.executable, "-m", "tests.swarm.late_operator", str(a.swarm.config)])
     assert late.ask("look") == {"seen": ["r1", "r2", "r3", "r4"]}
 
     namespaces.cut("b")
-    done = b.swarm.ctl("stop")  # those who stop on one side are told whom it did not reach
+    done = b.swarm.ctl(
+        "stop", "--timeout", "1s"
+    )  # those who stop on one side are told whom it did not reach
     assert (done.code, done.out.splitlines()[-1]) == (
         3,
         "4 targeted, 2 applied, 2 no answer (r1, r2)",
@@ -183,7 +186,7 @@ def test_a_swarm_cut_in_two_is_stopped_side_by_side_and_nothing_stale_moves_it(
 
     a.await_conditions(r1="alive", r2="alive", r3="failed", r4="failed")
     b.await_conditions(r1="failed", r2="failed", r3="alive", r4="alive")
-    done = a.swarm.ctl("stop")
+    done = a.swarm.ctl("stop", "--timeout", "1s")
     assert (done.code, done.out.splitlines()[-1]) == (
         3,
         "4 targeted, 2 applied, 2 no answer (r3, r4)",
@@ -216,7 +219,7 @@ def test_a_run_that_a_short_cut_held_up_is_refused_when_it_arrives(
     a, b = field["a"], field["b"]
     start(field)
     a.await_conditions(**ALL_ALIVE)
-    late = a.talk([sys.executable, str(HERE / "late_operator.py"), str(a.swarm.config)])
+    late = a.talk([sys.executable, "-m", "tests.swarm.late_operator", str(a.swarm.config)])
     assert late.ask("look") == {"seen": ["r1", "r2", "r3", "r4"]}
     local = b.swarm.begin("run", "drive", "r3", "r4", user="ben")
     assert b.swarm.finish(local).code == 0
