@@ -1,1 +1,1 @@
-"""The arbiter between every wish and every motor: pure, always on, the last to decide."""
+"""Protection: turns requested commands into safe commands. Pure, and never off."""

@@ -1,1 +1,1 @@
-"""One robot without any I/O: what it is, hears and decides; time is handed in."""
+"""One robot without I/O: lifecycle, sensors, requests and status. Time is an argument."""

@@ -117,7 +117,7 @@ def test_every_scan_and_request_give_a_finite_command_within_limits(
 
 
 def test_command_at_rounding_level_counts_as_zero() -> None:
-    """The nearest command to a wish that is blocked may be 1e-17 m/s."""
+    """The feasible command nearest to a blocked one may be 1e-17 m/s."""
     wall = ahead(0.30, 40)
     reasons = set()
     for share in np.linspace(0.01, 1.0, 60):
@@ -137,31 +137,31 @@ def test_command_at_rounding_level_counts_as_zero() -> None:
 BURGER = load_platform("burger")
 
 
-class Says:
-    """An arbiter that says what it is told to."""
+class FixedArbiter:
+    """An arbiter that returns a fixed command."""
 
-    mode = "says"
+    mode = "fixed"
 
     def __init__(self, twist: Twist) -> None:
         self._twist = twist
 
     def clearance(self, speed: float) -> None:
-        """It never blocks."""
+        """Never blocks."""
 
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
-        """It looks at nothing."""
+        """Ignores the scan."""
 
     def decide(
         self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
-        """Always the same."""
+        """The fixed command."""
         return ModeDecision(self._twist, is_active=True)
 
 
-def handed_on(twist: Twist) -> tuple[Twist, Reason | None]:
-    """The command, and why it is zero if it is."""
+def safe_command(twist: Twist) -> tuple[Twist, Reason | None]:
+    """The safe command and its reason."""
     protection = Protection(BURGER)
-    protection._arbiter = Says(twist)
+    protection._arbiter = FixedArbiter(twist)
     context = DecisionContext(1.0, 0.1, Odometry(1.0, Pose(), ZERO), 0.0)
     decision = protection.decide(Twist(0.1), context, is_running=True, hold=None)
     return decision.safe, decision.reason
@@ -169,8 +169,8 @@ def handed_on(twist: Twist) -> tuple[Twist, Reason | None]:
 
 @pytest.mark.parametrize("twist", [Twist(math.nan), Twist(0.1, math.inf), Twist(0.1, -math.inf)])
 def test_non_finite_command_of_an_arbiter_becomes_zero(twist: Twist) -> None:
-    assert handed_on(twist) == (ZERO, Reason.PROTECTION)
+    assert safe_command(twist) == (ZERO, Reason.PROTECTION)
 
 
 def test_command_of_an_arbiter_is_clipped_to_the_limits() -> None:
-    assert handed_on(Twist(-9.0, 9.0, 9.0)) == (Twist(-0.22, 2.84, 0.0), None)
+    assert safe_command(Twist(-9.0, 9.0, 9.0)) == (Twist(-0.22, 2.84, 0.0), None)

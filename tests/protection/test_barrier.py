@@ -37,25 +37,25 @@ Returns = Sequence[tuple[int, float]]
 
 
 def seeing(platform: Platform, returns: Returns) -> Scan:
-    """Nothing but these: ray and share of 2 m beyond range_min; less than 0: too close."""
+    """A scan with these returns: ray, and share of 2 m beyond range_min (negative: too close)."""
     ranges = np.full(RAYS, math.inf)
     for ray, share in returns:
         ranges[ray] = platform.scan.range_min + 2.0 * share if share >= 0.0 else -math.inf
     return scan_from(platform, ranges, platform.scan.bearings)
 
 
-def wishing(platform: Platform, v: float, w: float) -> Twist:
+def request_of(platform: Platform, v: float, w: float) -> Twist:
     return Twist(v * platform.limits.linear, w * platform.limits.angular)
 
 
-def told(platform: Platform, **changes: Any) -> Platform:
-    """The same platform with other settings, its promise to others unchanged."""
+def with_settings(platform: Platform, **changes: Any) -> Platform:
+    """The platform with other settings, its surface speed unchanged."""
     surface_speed = platform.protection["barrier"]["others_speed"]
     return under_barrier(platform, **{"surface_speed": surface_speed, **changes})
 
 
 def passes(platform: Platform, scan: Scan, twist: Twist, age: float = 0.0) -> bool:
-    """Whether a command is allowed, that is, comes out as it went in."""
+    """True if a command passes unchanged."""
     safe = decided(platform, scan, twist, age=age).safe
     return math.isclose(safe.linear, twist.linear, abs_tol=1e-9) and math.isclose(
         safe.angular, twist.angular, abs_tol=1e-9
@@ -69,7 +69,7 @@ def test_request_passes_bit_by_bit_far_from_obstacles(
     far = platform.scan.range_max - 0.1
     ranges = np.full(RAYS, math.inf)
     ranges[rays] = far
-    requested = wishing(platform, v, w)
+    requested = request_of(platform, v, w)
     decision = decided(
         platform, scan_from(platform, ranges, platform.scan.bearings), requested, age=age
     )
@@ -116,9 +116,9 @@ def test_any_input_gives_a_finite_command_within_limits(
 def test_robot_can_stop_before_every_return(
     platform: Platform, returns: Returns, v: float, w: float, aside: float, age: float
 ) -> None:
-    """Each return against the safe command by the equation, with places found by brute force."""
+    """Checks the equation of the caps for each return, with places found by brute force."""
     settings = platform.protection["barrier"]
-    scan, straight = seeing(platform, returns), wishing(platform, v, w)
+    scan, straight = seeing(platform, returns), request_of(platform, v, w)
     requested = Twist(straight.linear, straight.angular, aside * platform.limits.lateral)
     safe = decided(platform, scan, requested, age=age).safe
     speed = np.array([safe.linear, safe.lateral])
@@ -143,10 +143,10 @@ def test_robot_can_stop_before_every_return(
 def test_corners_can_stop_before_the_unseen_extent(
     platform: Platform, returns: Returns, v: float, w: float
 ) -> None:
-    """What reaches past what is seen of it is met not by the nearest place alone."""
+    """Not only the nearest place of the outline can touch the unseen part of an obstacle."""
     settings = platform.protection["barrier"]
     scan = seeing(platform, returns)
-    safe = decided(platform, scan, wishing(platform, v, w)).safe
+    safe = decided(platform, scan, request_of(platform, v, w)).safe
     free = settings["margin"] + settings["unseen_extent"]
     for point in points(platform, scan):
         if not 0.0 < outline_point(platform.footprint, point)[0] <= 2.0 * free:
@@ -164,7 +164,7 @@ def test_corners_can_stop_before_the_unseen_extent(
 
 
 def points(platform: Platform, scan: Scan) -> list[Array]:
-    """Where the rays with returns end, in the base frame."""
+    """The returns as points in the base frame."""
     return [
         platform.scan.offset + distance * np.array([math.cos(bearing), math.sin(bearing)])
         for bearing, distance in zip(scan.bearings, scan.ranges, strict=True)
@@ -177,7 +177,7 @@ def test_never_closes_along_a_ray_too_close_to_measure(
     platform: Platform, ray: int, v: float, w: float
 ) -> None:
     scan = seeing(platform, [(ray, -1.0)])
-    safe = decided(platform, scan, wishing(platform, v, w)).safe
+    safe = decided(platform, scan, request_of(platform, v, w)).safe
     bearing = float(platform.scan.bearings[ray])
     way = np.array([math.cos(bearing), math.sin(bearing)])
     at = edge_along(platform, way)
@@ -202,7 +202,7 @@ def test_safe_command_is_feasible_again(
     platform: Platform, returns: Returns, v: float, w: float, age: float
 ) -> None:
     scan = seeing(platform, returns)
-    safe = decided(platform, scan, wishing(platform, v, w), age=age).safe
+    safe = decided(platform, scan, request_of(platform, v, w), age=age).safe
     assert passes(platform, scan, safe, age)
 
 
@@ -212,7 +212,7 @@ def test_more_returns_never_allow_more(
 ) -> None:
     taken = {ray for ray, _ in returns}
     both = [*returns, *(one for one in more if one[0] not in taken)]
-    safe = decided(platform, seeing(platform, both), wishing(platform, v, w), age=age).safe
+    safe = decided(platform, seeing(platform, both), request_of(platform, v, w), age=age).safe
     assert passes(platform, seeing(platform, returns), safe, age)
 
 
@@ -221,7 +221,7 @@ def test_older_scan_never_allows_more(
     platform: Platform, returns: Returns, v: float, w: float, age: float, more: float
 ) -> None:
     scan = seeing(platform, returns)
-    safe = decided(platform, scan, wishing(platform, v, w), age=age + more).safe
+    safe = decided(platform, scan, request_of(platform, v, w), age=age + more).safe
     assert passes(platform, scan, safe, age)
 
 
@@ -232,16 +232,16 @@ def test_more_cautious_settings_never_allow_more(
 ) -> None:
     scan = seeing(platform, returns)
     value = platform.protection["barrier"][setting]
-    cautious = told(platform, **{setting: value + more})
-    safe = decided(cautious, scan, wishing(platform, v, w)).safe
-    assert passes(told(platform), scan, safe)
+    cautious = with_settings(platform, **{setting: value + more})
+    safe = decided(cautious, scan, request_of(platform, v, w)).safe
+    assert passes(with_settings(platform), scan, safe)
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE, AGE)
 def test_mirrored_scan_gives_the_mirrored_command(
     platform: Platform, returns: Returns, v: float, w: float, age: float
 ) -> None:
-    scan, requested = seeing(platform, returns), wishing(platform, v, w)
+    scan, requested = seeing(platform, returns), request_of(platform, v, w)
     safe = decided(platform, scan, requested, age=age).safe
     other = decided(
         platform, mirrored(scan), Twist(requested.linear, -requested.angular), age=age
@@ -254,7 +254,7 @@ def test_mirrored_scan_gives_the_mirrored_command(
 def test_order_and_repetition_of_rays_do_not_matter(
     platform: Platform, returns: Returns, v: float, w: float, seed: int
 ) -> None:
-    scan, requested = seeing(platform, returns), wishing(platform, v, w)
+    scan, requested = seeing(platform, returns), request_of(platform, v, w)
     safe = decided(platform, scan, requested).safe
     twice = replace(scan, ranges=np.tile(scan.ranges, 2), bearings=np.tile(scan.bearings, 2))
     for changed in (reordered(scan, np.random.default_rng(seed)), twice):
@@ -268,7 +268,7 @@ def test_surface_speed_holds_near_every_obstacle(
     platform: Platform, returns: Returns, v: float, w: float
 ) -> None:
     scan = seeing(platform, [*returns, (0, 0.1)])
-    safe = decided(platform, scan, wishing(platform, v, w)).safe
+    safe = decided(platform, scan, request_of(platform, v, w)).safe
     speeds = [
         math.hypot(safe.linear - safe.angular * y, safe.angular * x) for x, y in platform.footprint
     ]
@@ -279,7 +279,7 @@ def test_surface_speed_holds_near_every_obstacle(
 def test_reported_constraints_are_sorted_by_cap(
     platform: Platform, returns: Returns, v: float, w: float
 ) -> None:
-    decision = decided(platform, seeing(platform, returns), wishing(platform, v, w))
+    decision = decided(platform, seeing(platform, returns), request_of(platform, v, w))
     caps = [row.cap for row in decision.rows]
     assert caps == sorted(caps)
     assert all(row.gap >= 0.0 <= row.cap for row in decision.rows)
@@ -292,11 +292,11 @@ def test_touch_zone_frees_only_its_sector(
     speed: float,
 ) -> None:  # fmt: skip
     zone = TouchZone(bearing, half, speed)
-    scan, requested = seeing(platform, returns), wishing(platform, v, w)
+    scan, requested = seeing(platform, returns), request_of(platform, v, w)
     without = decided(platform, scan, requested).safe
-    slow = unhurried(platform, without, speed)
+    slow = slowed(platform, without, speed)
     while not passes(platform, scan, slow):  # slower, its stop is another one
-        slow = unhurried(platform, decided(platform, scan, slow).safe, 0.9 * speed)
+        slow = slowed(platform, decided(platform, scan, slow).safe, 0.9 * speed)
         speed *= 0.9
     again = decided(platform, scan, slow, touch=zone).safe
     assert (again.linear, again.angular) == pytest.approx((slow.linear, slow.angular))
@@ -305,16 +305,16 @@ def test_touch_zone_frees_only_its_sector(
     assert passes(platform, seeing(platform, outside), freed)
 
 
-def unhurried(platform: Platform, twist: Twist, speed: float) -> Twist:
+def slowed(platform: Platform, twist: Twist, speed: float) -> Twist:
     """The twist, slowed until no corner of the outline is faster than `speed`."""
     v, w = twist.linear, twist.angular
-    haste = max(math.hypot(v - w * y, w * x) for x, y in platform.footprint)
-    share = min(1.0, speed / haste) if haste else 1.0
+    fastest = max(math.hypot(v - w * y, w * x) for x, y in platform.footprint)
+    share = min(1.0, speed / fastest) if fastest else 1.0
     return Twist(share * v, share * w)
 
 
 def within(platform: Platform, scan: Scan, ray: int, zone: TouchZone) -> bool:
-    """Whether the outline faces what a ray sees in the zone's sector, or almost."""
+    """True if the return of a ray lies in the sector of the zone, or almost."""
     bearing = scan.bearings[ray]
     way = np.array([math.cos(bearing), math.sin(bearing)])
     is_seen = math.isfinite(scan.ranges[ray])

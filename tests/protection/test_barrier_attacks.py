@@ -29,7 +29,7 @@ NO_FAULT = 0.02
 
 
 def seen_whole(name: str, **told: object) -> Platform:
-    """A platform among others of which a lidar sees all."""
+    """The platform among robots that a lidar sees completely."""
     return under_barrier(KINDS[name], unseen_extent=0.0, **told)
 
 
@@ -39,7 +39,7 @@ def seen_whole(name: str, **told: object) -> Platform:
 def test_corner_does_not_swing_into_an_obstacle_that_stopped_beside(
     name: str, start: float, turn: float
 ) -> None:
-    """A pole comes to a centimetre from the flank of one that spins, before it has braked."""
+    """A pole stops 1 cm beside a spinning robot before the robot has braked."""
     platform = seen_whole(name)
     speed, half = platform.protection["barrier"]["others_speed"], platform.footprint[:, 1].max()
     for gap in (0.01, -1.0):
@@ -55,10 +55,10 @@ def test_corner_does_not_swing_into_an_obstacle_that_stopped_beside(
     + [("waffle_pi", seed) for seed in (328, 401, 533)],
 )
 def test_robot_does_not_hit_an_obstacle_at_the_end_of_its_path(name: str, seed: int) -> None:
-    """Seeds with which it did, while the stop from a command was not followed.
+    """Seeds that led to contact before the stop check existed.
 
-    A pole stops 4 mm from where the robot is when its wish ends. The base sheds one of its speeds
-    four times as fast as is assumed, or both as slowly.
+    A pole stops 4 mm from the place where the requested motion ends. The base brakes one of its
+    speeds four times as fast as assumed, or both exactly as assumed.
     """
     run = rendezvous(seen_whole(name), seed)
     assert run.touch is None or run.touch.speed <= NO_FAULT
@@ -93,7 +93,7 @@ def replace_signs(twist: Twist, linear: float, angular: float) -> Twist:
 
 
 def beside(platform: Platform, bearing: float) -> np.ndarray:
-    """(1, 2) where the middle of a pole is that all but touches the outline there."""
+    """(1, 2) the centre of a pole that almost touches the outline at that bearing."""
     middle, way = platform.footprint.mean(axis=0), np.array([math.cos(bearing), math.sin(bearing)])
     for distance in np.arange(0.05, 0.5, 0.005):
         place = middle + distance * way
@@ -104,7 +104,7 @@ def beside(platform: Platform, bearing: float) -> np.ndarray:
 
 
 class Lossy(FilterSim):
-    """Sectors of some sweeps are lost: first and last sweep, middle and half width in rad."""
+    """Some scans lack sectors: first and last scan, middle and half width in rad."""
 
     lost: tuple[tuple[int, int, float, float], ...] = ()
 
@@ -121,7 +121,7 @@ class Lossy(FilterSim):
 @pytest.mark.parametrize("distance", [0.2, 0.3, 0.4, 0.5])
 @pytest.mark.parametrize("name", ["burger", "waffle_pi"])
 def test_sectors_lost_in_turn_hide_no_obstacle(name: str, distance: float) -> None:
-    """Behind first, then ahead: so each scan is newer than the last whole one, though not ahead."""
+    """First behind, then ahead: each scan is newer than the last whole one, but not ahead."""
     platform = seen_whole(name)
     speed, drives = platform.protection["barrier"]["others_speed"], platform.limits.linear
     front, begin = float(platform.footprint[:, 0].max()), 4.0 / platform.scan.rate
@@ -135,7 +135,7 @@ def test_sectors_lost_in_turn_hide_no_obstacle(name: str, distance: float) -> No
 
 
 class Restarting(FilterSim):
-    """Its odometry starts anew at the origin, with its clock, at the time `restart` in s."""
+    """Its odometry restarts at the origin, with its clock, at `restart` s."""
 
     restart = 0.0
     origin: Pose | None = None
@@ -150,7 +150,7 @@ class Restarting(FilterSim):
 
 @pytest.mark.parametrize("name", ["burger", "waffle_pi"])
 def test_restarted_odometry_does_not_move_a_wall_away(name: str) -> None:
-    """What the last sweep showed is in a frame that is no more: it stands until the next one."""
+    """The last scan has no valid pose any more, so the robot stops until the next one."""
     platform = seen_whole(name, others_speed=0.001, surface_speed=5.0)
     for restart in np.arange(3.0, 5.0, 0.11):
         sim = Restarting(platform, [box(0.1, 3.0, Pose(0.9))])
@@ -164,7 +164,7 @@ def test_restarted_odometry_does_not_move_a_wall_away(name: str) -> None:
 @pytest.mark.parametrize("radius", [0.06, 0.10])
 @pytest.mark.parametrize("back", [1.05, 1.2])
 def test_leg_hidden_before_a_wall_is_not_hit(back: float, radius: float) -> None:
-    """It came within what a Jackal sees of, stopped 5 cm from it, and the wall beyond is seen."""
+    """A leg enters the blind zone, stops 5 cm from the Jackal, and the wall behind is visible."""
     jackal = KINDS["jackal"]
     far, stop, speed = back - radius - 0.05, 0.254 + 0.05 + radius, 0.4
     end = (far - stop) / speed
@@ -180,7 +180,7 @@ PLATFORMS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_p
 
 
 class StuckLidar(FilterSim):
-    """From `stuck` s on the lidar gives the last ranges again and again, with new stamps."""
+    """From `stuck` s on the lidar repeats its last ranges with new stamps."""
 
     stuck = math.inf
     last: Array | None = None
@@ -195,7 +195,7 @@ class StuckLidar(FilterSim):
 @pytest.mark.parametrize("platform", PLATFORMS, ids=lambda platform: platform.name)
 @pytest.mark.parametrize("distance", [0.6, 0.9, 1.3, 1.8])
 def test_repeated_scans_do_not_lead_into_a_wall(platform: Platform, distance: float) -> None:
-    """Each repeat would put the wall back to where it was once."""
+    """Without the rule, each repeat would move the wall back to its old place."""
     front = float(platform.footprint[:, 0].max())
     speed = platform.limits.linear
     sim = StuckLidar(platform, [box(0.2, 6.0, Pose(front + distance + 0.1))], noise=0.01)
@@ -206,7 +206,7 @@ def test_repeated_scans_do_not_lead_into_a_wall(platform: Platform, distance: fl
 
 
 class PartialLidar(FilterSim):
-    """The lidar sends the rays from `first` to `last` alone."""
+    """The lidar sends only the rays from `first` to `last`."""
 
     first, last = 0, 360
 

@@ -20,21 +20,21 @@ NO_FAULT = 0.02
 
 
 def calm(platform: Platform, near: str = "lost", **told: object) -> Platform:
-    """Nothing is expected to move or to reach beyond what is seen, and no circle is kept out."""
+    """Obstacles are assumed to stand and to be fully visible; there is no keep-out circle."""
     scan = replace(platform.scan, near=near)  # type: ignore[arg-type]  # one of the two words
     settings = {"others_speed": 0.001, "surface_speed": 5.0, "unseen_extent": 0.0, "keep_out": None}
     return under_barrier(replace(platform, scan=scan), **{**settings, **told})
 
 
 def distances(sim: FilterSim) -> float:
-    """How near the sensor is to a corner of any shape, in m."""
+    """The distance from the sensor to the nearest corner of any shape, in m."""
     sensor = placed(np.array([sim.platform.scan.offset]), sim.pose)[0]
     corners = [placed(shape.corners, shape.at(sim.time)) for shape in sim.shapes]
     return min(float(np.hypot(*(some - sensor).T).min()) for some in corners)
 
 
 def test_return_too_close_to_measure_counts_as_contact() -> None:
-    """A Jackal whose sensor told of what is nearer than 0.8 m, with something 0.5 m ahead."""
+    """A Jackal whose sensor reports near obstacles, with a pole 0.5 m ahead."""
     platform = calm(JACKAL, near="reported")
     run = FilterSim(platform, [pole(0.1, Pose(0.6))]).run(AHEAD, 4.0)
     assert run.touch is None
@@ -49,10 +49,7 @@ def test_robot_creeps_away_from_a_contact() -> None:
 
 @pytest.mark.parametrize(("gap", "is_hidden"), [(0.06, True), (0.10, False)])
 def test_robot_creeps_beside_a_possible_unseen_contact(gap: float, is_hidden: bool) -> None:
-    """A Burger's front is 5 cm nearer to its lidar than that can see.
-
-    What comes is nearer than is seen by what it has moved since, and all of it may not be seen.
-    """
+    """The front of a Burger lies 5 cm within the blind zone of its lidar."""
     platform = under_barrier(BURGER, unseen_extent=0.0, others_speed=0.5, surface_speed=0.3)
     ranges = np.full(360, math.inf)
     ranges[0] = gap + 0.07
@@ -65,9 +62,10 @@ def test_robot_creeps_beside_a_possible_unseen_contact(gap: float, is_hidden: bo
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_corner_does_not_graze_a_slanted_face_too_close_to_measure(side: float) -> None:
-    """The corner of a Burger is nearer to its lidar than the lidar can see.
+    """The corner of a Burger lies within the blind zone of its lidar.
 
-    The outline's nearest place to such a return is on its side, so its row lies across the way.
+    The place of the outline nearest to such a return is on its side, so the constraint there does
+    not bound the motion ahead.
     """
     wedge = np.array([[0.0, 0.0], [0.4, 0.0], [0.4, 0.3], [0.25, 0.3]])
     wedge = wedge if side > 0.0 else (wedge * (1.0, -1.0))[::-1]
@@ -77,7 +75,7 @@ def test_corner_does_not_graze_a_slanted_face_too_close_to_measure(side: float) 
 
 
 def test_obstacle_that_enters_the_blind_zone_is_not_closed_on() -> None:
-    """It comes at the speed that is assumed of others, and a Jackal drives at it."""
+    """A pole approaches at `others_speed` while the Jackal drives at it."""
     speed = JACKAL.protection["barrier"]["others_speed"]
     for phase in (0.0, 0.03, 0.06):
         comes = pole(0.15, Pose(2.0, 0.05), velocity=(-speed, 0.0))
@@ -87,7 +85,7 @@ def test_obstacle_that_enters_the_blind_zone_is_not_closed_on() -> None:
 
 
 def test_keep_out_keeps_standing_obstacles_out_of_the_blind_zone() -> None:
-    """By what is kept out, not by how far others may reach or come."""
+    """By the keep-out circle alone: others neither move nor extend beyond their returns."""
     sim = FilterSim(calm(JACKAL, keep_out=0.85), [box(0.1, 4.0, Pose(2.0))])
     run = sim.run(AHEAD, 8.0)
     assert run.poses[-1].x > 0.9
@@ -107,7 +105,7 @@ def test_keep_out_bounds_turns_that_swing_the_circle(side: float) -> None:
 
 
 def test_approached_obstacle_is_remembered_when_it_vanishes() -> None:
-    """A driver that keeps on wishing stands before what he no longer sees, and may creep away."""
+    """The robot stays before an obstacle that it no longer sees, and can creep away."""
     sim = FilterSim(calm(JACKAL), [box(0.1, 0.6, Pose(2.0))])
     run = sim.run(AHEAD, 8.0)
     assert run.touch is None
@@ -119,7 +117,7 @@ def test_approached_obstacle_is_remembered_when_it_vanishes() -> None:
 @pytest.mark.parametrize("bearing", [0.0, 0.5, 1.2, 2.0])
 @pytest.mark.parametrize("speed", [0.1, 0.6])
 def test_robot_does_not_turn_into_a_wide_near_face(bearing: float, speed: float) -> None:
-    """It stops 6 cm from a Jackal, which then turns: it is seen to either side, not between."""
+    """A face stops 6 cm from a Jackal, which then turns; only the ends of the face are visible."""
     way = np.array([math.cos(bearing), math.sin(bearing)])
     rest = float((JACKAL.footprint @ way).max()) + 0.16
     far, velocity = 1.6, (-speed * float(way[0]), -speed * float(way[1]))
@@ -131,7 +129,7 @@ def test_robot_does_not_turn_into_a_wide_near_face(bearing: float, speed: float)
 
 
 def test_obstacle_that_left_is_forgotten_once_its_place_is_visible() -> None:
-    """Something stands where it cannot be seen, leaves sideways, and a wall is seen behind it."""
+    """An obstacle in the blind zone leaves sideways, and a wall behind it becomes visible."""
     thing = box(0.1, 0.4, Pose(1.5), velocity=(0.0, 1.0), begin=6.0, end=8.0)
     walls = [box(0.1, 8.0, Pose(x)) for x in (-2.0, 4.0)]
     walls += [box(8.0, 0.1, Pose(0.0, y)) for y in (-3.5, 3.5)]
@@ -144,7 +142,7 @@ def test_obstacle_that_left_is_forgotten_once_its_place_is_visible() -> None:
 
 
 def test_lost_near_returns_of_an_lds_do_not_count_as_free() -> None:
-    """Zeros say both too near and nothing there: a body comes until the lidar is blind to it."""
+    """A zero means too near or no return: a box approaches until the lidar no longer sees it."""
     comes = box(0.2, 0.3, Pose(0.9), velocity=(-0.25, 0.0), end=0.732 / 0.25)
     sim = FilterSim(BURGER, [comes])
     assert sim.run(Twist(0.0), 4.0).min_gap == pytest.approx(0.03, abs=0.001)
@@ -154,7 +152,7 @@ def test_lost_near_returns_of_an_lds_do_not_count_as_free() -> None:
 
 
 def test_robot_in_contact_can_leave() -> None:
-    """At a creep until it is clear of what is not seen of the other, then as it likes."""
+    """It creeps until it is clear of the unseen part of the other, then drives freely."""
     comes = box(0.2, 0.3, Pose(0.9), velocity=(-0.25, 0.0), end=0.732 / 0.25)
     sim = FilterSim(BURGER, [comes])
     sim.run(Twist(0.0), 4.0)

@@ -30,7 +30,7 @@ def wall(platform: Platform, seq: int, x: float) -> Scan:
 
 
 def drive(platform: Platform, ages: list[float | None], *, distance: float = 0.5) -> list[Decision]:
-    """Decisions while it drives at a wall; by scan how old what it holds is, None: none came."""
+    """The decisions on the way to a wall; `ages` of each scan in s, None: no scan."""
     protection, decisions = Protection(platform), []
     known = 0.0
     for tick in range(4 * len(ages)):
@@ -72,7 +72,7 @@ def test_newer_partial_scan_counts_with_its_age(platform: Platform) -> None:
 def test_remembered_sector_of_a_newer_scan_widens_the_gap(
     platform: Platform,
 ) -> None:
-    """It is placed where the robot was as the scan was taken, though it was seen earlier."""
+    """The sector is placed at the pose of the scan, although it was seen earlier."""
     whole = drive(platform, [0.0, 0.0, 0.0, 0.0], distance=0.52)[-1]
     lags = drive(platform, [0.0, 0.2, 0.2, 0.2], distance=0.52)[-1]
     aged = drive(platform, [0.0, 0.0, 0.0, None], distance=0.52)[-1]

@@ -41,7 +41,7 @@ def twists(platform: Platform, rng: Generator) -> Callable[[float], Twist]:
 
 
 def things(platform: Platform, rng: Generator, speed: float) -> list[Shape]:
-    """Poles and boxes at some distance, each on its way past the robot at up to `speed`."""
+    """Poles and boxes at some distance, each moving past the robot at up to `speed`."""
     found: list[Shape] = []
     nearest = max(platform.scan.range_min, float(np.hypot(*platform.footprint.T).max())) + 0.3
     while len(found) < 5:
@@ -82,6 +82,6 @@ def test_standing_obstacles_are_never_touched(kind: str, seed: int) -> None:
 @pytest.mark.parametrize("seed", range(10))
 @pytest.mark.parametrize("kind", ["burger", "waffle_pi"])
 def test_obstacles_at_the_assumed_speed_are_not_closed_on(kind: str, seed: int) -> None:
-    """A Jackal does not see what has come within 0.8 m: that is not promised of it."""
+    """Not for a Jackal, which does not see obstacles within 0.8 m."""
     done = random_run(kind, seed, 1.0, 6.0)
     assert done.touch is None or done.touch.speed <= NO_FAULT

@@ -15,12 +15,12 @@ from tests.support.filter_sim import FilterSim, box, pole, round_corners, under_
 
 BURGER, WAFFLE = under_barrier(load_platform("burger")), under_barrier(load_platform("waffle_pi"))
 MARGIN = 0.03
-ROUNDING = 0.005  # m: what a ray's slant and a tick's length leave of exactness
-NO_FAULT = 0.02  # m/s: whose own surface is slower at a touch has not caused it
+ROUNDING = 0.005  # m, for slanted rays and the length of a tick
+NO_FAULT = 0.02  # m/s: a slower contact is not a fault of the robot
 
 
 def still(platform: Platform) -> Platform:
-    """Nothing is expected to move or to extent beyond what is seen; no promise is made."""
+    """Obstacles are assumed to stand and to be fully visible; the envelope is off."""
     return under_barrier(platform, others_speed=0.001, surface_speed=5.0, unseen_extent=0.0)
 
 
@@ -51,7 +51,7 @@ def test_late_scan_is_shifted_by_the_motion_since(late: float) -> None:
 
 
 def test_late_scan_is_rotated_by_the_turn_since() -> None:
-    """At 1.8 rad/s the sweep is 40 degrees off by the time it counts: a pole ahead is then not."""
+    """At 1.8 rad/s a scan is rotated by 40 degrees when it takes effect."""
     platform = replace(still(WAFFLE), scan=replace(WAFFLE.scan, latency=0.4))
     for phase in (0.0, 0.05, 0.1, 0.15):
         sim = FilterSim(platform, [pole(0.03, Pose(0.05, 0.27))], phase=phase)
@@ -92,14 +92,14 @@ def test_rammed_robot_does_not_close_on_the_other(platform: Platform, bearing: f
 
 
 def test_reciprocal_robot_uses_at_most_half_of_the_gap() -> None:
-    """What does not give way takes all the rest: a wall is come to half as near at every tick."""
+    """A wall does not give way, so the robot approaches it by half of the rest at each tick."""
     told = under_barrier(BURGER, responsibility="reciprocal", margin=0.08)
     run = FilterSim(told, [box(0.1, 4.0, Pose(1.0))]).run(Twist(0.22), 8.0)
     assert 0.08 + 0.06 - ROUNDING <= run.min_gap <= 0.20
 
 
 def test_standing_obstacle_may_start_to_move() -> None:
-    """It begins to come when there is just enough room left for a robot that stands."""
+    """A box starts to approach when the gap just suffices for a robot that stands."""
     starts = box(0.2, 0.3, Pose(0.6), velocity=(-0.30, 0.0), begin=2.0)
     run = FilterSim(BURGER, [starts]).run(Twist(0.22), 5.0)
     assert run.touch is not None
@@ -107,7 +107,7 @@ def test_standing_obstacle_may_start_to_move() -> None:
 
 
 def test_unseen_extent_of_another_robot_is_not_touched() -> None:
-    """Of a Burger a level lidar sees the housing of its lidar alone."""
+    """A level lidar sees only the lidar housing of a Burger."""
     corners = BURGER.footprint - BURGER.scan.offset
     told = under_barrier(BURGER, others_speed=0.001, surface_speed=5.0)
     for yaw in (0.0, 0.8, math.pi / 2, 2.2, math.pi):
@@ -124,7 +124,7 @@ def test_frozen_lidar_stops_the_robot_in_time() -> None:
     sim.has_lidar = False
     run = sim.run(Twist(0.22), 1.5)
     stands = next(t for t, twist in zip(run.times, run.twists, strict=True) if twist.linear == 0.0)
-    ages = BURGER.scan.latency + 1.0 / BURGER.scan.rate  # the last sweep may have just been taken
+    ages = BURGER.scan.latency + 1.0 / BURGER.scan.rate  # the last scan may be that new
     assert stands <= 1.0 + ages + BURGER.scan.stale_after + 0.05 + 0.04 + 0.22
     assert run.decisions[-1][1].reason is Reason.STALE_SCAN
 
@@ -161,10 +161,9 @@ def test_corners_keep_the_surface_speed_near_an_obstacle(platform: Platform) -> 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("distance", [1.0, 1.1, 1.2, 1.3, 1.4])
 def test_spinning_robot_stops_before_its_corner_can_hit(side: float, distance: float) -> None:
-    """A corner 0.135 m from the axle moves at 0.38 m/s in a Burger's fastest turn.
+    """A corner 0.135 m from the axle moves at 0.38 m/s in the fastest turn of a Burger.
 
-    A row knows how fast the outline closes now, not how the corner comes around while it brakes:
-    for that the stop is followed.
+    A linear constraint does not see the corner swing out during the stop; the stop check does.
     """
     comes = box(0.3, 0.2, Pose(-0.03, side * distance), velocity=(0.0, side * -0.30))
     run = FilterSim(BURGER, [comes]).run(Twist(0.0, 2.84), 6.0)

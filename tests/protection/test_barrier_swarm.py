@@ -20,7 +20,7 @@ Pose = tuple[float, float, float]
 
 
 def group(platform: str, name: str, pose: Pose, speed: float, turn: float = 0.0) -> dict[str, Any]:
-    """One robot that drives, whatever is in its way."""
+    """One robot that drives at a constant speed."""
     return {
         "platform": platform,
         "robots": [name],
@@ -37,7 +37,7 @@ def meeting(
     visibility: str = "body",
     arena: dict[str, Any] | None = None,
 ) -> Trace:
-    """What comes of it; platforms as they are, and those that nothing protects or that see all."""
+    """The trace of a run; platforms `ram-*` are unprotected, `seeing-*` are fully visible."""
     barrier = {kind: {"extends": kind, "protection": {"mode": "barrier"}} for kind in KINDS}
     free = {f"ram-{kind}": {"extends": kind, "protection": {"mode": "off"}} for kind in KINDS}
     whole = {"mode": "barrier", "barrier": {"unseen_extent": 0.0}}
@@ -53,9 +53,9 @@ def meeting(
 
 
 def first_touch(trace: Trace, name: str = "a") -> float:
-    """The speed in m/s with which a robot's own surface closed when it was first touched.
+    """The closing speed in m/s of a robot's own surface at its first contact.
 
-    What comes after is the rammer's doing: it throws who it hits.
+    Later contacts do not count: the impact pushes the robot around.
     """
     own = trace.contact_pair == trace.ids.index(name)
     speeds = trace.contact_speed[own]
@@ -63,7 +63,7 @@ def first_touch(trace: Trace, name: str = "a") -> float:
 
 
 def driven(trace: Trace, name: str = "a") -> float:
-    """How far a robot got from its start, in m."""
+    """The greatest distance of a robot from its start, in m."""
     path = trace.pose[:, trace.ids.index(name), :2]
     return float(np.hypot(*(path - path[0]).T).max())
 
@@ -100,7 +100,7 @@ def test_robot_stops_at_a_thin_pole(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["burger", "waffle_pi"])
 @pytest.mark.parametrize("bearing", [0.0, 1.2, math.pi])
 def test_rammed_robot_is_not_at_fault(kind: str, bearing: float) -> None:
-    """The rammer comes from anywhere; who is rammed drives at it or, from behind, backs."""
+    """The rammed robot drives at the rammer, or backs at one from behind."""
     x, y = 1.6 * math.cos(bearing), 1.6 * math.sin(bearing)
     way = -1.0 if bearing > 2.0 else 1.0
     trace = meeting(
@@ -129,7 +129,7 @@ def test_turning_robot_does_not_swing_into_another() -> None:
 
 @pytest.mark.parametrize("seed", [1, 4])
 def test_two_robots_that_slide_to_the_same_place_keep_apart(seed: int) -> None:
-    """Each closes on nothing that it faces, if that stands: it is their corners that would meet."""
+    """Neither closes on the other as long as it stands; without a rule their corners would meet."""
     trace = meeting(
         group("seeing-waffle_pi", "a", (0.0, 0.296, -0.24), 0.2),
         group("seeing-waffle_pi", "b", (0.1, -0.296, 0.37), 0.2),

@@ -33,14 +33,14 @@ FAR = 100.0
 
 
 class Everywhere(BindingRange):
-    """Says of anything that it may bind."""
+    """A binding range without limit."""
 
     def for_scan_age(self, age: float) -> float:
         return FAR
 
 
 class SeesAll(Barrier):
-    """One that considers every return, however far."""
+    """A barrier that considers every return."""
 
     def __init__(self, platform: Platform) -> None:
         super().__init__(platform)
@@ -50,7 +50,7 @@ class SeesAll(Barrier):
 
 
 def driving(twist: Twist, seconds: float) -> Odometry:
-    """At that speed ever since, from the origin."""
+    """Odometry after `seconds` at a constant twist from the origin."""
     v, turn = twist.linear, twist.angular * seconds
     radius = v / twist.angular if twist.angular else 0.0
     there = Pose(radius * math.sin(turn), radius * (1.0 - math.cos(turn)), turn)
@@ -61,7 +61,7 @@ def decided(
     barrier: Barrier, platform: Platform, returns: Sequence[tuple[int, int, float]], twist: Twist,
     age: float,
 ) -> Twist:  # fmt: skip
-    """What it makes of the wish to go on as it does, so long after a sweep."""
+    """The decision on a request to go on at the same twist, `age` s after a scan."""
     ranges = np.full(360, math.inf)
     for first, count, beyond in returns:
         ranges[np.arange(first, first + count) % 360] = platform.scan.range_min + beyond
@@ -87,7 +87,7 @@ def test_returns_beyond_the_binding_range_change_nothing(
 
 @pytest.mark.parametrize("platform", KINDS)
 def test_binding_range_holds_at_every_distance_and_age(platform: Platform) -> None:
-    """A wall of some rays, from near to far, as a robot at full speed comes up to it."""
+    """A narrow wall at distances from near to far, before a robot at full speed."""
     for age in np.array((0.0, 0.1, 0.4, 1.0)) * platform.scan.stale_after:
         for beyond in np.arange(0.0, 1.5, 0.04):
             ahead = [(350, 20, float(beyond))]

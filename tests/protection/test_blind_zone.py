@@ -1,4 +1,4 @@
-"""What a sensor that is blind nearby remembers: Jackal's, which sees nothing within 0.8 m."""
+"""The blind-zone memory of a Jackal, whose lidar reports nothing within 0.8 m."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ def look(
     seconds: float = PERIOD,
     beyond: float = 3.0,
 ) -> list[int]:
-    """One more scan; in whole degrees where something is hidden then.
+    """Take in one more scan; returns the bearings of hidden obstacles in whole degrees.
 
-    Along `near` there are returns at `distance`, along `empty` none, elsewhere at `beyond`; the
-    base has turned by so many degrees and gone so many m ahead since the scan before.
+    Rays `near` have returns at `distance`, rays `empty` none, all others at `beyond`. The base has
+    turned by `turned` degrees and moved `ahead` m since the last scan.
     """
     ranges = np.full(360, beyond)
     ranges[list(empty)] = math.inf
@@ -46,7 +46,7 @@ def look(
 
 
 def hiding() -> BlindZoneMemory:
-    """One that has seen something near ahead, and then nothing there."""
+    """A memory after a near obstacle ahead has vanished."""
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE)
     look(memory, empty=WIDE)
@@ -80,7 +80,7 @@ def test_hidden_obstacle_approaches_at_the_assumed_speed() -> None:
 
 
 def face(memory: BlindZoneMemory, distance: float, first: int = -90, last: int = 90) -> list[int]:
-    """One more scan, of a face across the way ahead, from `first` to `last` degrees of it."""
+    """Take in a scan of a face ahead, from `first` to `last` degrees."""
     degrees = np.arange(first, last + 1)
     ranges = np.full(360, math.inf)
     ranges[degrees] = distance / np.maximum(np.cos(np.radians(degrees)), 1e-6)
@@ -93,7 +93,7 @@ def face(memory: BlindZoneMemory, distance: float, first: int = -90, last: int =
 
 @pytest.mark.parametrize("speed", [0.02, 0.1, 0.6])
 def test_wide_face_continues_between_its_visible_ends(speed: float) -> None:
-    """None of its points vanishes without another one beside it that is still seen."""
+    """No point of the face vanishes without a visible one beside it."""
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     for distance in np.arange(1.0, 0.35, -speed * PERIOD):
         half = math.degrees(math.acos(min(distance / JACKAL.scan.range_min, 1.0)))
@@ -152,7 +152,7 @@ def test_near_return_shows_that_the_obstacle_reappeared() -> None:
 
 
 def test_obstacle_that_reappears_beside_its_place_is_not_hidden() -> None:
-    """In the open nothing is seen where it was, before it came or after it has gone."""
+    """In the open, rays are empty before the obstacle comes and after it has left."""
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, beyond=math.inf)
     assert look(memory, beyond=math.inf) == list(WIDE)
@@ -160,7 +160,7 @@ def test_obstacle_that_reappears_beside_its_place_is_not_hidden() -> None:
 
 
 def test_standing_neighbor_does_not_count_as_reappearance() -> None:
-    """Another leg on either side of the shadow was there before: it is not the one that hides."""
+    """The legs on both sides of the empty sector were visible before."""
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     near, legs = range(-1, 3), [*range(-24, -13), *range(15, 26)]
     look(memory, [*near, *legs])
@@ -176,7 +176,7 @@ def test_obstacle_that_vanishes_before_a_wall_is_hidden() -> None:
 
 
 def test_slow_turns_move_hidden_obstacles() -> None:
-    """Half a degree a scan is less than from ray to ray."""
+    """A turn per scan of less than the angle between two rays."""
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, beyond=math.inf)
     look(memory, beyond=math.inf)
@@ -186,7 +186,7 @@ def test_slow_turns_move_hidden_obstacles() -> None:
 
 
 def test_shadow_narrower_than_a_robot_expires() -> None:
-    """The edge of something that has turned away casts such a shadow."""
+    """The edge of an obstacle that has turned away leaves such a sector."""
     memory, shadow = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD), range(4)
     look(memory, shadow)
     seconds = 0.0
@@ -199,7 +199,7 @@ def test_shadow_narrower_than_a_robot_expires() -> None:
 @pytest.mark.parametrize("beyond", [3.0, math.inf])
 @pytest.mark.parametrize("width", [6, 9])
 def test_hidden_obstacle_does_not_expire(width: int, beyond: float) -> None:
-    """A Jackal's own lidar is 8.5 cm across: 6 degrees at the rim."""
+    """The lidar of a Jackal is 8.5 cm wide: 6 degrees at the rim."""
     memory, shadow = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD), range(width)
     look(memory, shadow, beyond=beyond)
     for _ in range(1000):

@@ -61,7 +61,7 @@ def test_stop_from_the_passive_cap_uses_up_the_room(
     cap = passive(room, braking, others, unseen, tick)
     own = cap * tick + cap**2 / (2.0 * braking)
     theirs = others * (unseen + tick + cap / braking)
-    least = others * (unseen + tick)  # they come so far even if the robot stands
+    least = others * (unseen + tick)  # they approach that far even if the robot stands
     assert own + theirs == pytest.approx(max(room, least), rel=1e-9, abs=1e-9)
 
 
@@ -92,7 +92,7 @@ def test_caps_are_monotonic(
 def test_caps_are_not_negative(
     room: float, braking: float, others: float, unseen: float, tick: float
 ) -> None:
-    """So that to stand still is always feasible, and nobody is made to retreat."""
+    """So the zero command is always feasible, and no robot has to retreat."""
     assert passive(room, braking, others, unseen, tick) >= 0.0
     assert reciprocal(room, braking, unseen, tick) >= 0.0
 
@@ -117,7 +117,7 @@ def polygon_of(platform: Platform, speed: float, along: tuple[float, float] = AH
 
 
 def fastest_corner(platform: Platform, twist: Array, along: tuple[float, float] = AHEAD) -> float:
-    """The speed in m/s of the fastest_corner corner, from the rigid body's equation."""
+    """The speed in m/s of the fastest corner, by rigid-body kinematics."""
     v, w = twist * (platform.limits.linear, platform.limits.angular)
     speeds = [math.hypot(v * along[0] - w * y, v * along[1] + w * x) for x, y in platform.footprint]
     return max(speeds)
@@ -190,7 +190,7 @@ TOP = WAFFLE.limits.linear
 
 
 def return_beside(gap: float, side: float) -> Scan:
-    """One return at that gap, straight to the left of the lidar or to the right."""
+    """One return at that gap, directly to the left or right of the lidar."""
     ranges = np.full(360, math.inf)
     ray = int(np.abs(WAFFLE.scan.bearings - side * math.pi / 2.0).argmin())
     ranges[ray] = HALF_WIDTH + gap
@@ -200,7 +200,7 @@ def return_beside(gap: float, side: float) -> Scan:
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 @pytest.mark.parametrize("way", [1.0, -1.0], ids=["ahead", "reversing"])
 def test_nearer_obstacle_is_passed_more_slowly(side: float, way: float) -> None:
-    """Half of what is left beyond touch each, until both have looked again; 60 degrees aside."""
+    """Half of the gap each until the next scan of both, in directions 60 degrees aside."""
     for gap in (0.02, 0.05, 0.07, 0.09):
         seconds = WAFFLE.scan.latency + REACTION_TIME + TICK
         closing = max(0.5 * (gap - MARGIN) / seconds, CREEP_SPEED)
@@ -233,7 +233,7 @@ TWIST_SPEED = st.floats(-2.0, 2.0)
 
 
 def touch_speed(corners: Array, zone: TouchZone, v: float, w: float) -> float:
-    """The highest speed in m/s at which the outline presses, as the rows have it."""
+    """The highest speed in m/s of the outline in directions of the zone."""
     press = touch_directions(corners, zone)
     return float((press.nx * (v - w * press.y) + press.ny * w * press.x).max())
 

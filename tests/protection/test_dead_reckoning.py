@@ -24,7 +24,7 @@ PERIOD = 0.05
 
 
 def arc(twist: Twist, time: float) -> Pose:
-    """Where one is after so long from the origin: the closed form of a constant twist."""
+    """The pose after `time` at a constant twist from the origin, in closed form."""
     v, w = twist.linear, twist.angular
     if abs(w) < 1e-9:
         return Pose(v * time, 0.0, 0.0)
@@ -33,7 +33,7 @@ def arc(twist: Twist, time: float) -> Pose:
 
 
 def driven(twist: Twist, until: float = 1.0) -> tuple[DeadReckoning, Odometry]:
-    """One that has driven with a constant twist, and its last reading."""
+    """Dead reckoning after driving with a constant twist, and the last reading."""
     motion, reading = DeadReckoning(1.0, 3.0), Odometry(0.0, Pose(), twist)
     for n in range(round(until / PERIOD) + 1):
         reading = Odometry(n * PERIOD, arc(twist, n * PERIOD), twist)

@@ -34,7 +34,7 @@ def wall_ahead(distance: float, rays: int) -> Scan:
 
 
 def decide_by_field(scan: Scan, requested: Twist | None = REQUESTED) -> Decision:
-    """What a wish becomes just after that scan."""
+    """The decision directly after a scan."""
     protection = Protection(WAFFLE)
     protection.observe(scan, DecisionContext(0.0))
     return protection.decide(requested, DecisionContext(0.0, 0.05), is_running=True, hold=None)
@@ -121,7 +121,7 @@ def test_stop_zone_is_inactive_for_a_zero_request() -> None:
 
 
 def test_stop_zone_stops_at_a_wall_and_cannot_leave() -> None:
-    """Which is why it is not the default."""
+    """So it is not the default mode."""
     sim = FilterSim(BURGER, [box(0.1, 4.0, Pose(0.6))])
     assert 0.05 < sim.run(Twist(0.22), 6.0).min_gap < 0.10
     stood = sim.pose

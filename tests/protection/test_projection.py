@@ -1,4 +1,4 @@
-"""Clip and project, held against a quadratic program's solver and against first principles."""
+"""Clipping and projection, compared with a QP solver and checked against first principles."""
 
 from __future__ import annotations
 
@@ -36,9 +36,10 @@ def half_planes(rows: HalfPlanes) -> tuple[Array, Array]:
 
 
 def solver(requested: Point, polygon: Polygon, normals: Array, caps: Array) -> Array:
-    """The same by quadprog: an active-set method that shares nothing with ours.
+    """The solution of quadprog, an independent active-set method.
 
-    Where rows leave but a point it takes rounding for a contradiction, so it gets a little more.
+    quadprog reports rounding as a contradiction where only one point is feasible, so the bounds
+    are relaxed by 1e-12.
     """
     corners = np.array(polygon)
     edges = np.roll(corners, -1, axis=0) - corners
@@ -57,7 +58,7 @@ def test_agrees_with_a_qp_solver(requested: Point, polygon: Polygon, rows: HalfP
 
 
 def test_almost_parallel_constraints_meet_within_rounding() -> None:
-    """Anywhere within what rounding may overstep over the angle between; solvers give up there."""
+    """Any point within rounding is right; QP solvers fail there."""
     normals, caps = half_planes([(0.0, 1.0, 0.0), (1e-6, 2.0, 0.0)])
     point, _ = nearest_feasible((0.5, 0.0), BOX, normals, caps)
     assert point == pytest.approx((0.0, 0.0), abs=1e-6)

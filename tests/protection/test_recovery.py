@@ -18,12 +18,12 @@ AHEAD = Twist(0.22)
 
 
 def still(platform: Platform) -> Platform:
-    """Nothing is expected to move or to reach beyond what is seen."""
+    """Obstacles are assumed to stand and to be fully visible."""
     return under_barrier(platform, others_speed=0.001, surface_speed=0.22, unseen_extent=0.0)
 
 
 def nook() -> list[Shape]:
-    """A wall ahead and one to the left: to the right and back there is room."""
+    """A wall ahead and one to the left; the right and the back are free."""
     return [box(0.1, 4.0, Pose(0.9)), box(4.0, 0.1, Pose(0.0, 0.5))]
 
 
@@ -52,7 +52,7 @@ def test_recovery_leads_around_a_pole() -> None:
 
 
 def toward(sim: FilterSim, x: float) -> RequestedCommand:
-    """Straight to the place (x, 0), without any care."""
+    """Drives straight to (x, 0) and ignores obstacles."""
 
     def requested(time: float) -> Twist:
         pose = sim.pose

@@ -1,4 +1,4 @@
-"""The way to rest from a command: held against a finer one that shares nothing with it."""
+"""The stop check, compared with a finer and independent simulation of stops."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BURGER = load_platform("burger")
 PLATFORMS = [BURGER, load_platform("waffle_pi"), load_platform("jackal")]
 FRONT, HALF = 0.038, 0.089  # m, of a Burger's outline; its rear corners are 0.135 m from the axle
 STEP = 0.002  # s
-SAG = 0.004  # m by which a corner's way bulges out between two places where it is looked at
+SAG = 0.004  # m by which the path of a corner deviates between two simulated poses
 
 SHARE = st.floats(-1, 1)
 
@@ -32,7 +32,7 @@ def cleared(
     platform: Platform = BURGER,
     along: tuple[float, float] = (1.0, 0.0),
 ) -> tuple[float, float]:
-    """What is left of the speeds beside points in the base frame."""
+    """The speeds that the stop check leaves beside points in the base frame."""
     outline, seen = Footprint(platform.footprint), np.array(points).reshape(-1, 2)
     check = StopCheck(outline, LINEAR, ANGULAR, TICK)
     left = check.limited(
@@ -42,7 +42,7 @@ def cleared(
 
 
 def way(speed: float) -> float:
-    """How far it gets until it stands."""
+    """The stopping distance in m."""
     return speed * TICK + speed * speed / (2.0 * LINEAR)
 
 
@@ -56,7 +56,7 @@ def test_straight_stop_keeps_the_free_gap() -> None:
 
 
 def test_free_gap_grows_while_others_approach() -> None:
-    """At 0.2 m/s it takes 0.25 s to stand: one that comes at 0.3 m/s is 75 mm nearer by then."""
+    """The stop from 0.2 m/s takes 0.25 s; an obstacle at 0.3 m/s moves 75 mm in that time."""
     enough = FRONT + 0.05 + way(0.2) + 0.3 * (TICK + 0.2)
     assert cleared((0.2, 0.0), (enough + 0.003, 0.0), free=(0.05, 0.3)) == (0.2, 0.0)
     assert cleared((0.2, 0.0), (enough - 0.01, 0.0), free=(0.05, 0.3))[0] < 0.2
@@ -64,9 +64,9 @@ def test_free_gap_grows_while_others_approach() -> None:
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_turn_stops_before_the_corner_arrives(side: float) -> None:
-    """The nearest place of the outline does not close at all as it turns; a rear corner comes.
+    """The nearest place of the outline does not close in a turn, but a rear corner swings in.
 
-    The other way round it is the front one that passes, which is nearer to the axle.
+    In the other direction the front corner passes, which is nearer to the axle.
     """
     beside, clear = (0.0, side * (HALF + 0.03)), (0.0, side * (0.136 + 0.01))
     for turn in (2.84, -2.84):
@@ -79,7 +79,7 @@ def test_turn_stops_before_the_corner_arrives(side: float) -> None:
 
 @pytest.mark.parametrize("way", [1.0, -1.0], ids=["turn ends first", "drive ends first"])
 def test_stop_of_two_speeds_that_cancel_out(way: float) -> None:
-    """The front corner stands still in x as long as both last; what is before it is met after."""
+    """The front corner keeps its x while both speeds last, and moves ahead once one has ended."""
     speeds = way * 0.2, way * 0.2 / HALF
     before = FRONT + 0.015, HALF + 0.001
     assert cleared(speeds, before) != speeds
@@ -109,7 +109,7 @@ def test_lateral_motion_is_checked() -> None:
 
 
 def test_reduces_speeds_as_little_as_possible() -> None:
-    """A drive past something keeps its speed when only the turn would meet it, and the reverse."""
+    """Only the speed that leads to contact is reduced."""
     beside = (0.0, HALF + 0.012)
     linear, angular = cleared((0.05, -2.84), beside)
     assert linear == 0.05
@@ -173,7 +173,7 @@ def test_stop_keeps_the_free_gap_with_any_brakes(
 def nearness(
     platform: Platform, at: Array, v: float, w: float, better: tuple[float, float]
 ) -> list[float]:
-    """Gaps to a point on the way to rest from two speeds, with brakes so much better."""
+    """Gaps to a point during a stop, with brakes better by these factors."""
     pose, gaps, time = Pose(), [], 0.0
     while v or w:
         if time >= TICK:
