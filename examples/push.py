@@ -1,4 +1,4 @@
-"""A pattern that touches: what it asks for, and what its robot's configuration must grant.
+"""A pattern that pushes. The robot's configuration must grant the touch zone:
 
 touch: {push: {half_width_deg: 20, speed: 0.1}}
 """
@@ -9,14 +9,14 @@ from swarmd.api import Annotated, Inputs, MovementPattern, Params, Recovery, Tou
 
 
 class PushParams(Params, frozen=True):
-    """How fast; `recovery` is off, for what blocks the way is what it is there for."""
+    """`recovery` is off: it would lead the robot around the object to push."""
 
-    speed: Annotated[float, about("how fast it pushes", ge=0.0, le=0.3, unit="m/s")] = 0.1
+    speed: Annotated[float, about("forward speed", ge=0.0, le=0.3, unit="m/s")] = 0.1
     recovery: Recovery = False
 
 
 class Push(MovementPattern[PushParams]):
-    """Drives straight ahead and pushes what is there, if that is granted; else it stops short."""
+    """Drives straight ahead; pushes if that is granted, and stops before obstacles otherwise."""
 
     params_type = PushParams
     needs = frozenset[str]()
@@ -24,5 +24,5 @@ class Push(MovementPattern[PushParams]):
     touches = TouchZone(bearing=0.0, half_width=math.radians(20.0), speed=0.1)
 
     def drive(self, inputs: Inputs) -> Twist:
-        """Always the same; protection limits it to the zone's speed near what is ahead."""
+        """A constant command; protection limits it to the zone's speed near an obstacle ahead."""
         return Twist(linear=self.params.speed)

@@ -1,8 +1,9 @@
-"""A driver of one's own: a base that speaks MessagePack over UDP, such as a microcontroller's.
+"""A driver for a base that speaks MessagePack over UDP, such as a microcontroller's.
 
-It says `{"is": "scan", "stamp": s, "ranges": [m ...]}`, evenly around, and `{"is": "odometry",
-"stamp": s, "x": m, "y": m, "yaw": rad, "linear": m/s, "angular": rad/s}` to whoever has said hello
-last, and takes `{"linear": m/s, "angular": rad/s}`. A hello, `{}`, moves nothing.
+The base sends `{"is": "scan", "stamp": s, "ranges": [m ...]}`, with rays evenly around, and `{"is":
+"odometry", "stamp": s, "x": m, "y": m, "yaw": rad, "linear": m/s, "angular": rad/s}` to the address
+of the last hello. It takes commands `{"linear": m/s, "angular": rad/s}`. A hello, `{}`, moves
+nothing.
 """
 
 from __future__ import annotations
@@ -32,19 +33,19 @@ from swarmd.core.values import (
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, Sink, ZeroSenderSpec
 
-SILENCE = 1.0
-HELLO = 0.2
+SILENCE_TIMEOUT = 1.0
+HELLO_PERIOD = 0.2
 
 
-class Sweep(Struct, tag_field="is", tag="scan"):
-    """Ranges in m: infinite where nothing is seen, NaN where nothing is known."""
+class ScanMessage(Struct, tag_field="is", tag="scan"):
+    """Ranges in m: infinite for no return, NaN for unknown."""
 
     stamp: float
     ranges: list[float]
 
 
-class Moved(Struct, tag_field="is", tag="odometry"):
-    """Pose since the base was switched on, and its velocities."""
+class OdometryMessage(Struct, tag_field="is", tag="odometry"):
+    """Pose since the base was switched on, and velocities."""
 
     stamp: float
     x: float
@@ -54,7 +55,7 @@ class Moved(Struct, tag_field="is", tag="odometry"):
     angular: float
 
 
-_said = msgspec.msgpack.Decoder(Sweep | Moved)
+_messages = msgspec.msgpack.Decoder(ScanMessage | OdometryMessage)
 
 
 class UdpDriver:
@@ -78,7 +79,7 @@ class UdpDriver:
         self._gate = CommandGate()
 
     async def run(self, sink: Sink) -> None:
-        """Feed the sink until cancelled; zero on the way out."""
+        """Feed the sink until cancelled; at the end send zero."""
         loop = asyncio.get_running_loop()
         sink.state(False, f"nothing heard yet from {self._base}")
         self._link, _ = await loop.create_datagram_endpoint(
@@ -87,11 +88,11 @@ class UdpDriver:
         try:
             while True:
                 self._link.sendto(msgspec.msgpack.encode({}))
-                await asyncio.sleep(HELLO)
-                if self._gate.is_open and loop.time() - self._heard > SILENCE:
+                await asyncio.sleep(HELLO_PERIOD)
+                if self._gate.is_open and loop.time() - self._heard > SILENCE_TIMEOUT:
                     if self._gate.close(loop.time()):
                         self._put(ZERO)
-                    sink.state(False, f"nothing from {self._base} for {SILENCE:g} s")
+                    sink.state(False, f"nothing from {self._base} for {SILENCE_TIMEOUT:g} s")
         finally:
             if self._gate.end():
                 self._put(ZERO)
@@ -105,15 +106,15 @@ class UdpDriver:
             self._put(command)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
-        """Whether scans and odometry come; commands nothing."""
-        seen = _Seen()
+        """Whether scans and odometry arrive; sends no command."""
+        seen = _CountingSink()
         task = asyncio.create_task(self.run(seen))
         try:
             async with asyncio.timeout(seconds):
                 while not (seen.count["scan"] and seen.count["odometry"]):
                     await asyncio.sleep(0.05)
         except TimeoutError:
-            pass  # what is missing stands in the findings
+            pass  # the findings name what is missing
         finally:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
@@ -124,12 +125,12 @@ class UdpDriver:
         )
 
     def zero_sender(self) -> ZeroSenderSpec:
-        """How a stopper says zero, for a base with `deadman: none`."""
+        """How the watchdog sends zero, for a base with `command_timeout: none`."""
         return ZeroSenderSpec(f"{__name__}:UdpZeroSender", {"base": self._base})
 
     def _take(self, sink: Sink, data: bytes) -> None:
         try:
-            value = self._value(_said.decode(data))
+            value = self._value(_messages.decode(data))
         except (msgspec.DecodeError, ValueError):
             sink.dropped("garbage")
             return
@@ -142,15 +143,18 @@ class UdpDriver:
         else:
             sink.odometry(value)
 
-    def _value(self, said: Sweep | Moved) -> Scan | Odometry:
-        """What was said in the core's terms; ValueError if that is impossible."""
-        if isinstance(said, Sweep):
+    def _value(self, message: ScanMessage | OdometryMessage) -> Scan | Odometry:
+        """The message as a value of the core; ValueError if it is not finite."""
+        if isinstance(message, ScanMessage):
             self._seq += 1
-            return scan_of(said, self._seq, self._spec)
-        pose, twist = Pose(said.x, said.y, said.yaw), Twist(said.linear, said.angular)
+            return scan_of(message, self._seq, self._spec)
+        pose, twist = (
+            Pose(message.x, message.y, message.yaw),
+            Twist(message.linear, message.angular),
+        )
         if not (math.isfinite(pose.x + pose.y + pose.yaw) and twist.is_finite):
             raise ValueError("odometry that is not finite")
-        return Odometry(said.stamp, pose, twist)
+        return Odometry(message.stamp, pose, twist)
 
     def _put(self, twist: Twist) -> None:
         if self._link is not None:
@@ -158,7 +162,7 @@ class UdpDriver:
 
 
 class UdpZeroSender:
-    """A second connection, in the stopper's process."""
+    """A second connection, in the watchdog's process."""
 
     def __init__(self, base: str) -> None:
         """Not connected yet."""
@@ -179,7 +183,7 @@ class UdpZeroSender:
 
 
 def address_of(base: str) -> tuple[str, int]:
-    """Host and port of `host:port`; ConfigError if it is none."""
+    """Host and port of `host:port`; ConfigError if it has another form."""
     host, _, port = base.rpartition(":")
     if not host or not port.isdecimal():
         raise ConfigError(f"driver udp: base is {base}; wanted is such as 10.0.0.7:9000")
@@ -187,20 +191,20 @@ def address_of(base: str) -> tuple[str, int]:
 
 
 def command_of(twist: Twist) -> bytes:
-    """What the base takes."""
+    """The command as the base takes it."""
     return msgspec.msgpack.encode({"linear": twist.linear, "angular": twist.angular})
 
 
-def scan_of(sweep: Sweep, seq: int, spec: ScanSpec) -> Scan:
-    """A sweep evenly around, from the first bearing of the platform's."""
-    ranges = np.asarray(sweep.ranges, dtype=np.float64)
+def scan_of(message: ScanMessage, seq: int, spec: ScanSpec) -> Scan:
+    """A scan with rays evenly around, from the platform's first bearing."""
+    ranges = np.asarray(message.ranges, dtype=np.float64)
     turn = np.linspace(0.0, 2.0 * np.pi, len(ranges), endpoint=False, dtype=np.float64)
     bearings = turn + float(spec.bearings[0])
-    return Scan(seq, sweep.stamp, ranges, bearings, spec.range_min, spec.range_max)
+    return Scan(seq, message.stamp, ranges, bearings, spec.range_min, spec.range_max)
 
 
 class _Link(asyncio.DatagramProtocol):
-    """Hands on what comes; errors are those of a base that is not there yet."""
+    """Passes datagrams on; ignores errors of a base that is not up yet."""
 
     def __init__(self, take: Callable[[bytes], None]) -> None:
         self._take = take
@@ -209,8 +213,8 @@ class _Link(asyncio.DatagramProtocol):
         self._take(data)
 
 
-class _Seen:
-    """A sink that counts, for who only looks."""
+class _CountingSink:
+    """A sink that counts, for `check`."""
 
     def __init__(self) -> None:
         self.count = Counter[str]()

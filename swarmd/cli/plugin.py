@@ -1,4 +1,4 @@
-"""`swarmctl plugin`: write a pattern of your own, check it, and replace it while robots run."""
+"""`swarmctl plugin`: write a pattern, check it, and replace its code while robots run."""
 
 from __future__ import annotations
 
@@ -34,13 +34,13 @@ def plugin() -> None:
     "folder",
     type=click.Path(file_okay=False, path_type=Path),
     default=Path(),
-    help="The folder to write to [the present one].",
+    help="The folder to write to [the current one].",
 )
 @click.option(
     "--kind",
     type=click.Choice(["movement", "voting", "pattern"]),
     default="movement",
-    help="What it begins as [movement].",
+    help="The kind of pattern [movement].",
 )
 @common_options
 def new(options: CommonOptions, name: str, folder: Path, kind: str) -> None:
@@ -49,9 +49,9 @@ def new(options: CommonOptions, name: str, folder: Path, kind: str) -> None:
 
     written = write_plugin(name, folder, kind)
     steps = [
-        (f"swarmctl plugin check {written[0]}", "what every pattern must hold to"),
-        (f"pytest {written[1]}", "the same, and what yours is for"),
-        (f"swarmctl demo --pattern {name} --plugin-dir {folder}", "robots that run it"),
+        (f"swarmctl plugin check {written[0]}", "the contract of all patterns"),
+        (f"pytest {written[1]}", "the same, and tests of its own"),
+        (f"swarmctl demo --pattern {name} --plugin-dir {folder}", "simulated robots run it"),
     ]
     if options.is_json:
         files = [str(path) for path in written]

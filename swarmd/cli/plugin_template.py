@@ -1,4 +1,4 @@
-"""Writes a pattern and its test to begin with; both hold to the contract as they are."""
+"""Writes a new pattern and its test; both pass the contract as they are."""
 
 from __future__ import annotations
 
@@ -15,32 +15,32 @@ from swarmd.core.keys import is_id
 from swarmd.plugins import installed_patterns
 
 _MOVEMENT = '''\
-"""What $name is, in a line."""
+"""What $name does, in one line."""
 
 from swarmd.api import Annotated, Inputs, MovementPattern, Params, Twist, about, nearest
 
 
 class ${kind}Params(Params, frozen=True):
-    """What can be set, and its bounds."""
+    """Parameters with their bounds."""
 
-    speed: Annotated[float, about("its speed", ge=0.0, le=1.0, unit="m/s")] = 0.15
-    distance: Annotated[float, about("what is near", ge=0.1, le=3.0, unit="m")] = 0.8
+    speed: Annotated[float, about("forward speed", ge=0.0, le=1.0, unit="m/s")] = 0.15
+    distance: Annotated[float, about("distance at which it turns", ge=0.1, le=3.0, unit="m")] = 0.8
 
 
 class $kind(MovementPattern[${kind}Params]):
-    """Drives ahead, and turns while something is near ahead."""
+    """Drives ahead, and turns while an obstacle is near ahead."""
 
     params_type = ${kind}Params
 
     def drive(self, inputs: Inputs) -> Twist:
-        """What it wishes to do now; protection has the last word."""
+        """The requested command; protection may change it."""
         near = nearest(inputs.scan, half_width=1.0)
         if near is not None and near.range < self.params.distance:
             return Twist(angular=1.0)
         return Twist(linear=self.params.speed)
 '''
 _TEST_MOVEMENT = '''\
-"""What $name has to hold to, and what it is for."""
+"""The contract of all patterns, and tests of $name."""
 
 from swarmd.testing import PatternContract
 from swarmd.testing.scans import Disc, scan_of
@@ -49,28 +49,28 @@ from $name import $kind
 
 
 class Test$kind(PatternContract):
-    """The contract, on every platform, and tests of its own."""
+    """The contract on every platform, and tests of its own."""
 
     pattern = $kind
 
-    def test_drives_ahead_where_nothing_is(self) -> None:
+    def test_drives_ahead_without_obstacles(self) -> None:
         """An empty scan."""
         subject = self.subject("burger")
-        wish = subject.run([scan_of(subject.platform)])[-1].twist
-        assert wish is not None
-        assert wish.linear > 0.0
-        assert wish.angular == 0.0
+        command = subject.run([scan_of(subject.platform)])[-1].twist
+        assert command is not None
+        assert command.linear > 0.0
+        assert command.angular == 0.0
 
-    def test_turns_in_front_of_something(self) -> None:
+    def test_turns_in_front_of_an_obstacle(self) -> None:
         """A disc ahead, its centre 0.6 m away."""
         subject = self.subject("burger")
-        wish = subject.run([scan_of(subject.platform, [Disc(0.6, 0.0)])])[-1].twist
-        assert wish is not None
-        assert wish.linear == 0.0
-        assert wish.angular > 0.0
+        command = subject.run([scan_of(subject.platform, [Disc(0.6, 0.0)])])[-1].twist
+        assert command is not None
+        assert command.linear == 0.0
+        assert command.angular > 0.0
 '''
 _VOTING = '''\
-"""What $name is, in a line."""
+"""What $name does, in one line."""
 
 from collections.abc import Mapping
 
@@ -78,14 +78,14 @@ from swarmd.api import VotingParams, VotingPattern, majority
 
 
 class $kind(VotingPattern[VotingParams]):
-    """Stands, sends its opinion and adopts that of most neighbours."""
+    """Stands still, sends its opinion and adopts the majority's."""
 
     def decide(self, votes: Mapping[str, int]) -> int:
         """The new opinion; `votes` has the latest one of each neighbour."""
         return majority(votes.values(), self.opinion, ties="keep", rng=self.context.rng)
 '''
 _TEST_VOTING = '''\
-"""What $name has to hold to, and what it is for."""
+"""The contract of all patterns, and tests of $name."""
 
 from swarmd.testing import PatternContract
 
@@ -93,18 +93,18 @@ from $name import $kind
 
 
 class Test$kind(PatternContract):
-    """The contract, on every platform, and tests of its own."""
+    """The contract on every platform, and tests of its own."""
 
     pattern = $kind
 
-    def test_adopts_what_most_neighbours_hold(self) -> None:
+    def test_adopts_the_opinion_of_the_majority(self) -> None:
         """Two against one."""
         pattern = self.subject("burger").make()
         assert isinstance(pattern, $kind)
         assert pattern.decide({"robot-2": 2, "robot-3": 2, "robot-4": 1}) == 2
 '''
 _PATTERN = '''\
-"""What $name is, in a line."""
+"""What $name does, in one line."""
 
 from swarmd.api import (
     Annotated,
@@ -119,57 +119,60 @@ from swarmd.api import (
 
 
 class ${kind}Params(Params, frozen=True):
-    """What can be set, and its bounds."""
+    """Parameters with their bounds."""
 
-    turn: Annotated[float, about("its speed", ge=-1.0, le=1.0, unit="rad/s")] = 0.5
-    least: Annotated[int, about("neighbours to meet", ge=1, le=100)] = 1
+    turn: Annotated[float, about("turn rate", ge=-1.0, le=1.0, unit="rad/s")] = 0.5
+    enough: Annotated[int, about("robots to hear", ge=1, le=100)] = 1
 
 
 class $kind(Pattern[${kind}Params]):
-    """Turns on the spot until it has met enough neighbours, and says how many."""
+    """Turns on the spot until it has heard enough robots, and reports how many."""
 
     params_type = ${kind}Params
-    needs = frozenset({"neighbors"})
-    channels = {"met": int}
+    needs = frozenset()  # every robot can hear messages
+    channels = {"count": int}
 
     def __init__(self, params: ${kind}Params, context: Context) -> None:
         super().__init__(params, context)
-        self._met: set[str] = set()
+        self._heard: set[str] = set()
 
     def step(self, inputs: Inputs) -> Outputs:
-        """One step: what it wishes, says and reports."""
-        self._met.update(neighbor.id for neighbor in inputs.neighbors)
-        count = len(self._met)
-        turn = self.params.turn if count < self.params.least else 0.0
-        told = {"met": count}
-        return Outputs(Twist(angular=turn), messages=told, report=told)
+        """The command, the message and the report of one step."""
+        self._heard.update(message.sender for message in inputs.messages)
+        count = len(self._heard)
+        turn = self.params.turn if count < self.params.enough else 0.0
+        return Outputs(
+            Twist(angular=turn), messages={"count": count}, report={"heard": count}
+        )
 '''
 _TEST_PATTERN = '''\
-"""What $name has to hold to, and what it is for."""
+"""The contract of all patterns, and tests of $name."""
 
-from swarmd.api import Inputs
+from swarmd.api import Inputs, Message
 from swarmd.testing import PatternContract
 
 from $name import $kind
 
 
 class Test$kind(PatternContract):
-    """The contract, on every platform, and tests of its own."""
+    """The contract on every platform, and tests of its own."""
 
     pattern = $kind
 
-    def test_turns_while_it_is_alone(self) -> None:
-        """Before any neighbour was there."""
+    def test_turns_while_alone(self) -> None:
+        """No message was heard yet."""
         outputs = self.subject("burger").make().step(Inputs(now=1.0, dt=0.0))
         assert outputs.twist is not None
         assert outputs.twist.angular > 0.0
 
-    def test_stands_once_it_has_met_enough(self) -> None:
-        """The contract's story has two neighbours."""
-        outputs = self.subject("burger").run([None])[-1]
+    def test_stops_after_the_first_message(self) -> None:
+        """One robot is enough by default."""
+        message = Message("robot-2", "count", value=0, age=0.1)
+        inputs = Inputs(now=1.0, dt=0.0, messages=(message,))
+        outputs = self.subject("burger").make().step(inputs)
         assert outputs.twist is not None
         assert outputs.twist.is_zero
-        assert outputs.report == {"met": 2}
+        assert outputs.report == {"heard": 1}
 '''
 _TEXTS: Mapping[str, tuple[str, str]] = {
     "movement": (_MOVEMENT, _TEST_MOVEMENT),
@@ -179,7 +182,7 @@ _TEXTS: Mapping[str, tuple[str, str]] = {
 
 
 def write_plugin(name: str, folder: Path, kind: str) -> tuple[Path, Path]:
-    """Write both files and give their paths; UsageError, and no file, for a name that won't do."""
+    """Write both files and return their paths; UsageError, and no file, for an unusable name."""
     _check_name(name)
     paths = (folder / f"{name}.py", folder / f"test_{name}.py")
     for path in paths:
@@ -209,9 +212,9 @@ def _check_name(name: str) -> None:
 
 
 def _check_free(name: str) -> None:
-    """A file is not to have the name of what others import, or of a pattern that is installed."""
+    """UsageError if a module or an installed pattern has the name."""
     origin = installed_patterns().get(name)
     if origin is not None:
         raise click.UsageError(f"{origin.source} has a pattern {name!r}; take another name")
     if name in sys.stdlib_module_names or find_spec(name) is not None:
-        raise click.UsageError(f"{name!r} is a module that others import; take another name")
+        raise click.UsageError(f"{name!r} is the name of a Python module; take another name")

@@ -112,8 +112,8 @@ def test_a_new_plugin_passes_as_it_is(
         ("../own", "'../own' is no name"),
         ("lambda", "'lambda' is no name"),
         ("test_own", "'test_own' is no name"),
-        ("random", "'random' is a module that others import"),
-        ("numpy", "'numpy' is a module that others import"),
+        ("random", "'random' is the name of a Python module"),
+        ("numpy", "'numpy' is the name of a Python module"),
         ("drive", "has a pattern 'drive'"),
     ],
 )
