@@ -24,7 +24,7 @@ class ${kind}Params(Params, frozen=True):
     """Parameters with their bounds."""
 
     speed: Annotated[float, about("forward speed", ge=0.0, le=1.0, unit="m/s")] = 0.15
-    distance: Annotated[float, about("turning distance", ge=0.1, le=3.0, unit="m")] = 0.8
+    distance: Annotated[float, about("turns within", ge=0.1, le=3.0, unit="m")] = 0.8
 
 
 class $kind(MovementPattern[${kind}Params]):
