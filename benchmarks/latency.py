@@ -1,8 +1,8 @@
 """From a scan to the command it leads to: seven live daemons, one world, all on this machine.
 
 Reflex: from the scan's put at the world to the first command back in the world's Zenoh callback
-whose verdict used that scan. Full: to the first whose wish used it. The bodies apply a command
-with the next 100 Hz step, up to 10 ms later; that is not counted.
+whose decision used that scan. Full: to the first whose requested command used it. The bases apply a
+command with the next 100 Hz step, up to 10 ms later; that is not counted.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from swarmd.core.messages import State
 ROBOTS = 7
 SECONDS = 62.0  # 5 Hz: over 300 scans of each robot
 CYCLES = 10  # of run, endless loops, quarantine, reset
-SILENCE = 1.5  # s after which the last looping host has been killed
+KILL_TIME = 1.5  # s after which the last looping host has been killed
 
 Times = Mapping[tuple[str, int], int]
 """By robot and scan: a stamp in ns."""
@@ -37,8 +37,8 @@ STAGES = (
     ("full: step sent -> host has it", "to_host", "host_in"),
     ("full: host decodes, steps, encodes", "host_in", "host_out"),
     ("full: host's answer -> daemon has it", "host_out", "from_host"),
-    ("full: decode, protect again, to the put", "from_host", "wish_sent"),
-    ("full: put -> world's callback", "wish_sent", "wish_back"),
+    ("full: decode, protect again, to the put", "from_host", "requested_sent"),
+    ("full: put -> world's callback", "requested_sent", "requested_back"),
 )
 
 
@@ -48,7 +48,7 @@ class Stamps:
 
     put: Times
     safe_back: Times
-    wish_back: Times
+    requested_back: Times
 
 
 def read_stamps(swarm: Swarm) -> Stamps:
@@ -112,7 +112,7 @@ def healthy(seconds: float) -> Iterator[Row]:
         swarm.close()
         stamps = read_stamps(swarm)
     reflex = between(stamps.put, stamps.safe_back, span)
-    full = between(stamps.put, stamps.wish_back, span)
+    full = between(stamps.put, stamps.requested_back, span)
     yield row("reflex, 7 live daemons", "p50 1.5 ms, p99 5 ms", reflex)
     yield row("full, 7 live daemons", "p50 2 ms, p99 8 ms", full)
     yield Row("lateness of a bare 100 Hz timer meanwhile", late, note="yardstick")
@@ -128,7 +128,7 @@ def staged(seconds: float) -> Iterator[Row]:
         **borders,
         "put": stamps.put,
         "safe_back": stamps.safe_back,
-        "wish_back": stamps.wish_back,
+        "requested_back": stamps.requested_back,
     }
     for what, start, end in STAGES:
         budget = "p50 200 us" if end == "host_out" else ""
@@ -152,7 +152,7 @@ def looping(cycles: int) -> Iterator[Row]:
             start = time.monotonic_ns()
             swarm.wait_none(State.RUNNING)
             spans.append((start, time.monotonic_ns() - 100_000_000))
-            time.sleep(SILENCE)
+            time.sleep(KILL_TIME)
             swarm.reset()
         swarm.close()
         stamps = read_stamps(swarm)

@@ -1,7 +1,7 @@
-"""One 360-ray sweep by the number of robots, beside MuJoCo's ray caster: `benchmarks.lidar`.
+"""One 360-ray scan by the number of robots, beside MuJoCo's ray caster: `benchmarks.lidar`.
 
-One Waffle Pi a square metre. Several at once is what lockstep asks for (1000 robots at 5 Hz: 50 a
-step), one what the real-time server does.
+One Waffle Pi a square metre. Lockstep casts several at once (1000 robots at 5 Hz: 50 a
+step), the live server one.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def make_world(n: int, realism: Realism = IDEAL) -> World:
 
 
 def samples(work: Callable[[], object], per: int) -> list[float]:
-    """Seconds for one of the `per` things that each call of `work` does, over SECONDS."""
+    """Seconds for one of the `per` items that each call of `work` does, over SECONDS."""
     taken: list[float] = []
     end = time.perf_counter() + SECONDS
     while not taken or time.perf_counter() < end:

@@ -1,4 +1,4 @@
-"""How much simulated time a second of one processor buys: `benchmarks.lockstep [--patterns ...]`.
+"""Simulated time per second of processor time: `benchmarks.lockstep [--patterns ...]`.
 
 Processor time of this process alone, with everything that an experiment has: physics, noisy lidars,
 odometry, robots with protection, patterns, radio and the trace. Each sample is a simulated second
@@ -26,17 +26,17 @@ SECONDS = {7: 20, 100: 10, 1000: 5}
 
 def seconds_of(name: str, overrides: Mapping[str, Any], count: int) -> list[float]:
     """Processor seconds for each of `count` simulated seconds."""
-    lab = Lockstep(load_scenario(name, overrides), seed=0)
-    lab.advance(1.0)
+    run = Lockstep(load_scenario(name, overrides), seed=0)
+    run.advance(1.0)
     taken = []
     for _ in range(count):
         start = time.process_time()
-        lab.advance(1.0)
+        run.advance(1.0)
         taken.append(time.process_time() - start)
     return taken
 
 
-def at_one_a_square_metre(n: int, pattern: str) -> Mapping[str, Any]:
+def one_per_square_metre(n: int, pattern: str) -> Mapping[str, Any]:
     """Overrides of scenario `thousand` for n robots, in an arena of n m2 and a little more."""
     side = math.sqrt(n) + 0.1
     return {
@@ -59,7 +59,7 @@ def experiment_rows() -> Iterator[Row]:
 def size_rows(patterns: Sequence[str]) -> Iterator[Row]:
     for pattern in patterns:
         for n in SIZES:
-            taken = seconds_of("thousand", at_one_a_square_metre(n, pattern), SECONDS[n])
+            taken = seconds_of("thousand", one_per_square_metre(n, pattern), SECONDS[n])
             budget = ">= 1" if n == 1000 else ""
             factors = [1.0 / one for one in taken]
             yield Row(f"times real time, {n} robots, {pattern}", factors, budget, unit="x")

@@ -35,7 +35,7 @@ from swarmd.settings.settings import load_daemon_settings
 
 
 class Stamps:
-    """By border: when each scan first came there."""
+    """The first time of each scan at each border."""
 
     def __init__(self) -> None:
         self.by_border: dict[str, dict[int, int]] = defaultdict(dict)
@@ -51,7 +51,7 @@ STAMPS = Stamps()  # of this process, which is one measurement
 class StampedDriver(simulated.SimulatedDriver):
     def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         STAMPS.put("safe_sent", scan_seq)
-        STAMPS.put("wish_sent", requested_scan_seq)
+        STAMPS.put("requested_sent", requested_scan_seq)
         super().send(twist, scan_seq, requested_scan_seq)
 
 

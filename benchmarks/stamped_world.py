@@ -2,7 +2,7 @@
 
 `python -m benchmarks.stamped_world FILE.npz ...` with the options of `swarmd.sim.live.server`.
 Stamps are in ns on CLOCK_MONOTONIC, taken just before the scan's put and first in the callback
-that receives commands: the bodies apply a command with the next 100 Hz step.
+that receives commands: the bases apply a command with the next 100 Hz step.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from swarmd.sim.live.link import WorldLink
 
 
 class StampedLink(WorldLink):
-    """A world's link that remembers when what went out and came in."""
+    """A world's link that stamps scans and commands."""
 
     def __init__(self, swarm: str, ids: Iterable[str], endpoint: str, *, path: Path) -> None:
         self._path = path

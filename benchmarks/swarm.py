@@ -24,18 +24,18 @@ from swarmd.network.settings import NetworkSettings
 
 HERE = Path(__file__).parent
 PLUGINS = HERE / "plugins"
-PATIENCE = 60.0  # s
-GRACE = 5.0  # s between TERM and KILL
-LOOK = 0.05
+READY_TIMEOUT = 60.0  # s
+STOP_TIMEOUT = 5.0  # s between TERM and KILL
+POLL_PERIOD = 0.05
 
 Process = subprocess.Popen[bytes]
 
 
 class Swarm:
-    """`count` robots of a platform in a world with MuJoCo at 100 Hz, ready to be told to run.
+    """`count` robots of a platform in a world with MuJoCo at 100 Hz, ready for a run.
 
     A context manager. The world stamps scans and commands at its Zenoh session; the stamps are in
-    `folder` after `close`. `is_stamped` daemons also stamp each stage in between. `bodies` are
+    `folder` after `close`. `is_stamped` daemons also stamp each stage in between. `others` are
     further robots, by name, with their platforms, that have no daemon; `world` further options of
     the world.
     """
@@ -46,13 +46,13 @@ class Swarm:
         platform: str = "waffle_pi",
         *,
         is_stamped: bool = False,
-        bodies: Mapping[str, str] = MappingProxyType({}),
+        others: Mapping[str, str] = MappingProxyType({}),
         world: Sequence[str] = (),
     ) -> None:
         self.name = f"bench-{secrets.token_hex(3)}"
         self.robots = tuple(f"tb3-{number:02d}" for number in range(1, count + 1))
         self.endpoint = ""
-        self._platform, self._bodies, self._options = platform, bodies, world
+        self._platform, self._others, self._options = platform, others, world
         self.daemons: dict[str, Process] = {}
         self.world: Process | None = None
         self._is_stamped = is_stamped
@@ -103,11 +103,11 @@ class Swarm:
 
     def wait(self, condition: Callable[[Mapping[str, Status]], bool], what: str) -> None:
         """Until the statuses are as wanted; SystemExit with the logs' last lines if never."""
-        deadline = time.monotonic() + PATIENCE
+        deadline = time.monotonic() + READY_TIMEOUT
         while not condition(self.statuses()):
             if time.monotonic() > deadline:
-                sys.exit(f"no {what} within {PATIENCE:.0f} s: {self._last_words()}")
-            time.sleep(LOOK)
+                sys.exit(f"no {what} within {READY_TIMEOUT:.0f} s: {self._last_words()}")
+            time.sleep(POLL_PERIOD)
 
     def wait_ready(self) -> None:
         """Until every daemon has its body and scans."""
@@ -136,7 +136,7 @@ class Swarm:
         self.wait_ready()
 
     def _spawn_world(self) -> Process:
-        there = {**dict.fromkeys(self.robots, self._platform), **self._bodies}
+        there = {**dict.fromkeys(self.robots, self._platform), **self._others}
         robots = ",".join(f"{robot}:{platform}" for robot, platform in there.items())
         command = ["benchmarks.stamped_world", str(self.folder / "world.npz"), "--swarm", self.name]
         side = 6 if len(self.robots) <= 9 else 9
@@ -185,7 +185,7 @@ def end(processes: Iterable[Process]) -> None:
     some = list(processes)
     for process in some:
         process.terminate()
-    deadline = time.monotonic() + GRACE
+    deadline = time.monotonic() + STOP_TIMEOUT
     for process in some:
         try:
             process.wait(timeout=max(0.0, deadline - time.monotonic()))

@@ -1,7 +1,7 @@
 """A swarm-wide switch from the key press: `swarmctl run PATTERN --all` with 20 running daemons.
 
 The time begins with the start of the swarmctl process and ends with its line `20 targeted, 20
-applied`: every robot has said that the pattern is loaded. All hosts are warm. `stop` likewise.
+applied`: every robot has loaded the pattern. All hosts are warm. `stop` likewise.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ RUNS = 30
 
 
 def timed(swarm: Swarm, *words: str) -> float:
-    """Seconds until one swarmctl has heard of all robots; SystemExit if one does not ack."""
+    """Seconds until swarmctl has the replies of all robots; SystemExit if one is missing."""
     command = [str(Path(sys.executable).with_name("swarmctl")), *words, "--swarm", swarm.name]
     seconds, text = 0.0, ""
     start = time.perf_counter()

@@ -23,13 +23,13 @@ def drive(world: World) -> None:
 
 
 def simulated_second(world: World) -> None:
-    """100 steps, and each robot's sweeps and odometry spread over them."""
-    everyone = np.arange(len(world.ids))
+    """100 steps, and each robot's scans and odometry spread over them."""
+    robots = np.arange(len(world.ids))
     for step in range(round(1.0 / world.dt)):
         world.step()
         for sense, rate in ((world.scans, SCAN_RATE), (world.odometry, ODOMETRY_RATE)):
             period = round(1.0 / (rate * world.dt))
-            due = everyone[everyone % period == step % period]
+            due = robots[robots % period == step % period]
             if len(due):
                 sense(due)
 

@@ -129,7 +129,7 @@ class Course:
         options += ["--lidar-visibility", visibility, *_space(body, robots + 1)]
         fast = {"linear": self.others_speed}
         bodies = {RAMMER: _variant(folder / f"{RAMMER}.yaml", platform, limits=fast)}
-        self.swarm = Swarm(robots, protected, bodies=bodies, world=options)
+        self.swarm = Swarm(robots, protected, others=bodies, world=options)
 
     def __enter__(self) -> Self:
         try:
@@ -220,7 +220,7 @@ def _space(platform: Platform, count: int) -> list[str]:
 def _of(robots: Sequence[str], stamps: Stamps) -> Stamps:
     """The stamps without those of bodies that have no daemon."""
     put = {key: at for key, at in stamps.put.items() if key[0] in robots}
-    return Stamps(put, stamps.safe_back, stamps.wish_back)
+    return Stamps(put, stamps.safe_back, stamps.requested_back)
 
 
 def rows(platform: str, options: argparse.Namespace) -> Iterator[Row]:
@@ -241,7 +241,7 @@ def rows(platform: str, options: argparse.Namespace) -> Iterator[Row]:
     stamps, span = outcome.stamps, outcome.span
     reflex = between(stamps.put, stamps.safe_back, span)
     yield row(f"{platform}: reflex, {ROBOTS} live daemons", "p50 1.5 ms, p99 5 ms", reflex)
-    full = between(stamps.put, stamps.wish_back, span)
+    full = between(stamps.put, stamps.requested_back, span)
     yield row(f"{platform}: full, {ROBOTS} live daemons", "p50 2 ms, p99 8 ms", full)
 
 

@@ -122,7 +122,7 @@ def test_lockstep_and_daemons_drive_the_same_paths(
 
 
 VOTE = {"opinions": 2, "window": 1.0}
-PATIENCE = 40.0
+AGREE_TIMEOUT = 40.0
 """Many times what any run in lockstep takes: a loaded machine is slow."""
 
 
@@ -148,7 +148,7 @@ def test_voters_with_daemons_agree_and_stay_so(tmp_path: Path) -> None:
         epochs = await_robots(operator, fleet, ids).epochs(ids)
         outcome = operator.request(RunRequest, epochs, pattern="majority_rule", params=VOTE)
         assert len(outcome.applied) == len(ids)
-        wait_until(lambda: agreed(opinions(operator)), "agreed", PATIENCE)
+        wait_until(lambda: agreed(opinions(operator)), "agreed", AGREE_TIMEOUT)
         with WorldView(swarm, fleet.endpoint) as world:
             watch = WorldWatcher(world)
             since = watch.wait().time
