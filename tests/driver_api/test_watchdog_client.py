@@ -239,7 +239,7 @@ def test_only_one_whose_daemon_is_silent_is_relieved(
     mine = Watchdog(daemon[1], sender, name, None)
     daemon[0].send(TICK)
     mine._read_ticks()
-    monkeypatch.setattr(watchdog, "_CLAIM_WITHIN", 0.0)
+    monkeypatch.setattr(watchdog, "_CLAIM_TIMEOUT", 0.0)
     reliefs: list[float] = []
     monkeypatch.setattr(mine._timer, "relieve", lambda: reliefs.append(clock.now))
     for after, is_relieved in ((0.0, False), (0.39, False), (0.41, True)):

@@ -33,8 +33,6 @@ class RosRobot:
     def __init__(self, core: RosCore, *words: str, namespace: str = "") -> None:
         self.core, self._words = core, words
         self.namespace = namespace or f"/r{os.getpid()}_{next(_numbers)}"
-        self._lines: list[str] = []
-        self._lock = threading.Lock()
         self.reconnect()
 
     def reconnect(self) -> None:
@@ -46,8 +44,11 @@ class RosRobot:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
         )
-        ready = threading.Event()  # commands of a life before may still wait among the lines
-        self._thread = threading.Thread(target=self._read, args=(self._process, ready), daemon=True)
+        # A queue of this process's own: what still arrives from the one before is not in it.
+        self._lines, ready = list[str](), threading.Event()
+        self._thread = threading.Thread(
+            target=_read, args=(self._process, self._lines, ready), daemon=True
+        )
         self._thread.start()
         try:
             wait_until(ready.is_set, "the robot's nodes are registered")
@@ -81,8 +82,8 @@ class RosRobot:
 
     def commands(self) -> Sequence[Twist]:
         """What has come since the last call."""
-        with self._lock:
-            lines, self._lines = self._lines, []
+        lines = self._lines[:]
+        del self._lines[: len(lines)]
         return [_twist(line) for line in lines]
 
     def publish_scan(self, scan: Scan) -> None:
@@ -115,14 +116,14 @@ class RosRobot:
                 except BrokenPipeError:
                     continue
 
-    def _read(self, process: subprocess.Popen[bytes], ready: threading.Event) -> None:
-        assert process.stdout is not None
-        for line in process.stdout:
-            if line == b"ready\n":
-                ready.set()
-                continue
-            with self._lock:
-                self._lines.append(line.decode())
+
+def _read(process: subprocess.Popen[bytes], lines: list[str], ready: threading.Event) -> None:
+    assert process.stdout is not None
+    for line in process.stdout:
+        if line == b"ready\n":
+            ready.set()
+        else:
+            lines.append(line.decode())
 
 
 @contextmanager

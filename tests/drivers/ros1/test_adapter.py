@@ -99,7 +99,7 @@ def test_an_adapter_that_keeps_dying_is_started_at_growing_intervals(
 
 
 def test_an_adapter_that_says_nothing_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ros1_child, "STARTS_WITHIN", 0.3)
+    monkeypatch.setattr(ros1_child, "START_TIMEOUT", 0.3)
 
     async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
         await until(lambda: any("SIGKILL" in text for text in texts(heard)))

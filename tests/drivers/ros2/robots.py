@@ -6,7 +6,6 @@ import json
 import math
 import socket
 import struct
-import threading
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -52,8 +51,6 @@ class Robot:
     def __init__(self, *, is_stamped: bool = False) -> None:
         self.endpoint = free_endpoint()
         self.is_stamped = is_stamped
-        self._lock = threading.Lock()
-        self._commands: list[zenoh.Sample] = []
         self._spoken = 0
         self.reconnect()
 
@@ -69,7 +66,9 @@ class Robot:
     def reconnect(self) -> None:
         self.hub = open_session("router", "listen/endpoints", self.endpoint)
         self._tokens: list[zenoh.LivelinessToken] = []
-        self.hub.declare_subscriber(self.command_key(), self._on_command)
+        # A queue of this hub's own: what still arrives from before a reconnect is not in it.
+        self._commands = commands = list[zenoh.Sample]()
+        self.hub.declare_subscriber(self.command_key(), commands.append)
 
     def disconnect(self) -> None:
         self.hub.close()
@@ -97,8 +96,8 @@ class Robot:
         self._tokens.append(self.hub.liveliness().declare_token(token))
 
     def samples(self) -> list[zenoh.Sample]:
-        with self._lock:
-            taken, self._commands = self._commands, []
+        taken = self._commands[:]
+        del self._commands[: len(taken)]
         return taken
 
     def commands(self) -> Sequence[Twist]:
@@ -114,10 +113,6 @@ class Robot:
     def _stamp(self) -> float:
         self._spoken += 1
         return 100.0 + 0.1 * self._spoken
-
-    def _on_command(self, sample: zenoh.Sample) -> None:
-        with self._lock:
-            self._commands.append(sample)
 
 
 class BridgedRobot(Robot):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
 
-from swarmd.core.values import Value
+from swarmd.core.values import Twist, Value
 from swarmd.driver_api.driver import Finding
 from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, DriverHarness
 from tests.drivers.ros2.robots import Robot
@@ -34,6 +34,23 @@ def play(
             robot.close()
 
     asyncio.run(run())
+
+
+async def drive(harness: DriverHarness) -> None:
+    """Command until the base moves; nothing that was sent is on its way any more.
+
+    The last command differs from those before, so that its arrival proves theirs.
+    """
+    taken: list[Twist] = []
+
+    def has_arrived() -> bool:
+        taken.extend(harness.rig.commands())
+        return bool(taken) and taken[-1].linear == 0.2
+
+    harness.driver.send(Twist(0.1), 1, 1)
+    harness.driver.send(Twist(0.2), 2, 2)
+    await harness.until(has_arrived, publishing=True)
+    assert taken[0].is_zero
 
 
 def check(

@@ -12,7 +12,7 @@ from swarmd.core.values import Pose, Twist, Value
 from swarmd.testing.driver_contract import DriverContract, DriverHarness
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.robots import BridgedRobot
-from tests.drivers.ros2.stories import check, play, told
+from tests.drivers.ros2.stories import check, drive, play, told
 from tests.support import second_codec as second
 
 
@@ -107,8 +107,7 @@ def test_someone_elses_command_is_told_and_nothing_is_commanded_meanwhile() -> N
     robot = BridgedRobot()
 
     async def story(harness: DriverHarness) -> None:
-        for _ in range(3):
-            harness.driver.send(Twist(0.1), 1, 1)
+        await drive(harness)
 
         def is_lost() -> bool:
             robot.put("cmd_vel", robots.command(0.2))
@@ -116,8 +115,7 @@ def test_someone_elses_command_is_told_and_nothing_is_commanded_meanwhile() -> N
 
         await harness.until(is_lost, publishing=True)
         assert told(harness, "another node drives this robot", is_up=False)
-        await asyncio.sleep(0.2)
-        robot.samples()
+        await harness.until(lambda: any(twist.is_zero for twist in robot.commands()))
         harness.driver.send(Twist(0.1), 2, 2)
         await asyncio.sleep(0.2)
         assert not robot.commands()
@@ -135,8 +133,7 @@ def test_a_base_that_is_started_anew_in_no_time_gets_zero_first() -> None:
     base = robot.hub.liveliness().declare_token(token)
 
     async def story(harness: DriverHarness) -> None:
-        for _ in range(2):
-            harness.driver.send(Twist(0.1), 1, 1)
+        await drive(harness)
         base.undeclare()
         robot.announce(token)
         await asyncio.sleep(0.3)

@@ -14,7 +14,7 @@ from swarmd.drivers.ros2.session import open_session
 from swarmd.testing.driver_contract import TIMEOUT, DriverHarness
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.robots import BridgedRobot
-from tests.drivers.ros2.stories import play, told
+from tests.drivers.ros2.stories import drive, play, told
 from tests.support.processes import wait_until
 
 
@@ -67,10 +67,7 @@ def test_a_robot_whose_link_is_back_is_told_zero_though_its_sensors_are_silent()
     robot = BridgedRobot()
 
     async def story(harness: DriverHarness) -> None:
-        for seq in range(3):
-            harness.driver.send(Twist(0.1), seq, seq)
-        while (await harness.command()).is_zero:
-            pass
+        await drive(harness)
         robot.disconnect()
         await harness.until(lambda: not harness.sink.is_up)
         robot.reconnect()
