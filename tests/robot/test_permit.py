@@ -207,8 +207,7 @@ def test_quarantined_pattern_has_no_permit() -> None:
 
 def test_pattern_with_an_excessive_zone_is_refused() -> None:
     harness = make_harness(greedy=LESS)
-    reply = harness.refused("run", pattern="greedy")
-    assert "touches is TouchZone" in reply.text
+    assert "touches is TouchZone" in harness.refused("run", pattern="greedy").text
 
 
 @pytest.mark.parametrize("name", ["touch", "touches", "bearing_deg"])

@@ -62,9 +62,7 @@ def begun(harness: RobotHarness, **args: Any) -> Request:
 
 def test_reload_stops_the_robot_and_kills_the_host() -> None:
     harness = driving()
-    reply = harness.ask("reload", pattern="own")
-    assert reply is not None
-    assert (reply.code, reply.text) == (Code.APPLIED, "reloaded, and stopped")
+    assert harness.applied("reload", pattern="own").text == "reloaded, and stopped"
     assert [type(command) for command in harness.sent] == [StartTrial, KillHost]
     assert harness.twist.is_zero
     assert standing_state(harness) == (State.STOPPED, Reason.RELOADED)
@@ -77,9 +75,7 @@ def test_rerun_keeps_parameters_and_remaining_seconds() -> None:
     harness.ask("run", pattern="own", params={"recovery": False}, seconds=60.0)
     harness.advance(20.0)
     harness.sent.clear()
-    reply = harness.ask("reload", pattern="own", is_rerun=True)
-    assert reply is not None
-    assert (reply.code, reply.text) == (Code.APPLIED, "runs own")
+    assert harness.applied("reload", pattern="own", is_rerun=True).text == "runs own"
     loads = [command for command in harness.sent if isinstance(command, Load)]
     assert [(load.is_fresh, dict(load.layers[-1][1])) for load in loads] == [
         (True, {"recovery": False})
@@ -106,9 +102,7 @@ def test_trial_has_the_present_parameters() -> None:
 def test_code_that_cannot_be_loaded_leaves_the_run_alone(pattern: str, refusal: Refusal) -> None:
     harness = driving()
     generation = harness.status.generation
-    reply = harness.ask("reload", pattern=pattern, is_rerun=True)
-    assert reply is not None
-    assert (reply.code, reply.refusal) == (Code.REFUSED, refusal)
+    assert harness.refused("reload", pattern=pattern, is_rerun=True).refusal is refusal
     harness.advance(1.0)
     assert harness.twist == Twist(0.2)
     assert harness.status.generation == generation
@@ -184,8 +178,7 @@ def test_reload_with_a_stale_epoch_is_refused() -> None:
     harness = driving()
     seen = harness.epoch
     harness.ask("stop")
-    reply = harness.send(harness.request("reload", seen, pattern="own", is_rerun=True))
-    assert reply is not None
+    reply = harness.answer(harness.request("reload", seen, pattern="own", is_rerun=True))
     assert reply.refusal is Refusal.STALE_EPOCH
 
 
@@ -212,9 +205,7 @@ def test_reload_of_another_pattern_makes_the_next_load_fresh() -> None:
 def test_reload_of_an_idle_robot_kills_its_host() -> None:
     harness = RobotHarness(patterns={"own": Forward})
     harness.advance(1.0)
-    reply = harness.ask("reload", pattern="own", is_rerun=True)
-    assert reply is not None
-    assert reply.text == "a run of own takes the new code; idle, as before"
+    assert "idle, as before" in harness.applied("reload", pattern="own", is_rerun=True).text
     assert [type(command) for command in harness.sent] == [StartTrial, KillHost]
     assert standing_state(harness) == (State.IDLE, Reason.NEVER_ASKED)
 
@@ -266,6 +257,5 @@ def test_stale_epoch_after_a_reload_names_the_reload() -> None:
     harness = driving()
     seen = harness.epoch
     harness.ask("reload", pattern="forward", operator="ben")
-    reply = harness.send(harness.request("run", seen, pattern="forward"))
-    assert reply is not None
+    reply = harness.answer(harness.request("run", seen, pattern="forward"))
     assert reply.text == "robot changed since you looked, by ben (reload forward)"

@@ -9,7 +9,7 @@ import pytest
 from swarmd.api import Inputs, MovementPattern, Outputs, Params, Twist
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.host_messages import HostDied, KillHost, Load, Loaded, Step, Stepped
-from swarmd.core.messages import Code, Reason, State, Status
+from swarmd.core.messages import Code, Reason, Refusal, State, Status
 from swarmd.core.values import Neighbor, Scalar
 from swarmd.pattern_host.wire import MAX_FRAME, encode_command
 from tests.support.robot_harness import RobotHarness
@@ -32,7 +32,8 @@ def test_runs_the_requested_command_within_limits() -> None:
 def test_refused_run_leaves_the_running_pattern_alone() -> None:
     harness = started(speed=0.1)
     reply = harness.refused("run", pattern="forward", params={"sped": 0.2})
-    assert "did you mean 'speed'" in reply.text
+    assert reply.refusal is Refusal.INVALID_PARAMETER
+    assert "sped" in reply.text
     harness.advance(1.0)
     assert harness.twist == Twist(0.1)
     assert harness.status.pattern == "forward"
@@ -60,8 +61,7 @@ def test_repeated_stop_is_one_change() -> None:
     assert (again.code, again.epoch) == (Code.APPLIED, first.epoch)
     harness.ask("run", pattern="forward")
     harness.advance(0.2)
-    last = harness.send(stop)
-    assert last is not None
+    last = harness.answer(stop)
     assert last.epoch != first.epoch
     assert harness.twist.is_zero
     assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)

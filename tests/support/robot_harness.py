@@ -135,6 +135,12 @@ class RobotHarness:
         answers = [reply for reply in self.replies[before:] if reply.id == request.id]
         return answers[-1] if answers else None
 
+    def answer(self, request: Request) -> Reply:
+        """Send a request; returns its reply, which must come at once."""
+        reply = self.send(request)
+        assert reply is not None
+        return reply
+
     def ask(self, verb: str, **args: Any) -> Reply | None:
         """Send a request with the present epoch; returns its reply, None if it follows later."""
         return self.send(self.request(verb, **args))
