@@ -72,9 +72,9 @@ def rows_of(world: World) -> Iterator[Row]:
     n = len(world.ids)
     batch = np.arange(min(n, BATCH))
     together = samples(lambda: world.scans(batch), len(batch))
-    yield Row(f"sweep, {n} robots, {len(batch)} at once", together)
-    yield Row(f"sweep, {n} robots, one", samples(lambda: world.scans(batch[:1]), 1))
-    yield Row(f"sweep, {n} robots, mj_multiRay", samples(mujoco_sweep(world), 1))
+    yield Row(f"scan, {n} robots, {len(batch)} at once", together)
+    yield Row(f"scan, {n} robots, one", samples(lambda: world.scans(batch[:1]), 1))
+    yield Row(f"scan, {n} robots, mj_multiRay", samples(mujoco_sweep(world), 1))
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from swarmd.core.errors import ConfigError
 from swarmd.sim.experiments.plan import MAX_RUNS, check_seeds
-from swarmd.sim.scenarios.overrides import SWEPT, parse_override
+from swarmd.sim.scenarios.overrides import SWEEP_SOURCE, parse_override
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
@@ -50,7 +50,7 @@ def parse_sweeps(words: Iterable[str]) -> dict[str, list[Any]]:
         if key.strip() in found:
             raise ConfigError(f"--sweep {key.strip()} is given twice; put all values in one")
         values = split_values(key.strip(), text)
-        found[key.strip()] = [parse_override(f"{key}={value}", SWEPT)[1] for value in values]
+        found[key.strip()] = [parse_override(f"{key}={value}", SWEEP_SOURCE)[1] for value in values]
     return found
 
 

@@ -27,7 +27,7 @@ from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, run_job, r
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.store import Store, gone, open_store
 from swarmd.sim.metrics.catalog import METRICS
-from swarmd.sim.scenarios.overrides import SOURCE, SWEPT
+from swarmd.sim.scenarios.overrides import SOURCE, SWEEP_SOURCE
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
 
@@ -88,7 +88,7 @@ def plan_of(
     """The plan of an experiment; every variant of the scenario is checked, start poses too."""
     name = scenario.name if isinstance(scenario, Scenario) else str(scenario)
     first = check_seeds(seeds)
-    given = [*([SOURCE] * bool(set)), *([SWEPT] * bool(sweep))]
+    given = [*([SOURCE] * bool(set)), *([SWEEP_SOURCE] * bool(sweep))]
 
     def effective(overrides: Mapping[str, Any]) -> Mapping[str, Any]:
         found = _overridden(scenario, overrides, " or ".join(given))

@@ -47,7 +47,7 @@ class BodyTransport(Protocol):
     def odometry(self, robot: str, odometry: Odometry) -> None:
         """Publish a measured pose and twist."""
 
-    def neighbors(self, robot: str, heard: tuple[Neighbor, ...]) -> None:
+    def neighbors(self, robot: str, neighbors: tuple[Neighbor, ...]) -> None:
         """Publish the robots in radio contact, if the transport supports it."""
 
     def readings(self, robot: str, values: Mapping[str, float]) -> None:
@@ -73,9 +73,9 @@ class HwTransport:
         """Publish a measured pose and twist."""
         self._link.publish(robot, "odometry", encode_odometry(odometry))
 
-    def neighbors(self, robot: str, heard: tuple[Neighbor, ...]) -> None:
+    def neighbors(self, robot: str, neighbors: tuple[Neighbor, ...]) -> None:
         """Publish the robots in radio contact."""
-        self._link.publish(robot, "neighbors", encode_neighbors(heard))
+        self._link.publish(robot, "neighbors", encode_neighbors(neighbors))
 
     def readings(self, robot: str, values: Mapping[str, float]) -> None:
         """Publish scalar readings."""
@@ -121,7 +121,7 @@ class EmulatorTransport:
         """Publish a measured pose and twist."""
         self.side.odometry(robot, odometry)
 
-    def neighbors(self, robot: str, heard: tuple[Neighbor, ...]) -> None:
+    def neighbors(self, robot: str, neighbors: tuple[Neighbor, ...]) -> None:
         """Ignored: emulated robots do not publish neighbors."""
 
     def readings(self, robot: str, values: Mapping[str, float]) -> None:

@@ -130,8 +130,8 @@ class RealTimeWorld:
         world, robot = self._world, self._world.ids[row]
         if self._radio is not None:
             boxes = transform(world.box_shapes, world.box_poses())
-            heard = self._radio.neighbors(row, world.poses(), boxes)
-            self._transport.neighbors(robot, heard)
+            neighbors = self._radio.neighbors(row, world.poses(), boxes)
+            self._transport.neighbors(robot, neighbors)
         if readings := world.readings(row):
             self._transport.readings(robot, readings)
 

@@ -225,11 +225,11 @@ class Lockstep:
         shell = self.shells[row]
         if shell is None:
             return
-        heard = self._radio.neighbors(row, self.world.poses(), self._boxes())
+        neighbors = self._radio.neighbors(row, self.world.poses(), self._boxes())
         if self._absent_count:
             there = {one.robot.id for one in self.shells if one is not None}
-            heard = tuple(neighbor for neighbor in heard if neighbor.id in there)
-        shell.neighbors(heard, self.world.time)
+            neighbors = tuple(neighbor for neighbor in neighbors if neighbor.id in there)
+        shell.neighbors(neighbors, self.world.time)
 
     def _sense(self, now: float) -> None:
         world = self.world

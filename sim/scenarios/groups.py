@@ -113,10 +113,10 @@ def _check_id(layers: Layered, keys: Keys, value: str, what: str) -> None:
 
 def _sensing(platform: Platform, file: ScenarioFile, fields: Sequence[Field]) -> Platform:
     """The platform with the sensors that the scenario adds."""
-    heard = replace(platform, provides=platform.provides | {"neighbors"})
+    sensing = replace(platform, provides=platform.provides | {"neighbors"})
     if file.radio.range_and_bearing:
-        heard = with_bearings(heard)
-    return with_readings(heard, fields)
+        sensing = with_bearings(sensing)
+    return with_readings(sensing, fields)
 
 
 def _platforms(layers: Layered, file: ScenarioFile) -> dict[str, tuple[Platform, Data]]:

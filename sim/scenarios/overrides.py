@@ -10,7 +10,7 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.settings.yamlfile import brief, read_value
 
 SOURCE = "--set"
-SWEPT = "--sweep"
+SWEEP_SOURCE = "--sweep"
 
 
 def parse_override(text: str, source: str = SOURCE) -> tuple[str, Any]:

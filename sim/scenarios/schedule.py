@@ -74,7 +74,7 @@ def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
     name = f"events[{keys[1]}]"
     given = [action for action in ACTIONS if getattr(section, action) is not None]
     if len(given) != 1:
-        text = f"{name} says {' and '.join(given) or 'nothing'} at {section.at:g}"
+        text = f"{name} has {' and '.join(given) or 'nothing'} at {section.at:g}"
         raise layers.error(keys, f"{text}; wanted one of {', '.join(ACTIONS)}")
     besides = {
         "targets": section.targets,

@@ -98,13 +98,13 @@ class Radio:
         hears_all = math.isinf(self._reach) and self._sight is None
         if hears_all and not self._settings.range_and_bearing:
             return self._others(row)
-        heard = self.hearers(row, poses, movable_boxes)
+        neighbors = self.hearers(row, poses, movable_boxes)
         if not self._settings.range_and_bearing:
-            return tuple(self._plain[i] for i in heard.tolist())
-        sensed = self._sense(row, heard, poses).tolist()
+            return tuple(self._plain[i] for i in neighbors.tolist())
+        sensed = self._sense(row, neighbors, poses).tolist()
         return tuple(
             Neighbor(self._ids[i], 0.0, distance, wrap(bearing), wrap(heading))
-            for i, (distance, bearing, heading) in zip(heard.tolist(), sensed, strict=True)
+            for i, (distance, bearing, heading) in zip(neighbors.tolist(), sensed, strict=True)
         )
 
     def _others(self, row: int) -> tuple[Neighbor, ...]:
@@ -116,16 +116,16 @@ class Radio:
     def hearers(self, row: int, poses: Array, movable_boxes: Array | None = None) -> Indices:
         """The rows in radio contact with robot `row`, in order; the relation is symmetric."""
         if math.isinf(self._reach):
-            heard = np.delete(np.arange(len(self._ids)), row)
+            neighbors = np.delete(np.arange(len(self._ids)), row)
         else:
             away = poses[:, :2] - poses[row, :2]
             is_near = np.hypot(away[:, 0], away[:, 1]) <= self._reach
             is_near[row] = False
-            heard = np.flatnonzero(is_near)
-        if self._sight is not None and len(heard):
-            here = np.broadcast_to(poses[row, :2], (len(heard), 2))
-            heard = heard[self._sight.is_clear(here, poses[heard, :2], movable_boxes)]
-        return heard
+            neighbors = np.flatnonzero(is_near)
+        if self._sight is not None and len(neighbors):
+            here = np.broadcast_to(poses[row, :2], (len(neighbors), 2))
+            neighbors = neighbors[self._sight.is_clear(here, poses[neighbors, :2], movable_boxes)]
+        return neighbors
 
     def send(
         self,
@@ -172,13 +172,13 @@ class Radio:
         here, there = poses[pairs[:, 0], :2], poses[pairs[:, 1], :2]
         return pairs[self._sight.is_clear(here, there, movable_boxes)]
 
-    def _sense(self, row: int, heard: Indices, poses: Array) -> Array:
-        """Distance, bearing and heading (k, 3) of robots `heard` from robot `row`."""
-        x, y = (poses[heard, :2] - poses[row, :2]).T
+    def _sense(self, row: int, neighbors: Indices, poses: Array) -> Array:
+        """Distance, bearing and heading (k, 3) of robots `neighbors` from robot `row`."""
+        x, y = (poses[neighbors, :2] - poses[row, :2]).T
         yaw = poses[row, 2]
-        off = self._bearing_rngs[row].standard_normal((len(heard), 3))
+        off = self._bearing_rngs[row].standard_normal((len(neighbors), 3))
         distance = np.hypot(x, y)
         measured = distance + off[:, 0] * (_DISTANCE_SD + _DISTANCE_SHARE * distance)
         bearing = np.arctan2(y, x) - yaw + off[:, 1] * _ANGLE_SD
-        heading = poses[heard, 2] - yaw + off[:, 2] * _ANGLE_SD
+        heading = poses[neighbors, 2] - yaw + off[:, 2] * _ANGLE_SD
         return np.stack((np.maximum(measured, 0.0), bearing, heading), axis=-1)
