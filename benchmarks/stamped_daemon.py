@@ -28,6 +28,7 @@ from swarmd.core.processes import die_with_parent
 from swarmd.core.values import Scan, Twist
 from swarmd.daemon import daemon as daemon_module
 from swarmd.daemon.daemon import Daemon
+from swarmd.daemon.driver_sink import DriverSink
 from swarmd.drivers import simulated
 from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.pattern_host.runner import ProcessRunner
@@ -79,7 +80,7 @@ class StampedRunner(ProcessRunner):
             STAMPS.put("host_out", int(report["seq"]), int(report["went"]))
 
 
-class StampedDaemon(Daemon):
+class StampedSink(DriverSink):
     def scan(self, scan: Scan) -> None:
         STAMPS.put("thread", scan.seq, STAMPS.thread)
         STAMPS.put("loop", scan.seq, STAMPS.loop)
@@ -123,7 +124,9 @@ async def serve(config: Path) -> None:
         platform=settings.platform,
         options=settings.driver_options,
     )
-    await StampedDaemon(settings, driver).run(stop)
+    daemon = Daemon(settings, driver)
+    daemon.sink = StampedSink(daemon._robot, daemon._carry_out)
+    await daemon.run(stop)
 
 
 def main() -> None:

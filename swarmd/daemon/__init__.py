@@ -1,1 +1,1 @@
-"""The shell of a robot on its own machine: the loop, its beat, what it keeps on disk."""
+"""The daemon of one robot: its loop, its timer, its files."""

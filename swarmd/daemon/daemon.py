@@ -1,8 +1,8 @@
-"""The daemon: the only owner of the loop. Wires driver, bus, runner and robot together.
+"""The daemon owns the loop and connects driver, bus, pattern host and robot.
 
 It starts in this order: pattern host (before Zenoh opens), robot and tick, network, claim of the
-id, emergency stop, the latches of its peers, `run`, and the driver: until the id is claimed the
-base may be another daemon's. Every way out commands zero.
+id, emergency stop, the latches of its peers, `run`, and the driver last, since the base may belong
+to another daemon until the id is claimed. Every exit path commands zero.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import logging
 import secrets
 import signal
 import socket
-from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -24,8 +23,9 @@ from swarmd.core.codec import Decoder, decode_value, encode, encode_value
 from swarmd.core.errors import CodecError, SwarmError
 from swarmd.core.keys import Key
 from swarmd.core.messages import Condition, Request, Status
-from swarmd.core.values import ZERO, Neighbor, Odometry, Scan, Twist
+from swarmd.core.values import ZERO, Neighbor, Twist
 from swarmd.daemon.driver_factory import make_driver
+from swarmd.daemon.driver_sink import DriverSink
 from swarmd.daemon.latchfile import LatchFile
 from swarmd.daemon.request_server import RequestServer
 from swarmd.daemon.systemd import Notifier
@@ -61,7 +61,7 @@ async def serve(settings: DaemonSettings) -> int:
 
 
 class Daemon:
-    """One robot's daemon; `run` is its whole life. Also the driver's sink."""
+    """One robot's daemon; `run` is its whole life. `sink` takes what the driver measures."""
 
     def __init__(self, settings: DaemonSettings, driver: Driver) -> None:
         check_protected(settings.platform, driver, settings.driver)
@@ -80,8 +80,6 @@ class Daemon:
         self._bus: ZenohBus | None = None
         self._claim: Claim | None = None
         self._requests = RequestServer(settings.id, self._on_request)
-        self._drops: dict[str, int] = {}
-        self._body_knows_neighbors = False
         self._ticks = 0
         self._status = Decoder(Status)
         self._robot = Robot(
@@ -100,10 +98,11 @@ class Daemon:
             now=boottime(),
             latches=self._latches.read(),
         )
+        self.sink = DriverSink(self._robot, self._carry_out)
         self._timer = TickTimer(self._loop, self._on_tick)
 
     async def run(self, stop: asyncio.Event) -> None:
-        """Serve until `stop` is set. SwarmError if there is no network or the id is held."""
+        """Serve until `stop` is set. Raises SwarmError without a network or if the id is held."""
         living = asyncio.create_task(self._live())
         ends = {living, *(asyncio.create_task(e.wait()) for e in (stop, self._crashed))}
         try:
@@ -118,16 +117,16 @@ class Daemon:
         finally:
             self._notify("STOPPING=1")
             if self._claim is None:
-                await _end(living)  # it was still joining
+                await _end(living)  # it is still joining
             try:
                 self._leave()
             finally:
                 for end in ends:
                     await _end(end)
-        if self._crash is not None:  # on the way out
+        if self._crash is not None:  # while it was leaving
             raise self._crash
 
-    # Coming and going
+    # Start and end
 
     async def _live(self) -> None:
         await self._join()
@@ -135,27 +134,27 @@ class Daemon:
         gc.freeze()
         self._notify("READY=1")
         log.info("ready in swarm %s as %s", self._settings.network.swarm, self._instance)
-        await self._drive()  # only now is the base ours
+        await self._drive()  # only now the base belongs to this daemon
 
     async def _drive(self) -> None:
-        """The driver's life; one that gives up is tried again."""
+        """Run the driver; one that raises is started again."""
         while True:
             try:
-                await self._driver.run(self)
+                await self._driver.run(self.sink)
             except SwarmError as error:
                 log.warning("driver %s: %s", self._settings.driver, error)
-                self.state(False, str(error))
+                self.sink.state(False, str(error))
             await asyncio.sleep(DRIVER_RETRY_PERIOD)
 
     def _on_crash(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """A callback of ours raised: a guardian that cannot think must not let the body move."""
+        """A callback of the daemon raised: command zero and end the daemon."""
         loop.default_exception_handler(context)
         self._crash = self._crash or context.get("exception") or RuntimeError(context["message"])
         self._crashed.set()
         self._send(ZERO, -1, -1)
 
     def _send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
-        """Hand a command to the driver; one that raises ends the daemon, when all else is done."""
+        """Hand a command to the driver; one that raises ends the daemon after all else is done."""
         try:
             self._driver.send(twist, scan_seq, requested_scan_seq)
         except Exception as error:  # a driver may raise anything
@@ -183,17 +182,17 @@ class Daemon:
         bus.serve_view(lambda: self._with_health(self._robot.status(boottime())), settings.roster)
         bus.on_status(self._on_peer_status)
         bus.listen("msg", "*/*", self._on_message)
-        bus.on_member(lambda member: self._tell_neighbors())
+        bus.on_member(lambda member: self._update_neighbors())
         for robot, payload in await bus.ask("state", "status", timeout=PEER_STATUS_TIMEOUT):
             self._on_answered_status(robot, payload)
         self._requests.serve(bus, ("run", "reload"))
-        self._tell_neighbors()
+        self._update_neighbors()
         self._publish(self._robot.status(boottime()))
 
     def _leave(self) -> None:
-        """Zero, `left`, and out; the driver's own way out sends zero once more.
+        """Command zero, publish `left` and close; the driver's own exit sends zero once more.
 
-        After a crash nobody is told that it left: its peers list it as failed.
+        After a crash `left` is not published, so that the peers list the robot as failed.
         """
         self._timer.stop()
         self._send(ZERO, -1, -1)
@@ -201,7 +200,7 @@ class Daemon:
             if self._crash is None:
                 self._carry_out(self._robot.on_leave(boottime()))
                 self._timer.stop()
-                self._say_left()
+                self._publish_left()
         finally:
             self._runner.close()
             if self._bus is not None:
@@ -210,40 +209,13 @@ class Daemon:
                 self._bus.close()
                 self._session.close()
 
-    def _say_left(self) -> None:
+    def _publish_left(self) -> None:
         if self._bus is not None and self._claim is not None:
             status = self._with_health(self._robot.status(boottime()))
             left = msgspec.structs.replace(status, has_left=True)
             self._bus.publish("state", "status", encode(left), express=True)
 
-    # What the driver hears
-
-    def scan(self, scan: Scan) -> None:
-        """A sweep as the sensor gave it."""
-        self._carry_out(self._robot.on_scan(scan, boottime()))
-
-    def odometry(self, odometry: Odometry) -> None:
-        """A measured pose and twist."""
-        self._robot.on_odometry(odometry, boottime())
-
-    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        """The robots within hearing, as the body knows them."""
-        self._body_knows_neighbors = True
-        self._robot.on_neighbors(neighbors, boottime())
-
-    def readings(self, values: Mapping[str, float]) -> None:
-        """Scalar sensors by name."""
-        self._robot.on_readings(values)
-
-    def state(self, is_up: bool, text: str) -> None:
-        """The base is there, or is lost and why."""
-        self._carry_out(self._robot.on_driver(is_up, text, boottime()))
-
-    def dropped(self, what: str) -> None:
-        """Count one input that could not be read."""
-        self._drops[f"driver/{what}"[:64]] = self._drops.get(f"driver/{what}"[:64], 0) + 1
-
-    # What the network says
+    # Inputs from the network
 
     def _on_request(self, request: Request) -> None:
         self._carry_out(self._robot.on_request(request, boottime()))
@@ -252,7 +224,7 @@ class Daemon:
         try:
             status = self._status(payload)
         except CodecError:
-            return  # a stranger's; the bus counts what is published
+            return  # the bus counts the malformed statuses that are published
         if status.robot == robot:
             self._on_peer_status(status)
 
@@ -264,20 +236,20 @@ class Daemon:
         assert self._bus is not None
         try:
             value = decode_value(payload)
-            is_heard = self._robot.on_message(key.robot, key.name, value, boottime())
+            is_accepted = self._robot.on_message(key.robot, key.name, value, boottime())
         except CodecError:
             self._bus.drop("msg:malformed")
             return
-        if not is_heard:
+        if not is_accepted:
             self._bus.drop("msg:not_a_neighbor")
 
     def _on_duplicate(self, instance: str) -> None:
         log.error("id %s is also held by instance %s", self._robot.id, instance)
         self._carry_out(self._robot.on_duplicate(f"instance {instance}", boottime()))
 
-    def _tell_neighbors(self) -> None:
-        """Without a body that knows who is within hearing, every living member is."""
-        if self._bus is None or self._body_knows_neighbors:
+    def _update_neighbors(self) -> None:
+        """Unless the driver measures neighbors, every living member is one."""
+        if self._bus is None or self.sink.has_neighbors:
             return
         alive = tuple(
             Neighbor(member.robot, 0.0)
@@ -286,13 +258,13 @@ class Daemon:
         )
         self._robot.on_neighbors(alive, boottime())
 
-    # Time, and what follows
+    # Ticks and actions
 
     def _on_tick(self) -> None:
         self._ticks += 1
         self._carry_out(self._robot.tick(boottime()))
         if self._ticks % NEIGHBORS_PERIOD == 0:
-            self._tell_neighbors()
+            self._update_neighbors()
             if self._claim is not None and not self._claim.duplicates:
                 self._carry_out(self._robot.on_duplicate(None, boottime()))
             if self._notify.pings:
@@ -305,20 +277,20 @@ class Daemon:
     def _carry_out(self, actions: Actions) -> None:
         if self._idle.allows(actions.twist, actions.is_idle, boottime()):
             self._send(actions.twist, actions.decision.scan_seq, actions.requested_scan_seq)
-        is_kept = actions.latches is None or self._latches.write(actions.latches)
+        is_stored = actions.latches is None or self._latches.write(actions.latches)
         for command in (actions.trial, actions.host):
             if command is not None:
                 self._runner.send(command)
         for name, value in actions.messages.items():
-            self._say(name, value)
+            self._publish_message(name, value)
         if actions.status is not None:
             self._publish(actions.status)
         for reply in actions.replies:
-            self._requests.reply(reply, is_stored=is_kept)
+            self._requests.reply(reply, is_stored=is_stored)
         wake_at = self._robot.wake_at(boottime())
         self._timer.wake_in(None if wake_at is None else wake_at - boottime())
 
-    def _say(self, name: str, value: object) -> None:
+    def _publish_message(self, name: str, value: object) -> None:
         if self._bus is None:
             return
         try:
@@ -334,7 +306,7 @@ class Daemon:
     def _with_health(self, status: Status) -> Status:
         network = {} if self._bus is None else self._bus.dropped
         frames = {"host/frames": self._runner.dropped} if self._runner.dropped else {}
-        dropped = {**status.health.dropped, **network, **self._drops, **frames}
+        dropped = {**status.health.dropped, **network, **self.sink.drops, **frames}
         return with_health(status, self._timer.p99, self._timer.stalls, dropped)
 
 

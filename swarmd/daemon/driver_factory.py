@@ -1,4 +1,4 @@
-"""The driver that a daemon's settings name, with what its base needs around it."""
+"""Makes the driver that a daemon's settings name, with recording and watchdog where needed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,10 @@ from swarmd.settings.settings import DaemonSettings
 
 
 def make_driver(settings: DaemonSettings) -> Driver:
-    """The daemon's driver, not yet connected, with what its base needs around it. SwarmError."""
+    """The daemon's driver, not yet connected, recorded and watched as its options say.
+
+    Raises SwarmError if the driver or its options are wrong.
+    """
     name = settings.driver
     base = base_options(settings.driver_options, f"driver {name}")
     common = BaseOptions.__struct_fields__
@@ -22,7 +25,7 @@ def make_driver(settings: DaemonSettings) -> Driver:
         platform=settings.platform,
         options={k: v for k, v in settings.driver_options.items() if k not in common},
     )
-    return _guarded(_recorded(driver, base, settings), driver, base, settings)
+    return _watched(_recorded(driver, base, settings), driver, base, settings)
 
 
 def _recorded(driver: Driver, base: BaseOptions, settings: DaemonSettings) -> Driver:
@@ -35,20 +38,20 @@ def _recorded(driver: Driver, base: BaseOptions, settings: DaemonSettings) -> Dr
     return RecordedDriver(driver, path, head)
 
 
-def _guarded(
+def _watched(
     wrapped: Driver, driver: Driver, base: BaseOptions, settings: DaemonSettings
 ) -> Driver:
     if effective_command_timeout(base, driver) != "none":
         return wrapped
     if base.idle_output == "silent":
         raise ConfigError(
-            f"driver {settings.driver}: idle_output is silent, but no deadman is told, which counts"
-            " as none; wanted is also deadman: base, or its seconds, if this base has a timeout"
+            f"driver {settings.driver}: idle_output is silent, but command_timeout counts as none"
+            " where none is given; add command_timeout: base, or its seconds, if this base has a timeout"
         )
     if not isinstance(driver, ZeroSenderProvider):
         raise ConfigError(
-            f"driver {settings.driver}: deadman is none, and this driver has no stopper; wanted is"
-            " deadman: base, or its seconds, if this base stops by itself when commands end"
+            f"driver {settings.driver}: command_timeout is none, and this driver has no watchdog;"
+            " give command_timeout: base, or its seconds, if this base stops by itself"
         )
     spec = driver.zero_sender()
     if spec is None:

@@ -1,4 +1,4 @@
-"""Keeps the latch record of one robot on disk, so that no restart forgets an emergency stop."""
+"""Stores the latches of one robot on disk, so that a restart does not lose an emergency stop."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class LatchFile:
         self._written: LatchRecord | None = None
 
     def read(self) -> LatchRecord:
-        """What was written last; empty if nothing was. An unreadable file latches."""
+        """The record that was written last, else an empty one. An unreadable file latches."""
         try:
             return self._decode(self.path.read_bytes())
         except FileNotFoundError:
@@ -35,9 +35,9 @@ class LatchFile:
             return LatchRecord(held={"unreadable": latch})
 
     def write(self, record: LatchRecord) -> bool:
-        """Write it down and wait until it is on the disk; False, with a log line, if that fails.
+        """Write the record and wait until it is on the disk; False, with a log line, if that fails.
 
-        What was written last is not written again: an operator repeats an estop on every link.
+        An unchanged record is not written again: an operator repeats an estop on every link.
         """
         if record == self._written:
             return True

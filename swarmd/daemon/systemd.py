@@ -1,4 +1,4 @@
-"""Tells systemd that the daemon is ready, alive or leaving (sd_notify)."""
+"""Notifies systemd that the daemon is ready, alive or stopping (sd_notify)."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import socket
 
 
 class Notifier:
-    """Writes to `$NOTIFY_SOCKET`; does nothing where there is none. `pings`: a watchdog waits."""
+    """Writes to `$NOTIFY_SOCKET`, if that is set. `pings`: systemd's watchdog expects pings."""
 
     def __init__(self, environ: dict[str, str] | None = None) -> None:
         env = dict(os.environ) if environ is None else environ

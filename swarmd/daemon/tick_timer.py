@@ -1,4 +1,4 @@
-"""The guardian's beat: 20 ticks a second against absolute deadlines, and one timer in between."""
+"""The daemon's timer: 20 ticks a second against absolute deadlines, and one wake-up in between."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class TickTimer:
         self._loop = loop
         self._tick = tick
         self._next = loop.time() + PERIOD
-        self._handle = loop.call_at(self._next, self._beat)
+        self._handle = loop.call_at(self._next, self._on_time)
         self._wake: asyncio.TimerHandle | None = None
         self._lateness: deque[float] = deque(maxlen=MAX_LATENESS_SAMPLES)
         self.stalls = 0
@@ -29,7 +29,7 @@ class TickTimer:
         return ranked[int(0.99 * (len(ranked) - 1))] if ranked else 0.0
 
     def wake_in(self, seconds: float | None) -> None:
-        """Arm the timer, replacing the one before; None: the next tick is soon enough."""
+        """Set the wake-up, replacing the one before; None: the next tick is soon enough."""
         if self._wake is not None:
             self._wake.cancel()
             self._wake = None
@@ -40,18 +40,18 @@ class TickTimer:
             self._wake = self._loop.call_at(at, self._tick)
 
     def stop(self) -> None:
-        """No more ticks."""
+        """Cancel all further ticks."""
         self._handle.cancel()
         self.wake_in(None)
 
-    def _beat(self) -> None:
+    def _on_time(self) -> None:
         now = self._loop.time()
         late = max(now - self._next, 0.0)
         self._lateness.append(late)
         if late > 1.0:
             self.stalls += 1
         self._next += PERIOD
-        if self._next <= now:  # hopelessly late: begin anew rather than catch up
+        if self._next <= now:  # more than a period late: do not catch up
             self._next = now + PERIOD
-        self._handle = self._loop.call_at(self._next, self._beat)
+        self._handle = self._loop.call_at(self._next, self._on_time)
         self._tick()

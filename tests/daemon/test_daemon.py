@@ -179,7 +179,7 @@ def test_peers_are_not_told_that_it_left_when_its_driver_raised(
 
     async def live() -> None:
         daemon = Daemon(settings_in(tmp_path), Broken())
-        monkeypatch.setattr(daemon, "_say_left", lambda: told.append("left"))
+        monkeypatch.setattr(daemon, "_publish_left", lambda: told.append("left"))
         async with asyncio.timeout(30.0):
             await daemon.run(asyncio.Event())
 

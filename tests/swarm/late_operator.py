@@ -1,7 +1,7 @@
-"""An operator in a network namespace who looks first and asks later; one JSON line an answer.
+"""An operator in a network namespace that looks first and sends later; one JSON line an answer.
 
-For `look` on standard input {"seen": [robots]}; for `run` {robot: [code, text]} of a request that
-quotes what was seen at the last look, or null for one that did not answer.
+For `look` on standard input {"seen": [robots]}; for `run SECONDS` {robot: [code, text]} of a
+request with the epochs of the last look, null for a robot that did not answer within that time.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ from swarmd.core.messages import Epoch, RunRequest
 from swarmd.network.operator import Operator
 
 
-def run(operator: Operator, epochs: dict[str, Epoch | None]) -> dict[str, list[str] | None]:
-    outcome = operator.request(RunRequest, epochs, pattern="drive", timeout=2.0)
+def run(
+    operator: Operator, epochs: dict[str, Epoch | None], timeout: float
+) -> dict[str, list[str] | None]:
+    outcome = operator.request(RunRequest, epochs, pattern="drive", timeout=timeout)
     answers = {name: [reply.code.value, reply.text] for name, reply in outcome.replies.items()}
     return dict.fromkeys(outcome.missing) | answers
 
@@ -31,7 +33,7 @@ def main() -> None:
                 epochs = view.epochs(sorted(view.answered))
                 answer = {"seen": sorted(view.answered)}
             else:
-                answer = run(operator, epochs)
+                answer = run(operator, epochs, float(line.split()[1]))
             print(json.dumps(answer), flush=True)
 
 

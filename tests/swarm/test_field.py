@@ -193,12 +193,12 @@ def test_no_late_run_moves_a_swarm_that_was_cut_in_two(
     )
     a.bodies.ask("standing")
     a.bodies.ask("mark")
-    assert late.ask("run").keys() == {"r1", "r2", "r3", "r4"}
+    assert late.ask("run 1").keys() == {"r1", "r2", "r3", "r4"}
 
     namespaces.heal("b")
     for side in (a, b):
         side.await_conditions(**ALL_ALIVE)
-    answers = late.ask("run")
+    answers = late.ask("run 20")
     assert {name: answer[0] for name, answer in answers.items()} == dict.fromkeys(
         ALL_ALIVE, "refused"
     )
@@ -226,7 +226,7 @@ def test_a_run_that_a_short_cut_held_up_is_refused_when_it_arrives(
     b.bodies.ask("moving")
 
     namespaces.cut("b")
-    late.say("run")
+    late.say("run 5")
     stopping = b.swarm.begin("stop", "r3", "r4", user="ben")
     b.bodies.ask("standing")
     b.bodies.ask("mark")

@@ -1,0 +1,51 @@
+"""Receives what the driver measures and hands it to the robot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from swarmd.core.clock import boottime
+from swarmd.core.values import Neighbor, Odometry, Scan
+from swarmd.robot.actions import Actions
+from swarmd.robot.robot import Robot
+
+MAX_KIND_LENGTH = 64
+
+
+class DriverSink:
+    """The driver's sink. `carry_out` is called with the actions that follow from an input.
+
+    `has_neighbors`: the driver measures neighbors itself. `dropped`: unreadable inputs by kind.
+    """
+
+    def __init__(self, robot: Robot, carry_out: Callable[[Actions], None]) -> None:
+        self._robot = robot
+        self._carry_out = carry_out
+        self.has_neighbors = False
+        self.drops: dict[str, int] = {}
+
+    def scan(self, scan: Scan) -> None:
+        """A scan as the sensor gave it."""
+        self._carry_out(self._robot.on_scan(scan, boottime()))
+
+    def odometry(self, odometry: Odometry) -> None:
+        """A measured pose and twist."""
+        self._robot.on_odometry(odometry, boottime())
+
+    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
+        """The robots within communication range, as the driver measures them."""
+        self.has_neighbors = True
+        self._robot.on_neighbors(neighbors, boottime())
+
+    def readings(self, values: Mapping[str, float]) -> None:
+        """Scalar sensors by name."""
+        self._robot.on_readings(values)
+
+    def state(self, is_up: bool, text: str) -> None:
+        """The base is connected, or lost for the reason `text`."""
+        self._carry_out(self._robot.on_driver(is_up, text, boottime()))
+
+    def dropped(self, what: str) -> None:
+        """Count one input that could not be read."""
+        kind = f"driver/{what}"[:MAX_KIND_LENGTH]
+        self.drops[kind] = self.drops.get(kind, 0) + 1
