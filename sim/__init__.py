@@ -1,1 +1,1 @@
-"""The laboratory: world, lidar, real-time server, metrics."""
+"""Simulation: world, live server, lockstep, scenarios, experiments, metrics and plots."""

@@ -1,1 +1,1 @@
-"""The verbs that need the laboratory: swarmctl sim and swarmctl demo."""
+"""The verbs of swarmctl that need the simulator: sim, demo and exp."""

@@ -1,1 +1,1 @@
-"""The simulated world: bodies, arenas, sensors, radio; for live daemons and laboratory alike."""
+"""The simulated world of live runs and lockstep: robots, arenas, sensors, radio."""

@@ -1,4 +1,4 @@
-"""What tests of experiments share: a scenario of a second or two, and swarmctl."""
+"""Fixtures of experiments: a scenario of two seconds, and swarmctl."""
 
 from __future__ import annotations
 

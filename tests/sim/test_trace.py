@@ -1,4 +1,4 @@
-"""Traces survive the disk and are written whole or not at all."""
+"""Traces are saved atomically and load unchanged."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A world whose bodies speak a dialect, with the clock and the dialect in the test's hand."""
+"""A live world with an emulated driver, a manual clock and a fake emulator."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PLATFORM = load_platform("burger")
 
 
 class Side:
-    """Keeps what is said, and says what it is told to."""
+    """A fake emulator that records what it publishes and sends given commands."""
 
     def __init__(
         self, *, robots: Mapping[str, Platform], endpoint: str, on_command: OnCommand
@@ -46,7 +46,7 @@ class Side:
 
 
 class Stage:
-    """A world of two Burgers that speak; time moves only when told to."""
+    """A live world of two emulated Burgers with a manual clock."""
 
     def __init__(self, command_timeouts: Sequence[float]) -> None:
         self.now = 100.0

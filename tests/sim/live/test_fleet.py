@@ -1,4 +1,4 @@
-"""A fleet: real processes that come up together and are gone together, whatever happens."""
+"""A fleet: real processes that start together and end together in every case."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def family(fleet: Fleet) -> set[int]:
 
 
 def is_gone(pid: int) -> bool:
-    """True if the process has ended, even if nobody has taken note of it yet."""
+    """True if the process has ended, even if its parent has not waited for it."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] in "ZX"
     except OSError:

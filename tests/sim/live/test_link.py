@@ -1,4 +1,4 @@
-"""The world's network end against real peers on loopback."""
+"""The world's Zenoh session with real peers on loopback."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Deadlines and turns, with the time handed in."""
+"""Step deadlines and staggered jobs, with the time as an argument."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The server's turn with the clock in the test's hand, over real Zenoh on loopback."""
+"""The real-time world with a manual clock, over real Zenoh on loopback."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ CAP = 20.0
 IDS = ("a", "b")
 
 
-class Stage:
-    """A world of two Burgers whose time moves only when told to."""
+class LiveWorld:
+    """A live world of two Burgers with a manual clock."""
 
     def __init__(
         self,
@@ -56,11 +56,11 @@ class Stage:
         self.world = World(robots, arena, starts, realism=realism, fields=fields)
         radio = RadioSettings(neighborhood="range", range=reach)
         self.link = WorldLink("s", IDS, "tcp/127.0.0.1:0", clock=lambda: self.now)
-        self.record = LiveRecorder(self.world, settings)
+        self.recorder = LiveRecorder(self.world, settings)
         self.server = RealTimeWorld(
             self.world,
             self.link,
-            self.record,
+            self.recorder,
             radio=None if reach is None else Radio(radio, IDS, arena, seed=0),
             clock=lambda: self.now,
         )
@@ -84,26 +84,26 @@ class Stage:
         return float(self.world.twists()[robot, 0])
 
     def command(self, robot: str, payload: bytes) -> None:
-        """Send once, and wait until the world has it for its next turn."""
+        """Send a command and wait until the world has received it."""
         command = decode_command(payload)
         self.peer.put(f"swarm/s/{robot}/hw/cmd_vel", payload)
         assert until(lambda: self.link._commands.get(robot, (None, 0.0))[0] == command)
 
     def _connect(self) -> None:
-        """Send until something arrives, then a last one: after it nothing is on its way."""
+        """Send until a command arrives, then a last one, after which none is in flight."""
         first, last = encode_command(Twist(), 0, 0), encode_command(Twist(), 1, 1)
 
-        def heard() -> bool:
+        def has_arrived() -> bool:
             self.peer.put("swarm/s/a/hw/cmd_vel", first)
             return "a" in self.link._commands
 
-        assert until(heard)
+        assert until(has_arrived)
         self.command("a", last)
         self.link.take_commands()
 
 
 def until(condition: Callable[[], bool]) -> bool:
-    """True once the condition holds; false if it does not for a very long time."""
+    """True once the condition holds, False after CAP seconds."""
     pause = threading.Event()
     for _ in range(int(CAP / 0.005)):
         if condition():
@@ -113,92 +113,92 @@ def until(condition: Callable[[], bool]) -> bool:
 
 
 @pytest.fixture
-def stage() -> Iterator[Stage]:
-    one = Stage(RecorderSettings())
+def live() -> Iterator[LiveWorld]:
+    one = LiveWorld(RecorderSettings())
     yield one
     one.close()
 
 
-def test_a_command_moves_its_robot_and_no_other(stage: Stage) -> None:
-    stage.command("a", encode_command(Twist(0.2), 1, 1))
-    stage.pass_time(0.3)
-    assert stage.speed(0) == pytest.approx(0.2)
-    assert stage.speed(1) == 0.0
+def test_a_command_moves_its_robot_and_no_other(live: LiveWorld) -> None:
+    live.command("a", encode_command(Twist(0.2), 1, 1))
+    live.pass_time(0.3)
+    assert live.speed(0) == pytest.approx(0.2)
+    assert live.speed(1) == 0.0
 
 
-def test_a_base_stops_half_a_second_after_its_last_command(stage: Stage) -> None:
-    stage.command("a", encode_command(Twist(0.2), 1, 1))
-    stage.pass_time(COMMAND_TIMEOUT - 0.02)
-    assert stage.speed() == pytest.approx(0.2)
-    stage.pass_time(0.02 + 0.1)  # and the ramp down
-    assert stage.speed() == 0.0
-    stage.pass_time(5.0)
-    assert stage.speed() == 0.0
+def test_a_base_stops_half_a_second_after_its_last_command(live: LiveWorld) -> None:
+    live.command("a", encode_command(Twist(0.2), 1, 1))
+    live.pass_time(COMMAND_TIMEOUT - 0.02)
+    assert live.speed() == pytest.approx(0.2)
+    live.pass_time(0.02 + 0.1)  # and the ramp down
+    assert live.speed() == 0.0
+    live.pass_time(5.0)
+    assert live.speed() == 0.0
 
 
-def test_a_new_command_moves_it_again(stage: Stage) -> None:
-    stage.command("a", encode_command(Twist(0.2), 1, 1))
-    stage.pass_time(2.0)
-    stage.command("a", encode_command(Twist(-0.1), 9, 9))
-    stage.pass_time(0.3)
-    assert stage.speed() == pytest.approx(-0.1)
+def test_a_new_command_moves_it_again(live: LiveWorld) -> None:
+    live.command("a", encode_command(Twist(0.2), 1, 1))
+    live.pass_time(2.0)
+    live.command("a", encode_command(Twist(-0.1), 9, 9))
+    live.pass_time(0.3)
+    assert live.speed() == pytest.approx(-0.1)
 
 
-def test_late_commands_of_a_frozen_daemon_do_not_move_its_base(stage: Stage) -> None:
-    stage.pass_time(3.0)
-    newest = stage.world._seq[0] - 1
-    stage.command("a", encode_command(Twist(0.2), newest - 4, newest - 4))
-    stage.pass_time(0.3)
-    assert stage.speed() == 0.0
-    newest = stage.world._seq[0] - 1
-    stage.command("a", encode_command(Twist(0.2), newest - 2, newest - 2))
-    stage.pass_time(0.1)
-    assert stage.speed() > 0.0
+def test_late_commands_of_a_frozen_daemon_do_not_move_its_base(live: LiveWorld) -> None:
+    live.pass_time(3.0)
+    newest = live.world._seq[0] - 1
+    live.command("a", encode_command(Twist(0.2), newest - 4, newest - 4))
+    live.pass_time(0.3)
+    assert live.speed() == 0.0
+    newest = live.world._seq[0] - 1
+    live.command("a", encode_command(Twist(0.2), newest - 2, newest - 2))
+    live.pass_time(0.1)
+    assert live.speed() > 0.0
 
 
-def test_a_malformed_command_is_counted_and_does_not_feed_the_timeout(stage: Stage) -> None:
-    stage.command("a", encode_command(Twist(0.2), 1, 1))
-    stage.pass_time(0.4)
-    stage.peer.put("swarm/s/a/hw/cmd_vel", b"\x01rubbish")
-    assert until(lambda: stage.link.dropped == 1)
-    stage.pass_time(0.3)
-    assert stage.speed() == 0.0
-    assert stage.server._state().dropped == 1
+def test_a_malformed_command_is_counted_and_does_not_feed_the_timeout(live: LiveWorld) -> None:
+    live.command("a", encode_command(Twist(0.2), 1, 1))
+    live.pass_time(0.4)
+    live.peer.put("swarm/s/a/hw/cmd_vel", b"\x01rubbish")
+    assert until(lambda: live.link.dropped == 1)
+    live.pass_time(0.3)
+    assert live.speed() == 0.0
+    assert live.server._state().dropped == 1
 
 
-def test_commands_are_clipped_to_the_limits_of_the_base(stage: Stage) -> None:
-    stage.command("a", encode_command(Twist(90.0), 1, 1))
-    stage.pass_time(0.4)
-    assert stage.speed() == pytest.approx(0.22)
+def test_commands_are_clipped_to_the_limits_of_the_base(live: LiveWorld) -> None:
+    live.command("a", encode_command(Twist(90.0), 1, 1))
+    live.pass_time(0.4)
+    assert live.speed() == pytest.approx(0.22)
 
 
-def test_scans_and_odometry_come_at_their_rates_and_not_all_at_once(stage: Stage) -> None:
+def test_scans_and_odometry_come_at_their_rates_and_not_all_at_once(live: LiveWorld) -> None:
     heard: list[tuple[str, str, float]] = []
 
     def note(sample: zenoh.Sample) -> None:
         _, _, robot, _, name = str(sample.key_expr).split("/")
         payload = sample.payload.to_bytes()
-        spec = stage.world.platforms[0].scan
+        spec = live.world.platforms[0].scan
         if name == "scan":
             heard.append((robot, name, decode_scan(payload, spec).stamp))
         else:
             heard.append((robot, name, decode_odometry(payload).stamp))
 
     def connected() -> bool:
-        stage.pass_time(0.04)
+        live.pass_time(0.04)
         return len({h[:2] for h in heard}) == 4
 
-    stage.peer.declare_subscriber("swarm/s/*/hw/*", note)
+    live.peer.declare_subscriber("swarm/s/*/hw/*", note)
     assert until(connected)
-    start = stage.world.time + 0.001
+    start = live.world.time + 0.001
 
     def all_told_since(moment: float) -> bool:
         return {h[0] for h in list(heard) if h[1] == "odometry" and h[2] > moment} == set(IDS)
 
     for _ in range(100 + 1):
         # One odometry of each in 0.05 s: wait for both, so that nothing piles up and is dropped.
-        end = stage.world.time + 0.001
-        stage.pass_time(0.05)
+        end = live.world.time + 0.001
+        live.pass_time(0.05)
         assert until(lambda end=end: all_told_since(end))  # type: ignore[misc]
     # What was sent before the last odometries has come before them.
     stamps = {
@@ -212,15 +212,13 @@ def test_scans_and_odometry_come_at_their_rates_and_not_all_at_once(stage: Stage
     assert not stamps["a", "scan"] & stamps["b", "scan"]
 
 
-def heard_by(stage: Stage, key: str) -> bytes:
+def heard_by(live: LiveWorld, key: str) -> bytes:
     """What comes on a key of robot a, with time going on until it does."""
     came: list[bytes] = []
-    stage.peer.declare_subscriber(
-        f"swarm/s/a/hw/{key}", lambda s: came.append(s.payload.to_bytes())
-    )
+    live.peer.declare_subscriber(f"swarm/s/a/hw/{key}", lambda s: came.append(s.payload.to_bytes()))
 
     def has_come() -> bool:
-        stage.pass_time(0.1)
+        live.pass_time(0.1)
         return bool(came)
 
     assert until(has_come)
@@ -229,61 +227,63 @@ def heard_by(stage: Stage, key: str) -> bytes:
 
 @pytest.mark.parametrize(("reach", "heard"), [(1.5, []), (2.5, ["b"])])
 def test_a_robot_receives_its_neighbors(reach: float, heard: list[str]) -> None:
-    stage = Stage(RecorderSettings(), reach=reach)
+    live = LiveWorld(RecorderSettings(), reach=reach)
     try:
-        neighbors = decode_neighbors(heard_by(stage, "neighbors"))
+        neighbors = decode_neighbors(heard_by(live, "neighbors"))
     finally:
-        stage.close()
+        live.close()
     assert [neighbor.id for neighbor in neighbors] == heard
     assert all(neighbor.distance is None for neighbor in neighbors)
 
 
 def test_a_robot_receives_its_scalar_readings() -> None:
-    stage = Stage(RecorderSettings(), fields=(UniformField(name="light", value=0.5),))
+    live = LiveWorld(RecorderSettings(), fields=(UniformField(name="light", value=0.5),))
     try:
-        assert decode_readings(heard_by(stage, "readings")) == {"light": 0.5}
+        assert decode_readings(heard_by(live, "readings")) == {"light": 0.5}
     finally:
-        stage.close()
+        live.close()
 
 
 def test_a_delayed_scan_has_not_arrived() -> None:
-    stage = Stage(RecorderSettings(), Realism(lidar=LidarNoise(latency=1.0), actuation=Actuation()))
+    live = LiveWorld(
+        RecorderSettings(), Realism(lidar=LidarNoise(latency=1.0), actuation=Actuation())
+    )
     try:
-        while stage.world._seq[0] == 0:
-            stage.pass_time(0.01)
-        taken = stage.world.time
-        assert stage.server._sent_seq[0] == -1
-        while stage.server._sent_seq[0] == -1:
-            stage.pass_time(0.01)
-        assert stage.world.time - taken == pytest.approx(0.2)
+        while live.world._seq[0] == 0:
+            live.pass_time(0.01)
+        taken = live.world.time
+        assert live.server._sent_seq[0] == -1
+        while live.server._sent_seq[0] == -1:
+            live.pass_time(0.01)
+        assert live.world.time - taken == pytest.approx(0.2)
     finally:
-        stage.close()
+        live.close()
 
 
-def test_lost_time_is_given_up_after_a_freeze(stage: Stage) -> None:
-    stage.command("a", encode_command(Twist(0.2), 1, 1))
-    stage.pass_time(0.2)
-    before = stage.world.time
-    stage.now += 60.0
-    stage.server.run_due()
-    assert stage.world.time == pytest.approx(before + stage.world.dt)
-    stage.pass_time(0.2)
-    assert stage.speed() == 0.0
+def test_lost_time_is_given_up_after_a_freeze(live: LiveWorld) -> None:
+    live.command("a", encode_command(Twist(0.2), 1, 1))
+    live.pass_time(0.2)
+    before = live.world.time
+    live.now += 60.0
+    live.server.run_due()
+    assert live.world.time == pytest.approx(before + live.world.dt)
+    live.pass_time(0.2)
+    assert live.speed() == 0.0
 
 
 def test_records_from_start_to_finish_only(tmp_path: Path) -> None:
     path = tmp_path / "run.npz"
-    stage = Stage(RecorderSettings(path=path, meta={"seed": 7}))
+    live = LiveWorld(RecorderSettings(path=path, meta={"seed": 7}))
     try:
-        stage.pass_time(1.0)
-        stage.record.begin()
-        stage.command("a", encode_command(Twist(0.2), 1, 1))
-        stage.pass_time(0.5)
-        assert stage.record.finish() == path
-        stage.pass_time(1.0)
-        stage.record.finish()
+        live.pass_time(1.0)
+        live.recorder.begin()
+        live.command("a", encode_command(Twist(0.2), 1, 1))
+        live.pass_time(0.5)
+        assert live.recorder.finish() == path
+        live.pass_time(1.0)
+        live.recorder.finish()
     finally:
-        stage.close()
+        live.close()
     trace = load_trace(path)
     assert trace.ids == IDS
     assert trace.t[0] == pytest.approx(0.01, abs=0.01)
@@ -293,41 +293,41 @@ def test_records_from_start_to_finish_only(tmp_path: Path) -> None:
 
 
 def test_recording_ends_by_itself_when_its_time_is_full(tmp_path: Path) -> None:
-    stage = Stage(RecorderSettings(path=tmp_path / "run.npz", seconds=0.3))
+    live = LiveWorld(RecorderSettings(path=tmp_path / "run.npz", seconds=0.3))
     try:
-        stage.pass_time(1.0)
-        state = stage.server._state()
+        live.pass_time(1.0)
+        state = live.server._state()
     finally:
-        stage.close()
+        live.close()
     assert not state.is_recording
     assert state.recorded == pytest.approx(0.3)
     assert load_trace(tmp_path / "run.npz").duration == pytest.approx(0.28, abs=0.03)
 
 
 def test_touches_are_counted_and_recorded(tmp_path: Path) -> None:
-    stage = Stage(RecorderSettings(path=tmp_path / "run.npz"))
+    live = LiveWorld(RecorderSettings(path=tmp_path / "run.npz"))
     try:
         for _ in range(100):
-            seq = stage.world._seq[0]
-            stage.command("a", encode_command(Twist(0.22), seq, seq))
-            stage.pass_time(0.2)
-        state = stage.server._state()
-        stage.record.finish()
+            seq = live.world._seq[0]
+            live.command("a", encode_command(Twist(0.22), seq, seq))
+            live.pass_time(0.2)
+        state = live.server._state()
+        live.recorder.finish()
     finally:
-        stage.close()
+        live.close()
     assert (state.contacts, state.arena_contacts) == (0, 1)
     trace = load_trace(tmp_path / "run.npz")
     assert set(map(tuple, trace.contact_pair.tolist())) == {(0, -1)}
     assert trace.contact_speed[0, 0] == pytest.approx(0.22)
 
 
-def asked(stage: Stage, deed: Callable[[WorldView], WorldState]) -> WorldState:
-    """The state that a viewer is told once the world has done, or refused, what it asks for."""
-    with ThreadPoolExecutor(1) as pool, WorldView("s", stage.link.endpoint) as view:
+def asked(live: LiveWorld, deed: Callable[[WorldView], WorldState]) -> WorldState:
+    """The reply to a viewer's request, done or refused."""
+    with ThreadPoolExecutor(1) as pool, WorldView("s", live.link.endpoint) as view:
         answer = pool.submit(deed, view)
 
         def is_answered() -> bool:
-            stage.pass_time(0.01)
+            live.pass_time(0.01)
             return answer.done()
 
         assert until(is_answered)
@@ -336,18 +336,18 @@ def asked(stage: Stage, deed: Callable[[WorldView], WorldState]) -> WorldState:
 
 def test_a_box_is_put_in_the_way_and_taken_out_of_it(tmp_path: Path) -> None:
     crate = Box(0.0, 0.0, 0.2, 0.2, name="crate", mass=5.0, is_placed=False)
-    stage = Stage(RecorderSettings(path=tmp_path / "run.npz"), boxes=(crate,))
+    live = LiveWorld(RecorderSettings(path=tmp_path / "run.npz"), boxes=(crate,))
     try:
-        state = asked(stage, lambda view: view.place("crate", (1.0, 0.0, 0.0)))
-        there = stage.world.box_poses()[0].tolist()
-        stage.pass_time(0.5)  # some of which is recorded
-        asked(stage, lambda view: view.remove("crate"))
-        stage.record.finish()
+        state = asked(live, lambda view: view.place("crate", (1.0, 0.0, 0.0)))
+        there = live.world.box_poses()[0].tolist()
+        live.pass_time(0.5)  # some of which is recorded
+        asked(live, lambda view: view.remove("crate"))
+        live.recorder.finish()
     finally:
-        stage.close()
+        live.close()
     assert state.ids == IDS
     assert there == [1.0, 0.0, 0.0]
-    assert np.isnan(stage.world.box_poses()).all()
+    assert np.isnan(live.world.box_poses()).all()
     poses = load_trace(tmp_path / "run.npz").box_pose
     assert poses is not None
     assert np.unique(poses[~np.isnan(poses[:, 0, 0]), 0], axis=0).tolist() == [[1.0, 0.0, 0.0]]
@@ -359,26 +359,26 @@ def test_a_box_is_put_in_the_way_and_taken_out_of_it(tmp_path: Path) -> None:
 )
 def test_a_box_that_cannot_be_placed_is_refused_with_the_reason(box: str, fault: str) -> None:
     crate = Box(0.0, 0.0, 0.2, 0.2, name="crate", mass=5.0, is_placed=False)
-    stage = Stage(RecorderSettings(), boxes=(crate,))
+    live = LiveWorld(RecorderSettings(), boxes=(crate,))
     try:
         with pytest.raises(SwarmError, match=fault):
-            asked(stage, lambda view: view.place(box, (0.0, 0.0, 0.0)))
-        assert stage.server._state().dropped == 0
+            asked(live, lambda view: view.place(box, (0.0, 0.0, 0.0)))
+        assert live.server._state().dropped == 0
     finally:
-        stage.close()
+        live.close()
 
 
 def test_boxes_that_are_pushed_are_recorded(tmp_path: Path) -> None:
     crate = Box(0.3, 0.0, 0.2, 0.2, name="crate", mass=0.5)
-    stage = Stage(RecorderSettings(path=tmp_path / "run.npz"), boxes=(crate,))
+    live = LiveWorld(RecorderSettings(path=tmp_path / "run.npz"), boxes=(crate,))
     try:
         for _ in range(20):
-            seq = stage.world._seq[0]
-            stage.command("a", encode_command(Twist(0.22), seq, seq))
-            stage.pass_time(0.1)
-        stage.record.finish()
+            seq = live.world._seq[0]
+            live.command("a", encode_command(Twist(0.22), seq, seq))
+            live.pass_time(0.1)
+        live.recorder.finish()
     finally:
-        stage.close()
+        live.close()
     trace = load_trace(tmp_path / "run.npz")
     assert trace.movable_boxes == ("crate",)
     assert trace.box_pose is not None

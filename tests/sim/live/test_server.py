@@ -1,4 +1,4 @@
-"""The world as a process: ready line, endings, and the whole way through a driver's session."""
+"""The world's process: ready line, ends, and a driver's session."""
 
 from __future__ import annotations
 

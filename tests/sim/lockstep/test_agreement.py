@@ -1,4 +1,4 @@
-"""The laboratory tells the truth: lockstep and real daemons in real time go the same way."""
+"""Lockstep agrees with real daemons in real time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SECONDS = 3.0
 WITHIN = 0.05
 PHASES = range(5)
 TRIES = 4
-"""Live runs that are made until one agrees: a busy machine holds daemons up, and lockstep none."""
+"""Live runs until one agrees: a busy machine delays daemons and not lockstep."""
 Poses = list[tuple[float, float, float]]
 
 
@@ -76,13 +76,13 @@ def live(pattern: str, poses: Poses, folder: Path) -> Trace:
 
 
 def opinions(operator: Operator) -> list[object]:
-    """What the robots say they hold now."""
+    """The opinions that the robots report now."""
     members = operator.members().members.values()
     return [one.status.report.get("opinion") for one in members if one.status is not None]
 
 
 def way(trace: Trace) -> Array:
-    """(k, n, 2) places every 0.1 s, of each robot from its own first command to move on.
+    """(k, n, 2) places every 0.1 s, from the first motion command of each robot on.
 
     A lidar sweeps five times a second, so that one may see the other 0.2 s before it is seen.
     """
@@ -123,7 +123,7 @@ def test_lockstep_and_daemons_drive_the_same_paths(
 
 VOTE = {"opinions": 2, "window": 1.0}
 AGREE_TIMEOUT = 40.0
-"""Many times what any run in lockstep takes: a loaded machine is slow."""
+"""s, many times what lockstep takes: a loaded machine is slow."""
 
 
 def test_voters_in_lockstep_agree() -> None:

@@ -1,4 +1,4 @@
-"""What robots sense, hear and do in lockstep is as old, as frequent and as much as with daemons."""
+"""Lockstep has the rates, delays and limits of live daemons."""
 
 from __future__ import annotations
 

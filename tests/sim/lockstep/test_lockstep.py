@@ -247,7 +247,7 @@ def test_a_run_ends_until_a_condition_holds() -> None:
 
 
 def test_messages_pass_the_radio_alone() -> None:
-    """Majority rule of five: whoever hears nobody keeps its opinion."""
+    """Majority rule of five; a robot without neighbors keeps its opinion."""
     voters: dict[str, Any] = {
         "duration": 14.0,
         "groups": {"all": {"count": 5, "prefix": "r", "pattern": "majority_rule"}},

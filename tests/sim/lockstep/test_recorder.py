@@ -1,4 +1,4 @@
-"""What of a run is kept, beside where robots were."""
+"""The values of robots in a lockstep trace."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is due when, on the grid of steps."""
+"""Periodic jobs and alarms on the grid of steps."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Touching what is in the way: only where it is asked for and granted, and no faster."""
+"""Touch zones in lockstep: only if requested and granted, at the granted speed."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def pushed(
     duration: float = 12.0,
     **parameters: float,
 ) -> Trace:
-    """A robot told to push drives at a light crate around 0.4 m from the middle of the room."""
+    """A robot drives at a light crate around 0.4 m from the middle of the room."""
     scenario = scenario_of(
         {
             "duration": duration,

@@ -1,4 +1,4 @@
-"""A small scenario to change one value of, as its author would."""
+"""A small scenario of which tests change single values."""
 
 from __future__ import annotations
 

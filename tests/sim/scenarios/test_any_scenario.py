@@ -1,4 +1,4 @@
-"""Any scenario loads, and loads again from its plain values, or one line says why not."""
+"""Any scenario loads and reloads from its plain values, or fails with one line."""
 
 from __future__ import annotations
 

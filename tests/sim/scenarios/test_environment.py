@@ -1,4 +1,4 @@
-"""Arena, fields and air are what the file says, in SI units."""
+"""Arena, fields and radio from a scenario's file, in SI units."""
 
 from __future__ import annotations
 

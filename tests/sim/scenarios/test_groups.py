@@ -1,4 +1,4 @@
-"""Who takes part, and on which platforms."""
+"""Groups of robots and their platforms."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values above those of a file: read as in the file, at keys that are there."""
+"""Overrides: values read as in a file, at existing keys."""
 
 from __future__ import annotations
 

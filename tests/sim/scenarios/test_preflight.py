@@ -1,4 +1,4 @@
-"""Patterns and their parameters are tried once before any run."""
+"""Patterns and their parameters are checked before a run."""
 
 from __future__ import annotations
 

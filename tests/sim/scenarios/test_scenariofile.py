@@ -1,4 +1,4 @@
-"""Scenarios from names and files, with what they extend, and back from their plain values."""
+"""Scenarios by name or file, with the files that they extend."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whatever value is wrong is named in one line: file, key, what stands there, what was wanted."""
+"""An invalid value gives one line with file, key, value and what was wanted."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where groups start: as the layout says, the same for one seed, never in anything."""
+"""Start poses of groups: by layout, repeatable for a seed, without overlap."""
 
 from __future__ import annotations
 

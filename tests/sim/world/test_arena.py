@@ -1,4 +1,4 @@
-"""Arenas as a command line names them."""
+"""Arenas parsed from and written as text."""
 
 from __future__ import annotations
 

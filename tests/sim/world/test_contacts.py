@@ -1,4 +1,4 @@
-"""One touch is one touch, however many steps it lasts."""
+"""Contact episodes: one for each touch, however many steps it lasts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is held back comes out in its time and order."""
+"""The delay queue releases items at their time and in order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Distances of convex polygons, against what can be worked out by other means."""
+"""Distances of convex polygons, against independent calculations."""
 
 from __future__ import annotations
 

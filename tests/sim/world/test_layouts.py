@@ -1,4 +1,4 @@
-"""Start poses: where they should be, never in a wall or each other, the same for one seed."""
+"""Start layouts: expected poses, no overlap, repeatable for a seed."""
 
 from __future__ import annotations
 

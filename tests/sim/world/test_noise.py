@@ -34,7 +34,7 @@ def sensors(
 
 
 def measured(noisy: NoisyLidar, distance: float, sweeps: int, n: int = 1) -> Array:
-    """(sweeps, n, rays) of robots in the middle of a ring."""
+    """(scans, n, rays) of robots in the middle of a ring."""
     rows, ring = np.arange(n), [np.full(RAYS, distance)] * n
     return np.array([noisy.apply(rows, ring) for _ in range(sweeps)])
 

@@ -1,4 +1,4 @@
-"""What wheels tell: the truth if ideal, and otherwise wrong as unequal or misjudged wheels are."""
+"""Wheel odometry: exact if ideal, with the errors of unequal or misjudged wheels otherwise."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_ideal_wheels_measure_the_truth_also_along_arcs(twist: tuple[float, floa
 
 
 def errors(noise: OdometryNoise, linear: float, angular: float, n: int = 400) -> Array:
-    """(n, 2): way and turn told by n robots' twists, as they differ from the truth."""
+    """(n, 2): errors of measured path and turn of n robots."""
     odometry = odometers(noise, np.zeros((n, 3)))
     twist = (linear, angular, 0.0)
     off: Array = told(odometry, np.zeros((1, n, 3)), twist)[0, 1, :, :2] - (linear, angular)

@@ -1,4 +1,4 @@
-"""Who hears whom, what is lost, how late the rest comes, and what range-and-bearing boards say."""
+"""The radio: neighbors, losses, delays, and range-and-bearing boards."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pairs within reach, and what stands between places."""
+"""Pairs within range and line of sight."""
 
 from __future__ import annotations
 

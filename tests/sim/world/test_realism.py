@@ -1,4 +1,4 @@
-"""Presets, and how a user says what differs from them."""
+"""Presets of realism and values above them."""
 
 from __future__ import annotations
 

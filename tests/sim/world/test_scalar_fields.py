@@ -1,4 +1,4 @@
-"""Fields and what robots read of them where they stand."""
+"""Scalar fields and readings of robots."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Random numbers belong to a seed, a purpose and a robot."""
+"""Random generators depend on seed, purpose and robot alone."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bodies follow commands, touch and stop; the senses tell no more than they may."""
+"""The world: motion, contacts and sensors of robots."""
 
 from __future__ import annotations
 
