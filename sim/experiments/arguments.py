@@ -55,7 +55,7 @@ def parse_sweeps(words: Iterable[str]) -> dict[str, list[Any]]:
 
 
 def split_values(key: str, text: str) -> tuple[str, ...]:
-    """The values of a sweep from `a,b,c`; commas within brackets and quotes do not part."""
+    """The values of a sweep from `a,b,c`; commas within brackets and quotes do not separate."""
     parts, depth, quote = [""], 0, ""
     for char in text:
         if char == quote:

@@ -107,7 +107,7 @@ def write_manifest(manifest: Manifest, folder: Path) -> None:
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """The manifest of an experiment's folder; ConfigError in one line if there is none."""
+    """The manifest of an experiment's folder; ConfigError in one line without one."""
     path = folder / NAME
     try:
         data = json.loads(path.read_bytes())

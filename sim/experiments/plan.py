@@ -67,7 +67,7 @@ def check_seeds(seeds: Iterable[int]) -> tuple[int, ...]:
     """The seeds; ConfigError if they are empty, repeated or invalid."""
     found = tuple(seeds)
     if not found:
-        raise ConfigError("seeds: there is none; wanted at least one, such as --seeds 20")
+        raise ConfigError("seeds: empty; wanted at least one, such as --seeds 20")
     seen: set[int] = set()
     for seed in found:
         if isinstance(seed, bool) or not isinstance(seed, Integral) or not 0 <= seed <= MAX_SEED:

@@ -67,7 +67,7 @@ def line_of(row: Row) -> str:
 
 
 def lines(rows: Iterable[Sequence[str]]) -> str:
-    """Rows of words as lines of CSV."""
+    """Rows of cells as lines of CSV."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue()

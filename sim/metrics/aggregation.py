@@ -1,8 +1,8 @@
-"""How a swarm gathers.
+"""Aggregation: distance to the centroid, clusters and nearest neighbours.
 
-The authors of ROS2swarm (Kaiser et al., ICRA 2022) name the mean distance to the centroid as the
-number that aggregation should be judged by, and speak of groups; the rest makes that exact.
-Robots whose daemon is not there (`present`) are no part of the swarm and are left out.
+The authors of ROS2swarm (Kaiser et al., ICRA 2022) propose the mean distance to the centroid as the
+measure of aggregation, and speak of groups; the other metrics make groups exact. Absent robots
+(`present`) are not part of the swarm.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from swarmd.sim.metrics.window import LATE, by_platform, late, presence, row_mea
 from swarmd.sim.trace import Trace
 
 LINKS = 2.0
-"""Robots are of one cluster within so many protection thresholds."""
+"""Length of a link between robots of one cluster, in protection thresholds."""
 
 
 def distance_to_centroid(trace: Trace) -> Array:
@@ -41,10 +41,10 @@ def distance_at(trace: Trace, time: float) -> float | None:
 
 
 def cluster_link(trace: Trace) -> float | None:
-    """The distance in m within which two robots belong together: twice the largest threshold.
+    """The distance in m within which two robots are linked: twice the largest threshold.
 
-    Of the protection of the robots there are; None if the trace does not say. Ours: the paper
-    gives no number for what it calls a cluster.
+    The threshold is that of the robots' protection; None if the trace has none. Ours: the paper
+    gives no number for its clusters.
     """
     thresholds = by_platform(trace, "thresholds")
     largest = 0.0 if thresholds is None else float(thresholds.max(initial=0.0))
@@ -52,10 +52,10 @@ def cluster_link(trace: Trace) -> float | None:
 
 
 def clusters(trace: Trace, link: float) -> NDArray[np.int64]:
-    """(T, n) for each robot the lowest index in its cluster; -1 for one that is not present.
+    """(T, n) for each robot the lowest index in its cluster; -1 for an absent robot.
 
-    Single linkage (Sneath 1957): robots belong together if a chain of robots, each within `link`
-    m of the next (axle centres), joins them.
+    Single linkage (Sneath 1957): a cluster is a chain of robots, each within `link` m of the next
+    (axle centres).
     """
     is_present = presence(trace)
     instants, n = is_present.shape
@@ -87,7 +87,7 @@ def largest_cluster(trace: Trace, link: float) -> NDArray[np.int64]:
 
 
 def largest_cluster_share(trace: Trace, link: float) -> Array:
-    """(T,) the share of the robots present that are in the largest cluster; NaN if none is."""
+    """(T,) the share of present robots in the largest cluster; NaN without a present robot."""
     present = presence(trace).sum(axis=1)
     share: Array = np.where(
         present > 0, largest_cluster(trace, link) / np.maximum(present, 1), np.nan
@@ -96,16 +96,16 @@ def largest_cluster_share(trace: Trace, link: float) -> Array:
 
 
 def is_one_cluster(trace: Trace, link: float) -> NDArray[np.bool_]:
-    """(T,) whether all robots present are in one cluster; false while none is."""
+    """(T,) whether all present robots are in one cluster; false without one."""
     is_one: NDArray[np.bool_] = cluster_counts(trace, link) == 1
     return is_one
 
 
 def gather_time(trace: Trace, link: float, share: float = 0.5) -> float | None:
-    """Seconds until first all are in one cluster and the distance to the centroid is down.
+    """Seconds until all robots first are in one cluster and close to their centroid.
 
-    Down to `share` of what it was at the start. Ours, for comparing how fast swarms gather; None
-    if that never is.
+    Close: their mean distance is at most `share` of that at the start. Ours, to compare how fast
+    swarms gather; None if it never happens.
     """
     away = distance_to_centroid(trace)
     if len(away) == 0:
@@ -115,9 +115,9 @@ def gather_time(trace: Trace, link: float, share: float = 0.5) -> float | None:
 
 
 def nearest_neighbors(trace: Trace) -> Array:
-    """(T, n) how far in m the nearest other present robot is (axle centres).
+    """(T, n) the distance in m to the nearest other present robot (axle centres).
 
-    Clark and Evans 1954. NaN for a robot that is not present, inf for one that is alone.
+    Clark and Evans 1954. NaN for an absent robot, inf for a lone one.
     """
     return pairs.nearest(trace.pose[..., :2], presence(trace))
 
@@ -140,7 +140,7 @@ def nearest_neighbor_median(trace: Trace, seconds: float = LATE) -> float | None
 
 
 def _linked(of: Callable[[Trace, float], NDArray[Any]]) -> Series:
-    """A series that needs the link of clusters; None where the trace does not tell it."""
+    """A series that needs the link of clusters; None if the trace has no thresholds."""
 
     def series(trace: Trace) -> Array | None:
         link = cluster_link(trace)
@@ -150,7 +150,7 @@ def _linked(of: Callable[[Trace, float], NDArray[Any]]) -> Series:
 
 
 def _linked_value(of: Callable[[Trace, float], float | None]) -> Value:
-    """A number that needs the link of clusters; None where the trace does not tell it."""
+    """A number that needs the link of clusters; None if the trace has no thresholds."""
 
     def value(trace: Trace) -> float | None:
         link = cluster_link(trace)
@@ -222,7 +222,7 @@ METRICS = (
     Metric(
         "largest_cluster_peak",
         "robots",
-        "robots in the largest cluster there ever was",
+        "robots in the largest cluster of the whole run",
         _SNEATH,
         peak(_linked(largest_cluster)),
         _linked(largest_cluster),
@@ -246,7 +246,7 @@ METRICS = (
     Metric(
         "gather_time",
         "s",
-        "until first all are in one cluster and half as far from the centroid as at the start",
+        "until all are in one cluster and half as far from the centroid as at the start",
         "ours",
         _linked_value(gather_time),
         is_time_to_event=True,

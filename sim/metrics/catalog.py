@@ -1,8 +1,8 @@
-"""All metrics by name: what they are, in which unit, from where, and their numbers of a run.
+"""All metrics by name, with unit, meaning and source, and their values for a trace.
 
-Names are stable: they are columns of tables and keys of files. `late` is the last 60 s of a run,
-or its last half if that is shorter. A metric is None where the trace does not hold what it needs,
-and where it has no value: the time to what never came.
+Names are columns of tables and keys of files. `late` is the last 60 s of a run, or its last half
+if that is shorter. A metric is None if the trace lacks the data, or if it has no value, such as
+the time to an event that never happened.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _ALL = (
     *protection.METRICS,
 )
 METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for metric in _ALL})
-"""By name, in the order in which they are shown."""
+"""By name, in display order."""
 
 
 def measure(trace: Trace, names: Iterable[str] | None = None) -> dict[str, float | None]:
@@ -57,19 +57,19 @@ def measure(trace: Trace, names: Iterable[str] | None = None) -> dict[str, float
 def series(trace: Trace, name: str) -> Array | None:
     """(T,) a metric over time, NaN where unknown; None if the trace lacks what it needs.
 
-    ConfigError if there is no such metric, or if it is but one number of a whole run.
+    ConfigError for an unknown metric, and for one that is defined for whole runs only.
     """
     metric = metric_of(name)
     if metric.series is None:
         known = ", ".join(one.name for one in METRICS.values() if one.series is not None)
         raise ConfigError(
-            f"metric {name} is one number of a whole run; over time there are {known}"
+            f"metric {name} is defined for whole runs only; over time there are {known}"
         )
     return metric.series(trace)
 
 
 def metric_of(name: str) -> Metric:
-    """The metric of that name; ConfigError with the nearest name if there is none."""
+    """The metric of that name; ConfigError with the nearest name if it is unknown."""
     if name not in METRICS:
         raise ConfigError(unknown("metric", name, METRICS))
     return METRICS[name]
@@ -81,7 +81,7 @@ def is_time_to_event(name: str) -> bool:
 
 
 def table() -> list[tuple[str, str, str, str]]:
-    """(name, unit, meaning, source) of all metrics, for a reader."""
+    """(name, unit, meaning, source) of all metrics."""
     return [(one.name, one.unit or "-", one.meaning, one.source) for one in METRICS.values()]
 
 

@@ -1,7 +1,7 @@
-"""How near robots came to what is no robot: walls, boxes, poles and inner walls. Truth, and exact.
+"""True distances of robots to walls, boxes, poles and inner walls.
 
-Every body counts, whether its robot is present or not. Distances of convex polygons: Ericson,
-Real-Time Collision Detection, 2005, chapters 5 and 9.
+Absent robots count too. Distances of convex polygons: Ericson, Real-Time Collision Detection,
+2005, chapters 5 and 9.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ Measure: TypeAlias = Callable[[Array, NDArray[np.int64]], Array]
 
 
 def clearances(trace: Trace) -> Array | None:
-    """(T,) m from the nearest outline of a robot to the arena's walls, or to what stands in it.
+    """(T,) m from the nearest outline of a robot to the arena's walls or obstacles.
 
-    0 if they contact; inf if there is no robot. None if the arena is not known.
+    0 in contact; inf without a robot. None if the arena is unknown.
     """
     try:
         arena = parse_arena(str(trace.meta.get("arena", "")))
@@ -41,13 +41,13 @@ def clearances(trace: Trace) -> Array | None:
 
 
 def clearance(trace: Trace) -> float | None:
-    """The smallest of these; None if the arena is not known, or there is no robot."""
+    """The smallest of these; None if the arena is unknown or there is no robot."""
     smallest = clearances(trace)
     return None if smallest is None else float(smallest.min(initial=np.inf))
 
 
 def _note_nearest(best: Array, trace: Trace, span: slice, platform: str, arena: Arena) -> None:
-    """Put into best (T,) what robots of one platform are nearer to at the instants of a span."""
+    """Lower best (T,) to the clearance of the robots of one platform at the instants of a span."""
     shape = trace.footprints[platform]
     pose = trace.pose[span][:, [name == platform for name in trace.platforms]]
     corners = transform(shape, pose)
@@ -57,7 +57,7 @@ def _note_nearest(best: Array, trace: Trace, span: slice, platform: str, arena: 
     instants = np.indices(pose.shape[:2])[0]
     for centre, size, distance in _obstacles(trace, span, arena):
         away = np.hypot(*np.moveaxis(pose[..., :2] - centre, -1, 0)) - radius(shape) - size
-        is_near = away < best[:, None]  # never where an obstacle is not in the arena: NaN
+        is_near = away < best[:, None]  # false for an obstacle that is not in the arena: NaN
         found = distance(corners[is_near], instants[is_near])
         np.minimum.at(best, instants[is_near], found)
 

@@ -1,8 +1,8 @@
-"""Whether a swarm moves as one.
+"""Alignment, milling and displacement of a swarm.
 
-Directions are those of motion, not of yaw: robots may back up or slide, and a row that starts all
-facing one way is no flock. A robot slower than STANDING has no direction and adds nothing, so that
-a swarm that stands scores 0. Only present robots count.
+Directions are those of motion, not of yaw: robots may reverse or slide, and a row of parallel
+robots at rest is no flock. A robot slower than STANDING has no direction and adds nothing, so that
+a swarm at rest scores 0. Only present robots count.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from swarmd.sim.metrics.window import presence, row_means
 from swarmd.sim.trace import Trace
 
 STANDING = 0.01
-"""A robot slower than so many m/s stands."""
+"""Speed in m/s below which a robot stands."""
 
 
 def polarisations(trace: Trace, standing: float = STANDING) -> Array:
-    """(T,) the length of the mean direction of motion: 1 all move one way, 0 none or all apart.
+    """(T,) the length of the mean direction of motion: 1 if all move in one direction.
 
     The order parameter of Vicsek et al. 1995 (Phys. Rev. Lett. 75, 1226), whose particles never
     stand. NaN while no robot is present, and in a trace of one instant.
@@ -33,10 +33,10 @@ def polarisations(trace: Trace, standing: float = STANDING) -> Array:
 
 
 def millings(trace: Trace, standing: float = STANDING) -> Array:
-    """(T,) how far the robots turn about their centroid: 1 all one way round, 0 not at all.
+    """(T,) the rotation of the robots about their centroid: 1 if all circle in one direction.
 
     The group angular momentum of Couzin et al. 2002 (J. Theor. Biol. 218, 1) in the plane. NaN as
-    in `polarisations`; a robot in the very centroid adds nothing.
+    in `polarisations`; a robot exactly at the centroid adds nothing.
     """
     is_present = presence(trace)
     ahead = _directions(trace, standing)
@@ -51,32 +51,33 @@ def millings(trace: Trace, standing: float = STANDING) -> Array:
 
 
 def centroid_path_lengths(trace: Trace, every: float = 1.0) -> Array:
-    """(T,) how many m the robots' centroid has moved until each instant, in steps of `every` s.
+    """(T,) the path length in m of the centroid until each instant, in steps of `every` s.
 
-    Ours: a swarm that mills, or whose robots go apart, is fast and gets nowhere. Steps of a second
-    leave out how positions tremble. A step in which another robot is present, or none, is none.
+    Ours: a swarm that mills or disperses is fast, but its centroid hardly moves. Steps of a second
+    suppress jitter of the positions. A step in which the set of present robots changes, or is
+    empty, adds nothing.
     """
     is_present = presence(trace)
     place = trace.pose[..., :2]
     centre = np.stack([row_means(place[..., axis], is_present) for axis in (0, 1)], axis=-1)
-    ways = np.zeros(len(trace.t))
+    lengths = np.zeros(len(trace.t))
     last = 0
     for at in range(1, len(trace.t)):
-        ways[at] = ways[at - 1]
+        lengths[at] = lengths[at - 1]
         if trace.t[at] - trace.t[last] >= every - 1e-9:
             is_same = bool((is_present[at] == is_present[last]).all() and is_present[at].any())
-            ways[at] += float(np.hypot(*(centre[at] - centre[last]))) if is_same else 0.0
+            lengths[at] += float(np.hypot(*(centre[at] - centre[last]))) if is_same else 0.0
             last = at
-    return ways
+    return lengths
 
 
 def centroid_path_length(trace: Trace) -> float | None:
-    """That way at the end; None if no robot ever is present."""
+    """That length at the end; None if no robot is ever present."""
     return float(centroid_path_lengths(trace)[-1]) if presence(trace).any() else None
 
 
 def _directions(trace: Trace, standing: float) -> Array:
-    """(T, n, 2) unit vectors of motion by central differences, 0 for who stands."""
+    """(T, n, 2) unit vectors of motion by central differences, 0 for a standing robot."""
     instants = len(trace.t)
     if instants < 2:
         return np.full((instants, len(trace.ids), 2), np.nan)
@@ -93,7 +94,7 @@ METRICS = (
     Metric(
         "polarisation",
         "0 to 1",
-        "how far the robots move one way, mean of the last 60 s; 0 for those that stand",
+        "length of the mean direction of motion, mean of the last 60 s; 0 at rest",
         "Vicsek et al. 1995, Phys. Rev. Lett. 75",
         late_mean(polarisations),
         polarisations,
@@ -101,7 +102,7 @@ METRICS = (
     Metric(
         "milling",
         "0 to 1",
-        "how far they turn about their centroid, mean of the last 60 s",
+        "rotation about the centroid, mean of the last 60 s",
         "Couzin et al. 2002, J. Theor. Biol. 218",
         late_mean(millings),
         millings,
@@ -109,7 +110,7 @@ METRICS = (
     Metric(
         "centroid_path_length",
         "m",
-        "how far the robots' centroid has moved, added up second by second",
+        "path length of the centroid, in steps of a second",
         "ours",
         centroid_path_length,
         centroid_path_lengths,

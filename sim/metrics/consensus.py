@@ -1,8 +1,8 @@
-"""Whether a swarm agrees, by the opinions that its patterns report.
+"""Consensus of a swarm, by the opinions that its patterns report.
 
-Only present robots vote. One that has reported no opinion holds none, so it agrees with nobody.
-Consensus and the time to it as in the literature on collective decisions (Valentini, Ferrante and
-Dorigo, The Best-of-n Problem in Robot Swarms, Frontiers in Robotics and AI 2017).
+Only present robots count. A robot that has reported no opinion agrees with no other. Consensus and
+the time to it are as in the literature on collective decisions (Valentini, Ferrante and Dorigo,
+The Best-of-n Problem in Robot Swarms, Frontiers in Robotics and AI 2017).
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from swarmd.sim.metrics.window import presence
 from swarmd.sim.trace import Trace
 
 OPINION = "opinion"
-"""What voting patterns call their opinion in what they report."""
+"""The name of the opinion in the reports of voting patterns."""
 
 
 def consensus_shares(trace: Trace, name: str = OPINION) -> Array | None:
     """(T,) the share of the present robots that hold the most common opinion.
 
-    NaN while none is present; None if no robot ever reported one.
+    NaN without a present robot; None if no robot ever reported an opinion.
     """
     opinion = trace.report.get(name)
     if opinion is None or np.isnan(opinion).all():
@@ -43,7 +43,7 @@ def consensus_share(trace: Trace, name: str = OPINION) -> float | None:
 
 
 def consensus_opinion(trace: Trace, name: str = OPINION) -> float | None:
-    """What all present robots hold at the last instant; None if they do not agree."""
+    """The opinion of all present robots at the last instant; None if they do not agree."""
     if consensus_share(trace, name) != 1.0:
         return None
     return float(trace.report[name][-1][presence(trace)[-1]][0])
@@ -52,8 +52,7 @@ def consensus_opinion(trace: Trace, name: str = OPINION) -> float | None:
 def consensus_time(trace: Trace, name: str = OPINION) -> float | None:
     """Seconds from the start until all present robots hold one opinion, and keep it to the end.
 
-    The opinion is the same all the while: a swarm that changes its mind as one starts anew. None
-    if they do not agree at the end.
+    A swarm that changes its opinion together starts again. None if they do not agree at the end.
     """
     final = consensus_opinion(trace, name)
     if final is None:

@@ -1,7 +1,7 @@
-"""Touches as people count them: once each, however many steps they last, and who ran into whom.
+"""Contacts of robots, each counted once however many steps it lasts, and which robot was moving.
 
-Every body counts, whether its robot is present or not. The definitions are ours: `EPISODE_GAP` in
-`world/contacts.py` says when the same two contact anew.
+Absent robots count too: they stand in the arena. The definitions are ours: `EPISODE_GAP` in
+`world/contacts.py` is the pause after which the same two have a new contact.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from swarmd.sim.trace import ARENA, Trace
 from swarmd.sim.world.contacts import EPISODE_GAP
 
 WALLS = "the arena"
-"""Stands for walls, fixed boxes and poles among ids; no id holds a blank."""
+"""The name of walls, fixed boxes and poles among ids; no id contains a blank."""
 MOVING = 0.01
-"""A surface that comes nearer by more than so many m/s is moving towards the other."""
+"""Speed in m/s above which a surface is moving towards the other."""
 
 Kind = Literal["robot", "arena", "box"]
 
@@ -27,9 +27,9 @@ Kind = Literal["robot", "arena", "box"]
 class Contact:
     """One contact, from `start` to `end` in the trace's s.
 
-    `a` is a robot's id, `b` another one's, WALLS or the name of a movable box; `kind` says what b
-    is. `closing_speed` in m/s is the fastest approach of the contact, and the two moved then if
-    their own surface came towards the other at more than MOVING.
+    `a` is a robot's id; `b` is another robot's, WALLS or the name of a movable box, as `kind` says.
+    `closing_speed` in m/s is the fastest approach during the contact. `is_a_moving` and
+    `is_b_moving`: whether its own surface then moved towards the other faster than MOVING.
     """
 
     start: float
@@ -43,7 +43,7 @@ class Contact:
 
 
 def contact_list(trace: Trace, gap: float = EPISODE_GAP) -> list[Contact]:
-    """Each contact of the run, in order of its beginning, then of the robots."""
+    """Each contact of the run, by start and then by robots."""
     if len(trace.contact_t) == 0:
         return []
     # The lower index first, but the arena and boxes, which are negative, always second.
@@ -61,46 +61,37 @@ def contact_list(trace: Trace, gap: float = EPISODE_GAP) -> list[Contact]:
     for start, stop in zip(starts, stops, strict=True):
         fastest = start + int(speed[start:stop].sum(axis=1).argmax())
         ends = float(time[start]), float(time[stop - 1])
-        found.append(_touch(trace, ends, pair[start], speed[fastest]))
+        found.append(_contact(trace, ends, pair[start], speed[fastest]))
     return sorted(found, key=lambda one: one.start)
 
 
-def contact_episodes(trace: Trace) -> dict[tuple[str, str], int]:
-    """How often each pair touched, its names in order; WALLS stands for walls, boxes and poles."""
-    counts: dict[tuple[str, str], int] = {}
-    for contact in contact_list(trace):
-        pair = (min(contact.a, contact.b), max(contact.a, contact.b))
-        counts[pair] = counts.get(pair, 0) + 1
-    return counts
-
-
 def count(trace: Trace, kind: Kind) -> int:
-    """The number of touches of a robot with another one, the arena or a movable box."""
+    """The number of contacts of robots with one kind of other."""
     return sum(contact.kind == kind for contact in contact_list(trace))
 
 
 def contacts_between_robots(trace: Trace) -> int:
-    """The number of touches of two robots."""
+    """The number of contacts of two robots."""
     return count(trace, "robot")
 
 
 def contacts_with_arena(trace: Trace) -> int:
-    """The number of touches of a robot with a wall, fixed box or pole."""
+    """The number of contacts of a robot with a wall, fixed box or pole."""
     return count(trace, "arena")
 
 
 def contacts_with_boxes(trace: Trace) -> int | None:
-    """The number of touches of a robot with a movable box; None if there is none."""
+    """The number of contacts of a robot with a movable box; None without such boxes."""
     return count(trace, "box") if trace.movable_boxes else None
 
 
 def hardest_contact(trace: Trace) -> float | None:
-    """The fastest approach in m/s of any contact of two robots; None if none touched."""
+    """The fastest approach in m/s of any contact of two robots; None without a contact."""
     speeds = [contact.closing_speed for contact in contact_list(trace) if contact.kind == "robot"]
     return max(speeds, default=None)
 
 
-def _touch(trace: Trace, ends: tuple[float, float], pair: np.ndarray, speed: np.ndarray) -> Contact:
+def _contact(trace: Trace, ends: tuple[float, float], pair: np.ndarray, speed: np.ndarray) -> Contact:
     a, b = int(pair[0]), int(pair[1])
     kind: Kind = "robot" if b >= 0 else "arena" if b == ARENA else "box"
     # Below ARENA stand the movable boxes: -2 is the first of `movable_boxes`.
@@ -123,7 +114,7 @@ METRICS = (
     Metric(
         "robot_contacts",
         "",
-        "touches of two robots, each once however long",
+        "contacts of two robots, each counted once",
         _OURS,
         contacts_between_robots,
         None,
@@ -132,7 +123,7 @@ METRICS = (
     Metric(
         "arena_contacts",
         "",
-        "touches of a robot with a wall, fixed box or pole",
+        "contacts of a robot with a wall, fixed box or pole",
         _OURS,
         contacts_with_arena,
         None,
@@ -141,7 +132,7 @@ METRICS = (
     Metric(
         "box_contacts",
         "",
-        "touches of a robot with a movable box",
+        "contacts of a robot with a movable box",
         _OURS,
         contacts_with_boxes,
     ),

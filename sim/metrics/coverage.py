@@ -1,4 +1,4 @@
-"""How much floor a swarm has been at, and how much it spans. Only present robots count."""
+"""The floor that a swarm has covered, and the area that it spans. Only present robots count."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
 
 COVER = 0.5
-"""A robot covers the floor within so many m of its axle."""
+"""Radius in m around the axle that a robot covers."""
 CELL = 0.1
-"""Floor is counted in squares of so many m."""
+"""Side in m of the squares in which floor is counted."""
 _MANY_CELLS = 4_000_000
 
 
 def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Array:
     """(T,) the floor in m2 that has been within `radius` m of a robot until each instant.
 
-    Sweep coverage (Gage, Command Control for Many-Robot Systems, AUVS 1992) in squares of `cell` m,
-    each counted by its centre; of places less than a tenth of a square apart one is enough. Walls
-    do not shade, and what lies outside the arena does not count if the trace names its size.
-    Squares are larger where the robots roam so far that there would be more than four million.
+    Sweep coverage (Gage, Command Control for Many-Robot Systems, AUVS 1992) in squares of `cell` m.
+    A square is covered with its centre; of positions less than a tenth of a square apart, one is
+    evaluated. Walls do not block, and floor outside the arena does not count if the trace names
+    its size. Squares are larger if there would be more than four million.
     """
     when, robot = np.nonzero(presence(trace))
     if len(when) == 0:
@@ -44,7 +44,7 @@ def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Ar
     first_at = np.full(shape, len(trace.t), dtype=np.int64)
     for right in range(-margin, margin + 1):
         for up in range(-margin, margin + 1):
-            # A square may be near for all places of another one.
+            # If a whole square is near, one position in it is enough.
             is_whole = math.hypot(abs(right) + 0.5, abs(up) + 0.5) * cell <= radius
             rows = some if is_whole else many
             near = rows[np.hypot(right * cell - off[rows, 0], up * cell - off[rows, 1]) <= radius]
@@ -57,9 +57,9 @@ def covered_areas(trace: Trace, radius: float = COVER, cell: float = CELL) -> Ar
 
 
 def _firsts(index: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The rows that are the first of their square (k, 2), the last such first.
+    """The first row of each square (k, 2), in reverse order.
 
-    So of what is written to one place the earliest stays.
+    Of several writes to one element, the earliest row then remains.
     """
     low, high = index.min(axis=0), index.max(axis=0)
     key = (index[:, 0] - low[0]) * (high[1] - low[1] + 1) + index[:, 1] - low[1]
@@ -74,7 +74,7 @@ def covered_area(trace: Trace, radius: float = COVER, cell: float = CELL) -> flo
 
 
 def hull_areas(trace: Trace) -> Array:
-    """(T,) the area in m2 of the convex hull of the robots' axle centres; NaN if none is present.
+    """(T,) the area in m2 of the convex hull of the robots' axle centres; NaN without a robot.
 
     0 for fewer than three robots or robots in a row. Hull by Qhull (Barber, Dobkin and Huhdanpaa
     1996, ACM Trans. Math. Softw. 22).

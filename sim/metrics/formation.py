@@ -1,8 +1,8 @@
-"""How well robots stand in a line, or on a circle.
+"""Errors of line and circle formations.
 
 Distances from the line are orthogonal ones, and the line is that of total least squares (Pearson
-1901, Phil. Mag. 2), as formations are judged since Fredslund and Mataric 2002 (IEEE Trans. Robotics
-and Automation 18, 837), who also ask for spacing. The circle is that of algebraic least squares
+1901, Phil. Mag. 2), as in Fredslund and Mataric 2002 (IEEE Trans. Robotics and
+Automation 18, 837), which also asks for spacing. The circle is that of algebraic least squares
 (Kasa 1976, IEEE Trans. Instrum. Meas. 25). Only present robots count.
 """
 
@@ -25,9 +25,9 @@ def line_offsets(trace: Trace) -> Array:
 
 
 def line_unevenness(trace: Trace, spacing: float | None = None) -> Array:
-    """(T,) the root mean square of what gaps along that line differ by from `spacing`, over it.
+    """(T,) the root mean square deviation of gaps along that line from `spacing`, over it.
 
-    None: from their own mean.
+    Without `spacing`, from their own mean.
     """
 
     def of(place: Array) -> float:
@@ -58,7 +58,7 @@ def circle_offsets(trace: Trace, radius: float | None = None) -> Array:
 
 
 def circle_unevenness(trace: Trace) -> Array:
-    """(T,) the root mean square of what angular gaps differ by from equal ones, over these."""
+    """(T,) the root mean square deviation of angular gaps from equal ones, over these."""
 
     def of(place: Array) -> float:
         angles = np.sort(_around(place)[0])
@@ -83,7 +83,7 @@ def circle_errors(trace: Trace, spacing: float) -> Array:
 
 
 def _each(trace: Trace, of: Callable[[Array], float], *, least: int) -> Array:
-    """(T,) a number of the places (k, 2) of those present; NaN for fewer than `least`."""
+    """(T,) `of` the positions (k, 2) of present robots; NaN for fewer than `least`."""
     is_present = presence(trace)
     numbers = np.full(len(trace.t), np.nan)
     for at, place in enumerate(trace.pose[..., :2]):
@@ -93,7 +93,7 @@ def _each(trace: Trace, of: Callable[[Array], float], *, least: int) -> Array:
 
 
 def _along(place: Array) -> tuple[Array, Array]:
-    """Where (k,) each is along the best line, and how far from it, in m."""
+    """The positions (k,) along the best line, and the distances from it, in m."""
     x, y = (place - place.mean(axis=0)).T
     angle = 0.5 * math.atan2(2.0 * float(x @ y), float(x @ x) - float(y @ y))
     cos, sin = math.cos(angle), math.sin(angle)
@@ -101,7 +101,7 @@ def _along(place: Array) -> tuple[Array, Array]:
 
 
 def _around(place: Array) -> tuple[Array, Array]:
-    """In which direction in rad each is from the best circle's centre, and how far in m (k,)."""
+    """The bearings (k,) in rad from the best circle's centre, and the distances in m."""
     middle = place.mean(axis=0)
     points = place - middle
     known = np.column_stack((2.0 * points, np.ones(len(points))))

@@ -1,6 +1,6 @@
-"""The smallest distance between robots: exact footprints, of only those pairs that can matter.
+"""The smallest distance between robots, of exact footprints.
 
-Every body in the arena counts, whether its robot is present or not: what stands there can be hit.
+Absent robots count too: they stand in the arena. Only pairs that can be the nearest are evaluated.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _ROUNDING = 1e-12
 def minimum_gap(trace: Trace) -> float:
     """The smallest distance in m between two robots' footprints; inf for one robot alone.
 
-    Exact at the trace's instants: convex polygons, 0 if they contact or overlap (distance of convex
+    Exact at the trace's instants: convex polygons, 0 if they touch or overlap (distance of convex
     polygons and separating axes: Ericson, Real-Time Collision Detection, 2005, chapters 5 and 9).
     """
     best = np.inf
@@ -45,7 +45,7 @@ def minimum_gaps(trace: Trace) -> Array:
     for span in pairs.spans(*trace.pose.shape[:2]):
         best = smallest[span]
         found, lower = _candidates(trace, span, float(_bounds(trace, span).max(initial=0.0)))
-        # First the pair that may be nearest at each instant, then those that may beat it.
+        # First the pair that may be nearest at each instant, then pairs that may be nearer.
         order = np.lexsort((lower, found.instant))
         leading = order[np.unique(found.instant[order], return_index=True)[1]]
         np.minimum.at(best, found.instant[leading], _exact(trace, span, found, leading))
@@ -55,9 +55,9 @@ def minimum_gaps(trace: Trace) -> Array:
 
 
 def _bounds(trace: Trace, span: slice) -> Array:
-    """(T,) what the smallest gap of each instant does not exceed; inf if a robot is alone.
+    """(T,) an upper bound of the smallest gap of each instant; inf for a lone robot.
 
-    Footprints are no farther apart than their frames' origins and the way to a corner of each.
+    Footprints are no farther apart than their frames' origins plus the radius of each.
     """
     place = trace.pose[span, :, :2]
     nearest = pairs.nearest(place, _is_in_arena(place))
@@ -67,7 +67,7 @@ def _bounds(trace: Trace, span: slice) -> Array:
 
 
 def _candidates(trace: Trace, span: slice, bound: float) -> tuple[Pairs, Array]:
-    """Pairs whose footprints may be as near as `bound`, and how near they are at least."""
+    """Pairs whose footprints may be as near as `bound`, and a lower bound of their distance."""
     place = trace.pose[span, :, :2]
     reach = _reach(trace)
     found = pairs.near(place, _is_in_arena(place), bound + 2.0 * reach.max(initial=0.0))
@@ -80,7 +80,7 @@ def _is_in_arena(place: Array) -> NDArray[np.bool_]:
 
 
 def _along(trace: Trace, span: slice, found: Pairs) -> Array:
-    """(p,) how far apart the footprints' shadows on the line through both origins are."""
+    """(p,) the distance of the footprints projected onto the line through both origins."""
     pose = trace.pose[span]
     a, b = pose[found.instant, found.a], pose[found.instant, found.b]
     bearing = np.arctan2(b[:, 1] - a[:, 1], b[:, 0] - a[:, 0])
@@ -99,7 +99,7 @@ def _along(trace: Trace, span: slice, found: Pairs) -> Array:
 
 
 def _reach(trace: Trace) -> Array:
-    """(n,) how far each robot's farthest corner is from its frame's origin."""
+    """(n,) the distance of each robot's farthest corner from its frame's origin."""
     reach = {name: np.hypot(*shape.T).max() for name, shape in trace.footprints.items()}
     return np.array([reach[name] for name in trace.platforms], dtype=np.float64)
 

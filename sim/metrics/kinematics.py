@@ -1,6 +1,6 @@
-"""How far and how fast robots went; textbook kinematics.
+"""Path lengths and speeds.
 
-A way counts while the robot is present at both its ends: an absent one is at most pushed.
+A step between two instants counts if the robot is present at both: an absent robot is only pushed.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ from swarmd.sim.trace import Trace
 
 
 def path_lengths(trace: Trace) -> Array:
-    """(n,) the way in m that each robot's axle centre went."""
+    """(n,) the path length in m of each robot's axle centre."""
     length: Array = _steps(trace).sum(axis=0)
     return length
 
 
 def path_length(trace: Trace) -> float | None:
-    """The mean way in m of the robots that were ever present; None if none was."""
+    """The mean path length in m of the robots that were ever present; None without one."""
     is_counted = presence(trace).any(axis=0)
     return float(path_lengths(trace)[is_counted].mean()) if is_counted.any() else None
 
 
 def path_lengths_over_time(trace: Trace) -> Array:
-    """(T,) the mean way in m gone until each instant by the robots that were ever present."""
+    """(T,) the mean path length in m until each instant, of robots that were ever present."""
     is_counted = presence(trace).any(axis=0)
     if not is_counted.any():
         return np.full(len(trace.t), np.nan)
@@ -38,7 +38,7 @@ def path_lengths_over_time(trace: Trace) -> Array:
 def mean_speed(trace: Trace, since: float = 0.0) -> float | None:
     """The robots' mean speed in m/s over the instants from `since` s after the start on.
 
-    None where there is no time between instants.
+    None without time between instants.
     """
     is_late = trace.t >= trace.t[:1] + since - 1e-9
     total = float(_seconds(trace)[is_late[:-1]].sum())
@@ -57,7 +57,7 @@ def mean_speeds(trace: Trace) -> Array:
 def speed_share(trace: Trace, seconds: float = LATE) -> float | None:
     """The mean speed in the last `seconds` (or half, if shorter) as a share of v_max.
 
-    Of each robot's own platform. None without `meta["v_max"]`, or if nobody was there.
+    v_max is that of each robot's platform. None without `meta["v_max"]` or without a robot.
     """
     limits = by_platform(trace, "v_max")
     if limits is None:
@@ -83,13 +83,13 @@ def _both(trace: Trace) -> NDArray[np.bool_]:
 
 
 def _steps(trace: Trace) -> Array:
-    """(T - 1, n) the way in m from each instant to the next, 0 for who is not there."""
+    """(T - 1, n) the distance in m between consecutive instants, 0 for absent robots."""
     step = np.diff(trace.pose[..., :2], axis=0)
     return np.where(_both(trace), np.hypot(step[..., 0], step[..., 1]), 0.0)
 
 
 def _seconds(trace: Trace) -> Array:
-    """(T - 1, n) the time in s from each instant to the next, 0 for who is not there."""
+    """(T - 1, n) the time in s between consecutive instants, 0 for absent robots."""
     return np.where(_both(trace), np.diff(trace.t)[:, None], 0.0)
 
 
@@ -115,7 +115,7 @@ METRICS = (
     Metric(
         "path_length",
         "m",
-        "a robot's way over the whole run, mean of the robots",
+        "path length over the whole run, mean of the robots",
         _KINEMATICS,
         path_length,
         path_lengths_over_time,

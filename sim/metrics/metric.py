@@ -1,4 +1,4 @@
-"""What a metric is, and how the number of a run is taken from a series over time."""
+"""Metrics, and functions that make the number of a run from a series over time."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ Better: TypeAlias = Literal["less", "more"]
 class Metric:
     """A number of a run.
 
-    `value` of a trace, None if it has none. `series` (T,) is what it was at each instant, NaN
-    where unknown, None as a whole if the trace lacks what it needs; a metric without is one
-    number of a whole run. `better` says which way is good whatever the task; None if that depends.
+    `value` gives it for a trace; None if the trace has no value. `series` (T,) gives the value at
+    each instant, NaN where unknown, or None if the trace lacks data; a metric without `series` is
+    defined for whole runs only. `better`: the direction that is good for every task, else None.
     `is_time_to_event`: the value is a duration in s, None where the event never happened.
     """
 

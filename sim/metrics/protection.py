@@ -1,6 +1,6 @@
-"""What protection did to what the patterns wished.
+"""How protection changed requested commands.
 
-Only present robots count: an absent one has no daemon, so nothing to protect with.
+Only present robots count: an absent robot has no daemon and therefore no protection.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ HOLDS = (
     Reason.DRIVER_LOST,
     Reason.PATTERN_RESTARTING,
 )
-"""Reasons for which a robot stands without leaving `running`."""
+"""Reasons for which the safe command is zero although the state is `running`."""
 
 
 def protection_duty(trace: Trace) -> float | None:
-    """The share of judged sweeps in which protection replaced or cut the wish.
+    """The share of scans on which protection replaced or reduced the requested command.
 
-    Of all robots together, weighted by their sweeps; the paper's protection decides anew on every
-    scan (Kaiser et al. 2022), so a sweep is its unit. Where only `active` was recorded, the share
-    of the running robots' instants; None if neither was, or nothing was judged.
+    Over the scans of all robots: the paper's protection decides on every scan (Kaiser et al.
+    2022). Where only `active` was recorded, the share of the running robots' instants. None if
+    neither was recorded, or there was no decision.
     """
     if trace.decided is not None and trace.evaded is not None:
         is_present = presence(trace)
@@ -44,7 +44,7 @@ def protection_duty(trace: Trace) -> float | None:
 
 
 def protection_duties(trace: Trace) -> Array | None:
-    """(T,) the same for each instant; NaN where nothing was judged, None if not recorded."""
+    """(T,) the same for each instant; NaN without a decision, None if not recorded."""
     is_present = presence(trace)
     if trace.decided is not None and trace.evaded is not None:
         decided = np.where(is_present, trace.decided, 0).sum(axis=1)
@@ -59,12 +59,13 @@ def protection_duties(trace: Trace) -> Array | None:
 
 
 def alterations(trace: Trace) -> Array | None:
-    """(T, n) how much the command in force differs from the wish, 1 being full speed.
+    """(T, n) the difference of safe and requested command; 1 is full speed.
 
-    |safe - wish| with the turn taken as the speed of the footprint's farthest corner, divided by
-    v_max; NaN where the robot does not run. The change |u - u_wish| of the control is what safety
+    |safe - requested| with the turn taken as the speed of the footprint's farthest corner, over
+    v_max; NaN where the robot does not run. The change |u - u_requested| is what safety
     barrier certificates minimise (Wang, Ames and Egerstedt, IEEE T-RO 2017); this scale, which
-    makes turns and platforms comparable, is ours. None without wishes or `meta["v_max"]`.
+    makes turns and platforms comparable, is ours. None without requested commands
+    or `meta["v_max"]`.
     """
     limits = by_platform(trace, "v_max")
     if trace.requested is None or limits is None:
@@ -84,15 +85,15 @@ def mean_alterations(trace: Trace) -> Array | None:
 
 
 def command_alteration(trace: Trace) -> float | None:
-    """The mean of `alterations` over running robots and instants; None if not known."""
+    """The mean of `alterations` over running robots and instants; None if unknown."""
     altered = alterations(trace)
     return None if altered is None else mean(altered)
 
 
 def hold_share(trace: Trace) -> float | None:
-    """The share of the running robots' instants in which a hold kept them standing.
+    """The share of the running robots' instants with a hold.
 
-    Ours: holds are this project's own. None if states were not recorded or nothing ran.
+    Ours: holds are this project's own. None if states were not recorded or no robot ran.
     """
     if trace.state is None or trace.reason is None:
         return None
@@ -101,9 +102,9 @@ def hold_share(trace: Trace) -> float | None:
 
 
 def recovery_share(trace: Trace) -> float | None:
-    """The share of the running robots' instants in which protection sought a way around something.
+    """The share of the running robots' instants in recovery.
 
-    Ours. None if that was not recorded, or nothing ran.
+    Ours. None if recovery was not recorded, or no robot ran.
     """
     if trace.recovering is None:
         return None
@@ -111,10 +112,10 @@ def recovery_share(trace: Trace) -> float | None:
 
 
 def failed_patterns(trace: Trace) -> int | None:
-    """The number of robots whose pattern failed at least once: it was restarted, or set aside.
+    """The number of robots whose pattern failed at least once and was restarted or set aside.
 
-    Ours: a pattern that raises does not end a run. None if states were not recorded, or nobody
-    was there.
+    Ours: a pattern that raises does not end a run. None if states were not recorded, or no robot
+    was present.
     """
     is_present = presence(trace)
     if trace.state is None or trace.reason is None or not is_present.any():
@@ -126,7 +127,7 @@ def failed_patterns(trace: Trace) -> int | None:
 
 
 def _running(trace: Trace) -> NDArray[np.bool_]:
-    """(T, n) present, and running as far as the trace says."""
+    """(T, n) present and, if the trace holds states, running."""
     is_present = presence(trace)
     return is_present if trace.state is None else is_present & (trace.state == str(State.RUNNING))
 
@@ -137,7 +138,7 @@ METRICS = (
     Metric(
         "protection_duty",
         "share",
-        "share of judged sweeps in which protection replaced or cut the wish",
+        "share of scans on which protection replaced or reduced the requested command",
         _KAISER,
         protection_duty,
         protection_duties,
@@ -146,7 +147,7 @@ METRICS = (
     Metric(
         "protection_duty_late",
         "share",
-        "share of judged sweeps in the last 60 s in which protection replaced or cut the wish",
+        "the same in the last 60 s",
         _KAISER,
         lambda trace: protection_duty(late(trace)),
         protection_duties,
@@ -155,7 +156,7 @@ METRICS = (
     Metric(
         "command_alteration",
         "share",
-        "mean change of the wished command, 1 being full speed",
+        "mean difference of safe and requested command; 1 is full speed",
         "change of the control: Wang et al. 2017, IEEE T-RO 33; its scale: ours",
         command_alteration,
         mean_alterations,
@@ -164,7 +165,7 @@ METRICS = (
     Metric(
         "hold_share",
         "share",
-        "running time in which a hold kept a robot standing",
+        "share of running time with a hold, in which the safe command is zero",
         "ours",
         hold_share,
         None,
@@ -173,7 +174,7 @@ METRICS = (
     Metric(
         "recovery_share",
         "share",
-        "running time in which a robot was led around what blocked it",
+        "share of running time in recovery, which leads a robot around an obstacle",
         "ours",
         recovery_share,
         None,

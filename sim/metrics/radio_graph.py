@@ -1,7 +1,7 @@
-"""Who can hear whom: the radio graph, at the robots' true places.
+"""The radio graph: which robots can hear each other, at their true positions.
 
-Only present robots have a radio. Where `meta["radio"]` gives no range and no line of sight everyone
-hears everyone. Loss and delay do not count: a link is there if it ever lets something through.
+Only present robots have a radio. If `meta["radio"]` gives neither a range nor line of sight, every
+robot hears every other. Loss and delay do not matter: a link exists if a message can pass.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _DECIMALS = 8
 
 
 def radio_range(trace: Trace) -> float:
-    """How far in m a robot is heard; inf if the trace gives no range."""
+    """The range in m of the radio; inf if the trace gives none."""
     radio = trace.meta.get("radio")
     if not isinstance(radio, Mapping) or radio.get("neighborhood") != "range":
         return float("inf")
@@ -33,10 +33,10 @@ def radio_range(trace: Trace) -> float:
 
 
 def radio_links(trace: Trace) -> Iterator[Pairs]:
-    """All links, for some instants of the trace after others; `instant` counts from its start.
+    """All links, in parts for consecutive instants; `instant` counts from the trace's start.
 
     The disk graph of Zavlanos, Egerstedt and Pappas 2011 (Graph-Theoretic Connectivity Control of
-    Mobile Robot Networks, Proc. IEEE 99), less what `radio.line_of_sight` takes away.
+    Mobile Robot Networks, Proc. IEEE 99), without links that `radio.line_of_sight` blocks.
     """
     sight, is_present, reach = _sight(trace), presence(trace), radio_range(trace)
     for span in pairs.spans(*is_present.shape):
@@ -47,7 +47,7 @@ def radio_links(trace: Trace) -> Iterator[Pairs]:
 
 
 def radio_components(trace: Trace) -> Array:
-    """(T,) the number of parts that cannot hear one another; NaN while no robot is present."""
+    """(T,) the number of connected components; NaN while no robot is present."""
     is_present = presence(trace)
     n = is_present.shape[1]
     counts = is_present.sum(axis=1).astype(np.float64)
@@ -58,28 +58,28 @@ def radio_components(trace: Trace) -> Array:
             low, high = int(links.instant.min()), int(links.instant.max()) + 1
             node = (links.instant - low) * n
             root = pairs.components((high - low) * n, node + links.a, node + links.b)
-            is_joined = root != np.arange(len(root))  # to a lower one: a part less
+            is_joined = root != np.arange(len(root))  # to a lower robot: one component less
             counts[low:high] -= is_joined.reshape(-1, n).sum(axis=1)
     return np.where(counts > 0.0, counts, np.nan)
 
 
 def is_radio_connected(trace: Trace) -> Array:
-    """(T,) 1 where links join all present robots, over others or not, else 0; NaN if none is."""
+    """(T,) 1 where the graph of present robots is connected, else 0; NaN without one."""
     counts = radio_components(trace)
     return np.where(np.isnan(counts), np.nan, counts == 1.0)
 
 
 def radio_connected(trace: Trace) -> float | None:
-    """The share of time in which links join all present robots."""
+    """The share of time in which the graph is connected."""
     return mean(is_radio_connected(trace))
 
 
 def algebraic_connectivities(trace: Trace) -> Array:
-    """(T,) the second smallest eigenvalue of the graph's Laplacian: 0 if it is in parts.
+    """(T,) the second smallest eigenvalue of the graph's Laplacian: 0 if it is not connected.
 
-    Fiedler 1973 (Algebraic connectivity of graphs, Czechoslovak Math. J. 23). n if all n hear all,
-    and by our own convention 0 for a robot alone. NaN while none is present. To eight decimals:
-    what comes after depends on how many threads the linear algebra takes.
+    Fiedler 1973 (Algebraic connectivity of graphs, Czechoslovak Math. J. 23). n if all n robots
+    hear each other, and by our convention 0 for a lone robot. NaN without a present robot. Rounded
+    to eight decimals: further ones depend on the number of threads of the linear algebra.
     """
     here = presence(trace).sum(axis=1)
     if _is_complete(trace):
@@ -88,7 +88,7 @@ def algebraic_connectivities(trace: Trace) -> Array:
 
 
 def algebraic_connectivity(trace: Trace) -> float | None:
-    """That eigenvalue at the last instant; None if none is present then."""
+    """That eigenvalue at the last instant; None without a present robot."""
     return mean(algebraic_connectivities(last(trace)))
 
 
@@ -97,7 +97,7 @@ def _is_complete(trace: Trace) -> bool:
 
 
 def _sight(trace: Trace) -> LineOfSight | None:
-    """What stands between robots, if that matters and the trace tells it."""
+    """The obstacles of the radio, if it needs line of sight and the trace names its arena."""
     radio = trace.meta.get("radio")
     if not isinstance(radio, Mapping) or not radio.get("line_of_sight"):
         return None
@@ -108,7 +108,7 @@ def _sight(trace: Trace) -> LineOfSight | None:
 
 
 def _seen(trace: Trace, sight: LineOfSight, links: Pairs) -> Pairs:
-    """Those links between whose ends nothing stands."""
+    """The links with line of sight."""
     here = trace.pose[links.instant, links.a, :2]
     there = trace.pose[links.instant, links.b, :2]
     if trace.box_pose is None or trace.box_shapes is None:
@@ -141,7 +141,7 @@ METRICS = (
     Metric(
         "radio_connected",
         "share",
-        "share of time in which the radio joins all robots, over others or not",
+        "share of time in which the radio graph is connected",
         _ZAVLANOS,
         radio_connected,
         is_radio_connected,
@@ -150,7 +150,7 @@ METRICS = (
     Metric(
         "radio_components_end",
         "",
-        "parts of the swarm at the end that cannot hear one another",
+        "connected components of the radio graph at the end",
         _ZAVLANOS,
         at_end(radio_components),
         radio_components,

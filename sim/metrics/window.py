@@ -1,4 +1,4 @@
-"""Which instants and which robots a metric looks at."""
+"""Selections of instants and robots for metrics."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from swarmd.core.values import Array
 from swarmd.sim.trace import Trace
 
 LATE = 60.0
-"""The last seconds of a run, in which a swarm is taken to have settled."""
+"""The last seconds of a run, in which a swarm is assumed to have settled."""
 _ROUNDING = 1e-9
 
 
 def presence(trace: Trace) -> NDArray[np.bool_]:
-    """(T, n) whose daemon is there; all of them, always, if the trace does not say."""
+    """(T, n) whether the robot's daemon is present; always true if the trace has no presence."""
     shape = trace.pose.shape[:2]
     return np.ones(shape, dtype=bool) if trace.present is None else trace.present
 
@@ -41,10 +41,10 @@ def first(trace: Trace) -> Trace:
 
 
 def cut(trace: Trace, start: int, stop: int) -> Trace:
-    """The instants [start, stop) of a trace, as views, with the touches between them."""
+    """The instants [start, stop) of a trace, as views, with the contacts between them."""
     span = slice(start, stop)
     t = trace.t[span]
-    # Nothing touches in a run of no instants.
+    # A run without instants has no contacts.
     ends = (t[0], t[-1]) if len(t) else (np.inf, -np.inf)
     is_in = (trace.contact_t >= ends[0] - _ROUNDING) & (trace.contact_t <= ends[1] + _ROUNDING)
     return replace(
@@ -73,13 +73,13 @@ def cut(trace: Trace, start: int, stop: int) -> Trace:
 
 
 def mean(values: Array, is_counted: NDArray[np.bool_] | None = None) -> float | None:
-    """The mean of what is no NaN, of those counted if told; None if there is none."""
+    """The mean of the values that are not NaN, of those counted; None without one."""
     kept = ~np.isnan(values) if is_counted is None else is_counted & ~np.isnan(values)
     return float(values[kept].mean()) if kept.any() else None
 
 
 def row_means(values: Array, is_counted: NDArray[np.bool_]) -> Array:
-    """(T,) the mean of each row of values (T, n) over those counted; NaN where none is."""
+    """(T,) the mean of each row of values (T, n) over those counted; NaN without one."""
     count = is_counted.sum(axis=1)
     total = np.where(is_counted, values, 0.0).sum(axis=1)
     means: Array = np.where(count > 0, total / np.maximum(count, 1), np.nan)
@@ -87,7 +87,7 @@ def row_means(values: Array, is_counted: NDArray[np.bool_]) -> Array:
 
 
 def by_platform(trace: Trace, key: str) -> Array | None:
-    """(n,) the number that `meta[key]` gives each robot's platform; None if one has none."""
+    """(n,) the number that `meta[key]` gives each robot's platform; None if one is missing."""
     table = trace.meta.get(key)
     if not isinstance(table, Mapping) or any(name not in table for name in trace.platforms):
         return None

@@ -19,14 +19,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Series = tuple[Array, Array]
-"""Of one run: instants (T,) in s, increasing, and values (T,); NaN where there is none."""
+"""One run: increasing instants (T,) in s and values (T,), NaN without a value."""
 
 MAX_INSTANTS = 600
 MANY_RUNS = 20
-"""From so many runs on, 95 % of them are not simply all of them."""
+"""From so many runs on, 95 % of the runs are fewer than all."""
 _ROUNDING = 1e-9
 _STYLES = ("-", "--", ":", "-.")
-_MAX_OUTER = 3  # variants up to which their wide bands can be told apart
+_MAX_OUTER = 3  # variants up to which wide bands are drawn
 _MAX_INNER = 7
 _PALE = {"facecolor": "white", "alpha": 0.7, "pad": 1.0, "linewidth": 0.0}
 
@@ -105,7 +105,7 @@ def series_figure(
 
 
 def paint_target(axes: Axes, target: float) -> None:
-    """A dashed line across, with its value."""
+    """Paint a dashed line across, with its value."""
     axes.axhline(target, color=GUIDE_COLOUR, linestyle=(0, (5, 3)), linewidth=1.1, zorder=1.8)
     axes.annotate(f"target {target:g}", (1.0, target), xycoords=("axes fraction", "data"),
                   xytext=(-2, 3), textcoords="offset points", ha="right", fontsize=8,

@@ -1,4 +1,4 @@
-"""Touches painted onto axes: where, and who was moving."""
+"""Marks of contacts on axes, which show the position and the moving robots."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 BOTH, ONE, NONE, OTHER = (
-    "touch, both moving",
-    "touch, one moving",
-    "touch, none moving",
-    "touch of wall or box",
+    "contact, both moving",
+    "contact, one moving",
+    "contact, none moving",
+    "contact with wall or box",
 )
 MARKERS = {BOTH: "X", ONE: "P", NONE: "o", OTHER: "s"}
-"""What each kind of touch looks like, and what a legend calls it."""
+"""The marker of each kind of contact, by its label in a legend."""
 
 
 @dataclass(frozen=True, slots=True)
 class Mark:
-    """A touch in a picture: its kind, x and y in m, and the rows of the robots that moved."""
+    """A contact in a picture: its kind, x and y in m, and the rows of the robots that moved."""
 
     kind: str
     place: tuple[float, float]
@@ -36,22 +36,22 @@ class Mark:
 
 
 def marks_of(trace: Trace) -> list[Mark]:
-    """A mark for every touch, where it began."""
+    """A mark for every contact, where it began."""
     row_of = {robot: row for row, robot in enumerate(trace.ids)}
     found = []
-    for touch in contact_list(trace):
-        rows = [row_of[touch.a]] + ([row_of[touch.b]] if touch.kind == "robot" else [])
-        is_moving = touch.is_a_moving, touch.is_b_moving
+    for contact in contact_list(trace):
+        rows = [row_of[contact.a]] + ([row_of[contact.b]] if contact.kind == "robot" else [])
+        is_moving = contact.is_a_moving, contact.is_b_moving
         movers = tuple(row for row, moves in zip(rows, is_moving, strict=False) if moves)
         kind = (NONE, ONE, BOTH)[len(movers)] if len(rows) == 2 else OTHER
-        found.append(Mark(kind, _place(trace, touch.start, rows), movers))
+        found.append(Mark(kind, _place(trace, contact.start, rows), movers))
     return found
 
 
 def paint_contacts(axes: Axes, marks: list[Mark], *, is_by_robot: bool, size: float) -> None:
-    """A red-edged mark of `size` points at each touch; shape and face say who was moving.
+    """A red-edged mark of `size` points at each contact; marker and face show what was moving.
 
-    `is_by_robot` where each robot has its colour: a single mover gives its own to the mark.
+    `is_by_robot`: robots have colours, and a mark has the colour of a single moving robot.
     """
     for kind, marker in MARKERS.items():
         of_kind = [mark for mark in marks if mark.kind == kind]

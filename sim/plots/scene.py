@@ -1,6 +1,6 @@
-"""A run seen from above, painted onto axes: the arena, what stands in it and the robots.
+"""A run from above, painted onto axes: the arena, its obstacles and the robots.
 
-Nothing here makes figures or legends; `trajectories.py` and `overview.py` do.
+Figures and legends are made by `trajectories.py`, `start_and_end.py` and `overview.py`.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ THING_COLOUR = "#C49C6B"
 LINK_COLOUR = "0.6"
 _NARROWEST = 0.55  # of the longer side
 _SMALL_PART = 0.5  # of the arena's longer side
-_MOST_PLACES = 400_000  # drawn of all ways together
+_MAX_POSITIONS = 400_000  # drawn of all paths together
 _SPECK, _SMALL = 1.5, 4.0  # points: a footprint's radius below which it is a dot, has no nose
 
 
@@ -55,13 +55,13 @@ class Extent:
         return self.top - self.bottom
 
     def panel(self, longest: float) -> tuple[float, float]:
-        """Width and height in inches of axes that show it, the longer side as given."""
+        """Width and height in inches of axes that show it, with the given longer side."""
         scale = longest / max(self.width, self.height)
         return max(self.width * scale, longest / 5.0), max(self.height * scale, longest / 5.0)
 
 
 def check_drawable(trace: Trace) -> None:
-    """SwarmError if the trace holds nothing to draw."""
+    """Raise SwarmError if the trace holds nothing to draw."""
     if len(trace.t) == 0:
         raise SwarmError("the trace holds no instant: nothing to draw")
     if len(trace.ids) == 0:
@@ -69,7 +69,7 @@ def check_drawable(trace: Trace) -> None:
 
 
 def arena_of(trace: Trace) -> Arena | None:
-    """The arena that the trace names; None for a trace from elsewhere, with walls unknown."""
+    """The arena that the trace names; None if it names none."""
     try:
         return parse_arena(str(trace.meta.get("arena", "")))
     except ConfigError:
@@ -77,9 +77,9 @@ def arena_of(trace: Trace) -> Arena | None:
 
 
 def extent_of(trace: Trace) -> Extent:
-    """What to show: the arena and every place where a robot or a movable box was, with a margin.
+    """The part to show: the arena and every position of robots and movable boxes, with a margin.
 
-    Where they used but a small part of the arena, that part alone.
+    If they used a small part of the arena, only that part.
     """
     low, high = _used(trace)
     arena = arena_of(trace)
@@ -98,7 +98,7 @@ def extent_of(trace: Trace) -> Extent:
 
 
 def cut_note(trace: Trace) -> str:
-    """What a picture must say if it shows but a part of the arena; empty if it shows all."""
+    """A note that the picture shows a part of the arena; empty if it shows all of it."""
     arena, extent = arena_of(trace), extent_of(trace)
     if arena is None or (extent.width >= arena.length and extent.height >= arena.width):
         return ""
@@ -106,7 +106,7 @@ def cut_note(trace: Trace) -> str:
 
 
 def _used(trace: Trace) -> tuple[Array, Array]:
-    """The lower left and the upper right corner (2,) of all places where something was."""
+    """The lower left and the upper right corner (2,) of all positions of robots and boxes."""
     reach = max((radius(shape) for shape in trace.footprints.values()), default=0.1)
     places = trace.pose[..., :2].reshape(-1, 2)
     low, high = np.nanmin(places, axis=0) - reach, np.nanmax(places, axis=0) + reach
@@ -119,14 +119,14 @@ def _used(trace: Trace) -> tuple[Array, Array]:
 
 
 def _widened(low: Array, high: Array) -> tuple[Array, Array]:
-    """The same place, but not too narrow for a title above and a scale below."""
+    """The same part, widened if it is too narrow for a title."""
     size = high - low
     lacking = np.maximum(_NARROWEST * float(size.max()) - size, 0.0) / 2.0
     return low - lacking, high + lacking
 
 
 def prepare(axes: Axes, extent: Extent) -> None:
-    """Show that part of the world, a metre as long along x as along y."""
+    """Show that part of the world, with equal scales of x and y."""
     axes.set_xlim(extent.left, extent.right)
     axes.set_ylim(extent.bottom, extent.top)
     axes.set_aspect("equal")
@@ -134,7 +134,7 @@ def prepare(axes: Axes, extent: Extent) -> None:
 
 
 def paint_arena(axes: Axes, trace: Trace) -> None:
-    """Walls, inner walls, fixed boxes and poles; nothing if the arena is not known."""
+    """Paint walls, inner walls, fixed boxes and poles; nothing if the arena is unknown."""
     from matplotlib.collections import LineCollection, PolyCollection
     from matplotlib.patches import Circle
 
@@ -152,9 +152,9 @@ def paint_arena(axes: Axes, trace: Trace) -> None:
 
 
 def paint_things(axes: Axes, trace: Trace) -> None:
-    """The movable boxes: hollow where they first were, their way, filled where they are at last.
+    """Paint movable boxes: hollow at the start, filled at the end, with their path.
 
-    One that is not in the arena at the end stays hollow.
+    A box that is not in the arena at the end has only its hollow outline.
     """
     if trace.box_pose is None or trace.box_shapes is None:
         return
@@ -174,17 +174,17 @@ def _paint_thing(axes: Axes, poses: Array, shape: Array, there: NDArray[np.int64
 
 
 def robot_colour(robot: int) -> str:
-    """The colour of a robot where each has its own; ten differ."""
+    """The colour of a robot; the first ten differ."""
     return ROBOT_COLOURS[robot % len(ROBOT_COLOURS)]
 
 
 def robot_style(robot: int) -> Literal["-", "--"]:
-    """The style of a robot's line: the second ten are dashed."""
+    """The line style of a robot: solid for the first ten, then dashed."""
     return "-" if robot < len(ROBOT_COLOURS) else "--"
 
 
 def paint_paths(axes: Axes, trace: Trace, *, linewidth: float = 1.0) -> None:
-    """The way of each robot in its colour, dotted while its daemon was not there."""
+    """Paint the path of each robot in its colour, dotted while its daemon was absent."""
     is_there = presence(trace)[..., None]
     place = trace.pose[..., :2]
     style: dict[str, Any] = {"linewidth": linewidth, "zorder": 2.0}
@@ -198,10 +198,9 @@ def paint_paths(axes: Axes, trace: Trace, *, linewidth: float = 1.0) -> None:
 
 
 def paint_paths_by_time(axes: Axes, trace: Trace, *, linewidth: float = 0.5) -> LineCollection:
-    """The ways of many robots, pale in the past and dark at the end; for a colour bar over time.
+    """Paint the paths of many robots, from pale to dark over time; for a colour bar.
 
-    Each is cut into pieces of one colour; places in between are left out where the robots are so
-    many that nobody could see them.
+    Each path consists of pieces of one colour. With many robots, positions are thinned.
     """
     from matplotlib import colormaps
     from matplotlib.collections import LineCollection
@@ -209,7 +208,7 @@ def paint_paths_by_time(axes: Axes, trace: Trace, *, linewidth: float = 0.5) -> 
 
     t, n = trace.t, len(trace.ids)
     kept = np.unique(
-        np.linspace(0, len(t) - 1, min(len(t), max(41, _MOST_PLACES // n))).astype(int)
+        np.linspace(0, len(t) - 1, min(len(t), max(41, _MAX_POSITIONS // n))).astype(int)
     )
     bounds = np.unique(np.linspace(0, len(kept) - 1, 41).astype(int))
     pieces: list[Array] = []
@@ -219,20 +218,20 @@ def paint_paths_by_time(axes: Axes, trace: Trace, *, linewidth: float = 0.5) -> 
         pieces.extend(trace.pose[span, :, :2].swapaxes(0, 1))
         times.extend([float(t[span].mean())] * n)
     shades = ListedColormap(colormaps["viridis_r"](np.linspace(0.12, 1.0, 256)))
-    ways = LineCollection(pieces, cmap=shades, linewidth=linewidth, zorder=2.0)
-    ways.set_array(np.array(times))
-    ways.set_clim(float(t[0]), max(float(t[-1]), float(t[0]) + 1e-9))
-    axes.add_collection(ways, autolim=False)
-    return ways
+    paths = LineCollection(pieces, cmap=shades, linewidth=linewidth, zorder=2.0)
+    paths.set_array(np.array(times))
+    paths.set_clim(float(t[0]), max(float(t[-1]), float(t[0]) + 1e-9))
+    axes.add_collection(paths, autolim=False)
+    return paths
 
 
 def paint_bodies(
     axes: Axes, trace: Trace, instant: int, colours: Sequence[str], *, is_filled: bool, scale: float
 ) -> None:
-    """The footprints at an instant with a line from the axle to where each heads.
+    """Paint the footprints at an instant, with a line from the axle to the front.
 
-    A robot whose daemon is not there is dotted and pale. `scale` in points a metre: where
-    footprints would be specks they become dots.
+    An absent robot is dotted and pale. `scale` in points a metre: footprints that would be too
+    small become dots.
     """
     is_there = presence(trace)[instant]
     for is_present in (True, False):
@@ -282,7 +281,7 @@ def _paint_rows(
 
 
 def _ink(colour: str) -> str:
-    """White on dark colours, black on light ones."""
+    """A line colour that contrasts: white on dark colours, black on light ones."""
     from matplotlib.colors import to_rgb
 
     red, green, blue = to_rgb(colour)

@@ -175,7 +175,7 @@ def _key(trace: Trace, links: tuple[Array, Array] | None) -> list[tuple[Any, str
         entries.append(mark("s", THING_COLOUR, "0.3", "movable box"))
     if links is not None:
         entries.append((Line2D([], [], color=LINK_COLOUR), f"radio, {radio_range(trace):g} m"))
-    found = [touch.kind for touch in marks_of(trace)]
+    found = [mark.kind for mark in marks_of(trace)]
     is_named = len(trace.ids) <= MAX_NAMED
     faces = {BOTH: CONTACT_COLOUR, ONE: "0.6" if is_named else CONTACT_COLOUR, NONE: "white"}
     for kind, marker in MARKERS.items():

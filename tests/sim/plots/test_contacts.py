@@ -1,4 +1,4 @@
-"""Every touch has one mark, which says who was moving."""
+"""Every contact has one mark, which shows the moving robots."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 Full = Callable[[int], Trace]
 
 
-def test_a_touch_that_lasts_is_one_mark_and_the_arena_is_told_apart(full: Full) -> None:
+def test_a_long_contact_has_one_mark(full: Full) -> None:
     marks = marks_of(full(2))
     assert [(mark.kind, mark.movers) for mark in marks] == [
         (BOTH, (0, 1)),
@@ -52,7 +52,7 @@ def test_each_kind_is_painted_with_all_its_marks(full: Full) -> None:
     assert [len(np.asarray(dots.get_offsets())) for dots in axes.collections] == [2, 1, 1]
 
 
-def test_no_touch_is_no_mark(walk: Walk) -> None:
+def test_without_contacts_there_are_no_marks(walk: Walk) -> None:
     pytest.importorskip("matplotlib")
     axes = new_figure(3.0, 3.0).add_subplot()
     paint_contacts(axes, marks_of(walk(3)), is_by_robot=True, size=8.0)

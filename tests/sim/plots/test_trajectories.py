@@ -49,8 +49,8 @@ def test_each_robot_has_its_line_in_the_legend(walk: Walk) -> None:
 def test_the_legend_tells_who_came_and_went_and_what_marks_mean(full: Full) -> None:
     assert labels(trajectories_figure(full(3), has_links=True)) == [
         *("tb3-00 (from 1 s)", "tb3-01 (to 1.5 s)", "tb3-02", "start", "end", "joins", "leaves"),
-        *("movable box", "radio, 1.5 m", "touch, both moving: 1"),
-        *("touch, one moving (its colour): 1", "touch of wall or box: 1"),
+        *("movable box", "radio, 1.5 m", "contact, both moving: 1"),
+        *("contact, one moving (its colour): 1", "contact with wall or box: 1"),
     ]
 
 
@@ -64,7 +64,7 @@ def test_many_robots_are_coloured_by_time_and_not_named(full: Full) -> None:
     figure = trajectories_figure(full(30))
     assert labels(figure) == [
         *("start", "end", "joins", "leaves", "movable box"),
-        *("touch, both moving: 1", "touch, one moving: 1", "touch of wall or box: 1"),
+        *("contact, both moving: 1", "contact, one moving: 1", "contact with wall or box: 1"),
     ]
     assert [axes.get_ylabel() for axes in figure.axes] == ["y [m]", "time [s]"]
 
