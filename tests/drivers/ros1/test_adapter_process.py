@@ -33,7 +33,7 @@ CONFIG = {
     "master": "http://127.0.0.1:9",
     "name": "r",
     "topics": ["/scan"],
-    "kinds": ["sensor_msgs/LaserScan"],
+    "types": ["sensor_msgs/LaserScan"],
     "command_topic": "/cmd_vel",
     "command": {**COMMANDS, "frame_id": ""},
     "holds": False,

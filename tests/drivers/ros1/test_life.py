@@ -169,7 +169,7 @@ def test_who_was_killed_publishes_no_more_though_the_master_lists_him(roscore: R
         other = body.make({})
         second = asyncio.create_task(other.run(heard_too := CollectingSink()))
         await harness.until(lambda: not harness.sink.is_up)
-        await harness.until(lambda: bool(heard_too.states) and "someone" in why(heard_too))
+        await harness.until(lambda: bool(heard_too.states) and "another node" in why(heard_too))
         os.kill(adapter(other), signal.SIGKILL)
         second.cancel()
         await asyncio.gather(second, return_exceptions=True)

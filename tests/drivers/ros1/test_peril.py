@@ -214,7 +214,7 @@ def test_an_address_that_is_a_nodes_and_no_masters_is_said(roscore: RosCore) -> 
         with _master_of(roscore) as master:
             node = str(_value(master.lookupNode("/test", f"{body.namespace}/robot")))
         driver = body.make({"master": node.rstrip("/")})
-        findings = asyncio.run(driver.check(10.0))
+        findings = asyncio.run(driver.check(4.0))
     assert [finding.is_well for finding in findings] == [False]
     assert f"{node.rstrip('/')} (" in findings[0].text
     assert "correct driver_options.master" in findings[0].text
