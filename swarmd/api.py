@@ -1,4 +1,4 @@
-"""All that the author of a pattern imports."""
+"""Everything that the author of a pattern imports."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""Which patterns, drivers and verbs are installed: names only, nothing of a pattern is imported.
+"""Finds installed patterns, drivers, emulators and verbs by name; imports no pattern.
 
-Found by entry-point group (`swarmd.patterns`, `swarmd.drivers`, `swarmd.emulators`,
-`swarmd.commands`) and, for patterns, as `<plugin_dir>/<name>.py` holding exactly one Pattern;
-`test_*.py` are tests. Missions are patterns too: a `<plugin_dir>/<name>.yaml` with a line
+They are declared by entry points (`swarmd.patterns`, `swarmd.drivers`, `swarmd.emulators`,
+`swarmd.commands`). A file `<plugin_dir>/<name>.py` with exactly one Pattern is a pattern too,
+unless it is called `test_*.py`. So is a mission: a `<plugin_dir>/<name>.yaml` with a line
 `mission: ...`, or one that comes with swarmd. Reading the metadata of all installed packages takes
-40 ms and more, so the command line calls this only where it must.
+40 ms and more, so the command line calls these functions only where it must.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ DRIVERS = "swarmd.drivers"
 COMMANDS = "swarmd.commands"
 EMULATORS = "swarmd.emulators"
 MISSION = ".yaml"
-LARGEST_MISSION = 1 << 20
+MAX_MISSION_SIZE = 1 << 20
 _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
 
 
@@ -43,8 +43,8 @@ _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
 class Origin:
     """Where a pattern comes from.
 
-    `value` is `module:Class`, or the path of a file if `is_file`. `source` says it to a reader:
-    a distribution and its version, or the file. `rival` is another source of the same name.
+    `value` is `module:Class`, or the path of a file if `is_file`. `source` is for people: a
+    distribution and its version, or the file. `rival` is another source of the same name.
     """
 
     value: str
@@ -61,9 +61,9 @@ def installed_patterns() -> Mapping[str, Origin]:
 def pattern_names(
     plugin_dir: Path | None, installed: Mapping[str, Origin] | None = None
 ) -> Mapping[str, Origin]:
-    """All patterns by name, installed and dropped in; PluginError if the folder is not there.
+    """All patterns by name, of packages and of the folder; PluginError if there is no folder.
 
-    `installed` are those of packages, if they were read before.
+    `installed`: the patterns of packages, if they are known already.
     """
     some = _installed() if installed is None else installed.items()
     return _merged((*some, *_dropped_in(plugin_dir)))
@@ -78,7 +78,7 @@ def _merged(origins: Iterable[tuple[str, Origin]]) -> Mapping[str, Origin]:
 
 
 def find_pattern(name: str, plugin_dir: Path | None) -> Origin:
-    """Where the pattern of that name is; PluginError if there is none, or more than one."""
+    """The origin of a pattern; PluginError if there is none of that name, or more than one."""
     found = pattern_names(plugin_dir)
     if name not in found:
         raise UnknownPatternError(
@@ -92,7 +92,7 @@ def check_single(name: str, origin: Origin) -> None:
     """PluginError if two patterns have this name."""
     if origin.rival:
         raise PluginError(
-            f"pattern {name!r} is there twice: {origin.source} and {origin.rival}; rename one"
+            f"two patterns are named {name!r}: {origin.source} and {origin.rival}; rename one"
         )
 
 
@@ -102,12 +102,12 @@ def driver_names() -> tuple[str, ...]:
 
 
 def load_driver(name: str) -> DriverFactory:
-    """The driver of that name, imported: the one kind of plugin the daemon itself runs."""
+    """The driver of that name, imported: the daemon itself runs drivers."""
     return cast("DriverFactory", _load("driver", DRIVERS, name))
 
 
 def load_emulator(name: str) -> EmulatorFactory:
-    """The robots' side of the driver of that name, imported."""
+    """The emulator of that name, imported: the robots' side of a driver."""
     return cast("EmulatorFactory", _load("emulator", EMULATORS, name))
 
 
@@ -146,12 +146,12 @@ def _source_file(module: str) -> Path | None:
 
 
 def load_command(name: str) -> click.Command:
-    """The verb of that name, imported; PluginError if there is none or its needs are missing."""
+    """The verb of that name, imported; PluginError if there is none, or a module is missing."""
     return cast("click.Command", _load("verb", COMMANDS, name))
 
 
 def how_to_install(missing: str, name: str, group: str = COMMANDS) -> str:
-    """The line for a plugin whose module `missing` is not installed."""
+    """One line: the plugin needs the module `missing`, and the command that installs it."""
     point = next(iter(entry_points(group=group, name=name)), None)
     extra = _extra_with(point, missing) if point is not None else None
     dist = point.dist.name if point is not None and point.dist is not None else ""
@@ -171,7 +171,7 @@ def _dropped_in(plugin_dir: Path | None) -> Iterator[tuple[str, Origin]]:
         return
     if not plugin_dir.is_dir():
         raise PluginError(
-            f"plugin_dir is {plugin_dir}, which is no folder; make it or leave it out"
+            f"plugin_dir is {plugin_dir}, which is no folder; make it or leave the option out"
         )
     for path in sorted(plugin_dir.glob("*.py")):
         if is_id(path.stem) and path.is_file() and not path.stem.startswith("test_"):
@@ -181,7 +181,7 @@ def _dropped_in(plugin_dir: Path | None) -> Iterator[tuple[str, Origin]]:
 
 
 def mission_files(folder: Path) -> Iterator[Path]:
-    """The missions of a folder; other YAML files are left alone."""
+    """The missions of a folder; other YAML files are ignored."""
     for path in sorted(folder.glob(f"*{MISSION}")):
         with suppress(OSError):
             if is_id(path.stem) and is_mission(path):
@@ -189,14 +189,14 @@ def mission_files(folder: Path) -> Iterator[Path]:
 
 
 def is_mission(path: Path) -> bool:
-    """Whether a YAML file is taken for a mission: by a line `mission: ...`; OSError if unread.
+    """Whether a YAML file is a mission: it has a line `mission: ...`. OSError if unreadable.
 
-    The guardian asks, so no more is read than a mission may have, and nothing that is no file.
+    The daemon calls this, so it reads at most MAX_MISSION_SIZE bytes, and only regular files.
     """
     if not path.is_file():
         return False
     with path.open("rb") as file:
-        return _HEAD.search(file.read(LARGEST_MISSION)) is not None
+        return _HEAD.search(file.read(MAX_MISSION_SIZE)) is not None
 
 
 def _bad_file_name(name: str, plugin_dir: Path | None) -> str:
@@ -216,7 +216,7 @@ def _load(what: str, group: str, name: str) -> object:
         raise PluginError(unknown(what, name, known))
     if len(points) > 1:
         sources = " and ".join(_source(point) for point in points)
-        raise PluginError(f"{what} {name!r} is there twice: {sources}; uninstall one")
+        raise PluginError(f"two packages have a {what} {name!r}: {sources}; uninstall one")
     try:
         return next(iter(points)).load()
     except (ImportError, AttributeError, SyntaxError) as error:
@@ -225,7 +225,7 @@ def _load(what: str, group: str, name: str) -> object:
         if missing and missing.partition(".")[0] != point.module.partition(".")[0]:
             raise PluginError(how_to_install(missing, name, group)) from error
         text = f"{what} {name!r} of {_source(point)} cannot be loaded: {error}"
-        raise PluginError(f"{text}; install it anew or tell its authors") from error
+        raise PluginError(f"{text}; reinstall it or report it to its authors") from error
 
 
 def _source(point: EntryPoint) -> str:
@@ -233,7 +233,7 @@ def _source(point: EntryPoint) -> str:
 
 
 def _extra_with(point: EntryPoint, module: str) -> str | None:
-    """The extra of the plugin's distribution that brings the module, going by names."""
+    """The extra of the plugin's distribution that brings the module, found by name."""
     root = module.partition(".")[0].lower().replace("_", "-")
     for line in point.dist.requires or () if point.dist is not None else ():
         match = re.match(r"([A-Za-z0-9._-]+).*extra\s*==\s*['\"]([\w-]+)['\"]", line)

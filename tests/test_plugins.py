@@ -68,7 +68,7 @@ def test_finds_an_outsiders_pattern_the_same_way() -> None:
     )
 
 
-def test_finds_patterns_in_the_drop_in_folder_and_leaves_other_files_alone(folder: Path) -> None:
+def test_finds_patterns_in_the_plugin_folder_and_ignores_other_files(folder: Path) -> None:
     for name in ("spin.py", "test_spin.py", "_hidden.py", "Big.py", "notes.txt", "swarm.yaml"):
         (folder / name).touch()
     (folder / "folder.py").mkdir()
@@ -80,7 +80,7 @@ def test_finds_patterns_in_the_drop_in_folder_and_leaves_other_files_alone(folde
     assert spin.source == str(folder / "spin.py")
 
 
-def test_the_guardian_waits_for_nothing_that_is_no_file(folder: Path) -> None:
+def test_only_regular_files_are_read(folder: Path) -> None:
     os.mkfifo(folder / "pipe.yaml")
     (folder / "dir.yaml").mkdir()
     (folder / "nowhere.yaml").symlink_to(folder / "nothing")
@@ -89,26 +89,26 @@ def test_the_guardian_waits_for_nothing_that_is_no_file(folder: Path) -> None:
     assert [name for name, one in plugins.pattern_names(folder, {}).items() if one.is_file] == []
 
 
-def test_a_name_that_is_there_twice_is_listed_and_refused(folder: Path) -> None:
+def test_two_patterns_of_one_name_are_listed_and_refused(folder: Path) -> None:
     (folder / "drive.py").touch()
     assert plugins.pattern_names(folder)["drive"].rival == str(folder / "drive.py")
-    with pytest.raises(PluginError, match=r"'drive' is there twice: swarmd .* and .*; rename one"):
+    with pytest.raises(PluginError, match=r"'drive': swarmd .* and "):
         plugins.find_pattern("drive", folder)
 
 
-def test_an_unknown_pattern_is_answered_with_the_nearest(folder: Path) -> None:
-    with pytest.raises(PluginError, match=r"^no pattern 'driv'; did you mean 'drive'\?$"):
+def test_an_unknown_pattern_is_refused_with_the_nearest_name(folder: Path) -> None:
+    with pytest.raises(PluginError, match=r"'driv'.*'drive'"):
         plugins.find_pattern("driv", folder)
 
 
-def test_a_file_that_no_key_could_name_is_answered_with_the_rule(folder: Path) -> None:
+def test_a_file_name_that_is_no_id_is_refused(folder: Path) -> None:
     (folder / "Big.py").touch()
-    with pytest.raises(PluginError, match=r"Big\.py: the pattern's name is 'Big'; wanted are 1 to"):
+    with pytest.raises(PluginError, match=r"Big\.py"):
         plugins.find_pattern("Big", folder)
 
 
-def test_a_drop_in_folder_that_is_not_there_is_told(folder: Path) -> None:
-    with pytest.raises(PluginError, match="which is no folder; make it or leave it out"):
+def test_a_missing_plugin_folder_is_refused(folder: Path) -> None:
+    with pytest.raises(PluginError, match="own/none"):
         plugins.pattern_names(folder / "none")
 
 
@@ -141,29 +141,29 @@ def test_a_verb_is_summed_up_without_importing_it(verb: str, summary: str) -> No
 @pytest.mark.parametrize(
     ("name", "fault"),
     [
-        ("kitt", r"no driver 'kitt'; did you mean 'kit'\?"),
+        ("kitt", r"no driver 'kitt'.*'kit'"),
         (
             "needy",
-            r"'needy' needs absent, which is not installed; run: pip install 'outsider\[far\]'",
+            r"'needy' needs absent, .*pip install 'outsider\[far\]'",
         ),
-        ("lost", r"driver 'lost' of outsider 2\.1 cannot be loaded: module 'outsider_ok' has no"),
-        ("broken", r"driver 'broken' of outsider 2\.1 cannot be loaded: .*"),
-        ("gone", r"driver 'gone' of outsider 2\.1 cannot be loaded: No module named 'outsider_g"),
+        ("lost", r"driver 'lost' of outsider 2\.1 .*'outsider_ok'"),
+        ("broken", r"driver 'broken' of outsider 2\.1"),
+        ("gone", r"driver 'gone' of outsider 2\.1 .*'outsider_gone'"),
     ],
 )
-def test_a_driver_that_cannot_be_had_is_told_in_one_line(name: str, fault: str) -> None:
+def test_a_driver_that_cannot_be_loaded_is_refused_in_one_line(name: str, fault: str) -> None:
     with pytest.raises(PluginError, match=f"^{fault}") as caught:
         plugins.load_driver(name)
     assert "\n" not in str(caught.value)
 
 
 @pytest.mark.usefixtures("outsider")
-def test_a_verb_whose_needs_are_missing_says_what_installs_them() -> None:
+def test_a_verb_with_missing_modules_names_the_install_command() -> None:
     with pytest.raises(PluginError, match=r"run: pip install 'outsider\[far\]'$"):
         plugins.load_command("far")
 
 
-def test_a_module_that_no_extra_brings_is_named_itself() -> None:
+def test_a_module_of_no_extra_is_named_itself() -> None:
     assert plugins.how_to_install("scapy", "sim").endswith("run: pip install scapy")
 
 

@@ -1,8 +1,8 @@
-"""What flows through one robot: plain values, SI units and radians.
+"""Plain values that pass through one robot, in SI units and radians.
 
 Frames follow REP 103 and 105: x forward, y left, yaw counter-clockwise. Constructors do not
-validate; decoding and configuration do. What is made anew many times a second is a msgspec Struct:
-that takes a tenth of the time of a frozen dataclass (change one with `msgspec.structs.replace`).
+validate; decoding and configuration do. Values made many times a second are msgspec structs: making
+one takes a tenth of the time of a frozen dataclass (change one with `msgspec.structs.replace`).
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Twist(Struct, frozen=True, array_like=True):
 
     @property
     def is_zero(self) -> bool:
-        """True if nothing is to move."""
+        """True if all components are zero."""
         return self.linear == 0.0 and self.angular == 0.0 and self.lateral == 0.0
 
     @property
@@ -51,10 +51,10 @@ ZERO = Twist()
 
 
 class TouchZone(Struct, frozen=True, array_like=True):
-    """Where and how fast a robot may close on what it touches, for patterns that push or dock.
+    """Directions and speed in which a robot may close on an obstacle, to push or to dock.
 
-    The directions in which its outline may press, `bearing` +- `half_width` in rad, of the shortest
-    way from the outline to what is there; `speed` in m/s, the fastest that it may move that way.
+    The outline may touch an obstacle whose direction, along the shortest line from the outline, is
+    within `bearing` +- `half_width` in rad. `speed` in m/s is the limit in these directions.
     """
 
     bearing: float
@@ -63,7 +63,7 @@ class TouchZone(Struct, frozen=True, array_like=True):
 
 
 class Pose(Struct, frozen=True, array_like=True):
-    """Position in m and yaw in rad, in the frame the owner of the value names."""
+    """Position in m and yaw in rad, in the frame that the owner of the value names."""
 
     x: float = 0.0
     y: float = 0.0
@@ -77,12 +77,12 @@ class Pose(Struct, frozen=True, array_like=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scan:
-    """Rays of one sweep in the base frame's directions, measured from the sensor.
+    """Rays of one revolution, in directions of the base frame, measured from the sensor.
 
     `ranges` and `bearings` are (n,) float64 arrays of the same length; n may vary from scan to
-    scan. A range is in m: +inf nothing seen, -inf too close to measure, NaN unknown. `bearings`
-    are in rad, 0 ahead, counter-clockwise positive. `stamp` is the sensor's own clock in s: only
-    its progress means something.
+    scan. A range is in m: +inf no return, -inf too close to measure, NaN unknown. `bearings` are
+    in rad, 0 ahead, counter-clockwise positive. `stamp` is the sensor's own clock in s: compare it
+    only with other stamps of the sensor.
     """
 
     seq: int
@@ -102,10 +102,10 @@ class Odometry(Struct, frozen=True, array_like=True):
 
 
 class Neighbor(Struct, frozen=True, array_like=True):
-    """A robot that is near, as far as it is sensed.
+    """A robot nearby, as far as it is sensed.
 
-    `age` is the time in s since it was heard, to within 0.5 s; `distance` in m, `bearing` and
-    `heading` in rad, relative to this robot; None means not sensed.
+    `age` is the time in s since it was last heard, to within 0.5 s. `distance` in m, `bearing` and
+    `heading` in rad are relative to this robot; None means not sensed.
     """
 
     id: str
@@ -116,7 +116,7 @@ class Neighbor(Struct, frozen=True, array_like=True):
 
 
 class Message(Struct, frozen=True, array_like=True):
-    """What a neighbour's pattern said; `sender` comes from the key, never from the payload."""
+    """A message of a neighbour's pattern; `sender` comes from the key, never from the payload."""
 
     sender: str
     channel: str
@@ -126,14 +126,14 @@ class Message(Struct, frozen=True, array_like=True):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What the base can do: m/s, rad/s, m/s (0 for bases without lateral motion)."""
+    """Limits of the base: m/s, rad/s, m/s (lateral is 0 for bases without lateral motion)."""
 
     linear: float
     angular: float
     lateral: float = 0.0
 
     def clip(self, twist: Twist) -> Twist:
-        """The twist with each component held within its limit; the only place that does so."""
+        """The twist with each component clipped to its limit; no other code does so."""
         linear, angular, lateral = self.linear, self.angular, self.lateral
         if (
             -linear <= twist.linear <= linear
@@ -150,15 +150,14 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class ScanSpec:
-    """What the platform's range sensor is like.
+    """The platform's range sensor.
 
-    `bearings` (n,) rad are the nominal directions, `rate` in Hz, ranges in m, `offset` the
-    sensor's (x, y) in the base frame in m, `max_gap` rad the widest unknown sector that may be
-    bridged, `zero` what a range of exactly 0 means: no_return, too_close, unknown or lds (the
-    rule for the LDS family in `scans.py`), `is_noisy` whether identical scans betray a frozen
-    sensor, `stale_after` in s. `near` says whether the sensor tells of what is nearer than
-    `range_min`, or gives the same as for nothing. `latency` is the mean age of its rays in s when
-    a sweep arrives.
+    `bearings`: (n,) nominal directions in rad. `rate` in Hz, ranges in m. `offset`: the sensor's
+    (x, y) in the base frame in m. `max_gap`: the widest unknown sector in rad that conditioning
+    may bridge. `zero`: the meaning of a range of exactly 0, which is no_return, too_close, unknown
+    or lds (the rule of the LDS family in `sensing/conditioning.py`). `is_noisy`: identical scans
+    reveal a frozen sensor. `near`: whether the sensor reports returns nearer than `range_min`, or
+    loses them as if there were none. `latency`: mean age of the rays in s when a scan arrives.
     """
 
     bearings: Array
@@ -174,12 +173,12 @@ class ScanSpec:
 
     @property
     def stale_after(self) -> float:
-        """Seconds after which a scan is too old: 3.5 nominal periods within 0.35 to 1.0 s."""
+        """Age in s beyond which a scan is stale: 3.5 nominal periods within 0.35 to 1.0 s."""
         return min(max(3.5 / self.rate, 0.35), 1.0)
 
     @property
     def slowest_period(self) -> float:
-        """Seconds between scans beyond which `rate` is not this sensor's."""
+        """Time in s between scans beyond which the sensor does not have this `rate`."""
         return min(2.0 / self.rate, self.stale_after)
 
 
@@ -189,9 +188,9 @@ class Platform:
 
     `footprint` is a (k, 2) convex polygon, counter-clockwise, in the base frame in m.
     `protection` holds the settings of the arbiter: `mode`, the values of the potential field's
-    preset in force, and those of `barrier` and `stop_zone` under these names (None: not given);
-    `patterns` parameters by pattern name; `drivers` options by driver name; `body` what the
-    simulated world needs (mass, heights, wheel base, lidar target radius ...).
+    preset in force, and those of `barrier` and `stop_zone` under these names (None: not given).
+    `patterns`: parameters by pattern name. `drivers`: options by driver name. `body`: values for
+    the simulated robot (mass, heights, wheel base, lidar target radius ...).
     """
 
     name: str
@@ -206,11 +205,11 @@ class Platform:
 
 
 class Inputs(Struct, frozen=True, eq=False, array_like=True):
-    """All that a pattern gets for one step.
+    """Inputs of one step of a pattern.
 
-    `now` in s on the robot's monotonic clock, `dt` the time since its last step (0 at the
-    first). `scan` is the latest conditioned scan (None before the first), `is_new_scan` true
-    once a scan. `messages` are those heard since the last step.
+    `now` is in s on the robot's monotonic clock, `dt` the time since the last step (0 at the
+    first). `scan` is the latest conditioned scan (None before the first); `is_new_scan` is true
+    once for each scan. `messages` are those received since the last step.
     """
 
     now: float
@@ -224,10 +223,11 @@ class Inputs(Struct, frozen=True, eq=False, array_like=True):
 
 
 class Outputs(Struct, frozen=True, array_like=True):
-    """What a pattern gives back from one step.
+    """Outputs of one step of a pattern.
 
-    `twist` None: no wish, the robot stands. `messages` by channel. `report` shows up in
-    members, describe and traces (state, opinion ...). `done` is the reason it has finished.
+    `twist` is the requested command; with None the robot stands still. `messages` are by channel.
+    `report` is shown by members, describe and traces (state, opinion ...). `done`: the reason why
+    the pattern has finished; None while it has not.
     """
 
     twist: Twist | None = None

@@ -1,3 +1,3 @@
-"""Fakes and conformance suites for plugin authors."""
+"""Contracts, rigs and scans for the tests of patterns and drivers."""
 
 from swarmd.testing.pattern_contract import PatternContract as PatternContract

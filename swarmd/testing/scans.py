@@ -1,4 +1,4 @@
-"""Builders of scans, for tests of patterns and of whatever else reads one."""
+"""Builders of scans, for tests of patterns and other code that reads scans."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ORIGIN = Pose()
 
 
 class Disc(NamedTuple):
-    """A round body: centre x, y and radius, in m."""
+    """A round obstacle: centre x, y and radius, in m."""
 
     x: float
     y: float
@@ -23,12 +23,12 @@ class Disc(NamedTuple):
 
 
 def trembling(ranges: Array, seq: int) -> Array:
-    """The ranges (n,) and some micrometres: a lidar that says the same twice is frozen."""
+    """The ranges (n,) plus some micrometres, since two identical scans mean a frozen lidar."""
     return ranges + 1e-6 * (seq % 100)
 
 
 def empty_scan(platform: Platform, seq: int, stamp: float, distance: float = np.inf) -> Scan:
-    """A sweep in which every ray returns `distance` m (+inf: nothing seen), but for some um."""
+    """A scan in which every ray returns `distance` m (+inf: no return), plus some micrometres."""
     spec = platform.scan
     ranges = trembling(np.full(len(spec.bearings), distance), seq)
     return Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max)
@@ -44,7 +44,7 @@ def scan_of(
     noise: float = 0.0,
     rng: Generator | None = None,
 ) -> Scan:
-    """What the platform's lidar sees at `pose` of discs, in a square room of that side.
+    """The scan of the platform's lidar at `pose` among discs, in a square room of that side.
 
     Discs and room, which is centred, are in the frame of `pose`; by default the robot is at its
     origin. `noise` is the standard deviation in m. A range beyond range_max is +inf, one below
@@ -77,7 +77,7 @@ def scan_from(platform: Platform, ranges: Array, bearings: Array, *, seq: int = 
 
 
 def odd_scans(platform: Platform) -> Mapping[str, Scan]:
-    """Scans that no pattern may stumble over, by what is odd about them."""
+    """Odd scans that every pattern must handle, by their oddity."""
     bearings = platform.scan.bearings
     n = len(bearings)
     rng = np.random.default_rng(0)

@@ -25,11 +25,11 @@ class TestPush(PatternContract):
     pattern = load()
 
 
-def test_it_may_touch_all_that_it_asks_for_as_its_text_says_it_is_granted() -> None:
-    granted = TouchZone(0.0, math.radians(20.0), 0.1)  # what its own text tells to configure
+def test_the_grant_in_its_docstring_covers_its_zone() -> None:
+    granted = TouchZone(0.0, math.radians(20.0), 0.1)  # as its docstring configures it
     assert "touch: {push: {half_width_deg: 20, speed: 0.1}}" in (EXAMPLES / "push.py").read_text()
     assert effective_zone("push", load().touches, granted)[0] == granted
 
 
-def test_it_is_not_led_around_what_it_pushes() -> None:
+def test_its_recovery_is_off() -> None:
     assert load().params_type().recovery is False

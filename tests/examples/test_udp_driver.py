@@ -117,14 +117,14 @@ class TestUdpDriver(DriverContract):
         return UdpBase()
 
 
-def test_a_base_that_is_no_address_is_refused() -> None:
+def test_a_base_without_a_port_is_refused() -> None:
     base = UdpBase()
-    with pytest.raises(ConfigError, match=r"base is nowhere; wanted is such as 10\.0\.0\.7:9000"):
+    with pytest.raises(ConfigError, match="nowhere"):
         base.make({"base": "nowhere"})
     base.close()
 
 
-def test_a_stopper_can_say_zero_with_it() -> None:
+def test_its_zero_sender_sends_zero() -> None:
     base = UdpBase()
     driver = base.make({})
     spec = driver.zero_sender()  # type: ignore[attr-defined]

@@ -1,4 +1,4 @@
-"""Stop and estop while a pattern is being loaded: what comes ready later moves nothing."""
+"""Stop and estop while a pattern is being loaded: the pattern then moves nothing."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.integration
     ],
 )
 @pytest.mark.parametrize("is_driving", [True, False])
-def test_halting_while_a_pattern_is_being_loaded_cancels_it(
+def test_a_stop_while_a_pattern_is_loaded_cancels_the_load(
     robot: Bench, verb: Literal["stop", "estop"], state: State, reason: Reason, is_driving: bool
 ) -> None:
     if is_driving:
@@ -49,7 +49,7 @@ def test_halting_while_a_pattern_is_being_loaded_cancels_it(
     assert (status.state, status.reason) == (state, reason)
 
 
-def test_a_pattern_whose_import_takes_a_second_is_loaded_and_drives(robot: Bench) -> None:
+def test_a_pattern_that_imports_for_a_second_is_loaded_and_drives(robot: Bench) -> None:
     moving = robot.drive()
     asked = boottime()
     assert robot.run("slow_import").code is Code.APPLIED

@@ -1,4 +1,4 @@
-"""Patterns that fail in every way: the body stops, the guardian lives, the reason is right."""
+"""Patterns that fail in every way: the robot stops, the daemon lives, the reason is right."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.integration
 
 
-def test_a_killed_host_stops_the_body_at_once_and_its_pattern_comes_back(robot: Bench) -> None:
+def test_a_killed_host_stops_the_robot_and_its_pattern_restarts(robot: Bench) -> None:
     instance, pids = robot.status().epoch.instance, list[int]()
 
     def kill() -> float:
@@ -44,7 +44,7 @@ def test_a_killed_host_stops_the_body_at_once_and_its_pattern_comes_back(robot: 
     robot.lives(instance)
 
 
-def test_a_stopped_host_is_outlived_by_its_wish_then_replaced(robot: Bench) -> None:
+def test_the_command_of_a_frozen_host_expires_and_the_host_is_replaced(robot: Bench) -> None:
     instance, pids = robot.status().epoch.instance, list[int]()
 
     def stop() -> float:
@@ -67,7 +67,7 @@ def test_a_stopped_host_is_outlived_by_its_wish_then_replaced(robot: Bench) -> N
     robot.lives(instance)
 
 
-def test_an_endless_loop_stops_the_body_and_never_the_guardian(robot: Bench) -> None:
+def test_an_endless_loop_stops_the_robot_and_not_the_daemon(robot: Bench) -> None:
     instance = robot.status().epoch.instance
     back = robot.drive_until_restarted("looper")
     robot.await_reason(Reason.COMMAND_EXPIRED, back.began)
@@ -80,7 +80,7 @@ def test_an_endless_loop_stops_the_body_and_never_the_guardian(robot: Bench) -> 
     robot.lives(instance)
 
 
-def test_a_guardian_whose_pattern_hangs_answers_and_keeps_its_beat(robot: Bench) -> None:
+def test_a_daemon_whose_pattern_hangs_answers_and_keeps_its_tick(robot: Bench) -> None:
     moving = robot.drive("looper")
     instance = robot.status().epoch.instance
     robot.await_reason(Reason.COMMAND_EXPIRED, moving.at)
@@ -88,7 +88,7 @@ def test_a_guardian_whose_pattern_hangs_answers_and_keeps_its_beat(robot: Bench)
     assert robot.status().health.loop_stalls == 0
 
 
-def test_an_operator_can_stop_a_pattern_that_hangs_and_run_another(robot: Bench) -> None:
+def test_an_operator_can_stop_a_hanging_pattern_and_run_another(robot: Bench) -> None:
     moving = robot.drive("looper")
     robot.body.wait_zero(moving.at)  # hangs since 0.3 s
 
@@ -101,7 +101,7 @@ def test_an_operator_can_stop_a_pattern_that_hangs_and_run_another(robot: Bench)
     assert robot.status().pattern == "drive"
 
 
-def test_a_pattern_that_keeps_raising_is_restarted_with_backoff_then_quarantined(
+def test_a_pattern_that_keeps_raising_backs_off_then_is_quarantined(
     robot: Bench,
 ) -> None:
     instance = robot.status().epoch.instance
@@ -138,7 +138,7 @@ def test_a_pattern_that_keeps_raising_is_restarted_with_backoff_then_quarantined
         ("babbler", "the pattern host sent an unreadable frame"),
     ],
 )
-def test_a_pattern_that_keeps_ending_its_host_is_quarantined_for_the_right_reason(
+def test_a_pattern_that_keeps_ending_its_host_is_quarantined(
     robot: Bench, pattern: str, why: str
 ) -> None:
     instance = robot.status().epoch.instance
@@ -152,7 +152,7 @@ def test_a_pattern_that_keeps_ending_its_host_is_quarantined_for_the_right_reaso
     robot.lives(instance)
 
 
-def test_a_pattern_that_floods_the_guardian_neither_blinds_nor_binds_it(robot: Bench) -> None:
+def test_a_pattern_that_floods_the_daemon_does_not_block_it(robot: Bench) -> None:
     moving = robot.drive("flooder")
     instance = robot.status().epoch.instance
     robot.body.wait(lambda command: command.scan_seq > moving.scan_seq + 5, moving.at)
@@ -166,7 +166,7 @@ def test_a_pattern_that_floods_the_guardian_neither_blinds_nor_binds_it(robot: B
     robot.lives(instance)
 
 
-def test_a_child_that_a_dying_pattern_leaves_behind_hides_nothing_and_dies_too(
+def test_a_child_of_an_ended_pattern_is_killed_and_hides_nothing(
     robot: Bench,
 ) -> None:
     instance = robot.status().epoch.instance
@@ -181,7 +181,7 @@ def test_a_child_that_a_dying_pattern_leaves_behind_hides_nothing_and_dies_too(
     robot.lives(instance)
 
 
-def test_what_a_pattern_prints_goes_to_the_log_and_disturbs_nothing(robot: Bench) -> None:
+def test_output_of_a_pattern_goes_to_the_log(robot: Bench) -> None:
     moving = robot.drive("talker")
     robot.body.wait(lambda command: command.scan_seq > moving.scan_seq + 5, moving.at)
     status = robot.status()
@@ -191,7 +191,7 @@ def test_what_a_pattern_prints_goes_to_the_log_and_disturbs_nothing(robot: Bench
     assert robot.daemon.out.read_bytes() == b""
 
 
-def test_an_import_that_never_ends_stops_a_driving_robot_and_is_given_up(robot: Bench) -> None:
+def test_an_endless_import_stops_a_driving_robot_and_is_given_up(robot: Bench) -> None:
     moving = robot.drive()
     instance = robot.status().epoch.instance
 
@@ -207,7 +207,7 @@ def test_an_import_that_never_ends_stops_a_driving_robot_and_is_given_up(robot: 
     robot.drive()
 
 
-def test_an_import_that_never_ends_leaves_an_idle_robot_idle(robot: Bench) -> None:
+def test_an_endless_import_leaves_an_idle_robot_idle(robot: Bench) -> None:
     asked = boottime()
     before = robot.status()
     reply = robot.run("endless_import")

@@ -1,4 +1,4 @@
-"""Classes from files: as they are when a load begins, and the same ones until the next."""
+"""Classes from files: read when a load begins, and kept until the next load."""
 
 from __future__ import annotations
 
@@ -39,24 +39,24 @@ parameters: {speed: go.speed}
 """
 
 
-def begun(finder: PatternLoader, folder: Path) -> Pattern[Params]:
-    """The mission, as a host would load it."""
+def load_mission(loader: PatternLoader, folder: Path) -> Pattern[Params]:
+    """The mission as a host loads it."""
     found = pattern_names(folder)
-    finder.begin({name: (origin.value, origin.is_file) for name, origin in found.items()})
+    loader.begin({name: (origin.value, origin.is_file) for name, origin in found.items()})
     return assemble(
         "mission",
         (),
-        find=finder,
+        find=loader,
         robot="robot-1",
         platform=load_platform("waffle_pi"),
         rng=np.random.default_rng(0),
     ).pattern
 
 
-def test_a_mission_has_its_parts_as_they_are_when_it_is_loaded(tmp_path: Path) -> None:
-    finder = PatternLoader({})
+def test_a_mission_takes_its_parts_from_the_files_at_its_load(tmp_path: Path) -> None:
+    loader = PatternLoader({})
     (tmp_path / "mission.yaml").write_text(MISSION)
     for speed in (0.1, 0.2):
         (tmp_path / "own.py").write_text(CODE.replace("SPEED", str(speed)))
-        assert getattr(begun(finder, tmp_path).params, "speed") == speed  # noqa: B009
+        assert getattr(load_mission(loader, tmp_path).params, "speed") == speed  # noqa: B009
     assert (tmp_path / "own.count").read_text() == "11"  # once a load

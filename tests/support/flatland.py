@@ -1,7 +1,7 @@
-"""A swarm on paper: patterns that see each other and move, without physics or protection.
+"""A swarm in the plane: patterns that see each other and move, without physics or protection.
 
-Bodies are points with a round lidar housing that the others see. Enough to watch what a pattern
-does in closed loop, in a second and without MuJoCo; not to find out whether robots touch.
+Robots are points with a round lidar housing that the others see. It shows within a second, and
+without MuJoCo, what a pattern does in closed loop, but not whether robots touch.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _ACCELERATION = (1.0, 4.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Course:
-    """What happened, every 0.1 s: (t, n, 3) poses, (t, n) speeds, (t, n) nearest ranges in m."""
+    """A record every 0.1 s: (t, n, 3) poses, (t, n) speeds, (t, n) nearest ranges in m."""
 
     poses: Array
     speeds: Array
@@ -33,8 +33,8 @@ class Course:
 class Flatland:
     """Robots of one platform in a square room; `poses` (n, 3) x, y, yaw.
 
-    Patterns are stepped at 10 Hz, lidars spin at the platform's rate, each in its own phase.
-    What one says all others hear a step later.
+    Patterns are stepped at 10 Hz; lidars spin at the platform's rate, each in its own phase. All
+    others receive a message one step later.
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class Flatland:
         self._scan_due = self._rng.uniform(0.0, 1.0 / platform.scan.rate, len(patterns))
 
     def run(self, seconds: float) -> Course:
-        """Go on for so long."""
+        """Simulate so many seconds."""
         poses, speeds, nearest = [], [], []
         for _ in range(round(seconds / _PERIOD)):
             nearest.append(self._step())
@@ -71,7 +71,7 @@ class Flatland:
     def _step(self) -> list[float]:
         now = _PERIOD * self._tick
         said = [dict(outputs.messages) for outputs in self.outputs]
-        is_new = [self._look(robot, now) for robot in range(len(self.patterns))]
+        is_new = [self._scan_if_due(robot, now) for robot in range(len(self.patterns))]
         for robot, pattern in enumerate(self.patterns):
             messages = tuple(
                 Message(self.patterns[other].context.robot, channel, value, _PERIOD)
@@ -91,7 +91,7 @@ class Flatland:
         self._tick += 1
         return [math.inf if s is None else float(np.min(s.ranges)) for s in self._scans]
 
-    def _look(self, robot: int, now: float) -> bool:
+    def _scan_if_due(self, robot: int, now: float) -> bool:
         if now < self._scan_due[robot]:
             return False
         self._scan_due[robot] += 1.0 / self.platform.scan.rate

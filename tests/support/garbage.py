@@ -1,4 +1,4 @@
-"""Bytes that no reader may take for a message, made from a message that is one."""
+"""Bytes that every decoder must refuse, made from a valid message."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ def truncated(rng: random.Random, valid: bytes, limit: int) -> bytes:
 
 
 def trailed(rng: random.Random, valid: bytes, limit: int) -> bytes:
-    """The message, and something after it."""
+    """The message with bytes after it."""
     return valid + rng.randbytes(rng.randrange(1, 9))
 
 
 def oversized(rng: random.Random, valid: bytes, limit: int) -> bytes:
-    """The message, and more after it than its key may carry."""
+    """The message with more bytes after it than its key may carry."""
     return valid + bytes(limit)
 
 

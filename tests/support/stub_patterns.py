@@ -1,4 +1,4 @@
-"""Small patterns that each do one thing, and a robot that already runs one: for tests of robots."""
+"""Patterns that each do one thing, and a robot that runs one of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.support.robot_harness import RobotHarness
 
 
 class SpeedParams(Params, frozen=True):
-    """How fast `Forward` drives."""
+    """Parameters of `Forward`."""
 
     speed: Annotated[float, about("forward", ge=-1.0, le=1.0, unit="m/s")] = 0.2
 
@@ -32,7 +32,7 @@ class Raiser(Pattern[Params]):
     count = 0
 
     def step(self, inputs: Inputs) -> Outputs:
-        """See the class."""
+        """As the class says."""
         self.count += 1
         if self.count % 3 == 0:
             raise ZeroDivisionError("on purpose")
@@ -40,32 +40,32 @@ class Raiser(Pattern[Params]):
 
 
 class Finisher(Pattern[Params]):
-    """Is done after the fifth step."""
+    """Finishes at the fifth step."""
 
     count = 0
 
     def step(self, inputs: Inputs) -> Outputs:
-        """See the class."""
+        """As the class says."""
         self.count += 1
         return Outputs(Twist(0.1), done="arrived" if self.count == 5 else None)
 
 
 class NotFinite(Pattern[Params]):
-    """Wishes something that is no number."""
+    """Commands NaN."""
 
     def step(self, inputs: Inputs) -> Outputs:
-        """See the class."""
+        """As the class says."""
         return Outputs(Twist(float("nan")))
 
 
 class Listener(Pattern[Params]):
-    """Says and hears integers."""
+    """Sends and receives integers."""
 
     channels: Mapping[str, type] = {"count": int}
     heard: tuple[object, ...] = ()
 
     def step(self, inputs: Inputs) -> Outputs:
-        """See the class."""
+        """As the class says."""
         self.heard += tuple((m.sender, m.value) for m in inputs.messages)
         return Outputs(messages={"count": 3, "other": 1}, report={"heard": str(self.heard)})
 
@@ -80,7 +80,7 @@ PATTERNS: dict[str, type[Pattern[Any]]] = {
 
 
 def started(pattern: str = "forward", **params: float) -> RobotHarness:
-    """A story half a second after its robot was told to run one of PATTERNS."""
+    """A harness half a second after its robot was asked to run one of PATTERNS."""
     story = RobotHarness(patterns=PATTERNS)
     story.advance(1.0)
     reply = story.ask("run", pattern=pattern, params=params)
