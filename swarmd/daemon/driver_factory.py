@@ -46,7 +46,7 @@ def _watched(
     if base.idle_output == "silent":
         raise ConfigError(
             f"driver {settings.driver}: idle_output is silent, but command_timeout counts as none"
-            " where none is given; add command_timeout: base, or its seconds, if this base has a timeout"
+            " where it is not given; add command_timeout: base, or its seconds"
         )
     if not isinstance(driver, ZeroSenderProvider):
         raise ConfigError(
