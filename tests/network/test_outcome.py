@@ -1,16 +1,17 @@
-"""Who was meant, who answered, and what the command makes of it."""
+"""Targeted robots, their replies, and the exit code."""
 
 from __future__ import annotations
 
 import pytest
 
-from swarmd.core.messages import Code, Condition, Epoch, Member, Reply
+from swarmd.core.messages import Code, Condition, Epoch, Member, Refusal, Reply
 from swarmd.network.outcome import (
     FAILED,
     NO_TARGET,
     PARTIAL,
     REFUSED,
     TIMEOUT,
+    USAGE,
     Acks,
     expected_to_run,
     expected_to_stop,
@@ -58,7 +59,29 @@ def test_the_exit_code(codes: dict[str, Code], expected: tuple[str, ...], exit_c
     assert acks(**codes).outcome(expected).exit_code == exit_code
 
 
-def test_the_line_names_who_did_not() -> None:
+@pytest.mark.parametrize(
+    ("refusals", "exit_code"),
+    [
+        ((Refusal.UNKNOWN_PATTERN, Refusal.UNKNOWN_PATTERN), USAGE),
+        ((Refusal.INVALID_PARAMETER, Refusal.INVALID_PARAMETER), USAGE),
+        ((Refusal.STALE_EPOCH, Refusal.STALE_EPOCH), REFUSED),
+        ((Refusal.UNKNOWN_PATTERN, Refusal.BUSY), REFUSED),
+        ((Refusal.UNKNOWN_PATTERN, None), PARTIAL),
+    ],
+)
+def test_a_mistake_that_every_robot_refuses_is_usage(
+    refusals: tuple[Refusal | None, ...], exit_code: int
+) -> None:
+    found = Acks("q")
+    for name, refusal in zip("ab", refusals, strict=True):
+        code = APPLIED if refusal is None else NO
+        found.on_reply(name, Reply(id="q", robot=name, code=code, refusal=refusal, text="why"))
+    outcome = found.outcome(("a", "b"))
+    assert outcome.exit_code == exit_code
+    assert bool(outcome.mistake) is (exit_code == USAGE)
+
+
+def test_the_line_names_robots_that_did_not_apply() -> None:
     found = acks(a=APPLIED, b=NO, c=BAD)
     assert found.outcome(("a", "b", "c", "d", "e")).line == (
         "5 targeted, 1 applied, 1 refused (b), 1 failed (c), 2 no answer (d, e)"

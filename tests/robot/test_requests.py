@@ -6,10 +6,19 @@ import pytest
 
 from swarmd.api import Outputs, Twist
 from swarmd.core.host_messages import KillHost, Loaded, Stepped
-from swarmd.core.messages import Code, Epoch, Latch, Reason, State, StopRequest
+from swarmd.core.messages import Code, Epoch, Latch, Reason, Refusal, State, StopRequest
 from swarmd.robot.latches import MAX_HELD
 from tests.support.robot_harness import RobotHarness
-from tests.support.stub_patterns import PATTERNS, standing_state, started
+from tests.support.stub_patterns import PATTERNS, Forward, standing_state, started
+
+
+class NeedsRadio(Forward):
+    needs = frozenset({"radio"})
+
+
+class Broken(Forward):
+    def __init__(self, *args: object) -> None:
+        raise ZeroDivisionError("on purpose")
 
 
 def test_stale_epoch_is_refused_and_names_the_operator() -> None:
@@ -232,3 +241,48 @@ def test_many_latches_of_a_peer_change_the_robot_once() -> None:
     assert harness.epoch.revision == revision
     assert harness.status.state is State.ESTOPPED
     assert harness.status.detail == "by eve"
+
+
+@pytest.mark.parametrize(
+    ("verb", "fields", "refusal"),
+    [
+        ("run", {"pattern": "nothing"}, Refusal.UNKNOWN_PATTERN),
+        ("run", {"pattern": "forward", "params": {"pace": 1}}, Refusal.INVALID_PARAMETER),
+        ("run", {"pattern": "forward", "params": {"speed": 9}}, Refusal.INVALID_PARAMETER),
+        ("run", {"pattern": "forward", "until": ("someday",)}, Refusal.INVALID_CONDITION),
+        ("run", {"pattern": "radio"}, Refusal.MISSING_SENSOR),
+        ("run", {"pattern": "broken"}, Refusal.PATTERN_FAILED),
+        ("param", {"params": {"speed": 9}}, Refusal.INVALID_PARAMETER),
+        ("param", {"params": {"pace": 1}}, Refusal.INVALID_PARAMETER),
+        ("reload", {"pattern": "nothing"}, Refusal.UNKNOWN_PATTERN),
+    ],
+)
+def test_each_refused_request_has_its_code(
+    verb: str, fields: dict[str, object], refusal: Refusal
+) -> None:
+    harness = RobotHarness(patterns={**PATTERNS, "radio": NeedsRadio, "broken": Broken})
+    harness.advance(1.0)
+    harness.ask("run", pattern="forward")
+    reply = harness.ask(verb, **fields)
+    assert reply is not None
+    assert (reply.code, reply.refusal) == (Code.REFUSED, refusal), reply.text
+    harness.advance(0.5)
+    assert harness.twist == Twist(0.2)
+
+
+def test_each_state_refuses_with_its_code() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+
+    def refusal(verb: str, **fields: object) -> Refusal | None:
+        reply = harness.ask(verb, **fields)
+        assert reply is not None
+        return reply.refusal
+
+    assert refusal("param", params={"speed": 0.1}) is Refusal.NOT_RUNNING
+    harness.ask("estop", id="e1")
+    assert refusal("run", pattern="forward") is Refusal.ESTOPPED
+    assert refusal("reset") is Refusal.ESTOPPED
+    assert refusal("reset", ids=("e1",)) is None
+    harness.carry_out(harness.robot.on_duplicate("instance b", harness.now))
+    assert refusal("run", pattern="forward") is Refusal.FAULTED
+    assert refusal("reset") is Refusal.DUPLICATE_ID
