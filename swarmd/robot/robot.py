@@ -254,8 +254,9 @@ class Robot:
         """Load a failed pattern again once its backoff is over."""
         run = self._lifecycle.pattern_run
         running = run.running
-        is_due = run.restart_at is not None and effects.now >= run.restart_at
-        if running is not None and is_due and effects.host is None:
+        if run.restart_at is None or effects.now < run.restart_at:
+            return
+        if running is not None and effects.host is None:
             params, until = running.params, running.until
             self._lifecycle.start_run(running.pattern, params, effects, until=until)
 
