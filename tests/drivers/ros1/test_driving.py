@@ -211,6 +211,35 @@ def test_a_new_adapter_is_begun_with_zero_and_told_what_the_one_before_has_left(
     play(monkeypatch, story)
 
 
+def test_an_adapter_that_had_its_base_is_replaced_after_the_first_pause(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        for count in range(1, 8):
+            scene.rise()
+            assert scene.command() == FIRST
+            scene.adapter.is_dead = True
+            await asyncio.sleep(ros1.FIRST_PAUSE + 0.2)
+            assert len(scene.started) == count + 1, "however often it has ended"
+
+    play(monkeypatch, story)
+
+
+def test_an_adapter_without_a_base_is_replaced_after_growing_pauses(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        for pause in (0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 5.0, 5.0):
+            known = len(scene.started)
+            scene.adapter.is_dead = True
+            await asyncio.sleep(pause - 0.01)
+            assert len(scene.started) == known
+            await asyncio.sleep(0.22)
+            assert len(scene.started) == known + 1
+
+    play(monkeypatch, story)
+
+
 def test_what_cannot_be_read_or_is_of_another_type_is_counted_and_no_sign_of_life(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

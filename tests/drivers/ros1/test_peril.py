@@ -20,7 +20,6 @@ import pytest
 from swarmd.core.values import Twist
 from swarmd.driver_api.command_gate import ZERO_REPEAT_TIME
 from swarmd.drivers.ros.messages import LaserScan
-from swarmd.drivers.ros1 import driver as ros1
 from swarmd.drivers.ros1.adapter_process import SILENCE, STOPPING
 from swarmd.drivers.ros1.serialization import definition, type_name
 from swarmd.testing.driver_contract import CollectingSink, DriverHarness
@@ -86,24 +85,6 @@ def test_a_guardian_that_was_silent_is_not_obeyed_before_enough_zeros(roscore: R
         daemon.send_signal(signal.SIGCONT)
         wait_until(lambda: any(not twist.is_zero for twist in body.commands()), "it drives again")
         assert time.monotonic() - begin > 0.75 * STOPPING
-
-
-def test_a_base_is_not_left_alone_for_longer_the_oftener_its_adapter_dies(
-    roscore: RosCore, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(ros1, "FIRST_PAUSE", 0.5)
-    monkeypatch.setattr(ros1, "LONGEST_PAUSE", 100.0)
-
-    async def story(harness: DriverHarness, body: RosRobot) -> None:
-        for _ in range(7):
-            await drive(harness, body)
-            os.kill(adapter(harness.driver), signal.SIGKILL)
-            await harness.until(lambda: not harness.sink.is_up)
-            while not (await harness.command()).is_zero:
-                pass  # on its way when the adapter was killed
-            await harness.until(lambda: harness.sink.is_up)
-
-    play(RosRobot(roscore), story)
 
 
 def test_who_connects_and_says_nothing_keeps_no_base_away(roscore: RosCore) -> None:
