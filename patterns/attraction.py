@@ -1,21 +1,22 @@
 """Attraction: the robots gather in one cluster.
 
 Source of law "paper": Kaiser et al., ICRA 2022, pattern "attraction", and its code ROS2swarm: an
-attractive potential field over all that the lidar sees, always at full speed, so that it never
-settles and is drawn to walls more than to robots.
+attractive potential field over all returns of the lidar, always at full speed. It never settles,
+and walls attract more than robots.
 
-Law "settling" is ours. A robot is drawn only to what may be a robot: objects no wider than
-`object_width` that nothing nearer hides, the farther the more, as in the paper. What is near only
-limits the speed towards it, so that it slides past, and once little pull is left it rests.
+Law "settling" is ours. Only objects that may be robots attract: no wider than `object_width` and
+hidden by nothing nearer; the farther, the stronger, as in the paper. Near obstacles limit only the
+speed towards them, so that the robot slides past. It rests once the pull is small.
 
-That alone would leave a row a row, for its robots hide one another. So one that has fewer than
-three others beside it, though it sees or hears of more, now and then rolls along the outside of
-the group until it has three, as atoms do on a crystal; the first time even on its way, if all that
-it sees lies in line. Its patience doubles from try to try and only seeing more than ever renews it,
-so that the swarm comes to rest. One with few in sight at last leads away to look for the others.
+That alone would leave a row a row, since its robots hide one another. So a robot with fewer than
+three adjacent robots, although it sees more or receives messages from more, from time to time rolls
+along the outside of the group until it has three, as atoms do on a crystal; the first time even
+before it settles, if all robots in sight lie in line. The time between tries doubles with each, and
+is reset only when more robots than ever are in sight, so that the swarm comes to rest. A robot with
+few others in sight finally leads away to search for the rest.
 
-Limits: a robot within some 0.2 m of a wall is not told from it, a pillar is taken for a robot, and
-groups that are further apart than `range` find each other by chance alone.
+Limits: a robot within about 0.2 m of a wall is not distinguished from it, a pillar counts as a
+robot, and groups farther apart than `range` meet only by chance.
 """
 
 from __future__ import annotations
@@ -53,29 +54,28 @@ from swarmd.api import (
 )
 
 # Pull, as a share of full speed, below which a moving robot stops and above which it starts.
-_DOZE, _WAKE = 0.12, 0.25
-# Within so many times `spacing` another is beside it; on the rim of a hexagon each has three.
-_BESIDE, _ENOUGH = 1.25, 3
-# All that it sees lies in line if the mean of exp(2i bearing) is longer: within some 20 degrees.
-_IN_LINE = 0.7
-# Slower than this share of full speed it turns away from what is in its way while it searches.
-_SLOW = 0.25
-# Two others are to its sides if the sine between them is larger.
-_ASIDE = 0.3
-# How long it rolls, in s.
+_STOP_PULL, _START_PULL = 0.12, 0.25
+# Robots within so many times `spacing` are adjacent; on the rim of a hexagon each has three.
+_ADJACENT_SPACINGS, _MIN_ADJACENT = 1.25, 3
+# All robots lie in line if the mean of exp(2i bearing) is longer: within about 20 degrees.
+_MIN_ALIGNMENT = 0.7
+# Below this share of full speed a searching robot turns away from the obstacle instead.
+_MIN_SEARCH_SPEED = 0.25
+# Two adjacent robots are on different sides if the sine of the angle between them is larger.
+_MIN_SIDE_SINE = 0.3
+# s: duration of a roll.
 _ROLL_TIME = 8.0
-# With so few in sight it may have lost the rest. How long it then leads, in s, and how fast.
-_FEW = 2
+# With so few robots in sight the rest may be lost. s and share of full speed for which it leads.
+_FEW_ROBOTS = 2
 _LEAD_TIME, _LEAD_SPEED = 12.0, 0.6
-# How long, in s, it rests before it rolls: the first time; when it leads instead, if it sees few;
-# and when it never tries again. Each try doubles it.
-_PATIENCE, _PATIENCE_LEAD, _PATIENCE_MAX = 0.5, 10.0, 40.0
-# While searching the heading drifts by up to so much, rad, for so long, s.
-_DRIFT = 0.4
-_DRIFT_TIME = (2.0, 5.0)
-# Nearer than this share of `range` an object is seen with what is beside it: beyond, a wall that
-# is half out of range comes in pieces.
-_SURE = 0.95
+# s at rest before it rolls the first time; above which it leads instead, if few are in sight; and
+# above which it tries no more. Each try doubles it.
+_FIRST_REST_TIME, _LEAD_REST_TIME, _MAX_REST_TIME = 0.5, 10.0, 40.0
+# While searching the heading drifts by up to so many rad, for so many s.
+_MAX_DRIFT = 0.4
+_DRIFT_TIMES = (2.0, 5.0)
+# Beyond this share of `range` the lidar sees only parts of an object, such as a wall.
+_MAX_RANGE_SHARE = 0.95
 
 
 class AttractionParams(Params, frozen=True):
@@ -85,7 +85,7 @@ class AttractionParams(Params, frozen=True):
         Literal["settling", "paper"],
         about(
             "settling: comes to rest at a spacing; paper: the original equations",
-            source="ours: the original drives at full speed for ever",
+            source="ours: the original drives at full speed forever",
         ),
     ] = "settling"
     speed: TopSpeed = 0.2
@@ -93,11 +93,11 @@ class AttractionParams(Params, frozen=True):
     range: Annotated[
         float,
         about(
-            "how far it is drawn to robots",
+            "distance up to which robots attract",
             ge=0.1,
             le=100.0,
             unit="m",
-            source="ours: all that the lidar reaches, so that no group is left behind",
+            source="ours: the range of the lidar, so that no group is left behind",
         ),
     ] = 3.5
     spacing: Annotated[
@@ -108,13 +108,13 @@ class AttractionParams(Params, frozen=True):
             le=20.0,
             unit="m",
             source="ours: 1.06 times the protection threshold plus 1.3 times the lidar's offset, "
-            "so that turning on the spot does not wake protection",
+            "so that turning in place does not activate protection",
         ),
     ] = 0.65
     slack: Annotated[
         float,
         about(
-            "how much nearer than spacing another may come before it is given way",
+            "how much nearer than spacing another robot may come before this one backs off",
             ge=0.0,
             le=5.0,
             unit="m",
@@ -124,7 +124,7 @@ class AttractionParams(Params, frozen=True):
     brake: Annotated[
         float,
         about(
-            "distance over which the speed towards something falls to zero",
+            "distance over which the speed towards an obstacle falls to zero",
             ge=0.05,
             le=5.0,
             unit="m",
@@ -134,7 +134,7 @@ class AttractionParams(Params, frozen=True):
     object_width: Annotated[
         float,
         about(
-            "what is wider is no robot",
+            "a wider object is not a robot",
             ge=0.05,
             le=10.0,
             unit="m",
@@ -151,7 +151,9 @@ class AttractionParams(Params, frozen=True):
     ] = -1.0
     rays: Annotated[
         int,
-        about("law paper: alone if no more rays see anything", ge=0, le=10000, source="ROS2swarm"),
+        about(
+            "law paper: alone if at most so many rays return", ge=0, le=10000, source="ROS2swarm"
+        ),
     ] = 1
     linear_if_alone: Annotated[
         float,
@@ -165,20 +167,20 @@ class AttractionParams(Params, frozen=True):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _View:
-    """What one scan shows, seen from the base.
+class _Surroundings:
+    """The robots and near surfaces in one scan, in the base frame.
 
-    `points` (p, 2) where surfaces are near and `robots` (k, 2) what may be robots: range, bearing.
-    `seen` counts these with the half hidden, `beside` those that are near. `pull` (2,) is all that
-    draws it, at most 1 long; `free` is the length of what near surfaces leave of it. `is_line`:
-    all robots lie on one line through this one.
+    `points` (p, 2) of near surfaces and `robots` (k, 2): range, bearing. `seen` counts the robots
+    and those partly hidden, `adjacent` the near ones. `pull` (2,) is the sum of all attraction, at
+    most 1 long; `free` is its length after `keep_clear`. `is_line`: all robots lie on one line
+    through this one.
     """
 
     scan: Scan
     points: Array
     robots: Array
     seen: int
-    beside: int
+    adjacent: int
     pull: Array
     free: float
     is_line: bool
@@ -190,7 +192,7 @@ class _View:
 
 
 class Attraction(MovementPattern[AttractionParams]):
-    """Drives to where other robots are and stands beside them; alone it searches."""
+    """Drives to other robots and stands next to them; alone it searches."""
 
     params_type = AttractionParams
     is_symmetric = True
@@ -199,16 +201,16 @@ class Attraction(MovementPattern[AttractionParams]):
         super().__init__(params, context)
         self._state = "search"
         self._since = 0.0
-        self._patience = _PATIENCE
+        self._rest_time = _FIRST_REST_TIME
         self._most_seen = 0
         self._side = float(context.rng.choice((-1.0, 1.0)))
-        self._view: _View | None = None
+        self._view: _Surroundings | None = None
         self._drift = 0.0
         self._drift_until = -math.inf
 
     @classmethod
     def defaults(cls, platform: Platform) -> Mapping[str, Value]:
-        """Speeds from the limits, reach from the lidar, distances from the protection."""
+        """Speeds from the limits, range from the lidar, distances from the protection."""
         threshold = float(platform.protection["threshold"])
         diagonal = float(np.hypot(*np.ptp(platform.footprint, axis=0)))
         return {
@@ -222,16 +224,16 @@ class Attraction(MovementPattern[AttractionParams]):
         }
 
     def update(self, params: AttractionParams) -> None:
-        """Take over changed parameters, and look at the scan anew with them."""
+        """Apply changed parameters, and evaluate the scan again."""
         super().update(params)
         self._view = None
 
     def report(self) -> Mapping[str, Scalar]:
-        """What it is doing: search, gather, settled, roll or lead."""
+        """Its state: search, gather, settled, roll or lead."""
         return {"state": "paper" if self.params.law == "paper" else self._state}
 
     def drive(self, inputs: Inputs) -> Twist:
-        """One command from the latest scan."""
+        """The command from the latest scan."""
         if inputs.scan is None:
             return ZERO
         if self.params.law == "paper":
@@ -254,12 +256,12 @@ class Attraction(MovementPattern[AttractionParams]):
             return Twist(linear=params.linear_if_alone, angular=params.angular_if_alone)
         return field_twist(field.vector, params.speed, params.turn)
 
-    def _settle(self, scan: Scan, now: float, heard: int) -> Twist:
+    def _settle(self, scan: Scan, now: float, received: int) -> Twist:
         if self._view is None or self._view.scan is not scan:
             self._view = self._look(scan)
         view = self._view
-        is_in_line = heard > view.seen and view.is_line
-        state = self._next_state(view, now, heard, is_in_line)
+        is_in_line = received > view.seen and view.is_line
+        state = self._next_state(view, now, received, is_in_line)
         if state != self._state:
             self._state, self._since = state, now
         if state == "settled":
@@ -270,7 +272,7 @@ class Attraction(MovementPattern[AttractionParams]):
             return self._follow(view, _LEAD_SPEED * self._wander(now) - self._toward(view))
         return self._follow(view, self._around(view) if state == "roll" else view.pull)
 
-    def _look(self, scan: Scan) -> _View:
+    def _look(self, scan: Scan) -> _Surroundings:
         params = self.params
         offset = self.context.platform.scan.offset
         spacing = params.spacing - params.slack
@@ -278,18 +280,18 @@ class Attraction(MovementPattern[AttractionParams]):
         points = from_base(closest_points(scan, within=reach), offset)
         robots, seen = self._robots(scan)
         robots = from_base(robots, offset)
-        beside = int(np.count_nonzero(robots[:, 0] < _BESIDE * params.spacing))
+        adjacent = int(np.count_nonzero(robots[:, 0] < _ADJACENT_SPACINGS * params.spacing))
         pull = self._pull(robots)
         free = keep_clear(pull, points, spacing=spacing, brake=params.brake)
         axis = complex(np.exp(2j * robots[:, 1]).sum())
-        is_line = abs(axis) > _IN_LINE * len(robots)
-        return _View(scan, points, robots, seen, beside, pull, math.hypot(*free), is_line)
+        is_line = abs(axis) > _MIN_ALIGNMENT * len(robots)
+        return _Surroundings(scan, points, robots, seen, adjacent, pull, math.hypot(*free), is_line)
 
-    def _follow(self, view: _View, vector: Array) -> Twist:
+    def _follow(self, view: _Surroundings, vector: Array) -> Twist:
         params = self.params
         spacing, points = params.spacing - params.slack, view.points
         vector = keep_clear(vector, points, spacing=spacing, brake=params.brake)
-        if self._state in ("search", "lead") and math.hypot(*vector) < _SLOW:
+        if self._state in ("search", "lead") and math.hypot(*vector) < _MIN_SEARCH_SPEED:
             return Twist(angular=math.copysign(0.5 * params.turn, self._drift))
         return steer(
             vector,
@@ -302,10 +304,10 @@ class Attraction(MovementPattern[AttractionParams]):
         )
 
     def _robots(self, scan: Scan) -> tuple[Array, int]:
-        """(k, 2) range and bearing of what may be robots, and how many with the half hidden."""
+        """Robots (k, 2) as range, bearing, and their number with those partly hidden."""
         objects = clusters(scan, within=self.params.range)
         is_narrow = objects.widths <= self.params.object_width
-        is_narrow &= objects.ranges <= _SURE * self.params.range
+        is_narrow &= objects.ranges <= _MAX_RANGE_SHARE * self.params.range
         is_robot = is_narrow & objects.is_free
         robots = np.array((objects.ranges[is_robot], objects.bearings[is_robot])).T
         return robots, int(np.count_nonzero(is_narrow))
@@ -317,57 +319,57 @@ class Attraction(MovementPattern[AttractionParams]):
         y = float(weights @ np.sin(robots[:, 1]))
         return np.array([x, y]) / max(1.0, math.hypot(x, y))
 
-    def _next_state(self, view: _View, now: float, heard: int, is_in_line: bool) -> str:
+    def _next_state(self, view: _Surroundings, now: float, received: int, is_in_line: bool) -> str:
         if len(view.robots) == 0:
             return "search"
         is_going = self._state
         if view.seen > self._most_seen:
-            self._most_seen, self._patience = view.seen, _PATIENCE
+            self._most_seen, self._rest_time = view.seen, _FIRST_REST_TIME
             is_going = "gather" if is_going == "lead" else is_going
         age = now - self._since
-        is_few = view.seen <= _FEW and not 0 < heard <= view.seen
-        is_all = view.beside == len(view.robots) and heard <= view.seen
-        is_loose = view.beside < _ENOUGH and (is_few or not is_all)
-        if is_going == "roll" and is_loose and age < _ROLL_TIME:
+        is_few = view.seen <= _FEW_ROBOTS and not 0 < received <= view.seen
+        is_all = view.adjacent == len(view.robots) and received <= view.seen
+        is_incomplete = view.adjacent < _MIN_ADJACENT and (is_few or not is_all)
+        if is_going == "roll" and is_incomplete and age < _ROLL_TIME:
             return "roll"
         if is_going == "lead" and age < _LEAD_TIME:
             return "lead"
-        is_woken = view.free > (_DOZE if is_going == "gather" else _WAKE)
-        is_first = is_in_line and is_going == "gather" and self._patience == _PATIENCE
-        is_bored = is_going == "settled" and not is_woken and self._patience < _PATIENCE_MAX
-        if (is_first or is_bored) and age > self._patience:
-            if is_few and self._patience > _PATIENCE_LEAD:
+        is_pulled = view.free > (_STOP_PULL if is_going == "gather" else _START_PULL)
+        is_first = is_in_line and is_going == "gather" and self._rest_time == _FIRST_REST_TIME
+        is_rested = is_going == "settled" and not is_pulled and self._rest_time < _MAX_REST_TIME
+        if (is_first or is_rested) and age > self._rest_time:
+            if is_few and self._rest_time > _LEAD_REST_TIME:
                 return self._try("lead", view)
-            if is_first or is_loose:
+            if is_first or is_incomplete:
                 return self._try("roll", view)
-        return "gather" if is_woken else "settled"
+        return "gather" if is_pulled else "settled"
 
-    def _try(self, state: str, view: _View) -> str:
-        """Start to roll or lead: away from the second robot if there are two beside it."""
-        self._patience *= 2.0
+    def _try(self, state: str, view: _Surroundings) -> str:
+        """Start to roll or lead: away from the second robot if two are adjacent."""
+        self._rest_time *= 2.0
         order = np.argsort(view.robots[:, 0])
-        if view.beside > 1:
+        if view.adjacent > 1:
             turn = math.sin(float(view.robots[order[1], 1] - view.robots[order[0], 1]))
-            self._side = -math.copysign(1.0, turn) if abs(turn) > _ASIDE else self._side
+            self._side = -math.copysign(1.0, turn) if abs(turn) > _MIN_SIDE_SINE else self._side
         return state
 
-    def _toward(self, view: _View) -> Array:
-        """Towards the nearest robot if it is near: who leads goes where the others are not."""
+    def _toward(self, view: _Surroundings) -> Array:
+        """Towards the nearest robot if it is near; a leading robot drives the opposite way."""
         near, bearing = float(view.robots[:, 0].min()), view.nearest
         weight = min(max(2.0 - near / self.params.spacing, 0.0), 1.0)
         return np.array([weight * math.cos(bearing), weight * math.sin(bearing)])
 
-    def _around(self, view: _View) -> Array:
-        """Around the nearest robot, and where the others draw it."""
+    def _around(self, view: _Surroundings) -> Array:
+        """Around the nearest robot, and along the pull of the others."""
         ahead = view.nearest + self._side * math.pi / 2.0
         along = np.array([math.cos(ahead), math.sin(ahead)])
         way = along + view.pull
         return way / max(1.0, math.hypot(*way))
 
     def _wander(self, now: float) -> Array:
-        """Ahead with a drift that changes now and then."""
+        """Ahead, with a drift that changes from time to time."""
         if now >= self._drift_until:
             rng = self.context.rng
-            self._drift_until = now + float(rng.uniform(*_DRIFT_TIME))
-            self._drift = float(rng.uniform(-_DRIFT, _DRIFT))
+            self._drift_until = now + float(rng.uniform(*_DRIFT_TIMES))
+            self._drift = float(rng.uniform(-_MAX_DRIFT, _MAX_DRIFT))
         return np.array([math.cos(self._drift), math.sin(self._drift)])

@@ -39,12 +39,12 @@ _OF_MOVE = ("law", "speed", "turn")
 
 
 class DiscussedDispersionParams(Params, frozen=True):
-    """How long to discuss and what the opinions mean; then those of the vote and of the motion."""
+    """Duration of the vote and meaning of the opinions; then those of vote and motion."""
 
     discuss: Annotated[
         float,
         about(
-            "how long the robots stand and only vote",
+            "time for which the robots stand and only vote",
             ge=0.0,
             le=3600.0,
             unit="s",
@@ -54,7 +54,7 @@ class DiscussedDispersionParams(Params, frozen=True):
     base: Annotated[
         float,
         about(
-            "distance that opinion 0 stands for; more than the protection threshold",
+            "distance of opinion 0; more than the protection threshold",
             ge=0.05,
             le=100.0,
             unit="m",
@@ -64,7 +64,7 @@ class DiscussedDispersionParams(Params, frozen=True):
     step: Annotated[
         float,
         about(
-            "how much more each further opinion stands for",
+            "additional distance of each further opinion",
             ge=-100.0,
             le=100.0,
             unit="m",
@@ -79,7 +79,7 @@ class DiscussedDispersionParams(Params, frozen=True):
         Literal["settling", "paper"],
         about(
             "how dispersion drives; settling: comes to rest; paper: the original equations",
-            source="ours: the original drives at full speed for ever",
+            source="ours: the original drives at full speed forever",
         ),
     ] = "settling"
     speed: TopSpeed = 0.2
@@ -92,14 +92,14 @@ class DiscussedDispersionParams(Params, frozen=True):
             raise ValueError(f"initial is {self.initial}, opinions end at {self.opinions - 1}")
 
     def distance(self, opinion: int) -> float:
-        """f: the distance in m that an opinion stands for."""
+        """f: the distance in m for an opinion."""
         return self.base + self.step * opinion
 
 
 class DiscussedDispersion(CombinedPattern[DiscussedDispersionParams]):
-    """Stands and votes on a distance, then disperses to it and goes on voting.
+    """Stands and votes on a distance, then disperses to it and continues to vote.
 
-    Whoever changes its mind later changes its distance.
+    A later change of opinion changes the distance.
     """
 
     params_type = DiscussedDispersionParams
@@ -122,7 +122,7 @@ class DiscussedDispersion(CombinedPattern[DiscussedDispersionParams]):
         }
 
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
-        """The vote, heard by all who vote by majority rule, and the motion."""
+        """The vote, shared with all robots that run majority_rule, and the motion."""
         make = self.context.make
         return {
             _VOTE: make("majority_rule", part=_VOTE, **_chosen(self.params, _OF_VOTE)),
@@ -130,7 +130,7 @@ class DiscussedDispersion(CombinedPattern[DiscussedDispersionParams]):
         }
 
     def update(self, params: DiscussedDispersionParams) -> None:
-        """Take over changed parameters; ConfigError if protection forbids a distance."""
+        """Apply changed parameters; ConfigError if protection forbids a distance."""
         _check(params, self.context.platform)
         super().update(params)
         for name, keys in ((_VOTE, _OF_VOTE), (_MOVE, _OF_MOVE)):
@@ -138,7 +138,7 @@ class DiscussedDispersion(CombinedPattern[DiscussedDispersionParams]):
             part.update(msgspec.structs.replace(part.params, **_chosen(params, keys)))
 
     def step(self, inputs: Inputs) -> Outputs:
-        """Vote; once there has been time to discuss, also move."""
+        """Vote; after the time to discuss, also move."""
         if self._started_at is None:
             self._started_at = inputs.now
         vote = self.step_part(_VOTE, inputs)
@@ -168,7 +168,7 @@ def _check(params: DiscussedDispersionParams, platform: Platform) -> None:
         distance = params.distance(opinion)
         if not threshold < distance <= 100.0:
             raise ConfigError(
-                f"parameters base and step: opinion {opinion} stands for {distance:g} m; wanted is"
-                f" more than {threshold:g} m, the distance that the protection of {platform.name}"
-                " keeps anyway, and at most 100 m"
+                f"parameters base and step: opinion {opinion} means {distance:g} m; wanted more"
+                f" than {threshold:g} m, which the protection of {platform.name} keeps, and at most"
+                " 100 m"
             )

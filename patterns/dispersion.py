@@ -3,9 +3,9 @@
 Source of law "paper": Kaiser et al., ICRA 2022, pattern "dispersion", and its code ROS2swarm: a
 repulsive potential field, always at full speed.
 
-Law "settling" is ours. Each surface, robot or wall, pushes once, with its nearest point and the
-more the nearer it is; the robot stands where the pushes cancel, so that it comes to rest also
-where there is no room for the distance.
+Law "settling" is ours. Each surface, robot or wall, pushes with its nearest point, the stronger the
+nearer it is. The robot stands where the pushes cancel, so that it also comes to rest where there is
+no room for the distance.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from swarmd.api import (
 )
 
 # Push, as a share of full speed, below which a moving robot stops and above which it starts.
-_DOZE, _WAKE = 0.12, 0.25
+_STOP_PUSH, _START_PUSH = 0.12, 0.25
 
 
 class DispersionParams(Params, frozen=True):
@@ -52,7 +52,7 @@ class DispersionParams(Params, frozen=True):
         Literal["settling", "paper"],
         about(
             "settling: comes to rest; paper: the original equations",
-            source="ours: the original drives at full speed for ever",
+            source="ours: the original drives at full speed forever",
         ),
     ] = "settling"
     speed: TopSpeed = 0.2
@@ -60,7 +60,7 @@ class DispersionParams(Params, frozen=True):
     distance: Annotated[
         float,
         about(
-            "range to keep free all round, walls included; more than the protection threshold",
+            "distance to keep free all around, also to walls; more than the protection threshold",
             ge=0.05,
             le=100.0,
             unit="m",
@@ -70,7 +70,7 @@ class DispersionParams(Params, frozen=True):
     ramp: Annotated[
         float,
         about(
-            "how much too near something must be to push at full speed",
+            "how much nearer than the distance a surface must be to push at full speed",
             ge=0.05,
             le=20.0,
             unit="m",
@@ -80,7 +80,7 @@ class DispersionParams(Params, frozen=True):
     spacing: Annotated[
         float,
         about(
-            "distance from the axle that no motion may lead below",
+            "distance to obstacles, from the axle, that no motion may go below",
             ge=0.05,
             le=20.0,
             unit="m",
@@ -94,7 +94,7 @@ class DispersionParams(Params, frozen=True):
             ge=0.1,
             le=100.0,
             unit="m",
-            source="ROS2swarm: all that the lidar reaches",
+            source="ROS2swarm: the range of the lidar",
         ),
     ] = 3.5
     bias: Annotated[
@@ -102,7 +102,9 @@ class DispersionParams(Params, frozen=True):
     ] = 1.0
     rays: Annotated[
         int,
-        about("law paper: alone if no more rays see anything", ge=0, le=10000, source="ROS2swarm"),
+        about(
+            "law paper: alone if at most so many rays return", ge=0, le=10000, source="ROS2swarm"
+        ),
     ] = 1
     linear_if_alone: Annotated[
         float,
@@ -124,7 +126,7 @@ class DispersionParams(Params, frozen=True):
 
 
 class Dispersion(MovementPattern[DispersionParams]):
-    """Drives away from what is nearer than a distance and stands where nothing is."""
+    """Drives away from everything nearer than a distance, and stands where nothing is."""
 
     params_type = DispersionParams
     is_symmetric = True
@@ -148,18 +150,18 @@ class Dispersion(MovementPattern[DispersionParams]):
         }
 
     def update(self, params: DispersionParams) -> None:
-        """Take over changed parameters; ConfigError if protection forbids the distance."""
+        """Apply changed parameters; ConfigError if protection forbids the distance."""
         _check(params, self.context.platform)
         super().update(params)
 
     def report(self) -> Mapping[str, Scalar]:
-        """What it is doing: spread or settled."""
+        """Its state: spread or settled."""
         if self.params.law == "paper":
             return {"state": "paper"}
         return {"state": "settled" if self._is_settled else "spread"}
 
     def drive(self, inputs: Inputs) -> Twist:
-        """One command from the latest scan."""
+        """The command from the latest scan."""
         if inputs.scan is None:
             return ZERO
         if self.params.law == "paper":
@@ -185,14 +187,14 @@ class Dispersion(MovementPattern[DispersionParams]):
     def _settle(self, scan: Scan) -> Twist:
         params = self.params
         offset = self.context.platform.scan.offset
-        # From the axle, so that a turn on the spot, which moves the lidar, changes nothing; and
-        # what is too little of a push to start must not be too near.
-        distance = params.distance + math.hypot(*offset) + _WAKE * params.ramp
+        # From the axle, so that a turn in place, which moves the lidar, changes nothing. A surface
+        # whose push is too small to start must not be nearer than the distance.
+        distance = params.distance + math.hypot(*offset) + _START_PUSH * params.ramp
         reach = max(distance, params.spacing + params.ramp) + math.hypot(*offset)
         points = from_base(closest_points(scan, within=reach), offset)
         push = self._push(points, distance)
         vector = keep_clear(push, points, spacing=params.spacing, brake=params.ramp)
-        self._is_settled = math.hypot(*vector) <= (_WAKE if self._is_settled else _DOZE)
+        self._is_settled = math.hypot(*vector) <= (_START_PUSH if self._is_settled else _STOP_PUSH)
         if self._is_settled:
             return ZERO
         return steer(
@@ -208,7 +210,7 @@ class Dispersion(MovementPattern[DispersionParams]):
     def _push(self, points: Array, distance: float) -> Array:
         """The sum over the surfaces nearer than `distance`; at most 1 long.
 
-        Where all push hard, for want of room, only their differences count.
+        In a confined space, where all push hard, only their differences count.
         """
         weights = np.clip((distance - points[:, 0]) / self.params.ramp, 0.0, None)
         weights /= max(1.0, float(weights.max(initial=0.0)))
@@ -221,6 +223,6 @@ def _check(params: DispersionParams, platform: Platform) -> None:
     threshold = float(platform.protection["threshold"])
     if params.distance <= threshold:
         raise ConfigError(
-            f"parameter distance is {params.distance:g} m; wanted is more than {threshold:g} m, "
-            f"the distance that the protection of {platform.name} keeps anyway"
+            f"parameter distance is {params.distance:g} m; wanted more than {threshold:g} m, "
+            f"the distance that the protection of {platform.name} keeps"
         )

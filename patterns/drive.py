@@ -12,7 +12,7 @@ from swarmd.api import Inputs, MovementPattern, Params, Platform, Twist, Value, 
 
 
 class DriveParams(Params, frozen=True):
-    """How fast and how curved."""
+    """Speed and turn rate."""
 
     speed: Annotated[
         float,
@@ -37,9 +37,9 @@ class DriveParams(Params, frozen=True):
 
 
 class Drive(MovementPattern[DriveParams]):
-    """Drives straight ahead, or along a circle, until something else ends it.
+    """Drives straight ahead, or along a circle, until the run ends.
 
-    It looks at nothing; protection alone keeps it from what is in the way.
+    It uses no sensor; only protection stops it before obstacles.
     """
 
     params_type = DriveParams
@@ -48,9 +48,9 @@ class Drive(MovementPattern[DriveParams]):
 
     @classmethod
     def defaults(cls, platform: Platform) -> Mapping[str, Value]:
-        """The platform's speed, but no more than ROS2swarm lets its fastest robot drive."""
+        """The platform's speed, up to that of the fastest robot of ROS2swarm."""
         return {"speed": min(platform.limits.linear, 0.5)}
 
     def drive(self, inputs: Inputs) -> Twist:
-        """The same at every step."""
+        """The same command at every step."""
         return Twist(linear=self.params.speed, angular=self.params.turn)

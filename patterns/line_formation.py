@@ -1,13 +1,13 @@
-"""Line formation: the robots form a straight line with equal spacing, wherever they are.
+"""Line formation: the robots form a straight line with equal spacing, wherever they start.
 
 Source: Yun, Alptekin and Albayrak, "Line and circle formation of distributed physical mobile
-robots", J. Robotic Systems 14(2), 1997: each robot goes to the line that fits best, by least
-squares, to all that it sees. The task, from local sensing and without positions or leader, is
-Sugihara and Suzuki's (J. Robotic Systems 13(3), 1996). Ours: the spacing along the line, by the
-evenly spaced row that fits best, and that the robots come to rest.
+robots", J. Robotic Systems 14(2), 1997: each robot drives to the line that fits best, by least
+squares, to all robots in sight. The task, from local sensing and without positions or leader, is
+Sugihara and Suzuki's (J. Robotic Systems 13(3), 1996). Ours: the spacing along the line is that of
+the evenly spaced row that fits best, and the robots come to rest.
 
-Limits: groups that do not see each other form lines of their own. By lidar robots in a line hide
-each other, a pillar counts as a robot, and so does a robot that stands there switched off.
+Limits: groups that do not see each other form separate lines. By lidar robots in a line hide each
+other, a pillar counts as a robot, and so does a robot that is switched off.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ class LineFormationParams(FormationParams, frozen=True, kw_only=True):
 
 
 class LineFormation(FormationPattern[LineFormationParams]):
-    """Forms a straight line with equal spacing, from what is sensed of the others."""
+    """Forms a straight line with equal spacing from the sensed positions of the others."""
 
     params_type = LineFormationParams
 
     def place(self, others: Array) -> Array:
-        """Where (2,) it belongs in a line with `others` (k, 2)."""
+        """Its place (2,) in a line with `others` (k, 2)."""
         return place_on_line(others, self.params.spacing)

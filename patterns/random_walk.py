@@ -2,8 +2,8 @@
 
 Source: pattern "random walk" of Kaiser et al., ICRA 2022, with the times of ROS2swarm.
 
-Law "avoiding" is ours: it turns away from what is ahead before protection must, and it starts at
-once. Law "paper" starts after 5 s and looks at nothing, so that protection alone turns it.
+Law "avoiding" is ours: the robot turns away from obstacles ahead before protection acts, and starts
+at once. Law "paper" starts after 5 s and uses no sensor, so that only protection turns the robot.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ from swarmd.api import (
     nearest,
 )
 
-# rad to each side of ahead: what lies further aside is passed.
-_AHEAD = math.radians(60.0)
-# s that law "paper" stands before it starts (ROS2swarm).
-_WAIT = 5.0
+# rad to each side of ahead: the robot passes obstacles farther aside.
+_AHEAD_HALF_WIDTH = math.radians(60.0)
+# s for which law "paper" stands before it starts (ROS2swarm).
+_START_DELAY = 5.0
 
 
 class RandomWalkParams(Params, frozen=True):
-    """The law, speeds, times and how far ahead it looks."""
+    """The law, speeds, times and the clearance."""
 
     law: Annotated[
         Literal["avoiding", "paper"],
         about(
-            "avoiding: turns away from what is ahead; paper: the original states",
+            "avoiding: turns away from obstacles ahead; paper: the original states",
             source="ours: the original leaves walls to protection",
         ),
     ] = "avoiding"
@@ -58,7 +58,7 @@ class RandomWalkParams(Params, frozen=True):
     turn: Annotated[
         float,
         about(
-            "turn rates are between a fifth and four fifths of it",
+            "turn rates are drawn between a fifth and four fifths of it",
             ge=0.0,
             le=4.0,
             unit="rad/s",
@@ -84,16 +84,16 @@ class RandomWalkParams(Params, frozen=True):
     clearance: Annotated[
         float,
         about(
-            "law avoiding: turns away when something ahead is nearer; 0: never",
+            "law avoiding: turns away from nearer obstacles ahead; 0: never",
             ge=0.0,
             le=20.0,
             unit="m",
-            source="ours: 1.6 times the protection threshold, to stop and turn before it acts",
+            source="ours: 1.6 times the protection threshold, to turn before it acts",
         ),
     ] = 0.8
 
     def __post_init__(self) -> None:
-        """Check that the shortest straight is not longer than the longest."""
+        """Check that straight_min is at most straight_max."""
         if self.straight_min > self.straight_max:
             raise ValueError(
                 f"straight_min is {self.straight_min:g} s, straight_max {self.straight_max:g} s"
@@ -101,7 +101,7 @@ class RandomWalkParams(Params, frozen=True):
 
 
 class RandomWalk(MovementPattern[RandomWalkParams]):
-    """Goes straight for a random time, then turns by a random amount, and so on."""
+    """Alternates between a straight of random time and a turn of random rate and time."""
 
     params_type = RandomWalkParams
 
@@ -114,7 +114,7 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
 
     @classmethod
     def defaults(cls, platform: Platform) -> Mapping[str, Value]:
-        """Speeds from the limits, turns of some 1.5 rad on average, clearance from protection."""
+        """Speeds from the limits, turns of about 1.5 rad on average, clearance from protection."""
         return {
             "speed": min(platform.limits.linear, 0.5),
             "turn": min(platform.limits.angular, 4.0),
@@ -123,16 +123,16 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
         }
 
     def report(self) -> Mapping[str, Scalar]:
-        """Whether it goes straight, turns or waits to start."""
+        """Its state: straight, turn or wait."""
         if self._until is None:
             return {"state": "wait"}
         return {"state": "turn" if self._is_turning else "straight"}
 
     def drive(self, inputs: Inputs) -> Twist:
-        """Straight or a turn, changing when the time is up or something is ahead."""
+        """Straight or a turn; changes when its time is over or an obstacle is ahead."""
         is_original = self.params.law == "paper"
         self._begin = inputs.now if self._begin is None else self._begin
-        if is_original and self._until is None and inputs.now < self._begin + _WAIT:
+        if is_original and self._until is None and inputs.now < self._begin + _START_DELAY:
             return ZERO
         blocking = None if is_original else self._blocking(inputs)
         is_over = self._until is None or inputs.now >= self._until
@@ -147,7 +147,7 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
 
     def _blocking(self, inputs: Inputs) -> Ray | None:
         """The nearest return ahead within the clearance."""
-        ray = nearest(inputs.scan, half_width=_AHEAD)
+        ray = nearest(inputs.scan, half_width=_AHEAD_HALF_WIDTH)
         return ray if ray is not None and ray.range < self.params.clearance else None
 
     def _go_straight(self, now: float) -> None:

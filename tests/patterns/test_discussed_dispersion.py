@@ -1,4 +1,4 @@
-"""Discussed dispersion: phases, what an opinion stands for, and what is refused."""
+"""Discussed dispersion: phases, distances by opinion, and refused parameters."""
 
 from __future__ import annotations
 
@@ -83,25 +83,20 @@ def test_it_keeps_the_distance_of_what_it_is_persuaded_of() -> None:
 
 
 @pytest.mark.parametrize(
-    ("params", "words"),
-    [
-        ({"base": 0.5}, "opinion 0 stands for 0.5 m; wanted is more than 0.5 m"),
-        ({"base": 0.4}, "opinion 0 stands for 0.4 m; wanted is more than 0.5 m"),
-        ({"base": 1.4, "step": -0.5}, "opinion 2 stands for 0.4 m"),
-        ({"step": 60.0}, "opinion 2 stands for 120.6 m"),
-    ],
+    ("params", "opinion"),
+    [({"base": 0.5}, 0), ({"base": 0.4}, 0), ({"base": 1.4, "step": -0.5}, 2), ({"step": 60.0}, 2)],
 )
-def test_a_distance_that_protection_keeps_anyway_is_refused_when_it_is_made(
-    params: dict[str, Value], words: str
+def test_a_distance_within_protection_or_above_100_m_is_refused(
+    params: dict[str, Value], opinion: int
 ) -> None:
-    with pytest.raises(ConfigError, match=words.replace(".", r"\.")):
+    with pytest.raises(ConfigError, match=f"opinion {opinion} "):
         made("waffle_pi", **params)
 
 
-def test_and_while_it_runs_and_all_stays_as_it_was() -> None:
+def test_a_refused_change_leaves_the_pattern_unchanged() -> None:
     pattern = made(initial=0)
     before = pattern.params
-    with pytest.raises(ConfigError, match=r"opinion 0 stands for 0\.3 m"):
+    with pytest.raises(ConfigError, match="opinion 0 "):
         pattern.update(msgspec.structs.replace(before, base=0.3))
     assert pattern.params is before
     pattern.update(msgspec.structs.replace(before, base=0.8, window=2.0, speed=0.1))
@@ -110,6 +105,6 @@ def test_and_while_it_runs_and_all_stays_as_it_was() -> None:
     assert math.isclose(pattern.parts["move"].params.speed, 0.1)
 
 
-def test_an_opinion_that_is_not_there_cannot_be_the_first() -> None:
-    with pytest.raises(ConfigError, match="initial is 3, opinions end at 2"):
+def test_an_initial_opinion_out_of_range_is_refused() -> None:
+    with pytest.raises(ConfigError, match="initial"):
         made(initial=3)

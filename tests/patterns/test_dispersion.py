@@ -86,8 +86,8 @@ def test_the_push_falls_with_the_range() -> None:
 
 
 @pytest.mark.parametrize("distance", [0.4, 0.5])
-def test_a_distance_that_protection_keeps_anyway_is_refused(distance: float) -> None:
-    with pytest.raises(ConfigError, match=rf"distance is {distance:g} m; wanted is more than 0.5"):
+def test_a_distance_within_protection_is_refused(distance: float) -> None:
+    with pytest.raises(ConfigError, match=f"distance is {distance:g} m"):
         Subject(Dispersion, WAFFLE, {"distance": distance}).make()
 
 
