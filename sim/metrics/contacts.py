@@ -91,7 +91,9 @@ def hardest_contact(trace: Trace) -> float | None:
     return max(speeds, default=None)
 
 
-def _contact(trace: Trace, ends: tuple[float, float], pair: np.ndarray, speed: np.ndarray) -> Contact:
+def _contact(
+    trace: Trace, ends: tuple[float, float], pair: np.ndarray, speed: np.ndarray
+) -> Contact:
     a, b = int(pair[0]), int(pair[1])
     kind: Kind = "robot" if b >= 0 else "arena" if b == ARENA else "box"
     # Below ARENA stand the movable boxes: -2 is the first of `movable_boxes`.

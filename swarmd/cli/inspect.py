@@ -224,7 +224,7 @@ def _lines(stream: IO[bytes], timeout: float) -> Iterator[bytes]:
 
 
 def _row_of(line: bytes) -> Row:
-    """The line as a row; empty if it is none, since plugin code may write to the same stream."""
+    """The line as a row; empty for any other line, which plugin code may have written."""
     with contextlib.suppress(ValueError):
         row = json.loads(line)
         if isinstance(row, dict):

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import ctypes
 import os
+import resource
 import signal
 import sys
 
 _PR_SET_PDEATHSIG = 1
+
+OUT_OF_MEMORY = 77
+"""Exit code of a pattern host that needs more memory than it may have."""
 
 
 def die_with_parent(parent: int) -> None:
@@ -33,3 +37,13 @@ def how_it_ended(returncode: int | None) -> str:
         except ValueError:
             return f"was killed by signal {-returncode}"
     return f"ended with code {returncode}"
+
+
+def limit_growth(growth: int) -> None:
+    """Let this process grow by so many bytes from its present size; beyond it MemoryError."""
+    with open("/proc/self/statm") as file:
+        limit = growth + int(file.read().split()[0]) * resource.getpagesize()
+    _, hard = resource.getrlimit(resource.RLIMIT_AS)
+    if hard != resource.RLIM_INFINITY:
+        limit = min(limit, hard)
+    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))

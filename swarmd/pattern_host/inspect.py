@@ -12,7 +12,6 @@ import argparse
 import faulthandler
 import json
 import os
-import resource
 import signal
 import sys
 import traceback
@@ -27,7 +26,7 @@ import numpy as np
 
 from swarmd.core.errors import PluginError, SwarmError
 from swarmd.core.keys import check_id, is_id
-from swarmd.core.processes import die_with_parent
+from swarmd.core.processes import die_with_parent, limit_growth
 from swarmd.core.values import Platform, Value
 from swarmd.kit.behavior import MovementPattern, Pattern
 from swarmd.kit.combined import CombinedPattern
@@ -56,7 +55,7 @@ if TYPE_CHECKING:
 LOADING = "the file holds one pattern"
 MIRRORED = "mirrored scans give mirrored commands"
 NOT_CLAIMED = "is_symmetric is not claimed"
-MEMORY_LIMIT = 1024 * 1024 * 1024
+MAX_GROWTH = 1024 * 1024 * 1024
 TEST_TIMEOUT = 10.0
 """Seconds of processor time that a contract test may take on one platform."""
 
@@ -188,8 +187,8 @@ def _kind(kind: type[Pattern[Any]]) -> str:
 
 
 def _check_plugin(path: Path, done: frozenset[str], answer: Answer) -> None:
-    """The points of the pattern contract; a point that fails in `done` is not checked again."""
-    _limit_memory()
+    """Send the points of the pattern contract without those in `done`."""
+    limit_growth(MAX_GROWTH)
     _report_side_effects(path, answer)
     loaded: list[type[Pattern[Any]]] = []
 
@@ -312,16 +311,6 @@ def _line_in(path: str, frame: FrameType | None) -> int | None:
     return None
 
 
-def _limit_memory() -> None:
-    with open("/proc/self/statm") as file:
-        size = int(file.read().split()[0]) * resource.getpagesize()
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    limit = size + MEMORY_LIMIT
-    if hard != resource.RLIM_INFINITY:
-        limit = min(limit, hard)
-    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
-
-
 # mission
 
 
@@ -406,7 +395,7 @@ def _check_parts(document: Document, platform: Platform, find: Find) -> None:
 
 
 def _check_whole(document: Document, platform: Platform, find: Find) -> None:
-    """All as a robot would do it; what only that finds is told as of the whole file."""
+    """Make the mission as a robot does; a fault found only here is one of the whole file."""
     try:
         mission_class(document.path, find)
         assemble(

@@ -18,11 +18,10 @@ from typing import Protocol
 
 from swarmd.core.errors import CodecError
 from swarmd.core.host_messages import HostEvent, Loaded, LoadRefused, PatternFailed, TrialDone
-from swarmd.core.processes import how_it_ended
+from swarmd.core.processes import OUT_OF_MEMORY, how_it_ended
 from swarmd.pattern_host.wire import decode_event
 from swarmd.robot.pattern_run import LOAD_TIMEOUT
 
-OUT_OF_MEMORY = 77
 MAX_FRAMES_PER_READ = 8
 """Frames read before the loop's other work, so that a flood does not block the daemon."""
 

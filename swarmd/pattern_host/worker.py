@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 import contextlib
 import os
-import resource
 import socket
 import time
 
@@ -18,14 +17,13 @@ from msgspec.structs import replace
 
 from swarmd.core.errors import CodecError
 from swarmd.core.host_messages import Load, Loaded, PatternFailed
-from swarmd.core.processes import die_with_parent
+from swarmd.core.processes import OUT_OF_MEMORY, die_with_parent, limit_growth
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.pattern_host.wire import decode_command, encode_event
 
-MEMORY_LIMIT = 256 * 1024 * 1024
-LOAD_MEMORY_LIMIT = 1024 * 1024 * 1024
-OUT_OF_MEMORY = 77
+MAX_GROWTH = 256 * 1024 * 1024
+MAX_LOAD_GROWTH = 1024 * 1024 * 1024
 NICE = 10
 
 
@@ -52,14 +50,14 @@ def _serve(daemon: socket.socket) -> None:
     while frame := daemon.recv(1 << 18):
         command = decode_command(frame)
         if isinstance(command, Load):
-            _limit_memory(_size() + LOAD_MEMORY_LIMIT)
+            limit_growth(MAX_LOAD_GROWTH)
             loader.begin(command.origins)
         began = time.monotonic()
         event = executor.handle(command)
         if isinstance(event, Loaded):
             event = replace(event, took=time.monotonic() - began)
         if isinstance(command, Load):
-            _limit_memory(_size() + MEMORY_LIMIT)
+            limit_growth(MAX_GROWTH)
         if event is None:
             continue
         try:
@@ -76,18 +74,6 @@ def _lower_priority() -> None:
     os.nice(NICE)
     with contextlib.suppress(OSError), open("/proc/self/oom_score_adj", "w") as file:
         file.write("800")
-
-
-def _size() -> int:
-    with open("/proc/self/statm") as file:
-        return int(file.read().split()[0]) * resource.getpagesize()
-
-
-def _limit_memory(limit: int) -> None:
-    _, hard = resource.getrlimit(resource.RLIMIT_AS)
-    if hard != resource.RLIM_INFINITY:
-        limit = min(limit, hard)
-    resource.setrlimit(resource.RLIMIT_AS, (limit, hard))
 
 
 if __name__ == "__main__":

@@ -60,7 +60,7 @@ class _NoConsole(io.StringIO):
 
 
 def _guards() -> Iterator[tuple[Any, str, Any, Callable[..., Any]]]:
-    """Owner, name, the function of that name, and what stands in for it."""
+    """(owner, name, function, replacement) of each forbidden function."""
     for owner, names, hint in _FORBIDDEN:
         for name in names:
             yield owner, name, getattr(owner, name), _raiser(f"{owner.__name__}.{name}", hint)
