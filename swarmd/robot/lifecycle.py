@@ -152,29 +152,21 @@ class Lifecycle:
 
     def on_host(self, event: HostEvent, effects: Effects) -> None:
         """Act on an event of the pattern host; events of other generations are ignored."""
-        pattern_run = self.pattern_run
-        if isinstance(event, Loaded | LoadRefused):
-            if pattern_run.loading is None or event.generation != pattern_run.loading.generation:
-                return
-            if isinstance(event, Loaded):
-                self._on_loaded(event, effects)
-            else:
-                self._on_load_refused(event, effects)
+        run = self.pattern_run
+        is_loading = run.loading is not None and event.generation == run.loading.generation
+        is_running = run.running is not None and event.generation == run.running.generation
+        if isinstance(event, Loaded) and is_loading:
+            self._on_loaded(event, effects)
+        elif isinstance(event, LoadRefused) and is_loading:
+            self._on_load_refused(event, effects)
         elif isinstance(event, Stepped):
             self._on_stepped(event, effects)
         elif isinstance(event, ParamsSet):
             self._on_params_set(event, effects)
-        elif isinstance(event, PatternFailed):
-            if (
-                pattern_run.running is not None
-                and event.generation == pattern_run.running.generation
-            ):
-                self.fault(event.text, effects)
-            elif (
-                pattern_run.loading is not None
-                and event.generation == pattern_run.loading.generation
-            ):
-                self.fail_load(event.text, effects)
+        elif isinstance(event, PatternFailed) and is_running:
+            self.fault(event.text, effects)
+        elif isinstance(event, PatternFailed) and is_loading:
+            self.fail_load(event.text, effects)
         elif isinstance(event, HostDied):
             self._on_host_died(event.text, effects)
 
@@ -207,19 +199,17 @@ class Lifecycle:
             return
         self.log(f"{loading.pattern} refused: {text}", effects.now)
         self.refuse(effects, loading.request, event.refusal, text)
-        if (
-            self._load is not None and self._load.is_fresh
-        ):  # the running pattern lost its host to the fresh one
+        if self._load is not None and self._load.is_fresh:  # it replaced the host that ran
             self.fault("its host was replaced", effects)
 
     def _on_stepped(self, event: Stepped, effects: Effects) -> None:
-        pattern_run = self.pattern_run
-        running = pattern_run.running
+        run = self.pattern_run
+        running = run.running
         if running is None or event.generation != running.generation:
-            if event.generation == pattern_run.stepped_generation:
-                pattern_run.awaiting_since = None
+            if event.generation == run.stepped_generation:
+                run.awaiting_since = None
             return
-        pattern_run.stepped(event, effects.now)
+        run.stepped(event, effects.now)
         self.wrong_type_count += event.dropped
         twist = event.outputs.twist
         if twist is not None and not twist.is_finite:
@@ -256,8 +246,8 @@ class Lifecycle:
 
     def fault(self, text: str, effects: Effects) -> None:
         """The pattern failed: restart it in a fresh host after a backoff, or quarantine it."""
-        pattern_run = self.pattern_run
-        running, loading = pattern_run.running, pattern_run.loading
+        run = self.pattern_run
+        running, loading = run.running, run.loading
         if running is None or not self.is_running:
             return
         effects.command_host(KillHost(text))
@@ -265,10 +255,10 @@ class Lifecycle:
         self.log(f"{running.pattern} failed: {text}", effects.now)
         if loading is not None and loading.request is not None:
             self.fail_load(text, effects)
-        elif not pattern_run.fault(effects.now):
+        elif not run.fault(effects.now):
             self.hold_since = None  # the restart may take as long as any other hold
         else:
-            detail = f"{running.pattern} failed {pattern_run.faults} times, last: {text}"
+            detail = f"{running.pattern} failed {run.faults} times, last: {text}"
             self.end(Trigger.FAULT, Reason.QUARANTINED, detail, effects)
 
     def fail_load(self, text: str, effects: Effects) -> None:
@@ -387,21 +377,18 @@ class Lifecycle:
 
     def advance(self, hold: Reason | None, effects: Effects) -> Reason | None:
         """Act on all deadlines that have passed; returns the present hold, if any."""
-        pattern_run, now = self.pattern_run, effects.now
-        loading = pattern_run.loading
+        run, now = self.pattern_run, effects.now
+        loading = run.loading
         if loading is not None and now - loading.since >= LOAD_TIMEOUT:
             self.fail_load(f"loading took more than {LOAD_TIMEOUT:.0f} s", effects)
-        if (
-            pattern_run.awaiting_since is not None
-            and now - pattern_run.awaiting_since >= STEP_TIMEOUT
-        ):
-            pattern_run.awaiting_since = None
+        if run.awaiting_since is not None and now - run.awaiting_since >= STEP_TIMEOUT:
+            run.awaiting_since = None
             self._end_silent_host(effects)
         if self.params_request is not None and now - self.params_request[1] >= LOAD_TIMEOUT:
             request, self.params_request = self.params_request[0], None
             text = "the pattern did not answer"
             self._reply(effects, request, Code.FAILED, Refusal.PATTERN_FAILED, text)
-        running = pattern_run.running
+        running = run.running
         if not self.is_running or running is None:
             return None
         if running.finish_at is not None and now >= running.finish_at:
@@ -411,13 +398,13 @@ class Lifecycle:
 
     def _end_silent_host(self, effects: Effects) -> None:
         """End a host that hangs in a step; a load that waits behind it gets a fresh host."""
-        pattern_run, text = self.pattern_run, f"gave no answer for {STEP_TIMEOUT:.0f} s"
-        if pattern_run.loading is None or self._load is None:
+        run, text = self.pattern_run, f"gave no answer for {STEP_TIMEOUT:.0f} s"
+        if run.loading is None or self._load is None:
             effects.command_host(KillHost("silent"))
             self.fault(text, effects)
             return
-        self.log(f"the pattern before {pattern_run.loading.pattern} {text}", effects.now)
-        pattern_run.loading = replace(pattern_run.loading, since=effects.now)
+        self.log(f"the pattern before {run.loading.pattern} {text}", effects.now)
+        run.loading = replace(run.loading, since=effects.now)
         effects.command_host(structs.replace(self._load, is_fresh=True))
 
     def _present_hold(self, hold: Reason | None, effects: Effects) -> Reason | None:

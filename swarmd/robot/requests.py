@@ -140,16 +140,16 @@ class RequestHandler:
             lifecycle.applied(effects, request, "idle")
 
     def _set_params(self, request: ParamRequest, effects: Effects) -> None:
-        lifecycle, pattern_run = self._lifecycle, self._lifecycle.pattern_run
-        if pattern_run.running is None or not lifecycle.is_running or pattern_run.is_restarting:
+        lifecycle, run = self._lifecycle, self._lifecycle.pattern_run
+        if run.running is None or not lifecycle.is_running or run.is_restarting:
             lifecycle.refuse(effects, request, Refusal.NOT_RUNNING, "no pattern is running")
-        elif lifecycle.params_request is not None or pattern_run.loading or lifecycle.trial:
+        elif lifecycle.params_request is not None or run.loading or lifecycle.trial:
             lifecycle.refuse(effects, request, Refusal.BUSY, "another change is under way")
         else:
             lifecycle.raise_revision(f"{request.operator} (param set)")
             lifecycle.params_request = (request, effects.now)
             effects.command_host(
-                SetParams(pattern_run.running.generation, request.id, dict(request.params))
+                SetParams(run.running.generation, request.id, dict(request.params))
             )
 
 
@@ -183,12 +183,12 @@ class ReloadHandler:
             lifecycle.end_trial(event.refusal, event.text, effects)
             return
         lifecycle.trial = None
-        pattern_run, state = lifecycle.pattern_run, lifecycle.state_machine.state
-        running = pattern_run.running
+        run, state = lifecycle.pattern_run, lifecycle.state_machine.state
+        running = run.running
         if running is not None and running.pattern == trial.pattern:
             self._replace(trial, effects)
         elif running is not None:
-            pattern_run.is_outdated = True
+            run.is_outdated = True
             effects.trial = CancelTrial("not wanted yet")
             text = f"a run of {trial.pattern} takes the new code; {running.pattern} goes on"
             lifecycle.applied(effects, trial.request, text)
@@ -207,14 +207,14 @@ class ReloadHandler:
     def _replace(self, trial: Trial, effects: Effects) -> None:
         """Stop the running pattern and its host; run the new code in a fresh host if asked to."""
         lifecycle, request = self._lifecycle, trial.request
-        pattern_run = lifecycle.pattern_run
-        running = pattern_run.running
+        run = lifecycle.pattern_run
+        running = run.running
         assert running is not None
         left = None if running.finish_at is None else max(running.finish_at - effects.now, 1e-3)
         lifecycle.log(f"{trial.pattern} reloaded, by {request.operator}", effects.now)
         detail = f"{trial.pattern}, by {request.operator}"
         lifecycle.end(Trigger.STOP, Reason.RELOADED, detail, effects)
-        pattern_run.awaiting_since = None  # the host that owes a step is gone
+        run.awaiting_since = None  # the host that owes a step is gone
         if request.is_rerun:
             lifecycle.start_run(
                 trial.pattern,

@@ -268,15 +268,15 @@ class Robot:
 
     def _changed_status(self, now: float) -> Status | None:
         """The status if something that peers act on has changed, or after STATUS_PERIOD."""
-        lifecycle, state_machine = self._lifecycle, self._lifecycle.state_machine
+        lifecycle, machine = self._lifecycle, self._lifecycle.state_machine
         reason = status_reason(lifecycle, self._decision)
         if reason in (Reason.NO_REQUESTED_COMMAND, Reason.PROTECTION):
             reason = None  # these change with every scan
         running, loading = lifecycle.pattern_run.running, lifecycle.pattern_run.loading
         current = (
-            state_machine.state,
+            machine.state,
             reason,
-            state_machine.detail,
+            machine.detail,
             lifecycle.revision,
             None if running is None else running.generation,
             None if running is None else running.values,

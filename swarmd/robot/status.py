@@ -65,10 +65,10 @@ def make_status(
     now: float,
 ) -> Status:
     """The status at `now`; the daemon adds the health of its own loop."""
-    state_machine, running = lifecycle.state_machine, lifecycle.pattern_run.running
+    machine, running = lifecycle.state_machine, lifecycle.pattern_run.running
     loading = lifecycle.pattern_run.loading
     values = {} if running is None else running.values
-    detail = state_machine.detail
+    detail = machine.detail
     if loading is not None:
         detail = f"loading {loading.pattern}"
     return Status(
@@ -79,12 +79,12 @@ def make_status(
         host=settings.host,
         profile=settings.profile,
         is_secured=settings.is_secured,
-        state=state_machine.state,
+        state=machine.state,
         reason=status_reason(lifecycle, decision),
         detail=detail,
         pattern=None if running is None else running.pattern,
         generation=lifecycle.pattern_run.generation,
-        since=max(now - state_machine.since, 0.0),
+        since=max(now - machine.since, 0.0),
         epoch=lifecycle.epoch,
         changed_by=lifecycle.changed_by,
         latches=dict(lifecycle.latches.held),
