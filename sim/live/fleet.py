@@ -1,9 +1,9 @@
-"""A world and its daemons as child processes: started together, watched, and gone together.
+"""A simulated world and its daemons as child processes, started and ended together.
 
-The children end with this process whatever ends it: each asks the kernel for a signal at its
-parent's death (`--die-with-parent`). That signal follows the *thread* that started them, so start
-a fleet from the main thread. They get sessions of their own: a Ctrl-C in the terminal reaches only
-the parent, which then ends them in order.
+The children end with this process, however it ends: each asks the kernel for a signal at the death
+of its parent (`--die-with-parent`). The signal follows the *thread* that started the child, so
+start a fleet from the main thread. Each child has its own session: a Ctrl-C in the terminal reaches
+only the parent, which then ends the children in order.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ from swarmd.core.errors import NetworkError, SwarmError
 from swarmd.core.processes import how_it_ended
 
 WORLD = "world"
-GRACE = 2.0  # s between TERM and KILL
-WORLD_READY = 30.0  # s; MuJoCo's first import from a cold disk is slow
+KILL_DELAY = 2.0  # s between TERM and KILL
+WORLD_TIMEOUT = 30.0  # s; MuJoCo's first import from a cold disk is slow
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FleetSpec:
-    """What to start. `robots`: platform by id; `folder` holds configuration, logs and state.
+    """The processes to start. `robots`: platform by id; `folder` holds files, logs and latches.
 
-    `dialect`: the driver as whose robots the bodies speak; `simulated` if none. `trace`, if given,
-    is where the world writes what happened, `seconds` of simulation of it.
+    `emulator`: the driver whose interface the world emulates; None: driver `simulated`. The world
+    records `seconds` of simulation in the file `trace`, if given.
     """
 
     swarm: str
@@ -56,7 +56,7 @@ class FleetSpec:
 
 
 class Ready(msgspec.Struct, frozen=True):
-    """A world's ready line: where viewers dial it, and which driver daemons reach its bodies by."""
+    """The ready line of a world: the endpoint for viewers, and the driver for daemons."""
 
     endpoint: str
     driver: str
@@ -65,20 +65,20 @@ class Ready(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True)
 class Child:
-    """One child process and where its standard error goes."""
+    """A child process and the file of its standard error."""
 
     name: str
     process: subprocess.Popen[bytes]
     log: Path
 
-    def epitaph(self) -> str:
-        """One line on how it ended, with its last words and where to read on."""
+    def how_it_ended(self) -> str:
+        """How it ended, with the last line and the path of its log."""
         how = how_it_ended(self.process.poll())
         return f"{self.name} {how}: {_last_line(self.log)} (log: {self.log})"
 
 
 class Fleet:
-    """A running world with its daemons; a context manager that leaves no process behind."""
+    """A running world with its daemons, a context manager that leaves no process behind."""
 
     def __init__(self, spec: FleetSpec) -> None:
         self.spec = spec
@@ -108,21 +108,21 @@ class Fleet:
         return {child.name: child.process.pid for child in self._children()}
 
     def ended(self) -> Mapping[str, str]:
-        """One line for each child that has ended, by name: how, its last words and its log."""
+        """How each child that has ended did so, by name."""
         return {
-            child.name: child.epitaph()
+            child.name: child.how_it_ended()
             for child in self._children()
             if child.process.poll() is not None
         }
 
     def check(self, *names: str) -> None:
-        """SwarmError if a child has ended, of `names` or any."""
+        """SwarmError if a child of `names`, or any child, has ended."""
         for name, line in self.ended().items():
             if not names or name in names:
                 raise SwarmError(line)
 
     def stop(self) -> None:
-        """End every child: TERM, after 2 s KILL. The world goes last, to see all others stop."""
+        """End every child: TERM, after 2 s KILL. The world ends last, to record the stops."""
         _end(self._daemons)
         _end([self._world] if self._world else [])
         self._daemons, self._world = [], None
@@ -164,12 +164,12 @@ def world_command(spec: FleetSpec) -> list[str]:
 
 
 def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object]:
-    """What the daemon's configuration file holds."""
+    """The content of a daemon's configuration file."""
     config: dict[str, object] = {
         "id": robot,
         "swarm": spec.swarm,
         "profile": "dev",
-        "platform": _from_anywhere(spec.robots[robot]),
+        "platform": _absolute_platform(spec.robots[robot]),
         "driver": ready.driver,
         "driver_options": dict(ready.driver_options),
         "state_dir": str((spec.folder / "state").absolute()),
@@ -179,14 +179,14 @@ def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object
     return config
 
 
-def _from_anywhere(platform: str) -> str:
-    """A platform as a file in another folder can name it."""
+def _absolute_platform(platform: str) -> str:
+    """The platform with an absolute path, if it is a file."""
     is_file = platform.endswith(".yaml")
     return str(Path(platform).expanduser().absolute()) if is_file else platform
 
 
 def started_at() -> float:
-    """When this process was started, on the clock of `swarmd.core.clock` (to 10 ms)."""
+    """The start of this process on the clock of `swarmd.core.clock`, to 10 ms."""
     fields = Path("/proc/self/stat").read_text().rpartition(")")[2].split()
     return int(fields[19]) / os.sysconf("SC_CLK_TCK")
 
@@ -218,9 +218,9 @@ def _spawn(name: str, arguments: Iterable[str], folder: Path, *, stdout: int) ->
 
 
 def _await_ready(world: Child) -> Ready:
-    """What the world's ready line says."""
+    """The ready line of the world; SwarmError if it ends, NetworkError if it takes too long."""
     assert world.process.stdout is not None
-    line = _read_line(world.process.stdout, WORLD_READY)
+    line = _read_line(world.process.stdout, WORLD_TIMEOUT)
     if line:
         with contextlib.suppress(msgspec.DecodeError):
             return msgspec.json.decode(line, type=Ready)
@@ -228,12 +228,12 @@ def _await_ready(world: Child) -> Ready:
         with contextlib.suppress(subprocess.TimeoutExpired):
             world.process.wait(timeout=0.5)
     if world.process.poll() is not None:
-        raise SwarmError(world.epitaph())
-    raise NetworkError(f"the world did not get ready within {WORLD_READY:.0f} s (log: {world.log})")
+        raise SwarmError(world.how_it_ended())
+    raise NetworkError(f"the world was not ready after {WORLD_TIMEOUT:.0f} s (log: {world.log})")
 
 
 def _read_line(stream: IO[bytes], seconds: float) -> bytes:
-    """The first line of a pipe; empty at its end or when the time is up."""
+    """The first line of a pipe; empty at its end, or without a line within `seconds`."""
     deadline = time.monotonic() + seconds
     line = b""
     with selectors.DefaultSelector() as selector:
@@ -249,7 +249,7 @@ def _read_line(stream: IO[bytes], seconds: float) -> bytes:
 def _end(children: list[Child]) -> None:
     for child in children:
         child.process.terminate()
-    deadline = time.monotonic() + GRACE
+    deadline = time.monotonic() + KILL_DELAY
     for child in children:
         try:
             child.process.wait(timeout=max(0.0, deadline - time.monotonic()))
@@ -262,4 +262,4 @@ def _end(children: list[Child]) -> None:
 
 def _last_line(log: Path) -> str:
     lines = log.read_text(errors="replace").strip().splitlines() if log.exists() else []
-    return lines[-1].strip() if lines else "it said nothing"
+    return lines[-1].strip() if lines else "its log is empty"

@@ -1,4 +1,4 @@
-"""What a demo comes to: a handful of numbers, and what went wrong if anything did."""
+"""The summary of a demo: a few numbers, and the problems."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from swarmd.sim.metrics.gap import minimum_gap
 from swarmd.sim.metrics.kinematics import mean_speed
 from swarmd.sim.trace import Trace
 
-SETTLED = 0.2  # the last share of a run, over which the mean speed is taken
+LATE_SHARE = 0.2  # the last share of a run, over which the mean speed is taken
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Numbers:
-    """The run in numbers: m, m/s and s; counts are of whole touches, not of steps.
+    """The run in numbers: m, m/s and s; a contact counts once, however long it lasts.
 
     `link` is the distance within which two robots belong to one cluster: twice the protection
-    threshold. `minimum_gap` is None for a single robot, `protection_duty` the share of decisions
-    in which protection replaced or cut the pattern's wish, None if no robot told.
+    threshold. `minimum_gap` is None for a single robot. `protection_duty` is the share of decisions
+    in which protection changed the requested command, None if no robot reported it.
     """
 
     seconds: float
@@ -44,7 +44,7 @@ class Numbers:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
-    """A finished demo. `problems` is empty if all robots ran to the end and none touched another.
+    """A finished demo. `problems` is empty if all robots ran to the end and no two touched.
 
     `late` robots started only when they were asked again. `seconds_to_moving` counts from the
     start of the command until all robots moved; None if they did not all move. `duty` by robot.
@@ -64,15 +64,15 @@ class Summary:
 
     @property
     def is_good(self) -> bool:
-        """True if nothing is among the problems."""
+        """True without problems."""
         return not self.problems
 
     def as_json(self) -> dict[str, Any]:
-        """What summary.json and `-o json` hold."""
+        """The content of summary.json and of `-o json`."""
         return {**asdict(self), "is_good": self.is_good}
 
     def lines(self) -> list[tuple[str, str]]:
-        """(what, value) for a reader."""
+        """(name, value) pairs to print."""
         n = self.numbers
         moving = self.seconds_to_moving
         return [
@@ -96,7 +96,7 @@ def numbers_of(
     duty: float | None,
     real_time_factor: float,
 ) -> Numbers:
-    """The numbers of a trace; `platforms` by name, `duty` as the robots told it."""
+    """The numbers of a trace; `platforms` by name, `duty` as the robots reported it."""
     thresholds = (_threshold(platforms[name]) for name in set(trace.platforms))
     link = 2.0 * max(thresholds)
     away = distance_to_centroid(trace)
@@ -114,18 +114,18 @@ def numbers_of(
         contacts=contacts_between_robots(trace),
         arena_contacts=contacts_with_arena(trace),
         minimum_gap=gap if math.isfinite(gap) else None,
-        mean_speed_late=mean_speed(trace, (1.0 - SETTLED) * trace.duration) or 0.0,
+        mean_speed_late=mean_speed(trace, (1.0 - LATE_SHARE) * trace.duration) or 0.0,
         protection_duty=duty,
     )
 
 
 def duties(statuses: Mapping[str, Status]) -> dict[str, float]:
-    """By robot the share of decisions in which protection was active since `run`."""
+    """The share of decisions since `run` in which protection was active, by robot."""
     return {name: s.decision.duty for name, s in sorted(statuses.items()) if s.decision.decisions}
 
 
 def mean_duty(statuses: Mapping[str, Status]) -> float | None:
-    """The same over all robots together, weighted by their decisions; None if none has decided."""
+    """That share over all robots, weighted by their decisions; None without decisions."""
     decisions = sum(s.decision.decisions for s in statuses.values())
     if not decisions:
         return None
@@ -138,13 +138,13 @@ def problems_of(
     after: Mapping[str, Status],
     contacts: int,
 ) -> tuple[str, ...]:
-    """Lines on robots that did not run to the end, and on contacts; empty if all is well.
+    """A line for each robot that did not run to the end, and one for contacts.
 
     `before` are the statuses right after `run`, `after` those at the end, both by robot.
     """
     found = [line for robot in robots if (line := _problem(robot, before, after))]
     if contacts:
-        found.append(f"robots touched one another {contacts} times")
+        found.append(f"robots touched each other {contacts} times")
     return tuple(found)
 
 
@@ -161,7 +161,7 @@ def _problem(robot: str, before: Mapping[str, Status], after: Mapping[str, Statu
     if end.health.host_restarts > start.health.host_restarts:
         return f"{robot}: its pattern failed and was started again"
     if end.generation != start.generation:
-        return f"{robot} was told to do something else"
+        return f"{robot} was given another request"
     return ""
 
 

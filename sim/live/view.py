@@ -22,18 +22,18 @@ COLOURS = {
 }
 TABLE_WIDTH = 78
 MARGIN = 4  # the map's frame and the gap beside the table
-MAP = (48, 22)  # columns and rows at most
-MIN_MAP = (16, 4)  # and at least
+MAX_MAP = (48, 22)  # columns and rows
+MIN_MAP = (16, 4)
 FRAME = 2  # lines above and below the map
-CURSOR = 1  # the line below the view, where the cursor stands
+CURSOR = 1  # the line of the cursor, below the view
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What is to be seen at one moment.
+    """The state to show.
 
-    `poses` by robot: x, y in m and yaw in rad; the arena spans (width, height) m around the
-    origin. `statuses` holds a robot only once it has answered.
+    `poses` by robot: x, y in m and yaw in rad. The arena spans (width, height) m around the origin.
+    `statuses` lacks robots that did not answer.
     """
 
     title: str
@@ -44,9 +44,9 @@ class Scene:
 
 
 def render(scene: Scene, width: int, height: int) -> RenderableType:
-    """The whole view for a terminal of `width` by `height` characters.
+    """The view for a terminal of `width` by `height` characters.
 
-    If there are more robots than lines, those that do not run come first, and the rest is counted.
+    With more robots than lines, robots that do not run are shown first, and the rest is counted.
     """
     heading = Text(scene.title, style="bold", no_wrap=True, overflow="ellipsis")
     footer = Text(scene.footer, style="dim", no_wrap=True, overflow="ellipsis")
@@ -65,9 +65,9 @@ def render(scene: Scene, width: int, height: int) -> RenderableType:
 
 
 def table_of(scene: Scene, lines: int) -> RenderableType:
-    """A row a robot: name, state, reason, pattern, scan rate, loop p99, nearest obstacle.
+    """A row for each robot: name, state, reason, pattern, scan rate, loop p99, nearest obstacle.
 
-    At most `lines` with the header; the last then says how many more there are.
+    At most `lines` with the header; if robots are left out, the last line counts them.
     """
     table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False, width=TABLE_WIDTH)
     for title, width in (("name", 11), ("state", 9), ("reason", 18), ("pattern", 13)):
@@ -85,7 +85,7 @@ def table_of(scene: Scene, lines: int) -> RenderableType:
 def chosen(scene: Scene, rows: int) -> tuple[str, ...]:
     """The robots to show in `rows`, one of which is kept for the count if not all fit.
 
-    Those that do not run are what one must see: they stay, the others give way from the end.
+    Robots that do not run are kept, since they need attention; others are left out from the end.
     """
     robots = list(scene.poses)
     if len(robots) <= rows:
@@ -114,16 +114,16 @@ def _cells(status: Status | None) -> tuple[Text | str, ...]:
 
 
 def map_size(arena: tuple[float, float], width: int, height: int) -> tuple[int, int]:
-    """Columns and rows inside the frame that keep the arena's shape; a character is 1 by 2.
+    """Columns and rows inside the frame with the arena's aspect ratio; a character is 1 by 2.
 
-    At most `width` by `height`, and no more than a glance takes in.
+    At most `width` by `height`, and at most `MAX_MAP`.
     """
-    columns = min(width, MAP[0], 2 * min(height, MAP[1]) * arena[0] / arena[1])
+    columns = min(width, MAX_MAP[0], 2 * min(height, MAX_MAP[1]) * arena[0] / arena[1])
     return max(8, int(columns)), max(4, round(columns * arena[1] / arena[0] / 2))
 
 
 def map_of(scene: Scene, columns: int, rows: int) -> Text:
-    """The arena with one mark a robot, and an arrow where it heads."""
+    """The arena with a mark for each robot, and an arrow for its heading."""
     grid: list[list[tuple[str, str]]] = [[(" ", "")] * columns for _ in range(rows)]
     cells = {
         robot: cell_of(pose, scene.arena, columns, rows) for robot, pose in scene.poses.items()

@@ -23,6 +23,7 @@ from tests.support.processes import children, wait_until
 Swarmctl = Callable[..., "subprocess.CompletedProcess[str]"]
 HEAVY = {"numpy", "mujoco", "matplotlib", "rich", "yaml", "swarmd.patterns"}
 END = "groups.all.parameters.end"
+RUNS = 12  # of about 0.1 s: enough for something to happen after the first and before the last
 
 
 def rows(folder: Path) -> list[dict[str, str]]:
@@ -122,23 +123,23 @@ def test_results_are_the_same_bits_for_any_number_of_processes(
 
 @pytest.mark.integration
 @pytest.mark.parametrize("what", [".", "traces", "runs.csv"])
-def test_what_is_removed_meanwhile_is_one_line_and_the_command_works_again(
+def test_removed_results_are_one_line_and_the_command_works_again(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl, what: str
 ) -> None:
-    command = ("exp", "run", duo, "--seeds", 60, "--out", "x")
+    command = ("exp", "run", duo, "--seeds", RUNS, "--out", "x")
     process = started(*command, cwd=tmp_path)
-    wait_until(lambda: finished(tmp_path / "x") > 1, "two runs are finished")
+    wait_until(lambda: finished(tmp_path / "x") > 0, "a run is finished")
     gone = tmp_path / "x" / what
     gone.rename(tmp_path / "away")
-    _, said = process.communicate(timeout=60)
-    assert process.returncode == 1, said
-    assert "error: x: the folder or a file of it was removed" in said
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 1, errors
+    assert "error: x: " in errors
     if what == ".":
         assert not gone.exists()
     (tmp_path / "away").rename(gone)
     done = swarmctl(*command)
-    assert (done.returncode, len(rows(tmp_path / "x"))) == (0, 60), done.stderr
-    assert len(traces(tmp_path / "x")) == 60
+    assert (done.returncode, len(rows(tmp_path / "x"))) == (0, RUNS), done.stderr
+    assert len(traces(tmp_path / "x")) == RUNS
 
 
 @pytest.mark.integration
@@ -153,7 +154,7 @@ def test_a_hanging_run_fails_and_the_others_go_on(
 
 
 @pytest.mark.integration
-def test_a_rerun_is_identical_without_the_scenario_and_with_another_hash_seed(
+def test_a_rerun_is_identical_also_with_another_hash_seed(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl
 ) -> None:
     swarmctl("exp", "run", duo, "--seeds", "7-9", "--out", "a", PYTHONHASHSEED="1")
@@ -229,7 +230,7 @@ def test_no_worker_outlives_a_killed_parent(tmp_path: Path, duo: Path) -> None:
 
 @pytest.mark.integration
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_an_end_by_hand_keeps_what_is_finished_and_says_how_to_go_on(
+def test_a_signal_keeps_finished_runs_and_says_how_to_resume(
     tmp_path: Path, duo: Path, number: signal.Signals, code: int
 ) -> None:
     folder = tmp_path / "x"

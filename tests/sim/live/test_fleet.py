@@ -86,7 +86,7 @@ def test_latches_of_a_fleet_stay_in_its_folder(tmp_path: Path) -> None:
     assert Path(str(config["state_dir"])).is_relative_to(tmp_path)
 
 
-def test_a_daemon_finds_a_platform_of_the_folder_the_fleet_was_started_in(tmp_path: Path) -> None:
+def test_a_platform_file_is_found_from_the_folder_of_the_fleet(tmp_path: Path) -> None:
     spec = make_spec(tmp_path, robots={"a": "own.yaml", "b": "burger"})
     assert daemon_config(spec, "a", READY)["platform"] == str(Path.cwd() / "own.yaml")
     assert daemon_config(spec, "b", READY)["platform"] == "burger"
@@ -149,7 +149,7 @@ def test_an_impossible_world_ends_with_the_reason(tmp_path: Path) -> None:
 
 
 @pytest.mark.integration
-def test_a_daemon_that_does_not_come_up_ends_the_wait(tmp_path: Path) -> None:
+def test_a_daemon_that_ends_ends_the_wait(tmp_path: Path) -> None:
     spec = make_spec(tmp_path)
     with Fleet(spec) as fleet, Operator(NetworkSettings(swarm=spec.swarm)) as operator:
         os.kill(fleet.pids["tb3-01"], signal.SIGKILL)

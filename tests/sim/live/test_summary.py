@@ -1,4 +1,4 @@
-"""What a demo comes to: its numbers, and what counts as a problem."""
+"""The numbers of a demo, and its problems."""
 
 from __future__ import annotations
 
@@ -74,13 +74,13 @@ def test_a_robot_alone_has_no_gap() -> None:
 
 
 def test_a_summary_is_plain_json() -> None:
-    told = json.loads(json.dumps(summary().as_json(), allow_nan=False))
-    assert told["is_good"] is True
-    assert told["robots"] == ["a", "b"]
+    read = json.loads(json.dumps(summary().as_json(), allow_nan=False))
+    assert read["is_good"] is True
+    assert read["robots"] == ["a", "b"]
     assert summary(problems=("a ended faulted",)).as_json()["is_good"] is False
 
 
-def test_lines_say_what_is_not_known() -> None:
+def test_lines_name_unknown_values() -> None:
     lines = dict(summary(seconds_to_moving=None).lines())
     assert lines["all moving after"] == "not all moved"
     assert lines["distance to centroid"] == "1.00 m -> 0.25 m"
@@ -99,7 +99,7 @@ def test_robots_that_ran_to_the_end_are_no_problem() -> None:
         ({"state": State.FAULTED, "detail": "it raised"}, r"a ended faulted: it raised"),
         ({"state": State.IDLE, "reason": Reason.RESET}, r"a ended idle \(reset\)"),
         ({"instance": "other"}, r"a was restarted"),
-        ({"generation": 2}, r"a was told to do something else"),
+        ({"generation": 2}, r"a was given another request"),
         ({"generation": 2, "health": Health(host_restarts=1)}, r"a: its pattern failed"),
     ],
 )
@@ -110,7 +110,7 @@ def test_a_robot_that_did_not_run_to_the_end_is_a_problem(end: dict[str, Any], l
 
 def test_a_silent_robot_and_a_touch_are_problems() -> None:
     found = problems_of(["a", "b"], {"a": status("a"), "b": status("b")}, {"a": status("a")}, 2)
-    assert found == ("b did not answer at the end", "robots touched one another 2 times")
+    assert found == ("b did not answer at the end", "robots touched each other 2 times")
 
 
 def test_duty_is_weighted_by_decisions() -> None:

@@ -1,4 +1,4 @@
-"""The live view: what stands in the table and where robots appear on the map."""
+"""The live view: the rows of the table, and the robots on the map."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def scene(**poses: tuple[float, float, float]) -> Scene:
     return Scene("attraction", ARENA, poses, {name: status(name) for name in poses})
 
 
-def test_a_row_holds_what_the_robot_said() -> None:
+def test_a_row_has_the_status_of_the_robot() -> None:
     row = next(line for line in shown(scene(a=(0.0, 0.0, 0.0))).splitlines() if "1 a" in line)
     assert row.split("│")[0].split() == (
         ["1", "a", "running", "attraction", "5.0", "Hz", "3.1", "ms", "0.62", "m"]
     )
 
 
-def test_a_standing_robot_shows_its_reason() -> None:
+def test_a_stopped_robot_shows_its_reason() -> None:
     stopped = status("a", state=State.STOPPED, reason=Reason.PATTERN_RESTARTING)
     text = shown(Scene("t", ARENA, {"a": (0.0, 0.0, 0.0)}, {"a": stopped}))
     assert "pattern_restarting" in text
@@ -102,9 +102,7 @@ def crowd(*standing: int) -> Scene:
 
 
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (140, 24), (80, 10), (140, 6), (80, 40)])
-def test_more_robots_than_lines_are_counted_and_those_that_stand_are_shown(
-    width: int, height: int
-) -> None:
+def test_stopped_robots_are_shown_first_and_the_rest_is_counted(width: int, height: int) -> None:
     lines = shown(crowd(25), width, height).splitlines()
     text = "\n".join(lines)
     assert len(lines) < height
@@ -119,7 +117,7 @@ def test_more_robots_than_lines_are_counted_and_those_that_stand_are_shown(
         assert "more" not in text
 
 
-def test_robots_keep_their_order_and_their_marks_when_some_are_left_out() -> None:
+def test_robots_keep_their_order_and_marks_if_some_are_left_out() -> None:
     names = [line.split()[:2] for line in shown(crowd(25), 80, 10).splitlines()[2:-2]]
     assert names == [
         ["1", "tb3-01"],
