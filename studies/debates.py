@@ -1,7 +1,7 @@
-"""Thousands of debates of a voting pattern, and what theory gives for synchronous updates.
+"""Thousands of debates of a voting pattern, and the theory of synchronous updates.
 
 The expected numbers come from the exact Markov chain of the counts: all robots decide at once, each
-from the opinions of all others. `tests.support.voting_sim` holds the debates.
+from the opinions of all others. `tests.support.voting_sim` runs the debates.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tests.support.voting_sim import Air, Debate, VotingSim
 
 Counts: TypeAlias = tuple[int, ...]
 Choice: TypeAlias = Callable[[Counts], Sequence[float]]
-"""From what one robot hears, by opinion, to how likely it adopts each."""
+"""From the counts of opinions that a robot hears to the probability that it adopts each."""
 
 IN_STEP: Mapping[str, Value] = {
     "windows": "rounds",
@@ -28,12 +28,12 @@ IN_STEP: Mapping[str, Value] = {
     "share_period": 0.3,
     "expiry": 1.0,
 }
-"""Rounds that last some 0.4 s."""
+"""Rounds of about 0.4 s."""
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """A debate to hold; see `VotingSim`. It ends `settled` s after all agreed."""
+    """A debate to run; see `VotingSim`. It ends `settled` s after all agreed."""
 
     pattern: str
     count: int
@@ -47,7 +47,7 @@ class Motion:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """When all agreed in s (inf: never), on what, after how many rounds, and what was said."""
+    """The time of agreement in s (inf: never), the opinion, the rounds and the messages sent."""
 
     agreed_at: float
     winner: int | None
@@ -64,7 +64,7 @@ def hold(motion: Motion) -> Result:
 
 
 def hold_all(motions: Iterable[Motion], jobs: int = 1) -> list[Result]:
-    """All of them in their order, in as many processes."""
+    """All debates in their order, in `jobs` processes."""
     if jobs == 1:
         return [hold(motion) for motion in motions]
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
@@ -72,7 +72,7 @@ def hold_all(motions: Iterable[Motion], jobs: int = 1) -> list[Result]:
 
 
 def rounds_of(debate: Debate) -> float:
-    """The first round in which all robots held one opinion; inf if there is none."""
+    """The first round in which all robots held one opinion; inf without one."""
     for number in range(int(debate.rounds.min(axis=1).max()) + 1):
         is_then = debate.rounds == number
         if not is_then.any(axis=0).all():
@@ -84,18 +84,18 @@ def rounds_of(debate: Debate) -> float:
 
 
 def most_frequent(heard: Counts) -> Sequence[float]:
-    """The majority rule's choice: any of the most frequent, each as likely."""
+    """The majority rule's choice: one of the most frequent opinions, with equal probability."""
     leaders = [count == max(heard) for count in heard]
     return [is_leader / sum(leaders) for is_leader in leaders]
 
 
 def any_of(heard: Counts) -> Sequence[float]:
-    """The voter model's choice: that of any robot, each as likely."""
+    """The voter model's choice: the opinion of a random robot."""
     return [count / sum(heard) for count in heard]
 
 
 def agreed_by(start: Mapping[Counts, float], choice: Choice, rounds: int) -> list[float]:
-    """The chance that all agree after 0, 1 ... `rounds` synchronous updates."""
+    """The probability that all agree after 0, 1 ... `rounds` synchronous updates."""
     chances, steps = dict(start), {state: _step(state, choice) for state in _reachable(start)}
     shares = [_agreed(chances)]
     for _ in range(rounds):
@@ -109,7 +109,7 @@ def agreed_by(start: Mapping[Counts, float], choice: Choice, rounds: int) -> lis
 
 
 def at_random(count: int, opinions: int) -> Mapping[Counts, float]:
-    """The chance of each state if all robots draw their opinions."""
+    """The probability of each state if all robots draw their opinions."""
     states: dict[Counts, float] = {(0,) * opinions: 1.0}
     for _ in range(count):
         states = _add_one(states, [1.0 / opinions] * opinions)
@@ -117,7 +117,7 @@ def at_random(count: int, opinions: int) -> Mapping[Counts, float]:
 
 
 def _step(state: Counts, choice: Choice) -> Mapping[Counts, float]:
-    """The chance of each next state."""
+    """The probability of each next state."""
     after: dict[Counts, float] = {(0,) * len(state): 1.0}
     for opinion, count in enumerate(state):
         heard = tuple(n - (k == opinion) for k, n in enumerate(state))
@@ -137,7 +137,7 @@ def _add_one(states: Mapping[Counts, float], chances: Sequence[float]) -> dict[C
 
 
 def _reachable(start: Mapping[Counts, float]) -> Iterable[Counts]:
-    """All states of as many robots and opinions."""
+    """All states of that many robots and opinions."""
     some = next(iter(start))
     return at_random(sum(some), len(some))
 

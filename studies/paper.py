@@ -3,9 +3,9 @@
 Experiment 2 is `python -m studies.paper exp2 [OUT]`.
 
 Runs every scenario with the original equations and with ours, with both visibilities, under the
-barrier, and once more as it was published: the original equations under the original protection.
-Writes the tables and figures of docs/paper.md to OUT. What OUT has already is not run again; with
-`--draw` nothing is run at all.
+barrier, and with the original equations under the original protection, as published. Writes the
+tables and figures of docs/paper.md to OUT. Runs that OUT already holds are not repeated; with
+`--draw`, nothing is run.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
-from swarmd.sim.experiments.statistics import median_interval, wilson
+from swarmd.sim.experiments.statistics import median_interval, summarize, wilson
 from swarmd.sim.metrics import aggregation
 from swarmd.sim.plots.bands import Series, draw_series
 from swarmd.sim.plots.select import typical_first
@@ -39,7 +39,7 @@ DRAWN = ("settling", ORIGINAL)
 
 SEEDS = range(20)
 FRESH = range(500, 520)
-"""Seeds that no parameter was chosen with."""
+"""Seeds with which no parameter was chosen."""
 
 PLAN = (
     ("settling", SEEDS, TURTLEBOTS),
@@ -52,13 +52,13 @@ PLAN = (
 )
 MDC_SOON = 0.86
 MDC_LATE = {"burger": 0.65, "waffle_pi": 0.75}
-"""What a mean distance to the centroid should not exceed, in m, after 30 s and in the end."""
+"""Upper bounds in m of the mean distance to the centroid after 30 s and at the end."""
 
 Column = tuple[str, Callable[[Results, str, str], str]]
 
 
 def folder_of(out: Path, name: str, law: str, seeds: Sequence[int]) -> Path:
-    """Where the runs of a scenario and law lie; both visibilities are in it."""
+    """The folder of the runs of a scenario and law, with both visibilities."""
     return out / f"{name}-{law}{'-fresh' if seeds is FRESH else ''}"
 
 
@@ -75,7 +75,7 @@ def experiment(out: Path, name: str, law: str, seeds: Sequence[int]) -> Results:
 
 
 def changes(name: str, law: str) -> Mapping[str, str]:
-    """What makes the scenario one of that law."""
+    """The overrides that select a law."""
     if law != ORIGINAL:
         return {"groups.all.parameters.law": law}
     platform = "waffle_pi" if name == "hardware" else name
@@ -84,19 +84,19 @@ def changes(name: str, law: str) -> Mapping[str, str]:
 
 
 def variant_of(visibility: str) -> str:
-    """The name of a variant of those experiments."""
+    """The name of a variant of these experiments."""
     return f"lidar_visibility={visibility}"
 
 
 def share(values: NDArray[np.bool_]) -> str:
-    """How many of (n,) are true, as a share with Wilson's interval."""
+    """The share of (n,) that is true, with Wilson's interval."""
     count, n = int(values.sum()), len(values)
     around = wilson(count, n)
     return f"{count}/{n} ({around.low:.2f}-{around.high:.2f})"
 
 
 def median(values: Array) -> str:
-    """The median of (n,) with its interval, and the largest."""
+    """The median of (n,) with its interval."""
     around = median_interval(values)
     text = f"{np.median(values):.2f}"
     return f"{text} ({around.low:.2f}-{around.high:.2f})" if around else text
@@ -113,12 +113,12 @@ def _share(
 
 
 def _met(results: Results, variant: str, name: str, when: str, bound: float) -> str:
-    """For TurtleBots; Jackals stand too close in the row and have to spread."""
+    """The share within a bound, of TurtleBots; Jackals stand too close in the row and spread."""
     values = results.metric(f"mean_distance_to_centroid_{when}", variant)
     return share(values <= bound) if name in TURTLEBOTS else "-"
 
 
-def _touches(results: Results, variant: str, _: str) -> str:
+def _contacts(results: Results, variant: str, _: str) -> str:
     values = results.metric("robot_contacts", variant) + results.metric("arena_contacts", variant)
     return f"{int(values.sum())} in {np.count_nonzero(values)}"
 
@@ -131,19 +131,22 @@ CLUSTER: tuple[Column, ...] = (
     ("late MDC [m]", _median("mean_distance_to_centroid_late")),
     ("within bound", lambda r, v, n: _met(r, v, n, "late", MDC_LATE.get(n, 0.0))),
 )
-CONDUCT: tuple[Column, ...] = (
-    ("contacts", _touches),
+BEHAVIOUR: tuple[Column, ...] = (
+    ("contacts", _contacts),
     ("late speed / v_max", _median("mean_speed_late_share")),
     ("late protection duty", _median("protection_duty_late")),
     ("nearest neighbour [m]", _median("nearest_neighbor_median_late")),
-    ("half MDC after [s]", lambda r, v, n: _some(r.metric("gather_time", v))),
+    ("half MDC after [s]", lambda r, v, n: _gather_time(r.metric("gather_time", v))),
 )
 
 
-def _some(values: Array) -> str:
-    known = values[~np.isnan(values)]
-    never = len(values) - len(known)
-    return (median(known) if len(known) else "-") + (f", {never} never" if never else "")
+def _gather_time(values: Array) -> str:
+    """The median of all runs; "-" if at least half of them never gathered."""
+    never = int(np.isnan(values).sum())
+    if not never:
+        return median(values)
+    found = summarize(values, is_time_to_event=True).median
+    return f"{'-' if found is None else f'{found:.2f}'}, {never} never"
 
 
 def groups_of_three(trace: Trace, link: float, by: float = 10.0) -> bool:
@@ -154,7 +157,7 @@ def groups_of_three(trace: Trace, link: float, by: float = 10.0) -> bool:
 
 
 def hardware_rows(results: Results) -> Iterator[tuple[str, list[str]]]:
-    """What the paper tells of its hardware experiment, with links of 1.0 m and of 0.8 m."""
+    """The statements of the paper on its hardware experiment, with links of 1.0 m and 0.8 m."""
     for visibility in VISIBILITIES:
         runs = [run for run in results.runs if run.variant.name == variant_of(visibility)]
         traces = [results.traces[run.id] for run in runs]
@@ -175,7 +178,7 @@ def hardware_rows(results: Results) -> Iterator[tuple[str, list[str]]]:
                     median(
                         np.array([one[end].mean() for one, end in zip(largest, late, strict=True)])
                     ),
-                    _touches(results, variant_of(visibility), ""),
+                    _contacts(results, variant_of(visibility), ""),
                 ],
             )
 
@@ -185,18 +188,18 @@ HARDWARE = ("groups of three by 10 s", "six together after 10 s", "at most one l
 
 
 def table(head: Sequence[str], rows: Mapping[str, Sequence[str]]) -> str:
-    """Markdown."""
+    """A Markdown table."""
     lines = ["| " + " | ".join(("", *head)) + " |", "|---" * (len(head) + 1) + "|"]
     lines += ["| " + " | ".join((name, *row)) + " |" for name, row in rows.items()]
     return "\n".join(lines)
 
 
 def tables(found: Mapping[tuple[str, str, bool], Results]) -> str:
-    """All tables, of what there is."""
+    """All tables, of the runs that exist."""
     parts = []
     for title, columns, names in (
         ("Gathering", CLUSTER, SCENARIOS[:3]),
-        ("Lifecycle", CONDUCT, SCENARIOS),
+        ("Contacts, rest and time", BEHAVIOUR, SCENARIOS),
     ):
         rows = {
             f"{name}, {visibility}, {law}{', fresh' if is_fresh else ''}": [

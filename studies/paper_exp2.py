@@ -2,8 +2,8 @@
 
 Seven Waffle Pis agree on a distance and disperse to it: in the paper's arena, in one 1.4 times as
 long and wide, and with an eighth robot that joins late. Writes the table and the figures of
-docs/paper.md, section "Experiment 2", to OUT. What OUT has already is not run again; with `--draw`
-nothing is run at all.
+docs/paper.md, section "Experiment 2", to OUT. Runs that OUT already holds are not repeated; with
+`--draw`, nothing is run.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ KEPT_FOR = 30.0
 TOLERANCE = 0.03
 """Three standard deviations of the lidar's noise, in m."""
 STRAYED, MOVING, STILL = 0.1, 0.05, 0.01
-"""Robots stand if none strays further, in m, or moves for a larger share of the time; slower than
-the last, in m/s, is standing still."""
+"""Robots stand if none moves farther than the first number in m, and none moves for a larger share
+of the time than the second; slower than the third, in m/s, is no motion."""
 JOINED = 50.0
 LARGER = (9.24, 6.72)
 """1.4 times the paper's arena along both sides."""
@@ -45,18 +45,19 @@ PLAN: tuple[tuple[str, str, Mapping[str, Any]], ...] = (
     ("larger", "paper_exp2", {"arena.size": list(LARGER), "groups.first.parameters.initial": 2}),
     ("late", "paper_exp2_late", {}),
 )
-WORDS = {"paper": "6.6 x 4.8 m", "larger": "9.24 x 6.72 m", "late": "one joins at 50 s"}
+TITLES = {"paper": "6.6 x 4.8 m", "larger": "9.24 x 6.72 m", "late": "one joins at 50 s"}
 
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What one run made of it. Times in s from the start, lengths in m.
+    """The result of one run. Times in s from the start, lengths in m.
 
-    `opinion`: what all hold from 20 s on, -1: not one. `moved`: how far anyone got before 20 s.
-    `wanted`: f(opinion). `kept_since`: from when on every range stayed at least that less the
-    tolerance until 70 s; inf: not. `least`: the least range from 40 to 70 s; `strayed`: how far
-    anyone got then from where it was at 40 s, `moving`: the share of that time in which a robot
-    moved, in the mean. `contacts`: instants in contact.
+    `opinion`: the opinion of all robots from 20 s on; -1 if they differ. `moved`: the largest
+    distance of a robot from its start before 20 s. `wanted`: f(opinion). `kept_since`: the time
+    from which every range is at least `wanted` less the tolerance until 70 s; inf: never. `least`:
+    the least range from 40 to 70 s. `strayed`: the largest distance of a robot in that time from
+    its position at 40 s. `moving`: the mean share of that time in which a robot moves. `contacts`:
+    instants in contact.
     """
 
     opinion: int
@@ -75,12 +76,12 @@ class Course:
 
     @property
     def is_standing(self) -> bool:
-        """Whether the robots stood then, but for small corrections."""
+        """Whether the robots stood then, except for small corrections."""
         return self.strayed <= STRAYED and self.moving <= MOVING
 
 
 def judged(trace: Trace, base: float = 0.6, step: float = 0.4) -> Course:
-    """The course of a trace of experiment 2; f is what the paper says, not what is reported."""
+    """The course of a trace of experiment 2; f is that of the paper, not the reported one."""
     time = trace.t - trace.t[0]
     opinion = trace.report["opinion"]
     since, until = time >= DISCUSS - 1e-6, time <= SPREAD_BY + KEPT_FOR + 1e-6
@@ -102,20 +103,20 @@ def judged(trace: Trace, base: float = 0.6, step: float = 0.4) -> Course:
 
 
 def away(places: Array) -> Array:
-    """(T, n) m of places (T, n, 2) from the first of them."""
+    """(T, n) the distance in m of positions (T, n, 2) from the first."""
     distance: Array = np.hypot(*np.moveaxis(places - places[0], -1, 0))
     return distance
 
 
 def speeds(trace: Trace) -> Array:
-    """(T - 1, n) m/s at which robots really moved."""
+    """(T - 1, n) the true speeds in m/s."""
     way = np.hypot(*np.moveaxis(np.diff(trace.pose[..., :2], axis=0), -1, 0))
     speed: Array = way / np.diff(trace.t)[:, None]
     return speed
 
 
 def ranges(trace: Trace) -> Array:
-    """(T, n) m from each lidar to the nearest outline of another or wall. Truth."""
+    """(T, n) the true distance in m from each lidar to the nearest outline or wall."""
     arena = parse_arena(str(trace.meta["arena"]))
     half = np.array([arena.length, arena.width]) / 2.0
     offsets = {name: np.array([load_platform(name).scan.offset]) for name in trace.platforms}
@@ -133,7 +134,7 @@ def ranges(trace: Trace) -> Array:
 
 
 def _since(time: Array, is_kept: Any) -> float:
-    """From which of the times on it holds to the last of them; inf: not even then."""
+    """The time from which `is_kept` holds until the last; inf: never."""
     broken = np.flatnonzero(~is_kept)
     index = int(broken[-1]) + 1 if len(broken) else 0
     return float(time[index]) if index < len(time) else float("inf")
@@ -141,11 +142,11 @@ def _since(time: Array, is_kept: Any) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Joining:
-    """What an eighth robot that joined late, with another opinion, made of a run.
+    """The result of a run in which an eighth robot joins late with another opinion.
 
-    `adopted`: after how many s it held what the seven did; `is_swayed`: whether one of these ever
-    changed its mind. `stirred`: how far the farthest of them went after it had joined, m. `least`:
-    the least range in the last 20 s, m. `contacts`: instants in contact.
+    `adopted`: seconds until it holds the opinion of the seven. `is_swayed`: whether one of the
+    seven ever changes its opinion. `stirred`: the largest distance in m that one of them moves
+    afterwards. `least`: the least range in m in the last 20 s. `contacts`: instants in contact.
     """
 
     adopted: float
@@ -156,10 +157,7 @@ class Joining:
 
 
 def joined(trace: Trace, at: float = JOINED) -> Joining:
-    """What became of the last robot of a trace of `paper_exp2_late`, and of the others.
-
-    `at`: when it joined, s.
-    """
+    """The result of a trace of `paper_exp2_late`, in which the last robot joins at `at` s."""
     time, opinion = trace.t - trace.t[0], trace.report["opinion"]
     there = time >= at + 0.5
     others = opinion[there][:, :-1]
@@ -205,13 +203,13 @@ def row(courses: Sequence[Course]) -> list[str]:
 
 
 def tables(found: Mapping[str, Results]) -> str:
-    """All tables, of what there is."""
+    """All tables, of the runs that exist."""
     rows: dict[str, list[str]] = {}
     for name in ("paper", "larger"):
         courses = [judged(trace) for trace in traces_of(found.get(name))]
         for opinion in sorted({course.opinion for course in courses}):
             some = [course for course in courses if course.opinion == opinion]
-            rows[f"{WORDS[name]}, f({opinion}) = {some[0].wanted:.1f} m"] = row(some)
+            rows[f"{TITLES[name]}, f({opinion}) = {some[0].wanted:.1f} m"] = row(some)
     lines = [table(HEAD, rows)]
     if "late" in found:
         lines += [str(joined(trace)) for trace in traces_of(found["late"])]
@@ -234,7 +232,7 @@ def draw(found: Mapping[str, Results], out: Path) -> None:
             series = (trace.t - trace.t[0], ranges(trace).min(axis=1))
             groups.setdefault(label, []).append(series)
         if groups:
-            title = f"experiment 2, {WORDS[name]}"
+            title = f"experiment 2, {TITLES[name]}"
             ordered = {label: groups[label] for label in sorted(groups)}
             path = out / f"paper_exp2_{name}.png"
             draw_series(ordered, path, label="least range of all", unit="m", title=title)
@@ -245,7 +243,7 @@ def draw(found: Mapping[str, Results], out: Path) -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """All runs, then tables and figures."""
+    """Do all runs, then write tables and figures."""
     is_drawing = "--draw" in arguments
     places = [one for one in arguments if not one.startswith("-")]
     out = Path(places[0] if places else "build/paper_exp2")
@@ -265,7 +263,7 @@ def main(arguments: Sequence[str]) -> None:
 
 
 def table(head: Sequence[str], rows: Mapping[str, Sequence[str]]) -> str:
-    """Markdown."""
+    """A Markdown table."""
     lines = ["| " + " | ".join(("", *head)) + " |", "|---" * (len(head) + 1) + "|"]
     lines += ["| " + " | ".join((name, *row)) + " |" for name, row in rows.items()]
     return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""How voting takes with more robots: `python -m studies.voting [OUT]`, some ten minutes.
+"""Times of agreement by number of robots: `python -m studies.voting [OUT]`, about ten minutes.
 
 Draws `pattern_majority_rule.png` and `pattern_voter_model.png` into OUT, by default docs/figures,
 and prints their numbers.
@@ -28,13 +28,13 @@ SIZES = (3, 5, 7, 11, 15, 21)
 VOTERS = (3, 5, 7, 10, 15)
 RUNS = 30
 FIRST = 10_000
-"""The first seed: none of those of the outcomes."""
+"""The first seed; the outcomes use others."""
 
 
 def motions(
     pattern: str, count: int, params: Mapping[str, Value], held: Sequence[int] | None = None
 ) -> list[Motion]:
-    """`RUNS` of them; those told what is held first hold it in a random order."""
+    """`RUNS` debates; first opinions `held` are given to the robots in a random order."""
     made = []
     for seed in range(FIRST, FIRST + RUNS):
         order = None
@@ -54,7 +54,7 @@ def hold(groups: Mapping[K, list[Motion]]) -> dict[K, list[Result]]:
 
 
 def majority_rule(out: Path) -> None:
-    """Time to agree against the number of robots, and over runs of seven."""
+    """Time to agree by the number of robots, and its distribution for seven."""
     figure = new_figure(8.0, 3.2)
     left, right = figure.subplots(1, 2)
     groups = {
@@ -79,7 +79,7 @@ def majority_rule(out: Path) -> None:
 
 
 def voters(out: Path) -> None:
-    """Who wins by the share at first, and windows or rounds until all agree."""
+    """The winner by the share at the start, and windows or rounds until all agree."""
     figure = new_figure(8.0, 3.2)
     left, right = figure.subplots(1, 2)
     firsts = range(1, 10)
@@ -105,7 +105,7 @@ def voters(out: Path) -> None:
 
 
 def _voting_times(axes: Any) -> None:
-    """Means over runs that begin with two halves, as even as can be, and what theory gives."""
+    """Means over runs that begin with two halves, and the theory."""
     length = float(str(voter_model.SHORT["window"]))
     settings = {"tumbling": voter_model.SHORT, "rounds": {**IN_STEP, "opinions": 2}}
     groups = {

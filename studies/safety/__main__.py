@@ -1,7 +1,7 @@
 """`python -m studies.safety hours | progress | one`: see docs/safety.md.
 
-hours: robot-hours over all scenes. progress: goals reached, mode beside mode. one: a single run,
-with every collision. What build/safety has already from the same sources is not run again.
+hours: robot-hours over all scenes. progress: goals reached in each mode. one: a single run with
+every collision. Runs that build/safety has from the same sources are not repeated.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Options = argparse.Namespace
 
 
 def run_hours(options: Options) -> str:
-    """Robot-hours of protected swarms, then a share of that many among rammers."""
+    """Robot-hours of protected swarms, then a share of them among ramming robots."""
     seeds = DEV_SEEDS if options.dev else ACCEPTANCE_SEEDS
     among = options.robot_hours / 6.0 if options.ram_hours is None else options.ram_hours
     tasks = []
@@ -51,7 +51,7 @@ def run_hours(options: Options) -> str:
 
 
 def run_progress(options: Options) -> str:
-    """Goals reached in each mode, beside ghosts."""
+    """Goals reached in each mode, compared with ghosts."""
     seeds = (DEV_SEEDS if options.dev else ACCEPTANCE_SEEDS)[: options.seeds]
     tasks = progress.plan(
         options.families,
@@ -95,7 +95,7 @@ def _told(one: Collision) -> str:
         else "at no fault"
     )
     speed = one.pushed_speed if one.is_pushed else one.own_speed
-    return f"{one.time:7.2f} s {one.a} {one.b}: {one.who} {decision}, {100.0 * speed:.1f} cm/s"
+    return f"{one.time:7.2f} s {one.a} {one.b}: {one.robot} {decision}, {100.0 * speed:.1f} cm/s"
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -138,7 +138,7 @@ def _add_one(verb: argparse.ArgumentParser) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """What the verb does, on stdout."""
+    """Run the verb, and print its result."""
     options = _parser().parse_args(arguments)
     print(options.act(options))
 

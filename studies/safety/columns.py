@@ -1,4 +1,4 @@
-"""Judgements as cells of tables: rates with their upper bounds, shares, goals a minute."""
+"""Judgements as cells of tables: rates with upper bounds, shares, goals per minute."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ HOUR = 3600.0
 
 
 def upper_bound(count: int, hours: float) -> float:
-    """What a rate per hour is below, with 95 % confidence, after `count` events.
+    """The upper bound of a rate per hour at 95 % confidence, after `count` events.
 
     Poisson, by Wilson and Hilferty's approximation (1931), within 1 %; for none the rule of three.
     """
@@ -20,14 +20,14 @@ def upper_bound(count: int, hours: float) -> float:
 
 
 def rate(count: int, seconds: float) -> str:
-    """Such as `3 (0.3, < 0.77)`: how many, how many an hour, and what that is below at 95 %."""
+    """Such as `3 (0.3, < 0.77)`: the count, the rate per hour and its upper bound at 95 %."""
     hours = seconds / HOUR
     measured = f"{count / hours:.2g}, " if count else ""
     return f"{count} ({measured}< {upper_bound(count, hours):.2g})"
 
 
 def goals_a_minute(found: Judgement) -> float | None:
-    """Of one robot; None where there were none to reach."""
+    """Goals per minute of one robot; None in scenes without goals."""
     return 60.0 * found.goals / found.goal_seconds if found.goal_seconds else None
 
 
@@ -61,7 +61,7 @@ SPEED = "robot-h a CPU-h"
 def rows(
     groups: Mapping[str, Iterable[Record]], more: Mapping[str, Callable[[Judgement], str]]
 ) -> list[Sequence[str]]:
-    """Head and one row a group that has records; `more` are columns after the common ones."""
+    """Header and one row per group with records; `more` are further columns."""
     columns = {**COLUMNS, **more}
     found: list[Sequence[str]] = [("", *columns, SPEED)]
     for name, group in groups.items():

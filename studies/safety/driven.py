@@ -1,10 +1,10 @@
-"""Whether a robot drove into what it touched, or was pushed: by what its own drives can have done.
+"""Whether a robot drove into what it touched or was pushed, from the motion its drives allow.
 
-Who is rammed beside its middle is turned, and its corner then comes towards the rammer; who backs
-away from a rammer may be thrown against it; who is pushed may be pushed into a third. While nothing
-touches a robot, it moves by its own drives. From a touch on, they move it no faster than they did,
-less what it has braked since, or than it is told to, and towards the other no faster than that
-brings its outline there.
+A ram beside the centre turns a robot, and one of its corners then moves towards the rammer. A robot
+that backs away may be thrown against the rammer, and a pushed robot may be pushed into a third.
+Without contact, a robot moves by its own drives. After a contact begins, its drives can move it at
+most at the speed before, less braking since, or at the commanded speed; only the part of that
+motion towards the other robot counts.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.realism import REALISTIC
 
 BRAKING = np.array([1.0, 3.0, 1.0])
-"""m/s2, rad/s2, m/s2: the least that the bases do."""
+"""The least decelerations of the bases, in m/s2, rad/s2 and m/s2."""
 
-_THROWN = 0.3  # s after a touch in which a robot may still move by it
+_THROWN = 0.3  # s after a contact in which it may still move the robot
 _ROUNDING = 1e-9
 
 
@@ -39,9 +39,9 @@ def faults(trace: Trace, unprotected: Collection[str] = ()) -> Iterator[Collisio
     for one in collisions(trace, unprotected):
         if not one.is_fault:
             continue
-        if one.who not in able:
-            able[one.who] = drives(trace, trace.ids.index(one.who))
-        if (speed := _own_drive(trace, one, able[one.who])) > FAULT:
+        if one.robot not in able:
+            able[one.robot] = drives(trace, trace.ids.index(one.robot))
+        if (speed := _own_drive(trace, one, able[one.robot])) > FAULT:
             yield structs.replace(one, own_speed=speed)
 
 
@@ -75,7 +75,7 @@ def _moved(trace: Trace, robot: int) -> Array:
 
 
 def _is_thrown(trace: Trace, robot: int) -> NDArray[np.bool_]:
-    """(T,) whether something touches it, or has so recently that it may still move by it."""
+    """(T,) whether the robot is in contact, or was within the last `_THROWN` s."""
     touched = np.sort(trace.contact_t[(trace.contact_pair == robot).any(axis=1)])
     touched = np.concatenate(([-np.inf], touched))
     last = touched[np.searchsorted(touched, trace.t + _ROUNDING) - 1]
@@ -83,9 +83,9 @@ def _is_thrown(trace: Trace, robot: int) -> NDArray[np.bool_]:
 
 
 def _own_drive(trace: Trace, one: Collision, able: Array) -> float:
-    """The fastest that who is at fault in a count closed by its own drives, (T, 2, 3), in m/s."""
-    robot = trace.ids.index(one.who)
-    other = _index(trace, one.b if one.who == one.a else one.a)
+    """The highest closing speed in m/s of the robot at fault by its own drives, (T, 2, 3)."""
+    robot = trace.ids.index(one.robot)
+    other = _index(trace, one.b if one.robot == one.a else one.a)
     is_own = trace.contact_pair == robot
     of = is_own.any(axis=1) & (trace.contact_pair == other).any(axis=1)
     since = trace.contact_t - one.time

@@ -1,4 +1,4 @@
-"""What a live course puts in robots' way: a rammer, and things that appear ahead of them."""
+"""The hazards of a live course: a ramming robot, and obstacles that appear ahead of robots."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ THINGS: Mapping[str, Box] = {
     }.items()
 }
 
-_REACTION = 0.1  # s from a sweep's arrival to wheels that brake: a tick, network, actuators
-_BRAKING = 1.0  # m/s2, the least that the bases do
+_REACTION = 0.1  # s from a scan's arrival to braking wheels: a tick, network, actuators
+_BRAKING = 1.0  # m/s2, the least of the bases
 _STALE = 0.15  # s, at most so old is the state by which a thing is placed
 _SLACK = 0.4  # m, at most so much further away than it must be
 _PAUSE = 1.0  # s between two things
@@ -79,10 +79,10 @@ class Rammer:
 
 
 class Obstacles:
-    """Has things appear ahead of robots under way, at a distance that is fair."""
+    """Places obstacles ahead of moving robots, at a distance at which they can stop."""
 
     def __init__(self, platform: Platform, robots: int, seed: int) -> None:
-        """The first `robots` of a state are those whose way is blocked."""
+        """The first `robots` of a state are blocked."""
         self._platform, self._robots = platform, robots
         self._rng = np.random.default_rng(seed)
         self._names = cycle(THINGS)
@@ -106,7 +106,7 @@ class Obstacles:
         return name, pose
 
     def _ahead(self, pose: Triple) -> Triple:
-        """Somewhere in the way of a robot at `pose`, and across it."""
+        """A pose ahead of a robot at `pose`, across its direction."""
         gap = self._room + float(self._rng.uniform(0.1, _SLACK))
         x, y, yaw = pose
         distance = float(self._platform.footprint[:, 0].max()) + gap
@@ -115,7 +115,7 @@ class Obstacles:
         return x + distance * math.cos(aside), y + distance * math.sin(aside), across
 
     def _gap(self, name: str, pose: Triple, others: Sequence[Triple]) -> float:
-        """The least distance in m of a thing from any body's outline."""
+        """The least distance in m of an obstacle from any robot's outline."""
         outlines: Array = transform(self._platform.footprint, np.array(others))
         return float(gaps(transform(THINGS[name].shape, np.array(pose)), outlines).min())
 

@@ -1,4 +1,4 @@
-"""Robot-hours of whole swarms under protection, and among rammers, over all scenes."""
+"""Robot-hours of whole swarms under protection, and among ramming robots, over all scenes."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ def cells(
     mode: str,
     duration: float,
 ) -> list[Scene]:
-    """All scenes of these; a mixed swarm in visibility body alone."""
+    """All scenes of these families; a mixed swarm only with visibility `body`."""
     places = [(p, v) for p in platforms for v in visibilities if (p, v) != ("mixed", "real")]
     return [Scene(f, p, v, mode, duration=duration) for f in families for p, v in places]
 
 
 def plan(robot_hours: float, scenes: Sequence[Scene], seeds: Iterable[int]) -> list[Task]:
-    """Rounds of all scenes, each with a new seed, until there are so many robot-hours.
+    """Rounds of all scenes, each with a new seed, until the robot-hours are reached.
 
-    The project's own patterns take part in every other round: they seek no trouble.
+    The project's own patterns run in every other round only, because they avoid others.
     """
     tasks: list[Task] = []
     planned = 0.0
@@ -41,7 +41,7 @@ def plan(robot_hours: float, scenes: Sequence[Scene], seeds: Iterable[int]) -> l
 
 
 def tables(records: Sequence[Record]) -> str:
-    """Markdown: by family and platform, both visibilities together, and what it comes to."""
+    """Markdown: by family and platform, both visibilities together, and the totals."""
     parts = []
     for title, is_ram in (("Everybody is protected", False), ("A third rams the others", True)):
         groups: dict[str, list[Record]] = {}
@@ -58,7 +58,7 @@ _ORDER = {name: number for number, name in enumerate(FAMILIES)}
 
 
 def _ordered(groups: dict[str, list[Record]]) -> dict[str, list[Record]]:
-    """By family where a name begins with one; then the rest as it came."""
+    """Sorted by family; names without a family come last, in their order."""
     return dict(sorted(groups.items(), key=lambda item: _ORDER.get(item[0].partition(",")[0], 99)))
 
 

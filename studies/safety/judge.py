@@ -1,9 +1,10 @@
-"""Who ran into whom, of a trace: MuJoCo's contacts, never the arbiter's word.
+"""Collisions of a trace and the robot at fault, from MuJoCo's contacts and not from the arbiter.
 
-A collision is a touch of two robots, at least one of them protected; it counts once for each second
-that it lasts. It is at fault if the own surface of a protected one moved towards the other
-at more than 2 cm/s: a robot that stands and is rammed is at no fault. Nor is one that has been told
-to stand for half a second and moves all the same: it is pushed. Such collisions are counted apart.
+A collision is a contact of two robots, at least one of them protected; it counts once for each
+second that it lasts. A protected robot is at fault if its own surface moved towards the other at
+more than 2 cm/s. A standing robot that is rammed is not at fault. A robot that moves although its
+command has been zero for half a second is pushed and not at fault; such collisions are counted
+separately.
 """
 
 from __future__ import annotations
@@ -18,28 +19,27 @@ from swarmd.sim.metrics.contacts import WALLS
 from swarmd.sim.trace import ARENA, Trace
 
 FAULT = 0.02
-"""m/s: how fast a protected surface may at most close on what it touches."""
+"""Upper bound in m/s of the closing speed of a protected surface in a contact."""
 ONCE = 1.0
-"""Seconds of touch that count as one collision."""
+"""Seconds of contact that count as one collision."""
 WINDOW = 10.0
 STUCK = 0.05
-"""A robot is stuck in a window of so many s in which it gets no farther than this from its start,
-in m."""
+"""A robot is stuck in a window of the first number of s if it stays within the second number of m
+of its position at the start of the window."""
 
-_STANDS = 0.5  # s within which every base here comes to rest, late as it is told
-_APART = 0.5  # s without touch after which two that started in touch are judged like any others
-_START = 0.1  # s: what touches by then has been put there
+_STANDS = 0.5  # s within which every base comes to rest, including the delay of commands
+_APART = 0.5  # s without contact after which two that started in contact are treated like others
+_START = 0.1  # s: contacts until then come from the start poses
 _ROUNDING = 1e-9
 
 
 class Collision(Struct, frozen=True):
-    """One count of a touch.
+    """One counted part of a contact.
 
     `a` is a robot's id, `b` another's, the name of a movable box or WALLS. `own_speed` m/s: the
-    fastest that a protected one's own surface moved towards the other by itself; `pushed_speed`
-    the same of one that was told to stand. `who` that was. `first_speed` m/s: the same as
-    `own_speed` at the first step of a touch, before anything can have been pushed; 0 in a count
-    that a touch goes on in.
+    highest speed of a protected robot's own surface towards the other; `pushed_speed` the same of
+    a robot with a zero command; `robot` is the id of that robot. `first_speed` m/s: `own_speed` at
+    the first step of a contact, before anything can have been pushed; 0 in later counts.
     """
 
     time: float
@@ -48,7 +48,7 @@ class Collision(Struct, frozen=True):
     own_speed: float
     pushed_speed: float
     first_speed: float
-    who: str
+    robot: str
 
     @property
     def is_fault(self) -> bool:
@@ -57,7 +57,7 @@ class Collision(Struct, frozen=True):
 
     @property
     def is_hit(self) -> bool:
-        """Whether the touch began with a protected robot driving into the other."""
+        """Whether the contact began with a protected robot that drove into the other."""
         return self.first_speed > FAULT
 
     @property
@@ -67,7 +67,7 @@ class Collision(Struct, frozen=True):
 
 
 def collisions(trace: Trace, unprotected: Collection[str] = ()) -> list[Collision]:
-    """All counts of touches that a protected robot took part in, in order of time."""
+    """All counted contacts of protected robots, in order of time."""
     is_protected = np.array([robot not in unprotected for robot in trace.ids], dtype=bool)
     first, second = trace.contact_pair.T
     # What is not protected, arena and boxes included, has no speed of its own to answer for.
@@ -102,9 +102,9 @@ def stuck_windows(trace: Trace, rows: np.ndarray) -> tuple[int, int]:
 
 
 def _counts(times: Array, begin: float) -> Iterator[slice]:
-    """The parts of a pair's times of touch (k,), in order, that count once each."""
+    """The parts of a pair's sorted contact times (k,) that count once each."""
     start = 0
-    if times[0] <= begin + _START:  # they were put there in touch
+    if times[0] <= begin + _START:  # in contact from the start
         gaps = np.flatnonzero(np.diff(times) > _APART)
         start = int(gaps[0]) + 1 if len(gaps) else len(times)
     while start < len(times):
@@ -114,7 +114,7 @@ def _counts(times: Array, begin: float) -> Iterator[slice]:
 
 
 def _is_told_to_move(trace: Trace) -> np.ndarray:
-    """(c, 2) whether the command in force shortly before a touch moved a point of the outline."""
+    """(c, 2) whether the command shortly before a contact moved a point of the outline."""
     commanded = np.zeros(trace.safe.shape[:2])
     for row in range(len(trace.ids)):
         linear, angular, lateral = trace.safe[:, row].T
@@ -144,7 +144,7 @@ def _collision(trace: Trace, rows: np.ndarray, own: Array, *, is_new: bool) -> C
         own_speed=max(float(by_itself.max()), 0.0),
         pushed_speed=max(float(pushed.max()), 0.0),
         first_speed=max(float(by_itself[0].max()), 0.0) if is_new else 0.0,
-        who=trace.ids[pair[side]],
+        robot=trace.ids[pair[side]],
     )
 
 

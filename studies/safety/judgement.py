@@ -1,4 +1,4 @@
-"""The numbers of a run: what touched, who was at fault, what was reached."""
+"""The numbers of a run: contacts, faults and goals."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from swarmd.sim.trace import Trace
 
 
 class Judgement(Struct, frozen=True, kw_only=True):
-    """The numbers of a run, of its protected robots alone; they add up over runs.
+    """The numbers of a run, of its protected robots only; they add up over runs.
 
-    What a robot is at fault for is what its own drives did, see `driven`.
+    A robot is at fault for what its own drives did, see `driven`.
 
-    `seconds`: of all of them together. Collisions with robots, and touches of walls, boxes and
-    poles, each with those at fault and the fastest own surface among them in m/s (0: none);
-    `hits`: those with robots that began so, and the fastest. `pushed`: collisions and touches
-    into which one was pushed.
+    `seconds`: the sum over these robots. Collisions with robots, and contacts with walls, boxes
+    and poles, each with the number at fault and their fastest own surface in m/s (0: none);
+    `hits`: collisions that began with a fault, and the fastest. `pushed`: collisions and contacts
+    into which a robot was pushed.
     `goals` reached within `goal_seconds` of all of them together, `windows` of WINDOW s, and how
     many of them `stuck`: all 0 where there was no goal to reach. `altered`: mean change of the
     wish, times `seconds`.
@@ -48,7 +48,7 @@ class Judgement(Struct, frozen=True, kw_only=True):
 
 
 def judge(trace: Trace, unprotected: Collection[str] = ()) -> Judgement:
-    """A trace's numbers; the ids of robots that nothing protects from others are `unprotected`."""
+    """The numbers of a trace; `unprotected` are the ids of robots without protection."""
     rows = np.array([row for row, robot in enumerate(trace.ids) if robot not in unprotected])
     found = collisions(trace, unprotected)
     robots = [one for one in found if one.b in trace.ids]

@@ -1,8 +1,9 @@
-"""Seven live daemons, things that appear in their way as they drive, and a body that rams them.
+"""Seven live daemons, obstacles that appear ahead of them, and a simulated robot that rams them.
 
-Walls and poles appear ahead of robots under way, never nearer to any than what it needs to see and
-to stop (`hazards.room`). One more body, without a daemon, drives into one robot after the other as
-fast as protection assumes that others may. MuJoCo's contacts alone judge, by the world's trace.
+Walls and poles appear ahead of moving robots, never nearer than the distance in which a robot can
+detect them and stop (`hazards.room`). One more simulated robot, without a daemon, drives into one
+robot after the other, at the speed that protection assumes of others. Only MuJoCo's contacts, from
+the world's trace, are evaluated.
 """
 
 from __future__ import annotations
@@ -46,15 +47,15 @@ ROBOTS = 7
 SECONDS = 120.0  # of simulation
 RAMMER = "rammer"
 
-_NEWEST = 2**52  # commands that rest on no sweep and are never overtaken by one
+_NEWEST = 2**52  # commands that depend on no scan and are never replaced by one that does
 _WALK = {"clearance": 0.0, "straight_min": 3.0, "straight_max": 8.0}  # only protection looks
-_THROWN, _INSTANT = 0.3, 0.02  # s after a touch, and between two instants of a trace
-_OFTEN = 5  # of so many instants one is enough to look for gaps
+_THROWN, _INSTANT = 0.3, 0.02  # s after a contact, and between two instants of a trace
+_OFTEN = 5  # gaps are evaluated at one of so many instants
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outcome:
-    """What came of a course: what appeared, the trace, stamps, and when it was under way, in ns."""
+class CourseResult:
+    """The result of a course: obstacles that appeared, the trace, stamps, and its span in ns."""
 
     robots: tuple[str, ...]
     appeared: int
@@ -62,18 +63,18 @@ class Outcome:
     stamps: Stamps
     span: tuple[int, int]
 
-    def touches(self) -> list[Collision]:
-        """Every touch of a robot that has a daemon, with how fast its own surface closed."""
+    def collisions(self) -> list[Collision]:
+        """Every collision of a robot with a daemon, with the closing speed of its own surface."""
         return collisions(self.trace, unprotected=(RAMMER,))
 
     def faults(self) -> list[Collision]:
-        """The touches at which such a robot drove into the other, and was not pushed into it."""
+        """The collisions in which such a robot drove into the other and was not pushed."""
         return list(faults(self.trace, unprotected=(RAMMER,)))
 
     def ram_speeds(self) -> list[float]:
-        """The speed of the rammer's fastest corner at instants without a touch, in m/s: truth.
+        """The true speed in m/s of the ramming robot's fastest corner at instants without contact.
 
-        A touch can throw it around; so it can until it has come to rest again.
+        Instants shortly after a contact are left out: the contact may still move it.
         """
         trace = self.trace
         robot = trace.ids.index(RAMMER)
@@ -100,7 +101,7 @@ class Outcome:
 
 
 def is_ram(touch: Collision) -> bool:
-    """Whether the rammer was one of those two."""
+    """Whether the ramming robot is one of the two."""
     return RAMMER in (touch.a, touch.b)
 
 
@@ -151,10 +152,10 @@ class Course:
     ) -> None:
         self._left.close()
 
-    def run(self, seconds: float, *, appeared: float = math.inf, touches: int = 0) -> Outcome:
-        """Let them walk, with all that comes in their way, for so long (of simulation) at most.
+    def run(self, seconds: float, *, appeared: float = math.inf, touches: int = 0) -> CourseResult:
+        """Let the robots walk among the hazards for at most `seconds` of simulated time.
 
-        It ends before as soon as so many things have `appeared` and robots met in `touches`.
+        The course ends earlier after `appeared` obstacles and `touches` contacts.
         """
         self.swarm.run("random_walk", **_WALK)
         state = self._world.ask("start").state
@@ -167,7 +168,7 @@ class Course:
         span = began, time.monotonic_ns() - 100_000_000
         self._world.ask("finish")
         self.swarm.close()
-        return Outcome(
+        return CourseResult(
             robots=self.swarm.robots,
             appeared=count,
             trace=load_trace(self._trace),
@@ -194,7 +195,7 @@ class Course:
 
 @contextlib.contextmanager
 def _steering(endpoint: str) -> Iterator[zenoh.Session]:
-    """A session that reaches the bodies of a world."""
+    """A session that reaches the simulated robots of a world."""
     options: dict[str, object] = {"mode": "peer", "scouting/multicast/enabled": False}
     session = open_with({**options, **client_options(endpoint)}, what=f"the world at {endpoint}")
     try:
@@ -204,7 +205,7 @@ def _steering(endpoint: str) -> Iterator[zenoh.Session]:
 
 
 def _variant(path: Path, platform: str, **sections: Mapping[str, str | float]) -> str:
-    """The path of a platform's file, once it says that it is as `platform` but for `sections`."""
+    """Write a platform file that extends `platform` with `sections`; its path."""
     path.write_text(yaml.safe_dump({"extends": platform, **sections}))
     return str(path)
 
@@ -218,7 +219,7 @@ def _space(platform: Platform, count: int) -> list[str]:
 
 
 def _of(robots: Sequence[str], stamps: Stamps) -> Stamps:
-    """The stamps without those of bodies that have no daemon."""
+    """The stamps without those of simulated robots that have no daemon."""
     put = {key: at for key, at in stamps.put.items() if key[0] in robots}
     return Stamps(put, stamps.safe_back, stamps.requested_back)
 
@@ -227,27 +228,27 @@ def rows(platform: str, options: argparse.Namespace) -> Iterator[Row]:
     """One platform's course: how fast robots drove into something, and latency meanwhile."""
     course = Course(platform, options.mode, visibility=options.visibility, seed=options.seed)
     with course:
-        outcome = course.run(options.seconds)
+        result = course.run(options.seconds)
     if options.traces is not None:
-        outcome.trace.save(options.traces / f"{platform}-{options.visibility}-{options.seed}.npz")
-    for fault in outcome.faults():
+        result.trace.save(options.traces / f"{platform}-{options.visibility}-{options.seed}.npz")
+    for fault in result.faults():
         print(fault)
-    note = f"in {outcome.trace.duration * ROBOTS / 60.0:.0f} robot-minutes"
-    yield _speeds(f"{platform}: own speed when rammed", outcome, True, note)
-    note = f"of {outcome.appeared} things none nearer than {outcome.nearest():.2f} m"
-    yield _speeds(f"{platform}: own speed at other touches", outcome, False, note)
+    note = f"in {result.trace.duration * ROBOTS / 60.0:.0f} robot-minutes"
+    yield _speeds(f"{platform}: own speed when rammed", result, True, note)
+    note = f"of {result.appeared} things none nearer than {result.nearest():.2f} m"
+    yield _speeds(f"{platform}: own speed at other contacts", result, False, note)
     most = f"{course.others_speed:g} m/s"
-    yield Row(f"{platform}: rammer's fastest corner", outcome.ram_speeds(), most, unit="m/s")
-    stamps, span = outcome.stamps, outcome.span
+    yield Row(f"{platform}: ramming robot's fastest corner", result.ram_speeds(), most, unit="m/s")
+    stamps, span = result.stamps, result.span
     reflex = between(stamps.put, stamps.safe_back, span)
     yield row(f"{platform}: reflex, {ROBOTS} live daemons", "p50 1.5 ms, p99 5 ms", reflex)
     full = between(stamps.put, stamps.requested_back, span)
     yield row(f"{platform}: full, {ROBOTS} live daemons", "p50 2 ms, p99 8 ms", full)
 
 
-def _speeds(what: str, outcome: Outcome, is_by_rammer: bool, note: str) -> Row:
-    touches = [one for one in outcome.touches() if is_ram(one) is is_by_rammer]
-    driven = [one for one in outcome.faults() if is_ram(one) is is_by_rammer]
+def _speeds(what: str, result: CourseResult, is_by_rammer: bool, note: str) -> Row:
+    touches = [one for one in result.collisions() if is_ram(one) is is_by_rammer]
+    driven = [one for one in result.faults() if is_ram(one) is is_by_rammer]
     hits = sum(one.is_hit for one in driven)
     thrown = sum(one.is_fault for one in touches) - len(driven)
     note = f"{len(driven)} at fault, {hits} from the first; {thrown} only thrown; {note}"

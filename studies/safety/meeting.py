@@ -1,4 +1,4 @@
-"""Where two convex outlines touch, and which way the one faces the other there."""
+"""Contact points of two convex outlines, and the direction between them."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ import numpy as np
 from swarmd.core.values import Array
 
 _SLACK = 0.02
-"""m: places that are no further from the other than the nearest and this may touch it as well: a
-trace's instants are up to 0.05 s apart."""
+"""Tolerance in m of contact points: instants of a trace are up to 0.05 s apart."""
 
 
 def meeting(one: Array, other: Array) -> tuple[Array, Array]:
-    """(p, 2) places in m at which `one` (k, 2) may touch `other` (m, 2), and the (2,) way there.
+    """(p, 2) points in m at which `one` (k, 2) may touch `other` (m, 2), and a direction (2,).
 
-    Counter-clockwise corners in one frame. The way is that in which the two are furthest apart, or
-    overlap least (separating axis theorem); of length 1. The places are corners of either.
+    Counter-clockwise corners in one frame. The unit direction is the one with the largest distance
+    or the least overlap (separating axis theorem). The points are corners of either.
     """
     ways = np.concatenate((_outward(one), -_outward(other)))
     heights = (other @ ways.T).min(axis=0) - (one @ ways.T).max(axis=0)
@@ -32,7 +31,7 @@ def meeting(one: Array, other: Array) -> tuple[Array, Array]:
 
 
 def _outward(corners: Array) -> Array:
-    """(k, 2) of length 1, out of each edge."""
+    """(k, 2) outward unit normals of the edges."""
     edges = np.roll(corners, -1, axis=0) - corners
     normals = np.stack((edges[:, 1], -edges[:, 0]), axis=1)
     lengths: Array = np.hypot(edges[:, 0], edges[:, 1])

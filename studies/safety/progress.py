@@ -1,4 +1,4 @@
-"""What protection costs: goals reached, beside ghosts that nothing can hinder."""
+"""The cost of protection: goals reached, as a share of ghosts, which pass through each other."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def plan(
     seeds: Sequence[int],
     duration: float,
 ) -> list[Task]:
-    """Sparse and dense, every mode with the same seeds, and ghosts to compare them with."""
+    """Sparse and dense scenes, every mode with the same seeds, and ghosts for comparison."""
     chosen = dict.fromkeys((GHOST, *modes))
     return [
         Task(Scene(family, platform, visibility, mode, is_sparse, duration), seed)

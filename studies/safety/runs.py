@@ -1,4 +1,4 @@
-"""Runs of scenes in processes of their own, each kept as a line of a file: so one can go on."""
+"""Runs of scenes in worker processes, each kept as a line of a file, so that work can continue."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from swarmd.sim.trace import Trace
 
 
 class Task(Struct, frozen=True, order=True):
-    """A run to be done."""
+    """A run to do."""
 
     scene: Scene
     seed: int
 
 
 class Record(Struct, frozen=True, kw_only=True):
-    """A run that was done; `code` says with which sources, `cpu` in s of processor time."""
+    """A finished run; `code` is the digest of the sources, `cpu` the processor time in s."""
 
     task: Task
     code: str
@@ -42,7 +42,7 @@ class Record(Struct, frozen=True, kw_only=True):
 
 
 def fingerprint() -> str:
-    """A digest of all that decides on a run's bits here: sources, platforms and scenes."""
+    """A digest of everything that decides a run's result: sources, platforms and scenes."""
     digest = hashlib.sha256(digest_of_code(Path(swarmd.__file__).parent).encode())
     digest.update(digest_of_code(Path(__file__).parent).encode())
     for path in sorted((Path(swarmd.config.__path__[0]) / "platforms").glob("*.yaml")):
@@ -51,13 +51,13 @@ def fingerprint() -> str:
 
 
 def rammers(trace: Trace) -> frozenset[str]:
-    """The ids of those that ram."""
+    """The ids of the ramming robots."""
     groups = trace.meta["groups"].items()
     return frozenset(robot for name, ids in groups if name.startswith(RAMMERS) for robot in ids)
 
 
 def perform(task: Task, code: str) -> Record:
-    """Simulate and judge, in this process."""
+    """Simulate and evaluate, in this process."""
     begin = time.process_time()
     trace = simulate_run(scenario(task.scene), task.seed)
     cpu = time.process_time() - begin
@@ -65,13 +65,13 @@ def perform(task: Task, code: str) -> Record:
 
 
 def carry_out(tasks: Sequence[Task], file: Path, jobs: int) -> list[Record]:
-    """The records of all tasks, in their order; those that `file` has are not done again.
+    """The records of all tasks, in their order; tasks with a record in `file` are not repeated.
 
-    Only what was done with these very sources counts. Each is written down when it is done, by
-    one line to stderr too.
+    Only records of the same sources count. Each record is written when it is finished, with one
+    line on stderr.
     """
     for scene in dict.fromkeys(task.scene for task in tasks):
-        scenario(scene)  # a mistake is told before hours have passed
+        scenario(scene)  # so that errors appear before the first run
     code = fingerprint()
     known = {one.task: one for one in read(file) if one.code == code}
     missing = [task for task in tasks if task not in known]

@@ -1,7 +1,7 @@
-"""The scenes in which protection is judged: a family, a platform, a visibility, a mode.
+"""The scenes in which protection is evaluated: a family, a platform, a visibility, a mode.
 
-Each is a scenario's mapping, so it is checked as any file of a user is. Noise is `realistic`
-throughout, and where robots start, by the seed, is anywhere.
+Each is the mapping of a scenario and is checked like a user's file. Noise is `realistic`
+throughout; the seed draws the start poses.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ PLATFORMS = (*KINDS, "mixed")
 VISIBILITIES = ("body", "real")
 MODES = ("barrier", "reciprocal", "potential_field", "stop_zone", "off", "ghost")
 RAMMERS = "rammers"
-"""The group and, before their kind, the platform of those that ram: nothing protects from them."""
+"""The group of ramming robots, and the prefix of their platform."""
 DEV_SEEDS, ACCEPTANCE_SEEDS = range(100), range(2000, 10_000)
-"""Seeds to look at while one changes things, and those that nothing was chosen with: those from
-1000 on have been looked at by now."""
+"""Seeds for development, and seeds with which nothing was chosen: those from 1000 on have been
+looked at by now."""
 
-_MIXED_SPEED = 0.4  # m/s: a mixed swarm agrees on what each assumes of the others
-_MIXED_KEEP_OUT = 0.92  # m: so that nobody gets to where a Jackal sees nothing
+_MIXED_SPEED = 0.4  # m/s: the speed that all robots of a mixed swarm assume of others
+_MIXED_KEEP_OUT = 0.92  # m: keeps robots out of a Jackal's blind zone
 
 
 class Room(Struct, frozen=True):
     """How many robots in a square of `side` m.
 
     Goals keep `inset` m from the walls and count within `reach` m; robots swap on a circle of
-    `radius` m; nobody starts nearer than `clearance` m to anything.
+    `radius` m; no robot starts nearer than `clearance` m to anything.
     """
 
     robots: int
@@ -69,7 +69,7 @@ SPARSE: Mapping[str, Room] = {
 
 
 class Scene(Struct, frozen=True, order=True):
-    """One scene; `mode` is that of all but the rammers."""
+    """One scene; `mode` applies to all but the ramming robots."""
 
     family: str
     platform: str
@@ -195,7 +195,7 @@ def _others_speed(scene: Scene, kind: str) -> float:
 
 
 def _task(scene: Scene) -> tuple[str, dict[str, Any]]:
-    """Pattern and parameters of those who do not ram."""
+    """Pattern and parameters of the robots that do not ram."""
     room = scene.room
     size = room.side - 2.0 * room.inset
     where = {"length": size, "width": size, "reach": room.reach}

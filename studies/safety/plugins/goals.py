@@ -1,7 +1,7 @@
-"""Drives from goal to goal and counts them; whatever is in the way, it looks at nothing.
+"""Drives from goal to goal and counts them, without regard to obstacles.
 
-Where it is, two readings say; where it heads, nobody does: it learns the angle between the frame of
-its odometry and the arena's from the ways it has gone in both, since wheels alone drift.
+Two readings give its position. No reading gives its heading: it estimates the angle between the
+frame of its odometry and that of the arena from its displacements in both, because odometry drifts.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from swarmd.api import (
 )
 
 Place = tuple[float, float]
-_WAY = 0.15  # m that a way must be long to tell an angle
-_TRUST = 0.3  # of one way in what is believed of the angle
+_WAY = 0.15  # least displacement in m for an estimate of the angle
+_TRUST = 0.3  # weight of one displacement in the estimate
 _GAIN = 3.0  # 1/s, of the heading
 
 

@@ -1,7 +1,7 @@
-"""Chases the nearest robot that it sees, drives into it, backs off, and chases again.
+"""Chases the nearest robot that it detects, drives into it, backs off, and chases again.
 
-What others have to live with. It backs off since who is leant against for minutes proves little.
-No point of its own outline ever moves faster than it is told: what protection assumes of others.
+It backs off because minutes of leaning against one robot prove little. No point of its own outline
+moves faster than `surface_speed`, which is what protection assumes of others.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ import numpy as np
 
 from swarmd.api import Context, Inputs, MovementPattern, Params, Twist, about, clusters
 
-_WIDEST = 0.8  # m: what is wider is a wall
+_WIDEST = 0.8  # m: wider objects are walls
 _GAIN = 3.0  # 1/s, of the heading
-_NEAR = 0.1  # m beyond the sensor's blind zone: who is as near is run down, seen or not
+_NEAR = 0.1  # m beyond the sensor's blind zone: a robot that near is rammed, detected or not
 _AHEAD = 0.3  # rad
-_LEANS = 1.0  # s for which it goes on once it is there
+_LEANS = 1.0  # s for which it drives on in contact
 _BACKS = 5.0  # s for which it then slows down and backs off
 # m/s2: every base turns faster at less than this, so that no turn overlaps with the speed before.
 _EASY = 0.3
-_BELOW = 0.97  # of the speed told, since a base brakes its turn a little later than it speeds up
+_BELOW = 0.97  # of the given speed, because a base brakes a turn a little later than it accelerates
 
 
 class RamParams(Params, frozen=True):

@@ -1,4 +1,4 @@
-"""Any command for any time, backwards too: what no sane pattern would ask for."""
+"""Random commands for random times, also backwards, which no reasonable pattern would request."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class RandomTwistsParams(Params, frozen=True):
 
 
 class RandomTwists(MovementPattern[RandomTwistsParams]):
-    """A command evenly drawn within the limits; one in three goes straight, one in six spins."""
+    """A uniformly drawn command within the limits; one in three goes straight, one in six spins."""
 
     params_type = RandomTwistsParams
     needs = frozenset[str]()
@@ -26,7 +26,7 @@ class RandomTwists(MovementPattern[RandomTwistsParams]):
         self._until = 0.0
 
     def drive(self, inputs: Inputs) -> Twist:
-        """The same until its time is up."""
+        """The present command, until its time is over."""
         if inputs.now >= self._until:
             rng, limits = self.context.rng, self.context.platform.limits
             linear = float(rng.uniform(-limits.linear, limits.linear))

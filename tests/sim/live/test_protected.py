@@ -19,7 +19,7 @@ def test_seven_daemons_drive_into_nothing_that_appears(appeared: int, rams: int)
     with Course("burger", "barrier", seed=1) as course:
         outcome = course.run(SECONDS, appeared=appeared, touches=rams)
     assert outcome.appeared >= appeared
-    assert sum(is_ram(touch) for touch in outcome.touches()) >= rams
+    assert sum(is_ram(touch) for touch in outcome.collisions()) >= rams
     assert [fault for fault in outcome.faults() if not is_ram(fault)] == []
     assert max((fault.own_speed for fault in outcome.faults()), default=0.0) <= GRAZE
     assert max(outcome.ram_speeds()) <= course.others_speed + 1e-3

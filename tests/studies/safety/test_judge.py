@@ -98,7 +98,7 @@ def test_the_fastest_own_surface_within_a_count_is_told() -> None:
     found = collisions(
         run([(5.0, 0, 2, 0.0, 0.3), (5.1, 0, 2, 0.07, 0.0), (5.2, 0, 2, 0.03, 0.3)]), {"ram"}
     )
-    assert [(one.time, one.a, one.b, one.who) for one in found] == [(5.0, "a", "ram", "a")]
+    assert [(one.time, one.a, one.b, one.robot) for one in found] == [(5.0, "a", "ram", "a")]
     assert found[0].own_speed == pytest.approx(0.07)
 
 
