@@ -102,13 +102,13 @@ class MovableBoxes:
     def _fault(self, row: int, pose: Array, robots: Iterable[tuple[str, Array]]) -> str:
         """Why box `row` cannot be at a pose; empty if it can."""
         if not np.isfinite(pose).all():
-            return "wanted are finite numbers"
+            return "x, y and yaw must be finite"
         corners = transform(self.shapes[row], pose)
         if (np.abs(corners) > np.array([self._arena.length, self._arena.width]) / 2.0).any():
-            return "that is not inside the walls"
+            return "it would be outside the walls"
         for other, outline in (*robots, *self._obstacles(row)):
             if overlaps(corners, outline):
-                return f"{other} stands there"
+                return f"it would overlap {other}"
         return ""
 
     def _obstacles(self, row: int) -> list[tuple[str, Array]]:

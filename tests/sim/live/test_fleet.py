@@ -137,14 +137,14 @@ def test_a_daemon_that_dies_is_named_with_its_log(tmp_path: Path) -> None:
     with up(make_spec(tmp_path)) as fleet:
         os.kill(fleet.pids["tb3-02"], signal.SIGKILL)
         wait_until(lambda: "tb3-02" in fleet.ended(), "tb3-02 is gone")
-        with pytest.raises(SwarmError, match=r"tb3-02 was killed by SIGKILL: .*tb3-02\.log"):
+        with pytest.raises(SwarmError, match=r"tb3-02.*SIGKILL.*tb3-02\.log"):
             fleet.check()
 
 
 @pytest.mark.integration
 def test_an_impossible_world_ends_with_the_reason(tmp_path: Path) -> None:
     spec = make_spec(tmp_path, layout="row:0.1")
-    with pytest.raises(SwarmError, match=r"world ended with code 2: .*row:0\.1.*world\.log"):
+    with pytest.raises(SwarmError, match=r"world.*row:0\.1.*world\.log"):
         Fleet(spec).__enter__()
 
 
@@ -153,5 +153,5 @@ def test_a_daemon_that_ends_ends_the_wait(tmp_path: Path) -> None:
     spec = make_spec(tmp_path)
     with Fleet(spec) as fleet, Operator(NetworkSettings(swarm=spec.swarm)) as operator:
         os.kill(fleet.pids["tb3-01"], signal.SIGKILL)
-        with pytest.raises(SwarmError, match=r"tb3-01 was killed by SIGKILL: "):
+        with pytest.raises(SwarmError, match=r"tb3-01.*SIGKILL"):
             await_robots(operator, fleet, tuple(spec.robots))

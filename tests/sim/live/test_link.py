@@ -73,7 +73,7 @@ def test_an_endpoint_in_use_is_one_clear_error(link: WorldLink) -> None:
 
 @pytest.mark.parametrize("endpoint", ["", "127.0.0.1:7790", "tcp/127.0.0.1", "tcp/127.0.0.1:99999"])
 def test_an_invalid_endpoint_is_refused(endpoint: str) -> None:
-    with pytest.raises(ConfigError, match="wanted is such as"):
+    with pytest.raises(ConfigError, match="endpoint"):
         WorldLink("s", ("a",), endpoint)
 
 
@@ -163,7 +163,7 @@ def test_a_world_that_is_not_there_is_one_clear_error() -> None:
     gone.close()
     with (
         WorldView("s", gone.endpoint) as view,
-        pytest.raises(NetworkError, match="did not answer 'poses' within"),
+        pytest.raises(NetworkError, match="'poses'"),
     ):
         view.ask("poses", timeout=0.2)
 

@@ -355,7 +355,7 @@ def test_a_box_is_put_in_the_way_and_taken_out_of_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("box", "fault"),
-    [("crate", "a stands there"), ("create", "no movable box 'create'; did you mean 'crate'")],
+    [("crate", "overlap a$"), ("create", "'create'.*'crate'")],
 )
 def test_a_box_that_cannot_be_placed_is_refused_with_the_reason(box: str, fault: str) -> None:
     crate = Box(0.0, 0.0, 0.2, 0.2, name="crate", mass=5.0, is_placed=False)

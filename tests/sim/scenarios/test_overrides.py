@@ -107,9 +107,7 @@ def test_an_impossible_override_is_refused(
 
 
 def test_a_fault_without_a_source_names_the_file(load: Load) -> None:
-    with pytest.raises(
-        ConfigError, match=r"^here\.yaml: start: green-01 at \(0, 0\) is not inside"
-    ):
+    with pytest.raises(ConfigError, match=r"^here\.yaml: start: green-01"):
         load({"groups": {"green": {"count": 1}}, "arena": {"size": [0.1, 0.1]}}, {"duration": 5})
 
 

@@ -85,13 +85,13 @@ def test_plain_values_can_be_overridden_too(load: Load) -> None:
     scenario = scenario_of(load().effective, {"groups.red.start.layout": "ring", "duration": 30})
     assert scenario.duration == 30.0
     np.testing.assert_allclose(np.hypot(*scenario.starts(0)[:2, :2].T), 1.5)
-    with pytest.raises(ConfigError, match="--set: no key 'duraton'; did you mean 'duration'"):
+    with pytest.raises(ConfigError, match=r"--set: .*'duraton'.*'duration'"):
         scenario_of(load().effective, {"duraton": 30})
 
 
 def test_a_file_without_groups_is_named_and_not_the_override(tmp_path: Path) -> None:
     (tmp_path / "bad.yaml").write_text("duration: 3")
-    with pytest.raises(ConfigError, match=r"bad\.yaml: groups is missing"):
+    with pytest.raises(ConfigError, match=r"bad\.yaml: groups"):
         load_scenario(tmp_path / "bad.yaml", {"duration": 5})
 
 

@@ -54,7 +54,7 @@ def test_reads_names_masses_and_inner_walls() -> None:
 
 
 def test_a_box_that_starts_outside_must_be_movable() -> None:
-    with pytest.raises(ConfigError, match="box a is not in the arena and has no mass"):
+    with pytest.raises(ConfigError, match=r"box a .*mass"):
         Arena(4.0, 4.0, boxes=(Box(0.0, 0.0, 1.0, 1.0, name="a", is_placed=False),))
 
 

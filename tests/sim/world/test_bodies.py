@@ -136,5 +136,5 @@ def test_a_ghost_is_seen() -> None:
 
 
 def test_half_a_ghost_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"platform burger: body\.solid is 0\.5; wanted 1, or 0"):
+    with pytest.raises(ConfigError, match=r"burger: body\.solid is 0\.5"):
         World({"a": burger(0.5)}, Arena(6.0, 6.0), np.zeros((1, 3)))

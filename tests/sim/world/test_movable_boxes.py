@@ -176,7 +176,7 @@ def test_is_at_rest_where_it_is_placed_whatever_it_did_before() -> None:
 
 def test_a_long_box_is_refused_if_its_far_end_overlaps_a_robot() -> None:
     world = facing(Box(0.0, 3.0, 2.0, 0.2, name="beam", mass=1.0))
-    with pytest.raises(SwarmError, match="a stands there"):
+    with pytest.raises(SwarmError, match=r"overlap a$"):
         world.place("beam", (1.0, 0.0, 0.0))
     world.place("beam", (1.2, 0.0, 0.0))
 
@@ -197,14 +197,14 @@ CROWDED = Arena(
 @pytest.mark.parametrize(
     ("pose", "reason"),
     [
-        ((0.1, 0.1, 0.3), "a stands there"),
-        ((2.3, 0.1, 0.0), "box/0 stands there"),
-        ((0.2, 2.0, 0.0), "box/other stands there"),
-        ((-2.0, 0.2, 0.0), "pole/0 stands there"),
-        ((-2.1, -1.5, 0.0), "segment/0 stands there"),
-        ((2.9, 2.0, 0.0), "that is not inside the walls"),
-        ((9.0, 2.0, 0.0), "that is not inside the walls"),
-        ((math.nan, 2.0, 0.0), "wanted are finite numbers"),
+        ((0.1, 0.1, 0.3), "a"),
+        ((2.3, 0.1, 0.0), "box/0"),
+        ((0.2, 2.0, 0.0), "box/other"),
+        ((-2.0, 0.2, 0.0), "pole/0"),
+        ((-2.1, -1.5, 0.0), "segment/0"),
+        ((2.9, 2.0, 0.0), "outside"),
+        ((9.0, 2.0, 0.0), "outside"),
+        ((math.nan, 2.0, 0.0), "finite"),
     ],
 )
 @pytest.mark.parametrize("box", ["crate", "late"])
@@ -213,7 +213,7 @@ def test_an_overlapping_box_is_refused_and_nothing_changes(
 ) -> None:
     world = facing(CROWDED.boxes[0], CROWDED)
     before = world.box_poses()
-    with pytest.raises(SwarmError, match=f"box {box} cannot be placed at .*{reason}"):
+    with pytest.raises(SwarmError, match=rf"{box}.*{reason}\b"):
         world.place(box, pose)
     np.testing.assert_array_equal(world.box_poses(), before)
     world.step(10)
@@ -223,15 +223,15 @@ def test_an_overlapping_box_is_refused_and_nothing_changes(
 @pytest.mark.parametrize(
     ("others", "reason"),
     [
-        ((Box(0.3, 2.0, 0.5, 0.5),), "box/1 stands there"),
-        ((Box(0.2, 2.0, 0.3, 0.3, name="other", mass=1.0),), "box/other stands there"),
+        ((Box(0.3, 2.0, 0.5, 0.5),), "box/1"),
+        ((Box(0.2, 2.0, 0.3, 0.3, name="other", mass=1.0),), "box/other"),
     ],
 )
 def test_a_box_cannot_start_in_an_obstacle(others: tuple[Box, ...], reason: str) -> None:
     crate = Box(0.0, 2.0, 0.3, 0.3, name="crate", mass=1.0)
-    with pytest.raises(ConfigError, match=rf"box crate starts at \(0, 2\): {reason}"):
+    with pytest.raises(ConfigError, match=rf"crate.*{reason}"):
         facing(crate, Arena(6.0, 6.0, boxes=(crate, *others)))
-    with pytest.raises(ConfigError, match="that is not inside the walls"):
+    with pytest.raises(ConfigError, match="outside"):
         facing(crate, Arena(6.0, 4.0, boxes=(crate,)))
 
 
@@ -252,17 +252,17 @@ def test_a_box_that_is_gone_leaves_its_place_to_others() -> None:
     world = facing(CROWDED.boxes[0], CROWDED)
     world.remove("other")
     world.place("late", (0.0, 2.0, 0.0))
-    with pytest.raises(SwarmError, match=r"box other cannot be placed.*box/late stands there"):
+    with pytest.raises(SwarmError, match=r"other.*box/late"):
         world.place("other", (0.0, 2.0, 0.0))
 
 
 def test_only_movable_boxes_are_placed_and_removed() -> None:
     world = facing(CROWDED.boxes[0], CROWDED)
-    with pytest.raises(ConfigError, match="no movable box 'crat'; did you mean 'crate'"):
+    with pytest.raises(ConfigError, match=r"'crat'.*'crate'"):
         world.place("crat", (1.0, 1.0, 0.0))
-    with pytest.raises(ConfigError, match="no movable box '0'"):
+    with pytest.raises(ConfigError, match="'0'"):
         world.remove("0")
-    with pytest.raises(SwarmError, match="box late cannot be removed: it is not in the arena"):
+    with pytest.raises(SwarmError, match="late"):
         world.remove("late")
 
 

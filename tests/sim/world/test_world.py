@@ -355,7 +355,7 @@ def test_a_platform_without_a_body_is_refused_with_the_key_that_is_missing() -> 
     bodiless = Platform(
         whole.name, whole.limits, whole.footprint, whole.scan, whole.provides, whole.protection
     )
-    with pytest.raises(ConfigError, match=r"platform burger: body\.mass is None"):
+    with pytest.raises(ConfigError, match=r"burger: body\.mass"):
         World({"a": bodiless}, FIELD, np.zeros((1, 3)))
 
 
