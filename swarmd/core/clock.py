@@ -1,4 +1,4 @@
-"""The clock of this machine: monotonic, and running on while it is suspended."""
+"""The clock of this machine: monotonic, and counting while the machine is suspended."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ Clock = Callable[[], float]
 
 
 def boottime() -> float:
-    """Seconds since boot (CLOCK_BOOTTIME): never set back, and counts suspend."""
+    """Seconds since boot (CLOCK_BOOTTIME), with time in suspend; never set back."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)

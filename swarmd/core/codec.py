@@ -1,7 +1,7 @@
 """Bytes on the wire: one version byte, then MessagePack, within a size limit.
 
-What comes from the network is decoded into typed structs, whose bounds also refuse NaN and
-infinity; `CodecError` is the only error a reader must expect. No numpy here: swarmctl imports it.
+Bytes from the network are decoded into typed structs, whose bounds also refuse NaN and infinity.
+Decoding raises nothing but `CodecError`. No numpy here, since swarmctl imports this module.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ def encode(message: msgspec.Struct) -> bytes:
 
 
 class Decoder(Generic[T]):
-    """Reads one type of struct; build it once, since building is the slow part."""
+    """Decodes one type of struct; make it once, since making it is slow."""
 
     def __init__(self, kind: type[T], limit: int = MAX_CONTROL) -> None:
         self._decoder = msgspec.msgpack.Decoder(kind)
         self._limit = limit
 
     def __call__(self, payload: bytes) -> T:
-        """The struct; CodecError if it is too large, of another version or not of this type."""
+        """Decode a struct. Raises CodecError if it is too large, of another version or type."""
         body = _body(payload, self._limit)
         try:
             return self._decoder.decode(body)
@@ -47,7 +47,7 @@ class Decoder(Generic[T]):
 
 
 def encode_value(value: Any) -> bytes:
-    """The bytes of an open value that a pattern says; CodecError if it cannot be sent."""
+    """Encode a pattern's message. Raises CodecError if it cannot be sent."""
     try:
         payload: bytes = _PREFIX + msgpack.packb(value, use_bin_type=True)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
@@ -60,7 +60,7 @@ def encode_value(value: Any) -> bytes:
 
 
 def decode_value(payload: bytes) -> Any:
-    """An open value; CodecError if it is too large, of another version or no MessagePack."""
+    """Decode a pattern's message. Raises CodecError if it is too large or malformed."""
     body = _body(payload, MAX_MESSAGE)
     try:
         value = msgpack.unpackb(body, raw=False, strict_map_key=True)

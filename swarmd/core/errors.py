@@ -5,7 +5,7 @@
     SwarmError
     ├── ConfigError      a file, a key or a parameter is wrong; nothing was started, nothing moved
     │   └── ParameterError       a pattern's parameter is unknown, missing or out of bounds
-    ├── CodecError       bytes that are not what the key promises; dropped and counted
+    ├── CodecError       bytes that do not fit the key they came on; dropped and counted
     ├── PluginError      a pattern or driver cannot be found, loaded or used on this robot
     │   ├── UnknownPatternError  no pattern has this name
     │   └── MissingSensorError   the platform lacks what a pattern or condition needs
@@ -13,7 +13,7 @@
     └── NetworkError     no session, no peers, no answer
         └── IdHeldError  the robot's id belongs to another daemon of the swarm
 
-Every message says what, where, what was wanted and what to do, in one line.
+Every message names what is wrong, where, what was wanted and what to do, in one line.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class ParameterError(ConfigError):
 
 
 class CodecError(SwarmError):
-    """Bytes that cannot be what their key promises."""
+    """Bytes that do not fit the key they came on."""
 
 
 class PluginError(SwarmError):

@@ -1,7 +1,7 @@
-"""Key expressions: `swarm/<swarm>/<robot>/<plane>/<name>`, built and parsed here alone.
+"""Key expressions: `swarm/<swarm>/<robot>/<plane>/<name>`, built and parsed only here.
 
 Ids are `[a-z0-9][a-z0-9_-]{0,62}`, so that no name can widen a key expression. A sample whose key
-is not exactly a concrete key of this form is dropped: wildcard puts reach subscribers as they are.
+is not a concrete key of this form is dropped, since wildcard puts reach subscribers unchanged.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _PLANES = frozenset({"alive", "claim", "state", "msg", "sense", "control", "safe
 
 
 class Key(NamedTuple):
-    """A parsed key; `name` is what follows the plane, for `msg` it is `<pattern>/<channel>`."""
+    """A parsed key. `name` follows the plane; for `msg` it is `<pattern>/<channel>`."""
 
     swarm: str
     robot: str
@@ -27,7 +27,7 @@ class Key(NamedTuple):
 
 
 def check_id(value: str, what: str) -> str:
-    """The id itself; ConfigError names `what` (such as 'robot id') if it is not valid."""
+    """The id itself. Raises ConfigError naming `what`, such as 'robot id', if it is not valid."""
     if _ID.fullmatch(value):
         return value
     raise ConfigError(

@@ -30,7 +30,7 @@ Scalar = (
 
 
 class State(StrEnum):
-    """What a robot is doing, as its supervisor sees it."""
+    """The state of a robot; `robot/state_machine.py` has the transitions."""
 
     IDLE = "idle"
     RUNNING = "running"
@@ -40,7 +40,7 @@ class State(StrEnum):
 
 
 class Reason(StrEnum):
-    """Why a robot stands: exactly one for every standstill."""
+    """Why a robot does not move: exactly one reason for every standstill."""
 
     # idle
     NEVER_ASKED = "never_asked"
@@ -55,7 +55,7 @@ class Reason(StrEnum):
     DUPLICATE_ID = "duplicate_id"
     QUARANTINED = "pattern_quarantined"
     LEAVING = "leaving"
-    # holds: they zero the command without leaving running, until they have lasted
+    # holds: they zero the command; a hold that lasts ends the run
     NO_SCAN = "no_scan"
     INVALID_SCAN = "invalid_scan"
     STALE_SCAN = "stale_scan"
@@ -64,13 +64,13 @@ class Reason(StrEnum):
     COMMAND_EXPIRED = "command_expired"
     DRIVER_LOST = "driver_lost"
     PATTERN_RESTARTING = "pattern_restarting"
-    # running, and still standing
+    # running, with a command of zero
     NO_REQUESTED_COMMAND = "no_requested_command"
     PROTECTION = "protection"
 
 
 class Code(StrEnum):
-    """How a robot answers a request."""
+    """The kinds of answer to a request."""
 
     APPLIED = "applied"
     REFUSED = "refused"
@@ -216,10 +216,10 @@ class Reply(Struct, frozen=True, kw_only=True):
 
 
 class Row(Struct, frozen=True):
-    """One obstacle that bounds the command.
+    """One obstacle that constrains the command.
 
-    `bearing` rad from the axle, `gap` m to the footprint, `cap` m/s: how fast the outline may at
-    most move towards it.
+    `bearing` in rad from the axle, `gap` in m to the footprint, `cap` in m/s: the highest speed
+    of the outline towards the obstacle.
     """
 
     bearing: Annotated[float, Meta(ge=-7.0, le=7.0)]
@@ -228,10 +228,11 @@ class Row(Struct, frozen=True):
 
 
 class DecisionSummary(Struct, frozen=True, kw_only=True):
-    """The arbiter's latest decision, and since `run` the share of ticks it was active in.
+    """The arbiter's latest decision.
 
-    `rows`: what bounds the command, the tightest first. `is_recovering`: it judged not the wish
-    but a way around what blocks it.
+    `rows`: the obstacles that constrain the command, the tightest first. `is_recovering`: it
+    judged a way around an obstacle and not the requested command. `duty`: the share of ticks
+    since `run` in which protection was active.
     """
 
     mode: Word = "potential_field"
@@ -249,7 +250,7 @@ class DecisionSummary(Struct, frozen=True, kw_only=True):
 
 
 class Health(Struct, frozen=True, kw_only=True):
-    """How the daemon itself is doing. Rates in Hz, times in s, memory in bytes."""
+    """Measurements of the daemon itself. Rates in Hz, times in s."""
 
     scan_rate: Rate = 0.0
     loop_p99: Seconds = 0.0
@@ -261,7 +262,7 @@ class Health(Struct, frozen=True, kw_only=True):
 
 
 class Latch(Struct, frozen=True, kw_only=True):
-    """One emergency stop that has not been reset."""
+    """An emergency stop that has not been reset."""
 
     issuer: Annotated[str, Meta(max_length=128)]
     scope: Literal["swarm", "robots"]
@@ -269,23 +270,23 @@ class Latch(Struct, frozen=True, kw_only=True):
 
 
 class LoggedEvent(Struct, frozen=True, kw_only=True):
-    """Something an operator cares about. `at` in s since the daemon started."""
+    """An event in a robot's log. `at` in s since the daemon started."""
 
     at: Seconds
     text: Line
 
 
 class Param(Struct, frozen=True, kw_only=True):
-    """A parameter's value in force and the layer it comes from."""
+    """The value of a parameter and the layer it comes from."""
 
     value: Scalar | None
     source: Word
 
 
 class Status(Struct, frozen=True, kw_only=True):
-    """All that others may know of a robot; published on change and at 1 Hz.
+    """The published status of a robot: on each change and at 1 Hz.
 
-    `readings`: what its scalar sensors told last, such as `battery`, a share of 1.
+    `readings`: the latest values of its scalar sensors, such as `battery` from 0 to 1.
     """
 
     robot: Name
@@ -316,7 +317,7 @@ class Status(Struct, frozen=True, kw_only=True):
 
 
 class Condition(StrEnum):
-    """Whether a member is there."""
+    """Whether a member is there: alive, left in order, or vanished (failed)."""
 
     ALIVE = "alive"
     LEFT = "left"
@@ -324,7 +325,7 @@ class Condition(StrEnum):
 
 
 class Member(Struct, frozen=True, kw_only=True):
-    """One robot as another peer sees it. `age`: seconds since its condition last changed."""
+    """A robot as another peer sees it. `age`: seconds since its condition changed."""
 
     robot: Name
     instance: Name
@@ -334,9 +335,9 @@ class Member(Struct, frozen=True, kw_only=True):
 
 
 class PeerView(Struct, frozen=True, kw_only=True):
-    """A daemon's answer to `members`: itself, and every other robot it knows of.
+    """A daemon's answer to `members`: itself, and every other robot that it knows.
 
-    Alive members come without their status: they answer for themselves.
+    Alive members come without their status, since they answer for themselves.
     """
 
     robot: Name

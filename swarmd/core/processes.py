@@ -1,4 +1,4 @@
-"""Process trees that leave nothing behind (Linux)."""
+"""Child processes that end with their parent (Linux)."""
 
 from __future__ import annotations
 
@@ -17,8 +17,9 @@ OUT_OF_MEMORY = 77
 def die_with_parent(parent: int) -> None:
     """End this process at once when its parent ends, even by kill -9.
 
-    `parent` is the expected parent's id: if that one has gone already, end now. The signal fires
-    when the *thread* that spawned this process ends, so spawn from one that stays.
+    `parent` is the expected parent's id; if it has ended already, this process exits now. The
+    kernel sends the signal when the *thread* that spawned this process ends, so spawn from a
+    thread that stays.
     """
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.prctl(_PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
@@ -28,7 +29,7 @@ def die_with_parent(parent: int) -> None:
 
 
 def how_it_ended(returncode: int | None) -> str:
-    """A process's end in words: `was killed by SIGKILL`, `ended with code 3`."""
+    """The end of a process in words: `was killed by SIGKILL`, `ended with code 3`."""
     if returncode is None:
         return "ended"
     if returncode < 0:

@@ -1,4 +1,4 @@
-"""The one hand-over from foreign threads to the loop."""
+"""The only way from foreign threads to the loop."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def settings_in(folder: Path) -> DaemonSettings:
     return load_daemon_settings(None, values)
 
 
-def test_zero_goes_out_twenty_times_a_second_before_anyone_asks(tmp_path: Path) -> None:
+def test_zero_is_sent_at_20_hz_before_any_run(tmp_path: Path) -> None:
     driver = Notes()
 
     async def live() -> None:
@@ -71,7 +71,7 @@ class Asked:
         pass
 
 
-def test_a_halt_is_taken_however_many_requests_wait_for_their_answers(tmp_path: Path) -> None:
+def test_a_stop_is_taken_while_many_requests_are_pending(tmp_path: Path) -> None:
     halts = {
         kind: Asked(kind(id=f"h-{kind.__name__}", operator="alice"))
         for kind in (StopRequest, EstopRequest)
@@ -92,7 +92,7 @@ def test_a_halt_is_taken_however_many_requests_wait_for_their_answers(tmp_path: 
         assert [reply.code for reply in asked.replies] == [Code.APPLIED]
 
 
-def test_a_guardian_that_raises_sends_zero_and_ends(
+def test_a_daemon_that_raises_sends_zero_and_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     driver = Notes()
@@ -125,7 +125,7 @@ class Unplugged(Notes):
         super().send(twist, scan_seq, requested_scan_seq)
 
 
-def test_an_estop_is_kept_and_answered_though_its_zero_cannot_be_sent(tmp_path: Path) -> None:
+def test_an_estop_is_stored_and_acked_if_zero_cannot_be_sent(tmp_path: Path) -> None:
     driver = Unplugged()
     asked = Asked(EstopRequest(id="e1", operator="alice"))
     settings = settings_in(tmp_path)
@@ -168,7 +168,7 @@ def test_a_driver_that_takes_no_commands_ends_the_daemon(tmp_path: Path, when: s
         asyncio.run(live())
 
 
-def test_peers_are_not_told_that_it_left_when_its_driver_raised(
+def test_left_is_not_published_after_the_driver_raised(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Broken(Notes):
@@ -188,7 +188,7 @@ def test_peers_are_not_told_that_it_left_when_its_driver_raised(
     assert told == []
 
 
-def test_a_daemon_that_is_told_to_end_while_it_joins_never_serves(tmp_path: Path) -> None:
+def test_a_daemon_stopped_while_joining_never_serves(tmp_path: Path) -> None:
     driver = Notes()
     values = {"profile": "field", "interface": "lo", "listen": ["tcp/127.0.0.1:0"]}
     slow = {"id": "tb3-01", "swarm": unique_swarm(), "state_dir": str(tmp_path), **values}

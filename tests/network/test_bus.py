@@ -11,10 +11,11 @@ from typing import Any
 import pytest
 import zenoh
 
-from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, Decoder, encode
+from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE, Decoder, encode
 from swarmd.core.keys import Key
 from swarmd.core.messages import Condition, Member, PeerView, Status
-from swarmd.network.bus import Query, ZenohBus
+from swarmd.network.bus import Query, ZenohBus, limit_of, matches, members_for_view
+from swarmd.network.membership import Membership
 from swarmd.network.session import open_session
 from swarmd.network.settings import NetworkSettings
 from tests.support.fake_daemon import FakeDaemon, light_status
@@ -24,7 +25,7 @@ Until = Callable[[Callable[[], bool]], Awaitable[None]]
 view_of = Decoder(PeerView)
 
 
-class Stage:
+class BusRig:
     """One bus, and one foreign session that has a link to it."""
 
     def __init__(self, bus: ZenohBus, foreign: zenoh.Session, until: Until, swarm: str) -> None:
@@ -57,85 +58,85 @@ class Stage:
         return await asyncio.to_thread(asked)
 
 
-RobotHarness = Callable[[Stage], Coroutine[Any, Any, None]]
-Play = Callable[[RobotHarness], None]
+Steps = Callable[[BusRig], Coroutine[Any, Any, None]]
+RunSteps = Callable[[Steps], None]
 
 
 @pytest.fixture
-def play(settings: NetworkSettings, until: Until) -> Play:
-    def run(story: RobotHarness) -> None:
-        asyncio.run(_stage(settings, until, story))
+def run_steps(settings: NetworkSettings, until: Until) -> RunSteps:
+    def run(steps: Steps) -> None:
+        asyncio.run(_run_steps(settings, until, steps))
 
     return run
 
 
-async def _stage(settings: NetworkSettings, until: Until, story: RobotHarness) -> None:
+async def _run_steps(settings: NetworkSettings, until: Until, steps: Steps) -> None:
     session = open_session(settings, wait_for_peers=False)
     foreign = open_session(settings, wait_for_peers=False)
     bus = ZenohBus(session, swarm=settings.swarm, robot="me")
     try:
         await until(lambda: bool(foreign.info.peers_zid()))
-        await story(Stage(bus, foreign, until, settings.swarm))
+        await steps(BusRig(bus, foreign, until, settings.swarm))
     finally:
         bus.close()
         session.close()
         foreign.close()
 
 
-async def put_until_heard(stage: Stage, rest: str, heard: list[Any]) -> None:
+async def put_until_heard(rig: BusRig, rest: str, heard: list[Any]) -> None:
     """Declarations reach the sender a moment after the link is there."""
 
     def again() -> bool:
-        stage.put(rest)
+        rig.put(rest)
         return bool(heard)
 
-    await stage.until(again)
+    await rig.until(again)
     await asyncio.sleep(0.05)
     heard.clear()
 
 
-def test_other_robots_messages_come_through(play: Play) -> None:
-    async def story(stage: Stage) -> None:
+def test_messages_of_other_robots_arrive(run_steps: RunSteps) -> None:
+    async def steps(rig: BusRig) -> None:
         heard: list[tuple[Key, bytes]] = []
-        stage.bus.listen("msg", "*/*", lambda key, payload: heard.append((key, payload)))
-        await put_until_heard(stage, "a/msg/vote/opinion", heard)
-        stage.put("a/msg/vote/opinion", b"yes")
-        await stage.until(lambda: bool(heard))
-        assert heard == [(Key(stage.swarm, "a", "msg", "vote/opinion"), b"yes")]
-        assert stage.bus.dropped == {}
+        rig.bus.listen("msg", "*/*", lambda key, payload: heard.append((key, payload)))
+        await put_until_heard(rig, "a/msg/vote/opinion", heard)
+        rig.put("a/msg/vote/opinion", b"yes")
+        await rig.until(lambda: bool(heard))
+        assert heard == [(Key(rig.swarm, "a", "msg", "vote/opinion"), b"yes")]
+        assert rig.bus.dropped == {}
 
-    play(story)
+    run_steps(steps)
 
 
 @pytest.mark.parametrize(
     "rest",
     ["**", "*/msg/vote/opinion", "a/msg/*/opinion", "a/msg/vote/*", "a/**", "me/msg/vote/opinion"],
 )
-def test_wild_and_own_keys_are_dropped_and_counted(play: Play, rest: str) -> None:
-    async def story(stage: Stage) -> None:
+def test_wild_and_own_keys_are_dropped_and_counted(run_steps: RunSteps, rest: str) -> None:
+    async def steps(rig: BusRig) -> None:
         heard: list[Key] = []
-        stage.bus.listen("msg", "*/*", lambda key, payload: heard.append(key))
-        await put_until_heard(stage, "a/msg/vote/opinion", heard)
-        stage.put(rest)
-        await stage.until(lambda: stage.bus.dropped.get("msg/*/*:key") == 1)
+        rig.bus.listen("msg", "*/*", lambda key, payload: heard.append(key))
+        await put_until_heard(rig, "a/msg/vote/opinion", heard)
+        rig.put(rest)
+        await rig.until(lambda: rig.bus.dropped.get("msg/*/*:key") == 1)
         assert heard == []
 
-    play(story)
+    run_steps(steps)
 
 
-def test_deletes_and_oversized_payloads_are_dropped_and_counted(play: Play) -> None:
-    async def story(stage: Stage) -> None:
+def test_deletes_and_oversized_payloads_are_dropped_and_counted(run_steps: RunSteps) -> None:
+    async def steps(rig: BusRig) -> None:
         heard: list[bytes] = []
-        stage.bus.listen("msg", "*/*", lambda key, payload: heard.append(payload))
-        await put_until_heard(stage, "a/msg/vote/opinion", heard)
-        stage.foreign.delete(stage.key("a/msg/vote/opinion"))
-        stage.put("a/msg/vote/opinion", bytes(MAX_MESSAGE + 1))
-        stage.put("a/msg/vote/opinion", bytes(MAX_MESSAGE))
-        await stage.until(lambda: bool(heard))
+        rig.bus.listen("msg", "*/*", lambda key, payload: heard.append(payload))
+        await put_until_heard(rig, "a/msg/vote/opinion", heard)
+        rig.foreign.delete(rig.key("a/msg/vote/opinion"))
+        rig.put("a/msg/vote/opinion", bytes(MAX_MESSAGE + 1))
+        rig.put("a/msg/vote/opinion", bytes(MAX_MESSAGE))
+        await rig.until(lambda: bool(heard))
         assert [len(payload) for payload in heard] == [MAX_MESSAGE]
-        assert stage.bus.dropped == {"msg/*/*:key": 1, "msg/*/*:oversized": 1}
+        assert rig.bus.dropped == {"msg/*/*:key": 1, "msg/*/*:oversized": 1}
 
-    play(story)
+    run_steps(steps)
 
 
 def echo(query: Query) -> None:
@@ -143,42 +144,42 @@ def echo(query: Query) -> None:
 
 
 @pytest.mark.parametrize("robot", ["me", "*"])
-def test_the_own_key_and_the_swarms_are_answered(play: Play, robot: str) -> None:
-    async def story(stage: Stage) -> None:
-        stage.bus.serve("control", "run", echo)
+def test_queries_to_this_robot_and_to_all_are_answered(run_steps: RunSteps, robot: str) -> None:
+    async def steps(rig: BusRig) -> None:
+        rig.bus.serve("control", "run", echo)
         answers: list[tuple[str, bytes]] = []
         while not answers:
-            answers = await stage.get(stage.key(f"{robot}/control/run"), b"go")
-        assert answers == [(stage.key("me/control/run"), b"go!")]
+            answers = await rig.get(rig.key(f"{robot}/control/run"), b"go")
+        assert answers == [(rig.key("me/control/run"), b"go!")]
 
-    play(story)
+    run_steps(steps)
 
 
 @pytest.mark.parametrize("rest", ["**", "*/*/run", "me/control/*", "*/control/*", "me/**"])
-def test_other_wild_queries_are_dropped_counted_and_ended(play: Play, rest: str) -> None:
-    async def story(stage: Stage) -> None:
-        stage.bus.serve("control", "run", echo)
-        while not await stage.get(stage.key("me/control/run")):
+def test_other_wild_queries_are_dropped_counted_and_ended(run_steps: RunSteps, rest: str) -> None:
+    async def steps(rig: BusRig) -> None:
+        rig.bus.serve("control", "run", echo)
+        while not await rig.get(rig.key("me/control/run")):
             continue
-        assert await stage.get(stage.key(rest)) == []
-        assert stage.bus.dropped == {"control/run:key": 1}
+        assert await rig.get(rig.key(rest)) == []
+        assert rig.bus.dropped == {"control/run:key": 1}
 
-    play(story)
+    run_steps(steps)
 
 
-def test_an_oversized_query_is_dropped_counted_and_ended(play: Play) -> None:
-    async def story(stage: Stage) -> None:
-        stage.bus.serve("control", "run", echo)
-        while not await stage.get(stage.key("me/control/run")):
+def test_an_oversized_query_is_dropped_counted_and_ended(run_steps: RunSteps) -> None:
+    async def steps(rig: BusRig) -> None:
+        rig.bus.serve("control", "run", echo)
+        while not await rig.get(rig.key("me/control/run")):
             continue
-        assert await stage.get(stage.key("me/control/run"), bytes(MAX_CONTROL + 1)) == []
-        assert stage.bus.dropped == {"control/run:oversized": 1}
+        assert await rig.get(rig.key("me/control/run"), bytes(MAX_CONTROL + 1)) == []
+        assert rig.bus.dropped == {"control/run:oversized": 1}
 
-    play(story)
+    run_steps(steps)
 
 
-def test_an_answer_may_come_later_and_only_once(play: Play) -> None:
-    async def story(stage: Stage) -> None:
+def test_an_answer_may_come_later_and_only_once(run_steps: RunSteps) -> None:
+    async def steps(rig: BusRig) -> None:
         loop = asyncio.get_running_loop()
 
         def later(query: Query) -> None:
@@ -186,49 +187,49 @@ def test_an_answer_may_come_later_and_only_once(play: Play) -> None:
             loop.call_later(0.06, query.reply, b"second")
             loop.call_later(0.07, query.drop)
 
-        stage.bus.serve("control", "run", later)
+        rig.bus.serve("control", "run", later)
         answers: list[tuple[str, bytes]] = []
         while not answers:
-            answers = await stage.get(stage.key("me/control/run"))
-        assert answers == [(stage.key("me/control/run"), b"first")]
+            answers = await rig.get(rig.key("me/control/run"))
+        assert answers == [(rig.key("me/control/run"), b"first")]
 
-    play(story)
+    run_steps(steps)
 
 
-def test_an_estop_is_taken_as_a_query_and_as_a_put(play: Play) -> None:
-    async def story(stage: Stage) -> None:
+def test_an_estop_is_taken_as_a_query_and_as_a_put(run_steps: RunSteps) -> None:
+    async def steps(rig: BusRig) -> None:
         heard: list[bytes] = []
 
         def on_estop(query: Query) -> None:
             heard.append(query.payload)
             query.reply(b"latched")
 
-        stage.bus.serve("safety", "estop", on_estop)
-        await put_until_heard(stage, "me/safety/estop", heard)
-        stage.put("me/safety/estop", b"put")
-        await stage.until(lambda: heard == [b"put"])
-        assert await stage.get(stage.key("*/safety/estop"), b"query") == [
-            (stage.key("me/safety/estop"), b"latched")
+        rig.bus.serve("safety", "estop", on_estop)
+        await put_until_heard(rig, "me/safety/estop", heard)
+        rig.put("me/safety/estop", b"put")
+        await rig.until(lambda: heard == [b"put"])
+        assert await rig.get(rig.key("*/safety/estop"), b"query") == [
+            (rig.key("me/safety/estop"), b"latched")
         ]
-        stage.put("*/safety/estop", b"wild")
-        await stage.until(lambda: stage.bus.dropped == {"safety/estop:put:key": 1})
+        rig.put("*/safety/estop", b"wild")
+        await rig.until(lambda: rig.bus.dropped == {"safety/estop:put:key": 1})
 
-    play(story)
+    run_steps(steps)
 
 
-def test_serving_one_key_twice_is_a_mistake(play: Play) -> None:
-    async def story(stage: Stage) -> None:
-        stage.bus.serve("control", "run", echo)
+def test_serving_one_key_twice_raises(run_steps: RunSteps) -> None:
+    async def steps(rig: BusRig) -> None:
+        rig.bus.serve("control", "run", echo)
         with pytest.raises(ValueError, match="control/run is served already"):
-            stage.bus.serve("control", "run", echo)
+            rig.bus.serve("control", "run", echo)
 
-    play(story)
+    run_steps(steps)
 
 
-def test_a_flood_is_bounded_and_leaves_the_loop_and_estop_alone(play: Play) -> None:
+def test_a_flood_is_bounded_and_leaves_the_loop_and_estop_alone(run_steps: RunSteps) -> None:
     """20,000 messages from another thread: every one handled or counted, an e-stop meanwhile."""
 
-    async def story(stage: Stage) -> None:
+    async def steps(rig: BusRig) -> None:
         heard: list[Any] = []
         stops: list[bytes] = []
         handled = 0
@@ -238,15 +239,15 @@ def test_a_flood_is_bounded_and_leaves_the_loop_and_estop_alone(play: Play) -> N
             handled += payload == b"flood"
             heard.append(1)
 
-        stage.bus.listen("msg", "*/*", on_message)
-        stage.bus.serve("safety", "estop", lambda query: stops.append(query.payload))
-        await put_until_heard(stage, "a/msg/vote/opinion", heard)
-        await put_until_heard(stage, "me/safety/estop", stops)
+        rig.bus.listen("msg", "*/*", on_message)
+        rig.bus.serve("safety", "estop", lambda query: stops.append(query.payload))
+        await put_until_heard(rig, "a/msg/vote/opinion", heard)
+        await put_until_heard(rig, "me/safety/estop", stops)
         total = 20_000
 
         def flood() -> None:
-            publisher = stage.foreign.declare_publisher(
-                stage.key("a/msg/vote/opinion"), congestion_control=zenoh.CongestionControl.BLOCK
+            publisher = rig.foreign.declare_publisher(
+                rig.key("a/msg/vote/opinion"), congestion_control=zenoh.CongestionControl.BLOCK
             )
             for _ in range(total):
                 publisher.put(b"flood")
@@ -254,75 +255,75 @@ def test_a_flood_is_bounded_and_leaves_the_loop_and_estop_alone(play: Play) -> N
         thread = threading.Thread(target=flood)
         ticks: list[float] = []
         thread.start()
-        stage.put("me/safety/estop", b"now")
-        while handled + stage.bus.dropped.get("msg/*/*:full", 0) < total:
+        rig.put("me/safety/estop", b"now")
+        while handled + rig.bus.dropped.get("msg/*/*:full", 0) < total:
             before = time.monotonic()
             await asyncio.sleep(0.005)
             ticks.append(time.monotonic() - before)
         thread.join()
-        await stage.until(lambda: stops == [b"now"])
+        await rig.until(lambda: stops == [b"now"])
         assert handled >= 256
         print(f"longest tick {1e3 * max(ticks):.1f} ms of {len(ticks)}, handled {handled}")
 
-    play(story)
+    run_steps(steps)
 
 
-def test_statuses_that_cannot_be_are_counted(play: Play) -> None:
-    async def story(stage: Stage) -> None:
-        await stage.until(lambda: _dropped_after_put(stage, "state/status:malformed"))
-        stage.put("a/state/status", encode(light_status("b", "1")))
-        await stage.until(lambda: "state/status:key" in stage.bus.dropped)
-        assert stage.bus.members == {}
+def test_malformed_statuses_are_counted(run_steps: RunSteps) -> None:
+    async def steps(rig: BusRig) -> None:
+        await rig.until(lambda: _dropped_after_put(rig, "state/status:malformed"))
+        rig.put("a/state/status", encode(light_status("b", "1")))
+        await rig.until(lambda: "state/status:key" in rig.bus.dropped)
+        assert rig.bus.members == {}
 
-    play(story)
-
-
-def _dropped_after_put(stage: Stage, kind: str) -> bool:
-    stage.put("a/state/status", b"nonsense")
-    return kind in stage.bus.dropped
+    run_steps(steps)
 
 
-def test_tokens_and_words_make_members(play: Play) -> None:
-    async def story(stage: Stage) -> None:
+def _dropped_after_put(rig: BusRig, kind: str) -> bool:
+    rig.put("a/state/status", b"nonsense")
+    return kind in rig.bus.dropped
+
+
+def test_tokens_and_statuses_make_members(run_steps: RunSteps) -> None:
+    async def steps(rig: BusRig) -> None:
         news: list[Member] = []
-        stage.bus.on_member(news.append)
-        token = stage.foreign.liveliness().declare_token(stage.key("a/alive/1"))
-        await stage.until(lambda: [m.condition for m in news] == [Condition.ALIVE])
-        stage.put("a/state/status", encode(light_status("a", "1", has_left=True)))
-        await stage.until(lambda: news[-1].condition is Condition.LEFT)
+        rig.bus.on_member(news.append)
+        token = rig.foreign.liveliness().declare_token(rig.key("a/alive/1"))
+        await rig.until(lambda: [m.condition for m in news] == [Condition.ALIVE])
+        rig.put("a/state/status", encode(light_status("a", "1", has_left=True)))
+        await rig.until(lambda: news[-1].condition is Condition.LEFT)
         token.undeclare()
-        assert not stage.bus.forget("nobody")
-        assert stage.bus.forget("a")
-        assert stage.bus.members == {}
+        assert not rig.bus.forget("nobody")
+        assert rig.bus.forget("a")
+        assert rig.bus.members == {}
 
-    play(story)
+    run_steps(steps)
 
 
-def test_statuses_are_told_once_each(play: Play) -> None:
-    async def story(stage: Stage) -> None:
+def test_each_status_is_reported_once(run_steps: RunSteps) -> None:
+    async def steps(rig: BusRig) -> None:
         heard: list[Status] = []
-        stage.bus.on_status(heard.append)
-        await stage.until(lambda: _dropped_after_put(stage, "state/status:malformed"))
-        stage.put("b/state/status", encode(light_status("a", "1")))
-        stage.put("a/state/status", encode(light_status("a", "1")))
-        await stage.until(lambda: bool(heard) and "state/status:key" in stage.bus.dropped)
+        rig.bus.on_status(heard.append)
+        await rig.until(lambda: _dropped_after_put(rig, "state/status:malformed"))
+        rig.put("b/state/status", encode(light_status("a", "1")))
+        rig.put("a/state/status", encode(light_status("a", "1")))
+        await rig.until(lambda: bool(heard) and "state/status:key" in rig.bus.dropped)
         assert [status.robot for status in heard] == ["a"]
 
-    play(story)
+    run_steps(steps)
 
 
-def test_tokens_that_are_not_ids_are_counted(play: Play) -> None:
-    async def story(stage: Stage) -> None:
-        token = stage.foreign.liveliness().declare_token(stage.key("Not-An-Id/alive/1"))
-        await stage.until(lambda: stage.bus.dropped == {"alive:key": 1})
-        assert stage.bus.members == {}
+def test_tokens_that_are_not_ids_are_counted(run_steps: RunSteps) -> None:
+    async def steps(rig: BusRig) -> None:
+        token = rig.foreign.liveliness().declare_token(rig.key("Not-An-Id/alive/1"))
+        await rig.until(lambda: rig.bus.dropped == {"alive:key": 1})
+        assert rig.bus.members == {}
         token.undeclare()
 
-    play(story)
+    run_steps(steps)
 
 
-def test_daemons_see_each_other_and_ask_each_other(settings: NetworkSettings, until: Until) -> None:
-    async def story() -> None:
+def test_daemons_discover_and_query_each_other(settings: NetworkSettings, until: Until) -> None:
+    async def steps() -> None:
         one, other = FakeDaemon(settings, "a"), FakeDaemon(settings, "b", roster=("c",))
         async with one, other:
             await until(lambda: len(one.bus.members) == len(other.bus.members) == 1)
@@ -332,13 +333,11 @@ def test_daemons_see_each_other_and_ask_each_other(settings: NetworkSettings, un
             assert [(m.robot, m.condition) for m in view.members] == [("a", Condition.ALIVE)]
             assert await one.bus.ask("control", "nothing") == []
 
-    asyncio.run(story())
+    asyncio.run(steps())
 
 
-def test_a_daemon_that_leaves_left_and_one_that_vanishes_failed(
-    settings: NetworkSettings, until: Until
-) -> None:
-    async def story() -> None:
+def test_leaving_is_left_and_vanishing_is_failed(settings: NetworkSettings, until: Until) -> None:
+    async def steps() -> None:
         polite, rude = FakeDaemon(settings, "polite"), FakeDaemon(settings, "rude")
         async with FakeDaemon(settings, "a") as watcher:
             await polite.start()
@@ -353,19 +352,62 @@ def test_a_daemon_that_leaves_left_and_one_that_vanishes_failed(
             await until(lambda: Condition.ALIVE not in conditions().values())
             assert conditions() == {"polite": Condition.LEFT, "rude": Condition.FAILED}
 
-    asyncio.run(story())
+    asyncio.run(steps())
 
 
-def test_after_close_nothing_is_called_and_nothing_raises(play: Play) -> None:
-    async def story(stage: Stage) -> None:
+def test_after_close_nothing_is_called_and_nothing_raises(run_steps: RunSteps) -> None:
+    async def steps(rig: BusRig) -> None:
         heard: list[Key] = []
-        stage.bus.listen("msg", "*/*", lambda key, payload: heard.append(key))
-        await put_until_heard(stage, "a/msg/vote/opinion", heard)
-        stage.bus.close()
-        stage.bus.close()
-        stage.put("a/msg/vote/opinion")
-        stage.bus.publish("state", "status", b"")
+        rig.bus.listen("msg", "*/*", lambda key, payload: heard.append(key))
+        await put_until_heard(rig, "a/msg/vote/opinion", heard)
+        rig.bus.close()
+        rig.bus.close()
+        rig.put("a/msg/vote/opinion")
+        rig.bus.publish("state", "status", b"")
         await asyncio.sleep(0.05)
         assert heard == []
 
-    play(story)
+    run_steps(steps)
+
+
+@pytest.mark.parametrize(
+    ("name", "wanted", "is_match"),
+    [
+        ("vote/opinion", "vote/opinion", True),
+        ("vote/opinion", "*/*", True),
+        ("vote/opinion", "vote/*", True),
+        ("vote/opinion", "*", False),
+        ("status", "*/*", False),
+        ("status", "estop", False),
+    ],
+)
+def test_names_match_chunk_by_chunk(name: str, wanted: str, is_match: bool) -> None:
+    assert matches(name, wanted) is is_match
+
+
+def test_sizes_are_limited_by_plane() -> None:
+    planes = ("msg", "sense", "hw", "state", "safety")
+    assert [limit_of(plane) for plane in planes] == [
+        MAX_MESSAGE,
+        MAX_SENSE,
+        MAX_SENSE,
+        MAX_CONTROL,
+        MAX_CONTROL,
+    ]
+
+
+def test_a_view_has_living_members_without_status_and_duplicates() -> None:
+    membership = Membership("me")
+    for robot, instance in (("b", "1"), ("a", "2"), ("a", "1"), ("gone", "1")):
+        membership.on_status(light_status(robot, instance), 0.0)
+        membership.on_alive(robot, instance, 0.0)
+    membership.on_gone("gone", "1", 1.0)
+    told = members_for_view(membership, 3.0)
+    assert [(member.robot, member.instance, member.condition) for member in told] == [
+        ("a", "1", Condition.ALIVE),
+        ("a", "2", Condition.ALIVE),
+        ("b", "1", Condition.ALIVE),
+        ("gone", "1", Condition.FAILED),
+    ]
+    assert [member.status is None for member in told] == [True, True, True, False]
+    assert [member.age for member in told] == [3.0, 0.0, 3.0, 2.0]

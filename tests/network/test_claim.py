@@ -23,18 +23,18 @@ def rivals(own: str = "m") -> Rivals:
     return Rivals(own=own, started=0.0)
 
 
-def test_alone_it_wins_after_settling() -> None:
+def test_a_claim_without_rivals_wins_after_settling() -> None:
     assert rivals().holder is None
     assert rivals().settles_at(SETTLE) == pytest.approx(0.1)
 
 
-def test_a_link_that_comes_up_is_given_time_to_tell_its_tokens() -> None:
+def test_a_new_link_restarts_settling() -> None:
     table = rivals()
     table.on_link(0.05)
     assert table.settles_at(SETTLE) == pytest.approx(0.15)
 
 
-def test_links_that_keep_coming_up_are_not_waited_for_for_ever() -> None:
+def test_new_links_extend_settling_within_bounds() -> None:
     table = rivals()
     table.on_link(30.0)
     assert table.settles_at(SETTLE) == pytest.approx(1.0)
@@ -48,14 +48,14 @@ def test_a_smaller_claimer_goes_first() -> None:
     assert table.holder == "a"
 
 
-def test_a_larger_claimer_is_let_wait_and_settling_starts_again() -> None:
+def test_a_larger_claimer_only_restarts_settling() -> None:
     table = rivals()
     table.on_token("claim", "z", True, 0.05)
     assert table.holder is None
     assert table.settles_at(SETTLE) == pytest.approx(0.15)
 
 
-def test_an_owner_stands_in_the_way_until_it_goes() -> None:
+def test_an_owner_blocks_the_claim_until_it_vanishes() -> None:
     table = rivals()
     table.on_token("alive", "z", True, 0.05)
     assert table.holder == "z"
@@ -64,7 +64,7 @@ def test_an_owner_stands_in_the_way_until_it_goes() -> None:
     assert table.settles_at(SETTLE) == pytest.approx(3.1)
 
 
-def test_a_rival_that_turned_owner_is_no_leftover() -> None:
+def test_a_rival_that_became_owner_is_no_leftover() -> None:
     table = rivals()
     table.on_token("claim", "a", True, 0.01)
     assert not table.has_lost
@@ -155,11 +155,11 @@ def test_two_at_once_have_exactly_one_owner(
         owners[0].release()
         await asyncio.to_thread(sessions.close)
 
-    async def story() -> None:
+    async def steps() -> None:
         for _ in range(3):
             await trial()
 
-    asyncio.run(story())
+    asyncio.run(steps())
 
 
 def test_five_fresh_sessions_at_once_have_exactly_one_owner(
@@ -169,10 +169,10 @@ def test_five_fresh_sessions_at_once_have_exactly_one_owner(
         session = await asyncio.to_thread(sessions, settings)
         return await claim(session, settings, random.randbytes(6).hex())
 
-    async def story() -> list[Claim | BaseException]:
+    async def steps() -> list[Claim | BaseException]:
         return await asyncio.gather(*(start() for _ in range(5)), return_exceptions=True)
 
-    ends = asyncio.run(story())
+    ends = asyncio.run(steps())
     assert sum(isinstance(end, Claim) for end in ends) == 1, ends
     assert sum(isinstance(end, NetworkError) for end in ends) == 4, ends
 
@@ -180,7 +180,7 @@ def test_five_fresh_sessions_at_once_have_exactly_one_owner(
 def test_a_held_id_is_refused_in_one_line_that_names_the_holder(
     settings: NetworkSettings, sessions: Sessions
 ) -> None:
-    async def story() -> None:
+    async def steps() -> None:
         first = await claim(sessions(settings), settings, "aaaaaaaaaaaa")
         with pytest.raises(NetworkError) as caught:
             await claim(sessions(settings), settings, "000000000000")
@@ -189,15 +189,15 @@ def test_a_held_id_is_refused_in_one_line_that_names_the_holder(
         assert "\n" not in str(caught.value)
         first.release()
 
-    asyncio.run(story())
+    asyncio.run(steps())
 
 
-def test_it_waits_for_a_token_that_vanishes_soon(
+def test_a_claim_waits_for_a_token_that_vanishes_soon(
     settings: NetworkSettings, sessions: Sessions
 ) -> None:
     """What is left of a machine that lost power goes with its lease."""
 
-    async def story() -> None:
+    async def steps() -> None:
         first = await claim(sessions(settings), settings, "aaaaaaaaaaaa")
         second = asyncio.create_task(claim(sessions(settings), settings, "bbbbbbbbbbbb"))
         await asyncio.sleep(3 * settings.settle)
@@ -205,15 +205,15 @@ def test_it_waits_for_a_token_that_vanishes_soon(
         first.release()
         assert isinstance(await second, Claim)
 
-    asyncio.run(story())
+    asyncio.run(steps())
 
 
-def test_a_second_owner_that_comes_later_is_told_to_both(
+def test_a_second_owner_is_reported_to_both(
     settings: NetworkSettings, sessions: Sessions, until: Until
 ) -> None:
     """As when a cut heals: each claimed the id where it could not see the other."""
 
-    async def story() -> None:
+    async def steps() -> None:
         heard: list[str] = []
         mine = await claim(sessions(settings), settings, "aaaaaaaaaaaa", heard.append)
         key = f"swarm/{settings.swarm}/tb3-01/alive/bbbbbbbbbbbb"
@@ -224,13 +224,13 @@ def test_a_second_owner_that_comes_later_is_told_to_both(
         token.undeclare()
         await until(lambda: not mine.duplicates)
 
-    asyncio.run(story())
+    asyncio.run(steps())
 
 
 def test_a_refused_claim_leaves_nothing_behind(
     settings: NetworkSettings, sessions: Sessions
 ) -> None:
-    async def story() -> None:
+    async def steps() -> None:
         first = await claim(sessions(settings), settings, "aaaaaaaaaaaa")
         loser = sessions(settings)
         with pytest.raises(NetworkError):
@@ -239,4 +239,4 @@ def test_a_refused_claim_leaves_nothing_behind(
         third = await claim(sessions(settings), settings, "cccccccccccc")
         assert not third.duplicates
 
-    asyncio.run(story())
+    asyncio.run(steps())

@@ -28,19 +28,19 @@ def discovery() -> Discovery:
     return Discovery(0.0)
 
 
-def test_nothing_is_never_complete(discovery: Discovery) -> None:
+def test_an_empty_discovery_is_never_complete(discovery: Discovery) -> None:
     assert not discovery.is_complete(10.0)
     assert discovery.result(10.0).members == {}
 
 
-def test_one_answer_is_believed_only_after_quiet(discovery: Discovery) -> None:
+def test_one_view_is_complete_only_after_the_quiet_time(discovery: Discovery) -> None:
     discovery.on_view(view("a"), 0.02)
     assert not discovery.is_complete(0.02 + QUIET_TIME / 2)
     assert discovery.is_complete(0.021 + QUIET_TIME)
 
 
 @pytest.mark.parametrize("news", ["link", "token"])
-def test_news_makes_the_quiet_start_again(discovery: Discovery, news: str) -> None:
+def test_news_restarts_the_quiet_time(discovery: Discovery, news: str) -> None:
     discovery.on_view(view("a"), 0.02)
     if news == "link":
         discovery.on_link(0.1)
@@ -50,20 +50,20 @@ def test_news_makes_the_quiet_start_again(discovery: Discovery, news: str) -> No
     assert discovery.is_complete(0.101 + QUIET_TIME)
 
 
-def test_answers_that_agree_are_believed_at_once(discovery: Discovery) -> None:
+def test_views_that_agree_are_complete_at_once(discovery: Discovery) -> None:
     discovery.on_view(view("a", member("b")), 0.01)
     discovery.on_view(view("b", member("a")), 0.02)
     assert discovery.is_complete(0.02)
 
 
-def test_answers_that_do_not_know_each_other_are_not(discovery: Discovery) -> None:
+def test_views_that_disagree_need_the_quiet_time(discovery: Discovery) -> None:
     discovery.on_view(view("a", member("b")), 0.01)
     discovery.on_view(view("b"), 0.02)
     assert not discovery.is_complete(0.02)
     assert discovery.is_complete(0.021 + QUIET_TIME)
 
 
-def test_whoever_a_daemon_calls_alive_must_answer(discovery: Discovery) -> None:
+def test_a_robot_that_a_view_shows_alive_must_answer(discovery: Discovery) -> None:
     discovery.on_view(view("a", member("b")), 0.01)
     assert not discovery.is_complete(10.0)
     result = discovery.result(1.0)
@@ -72,14 +72,14 @@ def test_whoever_a_daemon_calls_alive_must_answer(discovery: Discovery) -> None:
     assert result.silent == ("b",)
 
 
-def test_whoever_holds_a_token_must_answer(discovery: Discovery) -> None:
+def test_a_robot_with_a_token_must_answer(discovery: Discovery) -> None:
     discovery.on_view(view("a"), 0.01)
     discovery.on_token("b", "1", True, 0.02)
     assert not discovery.is_complete(10.0)
     assert discovery.result(1.0).silent == ("b",)
 
 
-def test_whose_token_went_need_not_answer(discovery: Discovery) -> None:
+def test_a_robot_whose_token_vanished_need_not_answer(discovery: Discovery) -> None:
     discovery.on_view(view("a", member("b")), 0.01)
     discovery.on_token("b", "1", True, 0.02)
     discovery.on_token("b", "1", False, 0.03)
@@ -87,7 +87,7 @@ def test_whose_token_went_need_not_answer(discovery: Discovery) -> None:
     assert discovery.result(1.0).members["b"].condition is FAILED
 
 
-def test_each_speaks_for_itself(discovery: Discovery) -> None:
+def test_a_robots_own_status_wins_over_views_of_others(discovery: Discovery) -> None:
     discovery.on_view(view("a", member("b", age=7.0)), 0.01)
     discovery.on_view(view("b", member("a", FAILED), instance="9"), 0.02)
     result = discovery.result(1.0)
@@ -106,7 +106,7 @@ def test_each_speaks_for_itself(discovery: Discovery) -> None:
         ((member("x", FAILED, age=9.0), member("x", LEFT, instance="0", age=1.0)), LEFT),
     ],
 )
-def test_peers_that_disagree_on_a_third(
+def test_the_more_certain_of_two_views_of_a_robot_counts(
     discovery: Discovery, words: tuple[Member, Member], truth: Condition
 ) -> None:
     discovery.on_view(view("a", words[0]), 0.01)
@@ -114,7 +114,7 @@ def test_peers_that_disagree_on_a_third(
     assert discovery.result(1.0).members["x"].condition is truth
 
 
-def test_the_roster_is_everyones(discovery: Discovery) -> None:
+def test_the_rosters_of_all_views_are_merged(discovery: Discovery) -> None:
     discovery.on_view(view("a", roster=("a", "b")), 0.01)
     discovery.on_view(view("b", roster=("c",)), 0.01)
     result = discovery.result(1.0)
@@ -123,7 +123,7 @@ def test_the_roster_is_everyones(discovery: Discovery) -> None:
     assert discovery.known == {"a", "b", "c"}
 
 
-def test_two_daemons_with_one_id_show(discovery: Discovery) -> None:
+def test_two_daemons_with_one_id_are_duplicates(discovery: Discovery) -> None:
     discovery.on_view(view("a", instance="1"), 0.01)
     discovery.on_view(view("a", instance="2"), 0.02)
     assert discovery.result(1.0).duplicates == {"a": ("1", "2")}
@@ -140,7 +140,7 @@ def test_both_daemons_of_one_id_must_answer(discovery: Discovery) -> None:
     assert discovery.is_complete(0.02)
 
 
-def test_a_peer_that_knows_of_two_makes_both_be_waited_for(discovery: Discovery) -> None:
+def test_both_instances_in_a_peers_view_must_answer(discovery: Discovery) -> None:
     discovery.on_view(view("a", member("b"), instance="1"), 0.01)
     discovery.on_view(view("b", member("a", instance="1"), member("a", instance="2")), 0.01)
     assert not discovery.is_complete(10.0)

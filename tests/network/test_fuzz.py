@@ -104,7 +104,7 @@ def test_every_put_and_every_query_is_handled_or_counted(
     rng = random.Random(seed)
     swarm = settings.swarm
 
-    async def story() -> None:
+    async def steps() -> None:
         session = open_session(settings, wait_for_peers=False)
         foreign = open_session(settings, wait_for_peers=False)
         target = Target(ZenohBus(session, swarm=swarm, robot="me"))
@@ -131,7 +131,7 @@ def test_every_put_and_every_query_is_handled_or_counted(
             session.close()
             foreign.close()
 
-    asyncio.run(story())
+    asyncio.run(steps())
 
 
 def flood(foreign: zenoh.Session, rng: random.Random, swarm: str) -> dict[str, int]:

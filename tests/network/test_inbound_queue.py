@@ -16,8 +16,8 @@ def queue(drops: DropCounter, **options: float) -> InboundQueue:
     return InboundQueue(asyncio.get_running_loop(), drops, "msg/x", **options)  # type: ignore[arg-type]
 
 
-def test_items_from_a_thread_come_in_order() -> None:
-    async def story() -> list[int]:
+def test_calls_from_a_thread_run_in_order() -> None:
+    async def steps() -> list[int]:
         got: list[int] = []
         done = asyncio.Event()
         way = queue(DropCounter())
@@ -33,11 +33,11 @@ def test_items_from_a_thread_come_in_order() -> None:
         thread.join()
         return got
 
-    assert asyncio.run(story()) == list(range(100))
+    assert asyncio.run(steps()) == list(range(100))
 
 
-def test_a_full_lane_drops_the_newest_and_counts_it() -> None:
-    async def story() -> tuple[list[int], dict[str, int]]:
+def test_a_full_queue_drops_and_counts_the_newest() -> None:
+    async def steps() -> tuple[list[int], dict[str, int]]:
         got: list[int] = []
         drops = DropCounter()
         way = queue(drops)
@@ -47,13 +47,13 @@ def test_a_full_lane_drops_the_newest_and_counts_it() -> None:
             await asyncio.sleep(0)
         return got, drops.counts()
 
-    got, counts = asyncio.run(story())
+    got, counts = asyncio.run(steps())
     assert got == list(range(CAPACITY))
     assert counts == {"msg/x:full": 10}
 
 
 def test_the_loop_gets_its_turn_between_batches() -> None:
-    async def story() -> list[int]:
+    async def steps() -> list[int]:
         got: list[int] = []
         seen: list[int] = []
         way = queue(DropCounter())
@@ -64,11 +64,11 @@ def test_the_loop_gets_its_turn_between_batches() -> None:
             seen.append(len(got))
         return seen
 
-    assert {BATCH, 2 * BATCH, 3 * BATCH} <= set(asyncio.run(story()))
+    assert {BATCH, 2 * BATCH, 3 * BATCH} <= set(asyncio.run(steps()))
 
 
-def test_a_handler_that_raises_costs_only_its_own_item() -> None:
-    async def story() -> tuple[list[int], list[object]]:
+def test_a_handler_that_raises_loses_only_its_own_call() -> None:
+    async def steps() -> tuple[list[int], list[object]]:
         got: list[int] = []
         errors: list[object] = []
         loop = asyncio.get_running_loop()
@@ -81,13 +81,13 @@ def test_a_handler_that_raises_costs_only_its_own_item() -> None:
             await asyncio.sleep(0)
         return got, errors
 
-    got, errors = asyncio.run(story())
+    got, errors = asyncio.run(steps())
     assert got == [1, 2]
     assert isinstance(errors[0], ZeroDivisionError)
 
 
-def test_a_closed_lane_forgets_and_takes_nothing() -> None:
-    async def story() -> list[int]:
+def test_a_closed_queue_discards_its_calls_and_takes_no_more() -> None:
+    async def steps() -> list[int]:
         got: list[int] = []
         way = queue(DropCounter())
         way.offer(got.append, 1)
@@ -97,7 +97,7 @@ def test_a_closed_lane_forgets_and_takes_nothing() -> None:
             await asyncio.sleep(0)
         return got
 
-    assert asyncio.run(story()) == []
+    assert asyncio.run(steps()) == []
 
 
 def test_kinds_are_bounded_in_length_and_number() -> None:

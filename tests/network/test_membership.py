@@ -33,12 +33,12 @@ def test_a_token_makes_a_member(membership: Membership) -> None:
     assert condition(membership) is ALIVE
 
 
-def test_a_repeated_token_is_no_news(membership: Membership) -> None:
+def test_a_repeated_token_changes_nothing(membership: Membership) -> None:
     membership.on_alive("a", "1", 0.0)
     assert not membership.on_alive("a", "1", 1.0)
 
 
-def test_going_without_a_word_is_failure_and_stays_listed(membership: Membership) -> None:
+def test_a_robot_that_vanishes_is_failed_and_stays_listed(membership: Membership) -> None:
     membership.on_alive("a", "1", 0.0)
     assert membership.on_gone("a", "1", 5.0)
     member = membership.members(65.0)["a"]
@@ -83,7 +83,7 @@ def test_the_late_end_of_an_old_instance_does_not_fail_the_new(membership: Membe
     assert (member.instance, member.condition) == ("2", ALIVE)
 
 
-def test_left_of_an_old_instance_says_nothing_of_the_new(membership: Membership) -> None:
+def test_left_of_an_old_instance_does_not_affect_the_new(membership: Membership) -> None:
     membership.on_alive("a", "1", 0.0)
     membership.on_alive("a", "2", 1.0)
     membership.on_status(left("1"), 2.0)
@@ -115,7 +115,7 @@ def test_the_status_of_the_shown_instance_is_kept_after_failure(membership: Memb
     assert membership.members(3.0)["a"].status == status
 
 
-def test_forgetting_takes_those_off_that_are_not_alive(membership: Membership) -> None:
+def test_forget_removes_robots_that_are_not_alive(membership: Membership) -> None:
     membership.on_alive("a", "1", 0.0)
     assert not membership.forget("a")
     membership.on_gone("a", "1", 1.0)
@@ -141,7 +141,7 @@ def test_a_flood_of_names_is_bounded_and_leaves_room_for_tokens(membership: Memb
     assert membership.ignored > 0
 
 
-def test_those_that_went_the_longest_ago_make_room_for_newcomers(membership: Membership) -> None:
+def test_a_newcomer_replaces_the_robot_that_vanished_first(membership: Membership) -> None:
     membership.on_alive("old", "1", 0.0)
     for number in range(MAX_MEMBERS - 1):
         membership.on_alive(f"ghost-{number}", "1", 1.0)
@@ -169,7 +169,7 @@ tokens = st.lists(st.sampled_from(["1", "2", "3"]), max_size=6)
 
 
 @given(starts=tokens, leaving=st.sets(st.sampled_from(["1", "2", "3"])), data=st.data())
-def test_the_outcome_does_not_depend_on_how_tokens_and_words_interleave(
+def test_the_order_of_tokens_and_statuses_does_not_matter(
     starts: list[str], leaving: set[str], data: st.DataObject
 ) -> None:
     """Tokens come in their own order, statuses in theirs; between the two anything goes."""

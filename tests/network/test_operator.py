@@ -59,7 +59,7 @@ def test_a_single_robot_is_found(settings: NetworkSettings, robots: Robots) -> N
     assert view.alive == ("a",)
 
 
-def test_nobody_is_an_empty_view(settings: NetworkSettings) -> None:
+def test_a_swarm_without_daemons_is_an_empty_view(settings: NetworkSettings) -> None:
     with Operator(settings) as operator:
         assert operator.members().members == {}
         assert operator.request(RunRequest, {}, pattern="x").exit_code == NO_TARGET
@@ -113,7 +113,7 @@ def test_all_refused(settings: NetworkSettings, robots: Robots) -> None:
 
 
 @pytest.mark.parametrize("verb", ["stop", "estop"])
-def test_a_halt_reaches_everyone_without_waiting_for_members(
+def test_a_stop_reaches_all_without_waiting_for_members(
     settings: NetworkSettings, robots: Robots, verb: HaltVerb
 ) -> None:
     swarm = robots("a", "b", "c")
@@ -148,7 +148,7 @@ def test_an_estop_is_also_put_on_each_robots_own_key(
     assert set(keys.values()) == {swarm["a"].requests[0].id}
 
 
-def test_a_halt_is_repeated_until_everyone_acked(settings: NetworkSettings, robots: Robots) -> None:
+def test_a_stop_is_repeated_until_all_acked(settings: NetworkSettings, robots: Robots) -> None:
     swarm = robots("a")
     deaf = robots("deaf", answer=lambda request: Code.APPLIED if count() > 5 else None)
 
@@ -161,7 +161,7 @@ def test_a_halt_is_repeated_until_everyone_acked(settings: NetworkSettings, robo
     assert len(swarm["a"].requests) < count()
 
 
-def test_one_that_does_not_ack_a_halt_is_named(settings: NetworkSettings, robots: Robots) -> None:
+def test_a_robot_without_ack_is_named_by_a_stop(settings: NetworkSettings, robots: Robots) -> None:
     robots("a")
     robots("deaf", answer=lambda request: None)
     with Operator(settings) as operator:
@@ -170,7 +170,7 @@ def test_one_that_does_not_ack_a_halt_is_named(settings: NetworkSettings, robots
     assert outcome.exit_code == PARTIAL
 
 
-def test_a_failed_robot_is_named_by_a_halt(settings: NetworkSettings, robots: Robots) -> None:
+def test_a_failed_robot_is_named_by_a_stop(settings: NetworkSettings, robots: Robots) -> None:
     swarm = robots("a", "lost")
     swarm.call(swarm["lost"].vanish)
     swarm.until(lambda: swarm["a"].bus.members["lost"].condition is Condition.FAILED)
@@ -179,7 +179,7 @@ def test_a_failed_robot_is_named_by_a_halt(settings: NetworkSettings, robots: Ro
     assert outcome.line == "2 targeted, 1 applied, 1 no answer (lost)"
 
 
-def test_a_halt_reaches_a_robot_that_joins_while_it_goes_on(
+def test_a_stop_reaches_a_robot_that_joins_meanwhile(
     settings: NetworkSettings, robots: Robots
 ) -> None:
     robots("a")
@@ -191,7 +191,7 @@ def test_a_halt_reaches_a_robot_that_joins_while_it_goes_on(
     assert outcome.line == "2 targeted, 2 applied"
 
 
-def test_a_halt_of_some_leaves_the_others(settings: NetworkSettings, robots: Robots) -> None:
+def test_a_stop_of_some_leaves_the_others(settings: NetworkSettings, robots: Robots) -> None:
     swarm = robots("a", "b", "c")
     with Operator(settings) as operator:
         outcome = operator.stop(select=lambda names: [name for name in names if name in "ac"])
@@ -199,7 +199,7 @@ def test_a_halt_of_some_leaves_the_others(settings: NetworkSettings, robots: Rob
     assert swarm["b"].requests == []
 
 
-def test_two_daemons_with_one_id_show(settings: NetworkSettings, robots: Robots) -> None:
+def test_two_daemons_with_one_id_are_duplicates(settings: NetworkSettings, robots: Robots) -> None:
     swarm = robots("a", "b")
     robots("a", is_claiming=False)
     swarm.until(lambda: list(swarm["b"].bus.duplicates) == ["a"])
@@ -220,7 +220,7 @@ def test_the_operator_has_a_name() -> None:
     assert "@" in operator_name()
 
 
-def test_a_name_that_is_no_utf8_is_mended(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_operator_name_that_is_no_utf8_is_mended(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("LOGNAME", "\udcff\udcfe" + "x" * 300)
     name = operator_name()
     assert name.startswith("??x")

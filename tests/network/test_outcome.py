@@ -94,13 +94,13 @@ def test_no_acks_are_no_success() -> None:
     assert outcome.line == "3 targeted, 0 applied, 3 no answer (tb3-01, tb3-02, tb3-03)"
 
 
-def test_one_that_answers_unexpectedly_counts_as_meant() -> None:
+def test_an_unexpected_reply_counts_as_targeted() -> None:
     outcome = acks(a=APPLIED, x=NO).outcome(("a",))
     assert outcome.targeted == 2
     assert outcome.exit_code == PARTIAL
 
 
-def test_answers_to_something_else_do_not_count() -> None:
+def test_replies_to_another_request_do_not_count() -> None:
     found = Acks("q")
     assert not found.on_reply("a", reply("a", id="another"))
     assert not found.on_reply("a", reply("b"))
@@ -108,7 +108,7 @@ def test_answers_to_something_else_do_not_count() -> None:
     assert found.outcome(("a",)).missing == ("a",)
 
 
-def test_of_two_daemons_with_one_id_the_worse_answer_counts() -> None:
+def test_the_worse_reply_of_a_duplicate_id_counts() -> None:
     found = Acks("q")
     found.on_reply("a", reply("a", NO, instance="1"))
     found.on_reply("a", reply("a", APPLIED, instance="2"))
@@ -132,7 +132,7 @@ MEMBERS = {
 }
 
 
-def test_run_asks_the_living_counts_the_just_failed_and_warns_of_others() -> None:
+def test_run_counts_robots_that_failed_recently_and_warns_of_others() -> None:
     expected = expected_to_run(MEMBERS, (), MEMBERS)
     assert expected.asked == ("alive",)
     assert expected.absent == ("just-failed",)
@@ -140,18 +140,18 @@ def test_run_asks_the_living_counts_the_just_failed_and_warns_of_others() -> Non
     assert "long-failed failed 60 s ago" in expected.warnings[0]
 
 
-def test_run_counts_whom_the_roster_names() -> None:
+def test_run_counts_robots_on_the_roster() -> None:
     expected = expected_to_run(MEMBERS, ("long-failed", "left", "unseen"), {*MEMBERS, "unseen"})
     assert expected.asked == ("alive",)
     assert expected.absent == ("just-failed", "left", "long-failed", "unseen")
     assert expected.warnings == ()
 
 
-def test_run_leaves_out_who_is_not_selected() -> None:
+def test_run_leaves_out_robots_that_are_not_selected() -> None:
     assert expected_to_run(MEMBERS, ("unseen",), {"alive"}).absent == ()
 
 
-def test_stop_always_counts_the_failed() -> None:
+def test_stop_counts_failed_robots() -> None:
     selected = {*MEMBERS, "unseen"}
     assert expected_to_stop(MEMBERS, (), selected) == {"alive", "just-failed", "long-failed"}
     assert expected_to_stop(MEMBERS, ("unseen",), selected) >= {"unseen"}

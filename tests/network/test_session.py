@@ -1,10 +1,17 @@
-"""Sessions by profile."""
+"""Sessions by profile, opening in a thread, and the tuning of sockets."""
 
 from __future__ import annotations
 
+import asyncio
+import json
+import os
 import socket
+import struct
 import subprocess
 import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
 
 import pytest
 import zenoh
@@ -14,11 +21,15 @@ from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.network.session import (
     FIRST_PORT,
     PORTS,
+    connected_sockets,
+    open_in_thread,
     open_session,
     scouting_port,
     session_options,
+    tune_link,
 )
 from swarmd.network.settings import NetworkSettings
+from swarmd.testing.driver_contract import TIMEOUT
 
 
 def field(**changes: object) -> NetworkSettings:
@@ -58,7 +69,7 @@ def test_field_dials_its_seeds_and_again_within_a_second() -> None:
     assert retry["period_max_ms"] == 1000
 
 
-def test_an_operator_takes_any_port_so_that_it_fits_beside_a_daemon() -> None:
+def test_an_operator_takes_any_port() -> None:
     visitor = field(listen=("tcp/10.0.0.5:7447",)).as_operator()
     assert session_options(visitor)["listen/endpoints"] == ["tcp/0.0.0.0:0#iface=wlan0"]
 
@@ -114,7 +125,7 @@ open_session(NetworkSettings(swarm="nobody")).close()
 """
 
 
-def test_loopback_that_is_down_is_told_with_what_brings_it_up() -> None:
+def test_loopback_that_is_down_is_reported_with_the_remedy() -> None:
     away = ("unshare", "--net", "--map-root-user")
     if subprocess.run([*away, "true"], capture_output=True, check=False).returncode:
         pytest.skip("network namespaces are not permitted here")
@@ -147,3 +158,142 @@ def test_sessions_of_one_swarm_meet(settings: NetworkSettings) -> None:
     finally:
         one.close()
         other.close()
+
+
+def session() -> zenoh.Session:
+    config = zenoh.Config()
+    for key in ("scouting/multicast/enabled", "scouting/gossip/enabled"):
+        config.insert_json5(key, json.dumps(False))
+    config.insert_json5("listen/endpoints", json.dumps([]))
+    return zenoh.open(config)
+
+
+def opener(made: list[zenoh.Session], go_on: threading.Event) -> Callable[[], zenoh.Session]:
+    def open_it() -> zenoh.Session:
+        go_on.wait(TIMEOUT)
+        made.append(session())
+        return made[-1]
+
+    return open_it
+
+
+def test_an_opened_session_is_returned() -> None:
+    found = asyncio.run(open_in_thread(session))
+    assert not found.is_closed()
+    found.close()
+
+
+def test_an_opener_may_return_none() -> None:
+    assert asyncio.run(open_in_thread(lambda: None)) is None
+
+
+@pytest.mark.parametrize("waits", [False, True])
+def test_a_session_opened_after_a_cancel_is_closed(waits: bool) -> None:
+    made: list[zenoh.Session] = []
+    go_on = threading.Event()
+
+    async def run() -> None:
+        task = asyncio.create_task(open_in_thread(opener(made, go_on)))
+        await asyncio.sleep(0.01)
+        task.cancel()
+        if waits:
+            await asyncio.gather(task, return_exceptions=True)
+        go_on.set()  # the loop ends before the opening does
+
+    asyncio.run(run())
+    assert [one.is_closed() for one in made] == [True]
+
+
+def test_a_session_opened_while_cancelled_is_closed() -> None:
+    made: list[zenoh.Session] = []
+    is_made = threading.Event()
+
+    def open_it() -> zenoh.Session:
+        made.append(session())
+        is_made.set()
+        return made[-1]
+
+    async def run() -> None:
+        task = asyncio.create_task(open_in_thread(open_it))
+        await asyncio.sleep(0)
+        assert is_made.wait(TIMEOUT)  # the loop is held up, and has not heard of it
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+    asyncio.run(run())
+    assert [one.is_closed() for one in made] == [True]
+
+
+def user_timeout(sock: socket.socket) -> int:
+    return sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT)
+
+
+def lingers(sock: socket.socket) -> bool:
+    return bool(struct.unpack("ii", sock.getsockopt(socket.SOL_SOCKET, socket.SO_LINGER, 8))[0])
+
+
+@pytest.fixture
+def pair() -> Iterator[tuple[socket.socket, socket.socket]]:
+    """A connected pair that is nobody's link, set as Zenoh sets its own."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        near = socket.create_connection(server.getsockname())
+        far, _ = server.accept()
+        near.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 10))
+        with near, far:
+            yield near, far
+
+
+def locator(name: tuple[str, int]) -> str:
+    return f"tcp/{name[0]}:{name[1]}"
+
+
+def test_the_sockets_between_two_locators_are_tuned(
+    pair: tuple[socket.socket, socket.socket],
+) -> None:
+    near, far = pair
+    assert tune_link(locator(near.getsockname()), locator(far.getsockname()), 2.5) == 2
+    assert [user_timeout(sock) for sock in pair] == [2500, 2500]
+    assert not lingers(near)
+
+
+def test_other_sockets_are_left_alone(pair: tuple[socket.socket, socket.socket]) -> None:
+    near, _ = pair
+    assert tune_link("tcp/127.0.0.1:1", "tcp/127.0.0.1:2", 2.5) == 0
+    assert tune_link("nonsense", "unixpipe/x", 2.5) == 0
+    assert user_timeout(near) == 0
+    assert lingers(near)
+
+
+def test_looking_for_sockets_leaks_no_descriptor(
+    pair: tuple[socket.socket, socket.socket],
+) -> None:
+    before = sorted(os.listdir("/proc/self/fd"))
+    assert len(list(connected_sockets())) >= 2
+    assert sorted(os.listdir("/proc/self/fd")) == before
+    pair[0].sendall(b"still there")
+    assert pair[1].recv(20) == b"still there"
+
+
+def test_every_live_link_is_tuned(settings: NetworkSettings) -> None:
+    """Both ends are in this process: each of at least three links shows up as two sockets."""
+    sessions = [open_session(settings) for _ in range(3)]
+    end = time.monotonic() + 20.0
+    try:
+        found: list[tuple[int, bool]] = []
+        while len(found) < 6 or set(found) != {(2000, False)}:
+            assert time.monotonic() < end, found
+            found = live_sockets(sessions)
+    finally:
+        for session in sessions:
+            session.close()
+
+
+def live_sockets(sessions: list[zenoh.Session]) -> list[tuple[int, bool]]:
+    """User timeout in ms, and whether close lingers, of each socket that belongs to a link."""
+    links = [link for session in sessions for link in session.info.links()]
+    ports = {int(one.rpartition(":")[2]) for link in links for one in (link.src, link.dst)}
+    return [
+        (user_timeout(sock), lingers(sock))
+        for sock in connected_sockets()
+        if {sock.getsockname()[1], sock.getpeername()[1]} <= ports
+    ]

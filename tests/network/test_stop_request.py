@@ -40,11 +40,11 @@ def pending_stop(discovery: Discovery) -> PendingStop:
     return PendingStop(REQUEST, None, discovery, 0.0)
 
 
-def test_everyone_is_told_without_naming_targets(pending_stop: PendingStop) -> None:
+def test_a_stop_of_all_names_no_targets(pending_stop: PendingStop) -> None:
     assert decode(pending_stop.payload()) == REQUEST
 
 
-def test_those_that_acked_are_not_told_again(pending_stop: PendingStop) -> None:
+def test_a_robot_that_acked_is_not_asked_again(pending_stop: PendingStop) -> None:
     assert pending_stop.pending() == ("a", "b")
     ack(pending_stop, "a")
     assert pending_stop.pending() == ("b",)
@@ -58,7 +58,7 @@ def test_it_is_done_when_all_have_acked(pending_stop: PendingStop) -> None:
     assert pending_stop.outcome(0.02).exit_code == 0
 
 
-def test_acks_before_the_membership_is_known_are_not_enough() -> None:
+def test_acks_do_not_suffice_before_the_membership_is_known() -> None:
     discovery = Discovery(0.0)
     pending_stop = PendingStop(REQUEST, None, discovery, 0.0)
     discovery.on_token("a", "1", True, 0.01)
@@ -67,7 +67,7 @@ def test_acks_before_the_membership_is_known_are_not_enough() -> None:
     assert pending_stop.is_done(DISCOVERY_TIMEOUT)
 
 
-def test_with_nobody_in_sight_it_is_never_done() -> None:
+def test_without_members_it_is_never_done() -> None:
     pending_stop = PendingStop(REQUEST, None, Discovery(0.0), 0.0)
     assert not pending_stop.is_done(2.9)
     assert pending_stop.outcome(3.0).targeted == 0
@@ -83,14 +83,14 @@ def test_a_failed_robot_must_ack_too(pending_stop: PendingStop, discovery: Disco
     assert outcome.exit_code == PARTIAL
 
 
-def test_one_that_left_need_not(pending_stop: PendingStop, discovery: Discovery) -> None:
+def test_a_robot_that_left_need_not_ack(pending_stop: PendingStop, discovery: Discovery) -> None:
     discovery.on_view(view("a", ("b", Condition.ALIVE), ("c", Condition.LEFT)), 0.02)
     ack(pending_stop, "a")
     ack(pending_stop, "b")
     assert pending_stop.is_done(0.1)
 
 
-def test_the_roster_must_ack_before_anyone_is_seen() -> None:
+def test_the_roster_must_ack_before_any_robot_is_found() -> None:
     pending_stop = PendingStop(REQUEST, None, Discovery(0.0, ["a"]), 0.0)
     assert pending_stop.pending() == ("a",)
     assert pending_stop.outcome(3.0).exit_code == TIMEOUT

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.integration
 ID_HELD = 3
 
 
-def test_a_second_daemon_is_refused_and_the_first_drives_on_undisturbed(swarm: Swarm) -> None:
+def test_a_second_daemon_is_refused_and_the_first_drives_on(swarm: Swarm) -> None:
     body = swarm.body("r1")
     first = swarm.start("r1", body)
     swarm.run_drive("r1")
@@ -58,7 +58,7 @@ def _ended(daemons: list[DaemonProcess]) -> list[DaemonProcess]:
     return [daemon for daemon in daemons if daemon.process.poll() is not None]
 
 
-def test_a_daemon_thawed_beside_its_replacement_leaves_both_faulted_at_zero(swarm: Swarm) -> None:
+def test_a_daemon_thawed_beside_its_replacement_faults_both(swarm: Swarm) -> None:
     bodies = [swarm.body("r1") for _ in range(2)]
     frozen = swarm.start("r1", bodies[0])
     swarm.start("r2")

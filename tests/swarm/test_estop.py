@@ -41,7 +41,7 @@ def test_an_estop_of_one_robot_is_not_taken_over_by_newcomers(swarm: Swarm) -> N
     assert swarm.status("r2").state is State.IDLE
 
 
-def test_a_newcomer_takes_over_from_any_peer_even_if_the_issuer_is_gone(swarm: Swarm) -> None:
+def test_a_newcomer_takes_an_estop_over_from_any_peer(swarm: Swarm) -> None:
     """The latch wanders from robot to robot, each of which knew only the one before."""
     first = swarm.start("r1")
     assert swarm.ctl("estop").code == 0
@@ -54,7 +54,7 @@ def test_a_newcomer_takes_over_from_any_peer_even_if_the_issuer_is_gone(swarm: S
     assert set(third.latches) == held
 
 
-def test_a_reset_that_crosses_a_second_estop_leaves_every_robot_estopped(swarm: Swarm) -> None:
+def test_a_reset_that_crosses_a_second_estop_is_refused(swarm: Swarm) -> None:
     body = swarm.body("r1")
     swarm.start("r1", body)
     swarm.start("r2")
@@ -87,7 +87,7 @@ def test_a_reset_that_crosses_a_second_estop_leaves_every_robot_estopped(swarm: 
     assert not body.moved_since(began)  # re-armed is not moving
 
 
-def test_resets_and_estops_at_once_never_clear_a_stop_that_was_not_seen(swarm: Swarm) -> None:
+def test_a_reset_never_clears_an_estop_that_it_did_not_see(swarm: Swarm) -> None:
     robots = ("r1", "r2")
     for robot in robots:
         swarm.start(robot)
@@ -106,7 +106,7 @@ def test_resets_and_estops_at_once_never_clear_a_stop_that_was_not_seen(swarm: S
         print(f"crossing {crossing}: the reset {'saw' if was_seen else 'missed'} the second stop")
 
 
-def test_an_estop_with_one_daemon_frozen_names_it_and_holds_it_after_the_thaw(
+def test_a_frozen_daemon_is_named_and_estopped_after_the_thaw(
     swarm: Swarm,
 ) -> None:
     bodies = {robot: swarm.body(robot) for robot in ("r1", "r2", "r3")}

@@ -212,9 +212,7 @@ def test_no_late_run_moves_a_swarm_that_was_cut_in_two(
 
 
 @pytest.mark.parametrize("lease", [10.0])
-def test_a_run_that_a_short_cut_held_up_is_refused_when_it_arrives(
-    field: Field, namespaces: Namespaces
-) -> None:
+def test_a_run_delayed_by_a_short_cut_is_refused(field: Field, namespaces: Namespaces) -> None:
     """The links outlive the cut, and deliver afterwards what was asked during it."""
     a, b = field["a"], field["b"]
     start(field)
@@ -244,7 +242,7 @@ def test_a_run_that_a_short_cut_held_up_is_refused_when_it_arrives(
 
 
 @pytest.mark.parametrize("robots", [{"a": ("r1",), "b": ("r1",)}])
-def test_one_id_on_both_sides_of_a_cut_is_faulted_on_both_when_it_heals(
+def test_an_id_on_both_sides_of_a_cut_is_faulted_after_it_heals(
     field: Field, namespaces: Namespaces
 ) -> None:
     namespaces.cut("b")

@@ -159,9 +159,7 @@ def body_targets(swarm: str, body: Body) -> Iterator[Target]:
         yield Target(build(swarm, "r1", "hw", name), valid, limit, (f"driver/hw/{name}",))
 
 
-def test_ten_thousand_bad_messages_are_counted_and_disturb_nobody(
-    swarm: Swarm, vandal: Vandal
-) -> None:
+def test_malformed_messages_are_counted_and_disturb_no_robot(swarm: Swarm, vandal: Vandal) -> None:
     body = swarm.body("r1")
     swarm.start("r1", body)
     swarm.start("r2")
@@ -221,9 +219,7 @@ def hold_odd_tokens(swarm: Swarm, vandal: Vandal) -> None:
     vandal.sent += 2 * len(keys)
 
 
-def test_a_crowd_of_robots_that_are_not_there_hides_no_real_one(
-    swarm: Swarm, vandal: Vandal
-) -> None:
+def test_false_robots_do_not_hide_real_ones(swarm: Swarm, vandal: Vandal) -> None:
     """Their tokens are all that they have; more of them than a daemon keeps."""
     body = swarm.body("r1")
     swarm.start("r1", body)

@@ -65,7 +65,7 @@ def test_a_frozen_daemon_fails_after_its_lease_and_is_alive_once_thawed(swarm: S
     assert not body.moved_anew(thawed)
 
 
-def test_a_daemon_told_to_end_commands_zero_and_is_listed_as_left(swarm: Swarm) -> None:
+def test_a_terminated_daemon_commands_zero_and_is_listed_as_left(swarm: Swarm) -> None:
     body = swarm.body("r1")
     daemon = swarm.start("r1", body)
     swarm.start("r2")

@@ -88,7 +88,7 @@ SPEED = "m/s (from runtime); wanted is a float from -2 to 2 m/s"
         ("members --config none.yaml", 2, "error: none.yaml: cannot be read: No such file"),
     ],
 )
-def test_swarmctl_says_what_is_wrong_in_one_line(
+def test_swarmctl_reports_a_mistake_in_one_line(
     driving: Driving, words: str, code: int, line: str
 ) -> None:
     done = driving.swarm.ctl(*words.split())
@@ -97,7 +97,7 @@ def test_swarmctl_says_what_is_wrong_in_one_line(
     driving.check()
 
 
-def test_a_swarm_that_is_not_there_is_told_with_those_that_are(driving: Driving) -> None:
+def test_an_unknown_swarm_is_reported_with_those_in_reach(driving: Driving) -> None:
     for verb in ("members", "estop"):
         done = driving.swarm.ctl(verb, "--swarm", "nowhere")
         assert (done.code, done.out, done.err.count("\n")) == (6, "", 1)
@@ -128,7 +128,7 @@ def test_a_swarm_that_is_not_there_is_told_with_those_that_are(driving: Driving)
         ("[r1]", "wanted"),
     ],
 )
-def test_swarmd_says_what_is_wrong_in_one_line(
+def test_swarmd_reports_a_mistake_in_one_line(
     driving: Driving, tmp_path: Path, text: str, line: str
 ) -> None:
     """In a file that is right otherwise, and names the body of the robot that drives."""

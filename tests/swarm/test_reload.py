@@ -107,7 +107,7 @@ def own(swarm: Swarm, tmp_path: Path) -> Own:
     return Own(swarm, tmp_path / "own")
 
 
-def test_the_robot_stops_and_its_next_run_has_the_new_code(own: Own) -> None:
+def test_a_reload_stops_and_the_next_run_has_the_new_code(own: Own) -> None:
     own.run()
     assert own.at_version().report == {"version": 1}
     own.write(V2)
@@ -121,7 +121,7 @@ def test_the_robot_stops_and_its_next_run_has_the_new_code(own: Own) -> None:
     assert own.at_version().report == {"version": 2}
 
 
-def test_asked_to_it_runs_again_as_it_was_told_to(own: Own) -> None:
+def test_a_reload_with_run_keeps_the_parameters(own: Own) -> None:
     own.run("-p", "speed=0.05", "--for", "1h")
     own.write(V2)
     done = own.reload("--run")
@@ -151,7 +151,7 @@ def test_asked_to_it_runs_again_as_it_was_told_to(own: Own) -> None:
         (HOG, "its process needed more memory than it may have"),
     ],
 )
-def test_code_that_does_not_load_is_refused_and_what_runs_goes_on(
+def test_code_that_does_not_load_is_refused_without_effect(
     steady: tuple[Own, Status], text: str, told: str
 ) -> None:
     own, before = steady
@@ -167,7 +167,7 @@ def test_code_that_does_not_load_is_refused_and_what_runs_goes_on(
     assert is_running(host)
 
 
-def test_code_that_hangs_is_refused_in_bounded_time_and_its_process_is_gone(own: Own) -> None:
+def test_code_that_hangs_is_refused_and_its_process_ended(own: Own) -> None:
     before = own.run()
     moving = own.body.wait_stepped()
     own.write(HANGS)
@@ -181,7 +181,7 @@ def test_code_that_hangs_is_refused_in_bounded_time_and_its_process_is_gone(own:
 
 
 @pytest.mark.parametrize("verb", ["stop", "estop"])
-def test_a_stop_during_the_trial_stops_at_once_and_ends_the_trial(own: Own, verb: str) -> None:
+def test_a_stop_ends_the_trial(own: Own, verb: str) -> None:
     own.run()
     own.write(HANGS)
     begun = own.swarm.begin("plugin", "reload", "own", "r1", "--run", "-o", "json")
@@ -198,7 +198,7 @@ def test_a_stop_during_the_trial_stops_at_once_and_ends_the_trial(own: Own, verb
     assert not own.body.moved_since(now)
 
 
-def test_only_one_trial_at_a_time_and_no_run_meanwhile(own: Own) -> None:
+def test_no_second_trial_and_no_run_during_a_trial(own: Own) -> None:
     own.run()
     own.write(HANGS)
     begun = own.swarm.begin("plugin", "reload", "own", "r1", user="ben")
@@ -224,7 +224,7 @@ def test_a_daemon_that_ends_during_a_trial_leaves_no_process(own: Own) -> None:
     assert own.swarm.finish(begun).code in (5, 7)
 
 
-def test_what_does_not_run_is_tried_and_nothing_stops(own: Own) -> None:
+def test_reloading_a_pattern_that_does_not_run_stops_nothing(own: Own) -> None:
     done = own.reload("--run")
     assert done.code == 0, done
     assert "a run of own takes the new code; idle, as before" in done.out
@@ -240,7 +240,7 @@ def test_what_does_not_run_is_tried_and_nothing_stops(own: Own) -> None:
     assert own.at_version().report == {"version": 2}
 
 
-def test_an_installed_pattern_can_be_reloaded_too_and_one_that_is_not_there_cannot(
+def test_only_patterns_that_exist_can_be_reloaded(
     own: Own,
 ) -> None:
     own.swarm.run_drive("r1")
@@ -255,7 +255,7 @@ def test_an_installed_pattern_can_be_reloaded_too_and_one_that_is_not_there_cann
     assert own.swarm.status("r1").state is S.RUNNING
 
 
-def test_an_edit_alone_changes_nothing_and_a_run_of_it_is_refused(own: Own) -> None:
+def test_an_edit_without_reload_changes_nothing(own: Own) -> None:
     before = own.run()
     moving = own.body.wait_stepped()
     own.write("x = 1\n\ndef broken(:\n")

@@ -41,9 +41,7 @@ def start(swarm: Swarm, tmp_path: Path, touch: Value) -> Body:
     return body
 
 
-def test_a_granted_push_presses_as_fast_as_granted_until_the_next_pattern(
-    swarm: Swarm, tmp_path: Path
-) -> None:
+def test_a_granted_push_presses_at_the_granted_speed(swarm: Swarm, tmp_path: Path) -> None:
     body = start(swarm, tmp_path, {"push": {"half_width_deg": 20, "speed": 0.08}})
     assert swarm.ctl("run", "push", "r1").code == 0
     pressing = body.wait_stepped()
@@ -61,9 +59,7 @@ def test_a_granted_push_presses_as_fast_as_granted_until_the_next_pattern(
     assert max(command.twist.linear for command in body.commands) <= 0.08 + 1e-9
 
 
-def test_a_push_that_is_not_granted_stands_and_says_where_to_grant_it(
-    swarm: Swarm, tmp_path: Path
-) -> None:
+def test_a_push_without_grant_is_held_and_names_the_grant(swarm: Swarm, tmp_path: Path) -> None:
     body = start(swarm, tmp_path, {})
     assert swarm.ctl("run", "push", "r1").code == 0
     status = swarm.await_status("r1", "asked to step", lambda status: status.decision.decisions > 9)

@@ -38,9 +38,7 @@ def ben(swarm: Swarm) -> Iterator[Operator]:
         yield made
 
 
-def test_who_asks_after_another_has_is_told_what_changed_and_by_whom(
-    anna: Operator, ben: Operator
-) -> None:
+def test_the_later_operator_learns_who_changed_the_robot(anna: Operator, ben: Operator) -> None:
     looks = [(one, one.members().epochs(ROBOTS)) for one in (anna, ben)]
     first, second = (one.request(RunRequest, epochs, pattern="drive") for one, epochs in looks)
     assert first.applied == ROBOTS
@@ -51,9 +49,7 @@ def test_who_asks_after_another_has_is_told_what_changed_and_by_whom(
     assert ben.request(RunRequest, ben.members().epochs(ROBOTS), pattern="drive").applied == ROBOTS
 
 
-def test_of_two_that_ask_at_the_same_moment_one_wins_each_robot(
-    anna: Operator, ben: Operator
-) -> None:
+def test_one_of_two_simultaneous_operators_wins_each_robot(anna: Operator, ben: Operator) -> None:
     with ThreadPoolExecutor(2) as pool:
         for _ in range(ROUNDS // 2):
             looks = [(one, one.members().epochs(ROBOTS)) for one in (anna, ben)]
@@ -71,7 +67,7 @@ def test_of_two_that_ask_at_the_same_moment_one_wins_each_robot(
                     assert told[1] == winner
 
 
-def test_of_two_swarmctl_at_once_the_loser_is_told_by_name(swarm: Swarm) -> None:
+def test_the_loser_of_two_swarmctl_learns_the_winner(swarm: Swarm) -> None:
     """Until each has lost a robot to the other's request between its own look and its own run."""
     for robot in ROBOTS:
         swarm.start(robot)
