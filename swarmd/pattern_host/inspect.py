@@ -261,7 +261,7 @@ def _in_one_line(error: BaseException, path: Path, kind: type[Pattern[Any]] | No
     lines = [frame.lineno for frame in frames if frame.filename == str(path)]
     if isinstance(error, SyntaxError) and error.filename == str(path):
         text, lines = error.msg, [error.lineno]
-    elif not lines and kind is not None and isinstance(error, PluginError):
+    elif not lines and kind is not None and isinstance(error, PluginError | AssertionError):
         lines = _lines_of_step(kind, path)
     place = f" ({path.name}:{lines[-1]})" if lines else ""
     is_worded = isinstance(error, SwarmError) or (isinstance(error, AssertionError) and text)

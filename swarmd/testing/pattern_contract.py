@@ -326,7 +326,10 @@ def _check_close(here: Twist, there: Twist, what: str) -> None:
         (here.angular, there.angular),
         (here.lateral, there.lateral),
     )
-    is_close = all(math.isclose(a, b, rel_tol=0.0, abs_tol=_TOLERANCE) for a, b in pairs)
+    is_close = all(
+        math.isclose(a, b, rel_tol=0.0, abs_tol=_TOLERANCE) or (math.isnan(a) and math.isnan(b))
+        for a, b in pairs
+    )
     assert is_close, f"{what}: {here} and {there}"
 
 
