@@ -16,10 +16,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from swarmd.cli.arguments import Duration, read_assignments
-from swarmd.cli.options import CommonOptions
 from swarmd.cli.output import print_json, print_section, warn
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.cli.options import WorldOptions, fleet_for, fleet_options, need
+from swarmd.sim.cli.options import WorldOptions, fleet_for, fleet_options, need, output_option
 
 if TYPE_CHECKING:
     from swarmd.sim.live.demo_run import DemoSettings
@@ -36,7 +35,7 @@ if TYPE_CHECKING:
 )
 @click.option("--seconds", type=Duration(), default=60.0, help="How long, in simulated time [60].")
 @click.option("--headless", is_flag=True, help="Show no live view; the default without a terminal.")
-@click.option("-o", "--output", type=click.Choice(["table", "json"]), help="Form of the summary.")
+@output_option
 @click.pass_context
 def demo(
     ctx: click.Context,
@@ -45,7 +44,7 @@ def demo(
     params: tuple[str, ...],
     seconds: float,
     headless: bool,
-    output: str | None,
+    is_json: bool,
     **world: Any,
 ) -> None:
     """Start a simulated swarm, run one pattern, and sum it up.
@@ -57,7 +56,6 @@ def demo(
     from swarmd.plugins import find_pattern
     from swarmd.sim.live.demo_run import DemoSettings
 
-    is_json = (output or (ctx.find_object(CommonOptions) or CommonOptions()).output) == "json"
     options = WorldOptions(**world)
     settings = DemoSettings(
         pattern=pattern,

@@ -1,4 +1,4 @@
-"""`swarmctl exp`: a scenario over many seeds, with statistics, again and compared."""
+"""`swarmctl exp`: run scenarios over many seeds, repeat, compare and plot them."""
 
 from __future__ import annotations
 
@@ -12,28 +12,24 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from swarmd.cli.options import CommonOptions
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.measure import measure
-from swarmd.sim.cli.options import chosen_metrics, need
+from swarmd.sim.cli.options import chosen_metrics, need, output_option
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.compare import Difference, Side
     from swarmd.sim.experiments.manifest import Manifest
     from swarmd.sim.experiments.results import Results
 
-FAILED, PARTIAL = 1, 3  # as swarmctl has them: of all runs, and of some
+FAILED, PARTIAL = 1, 3  # exit codes if all runs failed, or some
 MAX_PROCESSES = 256
 _FAILURES_SHOWN = 5
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
-_output = click.option(
-    "-o", "--output", type=click.Choice(["table", "json"]), help="Form of the answer [table]."
-)
 _metrics = click.option(
-    "--metrics", metavar="A,B,..", help="Show these metrics alone; see `swarmctl exp metrics`."
+    "--metrics", metavar="A,B,..", help="Show only these metrics; see `swarmctl exp metrics`."
 )
 _processes = click.option(
     "-j",
@@ -41,13 +37,13 @@ _processes = click.option(
     type=click.IntRange(1, MAX_PROCESSES),
     default=1,
     show_default=True,
-    help="Runs at a time, each in a process of its own; the results are the same.",
+    help="Runs at a time, each in a process of its own; results do not depend on it.",
 )
 _timeout = click.option(
     "--timeout",
     type=click.FloatRange(min=1.0),
     metavar="SECONDS",
-    help="A run that gets no further for so long has failed, the others go on [60].",
+    help="A run without progress for this time fails, and the others continue [60].",
 )
 _folder = click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 
@@ -69,28 +65,28 @@ def exp() -> None:
     default="20",
     show_default=True,
     metavar="SEEDS",
-    help="How many, from 0 on; or which: 500-519, or 3,5,9.",
+    help="Number of seeds from 0 on, or the seeds: 500-519, or 3,5,9.",
 )
 @click.option(
     "--set",
     "sets",
     multiple=True,
     metavar="KEY=VALUE",
-    help="A value above the scenario's, such as duration=30; may be repeated.",
+    help="Override a value of the scenario, such as duration=30; may be repeated.",
 )
 @click.option(
     "--sweep",
     "sweeps",
     multiple=True,
     metavar="KEY=A,B,..",
-    help="Values to try one after the other; repeated, every combination is tried.",
+    help="Values to run in turn; repeated, every combination of values is run.",
 )
 @_processes
 @_timeout
-@_out("Where results go; there, an interrupted sweep goes on [experiments/SCENARIO-N].")
-@click.option("--no-traces", is_flag=True, help="Keep metrics alone; there is less to plot.")
+@_out("Folder of the results; an interrupted experiment in it resumes [experiments/SCENARIO-N].")
+@click.option("--no-traces", is_flag=True, help="Keep only metrics; fewer plots are possible.")
 @_metrics
-@_output
+@output_option
 @click.pass_context
 def run(
     ctx: click.Context,
@@ -103,11 +99,11 @@ def run(
     out: Path | None,
     no_traces: bool,
     metrics: str | None,
-    output: str | None,
+    is_json: bool,
 ) -> None:
     """Run SCENARIO, a name of `exp list` or a YAML file, once for each seed.
 
-    Exit code 0 if every run came to its end, 3 if some failed, 1 if all did.
+    Exit code 0 if every run finished, 3 if some failed, 1 if all failed.
     """
     need("mujoco")
     from swarmd.sim.experiments.arguments import parse_seeds, parse_sets, parse_sweeps
@@ -123,18 +119,18 @@ def run(
     command += ["--jobs", str(jobs), "--out", str(folder), *(["--no-traces"] * no_traces)]
     command += [] if timeout is None else ["--timeout", f"{timeout:g}"]
     manifest = manifest_of(plan, traces=not no_traces, command=command)
-    results = _conducted(manifest, folder, jobs, timeout)
-    _tell(results, names, _is_json(ctx, output))
+    results = _do_runs(manifest, folder, jobs, timeout)
+    _print_results(results, names, is_json)
     warn(f"results: {folder}/ (to see them: swarmctl exp plot {shlex.quote(str(folder))})")
     ctx.exit(_exit_code(results))
 
 
 @exp.command()
 @_folder
-@_out("Where the new results go; without it they are compared and gone.")
+@_out("Folder of the new results; without it they are compared and discarded.")
 @_processes
 @_timeout
-@_output
+@output_option
 @click.pass_context
 def rerun(
     ctx: click.Context,
@@ -142,11 +138,11 @@ def rerun(
     out: Path | None,
     jobs: int,
     timeout: float | None,
-    output: str | None,
+    is_json: bool,
 ) -> None:
-    """Make the experiment in DIR again from its manifest, and say which runs came out the same.
+    """Repeat the experiment in DIR from its manifest, and list which runs are identical.
 
-    Exit code 0 if all are the same to the last bit, 3 if some are not, 1 if none is.
+    Exit code 0 if all are identical to the last bit, 3 if some are, 1 if none is.
     """
     need("mujoco")
     from swarmd.sim.cli.progress import ends_on_sigterm, progress
@@ -157,7 +153,7 @@ def rerun(
         warn(f"warning: {line}; results may differ")
     with ends_on_sigterm(), progress() as on_progress:
         matches = again.rerun(folder, out, jobs, on_progress, timeout or STEP_TIMEOUT)
-    if _is_json(ctx, output):
+    if is_json:
         listed = [{"run": m.run, "identical": m.is_identical, "why": m.why} for m in matches]
         print_json("Rerun", {"folder": str(folder), "runs": listed})
     else:
@@ -172,10 +168,9 @@ def rerun(
 @click.argument("a")
 @click.argument("b")
 @_metrics
-@_output
-@click.pass_context
-def compare(ctx: click.Context, a: str, b: str, metrics: str | None, output: str | None) -> None:
-    """Which metrics differ between the experiments A and B: DIR, or DIR:VARIANT of a sweep.
+@output_option
+def compare(a: str, b: str, metrics: str | None, is_json: bool) -> None:
+    """Show which metrics differ between experiments A and B: DIR, or DIR:VARIANT of a sweep.
 
     A metric differs if the 95 % interval of the difference of means excludes 0.
     """
@@ -183,32 +178,31 @@ def compare(ctx: click.Context, a: str, b: str, metrics: str | None, output: str
 
     names = chosen_metrics(metrics)
     found = [(*pair, comparing.compare(*pair, names)) for pair in comparing.sides(a, b)]
-    if _is_json(ctx, output):
+    if is_json:
         documents = [comparing.document(*one) for one in found]
         print_json("Comparison", {"comparisons": documents})
         return
     for left, right, differences in found:
-        _tell_differences(left, right, differences)
+        _print_differences(left, right, differences)
 
 
 @exp.command()
 @_folder
 @_metrics
-@_output
-@click.pass_context
-def show(ctx: click.Context, folder: Path, metrics: str | None, output: str | None) -> None:
-    """The statistics of the experiment in DIR, also of one that was interrupted."""
+@output_option
+def show(folder: Path, metrics: str | None, is_json: bool) -> None:
+    """Show the statistics of the experiment in DIR, also if it is not finished."""
     from swarmd.sim.experiments.results import load_results
 
-    _tell(load_results(folder), chosen_metrics(metrics), _is_json(ctx, output))
+    _print_results(load_results(folder), chosen_metrics(metrics), is_json)
 
 
 @exp.command()
 @_folder
-@_out("Where the pictures go [DIR/plots].")
-@click.option("--metrics", metavar="A,B,..", help="Draw these over time, not the usual ones.")
+@_out("Folder of the pictures [DIR/plots].")
+@click.option("--metrics", metavar="A,B,..", help="Draw these metrics over time.")
 @click.option(
-    "--seeds", metavar="SEEDS", help="Draw the runs of these alone: 7, 500-519, or 3,5,9."
+    "--seeds", metavar="SEEDS", help="Draw only the runs of these seeds: 7, 500-519, or 3,5,9."
 )
 def plot(folder: Path, out: Path | None, metrics: str | None, seeds: str | None) -> None:
     """Draw the experiment in DIR: trajectories, start and end, metrics over time."""
@@ -223,15 +217,14 @@ def plot(folder: Path, out: Path | None, metrics: str | None, seeds: str | None)
 
 
 @exp.command("list")
-@_output
-@click.pass_context
-def list_scenarios(ctx: click.Context, output: str | None) -> None:
-    """The scenarios that come with swarmd."""
+@output_option
+def list_scenarios(is_json: bool) -> None:
+    """List the scenarios that come with swarmd."""
     need("mujoco")
     from swarmd.sim.scenarios.scenariofile import scenario_names
 
     found = [_described(name) for name in scenario_names()]
-    if _is_json(ctx, output):
+    if is_json:
         print_json("Scenarios", {"scenarios": found})
         return
     rows = [
@@ -244,13 +237,12 @@ def list_scenarios(ctx: click.Context, output: str | None) -> None:
 
 
 @exp.command("metrics")
-@_output
-@click.pass_context
-def list_metrics(ctx: click.Context, output: str | None) -> None:
-    """The metrics that every run is measured by."""
+@output_option
+def list_metrics(is_json: bool) -> None:
+    """List the metrics of every run."""
     from swarmd.sim.metrics.catalog import METRICS
 
-    if _is_json(ctx, output):
+    if is_json:
         listed = [
             {"name": m.name, "unit": m.unit, "better": m.better, "meaning": m.meaning,
              "source": m.source}
@@ -266,7 +258,7 @@ exp.add_command(measure)
 
 
 def _described(name: str) -> dict[str, Any]:
-    """A scenario as it is listed, also one that needs what is not installed."""
+    """A row of the list, also for a scenario that cannot be loaded."""
     from swarmd.sim.scenarios.scenariofile import load_scenario
 
     about = {"name": name, "description": "", "robots": None, "duration": None, "error": ""}
@@ -280,7 +272,7 @@ def _described(name: str) -> dict[str, Any]:
 
 
 def new_folder(base: Path, stem: str) -> Path:
-    """`base/stem-N`, made with the lowest N above all there are; ConfigError if it cannot be."""
+    """A new folder `base/stem-N`, N above all existing; ConfigError if it cannot be made."""
     names = [path.name for path in base.iterdir()] if base.is_dir() else []
     found = [re.fullmatch(rf"{re.escape(stem)}-(\d+)", name) for name in names]
     for number in count(max((int(match[1]) for match in found if match), default=0) + 1):
@@ -295,11 +287,11 @@ def new_folder(base: Path, stem: str) -> Path:
             text = f"{folder}/ cannot be made ({error.strerror})"
             raise ConfigError(f"{text}; name another folder with --out") from error
         return folder
-    raise AssertionError("numbers have an end")
+    raise AssertionError("unreachable")
 
 
-def _conducted(manifest: Manifest, folder: Path, processes: int, timeout: float | None) -> Results:
-    """All runs done; on Ctrl-C and SIGTERM a line says how to go on."""
+def _do_runs(manifest: Manifest, folder: Path, processes: int, timeout: float | None) -> Results:
+    """Do all runs; on Ctrl-C and SIGTERM print the command that resumes them."""
     from swarmd.sim.cli.progress import ends_on_sigterm, progress
     from swarmd.sim.experiments.pool import STEP_TIMEOUT
     from swarmd.sim.experiments.simulate import run_experiment
@@ -323,8 +315,8 @@ def _conducted(manifest: Manifest, folder: Path, processes: int, timeout: float 
         raise
 
 
-def _tell(results: Results, names: Sequence[str] | None, is_json: bool) -> None:
-    """Statistics on stdout, failures on stderr."""
+def _print_results(results: Results, names: Sequence[str] | None, is_json: bool) -> None:
+    """Print statistics on stdout, failures on stderr."""
     from swarmd.sim.experiments.report import HEADER, summary_rows
 
     if is_json:
@@ -352,7 +344,7 @@ def _warn_of_patterns(results: Results) -> None:
             warn(f"patterns failed in {count} runs: see failed_patterns, and reason in the traces")
 
 
-def _tell_differences(a: Side, b: Side, differences: Sequence[Difference]) -> None:
+def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> None:
     from swarmd.sim.experiments.compare import expected_by_chance
     from swarmd.sim.experiments.report import interval, number
 
@@ -379,10 +371,6 @@ def _warn_of_few(counts: Iterable[int]) -> None:
         warn("only 1 run: that says little; 20 seeds are a good number")
     elif fewest < FEW:
         warn(f"only {fewest} runs: intervals of so few are too narrow; 20 seeds are a good number")
-
-
-def _is_json(ctx: click.Context, output: str | None) -> bool:
-    return (output or (ctx.find_object(CommonOptions) or CommonOptions()).output) == "json"
 
 
 def _exit_code(results: Results) -> int:

@@ -6,9 +6,8 @@ from pathlib import Path
 
 import click
 
-from swarmd.cli.options import CommonOptions
 from swarmd.cli.output import print_json, print_table
-from swarmd.sim.cli.options import chosen_metrics
+from swarmd.sim.cli.options import chosen_metrics, output_option
 
 
 @click.command()
@@ -16,13 +15,8 @@ from swarmd.sim.cli.options import chosen_metrics
     "files", metavar="TRACE.npz..", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
 @click.option("--metrics", metavar="A,B,..", help="Only these metrics; see `swarmctl exp metrics`.")
-@click.option(
-    "-o", "--output", type=click.Choice(["table", "json"]), help="Form of the answer [table]."
-)
-@click.pass_context
-def measure(
-    ctx: click.Context, files: tuple[Path, ...], metrics: str | None, output: str | None
-) -> None:
+@output_option
+def measure(files: tuple[Path, ...], metrics: str | None, is_json: bool) -> None:
     """Compute metrics of traces: of experiments, of `swarmctl demo`, of a recorded world.
 
     A live trace has no requested commands: metrics that need them stay empty.
@@ -33,7 +27,7 @@ def measure(
 
     names = chosen_metrics(metrics) or tuple(catalog.METRICS)
     measured = {str(file): catalog.measure(load_trace(file), names) for file in files}
-    if (output or (ctx.find_object(CommonOptions) or CommonOptions()).output) == "json":
+    if is_json:
         print_json("Measurements", {"traces": measured})
         return
     rows = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -10,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from swarmd.cli.options import CommonOptions
 from swarmd.core.errors import ConfigError, PluginError
 from swarmd.core.keys import is_id
 
@@ -18,6 +20,7 @@ if TYPE_CHECKING:
     from swarmd.sim.live.fleet import FleetSpec
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+R = TypeVar("R")
 
 MAX_ROBOTS = 50
 
@@ -79,6 +82,18 @@ _OPTIONS = (
         help="Folder of one-file patterns, in addition to the installed ones [$SWARM_PLUGIN_DIR].",
     ),
 )
+
+
+def output_option(function: Callable[..., R]) -> Callable[..., R]:
+    """Give a verb the parameter `is_json`: -o of the verb, else that of swarmctl."""
+
+    @functools.wraps(function)
+    def wrapper(*args: Any, output: str | None, **kwargs: Any) -> R:
+        common = click.get_current_context().find_object(CommonOptions) or CommonOptions()
+        return function(*args, is_json=(output or common.output) == "json", **kwargs)
+
+    choice = click.Choice(["table", "json"])
+    return click.option("-o", "--output", type=choice, help="Form of the answer [table].")(wrapper)
 
 
 def fleet_options(function: Function) -> Function:

@@ -265,29 +265,29 @@ def test_a_full_disk_is_one_line_and_what_is_finished_stays(
 
 
 @pytest.mark.parametrize(
-    ("args", "fault"),
+    ("args", "subject"),
     [
-        (["run", "agregation"], "no scenario 'agregation'; did you mean 'aggregation'?"),
-        (["run", "none.yaml"], "none.yaml: cannot be read: No such file"),
-        (["run", "DUO", "--seeds", "5-3"], "--seeds '5-3'"),
-        (["run", "DUO", "--set", "duraton=3"], "did you mean 'duration'?"),
-        (["run", "DUO", "--set", "duration"], "wanted is key=value"),
-        (["run", "DUO", "--sweep", "duration="], "a value is empty"),
-        (["run", "DUO", "--sweep", "duraton=3,4"], "--sweep: no key 'duraton'; did you mean"),
-        (["run", "DUO", "--sweep", "duration=3,x"], "--sweep: duration is 'x'"),
-        (["run", "DUO", "--sweep", "duration=3,3"], "sweep duration: 3"),
-        (["run", "DUO", "--set", "duration=1", "--sweep", "duration=3"], "both set and swept"),
-        (["run", "DUO", "--metrics", "path_lenght"], "did you mean 'path_length'?"),
+        (["run", "agregation"], "'aggregation'"),
+        (["run", "none.yaml"], "none.yaml"),
+        (["run", "DUO", "--seeds", "5-3"], "'5-3'"),
+        (["run", "DUO", "--set", "duraton=3"], "'duration'"),
+        (["run", "DUO", "--set", "duration"], "key=value"),
+        (["run", "DUO", "--sweep", "duration="], "duration"),
+        (["run", "DUO", "--sweep", "duraton=3,4"], "'duration'"),
+        (["run", "DUO", "--sweep", "duration=3,x"], "'x'"),
+        (["run", "DUO", "--sweep", "duration=3,3"], "twice"),
+        (["run", "DUO", "--set", "duration=1", "--sweep", "duration=3"], "duration"),
+        (["run", "DUO", "--metrics", "path_lenght"], "'path_length'"),
         (["run", "DUO", "--metrics", ","], "--metrics"),
         (["run", "DUO", "--set", "groups.all.count=400"], "start"),
-        (["run", "DUO", "--out", "."], "is no experiment's folder: it holds duo"),
+        (["run", "DUO", "--out", "."], "it holds duo"),
         (["run", "DUO", "--out", "duo/duo.yaml"], "duo/duo.yaml"),
-        (["run", "DUO", "-j", "0"], "'-j' / '--jobs': 0 is not in the range"),
-        (["rerun", "."], ".: no experiment: there is no manifest.json"),
-        (["show", "nowhere"], "nowhere: no experiment"),
-        (["compare", "a", "b"], "a: no experiment"),
+        (["run", "DUO", "-j", "0"], "--jobs"),
+        (["rerun", "."], "manifest.json"),
+        (["show", "nowhere"], "nowhere"),
+        (["compare", "a", "b"], "a: "),
         (["plot", "nowhere"], "nowhere"),
-        (["runn"], "No such command 'runn'"),
+        (["runn"], "'runn'"),
     ],
 )
 def test_a_mistake_is_one_line_and_nothing_is_made(
@@ -296,16 +296,16 @@ def test_a_mistake_is_one_line_and_nothing_is_made(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     args: list[str],
-    fault: str,
+    subject: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     before = contents(tmp_path)
     words = ["exp", *(str(duo) if word == "DUO" else word for word in args)]
     assert run_cli(cli, words, "swarmctl", exit_code_of) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert fault in told.err
-    assert told.err.count("\n") == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert subject in captured.err
+    assert captured.err.count("\n") == 1
     assert contents(tmp_path) == before
 
 
