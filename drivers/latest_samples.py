@@ -1,4 +1,4 @@
-"""The newest sample of each sense, handed from Zenoh's threads to the loop."""
+"""The newest sample of each topic, handed from Zenoh's threads to the loop."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from swarmd.core.threads import hand_over
 class LatestSamples:
     """Calls `take(name, payload)` on the loop with the newest sample of each name.
 
-    Only the newest: after a stall of the loop the older ones would be history, and a queue of
-    them would delay what is true now. `dropped(what)` is called once for each that was left out:
-    `<name>:overtaken` by a newer one, or said on another key, `<name>:key`.
+    After a stall of the loop, older samples are outdated, and a queue of them would delay the
+    newest. `dropped(what)` is called once for each dropped sample: `<name>:overtaken` by a newer
+    one, or `<name>:key` if it came on another key.
     """
 
     def __init__(
@@ -29,21 +29,21 @@ class LatestSamples:
         self._loop, self._take, self._dropped = loop, take, dropped
         self._lock = threading.Lock()
         self._waiting: dict[str, bytes] = {}
-        self._left_out: Counter[str] = Counter()
+        self._dropped_counts: Counter[str] = Counter()
         self._is_closed = False
 
     def close(self) -> None:
-        """Deliver nothing from now on, not even what is on its way."""
+        """Deliver nothing from now on, not even samples on their way."""
         self._is_closed = True
 
     def receiver(self, name: str, key: str) -> Callable[[zenoh.Sample], None]:
-        """A Zenoh callback for one name; samples on other keys than `key` are left out."""
+        """A Zenoh callback for one name; samples on other keys than `key` are dropped."""
 
         def on_sample(sample: zenoh.Sample) -> None:
             if str(sample.key_expr) == key:
                 self.put(name, sample.payload.to_bytes())
             else:
-                self._leave_out(f"{name}:key")
+                self._drop(f"{name}:key")
 
         return on_sample
 
@@ -55,7 +55,7 @@ class LatestSamples:
         if is_first:
             hand_over(self._loop, self._deliver, name)
         else:
-            self._leave_out(f"{name}:overtaken")
+            self._drop(f"{name}:overtaken")
 
     def _deliver(self, name: str) -> None:
         with self._lock:
@@ -63,15 +63,15 @@ class LatestSamples:
         if not self._is_closed:
             self._take(name, payload)
 
-    def _leave_out(self, what: str) -> None:
+    def _drop(self, what: str) -> None:
         with self._lock:
-            is_first = not self._left_out
-            self._left_out[what] += 1
+            is_first = not self._dropped_counts
+            self._dropped_counts[what] += 1
         if is_first:
             hand_over(self._loop, self._report)
 
     def _report(self) -> None:
         with self._lock:
-            left_out, self._left_out = self._left_out, Counter()
-        for what in left_out.elements():
+            counts, self._dropped_counts = self._dropped_counts, Counter()
+        for what in counts.elements():
             self._dropped(what)

@@ -1,6 +1,6 @@
-"""A recording that drives a daemon as if it were a robot.
+"""A recording in place of a robot: its inputs in their order and at their pace.
 
-What was heard comes again in its order and at its pace; commands are taken and lead nowhere.
+Commands are counted and move nothing.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ from swarmd.settings.layered import Layered
 log = logging.getLogger(__name__)
 
 LEAD = 0.5
-"""Seconds before the first entry, in which there is no robot yet."""
+"""Seconds before the first entry, in which the base counts as lost."""
 PAUSE = 1.0
-"""Seconds between two rounds of a loop, in which there is no robot: its pose jumps."""
-KEPT = 100
+"""Seconds between two rounds of a loop, in which the base counts as lost: its pose jumps."""
+MAX_TAKEN = 100
 
 
 class ReplayOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`file`: a recording. `speed`: how fast it passes, 1 as it was. `loop`: again and again."""
+    """`file`: a recording. `speed`: 1 is real time. `loop`: play it again and again."""
 
     file: str
     speed: Annotated[float, Meta(ge=0.05, le=100.0)] = 1.0
@@ -45,7 +45,7 @@ class ReplayOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 class ReplayDriver:
-    """Plays a recording to the sink. `taken` are the last commands that were taken."""
+    """Plays a recording to the sink. `taken`: the last commands."""
 
     is_simulated = True  # no base moves
 
@@ -60,10 +60,10 @@ class ReplayDriver:
         self._after, self._span = _extent(self._path, self._recording, platform)
         self._gate = CommandGate()
         self._commands: Counter[str] = Counter()
-        self.taken: deque[Twist] = deque(maxlen=KEPT)
+        self.taken: deque[Twist] = deque(maxlen=MAX_TAKEN)
 
     async def run(self, sink: Sink) -> None:
-        """Play it, once or again and again, until cancelled."""
+        """Play it, once or in a loop, until cancelled."""
         if self._recording.cut:
             log.warning("%s is %s; what came before that is played", self._path, self._cut)
         try:
@@ -86,13 +86,13 @@ class ReplayDriver:
             log.info("took %d commands, %d to move", self._commands.total(), moving)
 
     def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
-        """Take a command, as a base would: dropped while lost, zero the first time it is back."""
+        """Take a command; dropped while the base is lost, zero the first time it is back."""
         command = self._gate.filter(twist)
         if command is not None:
             self._take(command)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
-        """What the recording holds."""
+        """The recording's length and the inputs in it."""
         recording, header = self._recording, self._recording.header
         kinds = Counter[str](entry.kind for entry in recording.entries)
         length = max(recording.duration, 1e-9)
@@ -111,13 +111,13 @@ class ReplayDriver:
         return self._recording.cut
 
     async def _play(self, sink: Sink, rounds: int) -> None:
-        """One round; of later ones stamps and sequences go on where the one before ended."""
+        """One round; stamps and sequences of later rounds continue those of the one before."""
         loop, speed = asyncio.get_running_loop(), self._options.speed
         begin, shift = loop.time(), rounds * (self._span + PAUSE)
         if not any(entry.kind == "state" for entry in self._recording.entries):
-            self._find(sink)
+            self._connect(sink)
         for entry in self._recording.entries:
-            # Also when it is late: a recording that is behind must not keep the loop to itself.
+            # Also when late: playback that is behind must not block the loop.
             await asyncio.sleep(max(begin + entry.at / speed - loop.time(), 0.0))
             self._deliver(sink, entry, shift, rounds * self._after)
 
@@ -145,11 +145,11 @@ class ReplayDriver:
         elif entry.kind == "state":
             text = entry.payload[1:].decode(errors="replace")
             if entry.payload[:1] == b"1":
-                self._find(sink)
+                self._connect(sink)
             else:
                 self._lose(sink, f"as recorded: {text}")
 
-    def _find(self, sink: Sink) -> None:
+    def _connect(self, sink: Sink) -> None:
         if not self._gate.is_open:
             self._gate.open()
             sink.state(True, f"plays {self._path}")
@@ -167,7 +167,7 @@ class ReplayDriver:
 def _extent(path: Path, recording: Recording, platform: Platform) -> tuple[int, float]:
     """The sequence after its last scan's, and the span of its stamps in s.
 
-    ConfigError if an entry cannot be read: better now than in the middle.
+    ConfigError if an entry cannot be read, before the playback begins.
     """
     sequences, stamps = [0], []
     for entry in recording.entries:

@@ -1,4 +1,4 @@
-"""The simulated body: a robot of a world process, spoken to over the `hw/*` keys."""
+"""A simulated robot of a world process, reached over the `hw/*` keys."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from swarmd.network.session import open_in_thread, open_with
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7790"
 SILENCE = 1.0
-"""Seconds without any sample after which the body counts as lost."""
+"""Seconds without any sample after which the base counts as lost."""
 
 _OPTIONS = frozenset({"endpoint"})
 _WATCH_PERIOD = 0.1
-_SENSES = ("scan", "odometry", "neighbors", "readings")
+_INPUTS = ("scan", "odometry", "neighbors", "readings")
 
 
 class SimulatedDriver:
-    """Talks to one body of a world process through a Zenoh session of its own."""
+    """Connects to one robot of a world process through a Zenoh session of its own."""
 
     is_simulated = True
 
@@ -47,12 +47,12 @@ class SimulatedDriver:
         self._endpoint = _endpoint(options)
         self._commands: zenoh.Publisher | None = None
         self._gate = CommandGate()
-        self._heard = -math.inf
+        self._last_sample = -math.inf
 
     async def run(self, sink: Sink) -> None:
         """Feed the sink until cancelled; the session reconnects by itself."""
         loop = asyncio.get_running_loop()
-        sink.state(False, f"no body yet at {self._endpoint}")
+        sink.state(False, f"no simulated robot yet at {self._endpoint}")
         session = await open_in_thread(self._open)
         inbox = LatestSamples(
             loop,
@@ -61,7 +61,7 @@ class SimulatedDriver:
         )
         try:
             self._commands = _publisher(session, self._key("cmd_vel"))
-            for name in _SENSES:
+            for name in _INPUTS:
                 session.declare_subscriber(self._key(name), inbox.receiver(name, self._key(name)))
             while True:
                 await asyncio.sleep(_WATCH_PERIOD)
@@ -76,32 +76,32 @@ class SimulatedDriver:
                 session.close()
 
     def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
-        """Send a safe command; dropped while the body is lost, zero the first time it is back."""
+        """Send a safe command; dropped while the base is lost, zero the first time it is back."""
         command = self._gate.filter(twist)
         if command is not None:
             self._put(command, scan_seq, requested_scan_seq)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
-        """Whether scans and odometry come and commands have a taker; moves nothing."""
-        seen = _Seen()
+        """Whether scans and odometry arrive and commands have a subscriber; moves nothing."""
+        seen = _CheckSink()
         task = asyncio.create_task(self.run(seen))
         try:
             async with asyncio.timeout(seconds):
                 await seen.everything.wait()
         except TimeoutError:
-            pass  # what is missing stands in the findings
+            pass  # the findings name what is missing
         finally:
-            has_taker = self._commands is not None and _has_subscriber(self._commands)
+            has_subscriber = self._commands is not None and _is_subscribed(self._commands)
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
-        return self._findings(seen, has_taker)
+        return self._findings(seen, has_subscriber)
 
     def zero_sender(self) -> ZeroSenderSpec:
-        """How a stopper says zero to this body."""
+        """How the watchdog sends zero to this base."""
         where = {"swarm": self._swarm, "robot": self._robot, "endpoint": self._endpoint}
-        return ZeroSenderSpec(f"{__name__}:SimulatedZeros", where)
+        return ZeroSenderSpec(f"{__name__}:SimulatedZeroSender", where)
 
-    def _findings(self, seen: _Seen, has_taker: bool) -> tuple[Finding, ...]:
+    def _findings(self, seen: _CheckSink, has_subscriber: bool) -> tuple[Finding, ...]:
         where = f"from {self._robot} of swarm {self._swarm} at {self._endpoint}"
         hint = "start the world first (swarmctl sim up), or correct driver_options.endpoint"
         rays = len(self._platform.scan.bearings)
@@ -121,8 +121,10 @@ class SimulatedDriver:
             ),
             Finding(
                 "cmd_vel",
-                has_taker,
-                "the body listens" if has_taker else f"no body takes commands; {hint}",
+                has_subscriber,
+                "has a subscriber"
+                if has_subscriber
+                else f"no simulated robot takes commands; {hint}",
             ),
         )
 
@@ -142,10 +144,10 @@ class SimulatedDriver:
         except CodecError:
             sink.dropped(f"hw/{name}")
             return
-        self._heard = asyncio.get_running_loop().time()
+        self._last_sample = asyncio.get_running_loop().time()
         if not self._gate.is_open:
             self._gate.open()
-            sink.state(True, f"body at {self._endpoint}")
+            sink.state(True, f"simulated robot at {self._endpoint}")
         deliver()
 
     def _decode(self, sink: Sink, name: str, payload: bytes) -> Callable[[], None]:
@@ -158,26 +160,26 @@ class SimulatedDriver:
         return partial(sink.readings, decode_readings(payload))
 
     def _watch(self, sink: Sink, now: float) -> None:
-        if self._gate.is_open and now - self._heard > SILENCE:
+        if self._gate.is_open and now - self._last_sample > SILENCE:
             if self._gate.close(now):
                 self._put(ZERO, -1, -1)
             sink.state(False, f"nothing from {self._endpoint} for {SILENCE:g} s")
 
 
-class SimulatedZeros:
-    """Says zero to a body, from a stopper's process; reconnects by itself."""
+class SimulatedZeroSender:
+    """Sends zero to a simulated robot, from the watchdog's process; reconnects by itself."""
 
     def __init__(self, swarm: str, robot: str, endpoint: str) -> None:
         self._robot, self._endpoint = robot, endpoint
         self._key = keys.build(swarm, robot, "hw", "cmd_vel")
 
     def open(self) -> None:
-        """Open a session; the body may come later."""
+        """Open a session; the robot may come later."""
         self._session = _session(self._endpoint, self._robot)
         self._commands = _publisher(self._session, self._key)
 
     def send_zero(self) -> None:
-        """Command zero once."""
+        """Send zero once."""
         self._commands.put(encode_command(ZERO, -1, -1))
 
     def close(self) -> None:
@@ -186,8 +188,8 @@ class SimulatedZeros:
 
 
 @dataclass
-class _Seen(NullSink):
-    """A sink that only looks."""
+class _CheckSink(NullSink):
+    """A sink that keeps the last scan and odometry."""
 
     everything: asyncio.Event = field(default_factory=asyncio.Event)
     last_scan: Scan | None = None
@@ -196,14 +198,14 @@ class _Seen(NullSink):
     def scan(self, scan: Scan) -> None:
         """Keep the last one."""
         self.last_scan = scan
-        self._look()
+        self._update()
 
     def odometry(self, odometry: Odometry) -> None:
         """Keep the last one."""
         self.last_odometry = odometry
-        self._look()
+        self._update()
 
-    def _look(self) -> None:
+    def _update(self) -> None:
         if self.last_scan is not None and self.last_odometry is not None:
             self.everything.set()
 
@@ -221,14 +223,14 @@ def _session(endpoint: str, robot: str) -> zenoh.Session:
             "period_max_ms": 500,
             "period_increase_factor": 1.0,
         },
-        # A body that dies closes its socket; one that is frozen keeps its link.
+        # A world that ends closes its socket; a frozen world keeps its link.
         "transport/link/tx/lease": 60_000,
         # Sending never waits; without room for a burst the newest would be dropped: a zero.
         "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
         "transport/link/tx/queue/size/real_time": 16,
         "transport/shared_memory/enabled": False,
     }
-    return open_with(options, what=f"the body of {robot} at {endpoint}")
+    return open_with(options, what=f"the simulated robot {robot} at {endpoint}")
 
 
 def _publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
@@ -240,7 +242,7 @@ def _publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
     )
 
 
-def _has_subscriber(publisher: zenoh.Publisher) -> bool:
+def _is_subscribed(publisher: zenoh.Publisher) -> bool:
     # The stubs call it a bool; it is an object with that attribute.
     return bool(getattr(publisher.matching_status, "matching", False))
 

@@ -1,1 +1,1 @@
-"""What the ROS 2 drivers share: messages, codec, conversion, options, the session and the watch."""
+"""What the ROS 2 and ROS 1 drivers share: messages, options, conversion, topics, diagnosis."""

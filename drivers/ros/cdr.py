@@ -24,7 +24,7 @@ M = TypeVar("M")
 
 
 def decode(kind: type[M], payload: bytes) -> M:
-    """The message; arrays are views of `payload`. CodecError says what it is not."""
+    """The message; arrays are views of `payload`. CodecError if the bytes are malformed."""
     if len(payload) > MAX_PAYLOAD:
         raise CodecError(f"{len(payload)} bytes; wanted are at most {MAX_PAYLOAD}")
     try:

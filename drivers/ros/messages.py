@@ -1,6 +1,6 @@
-"""The ROS 2 messages that drivers speak, as rosbags' dataclasses under their plain names.
+"""The ROS messages of the drivers, as rosbags' dataclasses under their plain names.
 
-Jazzy's definitions; of all of these only `Range` differs between the distributions from Humble on.
+The definitions are Jazzy's; only `Range` differs between the distributions from Humble on.
 """
 
 from __future__ import annotations

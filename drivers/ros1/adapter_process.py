@@ -1,19 +1,19 @@
-"""The half of driver `ros1` that speaks to ROS: a process under the system's Python with rospy.
+"""The adapter of driver `ros1`: a process under the system's Python with rospy.
 
 It passes serialised messages on, in both directions, over the socket that is its standard input,
-and tells what the master knows. Needs Python 3.8, rospy and the standard library; of this project
+and reports what the master knows. Needs Python 3.8, rospy and the standard library; of this project
 it imports `master.py` alone, which lies beside it. The driver imports it for the frames, which
 are single packets:
 
     to the driver   D link arrival bytes   a message; arrival in s on CLOCK_MONOTONIC
                     J {...}                an event as JSON: state, link, end
-                    H                      it lives
+                    H                      a sign of life
     to the adapter  C time bytes           a command, made at `time` on CLOCK_MONOTONIC
                     B                      bye: send zero and leave
 
-It outlives its guardian: 0.4 s after a command that was not zero, or the first zeros that followed,
-it sends zeros until the guardian is back, for at least 2 s; after the end of the socket for 2 s,
-then it leaves.
+It outlives its daemon. When no command follows a non-zero one, or the first zeros after it, for
+0.4 s, it sends zeros until the daemon is back, for at least 2 s. At the end of the socket it sends
+zeros for 2 s and leaves.
 """
 
 from __future__ import annotations
@@ -41,23 +41,23 @@ COMMAND_HEAD = struct.Struct("<cd")
 SILENCE = 0.4
 """Seconds without a command after which the adapter itself sends zeros."""
 STOPPING = 2.0
-"""Seconds of zeros after the guardian has gone; the least of them after it was silent."""
+"""Seconds of zeros after the daemon has ended; at least as long after it was silent."""
 
-_BEAT = 0.05
-_BEATS_ALIVE = 4
-_LATE = 0.2  # a command older than this was made by a guardian that has been stopped since
-_ZEROED = 0.5  # s of zeros after which a guardian may be silent
-_LOOK = 1.0
-_RETRY = 0.3
-_WRITE = struct.pack("@ll", 0, 100_000)  # s and us that writing a command may take
-_WORD = 1.0  # s within which who connects has to say what he wants
-_LEAVING = 1.0  # s that the master may take to hear that this node has gone
-_MOST_MEMORY = 512 << 20  # bytes; rospy believes whatever length a message says it has
+_PERIOD = 0.05
+_TICKS_ALIVE = 4
+_MAX_COMMAND_AGE = 0.2  # s; an older command is from before its daemon was frozen
+_DISARM_TIME = 0.5  # s of zeros after which the daemon may be silent
+_POLL_PERIOD = 1.0
+_RETRY_PERIOD = 0.3
+_WRITE_TIMEOUT = struct.pack("@ll", 0, 100_000)  # s and us that writing a command may take
+_HANDSHAKE_TIMEOUT = 1.0  # s within which a connected node has to send its header
+_LEAVE_TIMEOUT = 1.0  # s for unregistering this node from the master
+_MAX_MEMORY = 512 << 20  # bytes; rospy allocates whatever length a message announces
 _TWIST = struct.Struct("<6d")
 
 
 class Adapter:
-    """All threads of this process: `run` looks at the master; others read, beat and receive."""
+    """All threads of this process: `run` polls the master; others read, tick and receive."""
 
     def __init__(self, config: Any, sock: socket.socket, rospy: Any, master: Any) -> None:
         self._config, self._sock, self._rospy, self._master = config, sock, rospy, master
@@ -69,37 +69,37 @@ class Adapter:
         self._lock = threading.Lock()
         self._wake = threading.Event()
         self._ends_at: Optional[float] = None  # noqa: UP045
-        # A robot that an earlier adapter drove is stopped as soon as it can be reached; unless the
-        # guardian wants more of it, others may have it when it has been told for long enough.
+        # A robot that an earlier adapter drove is stopped as soon as it is reachable; unless the
+        # daemon commands it again, other nodes may drive it after enough zeros.
         self._is_armed = self._holds = bool(config["holds"])
         self._holds_until = float("inf")
         self._commanded_at = self._moved_at = self._stops_until = -SILENCE
-        self._told: Any = None
+        self._reported: Any = None
 
     def run(self) -> None:
-        """Serve until the driver says bye or is gone, or ROS is to be begun anew."""
-        for work in (self._read, self._beat):
+        """Serve until the driver says bye or has ended, or the master was restarted."""
+        for work in (self._read, self._tick):
             threading.Thread(target=work, daemon=True).start()
         try:
-            self._look()
+            self._poll_master()
         except Exception as error:  # rospy may raise anything; its threads would live on
             self.end(0.0, f"the adapter failed: {error!r}")
             raise
 
-    def _look(self) -> None:
+    def _poll_master(self) -> None:
         while True:
             self._wake.clear()
             try:
                 if not self._is_joined:
                     self._master.call("getSystemState")  # nodes have no such thing
                     self._join_once()
-                self._tell(self._state())
+                self._report(self._state())
             except OSError as error:
-                self._tell({"event": "state", "master": False, "text": str(error)})
-            self._wake.wait(_LOOK if self._is_joined else _RETRY)
+                self._report({"event": "state", "master": False, "text": str(error)})
+            self._wake.wait(_POLL_PERIOD if self._is_joined else _RETRY_PERIOD)
 
     def end(self, seconds: float, why: str = "", kind: str = "end") -> None:
-        """Tell the driver why, send zeros for that long unless the base stands, then leave."""
+        """Report why, send zeros for that long unless the base stands, then leave."""
         if why and self._ends_at is None:
             self._event({"event": "end", "kind": kind, "text": why})
         ends_at = time.monotonic() + seconds
@@ -108,7 +108,7 @@ class Adapter:
     # To ROS
 
     def _join_once(self) -> None:
-        """Join, or end: what rospy has half done it does not undo."""
+        """Join, or end: rospy does not undo a partial registration."""
         try:
             self._join()
         except OSError as error:
@@ -128,7 +128,7 @@ class Adapter:
                 self._command["topic"], self._message, subscriber_listener=_Listener(self._on_base),
                 tcp_nodelay=True, queue_size=1,
             )  # fmt: skip
-            self._publisher.impl.set_queue_size(None)  # written at once, by who publishes
+            self._publisher.impl.set_queue_size(None)  # written at once, by the publishing thread
         for topic in config["topics"]:
             rospy.Subscriber(
                 topic, rospy.AnyMsg, self._on_message, topic, queue_size=1, tcp_nodelay=True
@@ -136,11 +136,11 @@ class Adapter:
         self._is_joined = True
 
     def _configure_bases(self, tcpros: Any) -> None:
-        """See to the socket of each base that connects, before rospy does.
+        """Configure the socket of each base that connects, before rospy does.
 
-        Nagle's algorithm would hold a second command back for up to 40 ms. A base that no longer
-        reads is given up instead of waited for: it may connect again. Who connects and says nothing
-        would keep all others from connecting: rospy would wait for his words for a minute or more.
+        Nagle's algorithm would delay a second command by up to 40 ms. A base that no longer reads
+        is disconnected instead of waited for: it may connect again. A node that connects and sends
+        nothing would block all others: rospy would wait for its header for a minute or more.
         """
         tcpros.start_tcpros_server()
         server = tcpros._tcpros_server.tcp_ros_server
@@ -148,8 +148,8 @@ class Adapter:
 
         def configured(sock: socket.socket, address: Any) -> None:
             sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _WRITE)
-            sock.settimeout(_WORD)  # until rospy has heard; then it blocks
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, _WRITE_TIMEOUT)
+            sock.settimeout(_HANDSHAKE_TIMEOUT)  # until rospy has the header; then it blocks
             handle(sock, address)
 
         server.inbound_handler = configured
@@ -176,7 +176,7 @@ class Adapter:
         return struct.pack("<4I", 0, *stamp, len(frame)) + frame + bytes(_TWIST.size)
 
     def _on_base(self, publish_to: Any) -> None:
-        """A base has connected, or left (None); who connects while we drive gets zero first."""
+        """A base has connected, or left (None); one that connects while driving gets zero first."""
         self._master.forget()
         self._wake.set()
         if publish_to is not None and self._holds:
@@ -203,12 +203,12 @@ class Adapter:
         header = message._connection_header
         key = topic, header.get("callerid", ""), header.get("type", ""), header.get("md5sum", "")
         with self._lock:
-            if key not in self._links and not self._introduce(key):
+            if key not in self._links and not self._report_link(key):
                 return
         self._send(DATA_HEAD.pack(DATA, self._links[key], arrival), message._buff)
 
-    def _introduce(self, key: Tuple[str, ...]) -> bool:  # noqa: UP006
-        """Tell of a publisher; False if the driver does not read, so that it is told later."""
+    def _report_link(self, key: Tuple[str, ...]) -> bool:  # noqa: UP006
+        """Report a publisher; False if the driver does not read, so that it is reported later."""
         link, names = len(self._links), ("topic", "node", "type", "md5sum")
         if not self._event({"event": "link", "link": link, **dict(zip(names, key))}):  # noqa: B905
             return False
@@ -250,9 +250,9 @@ class Adapter:
 
     # To the driver
 
-    def _tell(self, state: Any) -> None:
-        if state != self._told and self._event(state):
-            self._told = state
+    def _report(self, state: Any) -> None:
+        if state != self._reported and self._event(state):
+            self._reported = state
 
     def _event(self, event: Any) -> bool:
         return self._send(EVENT, json.dumps(event).encode())
@@ -280,7 +280,7 @@ class Adapter:
                 return self.end(0.0)
             if kind == COMMAND and len(frame) > COMMAND_HEAD.size and self._ends_at is None:
                 now = time.monotonic()
-                if now - COMMAND_HEAD.unpack_from(frame)[1] < _LATE:
+                if now - COMMAND_HEAD.unpack_from(frame)[1] < _MAX_COMMAND_AGE:
                     self._pass_on(frame[COMMAND_HEAD.size :], now)
 
     def _pass_on(self, command: bytes, now: float) -> None:
@@ -290,11 +290,11 @@ class Adapter:
         self._commanded_at, self._holds = now, False
         if any(_TWIST.unpack(command[-_TWIST.size :])):
             self._is_armed, self._moved_at = True, now
-        elif now - self._moved_at > _ZEROED:
-            self._is_armed = False  # it stands and knows it: silence may be an idle guardian's
+        elif now - self._moved_at > _DISARM_TIME:
+            self._is_armed = False  # it stands: silence may be that of an idle daemon
 
-    def _beat(self) -> None:
-        """Zeros while the guardian is silent, and on the way out; also a sign of life."""
+    def _tick(self) -> None:
+        """Zeros while the daemon is silent and on the way out; also the signs of life."""
         count, was_silent = 0, True
         while True:
             now = time.monotonic()
@@ -310,42 +310,42 @@ class Adapter:
             was_silent = is_silent
             if self._ends_at is not None and (now >= self._ends_at or not self._is_armed):
                 self._leave()
-            if count % _BEATS_ALIVE == 0:
+            if count % _TICKS_ALIVE == 0:
                 self._send(ALIVE)
             count += 1
-            time.sleep(_BEAT)
+            time.sleep(_PERIOD)
 
     def _leave(self) -> None:
         """Take our names off the master, if it answers, and end."""
         if self._is_joined:
             shutdown = self._rospy.signal_shutdown
             threading.Thread(target=shutdown, args=("the driver has ended",), daemon=True).start()
-            deadline = time.monotonic() + _LEAVING
+            deadline = time.monotonic() + _LEAVE_TIMEOUT
             while not self._rospy.is_shutdown() and time.monotonic() < deadline:
                 time.sleep(0.01)
         os._exit(0)
 
 
 class _Listener:
-    """Whom rospy tells of bases that connect and leave."""
+    """Called by rospy when bases connect and leave."""
 
     def __init__(self, changed: Callable[[Any], None]) -> None:
         self._changed = changed
 
     def peer_subscribe(self, topic: str, publish: Any, publish_to: Any) -> None:
-        """One has connected."""
+        """A base has connected."""
         self._changed(publish_to)
 
     def peer_unsubscribe(self, topic: str, peers: int) -> None:
-        """One has left."""
+        """A base has left."""
         self._changed(None)
 
 
 class _Errors(io.TextIOBase):
-    """Standard error that neither waits nor raises: its reader may be frozen or gone."""
+    """Standard error that neither blocks nor raises: its reader may be frozen or gone."""
 
     def write(self, text: str) -> int:
-        """Say it if that can be done at once."""
+        """Write it unless that would block."""
         with contextlib.suppress(OSError):
             os.write(2, text.encode(errors="replace"))
         return len(text)
@@ -371,9 +371,9 @@ def main() -> None:
     del sys.path[0]  # this folder: its modules are not for this interpreter
     os.set_blocking(2, False)
     sys.stderr = _Errors()
-    resource.setrlimit(resource.RLIMIT_DATA, (_MOST_MEMORY, _MOST_MEMORY))
+    resource.setrlimit(resource.RLIMIT_DATA, (_MAX_MEMORY, _MAX_MEMORY))
     sock = socket.socket(fileno=os.dup(0))
-    sys.setswitchinterval(0.0005)  # s: a look at the master must not hold a command back
+    sys.setswitchinterval(0.0005)  # s: polling the master must not delay a command
     try:
         rospy = load_rospy()
     except ImportError as error:
@@ -383,7 +383,7 @@ def main() -> None:
         return
     adapter = Adapter(config, sock, rospy, master)
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, lambda *_: adapter.end(STOPPING, "somebody ended the adapter"))
+        signal.signal(number, lambda *_: adapter.end(STOPPING, "the adapter was ended by a signal"))
     adapter.run()
 
 

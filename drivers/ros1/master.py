@@ -10,8 +10,8 @@ import time
 import xmlrpc.client
 from typing import Any, Dict, Tuple  # noqa: UP035  (Python 3.8)
 
-_CALL = 1.0  # s for a call of the master's or a node's API
-_KNOWN_FOR = 5.0
+_CALL_TIMEOUT = 1.0  # s for a call of the master's or a node's API
+_CACHE_TIME = 5.0
 
 
 class Master:
@@ -37,9 +37,9 @@ class Master:
         return value
 
     def is_alive(self, node: str) -> bool:
-        """Whether a node that the master lists still answers: who was killed stays on its list."""
-        at, answer = self._alive.get(node, (-_KNOWN_FOR, True))
-        if time.monotonic() - at < _KNOWN_FOR:
+        """True if a node that the master lists still answers: a killed node stays on the list."""
+        at, answer = self._alive.get(node, (-_CACHE_TIME, True))
+        if time.monotonic() - at < _CACHE_TIME:
             return answer
         try:
             self.call("getPid", uri=self.call("lookupNode", node))
@@ -52,11 +52,11 @@ class Master:
         return answer
 
     def forget(self) -> None:
-        """Ask each node anew: one has come or gone."""
+        """Ask each node anew: a node has come or gone."""
         self._alive = {}
 
     def wants(self, node: str, topic: str) -> str:
-        """The type that a node has subscribed to on a topic; empty if that cannot be told."""
+        """The type of a node's subscription to a topic; empty if it is unknown."""
         try:
             entries = self.call("getSubscriptions", uri=self.call("lookupNode", node))
         except OSError:
@@ -67,5 +67,5 @@ class Master:
 class _Timed(xmlrpc.client.Transport):
     def make_connection(self, host: Any) -> Any:
         connection = super().make_connection(host)
-        connection.timeout = _CALL
+        connection.timeout = _CALL_TIMEOUT
         return connection

@@ -196,11 +196,11 @@ def test_the_driver_refuses_to_start_without_its_watchdog(bench: Bench) -> None:
 BROKEN = """
 import sys
 if "swarmd.driver_api.watchdog" in " ".join(sys.orig_argv):
-    from swarmd.drivers.simulated import SimulatedZeros
+    from swarmd.drivers.simulated import SimulatedZeroSender
     from swarmd.core.errors import DriverError
     def refuse(self):
         raise DriverError("no connection to be had")
-    SimulatedZeros.open = refuse
+    SimulatedZeroSender.open = refuse
 """
 
 
@@ -219,14 +219,14 @@ def test_a_zero_that_cannot_be_sent_is_followed_by_others(bench: Bench) -> None:
 SHAKY = """
 import sys
 if "swarmd.driver_api.watchdog" in " ".join(sys.orig_argv):
-    from swarmd.drivers.simulated import SimulatedZeros
-    send, failed = SimulatedZeros.send_zero, []
+    from swarmd.drivers.simulated import SimulatedZeroSender
+    send, failed = SimulatedZeroSender.send_zero, []
     def send_later(self):
         if len(failed) < 3:
             failed.append(1)
             raise ValueError("not yet")
         send(self)
-    SimulatedZeros.send_zero = send_later
+    SimulatedZeroSender.send_zero = send_later
 """
 
 
@@ -247,7 +247,7 @@ def test_a_silent_daemon_leaves_an_idle_robot_alone_and_no_other(bench: Bench) -
 
 def test_who_is_at_work_is_not_relieved_and_who_is_silent_is() -> None:
     where = {"swarm": "s", "robot": "r", "endpoint": "tcp/127.0.0.1:9"}
-    spec = ZeroSenderSpec(SimulatedDriver.__module__ + ":SimulatedZeros", where)
+    spec = ZeroSenderSpec(SimulatedDriver.__module__ + ":SimulatedZeroSender", where)
     name = watchdog_name(unique_swarm(), "r")
 
     async def feed(watchdog: WatchdogProcess) -> None:
@@ -275,7 +275,7 @@ def test_who_is_at_work_is_not_relieved_and_who_is_silent_is() -> None:
 
 def test_what_it_is_tied_to_ends_it_although_its_daemon_never_returns() -> None:
     where = {"swarm": "s", "robot": "r", "endpoint": "tcp/127.0.0.1:9"}
-    spec = ZeroSenderSpec(SimulatedDriver.__module__ + ":SimulatedZeros", where)
+    spec = ZeroSenderSpec(SimulatedDriver.__module__ + ":SimulatedZeroSender", where)
     parent = subprocess.Popen(["sleep", "600"])
 
     async def leave_without_a_word() -> int:

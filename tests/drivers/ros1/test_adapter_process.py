@@ -100,10 +100,10 @@ def test_what_a_frozen_guardian_could_not_be_told_is_told_when_it_reads_again(
     for _ in range(100):
         adapter._on_message(message("/lidar"), "/scan")
     state = {"event": "state", "master": True, "others": ["/teleop" * 200]}
-    adapter._tell(state)
+    adapter._report(state)
     adapter._on_message(message("/second" * 200), "/scan")
     assert len(taken(mine)) < 100
-    adapter._tell(state)
+    adapter._report(state)
     adapter._on_message(message("/second" * 200), "/scan")
     frames = taken(mine)
     events = [json.loads(frame[1:])["event"] for frame in frames if frame[:1] == EVENT]

@@ -131,7 +131,7 @@ class Scene:
         self._until = begun + seconds
         self._to_do = {begun + after: action for after, action in (to_do or {}).items()}
         with contextlib.suppress(NoMore):
-            self.adapter._beat()
+            self.adapter._tick()
         return [round(at - begun, 3) for at, payload in self.published if payload[-48:] == ZERO]
 
 
@@ -232,11 +232,15 @@ def test_who_never_drove_leaves_without_a_zero(scene: Scene) -> None:
 
 def test_once_it_is_to_end_no_command_is_passed_on(scene: Scene) -> None:
     scene.command(MOVING)
-    scene.adapter.end(STOPPING, "somebody ended the adapter")
+    scene.adapter.end(STOPPING, "the adapter was ended by a signal")
     scene.published.clear()
     scene.command(MOVING)
     assert not scene.published
-    assert scene.told[-1] == {"event": "end", "kind": "end", "text": "somebody ended the adapter"}
+    assert scene.told[-1] == {
+        "event": "end",
+        "kind": "end",
+        "text": "the adapter was ended by a signal",
+    }
 
 
 def test_zeros_of_its_own_are_of_the_bases_type(monkeypatch: pytest.MonkeyPatch) -> None:
