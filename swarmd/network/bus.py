@@ -76,10 +76,10 @@ def matches(name: str, wanted: str) -> bool:
 
 def members_for_view(membership: Membership, now: float) -> tuple[Member, ...]:
     """The members in a view: each living instance without its status, which it sends itself."""
-    told = [_brief(member) for member in membership.members(now).values()]
+    members = [_brief(member) for member in membership.members(now).values()]
     for robot, instances in membership.duplicates.items():
-        told += [_alive(robot, instance) for instance in instances]
-    once = {(member.robot, member.instance): member for member in reversed(told)}
+        members += [_alive(robot, instance) for instance in instances]
+    once = {(member.robot, member.instance): member for member in reversed(members)}
     return tuple(once[key] for key in sorted(once))
 
 

@@ -19,8 +19,8 @@ from tests.support.processes import unique_swarm
 pytestmark = pytest.mark.integration
 
 
-class Notes:
-    """A driver that keeps what it is given."""
+class RecordingDriver:
+    """A driver that keeps the commands that it gets."""
 
     is_simulated = True
 
@@ -28,7 +28,7 @@ class Notes:
         self.sent: list[Twist] = []
 
     async def run(self, sink: Sink) -> None:
-        sink.state(True, "taking notes")
+        sink.state(True, "recording")
         await asyncio.Event().wait()
 
     def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
@@ -44,7 +44,7 @@ def settings_in(folder: Path) -> DaemonSettings:
 
 
 def test_zero_is_sent_at_20_hz_before_any_run(tmp_path: Path) -> None:
-    driver = Notes()
+    driver = RecordingDriver()
 
     async def live() -> None:
         stop = asyncio.Event()
@@ -57,8 +57,8 @@ def test_zero_is_sent_at_20_hz_before_any_run(tmp_path: Path) -> None:
     assert all(twist.is_zero for twist in driver.sent)
 
 
-class Asked:
-    """A query that takes notes."""
+class RecordingQuery:
+    """A query that keeps its replies."""
 
     def __init__(self, request: AnyRequest) -> None:
         self.payload = encode(request)
@@ -72,30 +72,33 @@ class Asked:
 
 
 def test_a_stop_is_taken_while_many_requests_are_pending(tmp_path: Path) -> None:
-    halts = {
-        kind: Asked(kind(id=f"h-{kind.__name__}", operator="alice"))
+    queries = {
+        kind: RecordingQuery(kind(id=f"h-{kind.__name__}", operator="alice"))
         for kind in (StopRequest, EstopRequest)
     }
 
     async def live() -> None:
         stop = asyncio.Event()
-        daemon = Daemon(settings_in(tmp_path), Notes())
+        daemon = Daemon(settings_in(tmp_path), RecordingDriver())
+        waiting = RecordingQuery(StopRequest(id="r", operator="bob"))
         for n in range(100):
-            daemon._requests._pending[f"r{n}"] = Asked(StopRequest(id=f"r{n}", operator="bob"))
-        for kind, asked in halts.items():
-            daemon._requests.handle("stop" if kind is StopRequest else "estop", asked)
+            daemon._requests._pending[f"r{n}"] = RecordingQuery(
+                StopRequest(id=f"r{n}", operator="bob")
+            )
+        for kind, query in queries.items():
+            daemon._requests.handle("stop" if kind is StopRequest else "estop", query)
         stop.set()
         await daemon.run(stop)
 
     asyncio.run(live())
-    for asked in halts.values():
-        assert [reply.code for reply in asked.replies] == [Code.APPLIED]
+    for query in queries.values():
+        assert [reply.code for reply in query.replies] == [Code.APPLIED]
 
 
 def test_a_daemon_that_raises_sends_zero_and_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
-    driver = Notes()
+    driver = RecordingDriver()
 
     async def live() -> None:
         daemon = Daemon(settings_in(tmp_path), driver)
@@ -114,7 +117,7 @@ def test_a_daemon_that_raises_sends_zero_and_ends(
     assert driver.sent[-1].is_zero
 
 
-class Unplugged(Notes):
+class Unplugged(RecordingDriver):
     """One whose commands cannot be sent any more, from some time on."""
 
     is_gone = False
@@ -127,7 +130,7 @@ class Unplugged(Notes):
 
 def test_an_estop_is_stored_and_acked_if_zero_cannot_be_sent(tmp_path: Path) -> None:
     driver = Unplugged()
-    asked = Asked(EstopRequest(id="e1", operator="alice"))
+    query = RecordingQuery(EstopRequest(id="e1", operator="alice"))
     settings = settings_in(tmp_path)
 
     async def live() -> None:
@@ -135,7 +138,7 @@ def test_an_estop_is_stored_and_acked_if_zero_cannot_be_sent(tmp_path: Path) -> 
 
         def ask() -> None:
             driver.is_gone = True
-            daemon._requests.handle("estop", asked)
+            daemon._requests.handle("estop", query)
 
         asyncio.get_running_loop().call_later(0.5, ask)
         async with asyncio.timeout(30.0):
@@ -143,7 +146,7 @@ def test_an_estop_is_stored_and_acked_if_zero_cannot_be_sent(tmp_path: Path) -> 
 
     with pytest.raises(OSError, match="unplugged"):
         asyncio.run(live())
-    assert [reply.code for reply in asked.replies] == [Code.APPLIED]
+    assert [reply.code for reply in query.replies] == [Code.APPLIED]
     assert LatchFile(settings.state_dir / settings.network.swarm / settings.id).read()
 
 
@@ -171,25 +174,25 @@ def test_a_driver_that_takes_no_commands_ends_the_daemon(tmp_path: Path, when: s
 def test_left_is_not_published_after_the_driver_raised(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    class Broken(Notes):
+    class Broken(RecordingDriver):
         async def run(self, sink: Sink) -> None:
             raise ZeroDivisionError("on purpose")
 
-    told: list[str] = []
+    published: list[str] = []
 
     async def live() -> None:
         daemon = Daemon(settings_in(tmp_path), Broken())
-        monkeypatch.setattr(daemon, "_publish_left", lambda: told.append("left"))
+        monkeypatch.setattr(daemon, "_publish_left", lambda: published.append("left"))
         async with asyncio.timeout(30.0):
             await daemon.run(asyncio.Event())
 
     with pytest.raises(ZeroDivisionError, match="on purpose"):
         asyncio.run(live())
-    assert told == []
+    assert published == []
 
 
 def test_a_daemon_stopped_while_joining_never_serves(tmp_path: Path) -> None:
-    driver = Notes()
+    driver = RecordingDriver()
     values = {"profile": "field", "interface": "lo", "listen": ["tcp/127.0.0.1:0"]}
     slow = {"id": "tb3-01", "swarm": unique_swarm(), "state_dir": str(tmp_path), **values}
 

@@ -402,12 +402,12 @@ def test_a_view_has_living_members_without_status_and_duplicates() -> None:
         membership.on_status(light_status(robot, instance), 0.0)
         membership.on_alive(robot, instance, 0.0)
     membership.on_gone("gone", "1", 1.0)
-    told = members_for_view(membership, 3.0)
-    assert [(member.robot, member.instance, member.condition) for member in told] == [
+    members = members_for_view(membership, 3.0)
+    assert [(member.robot, member.instance, member.condition) for member in members] == [
         ("a", "1", Condition.ALIVE),
         ("a", "2", Condition.ALIVE),
         ("b", "1", Condition.ALIVE),
         ("gone", "1", Condition.FAILED),
     ]
-    assert [member.status is None for member in told] == [True, True, True, False]
-    assert [member.age for member in told] == [3.0, 0.0, 3.0, 2.0]
+    assert [member.status is None for member in members] == [True, True, True, False]
+    assert [member.age for member in members] == [3.0, 0.0, 3.0, 2.0]

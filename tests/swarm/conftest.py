@@ -1,4 +1,4 @@
-"""A swarm of real daemons on loopback, the operators that work it, and an eye that only looks."""
+"""A swarm of real daemons on loopback, its operators, and a session that only looks."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ T = TypeVar("T", bound=msgspec.Struct)
 
 @dataclass(frozen=True, slots=True)
 class Finished:
-    """How a `swarmctl` ended."""
+    """The exit code and output of a `swarmctl`."""
 
     code: int
     out: str
@@ -43,7 +43,7 @@ class Finished:
 
     @property
     def json(self) -> dict[str, Any]:
-        """What it said with `-o json`."""
+        """Its answer with `-o json`."""
         answer: dict[str, Any] = json.loads(self.out)
         return answer
 
@@ -76,17 +76,17 @@ class Swarm:
         """End everything, the latest first."""
         self._left.close()
 
-    # Making
+    # Start
 
     def body(self, robot: str) -> Body:
-        """A body for this robot, with clear sweeps."""
+        """A simulated robot with clear scans."""
         body = Body(load_platform("waffle_pi"), swarm=self.name, robot=robot)
         return self._left.enter_context(body)
 
     def spawn(
         self, robot: str, body: Body | None = None, options: Mapping[str, Value] | None = None
     ) -> DaemonProcess:
-        """A daemon that is starting; without a body its driver finds nobody.
+        """A daemon that is starting; without a body its driver does not connect.
 
         All lives of one robot share its state, each has a log of its own.
         """
@@ -110,12 +110,12 @@ class Swarm:
 
     @property
     def settings(self) -> NetworkSettings:
-        """How to meet this swarm."""
+        """The network settings of this swarm."""
         return NetworkSettings(swarm=self.name)
 
     @property
     def session(self) -> zenoh.Session:
-        """A session of nobody in particular."""
+        """A session that is neither a robot's nor an operator's."""
         if self._session is None:
             self._session = open_session(self.settings)
             self._left.callback(self._session.close)
@@ -128,7 +128,7 @@ class Swarm:
             self._operator = self._left.enter_context(Operator(self.settings, name="zoe@test"))
         return self._operator
 
-    # Working it
+    # Operate
 
     def begin(self, *words: str, user: str = "anna") -> subprocess.Popen[str]:
         """A `swarmctl` by this user, under way; hand it to `finish`."""
@@ -143,7 +143,7 @@ class Swarm:
         )
 
     def finish(self, process: subprocess.Popen[str]) -> Finished:
-        """How it ended."""
+        """Its exit code and output."""
         with process:
             out, err = process.communicate(timeout=CAP)
             return Finished(process.returncode, out, err)
@@ -153,14 +153,14 @@ class Swarm:
         return self.finish(self.begin(*words, user=user))
 
     def run_drive(self, *robots: str) -> None:
-        """All these robots drive."""
+        """Run `drive` on these robots."""
         done = self.ctl("run", "drive", *robots)
         assert done.code == 0, done
 
-    # Looking
+    # Look
 
     def look(self, robot: str, plane: str, name: str, kind: type[T]) -> list[T]:
-        """What every daemon under this id answers on a key; only to the eye, nothing changes."""
+        """The answers of every daemon with this id on a key; changes nothing."""
         replies = self.session.get(
             build(self.name, robot, plane, name),
             target=zenoh.QueryTarget.ALL,
@@ -175,7 +175,7 @@ class Swarm:
         return self.look(robot, "state", "status", Status)
 
     def status(self, robot: str) -> Status:
-        """The robot's status; waits until one is heard."""
+        """The robot's status; waits until it answers."""
         found: list[Status] = []
 
         def look() -> bool:
@@ -186,7 +186,7 @@ class Swarm:
         return found[0]
 
     def conditions(self, peer: str) -> dict[str, Condition]:
-        """How `peer` sees the others."""
+        """The conditions of the others in the view of `peer`."""
         views = self.look(peer, "control", "members", PeerView)
         return {member.robot: member.condition for view in views for member in view.members}
 

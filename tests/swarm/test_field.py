@@ -1,4 +1,4 @@
-"""Profile field between two network namespaces: static seeds, no multicast, a cable that is cut."""
+"""Profile field between two network namespaces: static seeds, no multicast, a cut cable."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PORTS = (7447, 7448)
 SEEDS = [f"tcp/{address}:{port}" for address in ADDRESSES.values() for port in PORTS]
 
 
-class Talker:
+class LineProcess:
     """A process that answers each line with one of JSON."""
 
     def __init__(self, command: Sequence[str]) -> None:
@@ -38,7 +38,7 @@ class Talker:
         self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, cwd=ROOT)
 
     def say(self, word: str) -> None:
-        """Say it, and do not wait."""
+        """Send a line without waiting."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{word}\n")
         self._process.stdin.flush()
@@ -56,13 +56,13 @@ class Talker:
         return self.hear()
 
     def close(self) -> None:
-        """Have it end, as it does with its input."""
+        """End it by closing its input."""
         with self._process:
             self._process.communicate(timeout=CAP)
 
 
 class Side:
-    """One namespace: its robots with their bodies, and whoever works them from there."""
+    """One namespace: its robots, their daemons and its operators."""
 
     def __init__(
         self, swarm: Swarm, prefix: Sequence[str], address: str, robots: Sequence[str]
@@ -82,9 +82,9 @@ class Side:
         """End all of it."""
         self._left.close()
 
-    def talk(self, command: Sequence[str]) -> Talker:
+    def talk(self, command: Sequence[str]) -> LineProcess:
         """A process of this namespace."""
-        made = Talker([*self._prefix, *command])
+        made = LineProcess([*self._prefix, *command])
         self._left.callback(made.close)
         return made
 
@@ -99,12 +99,12 @@ class Side:
         return self.swarm.spawn(robot, options=options)
 
     def conditions(self) -> dict[str, str]:
-        """How the members are seen from here."""
+        """The conditions of the members as seen from here."""
         done = self.swarm.ctl("members", "-o", "json")
         return {member["robot"]: member["condition"] for member in done.json["members"]}
 
     def await_conditions(self, **wanted: str) -> None:
-        """Wait until they are seen so."""
+        """Wait until the members have these conditions."""
         began = time.monotonic()
         wait_until(lambda: self.conditions() == wanted, f"{self.robots} see {wanted}")
         print(f"{self.robots} see {wanted} after {time.monotonic() - began:.1f} s")
@@ -121,7 +121,7 @@ def lease() -> float:
 
 @pytest.fixture
 def robots() -> dict[str, tuple[str, ...]]:
-    """Who is where."""
+    """The robots of each side."""
     return ROBOTS
 
 
@@ -175,7 +175,7 @@ def test_no_late_run_moves_a_swarm_that_was_cut_in_two(
     namespaces.cut("b")
     done = b.swarm.ctl(
         "stop", "--timeout", "1s"
-    )  # those who stop on one side are told whom it did not reach
+    )  # the outcome names the robots that it did not reach
     assert (done.code, done.out.splitlines()[-1]) == (
         3,
         "4 targeted, 2 applied, 2 no answer (r1, r2)",

@@ -1,4 +1,4 @@
-"""Robots that go: killed, frozen, told to end; how their peers list them, and how they return."""
+"""Daemons that are killed, frozen or terminated: how peers list them, and how they return."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class Driving:
         self._before: Status = swarm.status("r1")
 
     def check(self) -> None:
-        """It still does, as it was told to, and did all the time."""
+        """It still drives, and did all the time."""
         now, before = self.swarm.status("r1"), self._before
         assert (now.state, now.pattern, now.params) == (State.RUNNING, "drive", before.params)
         self.body.wait_moving(boottime())

@@ -24,11 +24,11 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 def post_ahead(body: Body) -> ScanScript:
     """Sweeps that show a post 6 cm before the front of a Waffle Pi, and else walls far away."""
 
-    def sweep(seq: int, stamp: float) -> Scan:
+    def scan(seq: int, stamp: float) -> Scan:
         scan = body.clear(seq, stamp)
         return replace(scan, ranges=np.where(np.abs(scan.bearings) < 0.2, 0.21, scan.ranges))
 
-    return sweep
+    return scan
 
 
 def start(swarm: Swarm, tmp_path: Path, touch: Value) -> Body:

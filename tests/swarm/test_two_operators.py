@@ -1,4 +1,4 @@
-"""Two operators at the same robots: one of them wins, the other is told who."""
+"""Two operators send requests to the same robots: one wins, the other learns its name."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from swarmd.core.messages import RunRequest
+from swarmd.core.messages import Refusal, RunRequest
 from swarmd.network.operator import Operator
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.integration
 
 ROBOTS = ("r1", "r2", "r3")
-TOLD = re.compile(r"(?:robot changed since you looked|still loading drive), by (\w+)@\w+")
+CHANGED_BY = re.compile(r"(?:robot changed since you looked|still loading drive), by (\w+)@\w+")
 ROUNDS = 20
 
 
@@ -33,7 +33,7 @@ def anna(swarm: Swarm) -> Iterator[Operator]:
 
 @pytest.fixture
 def ben(swarm: Swarm) -> Iterator[Operator]:
-    """Another one."""
+    """A second operator."""
     with Operator(swarm.settings, name="ben@field") as made:
         yield made
 
@@ -43,9 +43,8 @@ def test_the_later_operator_learns_who_changed_the_robot(anna: Operator, ben: Op
     first, second = (one.request(RunRequest, epochs, pattern="drive") for one, epochs in looks)
     assert first.applied == ROBOTS
     assert second.refused == ROBOTS
-    assert {reply.text for reply in second.replies.values()} == {
-        "robot changed since you looked, by anna@desk (run drive)"
-    }
+    assert {reply.refusal for reply in second.replies.values()} == {Refusal.STALE_EPOCH}
+    assert all("anna@desk" in reply.text for reply in second.replies.values())
     assert ben.request(RunRequest, ben.members().epochs(ROBOTS), pattern="drive").applied == ROBOTS
 
 
@@ -62,13 +61,13 @@ def test_one_of_two_simultaneous_operators_wins_each_robot(anna: Operator, ben: 
             for outcome, winner in ((first, "ben"), (second, "anna")):
                 assert set(outcome.applied) | set(outcome.refused) == set(ROBOTS)
                 for robot in outcome.refused:
-                    told = TOLD.match(outcome.replies[robot].text)
-                    assert told, outcome.replies[robot]
-                    assert told[1] == winner
+                    match = CHANGED_BY.match(outcome.replies[robot].text)
+                    assert match, outcome.replies[robot]
+                    assert match[1] == winner
 
 
 def test_the_loser_of_two_swarmctl_learns_the_winner(swarm: Swarm) -> None:
-    """Until each has lost a robot to the other's request between its own look and its own run."""
+    """Repeats until each lost a robot to a request that came between its look and its run."""
     for robot in ROBOTS:
         swarm.start(robot)
     losers: list[str] = []
@@ -88,14 +87,14 @@ def test_the_loser_of_two_swarmctl_learns_the_winner(swarm: Swarm) -> None:
 
 
 def losers_of(robot: str, done: dict[str, Finished]) -> list[str]:
-    """Who was refused this robot, having checked that the other got it and is named."""
+    """The operators that this robot refused; the other one must be applied and named."""
     replies = {user: finished.json["replies"][robot] for user, finished in done.items()}
     losers = [user for user, reply in replies.items() if reply["code"] == "refused"]
     assert len(losers) < 2, replies
     for loser in losers:
         (winner,) = replies.keys() - {loser}
         assert replies[winner]["code"] == "applied"
-        told = TOLD.match(replies[loser]["text"])
-        assert told, replies
-        assert told[1] == winner
+        match = CHANGED_BY.match(replies[loser]["text"])
+        assert match, replies
+        assert match[1] == winner
     return losers
