@@ -80,7 +80,6 @@ def test_a_stop_is_taken_while_many_requests_are_pending(tmp_path: Path) -> None
     async def live() -> None:
         stop = asyncio.Event()
         daemon = Daemon(settings_in(tmp_path), RecordingDriver())
-        waiting = RecordingQuery(StopRequest(id="r", operator="bob"))
         for n in range(100):
             daemon._requests._pending[f"r{n}"] = RecordingQuery(
                 StopRequest(id=f"r{n}", operator="bob")
