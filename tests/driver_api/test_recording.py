@@ -61,7 +61,7 @@ def played(path: Path) -> CollectingSink:
     return heard
 
 
-def test_a_robot_whose_clock_is_right_and_whose_frame_is_a_map_can_be_played(path: Path) -> None:
+def test_a_recording_with_wall_clock_stamps_and_map_coordinates_plays(path: Path) -> None:
     recorder = Recorder(path, {})
     sink = RecordingSink(NullSink(), recorder)
     sink.scan(scan(1))

@@ -120,7 +120,7 @@ def test_relieved_of_a_frozen_daemon_it_ends_its_zeros_but_watches_on() -> None:
     assert sending(timer, 9.2, 9.5) == [False, True]
 
 
-def test_a_relieved_daemon_that_is_killed_while_frozen_disturbs_nobody() -> None:
+def test_a_relieved_daemon_that_is_killed_while_frozen_causes_no_zeros() -> None:
     timer = fed()
     timer.is_sending(0.4)
     timer.relieve()
@@ -158,7 +158,7 @@ def test_silent_lets_the_first_zeros_through_and_then_none() -> None:
     assert told == [0.125 * i < IDLE_ZEROS_PERIOD for i in range(100)]
 
 
-def test_silent_is_only_who_is_idle() -> None:
+def test_only_an_idle_robot_is_silent() -> None:
     idle = IdleOutputFilter("silent")
     assert all(idle.allows(ZERO, False, 0.1 * i) for i in range(100)), "stopped, estopped, held"
     assert all(idle.allows(Twist(0.1), False, 10.0 + 0.1 * i) for i in range(100))
@@ -171,7 +171,7 @@ def test_silent_is_only_who_is_idle() -> None:
 
 
 @pytest.mark.parametrize("command_timeout", ["base", "none", 0.25, 0.5])
-def test_takes_every_kind_of_deadman(command_timeout: Value) -> None:
+def test_takes_every_kind_of_command_timeout(command_timeout: Value) -> None:
     assert (
         base_options({"command_timeout": command_timeout, "endpoint": "x"}, "here").command_timeout
         == command_timeout
@@ -238,7 +238,7 @@ def made(
     return make_driver(settings(folder, **options))
 
 
-def test_a_real_robot_without_a_word_has_no_deadman() -> None:
+def test_an_unconfigured_real_robot_has_no_command_timeout() -> None:
     assert effective_command_timeout(base_options({}, ""), Bare(is_simulated=False)) == "none"
     assert effective_command_timeout(base_options({}, ""), Bare(is_simulated=True)) == "base"
 
@@ -254,7 +254,7 @@ def test_a_driver_without_a_watchdog_is_refused_where_one_is_needed(
     assert isinstance(made(monkeypatch, tmp_path, Own, True, command_timeout="none"), Own)
 
 
-def test_silent_needs_a_timeout_that_is_told(
+def test_silent_idle_output_needs_a_command_timeout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(ConfigError, match="idle_output"):
@@ -262,7 +262,7 @@ def test_silent_needs_a_timeout_that_is_told(
     made(monkeypatch, tmp_path, Own, True, idle_output="silent", command_timeout=0.25)
 
 
-def test_the_simulated_driver_can_be_guarded_and_is_not_unless_told(tmp_path: Path) -> None:
+def test_the_simulated_driver_has_a_watchdog_only_if_configured(tmp_path: Path) -> None:
     assert isinstance(make_driver(settings(tmp_path, command_timeout="none")), WatchedDriver)
     assert not isinstance(make_driver(settings(tmp_path)), WatchedDriver)
 

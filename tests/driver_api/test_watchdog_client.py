@@ -231,7 +231,7 @@ def test_as_long_as_it_is_not_connected_the_daemon_is_to_say_zero(
         assert received(daemon[0]) == [answer]
 
 
-def test_only_one_whose_daemon_is_silent_is_relieved(
+def test_only_a_watchdog_with_a_silent_daemon_is_relieved(
     clock: Clock, daemon: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     name = f"swarmd/test/{secrets.token_hex(8)}"

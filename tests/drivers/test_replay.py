@@ -192,7 +192,7 @@ def test_in_a_loop_stamps_and_sequences_go_on(tmp_path: Path) -> None:
     assert [state for state, _ in heard.states][:4] == [False, True, False, True]
 
 
-def test_what_is_recorded_from_a_body_is_what_its_driver_told(tmp_path: Path) -> None:
+def test_a_recording_holds_what_the_driver_delivered(tmp_path: Path) -> None:
     link = WorldLink("s", ("r",), "tcp/127.0.0.1:0")
     path = tmp_path / "body.rec"
 

@@ -127,7 +127,7 @@ def test_nothing_that_waited_for_a_frozen_daemon_moves_its_body(
     assert late.code is Code.REFUSED
 
 
-def test_an_estopped_daemon_that_is_killed_returns_estopped_until_it_is_reset(
+def test_an_estopped_daemon_that_is_killed_returns_estopped_until_reset(
     bench: Bench,
 ) -> None:
     bench.start()
@@ -168,7 +168,7 @@ def obstruct(latches: Path) -> None:
 
 
 @pytest.mark.parametrize("harm", [spoil, empty, obstruct])
-def test_a_latch_file_that_cannot_be_read_holds_the_robot_until_it_is_reset(
+def test_an_unreadable_latch_file_holds_the_robot_until_reset(
     bench: Bench, harm: Callable[[Path], None]
 ) -> None:
     bench.state.mkdir(parents=True)

@@ -138,7 +138,7 @@ def test_a_daemon_that_is_back_before_the_zeros_end_requires_zero_too(guarded: B
     wait_until(lambda: not guarded.body.commands[-1].twist.is_zero, "it drives on", 10.0)
 
 
-def test_told_to_end_it_requires_zero_for_two_seconds_and_is_gone(guarded: Bench) -> None:
+def test_asked_to_end_the_watchdog_sends_zeros_for_2_s_and_ends(guarded: Bench) -> None:
     guarded.drive()
     watchdog = watchdog_of(guarded)
     assert guarded.daemon.terminate() == 0
@@ -245,7 +245,7 @@ def test_a_silent_daemon_leaves_an_idle_robot_alone_and_no_other(bench: Bench) -
     assert not watchdogs(bench.swarm, bench.body.robot), "a base with a timeout needs none"
 
 
-def test_who_is_at_work_is_not_relieved_and_who_is_silent_is() -> None:
+def test_a_watchdog_is_relieved_only_if_its_daemon_is_silent() -> None:
     where = {"swarm": "s", "robot": "r", "endpoint": "tcp/127.0.0.1:9"}
     spec = ZeroSenderSpec(SimulatedDriver.__module__ + ":SimulatedZeroSender", where)
     name = watchdog_name(unique_swarm(), "r")

@@ -187,7 +187,7 @@ def test_a_base_that_gets_no_command_is_a_fault(
     assert subject in finding.text
 
 
-def test_a_check_has_enough_after_5_messages_of_what_is_needed_and_a_second() -> None:
+def test_a_check_has_enough_after_a_second_and_5_messages_a_needed_topic() -> None:
     assert has_enough(received(), 1.0)
     assert not has_enough(received(), 0.99)
     assert not has_enough(received(STEADY[:4]), 5.0)

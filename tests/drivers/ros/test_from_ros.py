@@ -136,7 +136,7 @@ def test_odometry_has_pose_yaw_and_twist_of_the_base() -> None:
 
 
 @pytest.mark.parametrize("yaw", [-3.0, -0.1, 0.0, 1.0, 3.1])
-def test_yaw_is_told_also_of_a_base_that_leans(yaw: float) -> None:
+def test_a_leaning_base_has_a_yaw(yaw: float) -> None:
     roll = 0.2
     cr, sr, cy, sy = math.cos(roll / 2), math.sin(roll / 2), math.cos(yaw / 2), math.sin(yaw / 2)
     leaning = messages.Quaternion(x=sr * cy, y=sr * sy, z=cr * sy, w=cr * cy)
@@ -222,7 +222,7 @@ class TestRangeRing:
         assert np.isnan(scan.ranges[6])
         np.testing.assert_allclose(scan.ranges[:6], 0.2, rtol=1e-6)
 
-    def test_the_distance_from_the_origin_is_added_but_not_to_what_means_something_else(
+    def test_the_distance_from_the_origin_is_added_to_measured_ranges_only(
         self,
     ) -> None:
         ring = self.ring(0.08)
@@ -234,7 +234,7 @@ class TestRangeRing:
         wanted = [0.18, 0.0, math.inf, -math.inf, math.nan, 0.28, 0.38]
         np.testing.assert_allclose(scan.ranges, wanted, rtol=1e-6)
 
-    def test_a_sensor_whose_stamp_stands_still_is_unknown(self) -> None:
+    def test_a_sensor_with_a_constant_stamp_is_unknown(self) -> None:
         ring = self.ring()
         scans = []
         for count in range(6):

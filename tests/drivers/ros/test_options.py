@@ -29,7 +29,7 @@ def test_defaults_are_those_of_a_bridge_on_this_machine() -> None:
     assert options.topic(options.scan) == "/scan"
 
 
-def test_a_bridge_of_this_machine_and_a_daemon_in_the_field_are_not_in_each_others_way() -> None:
+def test_the_default_endpoint_is_not_the_port_of_the_field_profile() -> None:
     assert not DEFAULT_ENDPOINT.endswith(f":{FIELD_PORT}")
 
 
@@ -85,5 +85,5 @@ def test_what_is_wrong_is_named(options: Mapping[str, Value], complaint: str) ->
     assert "\n" not in str(caught.value)
 
 
-def test_an_endpoint_that_zenoh_cannot_read_is_as_one_where_nothing_listens() -> None:
+def test_an_endpoint_that_zenoh_cannot_parse_gives_no_session() -> None:
     assert open_session("tcp/127.0.0.1:9?rel=x;;=", within=0.1) is None

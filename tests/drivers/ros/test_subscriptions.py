@@ -85,7 +85,7 @@ def test_a_ring_stands_for_the_scan() -> None:
     assert heard.scans[0].ranges.tolist() == pytest.approx([0.5, 0.35])
 
 
-def test_readings_of_several_sensors_are_told_together() -> None:
+def test_readings_of_several_sensors_are_delivered_together() -> None:
     hearing, heard = Subscriptions(OPTIONS, robots.PLATFORM), CollectingSink()
     hearing.read("imu", second.Imu().serialize(), 0.0)(heard)
     hearing.read("battery", second.BatteryState(percentage=0.5).serialize(), 0.0)(heard)
@@ -99,7 +99,7 @@ def test_the_lidars_turn_is_in_degrees_counted_to_the_left() -> None:
     assert np.degrees(heard.scans[0].bearings[:2]).tolist() == pytest.approx([90.0, -180.0])
 
 
-def test_silence_is_counted_from_the_last_arrival_and_its_bound_is_no_silence() -> None:
+def test_a_topic_is_silent_after_more_than_the_timeout() -> None:
     hearing = Subscriptions(OPTIONS, robots.PLATFORM)
     for name, message in (("scan", robots.scan(1.0)), ("odometry", robots.odometry(1.0))):
         hearing.read(name, message.serialize(), 10.0)

@@ -93,7 +93,7 @@ def taken(sock: socket.socket) -> list[bytes]:
             return found
 
 
-def test_what_a_frozen_guardian_could_not_be_told_is_told_when_it_reads_again(
+def test_a_frozen_daemon_gets_the_state_when_it_reads_again(
     ends: tuple[Adapter, socket.socket],
 ) -> None:
     adapter, mine = ends
@@ -150,9 +150,7 @@ def master() -> Iterator[str]:
         thread.join(CAP)
 
 
-def test_an_adapter_that_nobody_reads_the_errors_of_still_leaves(
-    tmp_path: Path, master: str
-) -> None:
+def test_an_adapter_whose_stderr_is_not_read_still_leaves(tmp_path: Path, master: str) -> None:
     (tmp_path / "rospy.py").write_text(ROSPY)
     mine, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with mine, theirs:

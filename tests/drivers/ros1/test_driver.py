@@ -70,7 +70,7 @@ def check(rig: RosRobot, seconds: float = 20.0) -> dict[str, tuple[bool, str]]:
     return asyncio.run(run())
 
 
-def test_is_a_real_robot_and_brings_its_own_stopper(roscore: RosCore) -> None:
+def test_is_a_real_robot_with_a_watchdog_of_its_own(roscore: RosCore) -> None:
     driver = Ros1Driver(swarm="s", robot="r", platform=PLATFORM, options={})
     assert not driver.is_simulated
     assert driver.zero_sender() is None
@@ -236,7 +236,7 @@ def test_a_robot_without_a_base_is_not_driven(roscore: RosCore) -> None:
     play(RosRobot(roscore, "--no-base"), story, connected=False)
 
 
-def test_a_topic_without_data_is_told_from_one_without_a_publisher(roscore: RosCore) -> None:
+def test_a_topic_without_messages_differs_from_one_without_a_publisher(roscore: RosCore) -> None:
     async def story(harness: DriverHarness, body: RosRobot) -> None:
         topic = f"{body.namespace}/scan"
         assert body.namespace in await says(harness, topic, "announced but silent", speaking=False)
@@ -249,7 +249,7 @@ def test_a_topic_without_data_is_told_from_one_without_a_publisher(roscore: RosC
     play(Wanting(roscore, {"scan": "front/scan"}), elsewhere, connected=False)
 
 
-def test_someone_else_on_cmd_vel_is_named_and_nothing_moves_until_he_leaves(
+def test_another_publisher_of_cmd_vel_is_named_and_blocks_until_it_leaves(
     roscore: RosCore,
 ) -> None:
     async def story(harness: DriverHarness, body: RosRobot) -> None:

@@ -190,7 +190,7 @@ def test_a_silent_sense_takes_it_away_after_2_and_a_half_s(monkeypatch: pytest.M
     play(monkeypatch, story)
 
 
-def test_a_new_adapter_is_begun_with_zero_and_told_what_the_one_before_has_left(
+def test_a_new_adapter_begins_with_zero_and_knows_that_the_robot_was_driven(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def story(scene: Scene) -> None:
@@ -240,7 +240,7 @@ def test_an_adapter_without_a_base_is_replaced_after_growing_pauses(
     play(monkeypatch, story)
 
 
-def test_what_cannot_be_read_or_is_of_another_type_is_counted_and_no_sign_of_life(
+def test_unreadable_messages_and_other_types_are_counted_and_no_sign_of_life(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def story(scene: Scene) -> None:
@@ -281,7 +281,7 @@ def test_stamped_commands_are_numbered_and_in_the_frame_asked_for(
     play(monkeypatch, story, cmd_vel_type="twist_stamped", cmd_vel_frame="base")
 
 
-def test_of_what_waited_only_the_newest_of_each_link_is_news_and_nothing_old(
+def test_of_waiting_messages_only_the_newest_of_each_link_is_delivered(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = 1000.0

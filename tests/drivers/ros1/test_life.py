@@ -1,4 +1,4 @@
-"""What ends and comes back around driver `ros1`: the master, the adapter, the guardian."""
+"""What ends and comes back around driver `ros1`: the master, the adapter, the daemon."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ def test_an_adapter_that_ros_shuts_down_stops_the_base_first(roscore: RosCore) -
     play(RosRobot(roscore), story)
 
 
-def test_who_was_killed_publishes_no_more_though_the_master_lists_him(roscore: RosCore) -> None:
+def test_a_killed_node_no_longer_counts_though_the_master_lists_it(roscore: RosCore) -> None:
     async def story(harness: DriverHarness, body: RosRobot) -> None:
         other = body.make({})
         second = asyncio.create_task(other.run(heard_too := CollectingSink()))
@@ -207,8 +207,8 @@ def test_a_base_that_connects_while_driving_gets_zero_first(roscore: RosCore) ->
 
 
 @contextmanager
-def guarded(body: RosRobot) -> Iterator[tuple[subprocess.Popen[str], int]]:
-    """A guardian that drives the robot, and its adapter's process id; both gone afterwards."""
+def running_daemon(body: RosRobot) -> Iterator[tuple[subprocess.Popen[str], int]]:
+    """A daemon that drives the robot, and its adapter's process id; both gone afterwards."""
     body.do("rate", hz=10)
     command = [sys.executable, str(DAEMON), json.dumps(body.options)]
     daemon = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
@@ -224,8 +224,8 @@ def guarded(body: RosRobot) -> Iterator[tuple[subprocess.Popen[str], int]]:
         wait_until(lambda: not is_running(pid), "the adapter has left")
 
 
-def test_a_killed_guardians_base_is_stopped_and_nothing_is_left(roscore: RosCore) -> None:
-    with robot(roscore) as body, guarded(body) as (daemon, pid):
+def test_the_base_of_a_killed_daemon_is_stopped_and_nothing_is_left(roscore: RosCore) -> None:
+    with robot(roscore) as body, running_daemon(body) as (daemon, pid):
         daemon.kill()
         killed = time.monotonic()
         taken = taken_until_zero(body)
@@ -240,8 +240,8 @@ def test_a_killed_guardians_base_is_stopped_and_nothing_is_left(roscore: RosCore
         assert zeros > 0.5 * STOPPING / 0.05
 
 
-def test_a_frozen_guardians_base_is_stopped_until_it_is_back(roscore: RosCore) -> None:
-    with robot(roscore) as body, guarded(body) as (daemon, pid):
+def test_the_base_of_a_frozen_daemon_is_stopped_until_it_is_back(roscore: RosCore) -> None:
+    with robot(roscore) as body, running_daemon(body) as (daemon, pid):
         daemon.send_signal(signal.SIGSTOP)
         frozen = time.monotonic()
         taken_until_zero(body)

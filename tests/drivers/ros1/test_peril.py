@@ -25,7 +25,7 @@ from swarmd.drivers.ros1.serialization import definition, type_name
 from swarmd.testing.driver_contract import CollectingSink, DriverHarness
 from swarmd.testing.driver_rig import is_running
 from tests.drivers.ros1.rig import RosRobot, robot
-from tests.drivers.ros1.test_life import adapter, drive, guarded, play
+from tests.drivers.ros1.test_life import adapter, drive, play, running_daemon
 from tests.support.processes import CAP, children, wait_until
 from tests.support.roscore import RosCore
 
@@ -50,7 +50,7 @@ async def moving(
     return taken
 
 
-def test_who_else_drives_is_left_alone_after_zeros_and_named_once_in_the_log(
+def test_another_driver_is_left_alone_after_zeros_and_logged_once(
     roscore: RosCore, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def story(harness: DriverHarness, body: RosRobot) -> None:
@@ -76,8 +76,8 @@ def test_who_else_drives_is_left_alone_after_zeros_and_named_once_in_the_log(
     assert lines[-1].startswith("driver ros1: drives on ")
 
 
-def test_a_guardian_that_was_silent_is_not_obeyed_before_enough_zeros(roscore: RosCore) -> None:
-    with robot(roscore) as body, guarded(body) as (daemon, _):
+def test_a_daemon_that_was_silent_is_not_obeyed_before_enough_zeros(roscore: RosCore) -> None:
+    with robot(roscore) as body, running_daemon(body) as (daemon, _):
         body.commands()
         daemon.send_signal(signal.SIGSTOP)
         wait_until(lambda: any(twist.is_zero for twist in body.commands()), "it is told to stand")
@@ -87,7 +87,7 @@ def test_a_guardian_that_was_silent_is_not_obeyed_before_enough_zeros(roscore: R
         assert time.monotonic() - begin > 0.75 * STOPPING
 
 
-def test_who_connects_and_says_nothing_keeps_no_base_away(roscore: RosCore) -> None:
+def test_a_node_that_connects_and_sends_nothing_blocks_no_base(roscore: RosCore) -> None:
     async def story(harness: DriverHarness, body: RosRobot) -> None:
         topic = f"{body.namespace}/cmd_vel"
         port = _port_of(roscore, topic)

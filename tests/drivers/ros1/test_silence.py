@@ -41,7 +41,7 @@ class NoMore(Exception):
 
 
 class Scene:
-    """An adapter, what it publishes and when, and the packets that its guardian sends."""
+    """An adapter, what it publishes and when, and the packets that its daemon sends."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, **config: Any) -> None:
         self.now = BEGIN
@@ -102,7 +102,7 @@ class Scene:
         if self.now > self._until:
             raise NoMore
 
-    # The socket to the guardian
+    # The socket to the daemon
 
     def recv(self, size: int) -> bytes:
         if not self._frames:
@@ -115,7 +115,7 @@ class Scene:
             self.told.append(json.loads(frame[1:]))
 
     def hear(self, *frames: bytes) -> None:
-        """The guardian's packets come now."""
+        """The daemon's packets come now."""
         self._frames = list(frames)
         with contextlib.suppress(NoMore):
             self.adapter._read()
@@ -152,10 +152,10 @@ def test_zeros_begin_after_0_4_s_of_silence_and_go_on(scene: Scene, payload: byt
     assert 0.4 <= zeros[0] <= 0.45
     assert zeros[-1] > 9.9
     assert all(later - sooner < 0.051 for sooner, later in pairwise(zeros))
-    assert scene.left_at is None, "it watches on: the guardian may be back"
+    assert scene.left_at is None, "it watches on: the daemon may be back"
 
 
-def test_a_guardian_that_is_back_is_listened_to(scene: Scene) -> None:
+def test_a_daemon_that_is_back_is_obeyed(scene: Scene) -> None:
     scene.command(MOVING)
     zeros = scene.pass_time(4.0, {1.0 + 0.1 * i: lambda: scene.command(MOVING) for i in range(40)})
     assert all(0.4 <= zero <= 2.5 for zero in zeros), "it may send them for 2 s"
@@ -171,7 +171,7 @@ def test_a_robot_that_an_earlier_adapter_drove_gets_zeros_at_once(
     assert Scene(monkeypatch, holds=True).pass_time(1.0)[0] == 0.0
 
 
-def test_a_robot_that_an_earlier_adapter_drove_is_left_alone_2_s_after_it_has_connected(
+def test_a_robot_of_an_earlier_adapter_gets_zeros_for_2_s_after_it_connects(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scene = Scene(monkeypatch, holds=True)
@@ -185,7 +185,7 @@ def test_a_robot_that_an_earlier_adapter_drove_is_left_alone_2_s_after_it_has_co
     assert zeros[0] == pytest.approx(1.0, abs=0.06), "one that comes later may still drive too"
     assert zeros[-1] == pytest.approx(3.0, abs=0.06)
     scene.command(MOVING)
-    assert scene.pass_time(10.0, {1.0: connect})[-1] > 9.9, "as of any guardian's silence"
+    assert scene.pass_time(10.0, {1.0: connect})[-1] > 9.9, "as of any daemon's silence"
 
 
 def test_one_zero_does_not_make_silence_harmless(scene: Scene) -> None:
@@ -208,7 +208,7 @@ def test_a_command_that_waited_for_0_2_s_is_dropped(scene: Scene) -> None:
     assert len(scene.published) == 1
 
 
-def test_the_end_of_the_guardian_is_2_s_of_zeros_at_once_and_then_it_leaves(scene: Scene) -> None:
+def test_after_the_daemons_end_the_adapter_sends_zeros_for_2_s_and_leaves(scene: Scene) -> None:
     scene.command(MOVING)
     scene.hear(b"")
     zeros = scene.pass_time(10.0)
@@ -224,7 +224,7 @@ def test_bye_is_a_zero_and_it_leaves(scene: Scene) -> None:
     assert scene.left_at == BEGIN
 
 
-def test_who_never_drove_leaves_without_a_zero(scene: Scene) -> None:
+def test_an_adapter_that_never_drove_leaves_without_a_zero(scene: Scene) -> None:
     scene.hear(b"")
     assert scene.pass_time(10.0) == []
     assert scene.left_at == BEGIN

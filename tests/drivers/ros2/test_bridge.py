@@ -83,7 +83,7 @@ def test_a_robot_that_leaves_and_returns_gets_zero_first() -> None:
     play(robot, story)
 
 
-def test_after_a_bridge_that_is_restarted_at_once_the_first_command_is_zero() -> None:
+def test_the_first_command_after_a_restart_of_the_bridge_is_zero() -> None:
     robot = DdsRobot()
 
     async def story(harness: DriverHarness) -> None:
@@ -96,7 +96,7 @@ def test_after_a_bridge_that_is_restarted_at_once_the_first_command_is_zero() ->
     play(robot, story)
 
 
-def test_a_frozen_bridge_is_told_and_nothing_late_moves_the_robot() -> None:
+def test_a_frozen_bridge_is_reported_and_no_late_command_moves_the_robot() -> None:
     robot = DdsRobot()
 
     async def story(harness: DriverHarness) -> None:
@@ -117,7 +117,7 @@ def test_a_frozen_bridge_is_told_and_nothing_late_moves_the_robot() -> None:
     play(robot, story)
 
 
-def test_a_base_that_crashed_and_is_back_is_stopped_before_the_bridge_forgets_it() -> None:
+def test_a_base_that_crashed_and_is_back_is_stopped_before_it_is_forgotten() -> None:
     robot = DdsRobot()
     robot.stop()
     told_to: list[str] = []
@@ -191,7 +191,7 @@ async def _spin(lidar: DdsNode) -> None:
 
 
 @pytest.mark.parametrize("is_stamped", [False, True])
-def test_a_base_that_wants_another_type_is_told_nothing(is_stamped: bool) -> None:
+def test_a_base_that_wants_another_type_gets_no_command(is_stamped: bool) -> None:
     """The bridge hands on bytes as they are: a base would take a stamped twist for 1e180 m/s."""
     robot = DdsRobot(is_stamped=is_stamped)
 
@@ -208,7 +208,7 @@ def test_a_base_that_wants_another_type_is_told_nothing(is_stamped: bool) -> Non
     play(robot, story, connected=False, cmd_vel_type=wrong)
 
 
-def test_someone_elses_command_is_told() -> None:
+def test_another_nodes_command_is_reported() -> None:
     robot = DdsRobot()
     joystick = DdsNode(robot.domain, "joystick", {"/cmd_vel": dds_types.Twist})
 
@@ -227,7 +227,7 @@ def test_someone_elses_command_is_told() -> None:
     joystick.close()
 
 
-def test_a_scan_of_another_type_is_told() -> None:
+def test_a_scan_of_another_type_is_reported() -> None:
     robot = DdsRobot(says={"scan": dds_types.TwistStamped, "odom": dds_types.Odometry})
 
     async def story(harness: DriverHarness) -> None:
@@ -333,7 +333,7 @@ def test_check_of_a_robot_that_is_off_says_to_start_it() -> None:
 
 
 @pytest.mark.parametrize("speed", [None, 0.3])
-def test_check_tells_of_who_may_command_and_of_who_does(speed: float | None) -> None:
+def test_check_tells_a_publisher_of_commands_from_a_silent_one(speed: float | None) -> None:
     robot = DdsRobot()
     joystick = DdsNode(robot.domain, "joystick", {"/cmd_vel": dds_types.Twist})
 

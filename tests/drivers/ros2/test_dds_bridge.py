@@ -103,7 +103,7 @@ def test_stamped_commands_are_in_the_frame_asked_for() -> None:
     play(robot, story, cmd_vel_frame="base_footprint")
 
 
-def test_someone_elses_command_is_told_and_nothing_is_commanded_meanwhile() -> None:
+def test_another_nodes_command_is_reported_and_the_driver_stops_publishing() -> None:
     robot = BridgedRobot()
 
     async def story(harness: DriverHarness) -> None:
@@ -146,7 +146,7 @@ def test_a_base_that_is_started_anew_in_no_time_gets_zero_first() -> None:
     play(robot, story)
 
 
-def test_someone_elses_zeros_are_nobodys_drive() -> None:
+def test_another_nodes_zeros_do_not_count_as_driving() -> None:
     robot = BridgedRobot()
 
     async def story(harness: DriverHarness) -> None:
@@ -249,7 +249,7 @@ def test_check_of_a_bridge_that_knows_nothing_points_at_the_domain() -> None:
     assert "the bridge anew, with its ROS_DOMAIN_ID, ROS_DISTRO and" in found["scan"].text
 
 
-def test_check_tells_of_somebody_without_a_name_who_may_command() -> None:
+def test_check_reports_an_unnamed_publisher_of_commands() -> None:
     robot = BridgedRobot()
     announce(robot, "MP", "cmd_vel", "geometry_msgs/msg/Twist")
     announce(robot, "MS", "cmd_vel", "geometry_msgs/msg/Twist")
@@ -267,13 +267,13 @@ def test_check_of_a_base_that_wants_stamped_commands_says_so() -> None:
     assert "set driver_options.cmd_vel_type: twist_stamped" in found["cmd_vel"].text
 
 
-def test_check_of_commands_that_nobody_takes_says_so() -> None:
+def test_check_reports_commands_without_a_subscriber() -> None:
     found = check(BridgedRobot(), seconds=1.0, cmd_vel="other_vel")
     assert not found["cmd_vel"].is_well
     assert "no node subscribes to /other_vel" in found["cmd_vel"].text
 
 
-def test_check_tells_of_others_who_command() -> None:
+def test_check_reports_commands_of_other_nodes() -> None:
     robot = BridgedRobot()
 
     def speak() -> None:
@@ -321,7 +321,7 @@ def test_check_tells_of_a_scan_that_does_not_look_around() -> None:
     assert "leave too wide a sector unseen" in found["scan"].text
 
 
-def test_what_is_missing_is_told_while_it_runs_too() -> None:
+def test_a_missing_topic_is_reported_while_the_driver_runs() -> None:
     robot = BridgedRobot()
     announce(robot, "MP", "bot1§scan", "sensor_msgs/msg/LaserScan")
 

@@ -161,7 +161,7 @@ def test_each_publisher_of_a_node_counts_for_itself() -> None:
     assert [gid for *_, gid in read] == [gid_of(scans), gid_of(poses), gid_of(scans)]
 
 
-def test_a_driver_hears_its_robot_as_it_spoke_and_commands_no_other(stage: Stage) -> None:
+def test_a_driver_receives_its_robots_data_and_commands_no_other_robot(stage: Stage) -> None:
     async def story() -> None:
         driver, heard = stage.driver("r-2"), CollectingSink()
         task = asyncio.create_task(driver.run(heard))

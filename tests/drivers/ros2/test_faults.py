@@ -121,7 +121,7 @@ def test_the_last_zero_is_zero_also_to_a_base_that_takes_it_for_a_twist() -> Non
     play(robot, story)
 
 
-def test_a_type_of_command_that_nobody_knows_is_told_too() -> None:
+def test_an_unknown_type_of_command_is_reported() -> None:
     robot = BridgedRobot()
     announce(robot, "MS", "cmd_vel", "my_msgs/msg/Wheels")
     found = check(robot, robot.publish)
@@ -137,7 +137,7 @@ def test_a_robot_whose_base_takes_no_commands_is_lost() -> None:
     play(robot, lambda harness: stays_lost(harness, words), connected=False)
 
 
-def test_check_does_not_take_its_own_ear_for_the_bases() -> None:
+def test_check_does_not_count_its_own_subscription() -> None:
     robot = Deaf()
     found = check(robot, robot.publish)
     assert not found["cmd_vel"].is_well
@@ -145,7 +145,7 @@ def test_check_does_not_take_its_own_ear_for_the_bases() -> None:
 
 
 @pytest.mark.parametrize("make", MAKERS)
-def test_after_a_hub_that_is_started_anew_in_no_time_the_first_command_is_zero(
+def test_the_first_command_after_an_instant_restart_of_the_hub_is_zero(
     make: Callable[[], Robot],
 ) -> None:
     robot = make()
@@ -207,7 +207,7 @@ def test_what_cannot_be_read_is_one_line_however_it_varies(
     assert "ros2 topic info -v /scan" in lines[0].getMessage()
 
 
-def test_stamps_that_stand_still_are_told_while_it_runs() -> None:
+def test_constant_stamps_are_reported_while_the_driver_runs() -> None:
     robot = BridgedRobot()
 
     async def story(harness: DriverHarness) -> None:
@@ -221,7 +221,7 @@ def test_stamps_that_stand_still_are_told_while_it_runs() -> None:
     play(robot, story)
 
 
-def test_sweeps_that_do_not_look_around_are_told_while_it_runs() -> None:
+def test_incomplete_scans_are_reported_while_the_driver_runs() -> None:
     robot = BridgedRobot()
 
     async def story(harness: DriverHarness) -> None:
@@ -256,12 +256,12 @@ def test_a_robot_that_was_restarted_while_it_was_checked_is_well() -> None:
     assert checked_stamps(lambda count: (1000.0 if count < 8 else 0.0) + 0.05 * count) == ""
 
 
-def test_stamps_of_two_senders_are_told() -> None:
+def test_stamps_of_two_publishers_are_reported() -> None:
     text = checked_stamps(lambda count: 0.05 * count + (0.0 if count % 2 else 500.0))
     assert "the stamps of /scan go back again and again: two publish it" in text
 
 
-def test_two_nodes_that_publish_the_scan_are_told() -> None:
+def test_two_publishers_of_the_scan_are_reported() -> None:
     robot = ZenohRobot()
     for node in ("lidar", "other"):
         announce(robot, "MP", "scan", LASER, node)
@@ -270,7 +270,7 @@ def test_two_nodes_that_publish_the_scan_are_told() -> None:
     assert found["scan"].text.startswith("2 publish /scan: /lidar, /other; end all but one, or")
 
 
-def test_what_cannot_be_read_among_what_can_is_told() -> None:
+def test_unreadable_scans_among_readable_ones_are_reported() -> None:
     robot = BridgedRobot()
 
     def speak() -> None:

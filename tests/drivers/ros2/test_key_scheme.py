@@ -134,7 +134,7 @@ def test_commands_go_out_as_the_robots_distribution_names_them() -> None:
 def test_what_others_command_says_nothing_of_the_robots_distribution() -> None:
     ours = scheme()
     mine = ours.command_key("/cmd_vel", messages.Twist)
-    for key in ours.command_keys("/cmd_vel", messages.Twist):  # a stopper's zeros go out on each
+    for key in ours.command_keys("/cmd_vel", messages.Twist):  # a watchdog's zeros go out on each
         assert ours.key_fault(key, "/cmd_vel", messages.Twist) == ""
         assert ours.command_key("/cmd_vel", messages.Twist) == mine
 

@@ -163,7 +163,7 @@ def test_a_base_is_lost_after_1_s_of_silence_or_3_and_a_half_scans(
     play(monkeypatch, story, platform=slow(rate))
 
 
-def test_a_lost_base_gets_zero_and_nothing_else_and_zero_first_when_it_is_back(
+def test_a_lost_base_gets_only_zeros_and_zero_first_when_it_is_back(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def story(scene: Scene) -> None:
@@ -194,7 +194,7 @@ def test_a_link_that_is_cut_is_a_lost_base_at_once(monkeypatch: pytest.MonkeyPat
     play(monkeypatch, story)
 
 
-def test_a_hub_that_is_started_anew_in_no_time_is_told_zero_for_2_s(
+def test_a_hub_that_restarts_instantly_gets_zeros_for_2_s(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def story(scene: Scene) -> None:
@@ -210,7 +210,7 @@ def test_a_hub_that_is_started_anew_in_no_time_is_told_zero_for_2_s(
     play(monkeypatch, story)
 
 
-def test_someone_elses_command_keeps_it_from_commanding_for_2_s(
+def test_another_nodes_command_stops_the_driver_for_2_s(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def story(scene: Scene) -> None:
@@ -241,7 +241,7 @@ def test_someone_elses_command_keeps_it_from_commanding_for_2_s(
     ],
     ids=["zero", "backwards", "a turn", "unreadable", "on every key"],
 )
-def test_whoever_commands_anything_but_zero_drives(
+def test_any_command_but_zero_counts_as_driving(
     monkeypatch: pytest.MonkeyPatch, message: Any, key: str | None, is_lost: bool
 ) -> None:
     async def story(scene: Scene) -> None:
@@ -253,7 +253,7 @@ def test_whoever_commands_anything_but_zero_drives(
     play(monkeypatch, story)
 
 
-def test_it_hears_only_others(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_driver_ignores_its_own_commands(monkeypatch: pytest.MonkeyPatch) -> None:
     async def story(scene: Scene) -> None:
         assert scene.session.origins == [zenoh.Locality.REMOTE] * 3
 
@@ -313,7 +313,7 @@ def test_a_battery_alone_is_no_base(monkeypatch: pytest.MonkeyPatch) -> None:
     play(monkeypatch, story, battery="power")
 
 
-def test_what_cannot_be_read_or_has_another_key_is_counted_and_no_sign_of_life(
+def test_unreadable_samples_and_other_keys_are_counted_and_no_sign_of_life(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def story(scene: Scene) -> None:

@@ -94,7 +94,7 @@ def test_a_token_that_is_none_ends_nothing() -> None:
     assert said, "as long as it ran"
 
 
-def test_who_only_looks_is_no_node() -> None:
+def test_a_check_announces_no_node() -> None:
     robot = ZenohRobot()
     seen: list[str] = []
 
@@ -145,7 +145,7 @@ def test_nodes_that_are_peers_of_the_router_are_heard_and_commanded() -> None:
         (f"0/scan/{dds_name('sensor_msgs/msg/PointCloud2')}/RIHS01_{'0' * 64}", "carries sensor_"),
     ],
 )
-def test_another_type_or_hash_is_dropped_and_told(key: str, wanted: str) -> None:
+def test_another_type_or_hash_is_dropped_and_reported(key: str, wanted: str) -> None:
     robot = ZenohRobot()
 
     async def story(harness: DriverHarness) -> None:
@@ -231,7 +231,7 @@ def test_check_names_a_node_that_may_command_too() -> None:
 
 
 @pytest.mark.parametrize("is_humble", [False, True])
-def test_a_stopper_says_zero_whatever_the_distribution(is_humble: bool) -> None:
+def test_a_zero_sender_sends_zero_for_every_distribution(is_humble: bool) -> None:
     robot = ZenohRobot(is_humble=is_humble, is_stamped=True)
     given = dict(robot.options({}))
     sender = rmw_zenoh.make_zero_sender(robot="r", given=given)

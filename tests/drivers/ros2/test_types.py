@@ -41,7 +41,7 @@ def test_what_a_base_wants_is_known_before_it_is_heard() -> None:
         robot.close()
 
 
-def test_a_stoppers_stamped_zero_stops_a_base_that_takes_it_for_a_twist() -> None:
+def test_a_stamped_zero_stops_a_base_that_reads_it_as_a_twist() -> None:
     robot = BridgedRobot(is_stamped=True)
     sender = ros2dds.make_zero_sender(robot="r", given=dict(robot.options({})))
     sender.open()

@@ -1,4 +1,4 @@
-"""A ROS 2 robot that has to stand: its stopper, its link that is back, and zeros of others."""
+"""A ROS 2 robot that has to stand: its watchdog, its link that is back, and zeros of others."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.drivers.ros2.stories import drive, play, told
 from tests.support.processes import wait_until
 
 
-def test_a_stopper_can_say_zero_to_this_base() -> None:
+def test_a_zero_sender_sends_zero_to_this_base() -> None:
     robot = BridgedRobot()
     driver = robot.make({})
     assert isinstance(driver, ZeroSenderProvider)
@@ -36,7 +36,7 @@ def test_a_stopper_can_say_zero_to_this_base() -> None:
     robot.close()
 
 
-def test_a_stopper_finds_a_base_that_comes_later() -> None:
+def test_a_zero_sender_finds_a_late_base() -> None:
     robot = BridgedRobot()
     robot.disconnect()
     sender = ros2dds.make_zero_sender(robot="r", given=dict(robot.options({})))
@@ -52,7 +52,7 @@ def test_a_stopper_finds_a_base_that_comes_later() -> None:
     robot.close()
 
 
-def test_a_stopper_connects_to_a_base_that_comes_later_before_it_has_to_say_zero() -> None:
+def test_a_zero_sender_connects_to_a_late_base_before_a_zero_is_due() -> None:
     robot = BridgedRobot()
     robot.disconnect()
     sender = ros2dds.make_zero_sender(robot="r", given=dict(robot.options({})))
@@ -63,7 +63,7 @@ def test_a_stopper_connects_to_a_base_that_comes_later_before_it_has_to_say_zero
     robot.close()
 
 
-def test_a_robot_whose_link_is_back_is_told_zero_though_its_sensors_are_silent() -> None:
+def test_a_robot_whose_link_is_back_gets_zero_though_its_sensors_are_silent() -> None:
     robot = BridgedRobot()
 
     async def story(harness: DriverHarness) -> None:
@@ -76,7 +76,7 @@ def test_a_robot_whose_link_is_back_is_told_zero_though_its_sensors_are_silent()
     play(robot, story)
 
 
-def test_zeros_of_someone_else_that_do_not_end_are_told_of() -> None:
+def test_zeros_of_another_node_that_do_not_end_are_reported() -> None:
     robot = BridgedRobot()
 
     async def story(harness: DriverHarness) -> None:
@@ -87,7 +87,7 @@ def test_zeros_of_someone_else_that_do_not_end_are_told_of() -> None:
             return told(harness, "another node stops this robot", is_up=True)
 
         await harness.until(is_told, publishing=True)
-        assert asyncio.get_running_loop().time() - began > 2.5, "a stopper of ours ends before"
+        assert asyncio.get_running_loop().time() - began > 2.5, "a watchdog of ours ends before"
 
     play(robot, story)
 
