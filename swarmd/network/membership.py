@@ -45,7 +45,6 @@ class Membership:
     def __init__(self, own: str) -> None:
         self._own = own
         self._records: dict[str, _Record] = {}
-        self.ignored = 0
 
     def on_alive(self, robot: str, instance: str, now: float) -> bool:
         """A token appeared."""
@@ -118,7 +117,6 @@ class Membership:
         record = self._records.get(robot)
         if record is None:
             if len(self._records) >= MAX_MEMBERS and not self._make_room(has_token):
-                self.ignored += 1
                 return None
             record = self._records[robot] = _Record()
         return record

@@ -59,7 +59,7 @@ MAX_REASON = 256
 
 R = TypeVar("R", bound=AnyRequest)
 
-HaltVerb = Literal["stop", "estop"]
+StopVerb = Literal["stop", "estop"]
 
 _view = Decoder(PeerView, MAX_WIRE)
 _reply = Decoder(Reply, MAX_CONTROL)
@@ -119,11 +119,6 @@ class Operator:
         undeclare(*self._listeners)
         self._session.close()
 
-    @property
-    def links(self) -> int:
-        """The number of links that the session has had so far."""
-        return self._links
-
     def members(self, *, timeout: float = DISCOVERY_TIMEOUT) -> MembersView:
         """The members, as soon as all that are alive have answered; takes at most `timeout` s."""
         discovery = self._new_discovery()
@@ -170,7 +165,7 @@ class Operator:
 
     def halt(
         self,
-        verb: HaltVerb,
+        verb: StopVerb,
         *,
         select: Select | None = None,
         reason: str = "",
@@ -247,7 +242,7 @@ class Operator:
             self._checked("control", "members", on_view),
         )
 
-    def _send_halt(self, pending_stop: PendingStop, verb: HaltVerb, *, to_all: bool) -> None:
+    def _send_halt(self, pending_stop: PendingStop, verb: StopVerb, *, to_all: bool) -> None:
         """Send it to each known robot without an ack, and on new links to all robots."""
         plane = "safety" if verb == "estop" else "control"
         with self._news:

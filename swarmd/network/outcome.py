@@ -137,12 +137,10 @@ class Acks:
     def __init__(self, request_id: str) -> None:
         self._request_id = request_id
         self._replies: dict[str, dict[str, Reply]] = {}
-        self.strange = 0
 
     def on_reply(self, robot: str, reply: Reply) -> bool:
         """Take a reply that came on `robot`'s key; False if it answers another request."""
         if reply.robot != robot or reply.id != self._request_id:
-            self.strange += 1
             return False
         instance = reply.epoch.instance if reply.epoch is not None else ""
         self._replies.setdefault(robot, {})[instance] = reply

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from swarmd.core.codec import Decoder
 from swarmd.core.messages import Code, Condition, Epoch, EstopRequest, ResetRequest, RunRequest
-from swarmd.network.operator import HaltVerb, Operator, operator_name
+from swarmd.network.operator import Operator, StopVerb, operator_name
 from swarmd.network.outcome import NO_TARGET, PARTIAL, REFUSED
 from swarmd.network.session import open_session
 from swarmd.network.settings import NetworkSettings
@@ -114,7 +114,7 @@ def test_all_refused(settings: NetworkSettings, robots: Robots) -> None:
 
 @pytest.mark.parametrize("verb", ["stop", "estop"])
 def test_a_stop_reaches_all_without_waiting_for_members(
-    settings: NetworkSettings, robots: Robots, verb: HaltVerb
+    settings: NetworkSettings, robots: Robots, verb: StopVerb
 ) -> None:
     swarm = robots("a", "b", "c")
     with Operator(settings) as operator:
