@@ -94,9 +94,9 @@ def _paint_panel(axes: Axes, panel: Panel, runs: Mapping[str, int]) -> None:
     axes.locator_params(axis="x", nbins=6, integer=is_count)
     if panel.is_share:
         axes.set_xlim(-0.05, 1.05)
-    elif known and min(known) == max(known):  # nothing to scale by
-        axes.set_xlim(known[0] - 1.0, known[0] + 1.0)
-        axes.set_xticks([known[0]])
+    elif known and np.ptp(known) <= 1e-3 * np.abs(known).max():  # no differences to show
+        axes.set_xlim(min(known) - 1.0, max(known) + 1.0)
+        axes.set_xticks([known[0]], [f"{known[0]:.4g}"])
     words = [
         "share of runs" if panel.is_share else panel.unit,
         "" if panel.target is None else f"target {panel.target:g}",

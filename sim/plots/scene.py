@@ -258,7 +258,9 @@ def _paint_rows(
     alpha = 1.0 if paint.is_present else 0.45
     zorder = 4.0 if paint.is_filled else 3.0
     face: Any = paint.colours if paint.is_filled else "none"
-    edge: Any = "0.1" if paint.is_filled and size >= _SMALL else paint.colours
+    edge: Any = "0.1"
+    if not paint.is_filled or size < _SMALL:  # white ones would not be visible on white
+        edge = ["0.4" if colour == "white" else colour for colour in paint.colours]
     width = 0.9 if size >= _SMALL else 0.4
     if size < _SPECK:
         dot = (2.0 * _SPECK) ** 2 * 0.6

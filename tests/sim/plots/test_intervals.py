@@ -79,6 +79,11 @@ def test_one_value_has_no_interval() -> None:
     assert len(axes.collections) == 2
 
 
+def test_values_that_hardly_differ_have_one_tick() -> None:
+    axes = intervals_figure([Panel(label="x", values={"a": (0.0132, 0.0132001)})]).axes[0]
+    assert [text.get_text() for text in axes.get_xticklabels()] == ["0.0132"]
+
+
 def test_equal_values_have_one_tick() -> None:
     axes = intervals_figure([Panel(label="x", values={"a": (7.0, 7.0)})]).axes[0]
     assert axes.get_xlim() == (6.0, 8.0)

@@ -174,3 +174,10 @@ def test_small_robots_lose_their_nose_and_specks_become_dots(
     paint_bodies(axes, walk(4), -1, ["red"] * 4, is_filled=True, scale=scale)
     assert len(axes.collections) == collections
     assert isinstance(axes.collections[0], PathCollection) is (scale == 5.0)
+
+
+@pytest.mark.parametrize("scale", [5.0, 20.0, 200.0])  # points a metre: dots, small, with a nose
+def test_white_robots_have_a_visible_edge(walk: Walk, axes: Axes, scale: float) -> None:
+    paint_bodies(axes, walk(2), 0, ["white", "white"], is_filled=True, scale=scale)
+    edges = np.asarray(axes.collections[0].get_edgecolor())
+    assert (edges[:, :3] < 0.5).all()
