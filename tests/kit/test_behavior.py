@@ -35,14 +35,14 @@ class Blind(Straight):
     needs = frozenset[str]()
 
 
-def test_a_movement_pattern_wishes_what_it_drives() -> None:
+def test_movement_pattern_outputs_what_drive_returns() -> None:
     inputs = Inputs(now=0.0, dt=0.0, scan=scan_of(PLATFORM))
     assert Straight(Params(), context()).step(inputs) == Outputs(
         twist=Twist(0.1), report={"state": "straight"}
     )
 
 
-def test_without_the_scan_that_it_needs_it_wishes_nothing() -> None:
+def test_without_the_scan_it_needs_there_is_no_command() -> None:
     outputs = Straight(Params(), context()).step(Inputs(now=0.0, dt=0.0))
     assert outputs == Outputs(twist=None, report={"state": "straight"})
 
@@ -51,6 +51,6 @@ def test_without_a_scan_that_it_does_not_need_it_drives() -> None:
     assert Blind(Params(), context()).step(Inputs(now=0.0, dt=0.0)).twist == Twist(0.1)
 
 
-def test_a_context_of_its_own_makes_no_parts() -> None:
+def test_a_bare_context_makes_no_parts() -> None:
     with pytest.raises(PluginError, match="no pattern 'drive' here"):
         context().make("drive")

@@ -101,13 +101,13 @@ def step(pattern: Pattern[Any], now: float, *channels: str) -> Outputs:
     return pattern.step(Inputs(now=now, dt=0.1, messages=messages))
 
 
-def test_a_combined_pattern_says_what_its_parts_say_under_outer_names() -> None:
+def test_messages_of_parts_get_outer_names() -> None:
     pattern = put_together("both").pattern
     assert dict(pattern.channels) == {"talker/words": int, "closed-words": int}
     assert set(step(pattern, 0.0).messages) == {"talker/words", "closed-words"}
 
 
-def test_each_part_hears_its_own_channel_only() -> None:
+def test_each_part_receives_only_its_own_channels() -> None:
     pattern = put_together("both").pattern
     outputs = step(pattern, 0.0, "talker/words", "talker/words", "closed-words", "words", "other")
     assert outputs.messages == {"talker/words": 2, "closed-words": 1}
@@ -120,11 +120,11 @@ def test_a_part_of_a_part_keeps_its_shared_name() -> None:
     assert outputs.messages == {"talker/words": 1, "inner-closed-words": 1}
 
 
-def test_it_needs_what_its_parts_need() -> None:
+def test_its_needs_are_those_of_its_parts() -> None:
     assert put_together("both").pattern.needs == {"scan", "odometry"}
 
 
-def test_its_wish_is_the_first_there_is_and_reports_carry_the_part() -> None:
+def test_first_command_counts_and_reports_name_the_part() -> None:
     outputs = step(put_together("both").pattern, 0.0)
     assert outputs.twist is None  # the mover needs a scan
     assert set(outputs.report) == {"open.dt", "closed.dt"}
@@ -175,13 +175,13 @@ def test_an_unknown_pattern_or_part_is_named() -> None:
         put_together("mower")
 
 
-def test_a_wrong_parameter_of_a_part_is_named_with_the_pattern_that_set_it() -> None:
+def test_a_wrong_parameter_of_a_part_names_its_source() -> None:
     both = put_together("both").pattern
     with pytest.raises(ConfigError, match=r"speed is 9 \(from both\)"):
         both.context.make("mover", speed=9)
 
 
-def test_a_robot_that_lacks_what_is_needed_refuses_with_the_word() -> None:
+def test_a_pattern_with_an_unmet_need_is_refused() -> None:
     platform = replace(PLATFORM, provides=frozenset({"scan"}))
     with pytest.raises(PluginError, match="pattern 'talker' needs odometry, which burger does not"):
         put_together("talker", platform)

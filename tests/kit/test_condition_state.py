@@ -56,7 +56,7 @@ def seconds_until_idle(story: RobotHarness) -> float:
     return story.now - began
 
 
-def test_time_ends_it() -> None:
+def test_a_timeout_ends_the_run() -> None:
     story = story_of(["timeout:2"])
     assert seconds_until_idle(story) == pytest.approx(2.0, abs=0.2)
     assert standing_state(story) == (State.IDLE, Reason.FINISHED)
@@ -64,20 +64,20 @@ def test_time_ends_it() -> None:
     assert story.twist.is_zero
 
 
-def test_what_it_reports_ends_it_once_it_has_settled() -> None:
+def test_a_settled_report_ends_the_run() -> None:
     story = story_of(["settled:word:3"])
     # Twenty steps of 0.1 s or less pass before the last change.
     assert 3.0 <= seconds_until_idle(story) <= 5.3
     assert story.status.detail == "until word settled for 3 s"
 
 
-def test_what_it_reports_ends_it_at_a_value() -> None:
+def test_a_reported_value_ends_the_run() -> None:
     story = story_of(["report:word=b"])
     assert seconds_until_idle(story) < 1.5
     assert story.status.detail == "until word is b"
 
 
-def test_an_obstacle_ends_it() -> None:
+def test_an_obstacle_ends_the_run() -> None:
     story = story_of(["nearer:0.5"])
     story.advance(2.0)
     assert story.status.state is State.RUNNING
@@ -87,7 +87,7 @@ def test_an_obstacle_ends_it() -> None:
     assert story.status.detail == "until something is nearer than 0.5 m"
 
 
-def test_of_several_the_first_ends_it() -> None:
+def test_the_first_of_several_conditions_ends_the_run() -> None:
     story = story_of(["timeout:9", "report:word=c", "settled:word:8"])
     assert seconds_until_idle(story) < 3.0
     assert standing_state(story) == (State.IDLE, Reason.FINISHED)
@@ -100,13 +100,13 @@ def test_all_conditions_met_at_one_step_are_named() -> None:
     assert story.status.detail == "until 2 s have passed and 1.999 s have passed"
 
 
-def test_a_pattern_that_is_done_before_says_so_itself() -> None:
+def test_a_pattern_that_is_done_first_gives_the_reason() -> None:
     story = story_of(["done", "timeout:9"], "finisher")
     seconds_until_idle(story)
     assert story.status.detail == "arrived"
 
 
-def test_it_holds_also_after_the_pattern_failed_and_was_loaded_again() -> None:
+def test_conditions_survive_a_reload_of_a_failed_pattern() -> None:
     story = story_of(["timeout:2"], "fragile")
     assert seconds_until_idle(story) < 4.0
     assert standing_state(story) == (State.IDLE, Reason.FINISHED)
@@ -121,7 +121,7 @@ def test_it_holds_also_after_the_pattern_failed_and_was_loaded_again() -> None:
         ([1], "until"),
     ],
 )
-def test_what_is_no_condition_is_refused_and_nothing_moves(until: Any, words: str) -> None:
+def test_a_malformed_condition_refuses_the_run(until: Any, words: str) -> None:
     story = story_of(until)
     reply = story.reply  # type: ignore[attr-defined]
     assert reply.code is Code.REFUSED
@@ -129,7 +129,7 @@ def test_what_is_no_condition_is_refused_and_nothing_moves(until: Any, words: st
     assert standing_state(story) == (State.IDLE, Reason.NEVER_ASKED)
 
 
-def test_the_host_is_told() -> None:
+def test_conditions_reach_the_pattern_host() -> None:
     load = Load(3, "drive", (), "r1", WAFFLE, 5, until=("done", "timeout:3"))
     again = decode_command(encode_command(load))
     assert isinstance(again, Load)

@@ -35,7 +35,7 @@ def one(**values: Value) -> Swirl:
     return build(Swirl, (("test", values),))[0]
 
 
-def test_a_schema_tells_all_that_was_declared() -> None:
+def test_schema_has_all_declared_properties() -> None:
     assert schema(Swirl)[0] == ParamSpec(
         name="radius",
         type="float",
@@ -48,7 +48,7 @@ def test_a_schema_tells_all_that_was_declared() -> None:
     )
 
 
-def test_a_schema_knows_types_choices_and_what_may_be_none() -> None:
+def test_schema_has_types_choices_and_optionals() -> None:
     specs = {spec.name: spec for spec in schema(Swirl)}
     assert [spec.type for spec in specs.values()] == [
         *("float", "int", "bool", "str", "str", "float", "float", "bool")
@@ -67,7 +67,7 @@ def test_a_schema_knows_types_choices_and_what_may_be_none() -> None:
         ("seconds", "a float from 0 to 1e+06 s or none"),
     ],
 )
-def test_a_schema_says_what_is_wanted(name: str, wanted: str) -> None:
+def test_schema_describes_the_valid_values(name: str, wanted: str) -> None:
     assert {spec.name: spec.wanted for spec in schema(Swirl)}[name] == wanted
 
 
@@ -78,7 +78,7 @@ def test_a_parameter_without_default_is_required() -> None:
         build(Strict, ())
 
 
-def test_without_layers_the_patterns_own_defaults_hold() -> None:
+def test_without_layers_declared_defaults_apply() -> None:
     params, sources = build(Swirl, ())
     assert params == Swirl()
     assert sources["radius"] == (1.0, "pattern")
@@ -107,7 +107,7 @@ def test_the_strongest_layer_wins_and_is_named() -> None:
         ({"seconds": None}, Swirl(seconds=None)),
     ],
 )
-def test_text_is_read_as_the_type_wants_it(text: dict[str, Value], value: Swirl) -> None:
+def test_text_is_converted_to_the_type(text: dict[str, Value], value: Swirl) -> None:
     assert one(**text) == value
 
 
@@ -132,7 +132,7 @@ def test_an_integer_given_for_a_float_becomes_one() -> None:
         ({"zzz": 1.0}, "no parameter 'zzz'; there are: free, is_left, label, radius"),
     ],
 )
-def test_a_wrong_value_gets_one_line(values: dict[str, Value], line: str) -> None:
+def test_a_wrong_value_is_refused_in_one_line(values: dict[str, Value], line: str) -> None:
     with pytest.raises(ConfigError) as caught:
         one(**values)
     assert str(caught.value).startswith(line)
@@ -151,7 +151,7 @@ def test_a_wrong_value_is_an_error_even_if_a_stronger_layer_replaces_it() -> Non
         build(Swirl, (("platform", {"radius": -1.0}), ("robot", {"radius": 1.0})))
 
 
-def test_parameters_that_do_not_fit_together_get_the_authors_line() -> None:
+def test_a_failed_post_init_check_is_a_config_error() -> None:
     with pytest.raises(ConfigError, match="do not fit together: low is 3, high 2"):
         build(Strict, (("test", {"low": 3.0, "high": 2.0}),))
 
@@ -165,6 +165,6 @@ class Unioned(Params, frozen=True):
 
 
 @pytest.mark.parametrize("kind", [Listed, Unioned])
-def test_a_type_that_no_operator_can_give_is_the_authors_fault(kind: type[Params]) -> None:
+def test_an_unsupported_type_is_a_plugin_error(kind: type[Params]) -> None:
     with pytest.raises(PluginError, match=kind.__name__):
         schema(kind)

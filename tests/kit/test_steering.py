@@ -50,7 +50,7 @@ def test_nearer_than_the_spacing_it_is_pushed_away() -> None:
     np.testing.assert_allclose(cleared, [0.0, -0.2], atol=1e-12)
 
 
-def test_the_way_past_a_point_stays_free() -> None:
+def test_motion_past_a_point_is_not_limited() -> None:
     cleared = keep_clear(np.array([1.0, 1.0]), np.array([[0.5, 0.0]]), spacing=0.5, brake=0.5)
     np.testing.assert_allclose(cleared, [0.0, 1.0], atol=1e-12)
 
@@ -79,12 +79,12 @@ def test_behind_it_turns_in_place() -> None:
     assert command(-1.0, 0.1) == Twist(angular=2.0)
 
 
-def test_behind_it_backs_at_half_speed_if_it_may() -> None:
+def test_behind_it_reverses_at_half_speed_with_may_back() -> None:
     assert command(-1.0, 0.0, may_back=True) == Twist(linear=-0.1)
     assert command(-1.0, 0.1, may_back=True).angular < 0.0
 
 
-def test_a_point_ahead_holds_the_speed_until_the_heading_has_changed() -> None:
+def test_a_point_ahead_limits_speed_while_it_turns() -> None:
     # The vector leads past the point, but the robot still heads for it.
     ahead = np.array([[0.5, 0.0]])
     twist = command(0.7, 0.7, ahead)

@@ -44,18 +44,18 @@ def in_degrees(zone: TouchZone | None) -> Any:
         (degrees(0, 60), degrees(180, 60), None),
     ],
 )
-def test_in_force_is_what_both_have_at_the_lower_speed(
+def test_intersection_has_common_directions_at_the_lower_speed(
     asked: TouchZone, granted: TouchZone, both: tuple[float, float, float] | None
 ) -> None:
     assert in_degrees(intersection(asked, granted)) == both
 
 
-def test_the_same_zone_twice_stays_bit_for_bit_what_it_is() -> None:
+def test_intersection_with_itself_is_identical() -> None:
     assert intersection(NARROW, NARROW) == NARROW
 
 
 @given(ANGLES, WIDTHS, ANGLES, WIDTHS, ANGLES)
-def test_a_direction_is_in_force_only_where_both_have_it(
+def test_a_direction_is_allowed_only_where_both_zones_have_it(
     asked: float, wide: float, granted: float, broad: float, direction: float
 ) -> None:
     both = intersection(TouchZone(asked, wide, 0.1), TouchZone(granted, broad, 0.1))
@@ -69,7 +69,7 @@ def test_a_direction_is_in_force_only_where_both_have_it(
 
 
 @given(st.floats(), st.floats(), st.floats(), WIDTHS)
-def test_whatever_a_host_asks_for_is_within_what_is_granted(
+def test_intersection_lies_within_the_granted_zone(
     bearing: float, half_width: float, speed: float, broad: float
 ) -> None:
     granted = TouchZone(0.5, broad, 0.1)
@@ -80,18 +80,18 @@ def test_whatever_a_host_asks_for_is_within_what_is_granted(
         assert abs(difference(both.bearing, 0.5)) + both.half_width <= broad + 1e-9
 
 
-def test_nothing_is_told_of_a_pattern_that_asks_for_nothing() -> None:
+def test_a_pattern_without_a_zone_gets_no_line() -> None:
     assert effective_zone("drive", None, NARROW) == (None, "")
 
 
-def test_without_a_grant_it_is_told_where_to_grant_it() -> None:
+def test_without_a_grant_the_line_names_the_key() -> None:
     zone, text = effective_zone("push", NARROW, None)
     assert zone is None
     assert "asks to touch +-20 deg ahead at up to 0.10 m/s, which is not granted" in text
     assert "`touch: {push: ...}` in the robot's configuration" in text
 
 
-def test_a_grant_for_other_directions_is_told_of_with_both() -> None:
+def test_a_disjoint_grant_is_reported_with_both_zones() -> None:
     zone, text = effective_zone("push", NARROW, degrees(90, 30))
     assert zone is None
     assert "+-20 deg ahead" in text
@@ -111,7 +111,7 @@ def test_a_zone_in_words(zone: TouchZone, words: str) -> None:
     assert describe_zone(zone) == words
 
 
-def test_a_configuration_takes_away_with_null() -> None:
+def test_null_revokes_a_grant() -> None:
     section = TouchSection(bearing_deg=90.0, half_width_deg=20.0, speed=0.1)
     assert granted_zones({"push": section, "dock": None}) == {"push": degrees(90, 20)}
 
@@ -130,11 +130,11 @@ def test_a_configuration_takes_away_with_null() -> None:
         True,
     ],
 )
-def test_a_pattern_that_asks_for_what_nobody_can_grant_is_refused(zone: object) -> None:
+def test_a_zone_beyond_the_limits_is_refused(zone: object) -> None:
     with pytest.raises(PluginError, match=r"pattern 'push': touches is .*; wanted a") as caught:
         check_zone("push", zone)
     assert "\n" not in str(caught.value)
 
 
-def test_the_widest_and_fastest_that_can_be_granted_may_be_asked_for() -> None:
+def test_a_zone_at_the_limits_is_accepted() -> None:
     check_zone("push", TouchZone(math.pi, math.radians(60.0), 0.3))

@@ -43,14 +43,14 @@ def test_windows_tumble_and_share_no_vote() -> None:
     assert window.close(10.0) == {}
 
 
-def test_windows_stay_in_step_when_they_are_closed_late() -> None:
+def test_windows_closed_late_stay_on_their_grid() -> None:
     window = VoteWindow(5.0, now=0.0)
     assert window.close(7.0) == {}
     assert window.close(9.9) is None
     assert window.close(10.0) == {}
 
 
-def test_windows_that_ended_unseen_are_closed_as_one() -> None:
+def test_windows_that_ended_between_calls_close_as_one() -> None:
     window = VoteWindow(5.0, now=0.0)
     assert window.close(3607.0) == {}
     assert window.close(3607.5) is None
@@ -71,9 +71,7 @@ def test_the_first_window_may_end_early_and_the_others_follow_it() -> None:
 
 
 @pytest.mark.parametrize(("heard_at", "counts"), [(5.0, True), (4.9, False)])
-def test_a_vote_that_was_heard_before_the_window_opened_does_not_count(
-    heard_at: float, counts: bool
-) -> None:
+def test_a_vote_from_before_the_window_does_not_count(heard_at: float, counts: bool) -> None:
     window = VoteWindow(5.0, now=0.0)
     window.close(5.0)
     window.add("a", 1, heard_at)
@@ -148,38 +146,38 @@ def test_a_round_waits_for_those_behind_until_its_time_is_over() -> None:
     assert one.round == 5
 
 
-def test_nobody_waits_for_one_that_was_not_heard_for_long() -> None:
+def test_a_round_does_not_wait_for_a_silent_robot() -> None:
     one = rounds(("gone", 3, 2, 2), number=4)
     one.add_round_vote("a", RoundVote(4, 1, 1), 3.0)
     assert one.close(3.5) is None
     assert one.close(3.6) == {"a": 1}
 
 
-def test_nobody_waits_for_one_that_has_left() -> None:
+def test_a_round_does_not_wait_for_a_robot_that_left() -> None:
     one = rounds(("a", 4, 1, 1), ("b", 3, 2, 2), number=4)
     one.forget("b")
     assert one.close(1.0) == {"a": 1}
 
 
-def test_one_that_is_a_round_ahead_has_said_its_vote_of_this_round() -> None:
+def test_a_robot_one_round_ahead_counts_with_its_previous_vote() -> None:
     one = rounds(("a", 5, 2, 1), ("b", 4, 2, 0), number=4)
     assert one.close(1.0) == {"a": 1, "b": 2}
 
 
-def test_a_round_vote_of_an_earlier_round_comes_late() -> None:
+def test_a_round_vote_of_an_earlier_round_is_ignored() -> None:
     one = rounds(("a", 4, 1, 1), number=4)
     one.add_round_vote("a", RoundVote(3, 2, 2), 0.6)
     assert one.close(1.0) == {"a": 1}
 
 
-def test_a_round_vote_that_is_heard_twice_counts_once_and_the_latest_counts() -> None:
+def test_the_latest_of_two_round_votes_counts_once() -> None:
     one = rounds(("a", 0, 1, 1), ("a", 0, 1, 1))
     one.add_round_vote("a", RoundVote(0, 2, 1), 0.7)
     one.add_round_vote("a", RoundVote(0, 0, 1), 0.6)
     assert one.close(1.0) == {"a": 2}
 
 
-def test_one_that_has_fallen_behind_catches_up_without_a_decision() -> None:
+def test_a_robot_that_fell_behind_jumps_without_deciding() -> None:
     one = rounds(("a", 9, 1, 1), ("b", 9, 1, 1), ("c", 0, 2, 2))
     assert one.close(1.0) == {}
     assert one.round == 9
@@ -188,19 +186,19 @@ def test_one_that_has_fallen_behind_catches_up_without_a_decision() -> None:
 
 
 @pytest.mark.parametrize("wild", [2, 30000, ROUNDS // 2 - 1])
-def test_one_of_many_that_names_a_wild_round_is_neither_followed_nor_waited_for(wild: int) -> None:
+def test_a_single_arbitrary_round_is_ignored(wild: int) -> None:
     one = rounds(("wild", wild, 0, 0), ("a", 0, 1, 1), ("b", 0, 2, 2))
     assert one.close(1.0) == {"a": 1, "b": 2}
     assert one.round == 1
 
 
-def test_rounds_are_counted_past_their_last_number() -> None:
+def test_round_numbers_wrap_around() -> None:
     one = rounds(("a", 0, 2, 1), number=ROUNDS - 1)
     assert one.close(1.0) == {"a": 1}
     assert one.round == 0
 
 
-def test_the_vote_of_one_that_knows_no_rounds_holds_in_each() -> None:
+def test_a_vote_without_a_round_counts_in_every_round() -> None:
     one = rounds(("a", 0, 1, 1))
     one.add("b", 2, 0.5)
     assert one.close(1.0) == {"a": 1, "b": 2}
@@ -228,7 +226,7 @@ def test_without_votes_nothing_changes(ties: str) -> None:
     assert majority([], 4, ties=ties, rng=rng()) == 4  # type: ignore[arg-type]
 
 
-def test_a_tie_keeps_the_current_opinion_even_if_it_is_not_among_the_equals() -> None:
+def test_a_tie_keeps_an_opinion_that_is_not_among_the_leaders() -> None:
     assert majority([1, 2], 0, ties="keep", rng=rng()) == 0
 
 
@@ -236,7 +234,7 @@ def test_a_tie_goes_to_the_lowest() -> None:
     assert majority([2, 1], 0, ties="lowest", rng=rng()) == 1
 
 
-def test_a_tie_goes_to_each_of_the_equals_as_often() -> None:
+def test_a_random_tie_is_uniform() -> None:
     chance = rng()
     counts = tally(majority([1, 1, 2, 2, 3], 0, ties="random", rng=chance) for _ in range(1000))
     # Binomial: 500 +- 16, four standard deviations.
@@ -264,5 +262,5 @@ def test_a_round_vote_is_three_numbers_in_range() -> None:
         *([0.0, 1, 1], [True, 1, 1], [0, None, 1], [[0], 1, 1], ["0", "1", "1"], "012", 7, None),
     ],
 )
-def test_what_is_no_round_vote_is_nothing(value: object) -> None:
+def test_a_malformed_round_vote_is_ignored(value: object) -> None:
     assert read_round_vote(value, 3) is None

@@ -66,7 +66,7 @@ LISTS: tuple[Any, ...] = (
 
 
 @pytest.mark.parametrize("windows", KINDS)
-def test_garbage_is_no_vote(windows: Windows) -> None:
+def test_a_malformed_message_is_ignored(windows: Windows) -> None:
     desk = Desk(windows)
     desk.step()
     desk.step(*[(f"bad-{number}", value) for number, value in enumerate((*WORDS, *LISTS))])
@@ -76,7 +76,7 @@ def test_garbage_is_no_vote(windows: Windows) -> None:
 
 
 @pytest.mark.parametrize("windows", KINDS)
-def test_its_own_echo_is_no_vote(windows: Windows) -> None:
+def test_its_own_message_is_not_a_vote(windows: Windows) -> None:
     desk = Desk(windows)
     desk.step()
     desk.step(("me", 2), ("me", [0, 2, 2]))
@@ -86,9 +86,7 @@ def test_its_own_echo_is_no_vote(windows: Windows) -> None:
 
 @pytest.mark.parametrize("windows", KINDS)
 @pytest.mark.parametrize("count_own", [False, True])
-def test_the_own_opinion_counts_if_told_so_and_is_not_among_the_heard(
-    windows: Windows, count_own: bool
-) -> None:
+def test_count_own_adds_a_vote_but_not_to_the_report(windows: Windows, count_own: bool) -> None:
     desk = Desk(windows, count_own=count_own)
     desk.step()
     desk.step(("b", 1), ("b", 1), ("c", 2))
@@ -106,7 +104,7 @@ def test_the_own_opinion_alone_decides_nothing(windows: Windows) -> None:
 
 @pytest.mark.parametrize("windows", KINDS)
 @pytest.mark.parametrize("near", [("b", "c"), ("c",)])
-def test_a_vote_goes_with_its_sender(windows: Windows, near: tuple[str, ...]) -> None:
+def test_the_vote_of_a_lost_neighbour_is_dropped(windows: Windows, near: tuple[str, ...]) -> None:
     desk = Desk(windows)
     desk.step(near=("b", "c"))
     desk.step(("b", 2), ("c", 1), near=("b", "c"))
@@ -116,7 +114,7 @@ def test_a_vote_goes_with_its_sender(windows: Windows, near: tuple[str, ...]) ->
 
 @pytest.mark.parametrize(("age", "asked"), [(2.8, {"b": 2}), (3.1, None)])
 @pytest.mark.parametrize("windows", ["sliding", "rounds"])
-def test_a_message_that_waited_for_long_is_as_old_as_it_is(
+def test_the_age_of_a_message_counts(
     windows: Windows, age: float, asked: Mapping[str, int] | None
 ) -> None:
     desk = Desk(windows, expiry=3.0)
@@ -127,7 +125,7 @@ def test_a_message_that_waited_for_long_is_as_old_as_it_is(
     assert desk.pattern.asked == asked
 
 
-def test_a_message_older_than_the_window_is_of_an_earlier_one() -> None:
+def test_a_message_older_than_the_window_does_not_count() -> None:
     desk = Desk()
     desk.wait(5.1)
     desk.step(("b", 2), age=0.5)
@@ -136,7 +134,7 @@ def test_a_message_older_than_the_window_is_of_an_earlier_one() -> None:
     assert desk.pattern.asked == {"c": 1}
 
 
-def test_a_vote_for_what_is_no_opinion_any_more_does_not_count() -> None:
+def test_a_vote_for_a_removed_opinion_does_not_count() -> None:
     desk = Desk()
     desk.step()
     desk.step(("b", 2), ("c", 1))
@@ -146,7 +144,7 @@ def test_a_vote_for_what_is_no_opinion_any_more_does_not_count() -> None:
 
 
 @pytest.mark.parametrize("windows", ["tumbling", "sliding"])
-def test_who_goes_by_rounds_is_heard_by_those_who_do_not(windows: Windows) -> None:
+def test_windows_count_votes_of_robots_in_rounds(windows: Windows) -> None:
     desk = Desk(windows)
     desk.step()
     desk.step(("b", [7, 2, 1]))
@@ -154,7 +152,7 @@ def test_who_goes_by_rounds_is_heard_by_those_who_do_not(windows: Windows) -> No
     assert desk.pattern.asked == {"b": 2}
 
 
-def test_who_does_not_go_by_rounds_is_heard_by_those_who_do() -> None:
+def test_rounds_count_votes_of_robots_without_rounds() -> None:
     desk = Desk("rounds")
     desk.step()
     desk.step(("b", 2), ("c", [0, 1, 1]))
@@ -172,7 +170,7 @@ def test_under_rounds_the_round_vote_holds_the_vote_before() -> None:
     assert desk.said[-1][1:] == ("round_vote", [1, 2, 0])
 
 
-def test_other_windows_hold_at_once_and_the_opinion_stays() -> None:
+def test_changed_windows_apply_at_once_and_keep_the_opinion() -> None:
     desk = Desk()
     desk.step()
     desk.wait(1.0)
@@ -183,7 +181,7 @@ def test_other_windows_hold_at_once_and_the_opinion_stays() -> None:
 
 
 @pytest.mark.parametrize("windows", ["tumbling", "sliding"])
-def test_windows_of_robots_are_not_in_step_unless_told_so(windows: Windows) -> None:
+def test_windows_of_robots_are_staggered_by_default(windows: Windows) -> None:
     ends = set()
     for seed in range(10):
         desk = Desk(windows, staggered=True)
@@ -198,7 +196,7 @@ def test_windows_of_robots_are_not_in_step_unless_told_so(windows: Windows) -> N
 
 
 @pytest.mark.parametrize("windows", KINDS)
-def test_lost_late_and_repeated_messages_keep_nobody_from_agreeing(windows: Windows) -> None:
+def test_robots_agree_despite_lost_late_and_repeated_messages(windows: Windows) -> None:
     air = Air(delay=0.2, jitter=0.2, loss=0.3, twice=0.3)
     params: Mapping[str, Value] = {"windows": windows, "window": 2.0, "count_own": True}
     for seed in range(3):
@@ -206,7 +204,7 @@ def test_lost_late_and_repeated_messages_keep_nobody_from_agreeing(windows: Wind
         assert swarm.run(40.0, until_agreed=6.0).agreed_at < 30.0
 
 
-def test_rounds_go_on_when_a_robot_leaves_and_one_that_joins_catches_up() -> None:
+def test_rounds_continue_when_robots_leave_and_join() -> None:
     params: Mapping[str, Value] = {"windows": "rounds", "opinions": 2}
     held, starts = [0, 0, 0, 0, 1], [0.0, 0.0, 0.0, 0.0, 20.0]
     swarm = VotingSim(
@@ -219,6 +217,6 @@ def test_rounds_go_on_when_a_robot_leaves_and_one_that_joins_catches_up() -> Non
     assert 20.0 < debate.agreed_at < 30.0
 
 
-def test_no_opinions_lead_to_no_error() -> None:
+def test_no_received_opinion_raises_no_error() -> None:
     with pytest.raises(ValueError, match="initial is 3"):
         VotingParams(initial=3)

@@ -47,7 +47,7 @@ def test_steps_of_a_sequence_follow_each_other_and_parts_keep_their_memory(tmp_p
     assert "other.steps" not in found[-1].report
 
 
-def test_what_a_part_reported_last_time_does_not_end_its_next_turn(tmp_path: Path) -> None:
+def test_an_old_report_does_not_end_a_repeated_step(tmp_path: Path) -> None:
     text = parts("go", "other") + (
         "sequence:\n  - {part: go, until: {report: go.steps, above: 0}}\n"
         "  - {part: other, until: {timeout: 1}}\nthen: repeat\n"
@@ -58,7 +58,7 @@ def test_what_a_part_reported_last_time_does_not_end_its_next_turn(tmp_path: Pat
     assert [one.report.get("go.steps") for one in found] == [1, None, None, 2, None, None, 3]
 
 
-def test_a_mission_ends_after_its_last_step_and_says_why(tmp_path: Path) -> None:
+def test_a_mission_ends_after_its_last_step_with_a_reason(tmp_path: Path) -> None:
     text = parts("go") + "sequence: [{part: go, until: {nearer: 0.5}}]\nthen: end\n"
     mission = made(tmp_path, text)
     assert [one.done for one in steps(mission, 0.0, 1.0)] == [None, None]
@@ -82,7 +82,7 @@ def test_a_last_step_that_is_done_ends_the_mission_in_that_step(tmp_path: Path) 
     assert [one.done for one in found] == [None, None, "brief: three steps"]
 
 
-def test_in_a_parallel_one_drives_and_all_speak(tmp_path: Path) -> None:
+def test_in_a_parallel_one_drives_and_all_send_messages(tmp_path: Path) -> None:
     text = parts("vote", "brief", "go") + "parallel: [vote, brief, go]\ndrives: go\n"
     found = steps(made(tmp_path, text), *range(5))
     assert speeds(found) == [0.2] * 5
@@ -93,12 +93,12 @@ def test_in_a_parallel_one_drives_and_all_speak(tmp_path: Path) -> None:
     assert found[4].report["go.steps"] == 5
 
 
-def test_nobody_may_drive(tmp_path: Path) -> None:
+def test_a_parallel_without_a_driver_stands(tmp_path: Path) -> None:
     text = parts("vote", "go") + "parallel: [vote, go]\ndrives: none\n"
     assert speeds(steps(made(tmp_path, text), 0.0, 1.0)) == [None, None]
 
 
-def test_a_parallel_is_over_when_all_in_it_are(tmp_path: Path) -> None:
+def test_a_parallel_ends_when_all_items_have_ended(tmp_path: Path) -> None:
     text = parts("brief", "go") + (
         "parallel: [{part: go, until: {timeout: 1}}, {part: brief, until: {done: brief}}]\n"
         "drives: go\n"
@@ -136,7 +136,7 @@ MAPPED = parts("vote", "go") + (
 )
 
 
-def test_a_map_sets_a_parameter_by_what_a_part_reports(tmp_path: Path) -> None:
+def test_a_map_sets_a_parameter_by_a_report(tmp_path: Path) -> None:
     mission = made(tmp_path, MAPPED)
     (first,) = steps(mission, 0.0)
     assert first.twist == Twist(0.5)
@@ -175,7 +175,7 @@ def test_own_parameters_are_those_of_parts_with_their_bounds(tmp_path: Path) -> 
         made(tmp_path, text, fast=3)
 
 
-def test_a_change_that_a_value_of_a_map_forbids_is_refused_while_it_runs(tmp_path: Path) -> None:
+def test_a_change_that_breaks_a_map_value_is_refused(tmp_path: Path) -> None:
     text = parts("vote", "brief") + (
         "map: [{from: brief.count, to: vote.share_period, values: {a: 1.0, b: 2.4}}]\n"
         "parallel: [vote, brief]\ndrives: brief\nparameters: {expiry: vote.expiry}\n"
@@ -188,7 +188,7 @@ def test_a_change_that_a_value_of_a_map_forbids_is_refused_while_it_runs(tmp_pat
 
 
 @pytest.mark.parametrize("now", ["", "- [", "a: *b", "\x00"])
-def test_what_it_refuses_while_it_runs_needs_its_file_no_more(tmp_path: Path, now: str) -> None:
+def test_a_refusal_at_run_time_does_not_need_the_file(tmp_path: Path, now: str) -> None:
     mission = made(tmp_path, MAPPED + "parameters: {opinions: vote.opinions}\n")
     path = tmp_path / "tried.yaml"
     if now:
@@ -199,7 +199,7 @@ def test_what_it_refuses_while_it_runs_needs_its_file_no_more(tmp_path: Path, no
         mission.update(msgspec.structs.replace(mission.params, opinions=4))
 
 
-def test_more_opinions_than_a_map_has_values_are_refused_while_it_runs(tmp_path: Path) -> None:
+def test_more_opinions_than_map_values_are_refused_at_run_time(tmp_path: Path) -> None:
     mission = made(tmp_path, MAPPED + "parameters: {opinions: vote.opinions}\n")
     with pytest.raises(ConfigError, match="no value for opinion 3; vote has 4 opinions"):
         mission.update(msgspec.structs.replace(mission.params, opinions=4))
@@ -207,31 +207,31 @@ def test_more_opinions_than_a_map_has_values_are_refused_while_it_runs(tmp_path:
 
 
 @pytest.mark.parametrize(("more", "wanted"), [("", True), ("recovery: false\n", False)])
-def test_unstick_is_what_the_driving_parts_have_or_the_file_says(
+def test_recovery_defaults_to_that_of_driving_parts(
     tmp_path: Path, more: str, wanted: bool
 ) -> None:
     text = parts("vote", "go") + "parallel: [vote, go]\ndrives: go\n" + more
     assert made(tmp_path, text).params.recovery is wanted
 
 
-def test_who_never_moves_is_not_led_around_anything(tmp_path: Path) -> None:
+def test_recovery_is_off_without_a_driving_part(tmp_path: Path) -> None:
     assert made(tmp_path, parts("vote") + "part: vote\n").params.recovery is False
 
 
-def test_unstick_of_a_part_that_drives_counts(tmp_path: Path) -> None:
+def test_recovery_off_in_a_driving_part_counts(tmp_path: Path) -> None:
     text = parts("go") + "part: go\n"
     text = text.replace("pattern: go}", "pattern: go, params: {recovery: false}}")
     assert made(tmp_path, text).params.recovery is False
 
 
-def test_a_sequence_that_repeats_goes_on_when_its_last_part_is_done(tmp_path: Path) -> None:
+def test_a_repeating_sequence_continues_after_a_done_part(tmp_path: Path) -> None:
     text = parts("brief") + "sequence: [{part: brief, until: {timeout: 9}}]\nthen: repeat\n"
     found = steps(made(tmp_path, text), 0.0, 0.1, 0.2, 0.3, 0.4)
     assert [one.done for one in found] == [None] * 5
     assert [one.report["brief.count"] for one in found] == [1, 2, 3, 4, 5]
 
 
-def test_a_branch_begins_anew_whenever_it_is_chosen_and_stands_when_it_has_ended(
+def test_a_branch_restarts_when_chosen_and_stands_when_ended(
     tmp_path: Path,
 ) -> None:
     text = parts("go", "other") + (
@@ -244,7 +244,7 @@ def test_a_branch_begins_anew_whenever_it_is_chosen_and_stands_when_it_has_ended
         assert speeds(steps(mission, begin + 6.0)) == [0.9]
 
 
-def test_times_of_a_switch_and_of_what_runs_in_parallel_begin_with_them(tmp_path: Path) -> None:
+def test_times_of_inner_elements_count_from_their_start(tmp_path: Path) -> None:
     text = parts("vote", "go", "other") + (
         "sequence:\n  - {part: vote, until: {timeout: 5}}\n"
         "  - {parallel: [{part: go, until: {timeout: 2}}, vote], drives: go, until: {timeout: 3}}\n"
@@ -261,7 +261,7 @@ def test_parameters_are_what_they_were_set_to(tmp_path: Path) -> None:
     assert speeds(steps(mission, 0.0)) == [0.4]
 
 
-def test_it_is_stepped_as_often_as_the_quickest_of_its_parts(
+def test_its_rate_is_that_of_its_fastest_part(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(Brief, "rate", 25.0)
@@ -269,7 +269,7 @@ def test_it_is_stepped_as_often_as_the_quickest_of_its_parts(
     assert mission_of(tmp_path, text).rate == 25.0
 
 
-def test_a_value_that_only_a_change_refuses_is_a_fault(
+def test_a_map_value_that_only_update_refuses_is_a_fault(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(self: Pattern[Params], params: Params) -> None:

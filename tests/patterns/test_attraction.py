@@ -107,13 +107,13 @@ def test_drives_towards_a_robot_ahead() -> None:
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_turns_towards_a_robot_beside_without_driving(side: float) -> None:
+def test_turns_towards_a_robot_at_its_side_without_driving(side: float) -> None:
     twist = requested(scan_of(WAFFLE, [Disc(0.0, 2.0 * side)]))
     assert twist.linear == pytest.approx(0.0, abs=0.01)
     assert twist.angular * side > 1.0
 
 
-def test_turns_round_for_a_robot_behind_instead_of_backing() -> None:
+def test_turns_around_for_a_robot_behind() -> None:
     twist = requested(scan_of(WAFFLE, [Disc(-2.0, 0.1)]))
     assert twist.linear == 0.0
     assert abs(twist.angular) > 1.0
@@ -131,7 +131,7 @@ def test_stands_at_its_spacing() -> None:
     assert state(scan) == "settled"
 
 
-def test_gives_way_to_what_comes_too_near_by_backing() -> None:
+def test_reverses_from_an_obstacle_that_comes_too_near() -> None:
     twist = requested(scan_of(WAFFLE, [Disc(0.6, 0.0), Disc(-2.5, 0.0)]))
     # Half of 0.26 m/s at most.
     assert -0.131 <= twist.linear < -0.05
@@ -149,7 +149,7 @@ def test_stands_between_two_robots_at_equal_distance() -> None:
 
 
 @pytest.mark.parametrize("room", [3.0, 4.0, 5.0])
-def test_is_not_drawn_to_walls(room: float) -> None:
+def test_walls_do_not_attract(room: float) -> None:
     """One robot far to the left outweighs four walls, wherever those are."""
     pose = scan_of(WAFFLE, room=room)
     assert state(pose) == "search"
@@ -157,7 +157,7 @@ def test_is_not_drawn_to_walls(room: float) -> None:
     assert twist.angular > 0.5
 
 
-def test_the_law_of_the_paper_is_drawn_to_the_wall() -> None:
+def test_the_law_of_the_paper_is_attracted_by_walls() -> None:
     """What the settling law is for: seven robots ahead lose against a wall behind."""
     discs = [Disc(1.8, y, 0.05) for y in (-0.6, -0.2, 0.2, 0.6)]
     scan = scan_of(WAFFLE, discs, room=3.9)
@@ -165,7 +165,7 @@ def test_the_law_of_the_paper_is_drawn_to_the_wall() -> None:
     assert requested(scan).linear >= 0.0
 
 
-def test_searches_when_it_sees_nobody() -> None:
+def test_searches_without_robots_in_sight() -> None:
     free = scan_of(WAFFLE)
     assert state(free) == "search"
     assert requested(free).linear > 0.2
@@ -181,13 +181,13 @@ def test_keeps_away_from_a_wall_beside_it_while_it_searches() -> None:
     assert all(requested(left, count=1, seed=seed).angular < 0.0 for seed in range(10))
 
 
-def test_the_piece_of_a_wall_between_two_robots_is_no_robot() -> None:
+def test_a_wall_segment_between_two_robots_is_not_a_robot() -> None:
     gate = [Disc(0.69, 0.2, 0.1), Disc(0.69, -0.2, 0.1)]
     behind = scan_of(WAFFLE, gate, room=4.0)
     assert requested(behind) == requested(scan_of(WAFFLE, gate)) == Twist()
 
 
-def test_the_piece_of_a_wall_within_reach_is_no_robot() -> None:
+def test_a_wall_segment_within_range_is_not_a_robot() -> None:
     # The wall's foot is 10 mm nearer than the reach, so that only 0.5 m of it are seen.
     wall = [Disc(1002.43, 0.0, 1000.0)]
     scan = scan_of(WAFFLE, wall)
@@ -195,20 +195,20 @@ def test_the_piece_of_a_wall_within_reach_is_no_robot() -> None:
     assert [s for _, s in steps(scan, scan, params={"range": 2.5})] == ["search", "search"]
 
 
-def test_with_few_in_sight_it_rolls_and_then_leads_until_it_is_content() -> None:
+def test_with_few_in_sight_it_rolls_then_leads_then_rests() -> None:
     beside = scan_of(WAFFLE, [BESIDE])
     looks = ["roll", "settled"] * 5 + ["lead", "settled"] * 2
     assert story(beside, 300.0) == ["settled", *looks]
 
 
-def test_its_patience_doubles_from_try_to_try() -> None:
+def test_its_rest_time_doubles_with_each_try() -> None:
     beside = scan_of(WAFFLE, [BESIDE])
     states = [state for _, state in steps(*[beside] * 1200)]
     stands = [len(list(run)) for state, run in groupby(states) if state == "settled"]
     np.testing.assert_allclose(stands[:4], [5, 10, 20, 40], atol=3)
 
 
-def test_who_sees_all_that_it_hears_does_not_look_for_more() -> None:
+def test_a_robot_that_sees_all_others_does_not_search() -> None:
     beside = scan_of(WAFFLE, [BESIDE])
     assert story(beside, 60.0, heard=1) == ["settled"]
     assert "lead" in story(beside, 90.0, heard=2)
@@ -233,7 +233,7 @@ def test_rolls_around_the_nearest_and_away_from_the_second(side: float) -> None:
     assert all(side * twist.angular < -0.5 for twist in rolling)
 
 
-def test_three_beside_it_are_enough() -> None:
+def test_three_adjacent_robots_are_enough() -> None:
     # One far off draws it between two of them.
     angles = (-1.0, 0.0, 1.0)
     rim = [Disc(0.72 * math.cos(a), 0.72 * math.sin(a)) for a in angles]
@@ -242,7 +242,7 @@ def test_three_beside_it_are_enough() -> None:
     assert "roll" in story(scan_of(WAFFLE, [rim[1], rim[2], far]), 60.0, heard=6)
 
 
-def test_leaves_a_line_on_its_way_if_it_hears_of_more_than_it_sees() -> None:
+def test_leaves_a_line_early_if_messages_come_from_more_robots() -> None:
     line = scan_of(WAFFLE, [Disc(0.0, 1.2), Disc(0.0, -1.0)])
     assert "roll" in story(line, 1.0, heard=6)
     assert "roll" not in story(line, 1.0, heard=2)
@@ -250,7 +250,7 @@ def test_leaves_a_line_on_its_way_if_it_hears_of_more_than_it_sees() -> None:
     assert "roll" not in story(corner, 1.0, heard=6)
 
 
-def test_a_scan_seen_again_is_seen_with_changed_parameters() -> None:
+def test_changed_parameters_apply_to_the_present_scan() -> None:
     scan = scan_of(WAFFLE, [Disc(1.0, 0.0)])
     pattern = Subject(Attraction, WAFFLE, {}).make()
     first = pattern.step(Inputs(0.0, 0.0, scan)).report["state"]
@@ -258,7 +258,7 @@ def test_a_scan_seen_again_is_seen_with_changed_parameters() -> None:
     assert [first, pattern.step(Inputs(0.1, 0.1, scan)).report["state"]] == ["gather", "search"]
 
 
-def test_stands_still_for_good_among_many() -> None:
+def test_comes_to_rest_among_many() -> None:
     ring = [Disc(0.85 * math.cos(a), 0.85 * math.sin(a)) for a in (0.0, 2.0, 4.0)]
     scan = scan_of(WAFFLE, ring)
     assert all(state(scan, count=n) == "settled" for n in (2, 40, 200))
@@ -284,7 +284,7 @@ def test_the_law_of_the_paper_is_its_equations(
     assert twist.angular == pytest.approx(1.82 * math.asin(y / length))
 
 
-def test_the_law_of_the_paper_overlooks_what_is_too_near() -> None:
+def test_the_law_of_the_paper_ignores_what_is_too_near() -> None:
     near = scan_from(WAFFLE, np.full(3, -math.inf), np.array([0.1, 0.2, 0.3]))
     assert requested(near, law="paper") == Twist(angular=1.0)
 

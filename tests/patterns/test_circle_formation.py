@@ -64,7 +64,7 @@ def test_a_robot_in_its_place_stays(count: int) -> None:
 
 
 @pytest.mark.parametrize("robot", [0, 2])
-def test_it_goes_outwards_if_the_circle_is_too_small_and_inwards_if_too_large(robot: int) -> None:
+def test_it_corrects_the_radius_of_the_circle(robot: int) -> None:
     points = polygon(5, 1.0)
     outwards = points[robot] / np.hypot(*points[robot])
     larger = place_on_circle(seen_from(points, robot), 1.3)
@@ -73,7 +73,7 @@ def test_it_goes_outwards_if_the_circle_is_too_small_and_inwards_if_too_large(ro
     np.testing.assert_allclose(smaller, -0.2 * outwards, atol=1e-9)
 
 
-def test_it_goes_away_from_the_nearer_of_its_neighbours() -> None:
+def test_it_moves_away_from_the_nearer_neighbour() -> None:
     points = polygon(6, 1.5, first=0.0)
     left = points.copy()
     left[0] = 1.5 * np.array([math.cos(0.3), math.sin(0.3)])
@@ -83,7 +83,7 @@ def test_it_goes_away_from_the_nearer_of_its_neighbours() -> None:
     assert place[1] > 0.2
 
 
-def test_all_who_see_the_same_agree() -> None:
+def test_robots_that_see_the_same_agree() -> None:
     points = np.random.default_rng(5).uniform(-2.0, 2.0, (7, 2))
     radius = radius_of(1.1, 7)
     placed = np.array([p + place_on_circle(seen_from(points, i), radius)
@@ -94,13 +94,13 @@ def test_all_who_see_the_same_agree() -> None:
     np.testing.assert_allclose(np.diff(angles), np.full(6, 2.0 * math.pi / 7.0), atol=1e-9)
 
 
-def test_alone_it_is_where_it_belongs() -> None:
+def test_alone_it_stays() -> None:
     np.testing.assert_array_equal(place_on_circle(np.empty((0, 2)), 1.0), np.zeros(2))
     assert radius_of(1.1, 1) == 0.0
     assert requested(scan_of(BURGER)) == Twist()
 
 
-def test_it_backs_off_from_one_that_is_too_near_for_the_circle_of_two() -> None:
+def test_two_robots_that_are_too_near_back_off() -> None:
     ahead = scan_of(BURGER, [Disc(0.8, 0.0, 0.09)])
     assert requested(ahead).linear < 0.0
     # Two on a circle of radius 0.6 are 1.2 m apart.
@@ -108,6 +108,6 @@ def test_it_backs_off_from_one_that_is_too_near_for_the_circle_of_two() -> None:
     assert requested(scan_of(BURGER, [Disc(1.6, 0.0, 0.09)]), radius=0.6).linear > 0.0
 
 
-def test_a_spacing_that_protection_keeps_anyway_is_refused() -> None:
+def test_a_spacing_within_protection_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"spacing is 0\.5 m"):
         Subject(CircleFormation, BURGER, {"spacing": 0.5}).make()

@@ -26,7 +26,7 @@ class TestDiscussThenDisperse(PatternContract):
 
 
 @pytest.mark.parametrize("name", OURS)
-def test_each_is_held_to_the_contract_with_its_defaults_on_every_platform(name: str) -> None:
+def test_each_pattern_passes_the_contract_on_every_platform(name: str) -> None:
     module = import_module(f"tests.patterns.test_{name}")
     contracts = [
         value
@@ -41,7 +41,7 @@ def test_each_is_held_to_the_contract_with_its_defaults_on_every_platform(name: 
             assert all(getattr(one, point) is getattr(PatternContract, point) for one in plain)
 
 
-def test_no_mission_that_comes_along_is_left_out() -> None:
+def test_every_shipped_mission_is_tested() -> None:
     missions = [name for name, origin in FOUND.items() if origin.source == "swarmd"]
     assert missions == ["discuss_then_disperse"]
 

@@ -42,7 +42,7 @@ def step(pattern: DiscussedDispersion, now: float, *votes: tuple[str, int]) -> O
     ("platform", "distances"),
     [("waffle_pi", (0.6, 1.0, 1.4)), ("burger", (0.6, 1.0, 1.4)), ("jackal", (1.44, 2.4, 3.36))],
 )
-def test_an_opinion_stands_for_the_papers_distance(
+def test_opinions_mean_the_distances_of_the_paper(
     platform: str, distances: tuple[float, ...]
 ) -> None:
     for opinion, distance in enumerate(distances):
@@ -53,7 +53,7 @@ def test_an_opinion_stands_for_the_papers_distance(
         assert pattern.parts["move"].params.distance == pytest.approx(distance)
 
 
-def test_it_stands_and_votes_until_there_was_time_to_discuss() -> None:
+def test_it_stands_and_votes_for_the_time_to_discuss() -> None:
     pattern = made(initial=2)
     for now in (100.0, 110.0, 119.9):
         outputs = step(pattern, now)
@@ -65,7 +65,7 @@ def test_it_stands_and_votes_until_there_was_time_to_discuss() -> None:
     assert outputs.twist.linear > 0.1
 
 
-def test_it_shares_its_opinion_in_both_phases_with_all_who_vote_so() -> None:
+def test_it_shares_its_opinion_with_majority_rule_in_both_phases() -> None:
     pattern = made(initial=1, discuss=3.0)
     said = [step(pattern, 0.5 * i).messages.get("majority_rule/opinion") for i in range(20)]
     assert said[0] == 1
@@ -73,7 +73,7 @@ def test_it_shares_its_opinion_in_both_phases_with_all_who_vote_so() -> None:
     assert said[7:].count(1) >= 5
 
 
-def test_it_keeps_the_distance_of_what_it_is_persuaded_of() -> None:
+def test_a_change_of_opinion_changes_the_distance() -> None:
     pattern = made(initial=2, discuss=0.0)
     assert step(pattern, 0.0, ("a", 0), ("b", 0)).report["distance"] == pytest.approx(1.4)
     for now in (2.5, 4.0, 5.5):

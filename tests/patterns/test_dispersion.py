@@ -54,13 +54,13 @@ def test_stands_where_nothing_is_near() -> None:
     assert requested(scan_of(WAFFLE, [Disc(1.3, 0.0)], room=3.0)) == Twist()
 
 
-def test_drives_away_from_what_is_behind() -> None:
+def test_drives_away_from_an_obstacle_behind() -> None:
     twist = requested(scan_of(WAFFLE, [Disc(-0.8, 0.0)]))
     assert twist.linear > 0.1
     assert abs(twist.angular) < 0.1
 
 
-def test_backs_slowly_away_from_what_is_ahead() -> None:
+def test_reverses_slowly_from_an_obstacle_ahead() -> None:
     twist = requested(scan_of(WAFFLE, [Disc(0.8, 0.0)]))
     assert -0.131 <= twist.linear < -0.05
 
@@ -91,7 +91,7 @@ def test_a_distance_within_protection_is_refused(distance: float) -> None:
         Subject(Dispersion, WAFFLE, {"distance": distance}).make()
 
 
-def test_such_a_distance_is_refused_while_running_and_the_old_one_stays() -> None:
+def test_a_refused_change_of_distance_keeps_the_old_one() -> None:
     pattern = Subject(Dispersion, WAFFLE, {}).make()
     good = pattern.params
     bad = type(good)(distance=0.3)
@@ -120,7 +120,7 @@ def test_the_law_of_the_paper_stops_when_alone() -> None:
     assert requested(scan_of(WAFFLE), law="paper") == Twist()
 
 
-def test_the_law_of_the_paper_overlooks_what_is_too_near() -> None:
+def test_the_law_of_the_paper_ignores_what_is_too_near() -> None:
     near = scan_from(WAFFLE, np.full(3, -math.inf), np.array([0.1, 0.2, 0.3]))
     assert requested(near, law="paper") == Twist()
 
@@ -135,7 +135,7 @@ def test_seven_robots_keep_the_distance_and_come_to_rest(platform: str, seed: in
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_they_come_to_rest_also_where_there_is_no_room(seed: int) -> None:
+def test_robots_come_to_rest_also_without_enough_room(seed: int) -> None:
     course = spread_out("waffle_pi", seed, room=4.0, distance=2.0)
     threshold = float(WAFFLE.protection["threshold"])
     assert course.nearest[-100:].min() > threshold

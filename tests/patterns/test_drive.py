@@ -19,11 +19,11 @@ def drive(**params: float) -> Twist | None:
     return pattern.step(Inputs(now=0.0, dt=0.0)).twist
 
 
-def test_drives_at_the_platforms_speed_without_being_told() -> None:
+def test_drives_at_the_platforms_speed_by_default() -> None:
     assert drive() == Twist(linear=0.22)
 
 
-def test_drives_a_circle_when_told_to_turn() -> None:
+def test_drives_a_circle_with_a_turn_rate() -> None:
     assert drive(speed=0.1, turn=-0.5) == Twist(linear=0.1, angular=-0.5)
 
 

@@ -57,7 +57,7 @@ def test_a_spring_at_rest_neither_pulls_nor_pushes() -> None:
         assert twist.angular == pytest.approx(0.0, abs=0.05)
 
 
-def test_is_drawn_to_who_is_far_and_leaves_room_to_who_is_near() -> None:
+def test_far_robots_attract_and_near_ones_repel() -> None:
     assert requested(of((1.2, 0.0))).linear == pytest.approx(0.22)
     assert requested(of((0.5, 0.0))).linear == pytest.approx(-0.4 * 0.22)
     assert requested(of((1.2, 180.0))).linear < 0.0
@@ -65,7 +65,7 @@ def test_is_drawn_to_who_is_far_and_leaves_room_to_who_is_near() -> None:
 
 
 @pytest.mark.parametrize("side", [-90.0, 90.0])
-def test_turns_to_who_is_far_aside_and_away_from_who_is_near(side: float) -> None:
+def test_turns_to_far_robots_and_away_from_near_ones(side: float) -> None:
     assert requested(of((1.5, side))).angular * side > 0.0
     assert requested(of((0.5, side))).angular * side < 0.0
 
@@ -90,7 +90,7 @@ def test_turns_away_from_a_wall_and_slows_down(bearing: float) -> None:
     assert twist.linear < 0.05
 
 
-def test_a_wall_beyond_its_distance_is_nothing() -> None:
+def test_a_wall_beyond_its_distance_has_no_effect() -> None:
     far = requested(scan_from(BURGER, *_wall(1.7, 0.5)))
     assert far.linear == pytest.approx(0.132)
     assert far.angular == 0.0
@@ -123,7 +123,7 @@ def aligned(speed: float, side: float, *, turned: float = 0.0, **params: Value) 
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_turns_to_where_others_move(side: float) -> None:
+def test_turns_to_the_direction_of_the_others(side: float) -> None:
     still = aligned(0.0, side)
     assert still == pytest.approx(0.0, abs=0.05)
     assert (aligned(0.22, side, swing=0.0) - still) * side > 0.8
@@ -131,7 +131,7 @@ def test_turns_to_where_others_move(side: float) -> None:
 
 
 @pytest.mark.parametrize("turned", [-0.3, 0.3])
-def test_its_own_turn_moves_no_one(turned: float) -> None:
+def test_its_own_turn_is_not_motion_of_others(turned: float) -> None:
     assert aligned(0.0, 1.0, turned=turned, swing=0.0) == pytest.approx(0.0, abs=0.1)
 
 
@@ -177,7 +177,7 @@ def test_the_states_of_the_paper(
 
 
 @pytest.mark.parametrize("arc", [(3.0, 180.0, 3), (0.4, 0.0, 3)])
-def test_the_law_of_the_paper_takes_any_side_for_what_is_behind_or_ahead(
+def test_the_law_of_the_paper_turns_either_way_for_ahead_and_behind(
     arc: tuple[float, float, int],
 ) -> None:
     turns = [requested(_arcs([arc], 360), law="paper", seed=seed) for seed in range(10)]

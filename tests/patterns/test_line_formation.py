@@ -92,7 +92,7 @@ def test_between_two_it_goes_to_the_middle_and_at_an_end_to_its_spacing() -> Non
     np.testing.assert_allclose(place_on_line(np.array([(0.0, -0.6)]), 1.0), (0.0, 0.2), atol=1e-12)
 
 
-def test_all_who_see_the_same_agree() -> None:
+def test_robots_that_see_the_same_agree() -> None:
     rng = np.random.default_rng(3)
     points = rng.uniform(-2.0, 2.0, (6, 2))
     placed = np.array([p + place_on_line(np.delete(points, i, 0) - p, 1.1)
@@ -124,7 +124,7 @@ def test_the_nearer_its_place_the_slower() -> None:
     assert far.linear > near.linear > 0.0
 
 
-def test_it_rests_until_its_place_is_off_by_more_than_the_tolerance() -> None:
+def test_it_rests_while_its_place_is_within_the_tolerance() -> None:
     pattern = make(tolerance=0.1)
     assert step(pattern, seen((-1.1, 0.0), (1.1, 0.0))) == (Twist(), "settled")
     # The middle between its neighbours is 0.09 m off.
@@ -145,7 +145,7 @@ def test_alone_it_stands() -> None:
     assert step(make(BURGER)) == (Twist(), "alone")
 
 
-def test_who_is_no_longer_sensed_does_not_count() -> None:
+def test_a_robot_that_is_no_longer_sensed_is_dropped() -> None:
     pattern = make()
     step(pattern, seen((-1.1, 0.0), (1.1, 0.0), (2.2, 3.0)))
     for now in range(1, 40):
@@ -153,14 +153,14 @@ def test_who_is_no_longer_sensed_does_not_count() -> None:
     assert found[1] == "settled"
 
 
-def test_what_stands_in_the_way_is_kept_clear_of() -> None:
+def test_it_keeps_clear_of_obstacles_in_its_way() -> None:
     free, _ = step(make(), seen((-1.1, 0.0), (2.9, 0.0)))
     blocked, _ = step(make(), seen((-1.1, 0.0), (2.9, 0.0)), scan=scan_of(BURGER, [Disc(0.7, 0.0)]))
     assert free.linear > 0.2
     assert blocked.linear < 0.05
 
 
-def test_range_and_bearing_are_asked_for_where_they_are_needed() -> None:
+def test_needs_follow_from_sensing() -> None:
     assert make().needs == LineFormation.needs | {"neighbors.distance", "neighbors.bearing"}
     assert make(BURGER).needs == LineFormation.needs
     assert make(sensing="lidar").needs == LineFormation.needs
@@ -175,7 +175,7 @@ def test_range_and_bearing_are_asked_for_where_they_are_needed() -> None:
         )
 
 
-def test_sensing_cannot_be_set_to_what_is_lacking_while_it_runs() -> None:
+def test_sensing_cannot_change_to_missing_hardware() -> None:
     pattern = make(BURGER)
     good = pattern.params
     with pytest.raises(ConfigError, match=r"neighbors\.bearing"):
@@ -197,13 +197,13 @@ def test_a_spacing_that_is_too_small_is_refused(params: dict[str, Value], subjec
 
 
 @pytest.mark.parametrize("place", [(1.0, 0.0), (0.0, 1.5), (-1.2, -0.7)])
-def test_the_lidar_finds_the_middles_of_robots(place: tuple[float, float]) -> None:
+def test_the_lidar_finds_the_centers_of_robots(place: tuple[float, float]) -> None:
     scan = scan_of(BURGER, [Disc(*place, 0.09)])
     found = robot_centers(scan, reach=3.5, width=0.5, offset=BURGER.scan.offset)
     np.testing.assert_allclose(found, [place], atol=0.02)
 
 
-def test_the_lidar_takes_no_wall_for_a_robot_and_nothing_beyond_its_reach() -> None:
+def test_the_lidar_ignores_walls_and_objects_out_of_range() -> None:
     scan = scan_of(BURGER, [Disc(1.0, 0.0), Disc(0.0, 2.5)], room=5.5)
     found = robot_centers(scan, reach=2.0, width=0.5, offset=BURGER.scan.offset)
     np.testing.assert_allclose(found, [(1.0, 0.0)], atol=0.03)
@@ -213,7 +213,7 @@ def test_the_lidar_takes_no_wall_for_a_robot_and_nothing_beyond_its_reach() -> N
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_of_one_that_is_half_hidden_the_middle_is_found(side: float) -> None:
+def test_the_center_of_a_half_hidden_robot_is_found(side: float) -> None:
     behind = (2.2, side * 0.14)
     scan = scan_of(BURGER, [Disc(1.1, 0.0, 0.09), Disc(*behind, 0.09)])
     found = robot_centers(scan, reach=3.5, width=0.5, offset=BURGER.scan.offset)
@@ -222,7 +222,7 @@ def test_of_one_that_is_half_hidden_the_middle_is_found(side: float) -> None:
     np.testing.assert_allclose(far, behind, atol=0.05)
 
 
-def test_sightings_stay_where_they_are_while_the_robot_turns_and_drives() -> None:
+def test_tracked_positions_stay_while_the_robot_moves() -> None:
     tracker = NeighborTracker()
     once = tracker.update(seen((1.0, 0.0)), Pose(), 10.0, 0.0)
     np.testing.assert_allclose(once, [(1.0, 0.0)])
@@ -232,7 +232,7 @@ def test_sightings_stay_where_they_are_while_the_robot_turns_and_drives() -> Non
     np.testing.assert_allclose(driven, [(0.5, 0.0)], atol=1e-12)
 
 
-def test_who_is_heard_and_not_sensed_for_a_moment_stays_where_it_was() -> None:
+def test_a_neighbour_unsensed_for_a_moment_keeps_its_position() -> None:
     tracker, (there,) = NeighborTracker(), seen((1.0, 0.0))
     unsensed = (Neighbor(there.id, 0.1),)
     tracker.update((there,), Pose(), 10.0, 0.0)
@@ -241,14 +241,14 @@ def test_who_is_heard_and_not_sensed_for_a_moment_stays_where_it_was() -> None:
     assert not len(tracker.update((), Pose(), 10.0, 0.1))
 
 
-def test_its_place_is_as_far_from_the_others_as_the_spacing() -> None:
+def test_its_place_is_one_spacing_from_the_others() -> None:
     others = np.array([(1.0, 0.0), (2.0, 0.0)])
     pattern = make(spacing=1.5)
     assert isinstance(pattern, LineFormation)
     np.testing.assert_allclose(pattern.place(others), np.array((-0.5, 0.0)), atol=1e-9)
 
 
-def test_sightings_average_noise_and_follow_who_moves() -> None:
+def test_tracker_averages_noise_and_follows_motion() -> None:
     tracker, rng = NeighborTracker(), np.random.default_rng(1)
     for _ in range(40):
         off = rng.normal(0.0, 0.03, 2)
@@ -258,7 +258,7 @@ def test_sightings_average_noise_and_follow_who_moves() -> None:
     np.testing.assert_allclose(moved, [(3.0, 0.0)], atol=1e-9)
 
 
-def test_a_robot_that_the_lidar_sees_in_pieces_is_one() -> None:
+def test_a_robot_seen_in_pieces_is_merged() -> None:
     scan = scan_of(BURGER, [Disc(1.0, 0.0, 0.09), Disc(0.0, 1.5, 0.09)])
     ranges = scan.ranges.copy()
     ranges[np.abs(scan.bearings - math.radians(1.0)) < 0.005] += 0.2
@@ -268,7 +268,7 @@ def test_a_robot_that_the_lidar_sees_in_pieces_is_one() -> None:
     np.testing.assert_allclose(found[np.argmax(found[:, 0])], (1.0, 0.0), atol=0.06)
 
 
-def test_what_is_hidden_on_both_sides_is_no_robot() -> None:
+def test_an_object_hidden_on_both_sides_is_not_a_robot() -> None:
     between = [Disc(1.0, 0.25, 0.09), Disc(1.0, -0.25, 0.09), Disc(2.3, 0.0, 0.4)]
     found = robot_centers(scan_of(BURGER, between), reach=3.5, width=0.8, offset=BURGER.scan.offset)
     np.testing.assert_allclose(np.sort(found[:, 1]), (-0.25, 0.25), atol=0.03)

@@ -73,11 +73,11 @@ def test_adopts_the_majority_of_its_neighbours() -> None:
     assert opinion_after(make("a", initial=0), {"b": 2, "c": 2, "d": 1}) == 2
 
 
-def test_its_own_opinion_is_no_vote() -> None:
+def test_its_own_opinion_is_not_a_vote() -> None:
     assert opinion_after(make("a", initial=0, ties="lowest"), {"a": 0, "b": 1}) == 1
 
 
-def test_another_channel_is_not_listened_to() -> None:
+def test_other_channels_are_ignored() -> None:
     pattern = make("a", initial=0)
     pattern.step(Inputs(now=0.0, dt=0.0))
     elsewhere = (Message("b", "weather", 2, 0.0),)
@@ -86,23 +86,23 @@ def test_another_channel_is_not_listened_to() -> None:
     assert pattern.opinion == 0
 
 
-def test_keeps_its_opinion_when_it_hears_nobody() -> None:
+def test_keeps_its_opinion_without_votes() -> None:
     assert opinion_after(make("a", initial=2), {}) == 2
 
 
 @pytest.mark.parametrize(("ties", "opinion"), [("lowest", 1), ("keep", 3)])
-def test_between_equals_it_does_as_told(ties: str, opinion: int) -> None:
+def test_ties_follow_the_parameter(ties: str, opinion: int) -> None:
     pattern = make("a", opinions=4, initial=3, ties=ties)
     assert opinion_after(pattern, {"b": 2, "c": 1}) == opinion
 
 
-def test_between_equals_chance_decides_by_default() -> None:
+def test_ties_are_random_by_default() -> None:
     seen = {opinion_after(make("a", seed, initial=0), {"b": 2, "c": 1}) for seed in range(20)}
     assert seen == {1, 2}
 
 
 @pytest.mark.parametrize("nonsense", [True, -1, 3, 2**60, 1.0, "1", None, [1], b"1"])
-def test_what_is_no_opinion_is_no_vote(nonsense: Value) -> None:
+def test_an_invalid_opinion_is_not_a_vote(nonsense: Value) -> None:
     assert opinion_after(make("a", initial=0), {"b": nonsense, "c": nonsense, "d": 2}) == 2
 
 
@@ -115,7 +115,7 @@ def test_the_latest_vote_of_a_sender_counts_once() -> None:
     assert pattern.opinion == 2
 
 
-def test_a_robot_that_fell_silent_does_not_vote() -> None:
+def test_a_silent_robot_does_not_vote() -> None:
     pattern = make("a", initial=0, expiry=3.0)
     pattern.step(Inputs(now=0.0, dt=0.0))
     pattern.step(Inputs(now=1.0, dt=1.0, messages=hear({"gone": 1, "gone-too": 1})))
@@ -140,7 +140,7 @@ def test_shares_at_once_then_regularly_and_after_each_window(
     assert shared == times
 
 
-def test_a_changed_window_holds_from_the_next_one_on() -> None:
+def test_a_changed_window_applies_from_the_next_one() -> None:
     pattern = make("a", initial=0)
     pattern.step(Inputs(now=0.0, dt=0.0))
     pattern.update(make("a", initial=0, window=2.0).params)
@@ -150,7 +150,7 @@ def test_a_changed_window_holds_from_the_next_one_on() -> None:
     assert pattern.step(Inputs(now=7.0, dt=0.1)).report["opinion"] == 2
 
 
-def test_an_opinion_that_no_longer_exists_is_drawn_anew() -> None:
+def test_a_removed_opinion_is_drawn_again() -> None:
     pattern = make("a", initial=2)
     pattern.update(make("b", opinions=2, initial=0).params)
     assert pattern.opinion in {0, 1}

@@ -17,7 +17,7 @@ WITHOUT_UNIT = {"bias", "cruise", "initial", "opinions", "rays", "surge"}
 
 
 @pytest.mark.parametrize("name", FOUND)
-def test_each_has_a_meaning_a_source_and_a_unit(name: str) -> None:
+def test_each_parameter_has_a_description_a_source_and_a_unit(name: str) -> None:
     for spec in schema(FIND(name).params_type):
         assert spec.description
         assert spec.source, f"{name}.{spec.name} names no source"
@@ -27,7 +27,7 @@ def test_each_has_a_meaning_a_source_and_a_unit(name: str) -> None:
 
 @pytest.mark.parametrize("name", FOUND)
 @pytest.mark.parametrize("platform", platform_names())
-def test_what_platform_files_say_of_a_pattern_is_valid(name: str, platform: str) -> None:
+def test_pattern_parameters_of_platform_files_are_valid(name: str, platform: str) -> None:
     robot = load_platform(platform)
     kind = FIND(name)
     layers = (("platform", robot.patterns.get(name, {})),)
@@ -47,9 +47,7 @@ def test_what_platform_files_say_of_a_pattern_is_valid(name: str, platform: str)
         ("dispersion", "jackal", 4.0),
     ],
 )
-def test_the_original_laws_reach_as_far_as_they_did(
-    pattern: str, platform: str, reach: float
-) -> None:
+def test_original_laws_keep_their_range(pattern: str, platform: str, reach: float) -> None:
     robot = load_platform(platform)
     kind = FIND(pattern)
     layers = full_layers(kind, robot, (("platform", robot.patterns.get(pattern, {})),))

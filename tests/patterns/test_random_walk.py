@@ -75,26 +75,26 @@ def test_turns_last_up_to_the_turn_time() -> None:
 
 
 @pytest.mark.parametrize(("side", "turn"), [(0.2, -1.0), (-0.2, 1.0)])
-def test_turns_away_from_what_is_ahead(side: float, turn: float) -> None:
+def test_turns_away_from_an_obstacle_ahead(side: float, turn: float) -> None:
     ahead = scan_of(PLATFORM, [Disc(0.7, side)])
     twists = walk(lambda now: FREE if now < 1.0 else ahead, 2.0)
     assert twists[9].linear > 0.0
     assert all(t.linear == 0.0 and np.sign(t.angular) == turn for t in twists[10:])
 
 
-def test_goes_on_turning_until_the_way_is_free() -> None:
+def test_turns_until_the_way_is_free() -> None:
     ahead = scan_of(PLATFORM, [Disc(0.7, 0.1)])
     twists = walk(lambda now: ahead if 1.0 <= now < 30.0 else FREE, 40.0)
     assert all(twist.linear == 0.0 for twist in twists[10:300])
     assert twists[-1].linear > 0.0
 
 
-def test_what_is_aside_does_not_stop_it() -> None:
+def test_an_obstacle_aside_does_not_stop_it() -> None:
     aside = scan_of(PLATFORM, [Disc(0.0, 0.7), Disc(-0.5, -0.5)])
     assert all(twist.linear > 0.0 for twist in walk(lambda now: aside, 9.0)[1:])
 
 
-def test_without_clearance_it_looks_at_nothing() -> None:
+def test_without_clearance_it_ignores_obstacles() -> None:
     ahead = scan_of(PLATFORM, [Disc(0.5, 0.0)])
     assert all(twist.linear > 0.0 for twist in walk(lambda now: ahead, 9.0, clearance=0.0))
 
@@ -104,7 +104,7 @@ def test_a_shortest_straight_longer_than_the_longest_is_refused() -> None:
         walk(lambda now: FREE, 1.0, straight_min=20.0)
 
 
-def test_starts_with_a_turn_if_something_is_ahead() -> None:
+def test_starts_with_a_turn_if_an_obstacle_is_ahead() -> None:
     blocked = scan_of(PLATFORM, [Disc(0.6, 0.1)])
     twists = walk(lambda now: blocked if now < 2.0 else FREE, 8.0)
     assert twists[0].linear == 0.0
@@ -112,7 +112,7 @@ def test_starts_with_a_turn_if_something_is_ahead() -> None:
     assert any(twist.linear > 0.0 for twist in twists[20:])
 
 
-def test_the_law_of_the_paper_waits_and_then_looks_at_nothing() -> None:
+def test_the_law_of_the_paper_waits_and_ignores_obstacles() -> None:
     ahead = scan_of(PLATFORM, [Disc(0.5, 0.0)])
     twists = walk(lambda now: ahead, 14.9, law="paper")
     assert all(twist == Twist() for twist in twists[:50])

@@ -48,7 +48,7 @@ def test_decides_every_two_seconds_as_the_original() -> None:
     assert pattern.step(Inputs(now=4.0, dt=0.1)).report == {"opinion": 2, "heard": 1}
 
 
-def test_each_neighbour_is_as_likely_however_often_it_speaks() -> None:
+def test_each_neighbour_is_drawn_with_equal_probability() -> None:
     votes = (("b", 1), ("c", 2), ("d", 2), ("b", 1), ("b", 1))
     pattern = make()
     counts = Counter(pattern.decide({"b": 1, "c": 2, "d": 2}) for _ in range(900))
@@ -58,11 +58,11 @@ def test_each_neighbour_is_as_likely_however_often_it_speaks() -> None:
     assert 67 <= spoken[1] <= 133
 
 
-def test_keeps_its_opinion_when_it_hears_nobody() -> None:
+def test_keeps_its_opinion_without_votes() -> None:
     assert opinion_after(make()) == 0
 
 
-def test_its_own_opinion_is_a_vote_only_if_it_is_told_so() -> None:
+def test_its_own_opinion_counts_only_with_count_own() -> None:
     alone = Counter(opinion_after(make(seed), ("b", 1)) for seed in range(50))
     counted = Counter(opinion_after(make(seed, count_own=True), ("b", 1)) for seed in range(200))
     assert alone == {1: 50}

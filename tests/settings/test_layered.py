@@ -91,26 +91,28 @@ def test_does_not_change_its_sources() -> None:
         ({**GOOD, "inner": {"speed": 10**400}}, "inner.speed is 1"),
     ],
 )
-def test_names_source_key_value_and_what_was_wanted(data: dict[str, object], fault: str) -> None:
+def test_a_fault_names_source_key_value_and_wanted_type(
+    data: dict[str, object], fault: str
+) -> None:
     with pytest.raises(ConfigError) as caught:
         Layered(("x.yaml", data)).build(Outer)
     assert str(caught.value).startswith(f"x.yaml: {fault}")
     assert "\n" not in str(caught.value)
 
 
-def test_a_fault_names_the_source_it_stands_in() -> None:
+def test_a_fault_names_the_source_of_its_key() -> None:
     layers = Layered(("a.yaml", {"name": "y"}), ("b.yaml", {"inner": {"speed": -1}}))
     with pytest.raises(ConfigError, match=r"^b\.yaml: inner\.speed is -1"):
         layers.build(Outer)
 
 
-def test_a_missing_key_is_missed_in_the_source_that_should_hold_it() -> None:
+def test_a_missing_key_names_the_source_of_its_section() -> None:
     layers = Layered(("a.yaml", {"name": "y"}), ("b.yaml", {"inner": {}}))
     with pytest.raises(ConfigError, match=r"^b\.yaml: inner\.speed is missing"):
         layers.build(Outer)
 
 
-def test_what_no_source_has_said_is_missed_at_home() -> None:
+def test_a_key_missing_everywhere_names_the_home_source() -> None:
     sources = ("strong", {"name": "y"}), ("weak", {"flag": True})
     with pytest.raises(ConfigError, match=r"^strong: inner is missing"):
         Layered(*sources).build(Outer)

@@ -41,13 +41,13 @@ def test_without_file_and_options_a_robot_is_named_for_its_host(
     assert settings.provenance["swarm"] == "default"
 
 
-def test_a_host_name_that_is_no_id_asks_for_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_invalid_host_name_requires_an_id(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "gethostname", lambda: "my robot")
     with pytest.raises(ConfigError, match=r"taken from the host name .* --id.* 'my robot'; wanted"):
         load()
 
 
-def test_the_command_line_wins_over_the_file_and_the_file_over_what_it_includes(
+def test_command_line_overrides_file_overrides_included_file(
     folder: Path,
 ) -> None:
     (folder / "swarm.yaml").write_text("swarm: lab\nprofile: dev\nroster: [r1, r2]\nlease: 3")
@@ -60,7 +60,7 @@ def test_the_command_line_wins_over_the_file_and_the_file_over_what_it_includes(
     assert settings.provenance["seeds"] == "default"
 
 
-def test_options_of_a_driver_that_the_platform_gives_are_said_to_be_its(
+def test_driver_options_of_the_platform_name_it_as_source(
     folder: Path,
 ) -> None:
     def source(text: str = "", **overrides: object) -> str:
@@ -75,13 +75,13 @@ def test_options_of_a_driver_that_the_platform_gives_are_said_to_be_its(
     assert source(driver="replay", driver_options=own) == "--driver-option"
 
 
-def test_an_included_file_may_not_say_who_a_robot_is(folder: Path) -> None:
+def test_an_included_file_may_not_set_the_id(folder: Path) -> None:
     (folder / "swarm.yaml").write_text("swarm: lab\nid: r1")
     with pytest.raises(ConfigError, match=r"^swarm\.yaml: no key 'id'; there are: "):
         load("swarm_file: swarm.yaml")
 
 
-def test_files_are_found_from_the_file_that_names_them(folder: Path) -> None:
+def test_paths_in_a_file_are_relative_to_it(folder: Path) -> None:
     (folder / "etc").mkdir()
     (folder / "etc/swarm.yaml").write_text("swarm: lab")
     (folder / "etc/mine.yaml").write_text("extends: burger\nlimits: {linear: 0.1}")
@@ -96,7 +96,7 @@ def test_files_are_found_from_the_file_that_names_them(folder: Path) -> None:
     assert settings.plugin_dir == folder / "etc/own"
 
 
-def test_folders_from_the_command_line_are_found_from_here(folder: Path) -> None:
+def test_paths_on_the_command_line_are_relative_to_the_working_directory(folder: Path) -> None:
     (folder / "etc").mkdir()
     config = folder / "etc/r.yaml"
     config.write_text("id: r1\nstate_dir: state\nplugin_dir: own")
@@ -105,7 +105,7 @@ def test_folders_from_the_command_line_are_found_from_here(folder: Path) -> None
     assert settings.plugin_dir == Path("p")
 
 
-def test_state_goes_where_the_desktop_wants_it() -> None:
+def test_state_dir_follows_xdg_state_home() -> None:
     settings = load_daemon_settings(None, {"id": "r1"}, {**HOME, "XDG_STATE_HOME": "/state"})
     assert settings.state_dir == Path("/state/swarmd")
     relative = load_daemon_settings(None, {"id": "r1"}, {**HOME, "XDG_STATE_HOME": "state"})
@@ -152,7 +152,7 @@ def test_pattern_parameters_come_in_layers_weakest_first(folder: Path) -> None:
     assert settings.pattern_layers("dispersion") == ()
 
 
-def test_what_a_swarm_grants_a_robots_own_file_can_change_and_take_away(folder: Path) -> None:
+def test_a_robots_file_can_change_and_revoke_grants(folder: Path) -> None:
     (folder / "swarm.yaml").write_text(
         "touch: {push: {half_width_deg: 20, speed: 0.1}, dock: {half_width_deg: 5, speed: 0.02}}"
     )
@@ -195,7 +195,7 @@ def test_refuses_in_one_line(text: str, fault: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_the_parent_to_die_with_is_no_key_of_a_file(folder: Path) -> None:
+def test_die_with_parent_is_not_a_key_of_files(folder: Path) -> None:
     assert load("id: r1", die_with_parent=7).die_with_parent == 7
     with pytest.raises(ConfigError, match="no key 'die_with_parent'"):
         load("id: r1\ndie_with_parent: 7")
@@ -208,5 +208,5 @@ def test_the_example_in_config_can_be_read() -> None:
     assert settings.pattern_layers("attraction")
 
 
-def test_names_the_platforms_that_come_with_it() -> None:
+def test_lists_the_shipped_platforms() -> None:
     assert {"burger", "jackal", "waffle_pi"} <= set(platform_names())

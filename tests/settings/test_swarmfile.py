@@ -25,7 +25,7 @@ def load(file: Path, data: dict[str, Any], **overrides: object) -> Any:
     return load_swarm(file, overrides, {})
 
 
-def test_gives_what_the_file_says(file: Path) -> None:
+def test_reads_all_keys(file: Path) -> None:
     swarm = load(
         file,
         {

@@ -27,7 +27,7 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("a: [true, False, TRUE]", {"a": [True, False, True]}),
     ],
 )
-def test_reads_what_stands_there(file: Path, text: str, data: object) -> None:
+def test_reads_values_by_type(file: Path, text: str, data: object) -> None:
     file.write_text(text)
     assert read(file) == data
 
@@ -59,13 +59,13 @@ def test_refuses_in_one_line_with_file_and_line(file: Path, text: str, fault: st
     assert "\n" not in str(caught.value)
 
 
-def test_refuses_bytes_that_are_no_text(file: Path) -> None:
+def test_refuses_bytes_that_are_not_text(file: Path) -> None:
     file.write_bytes(b"a: \xff\xfe\x00")
     with pytest.raises(ConfigError, match=r"^x\.yaml: is not YAML"):
         read(file)
 
 
-def test_refuses_a_file_that_is_not_there(file: Path) -> None:
+def test_refuses_a_missing_file(file: Path) -> None:
     with pytest.raises(ConfigError, match=r"^x\.yaml: cannot be read: No such file"):
         read(file)
 
@@ -75,7 +75,7 @@ def test_refuses_a_folder(file: Path) -> None:
         read(file.parent)
 
 
-def test_shows_paths_relative_to_here_and_others_in_full(file: Path) -> None:
+def test_paths_below_the_working_directory_are_shown_relative(file: Path) -> None:
     assert shown(file.parent / "a" / "b.yaml") == "a/b.yaml"
     assert shown(Path("/etc/b.yaml")) == "/etc/b.yaml"
 
