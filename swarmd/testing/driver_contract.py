@@ -339,13 +339,11 @@ class DriverContract:
         async def story(harness: DriverHarness) -> None:
             await harness.end()
             sink = _RaisingSink()
-            task = asyncio.create_task(harness.driver.run(sink))
-            again = DriverHarness(harness.rig, harness.driver, sink, task)
-            await again.connect()
-            taken = await _moving(again)
-            await again.until(lambda: not sink.is_up)
-            await again.end()
-            await _ends_with_zero(again, taken)
+            async with harness.run_again(sink) as again:
+                await again.connect()
+                taken = await _moving(again)
+                await again.until(lambda: not sink.is_up)
+            await _ends_with_zero(harness, taken)
 
         self.play(story)
 
@@ -392,13 +390,10 @@ class DriverContract:
         self.play(story)
 
     async def _run_once(self, harness: DriverHarness) -> None:
-        sink = CollectingSink()
-        task = asyncio.create_task(harness.driver.run(sink))
-        again = DriverHarness(harness.rig, harness.driver, sink, task)
-        await again.connect()
-        harness.driver.send(Twist(0.1), 1, 1)
-        assert (await again.command()).is_zero
-        await again.end()
+        async with harness.run_again(CollectingSink()) as again:
+            await again.connect()
+            harness.driver.send(Twist(0.1), 1, 1)
+            assert (await again.command()).is_zero
 
 
 async def _moving(harness: DriverHarness) -> list[Twist]:

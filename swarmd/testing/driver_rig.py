@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import AsyncIterator, Callable, Mapping, Sequence
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol, runtime_checkable
@@ -152,17 +152,28 @@ class DriverHarness:
         async with asyncio.timeout(TIMEOUT):
             await asyncio.gather(self.task, return_exceptions=True)
 
+    def run_again(self, sink: CollectingSink) -> AbstractAsyncContextManager[DriverHarness]:
+        """Run the same driver once more, after `end`, with another sink."""
+        return _running(self.rig, self.driver, sink)
+
 
 @asynccontextmanager
 async def running_driver(rig: Rig) -> AsyncIterator[DriverHarness]:
     """A driver that runs with the rig's base; both end with the context."""
-    driver, sink = rig.make({}), CollectingSink()
+    try:
+        async with _running(rig, rig.make({}), CollectingSink()) as harness:
+            yield harness
+    finally:
+        rig.close()
+
+
+@asynccontextmanager
+async def _running(rig: Rig, driver: Driver, sink: CollectingSink) -> AsyncIterator[DriverHarness]:
     harness = DriverHarness(rig, driver, sink, asyncio.create_task(driver.run(sink)))
     try:
         yield harness
     finally:
-        await harness.end()
-        rig.close()
+        await harness.end()  # it takes what the driver raised, which would be logged at any time
 
 
 def is_running(pid: int) -> bool:
