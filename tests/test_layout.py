@@ -50,7 +50,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("testing",),
 )
 LAYER_EXCEPTIONS: dict[tuple[str, str], str] = {
-    ("pattern_host", "testing"): "`plugin check` runs the pattern contract in its child process",
+    ("pattern_host", "testing"): "the inspecting child runs the contract that authors import",
 }
 _MEASURES, _TESTS = ("benchmarks", "studies"), ("tests",)
 

@@ -1,11 +1,10 @@
-"""The contract finds what it is for: each broken driver fails the test that is named."""
+"""The contract finds faults: each broken driver fails the named test."""
 
 from __future__ import annotations
 
 import pytest
 
-from swarmd.testing import driver_contract
-from swarmd.testing import driver_rig as driver_stage
+from swarmd.testing import driver_contract, driver_rig
 from swarmd.testing.driver_contract import DriverContract
 from tests.support import broken_drivers as broken
 from tests.support.wire import Good, Wire
@@ -74,18 +73,18 @@ class TestGood(DriverContract):
 
 
 @pytest.fixture(autouse=True)
-def _is_quick(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """What never happens is not waited for as long as it would be elsewhere."""
+def _short_timeout(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Wait less than elsewhere for what never happens."""
     if request.cls is None:
-        for module in (driver_stage, driver_contract):
+        for module in (driver_rig, driver_contract):
             monkeypatch.setattr(module, "TIMEOUT", SHORT_TIMEOUT)
 
 
 CASES = [(name, kind) for name, kinds in BROKEN.items() for kind in kinds]
 
 
-def perform(contract: DriverContract, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The one test of the contract that begins so."""
+def run_test(contract: DriverContract, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Run the test of the contract whose name begins so."""
     (full,) = [one for one in dir(contract) if one.startswith(f"test_{name}")]
     test = getattr(contract, full)
     if name == "slow_and_fast":
@@ -106,7 +105,7 @@ def test_a_broken_driver_is_found(
             return Wire(kind)
 
     with pytest.raises((AssertionError, TimeoutError, pytest.fail.Exception)):
-        perform(Contract(), name, monkeypatch)
+        run_test(Contract(), name, monkeypatch)
 
 
 def test_each_test_of_the_contract_finds_something() -> None:

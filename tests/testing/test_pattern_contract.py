@@ -1,4 +1,4 @@
-"""The contract finds what it is for: each broken pattern fails the test that is named."""
+"""The contract finds faults: each broken pattern fails the named test."""
 
 from __future__ import annotations
 
@@ -316,7 +316,7 @@ def test_a_broken_pattern_fails(kind: type[Pattern[Any]], test: str, reason: str
         run(kind, test)
 
 
-def test_a_pattern_that_never_ends_fails_when_its_time_is_over() -> None:
+def test_a_pattern_that_never_ends_fails_in_time() -> None:
     contract: Any = type("Contract", (PatternContract,), {"pattern": NeverEnds, "seconds": 0.2})()
     contract.setup_method()
     try:
