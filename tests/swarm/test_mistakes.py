@@ -45,55 +45,52 @@ def driving(shared_swarm: Swarm) -> Driving:
     return Driving(shared_swarm)
 
 
-NO_ROBOT = "error: no robot 'r9'; there are: r1; see `swarmctl members`"
-SPEED = "m/s (from runtime); wanted is a float from -2 to 2 m/s"
-
-
 @pytest.mark.parametrize(
-    ("words", "code", "line"),
+    ("words", "code", "subject"),
     [
-        ("run drvie --all", 2, "error: no pattern 'drvie'; did you mean 'drive'?"),
-        ("run ../drive --all", 2, "error: '../drive' is no pattern name"),
-        ("run drive", 2, "error: run needs targets"),
-        ("run drive --all r1", 2, "error: run takes names or --all, not both"),
-        ("run drive R1", 2, "error: 'R1' is no robot name"),
-        ("run drive --all -p sped=0.1", 2, "error: no parameter 'sped'; did you mean 'speed'?"),
-        ("run drive --all -p speed=99", 2, f"error: parameter speed is 99 {SPEED}"),
-        ("run drive --all -p speed=nan", 2, f"error: parameter speed is 'nan' {SPEED}"),
-        ("run drive --all -p speed=fast", 2, f"error: parameter speed is 'fast' {SPEED}"),
-        ("run drive --all -p speed", 2, "error: -p 'speed' is no key=value"),
-        ("run drive --all -p speed=0 -p speed=1", 2, "error: -p speed is given twice"),
-        ("run drive --all --for soon", 2, "error: Invalid value for '--for': 'soon'"),
-        ("run drive --all --for 0s", 2, "error: Invalid value for '--for': '0s'"),
-        ("run drive --all --fro 60s", 2, "error: No such option '--fro'"),
-        ("run drive r9", 4, NO_ROBOT),
-        ("run drive --all --exclude r9", 4, NO_ROBOT),
-        ("run drive --all --exclude r*", 4, "error: no robot is targeted"),
-        ("param set r1 sped=1", 2, "error: no parameter 'sped'; did you mean 'speed'?"),
-        ("param set r1 speed=-99", 2, f"error: parameter speed is -99 {SPEED}"),
-        ("param set r1", 2, "error: param set needs values"),
-        ("param set speed=1", 2, "error: param set needs targets"),
-        ("param get r9", 4, NO_ROBOT),
-        ("stopp", 2, "error: no verb 'stopp'; did you mean 'stop'?"),
-        ("stop r9", 4, NO_ROBOT),
-        ("estop r9", 4, NO_ROBOT),
-        ("reset", 2, "error: reset needs targets"),
-        ("reset r9", 4, NO_ROBOT),
-        ("describe r9", 4, NO_ROBOT),
-        ("patterns show drvie", 2, "error: no pattern 'drvie'; did you mean 'drive'?"),
-        ("members forget r1", 7, "error: r1 is alive;"),
-        ("members -o yaml", 2, "error: Invalid value for '-o'"),
-        ("members --swarm NOPE", 2, "error: swarm is 'NOPE'; wanted are 1 to 63 of a-z"),
-        ("members --profile field", 2, "error: profile field needs `interface`"),
-        ("members --config none.yaml", 2, "error: none.yaml: cannot be read: No such file"),
+        ("run drvie --all", 2, "drvie"),
+        ("run ../drive --all", 2, "../drive"),
+        ("run drive", 2, "targets"),
+        ("run drive --all r1", 2, "--all"),
+        ("run drive R1", 2, "R1"),
+        ("run drive --all -p sped=0.1", 2, "sped"),
+        ("run drive --all -p speed=99", 2, "speed"),
+        ("run drive --all -p speed=nan", 2, "speed"),
+        ("run drive --all -p speed=fast", 2, "speed"),
+        ("run drive --all -p speed", 2, "speed"),
+        ("run drive --all -p speed=0 -p speed=1", 2, "speed"),
+        ("run drive --all --for soon", 2, "--for"),
+        ("run drive --all --for 0s", 2, "--for"),
+        ("run drive --all --fro 60s", 2, "--fro"),
+        ("run drive r9", 4, "r9"),
+        ("run drive --all --exclude r9", 4, "r9"),
+        ("run drive --all --exclude r*", 4, "targeted"),
+        ("param set r1 sped=1", 2, "sped"),
+        ("param set r1 speed=-99", 2, "speed"),
+        ("param set r1", 2, "values"),
+        ("param set speed=1", 2, "targets"),
+        ("param get r9", 4, "r9"),
+        ("stopp", 2, "stopp"),
+        ("stop r9", 4, "r9"),
+        ("estop r9", 4, "r9"),
+        ("reset", 2, "targets"),
+        ("reset r9", 4, "r9"),
+        ("describe r9", 4, "r9"),
+        ("patterns show drvie", 2, "drvie"),
+        ("members forget r1", 7, "r1"),
+        ("members -o yaml", 2, "-o"),
+        ("members --swarm NOPE", 2, "NOPE"),
+        ("members --profile field", 2, "interface"),
+        ("members --config none.yaml", 2, "none.yaml"),
     ],
 )
 def test_swarmctl_reports_a_mistake_in_one_line(
-    driving: Driving, words: str, code: int, line: str
+    driving: Driving, words: str, code: int, subject: str
 ) -> None:
     done = driving.swarm.ctl(*words.split())
     assert (done.code, done.err.count("\n")) == (code, 1), done
-    assert done.err.startswith(line)
+    assert done.err.startswith("error: ")
+    assert subject in done.err
     driving.check()
 
 
@@ -110,26 +107,26 @@ def test_an_unknown_swarm_is_reported_with_those_in_reach(driving: Driving) -> N
 
 
 @pytest.mark.parametrize(
-    ("text", "line"),
+    ("text", "subject"),
     [
-        ("platform: wafle_pi", "no platform 'wafle_pi'; did you mean 'waffle_pi'?"),
-        ("plattform: waffle_pi", "no key 'plattform'; did you mean 'platform'?"),
-        ("platform: burger\nplatform: jackal", "key 'platform' stands twice, first in line"),
-        ("lease: 0.01", "lease is 0.01; wanted a number of at least 0.2"),
-        ("lease: .nan", "lease is nan; wanted"),
-        ("profile: feld", "profile is 'feld'; wanted"),
-        ("driver: simulted", "no driver 'simulted'; did you mean 'simulated'?"),
-        ("id: R1", "id is 'R1'; wanted are 1 to 63"),
-        ("roster: r1", "roster is 'r1'; wanted"),
+        ("platform: wafle_pi", "'waffle_pi'"),
+        ("plattform: waffle_pi", "'platform'"),
+        ("platform: burger\nplatform: jackal", "'platform'"),
+        ("lease: 0.01", "lease is 0.01"),
+        ("lease: .nan", "lease is nan"),
+        ("profile: feld", "'feld'"),
+        ("driver: simulted", "'simulated'"),
+        ("id: R1", "'R1'"),
+        ("roster: r1", "roster is 'r1'"),
         ("parameters: {robots: {r1: {drive: {speed: [1]}}}}", "parameters.robots.r1.drive.speed"),
-        ("parameters: {labels: {red: {}}}", "no label 'red'"),
-        ("labels: {red: [r9]}\nroster: [r1]", "no robot in the roster 'r9'; there are: r1"),
-        ("a: b: c", "mapping values are not allowed here"),
+        ("parameters: {labels: {red: {}}}", "'red'"),
+        ("labels: {red: [r9]}\nroster: [r1]", "'r9'"),
+        ("a: b: c", "swarmd.yaml"),
         ("[r1]", "wanted"),
     ],
 )
 def test_swarmd_reports_a_mistake_in_one_line(
-    driving: Driving, tmp_path: Path, text: str, line: str
+    driving: Driving, tmp_path: Path, text: str, subject: str
 ) -> None:
     """In a file that is right otherwise, and names the body of the robot that drives."""
     config = tmp_path / "swarmd.yaml"
@@ -139,5 +136,5 @@ def test_swarmd_reports_a_mistake_in_one_line(
     done = subprocess.run(command, capture_output=True, text=True, timeout=CAP, check=False)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done
     assert done.stderr.startswith("error: ")
-    assert line in done.stderr
+    assert subject in done.stderr
     driving.check()
