@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
 
 import pytest
 
@@ -13,14 +14,28 @@ from swarmd.drivers.ros.options import (
     DEFAULT_ENDPOINT,
     RmwOptions,
     RosOptions,
+    TopicOptions,
     read_options,
 )
+from swarmd.drivers.ros1 import options as ros1
+from swarmd.drivers.ros1.options import Ros1Options
 from swarmd.drivers.ros2.session import open_session
 from swarmd.network.settings import FIELD_PORT
+from swarmd.settings.driver_options import BaseOptions
+from swarmd.settings.platforms import load_platform, platform_names
+
+ReadAny = Callable[[Mapping[str, Value]], TopicOptions]
 
 
 def read(options: Mapping[str, Value], robot: str = "tb3-01") -> RmwOptions:
     return read_options(RmwOptions, options, "rmw_zenoh", robot)
+
+
+def read_ros1(options: Mapping[str, Value]) -> Ros1Options:
+    return ros1.read_options(options, "tb3-01")
+
+
+both = pytest.mark.parametrize("read_any", [read, read_ros1], ids=["rmw_zenoh", "ros1"])
 
 
 def test_defaults_are_those_of_a_bridge_on_this_machine() -> None:
@@ -33,6 +48,7 @@ def test_the_default_endpoint_is_not_the_port_of_the_field_profile() -> None:
     assert not DEFAULT_ENDPOINT.endswith(f":{FIELD_PORT}")
 
 
+@both
 @pytest.mark.parametrize(
     ("namespace", "name", "wanted"),
     [
@@ -45,8 +61,10 @@ def test_the_default_endpoint_is_not_the_port_of_the_field_profile() -> None:
         ("lab/{robot}", "odom", "/lab/tb3_01/odom"),
     ],
 )
-def test_the_namespace_stands_before_relative_names(namespace: str, name: str, wanted: str) -> None:
-    assert read({"namespace": namespace}).topic(name) == wanted
+def test_the_namespace_stands_before_relative_names(
+    read_any: ReadAny, namespace: str, name: str, wanted: str
+) -> None:
+    assert read_any({"namespace": namespace}).topic(name) == wanted
 
 
 def test_a_ring_of_ranges_is_by_topic() -> None:
@@ -54,35 +72,63 @@ def test_a_ring_of_ranges_is_by_topic() -> None:
     assert options.ring() == (("left", math.pi / 2.0, 0.0), ("front", 0.0, 0.08))
 
 
+@both
 @pytest.mark.parametrize(
-    ("options", "complaint"),
+    ("options", "subject"),
     [
-        ({"namspace": "a"}, "did you mean 'namespace'"),
-        ({"domain": 233}, "domain is 233; wanted a whole number of at least 0 and up to 232"),
-        ({"domain": "0"}, "domain is '0'; wanted a whole number"),
-        ({"endpoint": "127.0.0.1:7447"}, "endpoint is '127.0.0.1:7447'; wanted is such as tcp/"),
-        ({"endpoint": 7447}, "endpoint is 7447; wanted text"),
-        ({"cmd_vel_type": "stamped"}, "is 'stamped'; wanted twist or twist_stamped"),
-        ({"scan": "sc*an"}, "scan is 'sc.an'; wanted is a ROS name"),
-        ({"scan": ""}, "scan is ''; wanted"),
-        ({"namespace": "a//b"}, "namespace is 'a//b'"),
+        ({"namspace": "a"}, "'namespace'"),
+        ({"cmd_vel_type": "stamped"}, "cmd_vel_type"),
+        ({"scan": "sc*an"}, "scan is"),
+        ({"scan": "front scan"}, "scan is"),
+        ({"scan": "1scan"}, "scan is"),
+        ({"scan": ""}, "scan is"),
+        ({"namespace": "a//b"}, "namespace is"),
+        ({"namespace": "robot-1"}, "namespace is"),
         ({"namespace": "**"}, "namespace is"),
-        ({"imu": "@x"}, "imu is '@x'"),
-        ({"scan_yaw_deg": 400}, "scan_yaw_deg is 400; wanted a number .* up to 360"),
-        ({"ranges": {"a b": 1.0}}, "ranges.a b is 'a b'"),
-        ({"ranges": {"a": 400.0}}, "ranges.a is 400"),
-        ({"ranges": {"a": [0.0, -1.0]}}, "ranges.a is"),
+        ({"imu": "@x"}, "imu is"),
+        ({"scan_yaw_deg": 400}, "scan_yaw_deg"),
+        ({"ranges": {"a b": 1.0}}, "ranges.a b"),
+        ({"ranges": {"a": 400.0}}, "ranges.a"),
+        ({"ranges": {"a": [0.0, -1.0]}}, "ranges.a"),
         ({"ranges": {"a": [0.0]}}, "ranges"),
-        ({"namespace": "a", "imu": "/a/odom"}, "odometry and imu are both /a/odom; wanted is a to"),
-        ({"cmd_vel": "scan"}, "scan and cmd_vel are both /scan; wanted is a topic each"),
-        ({"ranges": {"ir": 0, "/ir": 90}}, "ranges.ir and ranges./ir are both /ir; wanted is"),
+        ({"ranges": {"a": "far"}}, "ranges.a"),
+        ({"namespace": "a", "imu": "/a/odom"}, "odometry and imu"),
+        ({"cmd_vel": "scan"}, "scan and cmd_vel"),
+        ({"ranges": {"ir": 0, "/ir": 90}}, "ranges.ir and ranges./ir"),
     ],
 )
-def test_what_is_wrong_is_named(options: Mapping[str, Value], complaint: str) -> None:
-    with pytest.raises(ConfigError, match=complaint) as caught:
-        read(options)
-    assert str(caught.value).startswith("driver rmw_zenoh: ")
+def test_a_wrong_option_is_named(
+    read_any: ReadAny, options: Mapping[str, Value], subject: str
+) -> None:
+    with pytest.raises(ConfigError, match=re.escape(subject)) as caught:
+        read_any(options)
+    assert str(caught.value).startswith("driver r")
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("read_any", "options", "subject"),
+    [
+        (read, {"domain": 233}, "domain"),
+        (read, {"domain": "0"}, "domain"),
+        (read, {"endpoint": "127.0.0.1:7447"}, "endpoint"),
+        (read, {"endpoint": 7447}, "endpoint"),
+        (read_ros1, {"mastre": "http://127.0.0.1:1"}, "'master'"),
+        (read_ros1, {"master": "127.0.0.1:11311"}, "master"),
+    ],
+)
+def test_a_wrong_place_is_named(
+    read_any: ReadAny, options: Mapping[str, Value], subject: str
+) -> None:
+    with pytest.raises(ConfigError, match=subject):
+        read_any(options)
+
+
+@pytest.mark.parametrize("name", platform_names())
+def test_the_ros_1_options_of_every_platform_are_valid(name: str) -> None:
+    given = load_platform(name).drivers["ros1"]
+    assert given["command_timeout"]
+    read_ros1({key: given[key] for key in given.keys() - BaseOptions.__struct_fields__})
 
 
 def test_an_endpoint_that_zenoh_cannot_parse_gives_no_session() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import errno
-import itertools
 import os
 import signal
 import socket
@@ -14,15 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.core.errors import ConfigError
 from swarmd.core.values import Value
 from swarmd.drivers.ros1 import adapter as ros1_child
 from swarmd.drivers.ros1 import adapter_process as ros1_adapter
-from swarmd.drivers.ros1 import driver as ros1
 from swarmd.drivers.ros1.driver import Ros1Driver
-from swarmd.drivers.ros1.options import read_options
-from swarmd.settings.driver_options import BaseOptions
-from swarmd.settings.platforms import load_platform, platform_names
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import TIMEOUT, CollectingSink
 from swarmd.testing.driver_rig import is_running
 
@@ -79,21 +74,9 @@ def test_garbage_is_counted_and_what_follows_is_understood(
     play(monkeypatch, "garbage", story)
 
 
-def test_an_adapter_that_keeps_dying_is_started_at_growing_intervals(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_the_last_words_of_an_adapter_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
-        loop, starts = asyncio.get_running_loop(), dict[int, float]()
-
-        def has_started_often() -> bool:
-            if driver.adapter_pid is not None:
-                starts.setdefault(driver.adapter_pid, loop.time())
-            return len(starts) >= 5
-
-        await until(has_started_often)
-        pauses = [after - before for before, after in itertools.pairwise(starts.values())]
-        assert pauses[-1] > 4.0 * ros1.FIRST_PAUSE
-        assert any("it cannot go on" in text for text in texts(heard))
+        await until(lambda: any("it cannot go on" in text for text in texts(heard)))
 
     play(monkeypatch, "dies", story)
 
@@ -149,51 +132,3 @@ def test_an_interpreter_without_rospy_is_named(monkeypatch: pytest.MonkeyPatch) 
     findings = asyncio.run(make(python=sys.executable).check(TIMEOUT))
     assert [finding.is_well for finding in findings] == [False]
     assert "install python3-rospy" in findings[0].text
-
-
-@pytest.mark.parametrize(
-    ("options", "complaint"),
-    [
-        ({"mastre": "http://127.0.0.1:1"}, "did you mean 'master'"),
-        ({"master": "127.0.0.1:11311"}, "wanted is such as http://"),
-        ({"scan": "front scan"}, "scan is 'front scan'; wanted"),
-        ({"namespace": "robot-1"}, "namespace is 'robot-1'"),
-        ({"ranges": {"left": 400}}, "ranges.left is 400"),
-        ({"ranges": {"left": [20, 0.1], "a b": 3}}, "ranges.a b is 'a b'"),
-        ({"ranges": {"left": "far"}}, "ranges.left"),
-        ({"cmd_vel_type": "Velocity"}, "cmd_vel_type"),
-        ({"scan": "odom"}, "scan and odometry are both /odom; wanted is a topic each"),
-        ({"ranges": {"a": 1, "/a": 2}}, "ranges.a and ranges./a are both /a"),
-        ({"namespace": "r", "imu": "/r/cmd_vel"}, "cmd_vel and imu are both /r/cmd_vel"),
-    ],
-)
-def test_options_it_cannot_use_are_refused(options: dict[str, Value], complaint: str) -> None:
-    with pytest.raises(ConfigError, match=complaint):
-        make(**options)
-
-
-@pytest.mark.parametrize(
-    ("namespace", "name", "topic"),
-    [
-        ("", "scan", "/scan"),
-        ("robot1", "scan", "/robot1/scan"),
-        ("/robot1/", "front/scan", "/robot1/front/scan"),
-        ("/robot1", "/scan", "/scan"),
-        ("/", "scan", "/scan"),
-        ("{robot}", "scan", "/tb3_01/scan"),
-    ],
-)
-def test_names_are_within_the_namespace_unless_they_begin_with_a_slash(
-    namespace: str, name: str, topic: str
-) -> None:
-    options = read_options({"namespace": namespace, "scan": name}, "tb3-01")
-    assert options.topic(options.scan) == topic
-
-
-@pytest.mark.parametrize("name", platform_names())
-def test_what_platforms_say_of_ros_1_is_understood(name: str) -> None:
-    said = load_platform(name).drivers["ros1"]
-    own = {key: said[key] for key in said.keys() - BaseOptions.__struct_fields__}
-    options = read_options(own, "tb3-01")
-    assert said["command_timeout"]
-    assert options.cmd_vel_type == "twist"

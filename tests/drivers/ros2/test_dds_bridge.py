@@ -243,12 +243,6 @@ def test_check_of_a_silent_topic_goes_by_what_is_announced(
     assert wanted in found["scan"].text
 
 
-def test_check_of_a_bridge_that_knows_nothing_points_at_the_domain() -> None:
-    found = check(BridgedRobot(), seconds=0.7)
-    assert "announces no topic at all" in found["scan"].text
-    assert "the bridge anew, with its ROS_DOMAIN_ID, ROS_DISTRO and" in found["scan"].text
-
-
 def test_check_reports_an_unnamed_publisher_of_commands() -> None:
     robot = BridgedRobot()
     announce(robot, "MP", "cmd_vel", "geometry_msgs/msg/Twist")
@@ -257,14 +251,6 @@ def test_check_reports_an_unnamed_publisher_of_commands() -> None:
     zid = str(robot.hub.zid())
     assert found["others"].is_well
     assert found["others"].text.startswith(f"a node behind bridge {zid[:8]} may publish /cmd_vel")
-
-
-def test_check_of_a_base_that_wants_stamped_commands_says_so() -> None:
-    robot = BridgedRobot()
-    announce(robot, "MS", "cmd_vel", "geometry_msgs/msg/TwistStamped")
-    found = check(robot, robot.publish)
-    assert not found["cmd_vel"].is_well
-    assert "set driver_options.cmd_vel_type: twist_stamped" in found["cmd_vel"].text
 
 
 def test_check_reports_commands_without_a_subscriber() -> None:
@@ -285,42 +271,6 @@ def test_check_reports_commands_of_other_nodes() -> None:
     assert "commands of another node on /cmd_vel" in found["others"].text
 
 
-def test_check_tells_of_a_clock_that_stands_still() -> None:
-    robot = BridgedRobot()
-
-    def speak() -> None:
-        robot.publish_odometry()
-        robot.put("scan", robots.scan(5.0))
-
-    found = check(robot, speak)
-    assert not found["scan"].is_well
-    assert "all with the stamp 5" in found["scan"].text
-
-
-def test_check_tells_of_a_message_that_cannot_be_read() -> None:
-    robot = BridgedRobot()
-
-    def speak() -> None:
-        robot.publish_odometry()
-        robot.put("scan", b"\x00\x01\x00\x00rubbish")
-
-    found = check(robot, speak, seconds=1.2)
-    assert "/scan: cannot be read" in found["scan"].text
-    assert "correct driver_options.scan" in found["scan"].text
-
-
-def test_check_tells_of_a_scan_that_does_not_look_around() -> None:
-    robot = BridgedRobot()
-
-    def speak() -> None:
-        robot.publish_odometry()
-        stamp = robot._stamp()
-        robot.put("scan", robots.scan(stamp, [1.0] * 90, angle_increment=math.radians(1.0)))
-
-    found = check(robot, speak)
-    assert "leave too wide a sector unseen" in found["scan"].text
-
-
 def test_a_missing_topic_is_reported_while_the_driver_runs() -> None:
     robot = BridgedRobot()
     announce(robot, "MP", "bot1§scan", "sensor_msgs/msg/LaserScan")
@@ -337,10 +287,3 @@ def test_a_missing_topic_is_reported_while_the_driver_runs() -> None:
         await harness.until(is_told)
 
     play(robot, story, connected=False)
-
-
-def test_check_of_a_battery_that_is_silent_says_that_it_is_not_needed() -> None:
-    robot = BridgedRobot()
-    found = check(robot, robot.publish, seconds=1.5, battery="battery_state")
-    assert found["battery"].is_well
-    assert "no message, and not needed to drive: no /battery_state" in found["battery"].text
