@@ -1,1 +1,1 @@
-"""What patterns are made of; their authors import it from `swarmd.api`."""
+"""Base classes and functions for patterns; authors import them from `swarmd.api`."""

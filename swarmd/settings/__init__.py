@@ -1,1 +1,1 @@
-"""What a daemon is told before it starts: swarm files, platforms, settings."""
+"""Configuration of a daemon: swarm files, platforms, driver options."""

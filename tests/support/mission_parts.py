@@ -1,4 +1,4 @@
-"""Small patterns to compose missions of, and missions made of text."""
+"""Small patterns as parts of missions, and missions from text."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class GoParams(Params, frozen=True):
 
 
 class Go(MovementPattern[GoParams]):
-    """Drives; counts its steps; will not be told 0.666."""
+    """Drives and counts its steps; refuses speed 0.666."""
 
     params_type = GoParams
 
@@ -59,7 +59,7 @@ class Vote(VotingPattern[VotingParams]):
 
 
 class Brief(Pattern[Params]):
-    """Is done after three steps and says how many it has made."""
+    """Is done after three steps; sends and reports their number."""
 
     needs = frozenset[str]()
     channels = {"count": int}  # noqa: RUF012 - read only
