@@ -211,7 +211,7 @@ class Lockstep:
         for hearer, sender, name, value in self._radio.arrived(now):
             shell = self.shells[hearer]
             if shell is not None:
-                shell.message(self.world.ids[sender], name, value, now)
+                shell.robot.on_message(self.world.ids[sender], name, value, now)
         received, self._new_latches = self._new_latches, []
         for row, latches in received:
             for shell in self.shells:
@@ -229,7 +229,7 @@ class Lockstep:
         if self._absent_count:
             there = {one.robot.id for one in self.shells if one is not None}
             neighbors = tuple(neighbor for neighbor in neighbors if neighbor.id in there)
-        shell.neighbors(neighbors, self.world.time)
+        shell.robot.on_neighbors(neighbors, self.world.time)
 
     def _sense(self, now: float) -> None:
         world = self.world
@@ -251,7 +251,7 @@ class Lockstep:
             # All odometers are read at once: one takes as long as a hundred.
             for shell, odometry in zip(self.shells, self.world.odometry(), strict=True):
                 if shell is not None:
-                    shell.odometry(odometry, now)
+                    shell.robot.on_odometry(odometry, now)
         for row in self._ticks.due(now).tolist():
             shell = self.shells[row]
             if shell is not None:

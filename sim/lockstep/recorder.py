@@ -101,11 +101,7 @@ def _enter(kept: Mapping[str, NDArray[Any]], row: int, shell: RobotShell) -> Non
     robot, decision = shell.robot, shell.robot.decision
     kept["present"][row] = True
     kept["state"][row], kept["reason"][row] = robot.state.value, robot.reason or ""
-    kept["requested"][row] = (
-        decision.requested.linear,
-        decision.requested.angular,
-        decision.requested.lateral,
-    )
+    kept["requested"][row] = astuple(decision.requested)
     kept["active"][row], kept["recovering"][row] = decision.is_active, decision.is_recovering
     kept["decided"][row], kept["evaded"][row] = shell.decided, shell.evaded
     shell.decided = shell.evaded = 0

@@ -9,7 +9,7 @@ from typing import Protocol
 
 from swarmd.core.host_messages import HostCommand
 from swarmd.core.messages import Reply, Request, Status
-from swarmd.core.values import Neighbor, Odometry, Scan, Twist, Value
+from swarmd.core.values import Scan, Twist, Value
 from swarmd.kit.factory import Find
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.runner import InlineRunner
@@ -62,18 +62,6 @@ class RobotShell:
     def tick(self, now: float) -> None:
         """Tick the robot, periodically or by its alarm."""
         self.apply(self.robot.tick(now), now)
-
-    def odometry(self, odometry: Odometry, now: float) -> None:
-        """Take a measured pose and twist."""
-        self.robot.on_odometry(odometry, now)
-
-    def neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
-        """Take the robots in radio contact."""
-        self.robot.on_neighbors(neighbors, now)
-
-    def message(self, sender: str, name: str, value: Value, now: float) -> None:
-        """Take a message of another robot."""
-        self.robot.on_message(sender, name, value, now)
 
     def request(self, request: Request, now: float) -> Reply | None:
         """Carry out an operator's request; the reply, which an inline pattern gives at once."""
