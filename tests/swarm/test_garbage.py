@@ -14,7 +14,7 @@ import zenoh
 from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE, encode, encode_value
 from swarmd.core.keys import build
-from swarmd.core.messages import REQUEST_TYPES, AnyRequest, Condition, Epoch, State
+from swarmd.core.messages import REQUEST_TYPES, AnyRequest, Condition, Epoch, MembersQuery, State
 from swarmd.core.values import Neighbor, Odometry, Pose, Twist
 from swarmd.driver_api.hw_codec import (
     encode_neighbors,
@@ -36,7 +36,6 @@ pytestmark = pytest.mark.integration
 
 PER_KIND = 160
 PER_KEY = 20
-VERBS = ("run", "stop", "reset", "param", "forget", "members")
 MESH = ("control/", "safety/", "state/", "msg")
 WRONG_HW = tuple(
     f"driver/hw/{sense}:key" for sense in ("scan", "odometry", "neighbors", "readings")
@@ -135,8 +134,9 @@ def request(verb: str) -> AnyRequest:
 
 def mesh_targets(swarm: str) -> Iterator[Target]:
     """Every key of the mesh session."""
-    for verb in VERBS:
-        key, valid = build(swarm, "r1", "control", verb), encode(request(verb))
+    requests = {verb: encode(request(verb)) for verb in REQUEST_TYPES if verb != "estop"}
+    for verb, valid in {**requests, "members": encode(MembersQuery(answered=("r1",)))}.items():
+        key = build(swarm, "r1", "control", verb)
         yield Target(key, valid, MAX_CONTROL, (f"control/{verb}",), is_query=True)
     key, valid = build(swarm, "r1", "safety", "estop"), encode(request("estop"))
     for is_query in (True, False):
