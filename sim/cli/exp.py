@@ -368,7 +368,7 @@ def _warn_of_few(counts: Iterable[int]) -> None:
 
     fewest = min((n for n in counts if n), default=FEW)
     if fewest == 1:
-        warn("only 1 run: that says little; 20 seeds are a good number")
+        warn("only 1 run: run more seeds, such as 20, before you draw conclusions")
     elif fewest < FEW:
         warn(f"only {fewest} runs: intervals of so few are too narrow; 20 seeds are a good number")
 

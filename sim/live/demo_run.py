@@ -180,8 +180,8 @@ def _why(verb: str, outcome: Outcome) -> str:
     by_text: dict[str, list[str]] = {}
     for name, text in sorted(_texts(outcome).items()):
         by_text.setdefault(text, []).append(name)
-    told = [f"{', '.join(names)}: {text}" for text, names in by_text.items()]
-    return "; ".join([f"{verb}: {outcome.line}", *told])
+    reasons = [f"{', '.join(names)}: {text}" for text, names in by_text.items()]
+    return "; ".join([f"{verb}: {outcome.line}", *reasons])
 
 
 class DemoRun:
@@ -199,7 +199,7 @@ class DemoRun:
         self._world, self._on_scene = world, on_scene
         self._watcher = WorldWatcher(world)
         self._robots = tuple(fleet.spec.robots)
-        self._statements = StatusLog()
+        self._log = StatusLog()
 
     def perform(self, trace: Path, began: float) -> Summary:
         """Run the pattern from start to end; `began` is when the command did (boot time)."""
@@ -223,7 +223,7 @@ class DemoRun:
             if time.monotonic() >= next_round:
                 self._fleet.check()
                 statuses = statuses_of(self._operator.members(timeout=STATUS_PERIOD))
-                self._statements.add(state.recorded, statuses)
+                self._log.add(state.recorded, statuses)
                 self._on_scene(self._scene(state, statuses))
                 next_round = time.monotonic() + STATUS_PERIOD
             try:
@@ -256,7 +256,7 @@ class DemoRun:
         after: Mapping[str, Status],
         stopped: Outcome,
     ) -> Summary:
-        spec, trace = self._fleet.spec, self._statements.merged_into(load_trace(trace_path))
+        spec, trace = self._fleet.spec, self._log.merged_into(load_trace(trace_path))
         trace.save(trace_path)
         kinds = map(load_platform, set(spec.robots.values()))
         platforms = {kind.name: kind for kind in kinds}

@@ -73,7 +73,7 @@ def forget(options: CommonOptions, name: str) -> None:
 
 
 def row(member: Member) -> tuple[str, ...]:
-    """The line of a member; the last pattern of one that is not alive is marked `?`."""
+    """The line of a member; if it is not alive, its last pattern is marked `?`."""
     status = member.status
     if member.condition is not Condition.ALIVE:
         pattern = f"{status.pattern}?" if status is not None and status.pattern else NOTHING
