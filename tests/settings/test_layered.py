@@ -8,7 +8,7 @@ import pytest
 from msgspec import Meta, Struct
 
 from swarmd.core.errors import ConfigError
-from swarmd.settings.layered import Layered
+from swarmd.settings.layered import Keys, Layered, fault_at, read
 
 
 class Inner(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -127,3 +127,57 @@ def test_a_key_that_cannot_be_printed_leaves_the_fault_on_one_line() -> None:
     with pytest.raises(ConfigError) as raised:
         Layered(("file", {"limits": {"a\nb é": []}})).build(Named)
     assert str(raised.value) == r"file: limits.a\nb é is []; wanted a number"
+
+
+class Square(Struct, frozen=True, tag="side", forbid_unknown_fields=True):
+    side: float
+
+
+class Row(Struct, frozen=True, tag="row", forbid_unknown_fields=True):
+    row: Annotated[tuple[Square | Row, ...], Meta(min_length=1)]
+    gap: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.gap < 0.0:
+            raise ValueError("needs a gap of at least 0")
+
+
+def test_the_key_that_is_a_tag_selects_the_struct() -> None:
+    assert read({"row": [{"side": 1}, {"row": [{"side": 2}]}]}, Square | Row) == (
+        Row((Square(1.0), Row((Square(2.0),)))),
+        [],
+    )
+
+
+@pytest.mark.parametrize(
+    ("data", "places"),
+    [
+        ({"row": [{"side": "x"}, {}, {"side": 1, "row": []}, {"row": []}]}, [0, 1, 2, 3]),
+        ({"row": [{"side": 1, "colour": 2}, {"side": 1}, {"row": [{}], "gap": "x"}]}, [0, 2, 2]),
+        ({"row": [{"row": [{"side": 1}], "gap": -1}]}, [0]),
+    ],
+)
+def test_all_faults_are_found_with_their_places(data: object, places: list[int]) -> None:
+    value, faults = read(data, Square | Row)
+    assert value is None
+    assert [keys[1] for keys, _ in faults] == places
+
+
+def test_a_check_sees_each_valid_struct_with_its_place() -> None:
+    seen: list[Keys] = []
+
+    def check(value: object, keys: Keys) -> list[tuple[Keys, str]]:
+        seen.append(keys)
+        return [fault_at((*keys, "side"), "is odd")] if value == Square(1.0) else []
+
+    _, faults = read({"row": [{"side": 1}, {"side": "x"}, {"side": 2}]}, Square | Row, check)
+    assert seen == [("row", 0), ("row", 2)]
+    assert [keys for keys, _ in faults] == [("row", 0, "side"), ("row", 1, "side")]
+    with pytest.raises(ConfigError, match=r"^a\.yaml: side is odd"):
+        Layered(("a.yaml", {"side": 1})).build(Square, check)
+
+
+def test_the_outermost_struct_is_read_without_its_faulty_fields() -> None:
+    value, faults = read({**GOOD, "name": 3, "groups": {"a": {}, "b": {"speed": 1}}}, Outer)
+    assert value == Outer(inner=Inner(speed=1.0), groups={"b": Inner(speed=1.0)})
+    assert [keys for keys, _ in faults] == [("name",), ("groups", "a", "speed")]
