@@ -203,7 +203,7 @@ def test_check_tells_rates_types_and_clocks() -> None:
     assert "/scan (sensor_msgs/msg/LaserScan): " in found["scan"].text
     assert " Hz, 360 rays, stamps advanced " in found["scan"].text
     assert "/cmd_vel (geometry_msgs/msg/Twist) has a subscriber" in found["cmd_vel"].text
-    assert "nobody else publishes /cmd_vel" in found["others"].text
+    assert "no other node publishes /cmd_vel" in found["others"].text
 
 
 def test_check_without_a_bridge_says_what_to_start() -> None:
