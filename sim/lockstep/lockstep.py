@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from swarmd.core.clock import TICK
 from swarmd.core.codec import decode_value, encode_value
 from swarmd.core.errors import CodecError
 from swarmd.core.messages import Latch, Status
@@ -21,7 +22,7 @@ from swarmd.core.values import Array, Platform, Scan, Twist, Value
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.robot.latches import LatchRecord
-from swarmd.robot.robot import TICK, Robot
+from swarmd.robot.robot import Robot
 from swarmd.robot.status import RobotSettings
 from swarmd.sim.lockstep.recorder import LockstepRecorder
 from swarmd.sim.lockstep.schedules import Alarms, Schedules

@@ -7,6 +7,9 @@ from collections.abc import Callable
 
 Clock = Callable[[], float]
 
+TICK = 0.05
+"""Seconds between two decisions of a robot, at most."""
+
 
 def boottime() -> float:
     """Seconds since boot (CLOCK_BOOTTIME), with time in suspend; never set back."""

@@ -6,7 +6,8 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 
-PERIOD = 0.05
+from swarmd.core.clock import TICK
+
 MAX_LATENESS_SAMPLES = 400
 
 
@@ -16,7 +17,7 @@ class TickTimer:
     def __init__(self, loop: asyncio.AbstractEventLoop, tick: Callable[[], None]) -> None:
         self._loop = loop
         self._tick = tick
-        self._next = loop.time() + PERIOD
+        self._next = loop.time() + TICK
         self._handle = loop.call_at(self._next, self._on_time)
         self._wake: asyncio.TimerHandle | None = None
         self._lateness: deque[float] = deque(maxlen=MAX_LATENESS_SAMPLES)
@@ -50,8 +51,8 @@ class TickTimer:
         self._lateness.append(late)
         if late > 1.0:
             self.stalls += 1
-        self._next += PERIOD
+        self._next += TICK
         if self._next <= now:  # more than a period late: do not catch up
-            self._next = now + PERIOD
+            self._next = now + TICK
         self._handle = self._loop.call_at(self._next, self._on_time)
         self._tick()

@@ -21,6 +21,7 @@ from typing import NamedTuple, TypeAlias
 import msgspec
 import numpy as np
 
+from swarmd.core.clock import TICK
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import ZERO, Array, Platform, Pose, Scan, ScanSpec, TouchZone, Twist
 from swarmd.protection.blind_zone import BlindZoneMemory, blind_zone_memory
@@ -53,9 +54,6 @@ from swarmd.protection.projection import Point, nearest_feasible
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.stopping import StopCheck
-
-TICK = 0.05
-"""Seconds until the next decision, at the latest."""
 
 CREEP_SPEED = 0.015
 """m/s: the fastest corner in contact, where part of the obstacle may be unseen."""

@@ -22,7 +22,6 @@ from swarmd.robot.sensors import Sensors
 from swarmd.robot.state_machine import Trigger
 from swarmd.robot.status import DutyCycle, RobotSettings, make_status, status_reason
 
-TICK = 0.05
 STALL_TIMEOUT = 1.0
 STATUS_PERIOD = 1.0
 

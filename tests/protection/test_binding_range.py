@@ -10,8 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from swarmd.core.clock import TICK
 from swarmd.core.values import Odometry, Platform, Pose, Twist
-from swarmd.protection.barrier import TICK, Barrier
+from swarmd.protection.barrier import Barrier
 from swarmd.protection.constraints import BindingRange
 from swarmd.protection.decision import DecisionContext
 from swarmd.protection.footprint import ScanGeometry

@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from swarmd.core.clock import TICK
 from swarmd.core.values import Array, Limits, Platform, Scan, TouchZone, Twist
-from swarmd.protection.barrier import CREEP_SPEED, TICK
+from swarmd.protection.barrier import CREEP_SPEED
 from swarmd.protection.constraints import (
     LIMIT_BOX,
     envelope,

@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from swarmd.core.clock import TICK
 from swarmd.core.errors import UnknownPatternError, unknown
 from swarmd.core.host_messages import HostCommand, HostEvent, KillHost
 from swarmd.core.messages import REQUEST_TYPES, Code, Epoch, ForgetRequest, Reply, Request, Status
@@ -26,7 +27,7 @@ from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.runner import InlineRunner
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
-from swarmd.robot.robot import TICK, Robot
+from swarmd.robot.robot import Robot
 from swarmd.robot.status import RobotSettings
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan

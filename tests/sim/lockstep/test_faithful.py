@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from swarmd.core.clock import TICK
 from swarmd.core.values import Array
-from swarmd.robot.robot import TICK
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT
 from swarmd.sim.lockstep.lockstep import BASE_TIMEOUT, Lockstep, simulate_run
 from swarmd.sim.metrics.contacts import contact_list
