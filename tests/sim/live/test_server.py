@@ -240,7 +240,7 @@ async def _ended(pidfd: int) -> None:
         (("--robots", "a"), "wanted is such as tb3-01:waffle_pi"),
         ((*TWO, "--arena", "big"), "wanted is such as 6x6"),
         ((*TWO[:2], "--layout", "row:0.1"), "robot 1 at (0, 0.05) touches robot 0"),
-        ((*TWO, "--endpoint", "here"), "wanted is such as tcp/127.0.0.1:0"),
+        ((*TWO, "--endpoint", "here"), "endpoint"),
         ((*TWO, "--radio-range", "-1"), "--radio-range: range is -1"),
     ],
 )
