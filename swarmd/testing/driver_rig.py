@@ -144,7 +144,7 @@ class DriverHarness:
             return bool(taken)
 
         await self.until(has_come)
-        return taken[-1]
+        return taken[0]
 
     async def end(self) -> None:
         """Cancel the driver and wait until it has ended."""
