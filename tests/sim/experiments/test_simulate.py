@@ -165,7 +165,7 @@ def test_names_that_are_none_are_one_line(duo: Path) -> None:
     [
         ({"jobs": 0}, "jobs is 0"),
         ({"timeout": 0.5}, "timeout is 0.5; wanted 1 s or more"),
-        ({"seeds": 0}, "there is none"),
+        ({"seeds": 0}, "seeds"),
         ({"seeds": [1, 1]}, "seeds: 1"),
         ({"sweep": {"duration": []}}, "there is no value"),
         ({"sweep": {"duraton": [1]}}, "did you mean 'duration'"),
