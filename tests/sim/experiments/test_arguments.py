@@ -28,7 +28,7 @@ def test_seeds_are_a_number_of_them_a_range_or_a_list(text: str, seeds: tuple[in
     ("text", "fault"),
     [
         ("", "'' is not a seed"),
-        ("0", "there is none"),
+        ("0", "seeds"),
         ("-3", "'-3' is not a seed"),
         ("5-3", "'5-3' is not a seed"),
         ("1,,2", "'' is not a seed"),

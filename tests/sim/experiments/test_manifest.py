@@ -64,7 +64,7 @@ def test_says_what_it_was_made_with(manifest: Manifest, duo: Path) -> None:
     ("path", "value", "fault"),
     [
         (("format",), 99, "format 99, and this swarmd reads 1"),
-        (("seeds",), [], "damaged: seeds: there is none"),
+        (("seeds",), [], "damaged: seeds"),
         (("seeds",), [1, 1], "damaged: seeds: 1"),
         (("seeds",), "1", r"damaged: Expected `array`, got `str` - at `$.seeds`"),
         (("variants",), [], "damaged: no variants"),
