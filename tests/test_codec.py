@@ -54,10 +54,19 @@ def test_other_versions_truncated_and_oversized_bytes_are_unreadable(payload: by
         Decoder(RunRequest)(payload)
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, 1e9])
-def test_bounds_refuse_what_is_no_speed(bad: float) -> None:
+@pytest.mark.parametrize(
+    "summary",
+    [
+        *(DecisionSummary(safe_linear=speed) for speed in (math.nan, math.inf, 1e9)),
+        *(
+            DecisionSummary(rows=(row,))
+            for row in (Row(9.0, 0.1, 0.1), Row(0.0, math.inf, 0.1), Row(0.0, 0.1, 1e9))
+        ),
+    ],
+)
+def test_bounds_refuse_impossible_speeds_and_obstacles(summary: DecisionSummary) -> None:
     with pytest.raises(CodecError):
-        Decoder(DecisionSummary)(encode(DecisionSummary(safe_linear=bad)))
+        Decoder(DecisionSummary)(encode(summary))
 
 
 class OlderSummary(Struct):
@@ -67,12 +76,6 @@ class OlderSummary(Struct):
     is_active: bool = True
     min_gap: float = 0.3
     smell: str = "new here"
-
-
-@pytest.mark.parametrize("row", [Row(9.0, 0.1, 0.1), Row(0.0, math.inf, 0.1), Row(0.0, 0.1, 1e9)])
-def test_bounds_refuse_what_is_no_obstacle(row: Row) -> None:
-    with pytest.raises(CodecError):
-        Decoder(DecisionSummary)(encode(DecisionSummary(rows=(row,))))
 
 
 def test_a_summary_comes_through_as_it_was_and_one_of_an_older_peer_too() -> None:

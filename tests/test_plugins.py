@@ -54,18 +54,13 @@ def folder(tmp_path: Path) -> Path:
     return made
 
 
-def test_finds_the_patterns_that_come_with_it() -> None:
-    found = plugins.pattern_names(None)
-    assert {"attraction", "drive", "random_walk"} <= set(found)
-    assert found["drive"].value == "swarmd.patterns.drive:Drive"
-    assert found["drive"].source.startswith("swarmd ")
-
-
 @pytest.mark.usefixtures("outsider")
-def test_finds_an_outsiders_pattern_the_same_way() -> None:
-    assert plugins.find_pattern("swirl", None) == plugins.Origin(
-        "outsider_ok:Swirl", "outsider 2.1"
-    )
+def test_finds_installed_patterns_of_any_package() -> None:
+    drive = plugins.find_pattern("drive", None)
+    assert drive.value == "swarmd.patterns.drive:Drive"
+    assert drive.source.startswith("swarmd ")
+    swirl = plugins.Origin("outsider_ok:Swirl", "outsider 2.1")
+    assert plugins.find_pattern("swirl", None) == swirl
 
 
 def test_finds_patterns_in_the_plugin_folder_and_ignores_other_files(folder: Path) -> None:
@@ -96,20 +91,16 @@ def test_two_patterns_of_one_name_are_listed_and_refused(folder: Path) -> None:
         plugins.find_pattern("drive", folder)
 
 
-def test_an_unknown_pattern_is_refused_with_the_nearest_name(folder: Path) -> None:
-    with pytest.raises(PluginError, match=r"'driv'.*'drive'"):
-        plugins.find_pattern("driv", folder)
-
-
-def test_a_file_name_that_is_no_id_is_refused(folder: Path) -> None:
+@pytest.mark.parametrize(
+    ("name", "place", "subject"),
+    [("driv", ".", "'driv'.*'drive'"), ("Big", ".", r"Big\.py"), ("drive", "none", "own/none")],
+)
+def test_a_pattern_that_cannot_be_found_is_refused(
+    folder: Path, name: str, place: str, subject: str
+) -> None:
     (folder / "Big.py").touch()
-    with pytest.raises(PluginError, match=r"Big\.py"):
-        plugins.find_pattern("Big", folder)
-
-
-def test_a_missing_plugin_folder_is_refused(folder: Path) -> None:
-    with pytest.raises(PluginError, match="own/none"):
-        plugins.pattern_names(folder / "none")
+    with pytest.raises(PluginError, match=subject):
+        plugins.find_pattern(name, folder / place)
 
 
 @pytest.mark.usefixtures("outsider")
@@ -155,12 +146,6 @@ def test_a_driver_that_cannot_be_loaded_is_refused_in_one_line(name: str, fault:
     with pytest.raises(PluginError, match=f"^{fault}") as caught:
         plugins.load_driver(name)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.usefixtures("outsider")
-def test_a_verb_with_missing_modules_names_the_install_command() -> None:
-    with pytest.raises(PluginError, match=r"run: pip install 'outsider\[far\]'$"):
-        plugins.load_command("far")
 
 
 def test_a_module_of_no_extra_is_named_itself() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +89,12 @@ def test_each_option_of_a_driver_is_explained() -> None:
     kinds = (BaseOptions, RmwOptions, Ros1Options, ReplayOptions)
     names = {name for kind in kinds for name in kind.__struct_fields__}
     assert not [name for name in sorted(names) if f"`{name}`" not in text]
+
+
+def test_the_page_of_trouble_is_up_to_date() -> None:
+    """If it is not: `python docs/robots/trouble.py`."""
+    made = runpy.run_path(str(PAGES / "trouble.py"))
+    assert made["PAGE"].read_text() == made["page"]()
 
 
 def test_each_shipped_robot_has_a_page() -> None:

@@ -9,7 +9,6 @@ from swarmd.cli.arguments import (
     Duration,
     NoTarget,
     Targets,
-    check_known,
     read_assignments,
     read_targets,
 )
@@ -67,6 +66,7 @@ def test_reads_numbers_as_numbers_and_all_else_as_text(word: str, value: object)
         (["a=1", "a=2"], "-p a "),
         (["a=" + "x" * 257], "256 characters"),
         (["a=\udcff"], "UTF-8"),
+        ([f"k{i}={250 * 'x'}" for i in range(150)], "32768 bytes"),
     ],
 )
 def test_refuses_wrong_assignments(words: list[str], subject: str) -> None:
@@ -134,19 +134,3 @@ def test_only_targets_without_names_are_the_whole_swarm(
 ) -> None:
     found = read_targets("estop", names, False, exclude, is_required=False)
     assert found.is_whole_swarm is is_whole_swarm
-
-
-@pytest.mark.parametrize(
-    ("names", "is_all", "subject"), [((), False, "needs targets"), (("r1",), True, "not both")]
-)
-def test_motion_takes_either_names_or_all(
-    names: tuple[str, ...], is_all: bool, subject: str
-) -> None:
-    with pytest.raises(click.UsageError, match=f"^run .*{subject}"):
-        read_targets("run", names, is_all, (), is_required=True)
-
-
-def test_an_exact_name_is_checked_against_the_known_ones() -> None:
-    check_known("r1", KNOWN)
-    with pytest.raises(NoTarget, match="'tb3-03'"):
-        check_known("tb3-03", KNOWN)

@@ -101,12 +101,6 @@ def test_1_and_a_traceback_for_an_unforeseen_error(tmp_path: Path) -> None:
     assert "ZeroDivisionError" in done.stderr
 
 
-def test_2_for_a_driver_that_is_not_there(tmp_path: Path) -> None:
-    done = swarmd(tmp_path, "--id", "r1", "--driver", "unusabel")
-    assert done.returncode == 2
-    assert "'unusable'" in done.stderr
-
-
 @pytest.fixture
 def unprotected(tmp_path: Path) -> tuple[str, ...]:
     """Options for a platform without protection."""

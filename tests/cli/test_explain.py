@@ -76,11 +76,6 @@ def test_a_failed_robot_has_its_age_and_last_state(make_member: MakeMember) -> N
     assert "`swarmctl members forget r1`" in text
 
 
-def test_a_robot_without_a_status_is_alive() -> None:
-    member = Member(robot="r1", instance="x", condition=Condition.ALIVE, age=0.0)
-    assert why(member).startswith("alive, ")
-
-
 def test_a_hold_that_lasted_is_in_the_past_tense(make_member: MakeMember) -> None:
     lasting = make_member(state=State.STOPPED, reason=Reason.STALE_SCAN, detail="for 2 s")
     assert why(lasting).startswith("stopped: scans stopped arriving (for 2 s); ")

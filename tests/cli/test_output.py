@@ -2,20 +2,9 @@
 
 from __future__ import annotations
 
-import json
-
 import pytest
 
-from swarmd.cli.output import has_colour, print_json, print_section, print_table, seconds
-
-
-def test_json_has_the_version_of_the_format(capsys: pytest.CaptureFixture[str]) -> None:
-    print_json("Members", {"members": [{"robot": "r1"}]})
-    assert json.loads(capsys.readouterr().out) == {
-        "apiVersion": "swarm/v1",
-        "kind": "Members",
-        "members": [{"robot": "r1"}],
-    }
+from swarmd.cli.output import has_colour, print_section, print_table, seconds
 
 
 def test_a_table_is_aligned_and_plain_without_a_terminal(
@@ -23,11 +12,6 @@ def test_a_table_is_aligned_and_plain_without_a_terminal(
 ) -> None:
     print_table(("NAME", "STATE"), [("r1", "running"), ("robot-2", "failed")])
     assert capsys.readouterr().out == "NAME     STATE\nr1       running\nrobot-2  failed\n"
-
-
-def test_an_empty_table_is_its_header(capsys: pytest.CaptureFixture[str]) -> None:
-    print_table(("NAME", "STATE"), [])
-    assert capsys.readouterr().out == "NAME  STATE\n"
 
 
 def test_an_empty_section_is_left_out(capsys: pytest.CaptureFixture[str]) -> None:

@@ -244,9 +244,7 @@ def test_param_set_changes_and_param_get_shows_the_source(
     assert rows[1] == ["r1", "drive", "turn", "0.5", "runtime"]
     assert rows[2][:4] == ["r2", "drive", "turn", "0"]
     assert swarm.ctl(*look, "-k", "trun").returncode == 2
-
-
-def test_param_get_names_robots_without_a_pattern(swarm: Swarm) -> None:
+    swarm.ctl("stop")
     assert last_line(swarm.ctl("param", "get", "r1")) == "# no pattern is running on r1"
 
 

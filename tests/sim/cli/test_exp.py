@@ -9,9 +9,8 @@ import shutil
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -61,18 +60,6 @@ def finished(folder: Path) -> int:
     return max(path.read_bytes().count(b"\n") - 1, 0) if path.exists() else 0
 
 
-@pytest.fixture
-def small_disk(tmp_path: Path) -> Iterator[Path]:
-    """A file system of 96 kB."""
-    folder = tmp_path / "disk"
-    folder.mkdir()
-    mount = ["mount", "-t", "tmpfs", "-o", "size=96k", "tmpfs", str(folder)]
-    if os.geteuid() != 0 or subprocess.run(mount, capture_output=True, check=False).returncode:
-        pytest.skip("a small file system needs root, and to be permitted")
-    yield folder
-    subprocess.run(["umount", str(folder)], check=True)
-
-
 @pytest.mark.parametrize("args", [["exp", "--help"], ["exp", "run", "--help"]])
 def test_help_loads_nothing_heavy(args: list[str]) -> None:
     code = (
@@ -106,19 +93,6 @@ def test_a_sweep_leaves_rows_traces_a_summary_and_a_manifest(
     assert manifest["variants"][1]["effective"]["groups"]["all"]["parameters"]["speed"] == 0.1
     assert list(manifest["plugins"]) == [f"{duo.parent}/plugins/moody.py"]
     assert not (folder / "failures.json").exists()
-    for variant in ("speed=0.2", "speed=0.1"):
-        assert f"\n{variant}\n" in done.stdout
-
-
-@pytest.mark.integration
-def test_results_are_the_same_bits_for_any_number_of_processes(
-    tmp_path: Path, duo: Path, swarmctl: Swarmctl
-) -> None:
-    for jobs in (1, 2):
-        done = swarmctl("exp", "run", duo, "--seeds", 4, "-j", jobs, "--out", f"j{jobs}")
-        assert done.returncode == 0, done.stderr
-    assert rows(tmp_path / "j1") == rows(tmp_path / "j2")
-    assert traces(tmp_path / "j1") == traces(tmp_path / "j2")
 
 
 @pytest.mark.integration
@@ -134,8 +108,7 @@ def test_removed_results_are_one_line_and_the_command_works_again(
     _, errors = process.communicate(timeout=60)
     assert process.returncode == 1, errors
     assert "error: x: " in errors
-    if what == ".":
-        assert not gone.exists()
+    assert what != "." or not gone.exists()
     (tmp_path / "away").rename(gone)
     done = swarmctl(*command)
     assert (done.returncode, len(rows(tmp_path / "x"))) == (0, RUNS), done.stderr
@@ -149,12 +122,15 @@ def test_a_hanging_run_fails_and_the_others_go_on(
     sweep = f"{END}=hang,none"
     done = swarmctl("exp", "run", duo, "--seeds", 1, "--sweep", sweep, "--timeout", 3, "--out", "x")
     assert done.returncode == 3
-    assert "failed: end=hang_s0000: no progress in 3 s" in done.stderr
     assert [row["run"] for row in rows(tmp_path / "x")] == ["end=none_s0000"]
+    for one in (done, swarmctl("exp", "show", "x")):
+        assert "1 of 2 runs, 1 failed" in one.stdout
+        assert "failed: end=hang_s0000: no progress in 3 s" in one.stderr
+        assert "only 1 run" in one.stderr
 
 
 @pytest.mark.integration
-def test_a_rerun_is_identical_also_with_another_hash_seed(
+def test_a_rerun_tells_which_runs_are_identical_also_with_another_hash_seed(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl
 ) -> None:
     swarmctl("exp", "run", duo, "--seeds", "7-9", "--out", "a", PYTHONHASHSEED="1")
@@ -162,32 +138,24 @@ def test_a_rerun_is_identical_also_with_another_hash_seed(
     before = contents(tmp_path / "a")
     done = swarmctl("exp", "rerun", "a", "--out", "b", "-j", 2, PYTHONHASHSEED="2")
     assert done.returncode == 0, done.stderr
-    assert done.stdout.count("identical") == 3
     assert "3 of 3 runs are identical" in done.stderr
     assert contents(tmp_path / "a") == before
     assert traces(tmp_path / "a") == traces(tmp_path / "b")
+    shutil.copy(tmp_path / "a/traces/s0008.npz", tmp_path / "a/traces/s0007.npz")
+    done = swarmctl("exp", "rerun", "a", "-o", "json")
+    assert done.returncode == 3
+    found = {run["run"]: run["identical"] for run in json.loads(done.stdout)["runs"]}
+    assert found == {"s0007": False, "s0008": True, "s0009": True}
 
 
 @pytest.mark.integration
-def test_a_rerun_tells_which_run_differs_and_what_has_changed(
-    tmp_path: Path, duo: Path, swarmctl: Swarmctl
-) -> None:
-    swarmctl("exp", "run", duo, "--seeds", 2, "--out", "a")
-    shutil.copy(tmp_path / "a/traces/s0001.npz", tmp_path / "a/traces/s0000.npz")
-    words = ("exp", "run", duo, "--seeds", 4, "--out", "x", "--set", f"{END}=none")
-    assert swarmctl(*words).returncode == 0
-    table = (tmp_path / "x/runs.csv").read_text()
-    (tmp_path / "x/runs.csv").write_text("".join(table.splitlines(keepends=True)[:3]))
-    failures = {"failures": [{"run": "s0002", "variant": "", "seed": 2, "reason": "bad luck"}]}
-    (tmp_path / "x/failures.json").write_text(json.dumps(failures))
-    shown = swarmctl("exp", "show", "x")
-    assert "2 of 4 runs, 1 failed" in shown.stdout
-    assert "failed: s0002: bad luck" in shown.stderr
-    done = swarmctl(*words)
-    assert done.returncode == 0
-    assert "2 of 4 runs" in done.stderr
-    assert len(rows(tmp_path / "x")) == 4
-    assert json.loads((tmp_path / "x/failures.json").read_text()) == {"failures": []}
+def test_patterns_that_fail_are_counted(tmp_path: Path, duo: Path, swarmctl: Swarmctl) -> None:
+    moody = duo.parent / "plugins" / "moody.py"
+    moody.write_text(moody.read_text().replace("if inputs.now > 0.5:", "if 1 / 0:"))
+    done = swarmctl("exp", "run", duo, "--seeds", 2, "--no-traces")
+    assert done.returncode == 0, done.stderr
+    assert "patterns failed in 2 runs" in done.stderr
+    assert "only 2 runs" in done.stderr
 
 
 @pytest.mark.integration
@@ -250,20 +218,6 @@ def test_a_signal_keeps_finished_runs_and_says_how_to_resume(
     assert not (folder / "failures.json").exists()
 
 
-@pytest.mark.integration
-def test_a_full_disk_is_one_line_and_what_is_finished_stays(
-    duo: Path, swarmctl: Swarmctl, small_disk: Path
-) -> None:
-    done = swarmctl("exp", "run", duo, "--seeds", 40, "-j", 2, "--out", small_disk / "x")
-    assert done.returncode == 1
-    (line,) = [line for line in done.stderr.splitlines() if " of 40 runs" not in line]
-    assert line.startswith(f"error: {small_disk}/x")
-    assert "No space left on device" in line
-    shown = swarmctl("exp", "show", small_disk / "x", "-o", "json")
-    assert shown.returncode == 0, shown.stderr
-    assert json.loads(shown.stdout)["finished"] >= 1
-
-
 @pytest.mark.parametrize(
     ("args", "subject"),
     [
@@ -310,45 +264,6 @@ def test_a_mistake_is_one_line_and_nothing_is_made(
 
 
 @pytest.mark.integration
-def test_another_experiments_folder_is_refused_untouched(
-    tmp_path: Path, duo: Path, swarmctl: Swarmctl
-) -> None:
-    swarmctl("exp", "run", duo, "--seeds", 1, "--out", "x")
-    before = contents(tmp_path)
-    for words, fault in (
-        (["--seeds", "2"], "the seeds were 0, now 0-1"),
-        (["--seeds", "1", "--set", "duration=1"], "it was without --set and --sweep, now --set"),
-        (["--seeds", "1", "--no-traces"], "traces were kept, now they are not"),
-    ):
-        done = swarmctl("exp", "run", duo, "--out", "x", *words)
-        assert done.returncode == 2
-        assert f"x: holds another experiment: {fault}" in done.stderr
-    assert contents(tmp_path) == before
-
-
-@pytest.mark.integration
-def test_show_and_json_restrict_to_the_metrics_asked_for(duo: Path, swarmctl: Swarmctl) -> None:
-    wanted = ("--metrics", "minimum_gap,path_length")
-    done = swarmctl("exp", "run", duo, "--seeds", 2, "--no-traces", "--out", "x", *wanted)
-    assert [line.split()[0] for line in done.stdout.splitlines()[3:]] == [
-        "minimum_gap",
-        "path_length",
-    ]
-    shown: dict[str, Any] = json.loads(swarmctl("-o", "json", "exp", "show", "x", *wanted).stdout)
-    assert shown["apiVersion"] == "swarm/v1"
-    assert shown["kind"] == "ExperimentSummary"
-    assert sorted(shown["variants"][0]["metrics"]) == ["minimum_gap", "path_length"]
-
-
-@pytest.mark.parametrize(("seeds", "told"), [(1, "only 1 run"), (2, "only 2 runs")])
-@pytest.mark.integration
-def test_few_runs_are_warned_of(duo: Path, swarmctl: Swarmctl, seeds: int, told: str) -> None:
-    done = swarmctl("exp", "run", duo, "--seeds", seeds, "--no-traces", "--out", "x")
-    assert told in done.stderr
-    assert told in swarmctl("exp", "show", "x").stderr
-
-
-@pytest.mark.integration
 def test_compare_finds_what_a_sweep_has_changed(duo: Path, swarmctl: Swarmctl) -> None:
     sweep = "groups.all.parameters.speed=0.1,0.2"
     swarmctl("exp", "run", duo, "--seeds", 5, "--sweep", sweep, "--out", "x", "--no-traces")
@@ -363,6 +278,10 @@ def test_compare_finds_what_a_sweep_has_changed(duo: Path, swarmctl: Swarmctl) -
     assert found["metrics"]["path_length"]["interval"][0] > 0.0
     same = swarmctl("exp", "compare", "x", "x", "--metrics", "path_length")
     assert same.stdout.count("no difference shown") == 2
+    wanted = ("--metrics", "minimum_gap,path_length")
+    shown = json.loads(swarmctl("-o", "json", "exp", "show", "x", *wanted).stdout)
+    assert (shown["apiVersion"], shown["kind"]) == ("swarm/v1", "ExperimentSummary")
+    assert sorted(shown["variants"][0]["metrics"]) == ["minimum_gap", "path_length"]
 
 
 @pytest.mark.integration

@@ -41,27 +41,19 @@ def test_a_live_trace_is_measured_and_what_it_lacks_is_left_empty(live: Path) ->
     }
 
 
-def test_two_traces_stand_side_by_side(live: Path) -> None:
-    again = live.rename(live.with_name("again.npz"))
-    live.write_bytes(again.read_bytes())
-    done = CliRunner().invoke(exp, ["measure", str(live), str(again)])
-    assert done.exit_code == 0, done.output
-    head, *rows = done.output.splitlines()
-    assert head.split() == ["METRIC", "UNIT", "LIVE", "AGAIN"]
-    assert ["path_length", "m", "0.5", "0.5"] in [row.split() for row in rows]
-
-
-def test_traces_of_one_name_are_told_apart_by_their_folders(live: Path) -> None:
-    other = live.parent / "other" / live.name
+def test_traces_are_shown_side_by_side_those_of_one_name_with_their_folders(live: Path) -> None:
+    again, other = live.with_name("again.npz"), live.parent / "other" / live.name
     other.parent.mkdir()
-    other.write_bytes(live.read_bytes())
-    done = CliRunner().invoke(
-        exp, ["measure", str(live), str(other), "--metrics", "path_length, mean_speed"]
-    )
-    assert done.exit_code == 0, done.output
-    head, *rows = done.output.splitlines()
-    assert head.split() == ["METRIC", "UNIT", str(live), str(other)]
-    assert [row.split()[0] for row in rows if row] == ["path_length", "mean_speed"]
+    for path in (again, other):
+        path.write_bytes(live.read_bytes())
+    for second, heads in ((again, ["LIVE", "AGAIN"]), (other, [str(live), str(other)])):
+        words = ["measure", str(live), str(second), "--metrics", "path_length, mean_speed"]
+        done = CliRunner().invoke(exp, words)
+        assert done.exit_code == 0, done.output
+        head, *rows = (line.split() for line in done.output.splitlines())
+        assert head == ["METRIC", "UNIT", *heads]
+        assert rows[0] == ["path_length", "m", "0.5", "0.5"]
+        assert rows[1][0] == "mean_speed"
 
 
 def test_an_unknown_metric_and_a_file_that_is_no_trace_are_named(live: Path) -> None:

@@ -15,7 +15,7 @@ import pytest
 
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.errors import SwarmError
-from swarmd.sim.cli.demo import new_folder, report
+from swarmd.sim.cli.demo import report
 from swarmd.sim.live.summary import Numbers, Summary
 from tests.support.processes import unique_swarm, wait_until
 
@@ -63,12 +63,6 @@ def running_with(word: str) -> dict[int, str]:
     return dict(sorted(found.items()))
 
 
-def test_each_run_has_a_folder_of_its_own(tmp_path: Path) -> None:
-    folders = {new_folder(tmp_path / "runs") for _ in range(3)}
-    assert len(folders) == 3
-    assert all(folder.is_dir() for folder in folders)
-
-
 @pytest.mark.integration
 def test_a_demo_runs_to_the_end_and_leaves_its_results(tmp_path: Path) -> None:
     (tmp_path / "my_bot.yaml").write_text("extends: burger")
@@ -98,28 +92,31 @@ def test_a_pattern_that_fails_is_a_problem_in_a_plain_summary(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(
-    ("words", "subject"),
+    ("verb", "words", "subject"),
     [
-        (["--pattern", "atraction"], "'attraction'"),
-        (["--platform", "waffle"], "'waffle'"),
-        (["--arena", "1x1"], "robot"),
-        (["--layout", "circle"], "'circle'"),
-        (["--seconds", "soon"], "'soon'"),
-        (["-p", "speed"], "'speed'"),
-        (["-n", "0"], "0"),
-        (["--emulate", "ros2dd"], "'ros2dds'"),
-        (["--emulate", "ros2dds", "--radio-range", "2"], "--radio-range"),
-        (["--seed", "-1"], "-1"),
-        (["--platform", "own/My Bot.yaml"], "'My Bot-01'"),
-        (["--platform", "own/a,b.yaml"], "'own/a,b.yaml'"),
-        (["--platform", "own/a:b.yaml"], "'own/a:b.yaml'"),
-        (["--platform", "own/c.yaml"], "own/c.yaml"),
+        ("demo", ["--pattern", "atraction"], "'attraction'"),
+        ("demo", ["--platform", "waffle"], "'waffle'"),
+        ("demo", ["--arena", "1x1"], "robot"),
+        ("demo", ["--layout", "circle"], "'circle'"),
+        ("demo", ["--seconds", "soon"], "'soon'"),
+        ("demo", ["-p", "speed"], "'speed'"),
+        ("demo", ["-n", "0"], "0"),
+        ("demo", ["--emulate", "ros2dd"], "'ros2dds'"),
+        ("demo", ["--emulate", "ros2dds", "--radio-range", "2"], "--radio-range"),
+        ("demo", ["--seed", "-1"], "-1"),
+        ("demo", ["--platform", "own/My Bot.yaml"], "'My Bot-01'"),
+        ("demo", ["--platform", "own/a,b.yaml"], "'own/a,b.yaml'"),
+        ("demo", ["--platform", "own/a:b.yaml"], "'own/a:b.yaml'"),
+        ("demo", ["--platform", "own/c.yaml"], "own/c.yaml"),
+        ("sim up", ["--seed", "-1"], "-1"),
+        ("sim up", ["--platform", "own/My Bot.yaml"], "'My Bot-01'"),
     ],
 )
 def test_a_wrong_option_is_one_line_and_starts_nothing(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
+    verb: str,
     words: Sequence[str],
     subject: str,
 ) -> None:
@@ -127,22 +124,11 @@ def test_a_wrong_option_is_one_line_and_starts_nothing(
     (tmp_path / "own").mkdir()
     for name in ("My Bot", "a,b", "a:b"):
         (tmp_path / "own" / f"{name}.yaml").write_text("extends: burger")
-    assert run_cli(cli, ["demo", *words], "swarmctl", exit_code_of) == 2
-    error = capsys.readouterr().err
-    assert subject in error
-    assert len(error.splitlines()) == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["own"]
-
-
-@pytest.mark.parametrize("words", [["--seed", "-1"], ["--platform", "My Bot.yaml"]])
-def test_sim_up_refuses_the_same(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], words: Sequence[str]
-) -> None:
-    words = [str(tmp_path / word) if word.endswith(".yaml") else word for word in words]
-    (tmp_path / "My Bot.yaml").write_text("extends: burger")
-    assert run_cli(cli, ["sim", "up", *words], "swarmctl", exit_code_of) == 2
+    assert run_cli(cli, [*verb.split(), *words], "swarmctl", exit_code_of) == 2
     captured = capsys.readouterr()
+    assert subject in captured.err
     assert (captured.out, captured.err.count("\n")) == ("", 1)
+    assert [path.name for path in tmp_path.iterdir()] == ["own"]
 
 
 def test_no_place_for_results_is_one_line_and_starts_nothing(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from typing import Any
 
@@ -71,13 +70,6 @@ def test_a_robot_alone_has_no_gap() -> None:
     numbers = numbers_of(recorder.trace(), {"burger": BURGER}, None, 1.0)
     assert numbers.minimum_gap is None
     assert numbers.clusters_after == 1
-
-
-def test_a_summary_is_plain_json() -> None:
-    read = json.loads(json.dumps(summary().as_json(), allow_nan=False))
-    assert read["is_good"] is True
-    assert read["robots"] == ["a", "b"]
-    assert summary(problems=("a ended faulted",)).as_json()["is_good"] is False
 
 
 def test_lines_name_unknown_values() -> None:

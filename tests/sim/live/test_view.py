@@ -33,17 +33,6 @@ def test_a_row_has_the_status_of_the_robot() -> None:
     )
 
 
-def test_a_stopped_robot_shows_its_reason() -> None:
-    stopped = status("a", state=State.STOPPED, reason=Reason.PATTERN_RESTARTING)
-    text = shown(Scene("t", ARENA, {"a": (0.0, 0.0, 0.0)}, {"a": stopped}))
-    assert "pattern_restarting" in text
-
-
-def test_a_silent_robot_is_named() -> None:
-    text = shown(Scene("t", ARENA, {"a": (0.0, 0.0, 0.0)}, {}))
-    assert "no answer" in text
-
-
 @pytest.mark.parametrize(
     ("pose", "cell"),
     [
