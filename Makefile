@@ -49,7 +49,7 @@ bench: $(VENV)/tools
 paper: $(VENV)/tools
 	@$(BIN)/python -m studies.paper $(ARGS)
 
-# What each pattern brings about, over twenty seeds; tests/outcomes ask the same of a few.
+# What each pattern brings about, over twenty seeds; tests/studies/test_outcomes.py tests a few.
 outcomes: $(VENV)/tools
 	@$(BIN)/python -m studies.outcomes $(ARGS)
 

@@ -52,15 +52,15 @@ class Result:
     agreed_at: float
     winner: int | None
     rounds: float
-    said: int
+    sent: int
 
 
 def hold(motion: Motion) -> Result:
     """One debate."""
     m = motion
-    house = VotingSim(m.pattern, m.count, seed=m.seed, params=m.params, held=m.held, air=m.air)
-    debate = house.run(m.seconds, until_agreed=m.settled)
-    return Result(debate.agreed_at, debate.winner, rounds_of(debate), debate.said)
+    swarm = VotingSim(m.pattern, m.count, seed=m.seed, params=m.params, held=m.held, air=m.air)
+    debate = swarm.run(m.seconds, until_agreed=m.settled)
+    return Result(debate.agreed_at, debate.winner, rounds_of(debate), debate.sent)
 
 
 def hold_all(motions: Iterable[Motion], jobs: int = 1) -> list[Result]:

@@ -16,7 +16,7 @@ import swarmd
 from swarmd.core.errors import SwarmError
 from swarmd.plugins import mission_files
 
-NOT_IN_RUNS = frozenset({"__pycache__", "cli", "live", "network", "plots", "testing"})
+NOT_IN_RUNS = frozenset({"__pycache__", "cli", "live", "plots", "testing"})
 """Folders of swarmd that no run imports; a change there changes no result."""
 
 _GIT_SECONDS = 10.0

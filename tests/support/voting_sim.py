@@ -1,8 +1,8 @@
-"""Voting patterns that talk, without bodies: thousands of runs in minutes.
+"""A simulation of voting patterns alone: thousands of runs in minutes.
 
-What is stepped is what runs on a robot: patterns on a `Stage`, each at its own rate, in a phase of
-its own. Between them is a radio that delays, loses and repeats. There are no scans, no protection
-and no daemons, so it fits only patterns that need none; a run in lockstep has all of them.
+Each robot's pattern runs in a `PatternExecutor` as on a robot, at its own rate and phase. A
+simulated radio delays, loses and repeats their messages. There are no scans, no protection and no
+daemons; a run in lockstep has all of them.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ Opinions = NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True)
 class Air:
-    """The radio: `delay` and `jitter` in s (evenly, both ways), shares lost and heard twice."""
+    """The radio: `delay` and `jitter` in s (evenly, both ways), shares lost and received twice."""
 
     delay: float = 0.02
     jitter: float = 0.01
@@ -40,19 +40,19 @@ class Air:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Debate:
-    """What was held: `opinions` (T, n) and `rounds` (T, n) at times `t` (T,) s; -1 while absent.
+    """The `opinions` (T, n) and `rounds` (T, n) at times `t` (T,) s; -1 while absent.
 
-    `said` counts the messages that the robots sent.
+    `sent` counts the messages of all robots.
     """
 
     t: Array
     opinions: Opinions
     rounds: Opinions
-    said: int
+    sent: int
 
     @property
     def agreed_at(self) -> float:
-        """When all that are present held one opinion, and kept it to the end; inf if never."""
+        """The time in s from which all present robots hold one opinion to the end; inf if never."""
         here = self.opinions >= 0
         final = self.opinions[-1][here[-1]]
         if len(final) == 0 or (final != final[0]).any():
@@ -70,10 +70,10 @@ class Debate:
 
 @dataclass(slots=True, eq=False)
 class _Voter:
-    """One robot of the parliament."""
+    """A robot and its pattern."""
 
     name: str
-    stage: PatternExecutor
+    executor: PatternExecutor
     period: float
     inbox: list[tuple[float, Message]] = field(default_factory=list)
     stepped_at: float | None = None
@@ -84,9 +84,9 @@ class _Voter:
 class VotingSim:
     """A swarm of one voting pattern; all hear all. The same seed gives the same debate.
 
-    Robot i steps for the first time at `starts[i]` s plus its phase of a step, and is gone from
-    `ends[i]` on. `held` are the first opinions, random ones without; `params` are of all robots,
-    `own` by robot.
+    Robot i steps for the first time at `starts[i]` s plus its phase of a step, and is absent from
+    `ends[i]` on. `held` are the initial opinions, random by default; `params` apply to all robots,
+    `own` to one robot each.
     """
 
     def __init__(
@@ -107,19 +107,19 @@ class VotingSim:
         self._starts = [0.0] * count if starts is None else [float(start) for start in starts]
         self._ends = ends or {}
         self._voters = [
-            _take_seat(pattern, f"robot-{row}", layers, seed)
+            _load_voter(pattern, f"robot-{row}", layers, seed)
             for row, layers in enumerate(_layers(count, params, own, held))
         ]
         self._changes = sorted((*self._starts, *self._ends.values()))
         self._known: dict[tuple[int, int], tuple[Neighbor, ...]] = {}
         self._queue: list[tuple[float, int, int]] = []
-        self._said = 0
+        self._sent = 0
         for row, voter in enumerate(self._voters):
             phase = float(self._rng.uniform(0.0, voter.period))
             heapq.heappush(self._queue, (self._starts[row] + phase, row, 0))
 
     def run(self, seconds: float, *, until_agreed: float | None = None) -> Debate:
-        """What is held over so many seconds, every 0.1 s.
+        """The debate over so many seconds, sampled every 0.1 s.
 
         `until_agreed`: end early when all have agreed for so many seconds.
         """
@@ -137,7 +137,7 @@ class VotingSim:
             agreed_since = min(agreed_since, now) if is_agreed else math.inf
             if until_agreed is not None and now - agreed_since >= until_agreed:
                 break
-        return Debate(np.array(times), np.array(held), np.array(rounds), self._said)
+        return Debate(np.array(times), np.array(held), np.array(rounds), self._sent)
 
     def _advance(self, now: float) -> None:
         while self._queue[0][0] <= now:
@@ -157,12 +157,12 @@ class VotingSim:
         dt = 0.0 if voter.stepped_at is None else now - voter.stepped_at
         voter.stepped_at = now
         inputs = Inputs(now, dt, neighbors=self._neighbors(row, now), messages=messages)
-        stepped = voter.stage.handle(Step(1, inputs))
+        stepped = voter.executor.handle(Step(1, inputs))
         assert isinstance(stepped, Stepped), stepped
         voter.opinion = int(stepped.outputs.report["opinion"])
         voter.round = int(stepped.outputs.report.get("round", -1))
         for channel, value in stepped.outputs.messages.items():
-            self._said += 1
+            self._sent += 1
             self._send(row, Message(voter.name, channel, value, 0.0), now)
 
     def _neighbors(self, row: int, now: float) -> tuple[Neighbor, ...]:
@@ -204,19 +204,19 @@ def _layers(
     return layers
 
 
-def _take_seat(pattern: str, name: str, layers: Layers, seed: int) -> _Voter:
-    finder, platform = _house()
-    stage = PatternExecutor(finder)
-    loaded = stage.handle(Load(1, pattern, layers, name, platform, seed))
+def _load_voter(pattern: str, name: str, layers: Layers, seed: int) -> _Voter:
+    loader, platform = _loader_and_platform()
+    executor = PatternExecutor(loader)
+    loaded = executor.handle(Load(1, pattern, layers, name, platform, seed))
     if isinstance(loaded, LoadRefused):
         raise ConfigError(loaded.text)
     assert isinstance(loaded, Loaded)
-    return _Voter(name, stage, 1.0 / loaded.rate)
+    return _Voter(name, executor, 1.0 / loaded.rate)
 
 
 @lru_cache(maxsize=1)
-def _house() -> tuple[PatternLoader, Platform]:
-    """What all debates share; to read it takes longer than most of them."""
+def _loader_and_platform() -> tuple[PatternLoader, Platform]:
+    """Shared by all debates; reading them takes longer than most debates."""
     origins = pattern_names(None)
-    finder = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
-    return finder, load_platform("burger")
+    loader = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
+    return loader, load_platform("burger")
