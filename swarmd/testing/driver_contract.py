@@ -18,7 +18,9 @@ import threading
 import time
 import uuid
 from collections.abc import Awaitable, Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -57,6 +59,16 @@ _MAX_BURST_TIME = 2.0
 _MIN_GARBAGE = 5
 
 
+def _connected(story: Callable[[Any, DriverHarness], Awaitable[None]]) -> Callable[[Any], None]:
+    """A test of a story with a driver that has found its base."""
+
+    def test(self: DriverContract) -> None:
+        self.play(partial(story, self))
+
+    test.__name__, test.__doc__ = story.__name__, story.__doc__
+    return test
+
+
 class DriverContract:
     """Subclass it in a test module, give it a rig, and pytest runs it."""
 
@@ -89,39 +101,33 @@ class DriverContract:
 
         self.play(story, connected=False)
 
-    def test_scans_are_whole_and_advance(self) -> None:
+    @_connected
+    async def test_scans_are_whole_and_advance(self, harness: DriverHarness) -> None:
         """Matching arrays, the platform's range limits, advancing sequence and stamp."""
+        sink = harness.sink
+        await harness.until(lambda: len(sink.scans) >= 5, publishing=True)
+        assert sink.threads == {threading.get_ident()}
+        for scan in sink.scans:
+            assert scan.ranges.shape == scan.bearings.shape == (len(scan.ranges),)
+            assert scan.ranges.dtype == scan.bearings.dtype == np.float64
+            assert np.isfinite(scan.bearings).all()
+            assert scan.range_min == harness.rig.platform.scan.range_min
+            assert scan.range_max == harness.rig.platform.scan.range_max
+        for before, after in itertools.pairwise(sink.scans):
+            assert after.seq > before.seq
+            assert after.stamp > before.stamp
 
-        async def story(harness: DriverHarness) -> None:
-            sink = harness.sink
-            await harness.until(lambda: len(sink.scans) >= 5, publishing=True)
-            assert sink.threads == {threading.get_ident()}
-            for scan in sink.scans:
-                assert scan.ranges.shape == scan.bearings.shape == (len(scan.ranges),)
-                assert scan.ranges.dtype == scan.bearings.dtype == np.float64
-                assert np.isfinite(scan.bearings).all()
-                assert scan.range_min == harness.rig.platform.scan.range_min
-                assert scan.range_max == harness.rig.platform.scan.range_max
-            for before, after in itertools.pairwise(sink.scans):
-                assert after.seq > before.seq
-                assert after.stamp > before.stamp
-
-        self.play(story)
-
-    def test_odometry_is_finite_and_advances(self) -> None:
+    @_connected
+    async def test_odometry_is_finite_and_advances(self, harness: DriverHarness) -> None:
         """No NaN, and stamps that advance."""
-
-        async def story(harness: DriverHarness) -> None:
-            sink = harness.sink
-            await harness.until(lambda: len(sink.odometries) >= 5, publishing=True)
-            for odometry in sink.odometries:
-                pose = odometry.pose
-                assert np.isfinite([pose.x, pose.y, pose.yaw]).all()
-                assert odometry.twist.is_finite
-            for before, after in itertools.pairwise(sink.odometries):
-                assert after.stamp > before.stamp
-
-        self.play(story)
+        sink = harness.sink
+        await harness.until(lambda: len(sink.odometries) >= 5, publishing=True)
+        for odometry in sink.odometries:
+            pose = odometry.pose
+            assert np.isfinite([pose.x, pose.y, pose.yaw]).all()
+            assert odometry.twist.is_finite
+        for before, after in itertools.pairwise(sink.odometries):
+            assert after.stamp > before.stamp
 
     def test_commands_without_a_base_are_dropped(self) -> None:
         """The driver queues nothing: a late command must not start motion."""
@@ -135,105 +141,93 @@ class DriverContract:
 
         self.play(story, connected=False)
 
-    def test_the_first_command_is_zero_and_the_next_as_sent(self) -> None:
+    @_connected
+    async def test_the_first_command_is_zero_and_the_next_as_sent(
+        self, harness: DriverHarness
+    ) -> None:
         """A base that comes back must not start with a command of the meantime."""
+        harness.driver.send(Twist(0.1, -0.2), 1, 1)
+        assert (await harness.command()).is_zero
+        harness.driver.send(Twist(0.1, -0.2), 2, 2)
+        sent = await harness.command()
+        assert sent.linear == pytest.approx(0.1, abs=1e-6)
+        assert sent.angular == pytest.approx(-0.2, abs=1e-6)
 
-        async def story(harness: DriverHarness) -> None:
-            harness.driver.send(Twist(0.1, -0.2), 1, 1)
-            assert (await harness.command()).is_zero
-            harness.driver.send(Twist(0.1, -0.2), 2, 2)
-            sent = await harness.command()
-            assert sent.linear == pytest.approx(0.1, abs=1e-6)
-            assert sent.angular == pytest.approx(-0.2, abs=1e-6)
-
-        self.play(story)
-
-    def test_a_silent_base_is_lost_and_gets_zero_first_when_back(self) -> None:
+    @_connected
+    async def test_a_silent_base_is_lost_and_gets_zero_first_when_back(
+        self, harness: DriverHarness
+    ) -> None:
         """The driver reports silence with a reason; a base that is back starts anew."""
+        for seq in range(2):
+            harness.driver.send(Twist(0.1), seq, seq)
+        await harness.until(lambda: not harness.sink.is_up)
+        assert harness.sink.states[-1][1]
+        harness.rig.commands()
+        harness.driver.send(Twist(0.1), 3, 3)
+        await harness.connect()
+        harness.driver.send(Twist(0.1), 4, 4)
+        assert (await harness.command()).is_zero
 
-        async def story(harness: DriverHarness) -> None:
-            for seq in range(2):
-                harness.driver.send(Twist(0.1), seq, seq)
-            await harness.until(lambda: not harness.sink.is_up)
-            assert harness.sink.states[-1][1]
-            harness.rig.commands()
-            harness.driver.send(Twist(0.1), 3, 3)
-            await harness.connect()
-            harness.driver.send(Twist(0.1), 4, 4)
-            assert (await harness.command()).is_zero
-
-        self.play(story)
-
-    def test_a_base_that_vanishes_and_returns_gets_zero_first(self) -> None:
+    @_connected
+    async def test_a_base_that_vanishes_and_returns_gets_zero_first(
+        self, harness: DriverHarness
+    ) -> None:
         """As after silence, but with cut links: the driver reconnects by itself."""
+        rig = _detachable(harness)
+        for seq in range(3):
+            harness.driver.send(Twist(0.1), seq, seq)
+        rig.disconnect()
+        await harness.until(lambda: not harness.sink.is_up)
+        harness.driver.send(Twist(0.1), 4, 4)
+        rig.reconnect()
+        await harness.connect()
+        harness.driver.send(Twist(0.1), 5, 5)
+        assert (await harness.command()).is_zero
 
-        async def story(harness: DriverHarness) -> None:
-            rig = _detachable(harness)
-            for seq in range(3):
-                harness.driver.send(Twist(0.1), seq, seq)
-            rig.disconnect()
-            await harness.until(lambda: not harness.sink.is_up)
-            harness.driver.send(Twist(0.1), 4, 4)
-            rig.reconnect()
-            await harness.connect()
-            harness.driver.send(Twist(0.1), 5, 5)
-            assert (await harness.command()).is_zero
-
-        self.play(story)
-
-    def test_garbage_is_counted_and_survived(self) -> None:
+    @_connected
+    async def test_garbage_is_counted_and_survived(self, harness: DriverHarness) -> None:
         """No bytes from outside end a driver or hide what follows them."""
+        rig, sink = _scripted(harness), harness.sink
+        await asyncio.sleep(SETTLE_TIME)
+        before = len(sink.scans), len(sink.odometries)
 
-        async def story(harness: DriverHarness) -> None:
-            rig, sink = _scripted(harness), harness.sink
-            await asyncio.sleep(SETTLE_TIME)
-            before = len(sink.scans), len(sink.odometries)
+        def is_counted() -> bool:
+            rig.publish_garbage()
+            return len(sink.lost) >= _MIN_GARBAGE
 
-            def is_counted() -> bool:
-                rig.publish_garbage()
-                return len(sink.lost) >= _MIN_GARBAGE
+        await harness.until(is_counted)
+        known = len(sink.scans), len(sink.odometries)
+        assert known == before, "garbage was handed on"
+        await harness.until(lambda: len(sink.scans) > known[0] + 2, publishing=True)
+        await harness.until(lambda: len(sink.odometries) > known[1] + 2, publishing=True)
+        assert not harness.task.done()
 
-            await harness.until(is_counted)
-            known = len(sink.scans), len(sink.odometries)
-            assert known == before, "garbage was handed on"
-            await harness.until(lambda: len(sink.scans) > known[0] + 2, publishing=True)
-            await harness.until(lambda: len(sink.odometries) > known[1] + 2, publishing=True)
-            assert not harness.task.done()
-
-        self.play(story)
-
-    def test_nan_and_infinity_arrive_as_measured(self) -> None:
+    @_connected
+    async def test_nan_and_infinity_arrive_as_measured(self, harness: DriverHarness) -> None:
         """NaN, infinity and ranges stay distinct, also in a scan of one kind only."""
+        rig = _scripted(harness)
+        n = len(_bearings(harness))
+        some = np.full(n, 1.5)
+        some[:2] = (np.nan, np.inf)
+        for seq, ranges in enumerate((np.full(n, np.nan), some, np.full(n, np.inf)), 1000):
+            scan = await _sent_scan(harness, rig, seq, ranges)
+            assert scan.ranges.shape == ranges.shape
+            assert np.allclose(scan.ranges, ranges, rtol=1e-6, equal_nan=True)
 
-        async def story(harness: DriverHarness) -> None:
-            rig = _scripted(harness)
-            n = len(_bearings(harness))
-            some = np.full(n, 1.5)
-            some[:2] = (np.nan, np.inf)
-            for seq, ranges in enumerate((np.full(n, np.nan), some, np.full(n, np.inf)), 1000):
-                scan = await _sent_scan(harness, rig, seq, ranges)
-                assert scan.ranges.shape == ranges.shape
-                assert np.allclose(scan.ranges, ranges, rtol=1e-6, equal_nan=True)
-
-        self.play(story)
-
-    def test_the_number_of_rays_may_change(self) -> None:
+    @_connected
+    async def test_the_number_of_rays_may_change(self, harness: DriverHarness) -> None:
         """A real LDS-02 changes it all the time; ranges and bearings agree in each scan."""
-
-        async def story(harness: DriverHarness) -> None:
-            rig = _scripted(harness)
-            n = len(_bearings(harness))
-            for seq, count in enumerate((n, n + 3, n - 2, n + 1), 1000):
-                ranges = np.linspace(0.5, 2.0, count)
-                scan = await _sent_scan(harness, rig, seq, ranges)
-                assert scan.ranges.shape == ranges.shape
-                assert np.allclose(scan.ranges, ranges, rtol=1e-6)
-                wanted = _regular(harness, count)
-                assert scan.bearings.shape == ranges.shape
-                off = np.abs((scan.bearings - wanted + np.pi) % (2.0 * np.pi) - np.pi)
-                assert off.max() < 1e-3
-
-        self.play(story)
+        rig = _scripted(harness)
+        n = len(_bearings(harness))
+        for seq, count in enumerate((n, n + 3, n - 2, n + 1), 1000):
+            ranges = np.linspace(0.5, 2.0, count)
+            scan = await _sent_scan(harness, rig, seq, ranges)
+            assert scan.ranges.shape == ranges.shape
+            assert np.allclose(scan.ranges, ranges, rtol=1e-6)
+            wanted = _regular(harness, count)
+            assert scan.bearings.shape == ranges.shape
+            off = np.abs((scan.bearings - wanted + np.pi) % (2.0 * np.pi) - np.pi)
+            assert off.max() < 1e-3
 
     @pytest.mark.parametrize(("rate", "seconds"), [(1.0, 3.2), (50.0, 1.0)])
     def test_slow_and_fast_sensors_are_not_lost(self, rate: float, seconds: float) -> None:
@@ -300,75 +294,63 @@ class DriverContract:
         finally:
             rig.close()
 
-    def test_the_last_command_is_zero_and_nothing_follows(self) -> None:
+    @_connected
+    async def test_the_last_command_is_zero_and_nothing_follows(
+        self, harness: DriverHarness
+    ) -> None:
         """Cancelling the driver sends zero."""
+        taken = await _moving(harness)
+        await harness.end()
+        harness.driver.send(Twist(0.1), 2, 2)
+        await _ends_with_zero(harness, taken)
 
-        async def story(harness: DriverHarness) -> None:
-            taken = await _moving(harness)
-            await harness.end()
-            harness.driver.send(Twist(0.1), 2, 2)
-            await _ends_with_zero(harness, taken)
-
-        self.play(story)
-
-    def test_a_command_just_before_the_end_does_not_outlive_it(self) -> None:
+    @_connected
+    async def test_a_command_just_before_the_end_does_not_outlive_it(
+        self, harness: DriverHarness
+    ) -> None:
         """The last zero comes after every command, however shortly it was sent before."""
+        for seq in range(5):
+            harness.driver.send(Twist(0.1), seq, seq)
+        await harness.end()
+        await _ends_with_zero(harness, [])
 
-        async def story(harness: DriverHarness) -> None:
-            for seq in range(5):
-                harness.driver.send(Twist(0.1), seq, seq)
-            await harness.end()
-            await _ends_with_zero(harness, [])
-
-        self.play(story)
-
-    def test_a_silent_base_gets_zero(self) -> None:
+    @_connected
+    async def test_a_silent_base_gets_zero(self, harness: DriverHarness) -> None:
         """The base may have lost its sensors and still drive."""
+        taken = await _moving(harness)
+        await harness.until(lambda: not harness.sink.is_up)
+        harness.driver.send(Twist(0.1), 2, 2)
+        await _ends_with_zero(harness, taken)
 
-        async def story(harness: DriverHarness) -> None:
-            taken = await _moving(harness)
-            await harness.until(lambda: not harness.sink.is_up)
-            harness.driver.send(Twist(0.1), 2, 2)
-            await _ends_with_zero(harness, taken)
-
-        self.play(story)
-
-    def test_the_last_command_is_zero_if_the_sink_raises(self) -> None:
+    @_connected
+    async def test_the_last_command_is_zero_if_the_sink_raises(
+        self, harness: DriverHarness
+    ) -> None:
         """The driver sends zero after an exception too."""
+        await harness.end()
+        sink = _RaisingSink()
+        async with harness.run_again(sink) as again:
+            await again.connect()
+            taken = await _moving(again)
+            await again.until(lambda: not sink.is_up)
+        await _ends_with_zero(harness, taken)
 
-        async def story(harness: DriverHarness) -> None:
-            await harness.end()
-            sink = _RaisingSink()
-            async with harness.run_again(sink) as again:
-                await again.connect()
-                taken = await _moving(again)
-                await again.until(lambda: not sink.is_up)
-            await _ends_with_zero(harness, taken)
-
-        self.play(story)
-
-    def test_sending_to_a_lost_base_does_not_block(self) -> None:
+    @_connected
+    async def test_sending_to_a_lost_base_does_not_block(self, harness: DriverHarness) -> None:
         """A command that cannot be sent is dropped at once, so that the tick goes on."""
+        await _moving(harness)
+        _detachable(harness).disconnect()
+        began = time.monotonic()
+        for seq in range(_BURST):
+            harness.driver.send(Twist(0.1), seq, seq)
+        assert time.monotonic() - began < _MAX_BURST_TIME
+        _detachable(harness).reconnect()
 
-        async def story(harness: DriverHarness) -> None:
-            await _moving(harness)
-            _detachable(harness).disconnect()
-            began = time.monotonic()
-            for seq in range(_BURST):
-                harness.driver.send(Twist(0.1), seq, seq)
-            assert time.monotonic() - began < _MAX_BURST_TIME
-            _detachable(harness).reconnect()
-
-        self.play(story)
-
-    def test_runs_again_after_it_has_ended(self) -> None:
+    @_connected
+    async def test_runs_again_after_it_has_ended(self, harness: DriverHarness) -> None:
         """`run` leaves nothing behind that would disturb the next one."""
-
-        async def story(harness: DriverHarness) -> None:
-            await harness.end()
-            await self._run_once(harness)
-
-        self.play(story)
+        await harness.end()
+        await self._run_once(harness)
 
     def test_leaves_no_task_file_or_process_behind(self, monkeypatch: pytest.MonkeyPatch) -> None:
         """No session or helper outlives `run`, except briefly to send zero."""
