@@ -26,10 +26,6 @@ def test_an_arena_has_all_that_the_file_names(load: Load) -> None:
     )
 
 
-def test_the_default_arena_is_6_by_6_m_and_empty(load: Load) -> None:
-    assert load({"arena": {}}).arena == Arena(6.0, 6.0)
-
-
 def test_fields_and_radio_are_the_worlds_own(load: Load) -> None:
     scenario = load({"radio": {"neighborhood": "range", "range": 2, "loss": 0.1}})
     assert scenario.fields == (GaussianField(name="light", sigma=2.0),)

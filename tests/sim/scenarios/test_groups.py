@@ -67,33 +67,28 @@ def test_a_platform_can_be_a_file_beside_the_scenario(load: Load, tmp_path: Path
 @pytest.mark.parametrize(
     ("changes", "fault"),
     [
-        ({"groups.red.platform": "burgr"}, "groups.red.platform: no platform 'burgr'; did you"),
+        ({"groups.red.platform": "burgr"}, "groups.red.platform.*'burger'"),
         (
             {"platforms": {"slow": {"extends": "burger"}}, "groups.red.platform": "slo"},
-            "groups.red.platform: no platform 'slo'; did you mean 'slow'?",
+            "groups.red.platform.*'slow'",
         ),
-        (
-            {"groups.red.platform": "no.yaml"},
-            "groups.red.platform: no.yaml: cannot be read: No such",
-        ),
+        ({"groups.red.platform": "no.yaml"}, "groups.red.platform.*no.yaml"),
         (
             {"groups.red.platform": "a/burger.yaml", "groups.blue.platform": "burger"},
-            "groups.blue.platform is burger, but another group has",
+            "groups.blue.platform",
         ),
-        ({"groups.blue.robots": []}, "groups.blue.robots is empty; name one"),
-        ({"groups.blue.count": 2}, "groups.blue has both count and robots; keep one"),
-        ({"groups.blue.robots": ["a", "red-02"]}, "robot 'red-02' is in group 'red' already"),
-        ({"groups.blue.robots": ["a", "a"]}, "groups.blue: robot 'a' is in group 'blue' already"),
-        ({"groups.blue.robots": ["red", "a"]}, "robot 'red' has the name of a group; rename one"),
-        ({"groups.blue.robots": ["all", "a"]}, "robot 'all' has the name of a group; rename one"),
-        ({"groups.blue.robots": ["B 1", "a"]}, "groups.blue: a robot's id is 'B 1'; wanted are 1"),
-        ({"groups.red.prefix": "TB3"}, "groups.red: a robot's id is 'TB3-01'; wanted are 1 to 63"),
-        ({"groups.Red": {"count": 1}}, "a group's name is 'Red'; wanted are 1 to 63 of a-z"),
-        ({"groups.all": {"count": 1}}, "groups.all does not hold all robots"),
+        ({"groups.blue.robots": []}, "groups.blue.robots"),
+        ({"groups.blue.count": 2}, "groups.blue"),
+        ({"groups.blue.robots": ["a", "red-02"]}, "'red-02'.*'red'"),
+        ({"groups.blue.robots": ["a", "a"]}, "groups.blue: .*'a'"),
+        ({"groups.blue.robots": ["red", "a"]}, "'red'"),
+        ({"groups.blue.robots": ["all", "a"]}, "'all'"),
+        ({"groups.blue.robots": ["B 1", "a"]}, "groups.blue: .*'B 1'"),
+        ({"groups.red.prefix": "TB3"}, "groups.red: .*'TB3-01'"),
+        ({"groups.Red": {"count": 1}}, "'Red'"),
+        ({"groups.all": {"count": 1}}, "groups.all"),
     ],
 )
 def test_an_invalid_group_is_named(load: Load, changes: dict[str, Any], fault: str) -> None:
-    with pytest.raises(ConfigError) as raised:
+    with pytest.raises(ConfigError, match=rf"^here\.yaml: .*{fault}"):
         load(changes)
-    assert fault in str(raised.value)
-    assert "\n" not in str(raised.value)

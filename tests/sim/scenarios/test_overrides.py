@@ -38,18 +38,16 @@ def test_a_value_is_read_as_in_a_file(text: str, override: tuple[str, Any]) -> N
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("duration", "--set 'duration': wanted is key=value, such as duration=30"),
-        ("=5", "wanted is key=value"),
-        ("groups..count=5", "wanted is key=value"),
-        ("arena.size=[6", "--set arena.size: '[6'"),
-        ("x={a: 1, a: 2}", "{a: 1, a: 2}"),
+        ("duration", "'duration'"),
+        ("=5", "'=5'"),
+        ("groups..count=5", r"groups\.\.count"),
+        ("arena.size=[6", "arena.size"),
+        ("x={a: 1, a: 2}", "a: 2"),
     ],
 )
 def test_a_malformed_override_is_refused(text: str, fault: str) -> None:
-    with pytest.raises(ConfigError) as raised:
+    with pytest.raises(ConfigError, match=f"^--set.*{fault}"):
         parse_override(text)
-    assert fault in str(raised.value)
-    assert "\n" not in str(raised.value)
 
 
 @given(st.text(max_size=20))
@@ -86,29 +84,23 @@ def test_changes_what_it_names_and_nothing_else(load: Load) -> None:
 @pytest.mark.parametrize(
     ("overrides", "fault"),
     [
-        ({"duraton": 5}, "--set: no key 'duraton'; did you mean 'duration'?"),
-        ({"groups.rde.count": 5}, "--set: groups.rde.count: no group 'rde'; did you mean 'red'?"),
-        ({"groups.red.conut": 5}, "--set: groups.red has no key 'conut'; did you mean 'count'?"),
-        ({"groups.red.count": "5"}, "--set: groups.red.count is '5'; wanted a whole number"),
-        ({"extends": "mixed"}, "--set: extends is for files alone; leave it out here"),
-        ({"duration.x": 5}, "--set: duration is {'x': 5}; wanted a number"),
-        ({"duration": 5, "duration.x": 5}, "--set: duration.x: there is 5, which holds no 'x'"),
-        ({"events.1.at": 5}, "--set: events.1.at: no item '1'; there are 1, from 0 on"),
-        ({"events.first.at": 5}, "--set: events.first.at: no item 'first'"),
-        ({"groups.red.count": 90}, "here.yaml: groups.red.start: red-01 at (0, -44.5) is not"),
+        ({"duraton": 5}, "--set: .*'duration'"),
+        ({"groups.rde.count": 5}, "--set: groups.rde.count.*'red'"),
+        ({"groups.red.conut": 5}, "--set: groups.red.*'count'"),
+        ({"groups.red.count": "5"}, "--set: groups.red.count"),
+        ({"extends": "mixed"}, "--set: extends"),
+        ({"duration.x": 5}, "--set: duration"),
+        ({"duration": 5, "duration.x": 5}, "--set: duration.x"),
+        ({"events.1.at": 5}, "--set: events.1.at"),
+        ({"events.first.at": 5}, "--set: events.first.at"),
+        ({"groups.red.count": 90}, "here.yaml: groups.red.start: red-01"),
     ],
 )
 def test_an_impossible_override_is_refused(
     load: Load, overrides: Mapping[str, Any], fault: str
 ) -> None:
-    with pytest.raises(ConfigError) as raised:
+    with pytest.raises(ConfigError, match=f"^{fault}"):
         load({}, overrides)
-    assert str(raised.value).startswith(fault)
-
-
-def test_a_fault_without_a_source_names_the_file(load: Load) -> None:
-    with pytest.raises(ConfigError, match=r"^here\.yaml: start: green-01"):
-        load({"groups": {"green": {"count": 1}}, "arena": {"size": [0.1, 0.1]}}, {"duration": 5})
 
 
 def test_two_overrides_of_one_list_both_count() -> None:

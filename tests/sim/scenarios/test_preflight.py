@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -29,51 +30,31 @@ class Needy(MovementPattern[Params]):
 @pytest.mark.parametrize(
     ("changes", "fault"),
     [
-        (
-            {"groups.red.pattern": "atraction"},
-            "groups.red.pattern: no pattern 'atraction'; did you mean 'attraction'?",
-        ),
+        ({"groups.red.pattern": "atraction"}, "groups.red.pattern: .*'attraction'"),
         (
             {"groups.red.parameters": {"spaceing": 1}},
-            "groups.red.parameters.spaceing: no parameter 'spaceing'; did you mean 'spacing'?",
+            "groups.red.parameters.spaceing: .*'spacing'",
         ),
-        (
-            {"groups.red.parameters": {"law": "papre"}},
-            "parameter law is 'papre' (from group red); wanted is one of settling, paper",
-        ),
-        (
-            {"groups.red.parameters": {"spacing": float("nan")}},
-            "groups.red.parameters.spacing is nan; wanted",
-        ),
-        (
-            {"parameters": {"drive": {"sped": 1}}},
-            "parameters.drive.sped: no parameter 'sped'; did you mean 'speed'? (from scenario)",
-        ),
-        (
-            {"parameters": {"driev": {"speed": 1}}},
-            "parameters: no pattern 'driev'; did you mean 'drive'?",
-        ),
+        ({"groups.red.parameters": {"law": "papre"}}, "law.*group red.*paper"),
+        ({"groups.red.parameters": {"spacing": math.nan}}, "groups.red.parameters.spacing"),
+        ({"parameters": {"drive": {"sped": 1}}}, "parameters.drive.sped: .*'speed'.*scenario"),
+        ({"parameters": {"driev": {"speed": 1}}}, "parameters: .*'drive'"),
         (
             {"groups.red.touch": {"driev": {"half_width_deg": 9, "speed": 0.1}}},
-            "groups.red.touch.driev: no pattern 'driev'; did you mean 'drive'?",
+            "groups.red.touch.driev: .*'drive'",
         ),
-        (
-            {"events.0.parameters": {"speed": 100}},
-            "events[0].parameters.speed: parameter speed is 100 m/s (from runtime); wanted is",
-        ),
+        ({"events.0.parameters": {"speed": 100}}, r"events\[0\].parameters.speed: .*runtime"),
         (
             {"events.+": {"at": 20, "param": {"speeed": 1}, "targets": "blue"}},
-            "events[1].param.speeed: no parameter 'speeed'; did you mean 'speed'?",
+            r"events\[1\].param.speeed: .*'speed'",
         ),
-        ({"events.0.run": "drvie"}, "events[0].run: no pattern 'drvie'; did you mean 'drive'?"),
-        ({"plugin_dir": "nowhere"}, "nowhere, which is no folder; make it or leave it out"),
+        ({"events.0.run": "drvie"}, r"events\[0\].run: .*'drive'"),
+        ({"plugin_dir": "nowhere"}, "nowhere"),
     ],
 )
 def test_a_wrong_name_or_value_is_found(load: Load, changes: dict[str, Any], fault: str) -> None:
-    with pytest.raises(ConfigError) as raised:
+    with pytest.raises(ConfigError, match=rf"^here\.yaml: .*{fault}"):
         load(changes)
-    assert str(raised.value).startswith("here.yaml: ")
-    assert fault in str(raised.value)
 
 
 def test_a_wrong_parameter_that_was_set_is_not_looked_for_in_the_file(load: Load) -> None:

@@ -89,12 +89,6 @@ def test_plain_values_can_be_overridden_too(load: Load) -> None:
         scenario_of(load().effective, {"duraton": 30})
 
 
-def test_a_file_without_groups_is_named_and_not_the_override(tmp_path: Path) -> None:
-    (tmp_path / "bad.yaml").write_text("duration: 3")
-    with pytest.raises(ConfigError, match=r"bad\.yaml: groups"):
-        load_scenario(tmp_path / "bad.yaml", {"duration": 5})
-
-
 def test_a_scenario_can_be_sent_to_another_process(load: Load) -> None:
     scenario = load()
     assert same(scenario, pickle.loads(pickle.dumps(scenario)))
@@ -156,14 +150,14 @@ def test_paths_are_relative_to_their_file(
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("duration: 5\nduration: 6", "bad.yaml:2: key 'duration' stands twice, first in line 1"),
-        ("duration: [", "bad.yaml:"),
-        ("[1, 2]", "bad.yaml: holds [1, 2]; wanted keys and values"),
-        ("", "bad.yaml: groups is missing; wanted is such as groups: {tb3:"),
-        ("extends: bad.yaml", "bad.yaml: extends itself: bad.yaml -> bad.yaml"),
-        ("extends: paper_exp1_burgr", "bad.yaml: extends: no scenario 'paper_exp1_burgr'; did"),
-        ("extends: 5", "bad.yaml: extends is 5; wanted a scenario's name"),
-        ("extends: paper_exp1_burger\nduration: -1", "bad.yaml: duration is -1; wanted"),
+        ("duration: 5\nduration: 6", ":2: .*'duration'"),
+        ("duration: [", ":"),
+        ("[1, 2]", ": .*1, 2"),
+        ("", ": groups"),
+        ("extends: bad.yaml", ": extends.*bad.yaml"),
+        ("extends: paper_exp1_burgr", ": extends: .*'paper_exp1_burger'"),
+        ("extends: 5", ": extends"),
+        ("extends: paper_exp1_burger\nduration: -1", ": duration"),
     ],
 )
 def test_an_invalid_file_is_refused_in_one_line(
@@ -171,21 +165,14 @@ def test_an_invalid_file_is_refused_in_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("bad.yaml").write_text(text)
-    with pytest.raises(ConfigError) as raised:
+    with pytest.raises(ConfigError, match=rf"^bad\.yaml{fault}") as raised:
         load_scenario("bad.yaml")
-    assert str(raised.value).startswith(fault)
     assert "\n" not in str(raised.value)
 
 
-@pytest.mark.parametrize(
-    ("name", "fault"),
-    [
-        ("agregation", r"no scenario 'agregation'; did you mean 'aggregation'\? \(or give a path"),
-        ("nowhere/none.yaml", "nowhere/none.yaml: cannot be read: No such file"),
-    ],
-)
-def test_an_unknown_name_is_refused(name: str, fault: str) -> None:
-    with pytest.raises(ConfigError, match=fault):
+@pytest.mark.parametrize("name", ["agregation", "nowhere/none.yaml"])
+def test_an_unknown_name_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match=name):
         load_scenario(name)
 
 

@@ -56,56 +56,37 @@ def test_a_group_may_have_absent_members(load: Load) -> None:
     [
         (
             [{"at": 20, "join": "red-01"}, {"at": 15, "run": "drive", "targets": "red-01"}],
-            "events[1].run: red-01 is not there at 15 s",
+            "[1].run: red-01",
         ),
-        (
-            [{"at": 20, "kill": "red"}, {"at": 25, "stop": "red"}],
-            "events[1].stop: red-01 is not there at 25 s",
-        ),
-        (
-            [{"at": 20, "leave": "red-01"}, {"at": 25, "kill": "red"}],
-            "events[1].kill: red-01 is not there at 25 s",
-        ),
-        (
-            [{"at": 5, "join": "red"}, {"at": 25, "join": "red-02"}],
-            "events[1].join: red-02 is there already at 25 s",
-        ),
-        ([{"at": 5, "param": {"speed": 0.1}}], "events[0].param: b-one runs nothing at 5 s"),
+        ([{"at": 20, "kill": "red"}, {"at": 25, "stop": "red"}], "[1].stop: red-01"),
+        ([{"at": 20, "leave": "red-01"}, {"at": 25, "kill": "red"}], "[1].kill: red-01"),
+        ([{"at": 5, "join": "red"}, {"at": 25, "join": "red-02"}], "[1].join: red-02"),
+        ([{"at": 5, "param": {"speed": 0.1}}], "[0].param: b-one"),
         (
             [{"at": 5, "stop": "red"}, {"at": 6, "param": {"speed": 0.1}, "targets": "red"}],
-            "events[1].param: red-01 runs nothing at 6 s",
+            "[1].param: red-01",
         ),
         (
             [
                 {"at": 5, "run": "drive", "targets": "blue", "for": 3},
                 {"at": 8, "param": {"speed": 0.1}, "targets": "blue"},
             ],
-            "events[1].param: b-one runs nothing at 8 s",
+            "[1].param: b-one",
         ),
-        (
-            [{"at": 5, "estop": "red-02"}, {"at": 9, "run": "drive"}],
-            "events[1].run: red-02 is estopped at 9 s; reset it before",
-        ),
-        ([{"at": 5, "remove": "spare"}], "events[0].remove: spare is not in the arena at 5 s"),
-        (
-            [{"at": 5, "remove": "red"}, {"at": 6, "remove": "red-01"}],
-            "events[1].remove: red-01 is not in the arena at 6 s",
-        ),
-        (
-            [{"at": 5, "remove": "red-01"}, {"at": 6, "join": "red-01"}],
-            "events[1].join: red-01 is not in the arena at 6 s",
-        ),
+        ([{"at": 5, "estop": "red-02"}, {"at": 9, "run": "drive"}], "[1].run: red-02"),
+        ([{"at": 5, "remove": "spare"}], "[0].remove: spare"),
+        ([{"at": 5, "remove": "red"}, {"at": 6, "remove": "red-01"}], "[1].remove: red-01"),
+        ([{"at": 5, "remove": "red-01"}, {"at": 6, "join": "red-01"}], "[1].join: red-01"),
         (
             [{"at": 5, "remove": "red-01"}, {"at": 6, "run": "drive", "targets": "red-01"}],
-            "events[1].run: red-01 is not there at 6 s",
+            "[1].run: red-01",
         ),
     ],
 )
 def test_an_impossible_sequence_is_refused(load: Load, events: Events, fault: str) -> None:
     with pytest.raises(ConfigError) as raised:
         load({"events": events})
-    assert str(raised.value).startswith("here.yaml: ")
-    assert fault in str(raised.value)
+    assert str(raised.value).startswith(f"here.yaml: events{fault}")
 
 
 def test_an_estopped_robot_runs_again_after_a_reset(load: Load) -> None:
@@ -136,16 +117,12 @@ def test_targets_are_robots_groups_or_all(load: Load, event: Any, robots: tuple[
     assert load({"events.+": {"at": 20, **event}}).events[-1].robots == robots
 
 
-def test_a_run_has_pattern_parameters_and_duration(load: Load) -> None:
+def test_a_run_has_pattern_parameters_duration_and_end_conditions(load: Load) -> None:
     event = {"at": 20, "run": "drive", "targets": "red", "parameters": {"speed": 0.1}, "for": 5}
-    made = load({"events.+": event}).events[-1]
+    made = load({"events.+": {**event, "until": ["nearer:0.5", "done"]}}).events[-1]
     assert (made.at, made.action, made.pattern, made.seconds) == (20.0, "run", "drive", 5.0)
     assert made.parameters == {"speed": 0.1}
-
-
-def test_a_run_has_end_conditions(load: Load) -> None:
-    event = {"at": 20, "run": "drive", "targets": "red", "until": ["nearer:0.5", "done"]}
-    assert load({"events.+": event}).events[-1].until == ("nearer:0.5", "done")
+    assert made.until == ("nearer:0.5", "done")
 
 
 def test_places_a_box_at_x_y_and_degrees(load: Load) -> None:
@@ -157,35 +134,26 @@ def test_places_a_box_at_x_y_and_degrees(load: Load) -> None:
 @pytest.mark.parametrize(
     ("event", "fault"),
     [
-        ({}, "events[1] has nothing"),
-        ({"stop": "red", "kill": "red"}, "events[1] has stop and kill"),
-        ({"stop": "rde"}, "events[1].stop: no robot or group 'rde'; did you mean 'red'?"),
-        ({"kill": "b-on"}, "events[1].kill: no robot or group 'b-on'; did you mean 'b-one'?"),
-        (
-            {"run": "drive", "targets": ["red", "al"]},
-            "events[1].targets: no robot or group",
-        ),
-        ({"stop": []}, "events[1].stop is empty; wanted a robot, a group or all"),
-        ({"stop": 5}, "events[1].stop is 5; wanted text"),
-        (
-            {"stop": "red", "targets": "red"},
-            "events[1].targets means nothing beside stop; leave it out",
-        ),
-        ({"stop": "red", "for": 5}, "events[1].for means nothing beside stop"),
-        ({"run": "drive", "until": ["near:1"]}, "events[1].until: no condition 'near'; did you"),
-        ({"param": {"speed": 1}, "pose": [0, 0, 0]}, "events[1].pose means nothing beside param"),
-        ({"param": {}}, "events[1].param is empty; wanted values by name"),
-        ({"place": "spare"}, "events[1].pose is missing; wanted [x, y, degrees]"),
-        ({"place": "spare", "pose": [1, 2]}, "events[1].pose is [1, 2]; wanted [a number"),
-        ({"place": "spare", "pose": [9, 0, 0]}, "events[1].pose is [9.0, 0.0]; wanted within"),
-        ({"place": "spar", "pose": [1, 0, 0]}, "no box with a name and a mass 'spar'; did you"),
-        ({"remove": "block"}, "events[1].remove: no box with a name and a mass 'block'"),
-        ({"at": 60, "stop": "all"}, "events[1].at is 60; wanted before the end (duration is 60)"),
-        ({"at": 99, "stop": "all"}, "events[1].at is 99; wanted before the end"),
+        ({}, ""),
+        ({"stop": "red", "kill": "red"}, ".*stop and kill"),
+        ({"stop": "rde"}, ".stop: .*'red'"),
+        ({"kill": "b-on"}, ".kill: .*'b-one'"),
+        ({"run": "drive", "targets": ["red", "al"]}, ".targets: .*'al'"),
+        ({"stop": []}, ".stop"),
+        ({"stop": 5}, ".stop"),
+        ({"stop": "red", "targets": "red"}, ".targets.*stop"),
+        ({"stop": "red", "for": 5}, ".for.*stop"),
+        ({"run": "drive", "until": ["near:1"]}, ".until: .*'near'"),
+        ({"param": {"speed": 1}, "pose": [0, 0, 0]}, ".pose.*param"),
+        ({"param": {}}, ".param"),
+        ({"place": "spare"}, ".pose"),
+        ({"place": "spare", "pose": [1, 2]}, ".pose"),
+        ({"place": "spare", "pose": [9, 0, 0]}, ".pose"),
+        ({"place": "spar", "pose": [1, 0, 0]}, ".place: .*'spare'"),
+        ({"remove": "block"}, ".remove: .*'block'"),
+        ({"at": 60, "stop": "all"}, ".at"),
     ],
 )
 def test_an_invalid_event_is_refused(load: Load, event: dict[str, Any], fault: str) -> None:
-    with pytest.raises(ConfigError) as raised:
+    with pytest.raises(ConfigError, match=rf"^here\.yaml: events\[1\]{fault}"):
         load({"events.+": {"at": 20, **event}})
-    assert str(raised.value).startswith("here.yaml: ")
-    assert fault in str(raised.value)

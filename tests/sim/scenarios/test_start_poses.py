@@ -28,13 +28,9 @@ def test_every_group_has_its_own_layout(load: Load) -> None:
 
 def test_a_row_turns_and_moves_as_a_whole(load: Load) -> None:
     start = {"layout": "row", "spacing": 2, "center": [1, -1], "heading_deg": 90}
-    poses = load({RED: start, BLUE: {"poses": [[-2, 0, 0], [-2, 1, 0]]}}).starts(0)
+    poses = load({RED: start, BLUE: {"poses": [[-2, 0, 90], [-2, 1, -45]]}}).starts(0)
     np.testing.assert_allclose(poses[:2], [[2, -1, math.pi / 2], [0, -1, math.pi / 2]], atol=1e-12)
-
-
-def test_poses_are_in_degrees_and_in_the_order_of_the_robots(load: Load) -> None:
-    poses = load({BLUE: {"poses": [[1, 0, 90], [1, 1, -45]]}}).starts(0)
-    np.testing.assert_allclose(poses[2:], [[1, 0, math.pi / 2], [1, 1, -math.pi / 4]])
+    np.testing.assert_allclose(poses[2:], [[-2, 0, math.pi / 2], [-2, 1, -math.pi / 4]])
 
 
 def test_groups_without_a_start_share_one(load: Load) -> None:
@@ -101,40 +97,30 @@ def test_each_robot_of_a_chain_has_a_neighbor_between_near_and_far(load: Load, s
         assert 0.62 <= nearest <= 0.8
 
 
-def test_a_box_outside_the_arena_is_no_obstacle(load: Load) -> None:
-    poses = load({BLUE: {"poses": [[2, 0, 0], [-2, 0, 0]]}, RED: {"layout": "row"}}).starts(0)
-    assert np.isfinite(poses).all()
-
-
 @pytest.mark.parametrize(
     ("changes", "fault"),
     [
-        ({RED: {"layout": "row", "spacing": 0.1}}, f"{RED}: red-02 at (0, 0.05) touches red-01"),
-        ({RED: {"layout": "row", "spacing": 9}}, "red-01 at (0, -4.5) is not inside the walls"),
-        ({RED: {"poses": [[3, 2, 0], [0, 0, 0]]}}, "red-01 at (3, 2) stands in a box, pole or"),
-        ({RED: {"poses": [[3, -2, 0], [0, 0, 0]]}}, "red-01 at (3, -2) stands in a box, pole or"),
-        ({RED: {"poses": [[-2.5, -2, 0], [0, 0, 0]]}}, "red-01 at (-2.5, -2) stands in a box"),
-        ({BLUE: {"layout": "row"}}, f"{BLUE}: b-one at (0, -0.5) touches red-01"),
-        ({RED: {"poses": [[0, 0, 0]]}}, f"{RED} has 1 poses; wanted are 2, one a robot"),
-        ({RED: {"layout": "list"}}, f"{RED} has 0 poses; wanted are 2"),
-        ({RED: {"layout": "chain"}}, f"{RED} needs near and far"),
-        ({RED: {"layout": "chain", "near": 2, "far": 1}}, f"{RED} has near 2 above far 1"),
-        ({RED: {"layout": "random", "center": [1, 1]}}, f"{RED} has a center and no size"),
-        (
-            {RED: {"layout": "ring", "spacing": 1}},
-            f"{RED}.spacing means nothing with layout ring; wanted there: radius, center",
-        ),
+        ({RED: {"layout": "row", "spacing": 0.1}}, f"{RED}: red-02 .*red-01"),
+        ({RED: {"layout": "row", "spacing": 9}}, "red-01 .*walls"),
+        ({RED: {"poses": [[3, 2, 0], [0, 0, 0]]}}, "red-01 .*box"),
+        ({RED: {"poses": [[3, -2, 0], [0, 0, 0]]}}, "red-01 .*pole"),
+        ({RED: {"poses": [[-2.5, -2, 0], [0, 0, 0]]}}, "red-01 .*segment"),
+        ({BLUE: {"layout": "row"}}, f"{BLUE}: b-one .*red-01"),
+        ({RED: {"poses": [[0, 0, 0]]}}, RED),
+        ({RED: {"layout": "list"}}, RED),
+        ({RED: {"layout": "chain"}}, f"{RED} .*near and far"),
+        ({RED: {"layout": "chain", "near": 2, "far": 1}}, f"{RED} .*near 2.*far 1"),
+        ({RED: {"layout": "random", "center": [1, 1]}}, f"{RED} .*center"),
+        ({RED: {"layout": "ring", "spacing": 1}}, f"{RED}.spacing .*radius"),
         (
             {RED: {"layout": "row", "spacing": 0.1}, BLUE: {"layout": "random"}},
-            "red-02 at (0, 0.05) touches red-01",
+            "red-02 .*red-01",
         ),
     ],
 )
 def test_a_robot_without_room_is_named(load: Load, changes: dict[str, Any], fault: str) -> None:
-    with pytest.raises(ConfigError) as raised:
+    with pytest.raises(ConfigError, match=rf"^here\.yaml: .*{fault}"):
         load(changes)
-    assert str(raised.value).startswith("here.yaml: ")
-    assert fault in str(raised.value)
 
 
 def test_a_seed_without_room_is_refused(load: Load) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Array
-from swarmd.sim.world.geometry import apart, crossings, gaps, overlaps, radius, transform
+from swarmd.sim.world.geometry import apart, crossings, gaps, overlaps, transform
 
 SQUARE = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 TRIANGLE = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
@@ -38,12 +38,6 @@ def test_gap_of_two_squares(x: float, y: float, yaw: float, gap: float) -> None:
     assert float(gaps(SQUARE, at(SQUARE, x, y, yaw))) == pytest.approx(gap, abs=1e-12)
 
 
-def test_a_thin_cross_overlaps_though_no_corner_lies_within_the_other() -> None:
-    bar = SQUARE * [4.0, 0.2]
-    assert overlaps(bar, at(bar, 0.0, 0.0, math.pi / 2.0))
-    assert float(gaps(bar, at(bar, 0.0, 0.0, math.pi / 2.0))) == 0.0
-
-
 def test_agrees_with_a_dense_sampling_of_both_outlines() -> None:
     rng = np.random.default_rng(5)
     apart = 0
@@ -68,15 +62,6 @@ def test_is_symmetric_and_works_on_stacks() -> None:
     np.testing.assert_array_equal(
         gaps(a, b), [float(gaps(x, y)) for x, y in zip(a, b, strict=True)]
     )
-
-
-def test_transform_turns_then_moves() -> None:
-    moved = at(np.array([[1.0, 0.0]]), 5.0, 6.0, math.pi / 2.0)
-    np.testing.assert_allclose(moved, [[5.0, 7.0]], atol=1e-12)
-
-
-def test_radius_is_that_of_the_farthest_corner_from_the_origin() -> None:
-    assert radius(np.array([[-3.0, 0.0], [1.0, -1.0], [1.0, 1.0]])) == 3.0
 
 
 @pytest.mark.parametrize(

@@ -107,14 +107,6 @@ def test_agrees_with_mujoco_about_boxes_that_were_pushed_and_inner_walls(
     assert compared > 10_000
 
 
-def test_a_scan_does_not_depend_on_other_observers() -> None:
-    for arena in (OBSTACLES, MOVABLE):
-        world = world_of(MIXED, arena, 3, "real")
-        together = [scan.ranges for scan in world.scans(np.arange(len(MIXED)))]
-        for robot, ranges in enumerate(together):
-            np.testing.assert_array_equal(world.scans(np.array([robot]))[0].ranges, ranges)
-
-
 def test_a_scan_in_a_crowd_does_not_depend_on_other_observers() -> None:
     platform = plain("waffle_pi")
     arena = Arena(12.0, 12.0)
@@ -125,14 +117,6 @@ def test_a_scan_in_a_crowd_does_not_depend_on_other_observers() -> None:
         (scan,) = world.scans(np.array([robot]))
         np.testing.assert_array_equal(scan.ranges, together[robot])
         np.testing.assert_allclose(scan.ranges, oracle(world, robot, "body"), rtol=0.0, atol=1e-9)
-
-
-def test_a_segment_is_seen_from_both_sides() -> None:
-    platform = plain("waffle_pi")
-    starts = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, math.pi]])
-    world = World({"a": platform, "b": platform}, parse_arena("9x9,segment:0:-1:0:1"), starts)
-    for scan in world.scans(np.arange(2)):
-        assert scan.ranges[0] == pytest.approx(1.0 - 0.005 + 0.064, abs=1e-9)
 
 
 def test_the_compared_worlds_hold_hits_misses_and_near_returns() -> None:
@@ -159,27 +143,6 @@ def test_at_true_height_a_waffle_sees_of_a_waffle_only_the_lidar_housing() -> No
     assert widths["body"] == 21
 
 
-def test_at_true_height_a_burger_sees_over_a_waffle_but_not_the_reverse() -> None:
-    robots = {"low": plain("waffle_pi"), "high": plain("burger")}
-    starts = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
-    real = World(robots, Arena(20.0, 20.0), starts, visibility="real")
-    whole = World(robots, Arena(20.0, 20.0), starts)
-    assert not np.isfinite(real.scans(np.array([1]))[0].ranges).any()
-    np.testing.assert_array_equal(
-        real.scans(np.array([0]))[0].ranges, whole.scans(np.array([0]))[0].ranges
-    )
-
-
-def test_measures_from_the_sensor_not_from_the_axle() -> None:
-    platform = plain("waffle_pi")
-    world = World({"a": platform}, Arena(4.0, 4.0), np.array([[0.5, 0.0, 0.0]]))
-    ranges = world.scans(np.array([0]))[0].ranges
-    bearings = world.platforms[0].scan.bearings
-    ahead, behind = np.argmin(np.abs(bearings)), np.argmax(np.abs(bearings))
-    assert ranges[ahead] == pytest.approx(2.0 - 0.5 + 0.064, abs=1e-12)
-    assert ranges[behind] == pytest.approx(2.0 + 0.5 - 0.064, abs=1e-12)
-
-
 def look(spec: ScanSpec, arena: Arena, x: float = 0.0, y: float = 0.0, yaw: float = 0.0) -> Array:
     """What a sensor alone in an arena sees."""
     lidar = Lidar(spec, shapes_of(arena, (), plane=None))
@@ -194,13 +157,6 @@ def look(spec: ScanSpec, arena: Arena, x: float = 0.0, y: float = 0.0, yaw: floa
 def test_too_near_and_too_far_differ(distance: float, expected: float) -> None:
     spec = ScanSpec(np.array([0.0]), 5.0, 0.12, 3.5)
     assert look(spec, Arena(20.0, 20.0), x=10.0 - distance)[0] == pytest.approx(expected)
-
-
-def test_takes_any_number_of_rays_in_any_direction() -> None:
-    bearings = np.radians([40.0, -40.0, 20.0, 0.0, 170.0, -170.0, 359.0])
-    ranges = look(ScanSpec(bearings, 10.0, 0.0, 10.0), Arena(4.0, 4.0))
-    expected = 2.0 / np.maximum(np.abs(np.cos(bearings)), np.abs(np.sin(bearings)))
-    np.testing.assert_allclose(ranges, expected, atol=1e-12)
 
 
 def test_no_ray_slips_through_a_corner() -> None:
@@ -282,13 +238,6 @@ def test_a_ray_at_the_very_end_of_an_interval_is_in_it_on_both_sides(bearings: A
             assert counts.tolist() == [1]
             np.testing.assert_allclose(rays.cos[places], math.cos(bearing), atol=1e-12)
             np.testing.assert_allclose(rays.sin[places], math.sin(bearing), atol=1e-12)
-
-
-def test_an_interval_without_rays_takes_no_place() -> None:
-    low, high = np.radians([0.2, 3.5, 5.2]), np.radians([0.8, 5.5, 5.8])
-    places, counts = Rays(EVEN).within(low, high)
-    assert counts.tolist() == [0, 2, 0]
-    assert (places % 360).tolist() == [(180 + 4) % 360, (180 + 5) % 360]
 
 
 @pytest.mark.parametrize("name", platform_names())

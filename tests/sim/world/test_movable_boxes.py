@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.core.values import Array
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.arena import Arena, Box, Pole, Segment
 from swarmd.sim.world.geometry import gaps, transform
@@ -67,15 +66,6 @@ def test_the_floor_holds_the_same_mass_in_every_direction(yaw: float) -> None:
     assert moved[1] < 0.01
 
 
-def test_before_a_box_that_is_too_heavy_the_robot_slips() -> None:
-    world = facing(ahead(1e6))
-    drive(world, 0.26, 10.0)
-    before = world.box_poses()
-    np.testing.assert_allclose(before, [[0.5, 0.0, 0.0]], atol=1e-6)
-    assert world.twists()[0, 0] == pytest.approx(0.0, abs=1e-3)
-    assert world.contacts()[0].b == "box/crate"
-
-
 @pytest.mark.parametrize("heading", [0.0, 0.4, math.pi / 4.0, 1.5])
 def test_a_sliding_box_stops_by_coulombs_law(heading: float) -> None:
     box = Box(3.0, 0.0, 0.4, 0.2, 0.7, mass=2.0)
@@ -122,15 +112,6 @@ def test_a_contact_with_a_box_has_both_speeds() -> None:
     assert (contact.a, contact.b) == ("a", "box/crate")
     assert contact.speed_a > 0.1
     assert 0.1 < contact.speed_b < 2.0
-
-
-def test_is_seen_where_it_is_now() -> None:
-    world = facing(ahead(1.0))
-    drive(world, 0.2, 5.0)
-    drive(world, -0.2, 2.0)
-    gap = world.box_poses()[0, 0] - 0.15 - (world.poses()[0, 0] - 0.064)
-    assert gap > 0.4
-    assert world.scans(np.array([0]))[0].ranges[0] == pytest.approx(gap, abs=1e-9)
 
 
 def test_out_of_the_arena_it_is_neither_seen_nor_touched() -> None:
@@ -266,29 +247,22 @@ def test_only_movable_boxes_are_placed_and_removed() -> None:
         world.remove("late")
 
 
-def test_a_crowd_with_boxes_is_stable_and_repeats_bit_by_bit() -> None:
-    def run() -> tuple[Array, Array, float]:
-        n = 8
-        turn = 2.0 * np.pi * np.arange(n) / n
-        starts = np.stack((2.0 * np.cos(turn), 2.0 * np.sin(turn), turn + np.pi), axis=-1)
-        masses = (0.2, 1.0, 5.0, 1e6)
-        boxes = tuple(
-            Box(0.9 * math.cos(a), 0.9 * math.sin(a), 0.3, 0.2, a, mass=mass)
-            for a, mass in zip(np.arange(0.2, 6.0, 1.6).tolist(), masses, strict=True)
-        )
-        robots = {f"r{i}": WAFFLE for i in range(n)}
-        world = World(robots, Arena(6.0, 6.0, boxes=boxes), starts)
-        world.set_commands(np.tile((0.26, 0.0, 0.0), (n, 1)))
-        fastest = 0.0
-        for _ in range(100):
-            world.step(10)
-            fastest = max(fastest, float(np.abs(world.data.qvel[:]).max()))
-        shapes = transform(world.box_shapes, world.box_poses())
-        assert min(world.data.contact.dist) > -2e-3
-        assert max(float(gaps(shapes[0], shapes[i])) for i in range(1, 4)) > 0.0
-        return world.poses(), world.box_poses(), fastest
-
-    (poses, movable_boxes, fastest), again = run(), run()
+def test_a_crowd_with_boxes_is_stable() -> None:
+    n = 8
+    turn = 2.0 * np.pi * np.arange(n) / n
+    starts = np.stack((2.0 * np.cos(turn), 2.0 * np.sin(turn), turn + np.pi), axis=-1)
+    masses = (0.2, 1.0, 5.0, 1e6)
+    boxes = tuple(
+        Box(0.9 * math.cos(a), 0.9 * math.sin(a), 0.3, 0.2, a, mass=mass)
+        for a, mass in zip(np.arange(0.2, 6.0, 1.6).tolist(), masses, strict=True)
+    )
+    world = World({f"r{i}": WAFFLE for i in range(n)}, Arena(6.0, 6.0, boxes=boxes), starts)
+    world.set_commands(np.tile((0.26, 0.0, 0.0), (n, 1)))
+    fastest = 0.0
+    for _ in range(100):
+        world.step(10)
+        fastest = max(fastest, float(np.abs(world.data.qvel[:]).max()))
+    shapes = transform(world.box_shapes, world.box_poses())
     assert fastest < 3.0
-    np.testing.assert_array_equal(poses, again[0])
-    np.testing.assert_array_equal(movable_boxes, again[1])
+    assert min(world.data.contact.dist) > -2e-3
+    assert max(float(gaps(shapes[0], shapes[i])) for i in range(1, 4)) > 0.0

@@ -129,20 +129,6 @@ def test_a_too_near_return_is_no_return_where_the_sensor_loses_it(
     assert given == pytest.approx([nothing, nothing, within, np.nan], abs=1e-6, nan_ok=True)
 
 
-def test_a_return_that_noise_brings_below_the_minimum_is_lost_too() -> None:
-    noisy = sensors(LidarNoise(near_sd=0.05, near=100.0))
-    near = measured(noisy, BURGER.scan.range_min, 5)
-    assert (near == 0.0).mean() == pytest.approx(0.5, abs=0.06)
-    assert near[near > 0.0].min() >= BURGER.scan.range_min
-
-
-def test_lidars_of_both_kinds_scan_together() -> None:
-    exact = [np.array([np.inf, -np.inf])] * 3
-    noisy = NoisyLidar(IDEAL.lidar, [BURGER, PLAIN, JACKAL], names(3), 0)
-    given = noisy.apply(np.array([2, 0, 1]), exact)
-    np.testing.assert_array_equal(given, [[np.inf, np.inf], [0.0, 0.0], [np.inf, -np.inf]])
-
-
 def test_exact_ranges_are_left_alone() -> None:
     exact = np.linspace(0.2, 3.4, RAYS)
     before = exact.copy()
@@ -186,11 +172,6 @@ def test_two_robots_and_two_seeds_differ() -> None:
     one, other = measured(sensors(REALISTIC.lidar, 2), 1.0, 1, 2)[0]
     assert not np.array_equal(one, other)
     assert not np.array_equal(one, measured(sensors(REALISTIC.lidar, seed=4), 1.0, 1)[0, 0])
-
-
-def test_no_two_scans_are_equal() -> None:
-    first, second = measured(sensors(REALISTIC.lidar), 1.0, 2)
-    assert not np.array_equal(first, second)
 
 
 def test_latency_is_half_a_scan_period() -> None:

@@ -10,9 +10,8 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Neighbor
-from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.arena import Arena, Box
-from swarmd.sim.world.radio import Radio, RadioSettings, check_radio, with_bearings
+from swarmd.sim.world.radio import Radio, RadioSettings, check_radio
 
 ARENA = Arena(40.0, 40.0)
 ROW = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
@@ -41,17 +40,11 @@ def test_all_hear_each_other_and_not_themselves() -> None:
         ["r-0", "r-2"],
         ["r-0", "r-1"],
     ]
-    assert air.links(ROW).tolist() == [[0, 1], [0, 2], [1, 2]]
-
-
-def test_a_plain_radio_gives_no_positions() -> None:
-    assert radio().neighbors(0, ROW)[0] == Neighbor("r-1", 0.0, None, None, None)
 
 
 def test_the_radio_ends_at_its_range() -> None:
     air = radio(neighborhood="range", range=3.0)
     assert [air.hearers(row, ROW).tolist() for row in range(3)] == [[1], [0, 2], [1]]
-    assert air.links(ROW).tolist() == [[0, 1], [1, 2]]
 
 
 def test_a_box_blocks_the_radio_only_with_line_of_sight() -> None:
@@ -60,7 +53,6 @@ def test_a_box_blocks_the_radio_only_with_line_of_sight() -> None:
     air = radio(arena=walled, line_of_sight=True)
     assert [air.hearers(row, ROW).tolist() for row in range(3)] == [[1], [0], []]
     assert heard(air.neighbors(2, ROW)) == []
-    assert air.links(ROW).tolist() == [[0, 1]]
 
 
 def test_a_movable_box_blocks_the_radio_if_given() -> None:
@@ -69,27 +61,8 @@ def test_a_movable_box_blocks_the_radio_if_given() -> None:
     movable_boxes = crate.corners[None]
     assert air.hearers(0, ROW).tolist() == [1, 2]
     assert air.hearers(0, ROW, movable_boxes).tolist() == []
-    assert air.links(ROW, movable_boxes).tolist() == [[1, 2]]
     air.send(0, "a/b", 1, 0.0, ROW, movable_boxes)
     assert air.arrived(0.0) == []
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        {},
-        {"neighborhood": "range", "range": 2.5},
-        {"neighborhood": "range", "range": 2.5, "line_of_sight": True},
-    ],
-)
-def test_links_agree_with_hearers(values: dict[str, Any]) -> None:
-    boxes = tuple(Box(float(x), float(y), 1.0, 0.3) for x in (-6, 0, 6) for y in (-6, 0, 6))
-    n = 120
-    air, poses = radio(n, Arena(40.0, 40.0, boxes), **values), crowd(n)
-    pairs = [
-        [row, int(other)] for row in range(n) for other in air.hearers(row, poses) if other > row
-    ]
-    assert air.links(poses).tolist() == pairs
 
 
 def test_a_message_without_delay_arrives_at_once_and_once() -> None:
@@ -101,12 +74,6 @@ def test_a_message_without_delay_arrives_at_once_and_once() -> None:
         (2, 1, "voting/opinion", {"option": 2}),
     ]
     assert air.arrived(9.0) == []
-
-
-def test_hearers_are_fixed_at_sending() -> None:
-    air = radio(neighborhood="range", range=3.0, delay=1.0)
-    air.send(0, "a/b", 1, 0.0, ROW)
-    assert [hearer for hearer, *_ in air.arrived(1.0)] == [1]
 
 
 def test_a_delay_of_whole_steps_ends_with_its_step_despite_rounding() -> None:
@@ -238,18 +205,6 @@ def test_bearings_stay_within_half_a_turn_and_distances_above_zero() -> None:
         assert abs(neighbor.heading) <= math.pi
 
 
-def test_bearings_make_a_platform_that_provides_them() -> None:
-    burger = load_platform("burger")
-    fitted = with_bearings(burger)
-    assert fitted.provides - burger.provides == {
-        "neighbors",
-        "neighbors.distance",
-        "neighbors.bearing",
-        "neighbors.heading",
-    }
-    assert fitted.name == burger.name
-
-
 @pytest.mark.parametrize(
     ("values", "key"),
     [
@@ -263,8 +218,3 @@ def test_contradicting_settings_are_refused(values: dict[str, Any], key: str) ->
         check_radio(RadioSettings(**values))
     with pytest.raises(ConfigError, match=key):
         radio(**values)
-
-
-def test_settings_in_every_form_that_fits_are_taken() -> None:
-    check_radio(RadioSettings())
-    check_radio(RadioSettings(neighborhood="range", range=1.0, delay=0.1, jitter=0.1))

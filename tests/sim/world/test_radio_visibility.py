@@ -1,15 +1,12 @@
-"""Pairs within range and line of sight."""
+"""Line of sight past boxes, poles and inner walls."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from swarmd.core.values import Array
 from swarmd.sim.world.arena import Arena, Box, Pole, Segment
-from swarmd.sim.world.radio_visibility import LineOfSight, all_pairs, near_pairs
-
-OPEN = Arena(20.0, 20.0)
+from swarmd.sim.world.radio_visibility import LineOfSight
 
 
 def clear(arena: Arena, a: tuple[float, float], b: tuple[float, float]) -> bool:
@@ -17,51 +14,6 @@ def clear(arena: Arena, a: tuple[float, float], b: tuple[float, float]) -> bool:
     back = LineOfSight(arena).is_clear(np.array([b]), np.array([a]))
     assert forth == back
     return bool(forth[0])
-
-
-def brute_pairs(places: Array, reach: float) -> list[list[int]]:
-    n = len(places)
-    return [
-        [i, j]
-        for i in range(n)
-        for j in range(i + 1, n)
-        if np.hypot(*(places[i] - places[j])) <= reach
-    ]
-
-
-@pytest.mark.parametrize(("n", "reach"), [(0, 1.0), (1, 1.0), (2, 100.0), (150, 0.3), (150, 2.5)])
-def test_near_pairs_are_those_of_brute_force(n: int, reach: float) -> None:
-    places = np.random.default_rng(1).uniform(-5.0, 5.0, (n, 2))
-    assert near_pairs(places, reach).tolist() == brute_pairs(places, reach)
-
-
-def test_near_pairs_of_a_thousand_are_those_of_brute_force() -> None:
-    places = np.random.default_rng(2).normal(0.0, 8.0, (1000, 2))
-    away = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
-    wanted = np.argwhere(np.triu(away <= 1.5, 1))
-    assert np.array_equal(near_pairs(places, 1.5), wanted)
-    assert len(wanted) > 1000
-
-
-def test_exactly_the_reach_is_near_on_a_grid_of_cells() -> None:
-    x, y = np.meshgrid(np.arange(-3.0, 4.0), np.arange(-3.0, 4.0))
-    places = np.stack((x.ravel(), y.ravel()), axis=-1) * 0.7
-    places[:, 0] -= 1e-17
-    assert near_pairs(places, 0.7).tolist() == brute_pairs(places, 0.7)
-
-
-def test_rounding_at_the_edge_of_a_cell_loses_no_pair() -> None:
-    places = np.array([[-1e-17, 0.0], [1.0, 0.0]])
-    assert near_pairs(places, 1.0).tolist() == [[0, 1]]
-
-
-def test_all_pairs() -> None:
-    assert all_pairs(3).tolist() == [[0, 1], [0, 2], [1, 2]]
-    assert all_pairs(1).shape == (0, 2)
-
-
-def test_an_empty_arena_blocks_nothing() -> None:
-    assert clear(OPEN, (-9.9, -9.9), (9.9, 9.9))
 
 
 @pytest.mark.parametrize(

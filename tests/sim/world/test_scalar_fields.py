@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -16,7 +15,6 @@ from swarmd.sim.world.scalar_fields import (
     LinearField,
     UniformField,
     sample,
-    with_readings,
 )
 from swarmd.sim.world.world import World
 
@@ -49,38 +47,6 @@ def test_fields_of_one_name_add_up_and_others_stay_apart() -> None:
 def test_readings_stay_within_the_bounds_of_the_wire() -> None:
     field = LinearField(name="light", slope=1e6)
     np.testing.assert_array_equal(sample([field], np.array([[9.0, 0.0]]))["light"], [1e6])
-
-
-def test_no_fields_no_readings() -> None:
-    assert sample([], PLACES) == {}
-
-
-@pytest.mark.parametrize(
-    ("data", "complaint"),
-    [
-        ({"kind": "gaussain", "name": "a"}, "Invalid value 'gaussain'"),
-        ({"kind": "gaussian", "name": "a"}, "missing required field `sigma`"),
-        ({"kind": "gaussian", "name": "a", "sigma": 0.0}, r"sigma"),
-        ({"kind": "linear", "name": "a", "slope": math.inf}, r"slope"),
-        ({"kind": "uniform", "name": "two words", "value": 1.0}, r"name"),
-        ({"kind": "uniform", "name": "a", "value": 1.0, "sigma": 1.0}, "unknown field `sigma`"),
-    ],
-)
-def test_an_invalid_field_is_refused(data: dict[str, object], complaint: str) -> None:
-    with pytest.raises(msgspec.ValidationError, match=complaint):
-        msgspec.convert(data, Field)
-
-
-def test_plain_values_make_the_same_field_again() -> None:
-    field = GaussianField(name="light", sigma=0.5)
-    assert msgspec.convert(msgspec.to_builtins(field), Field) == field
-
-
-def test_a_platform_in_a_field_provides_its_reading() -> None:
-    platform = load_platform("burger")
-    lit = with_readings(platform, [UniformField(name="light", value=1.0)])
-    assert lit.provides == platform.provides | {"reading:light"}
-    assert lit.name == platform.name
 
 
 def test_a_robot_reads_the_fields_where_it_stands_now() -> None:
