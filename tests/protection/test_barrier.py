@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -46,12 +45,6 @@ def seeing(platform: Platform, returns: Returns) -> Scan:
 
 def request_of(platform: Platform, v: float, w: float) -> Twist:
     return Twist(v * platform.limits.linear, w * platform.limits.angular)
-
-
-def with_settings(platform: Platform, **changes: Any) -> Platform:
-    """The platform with other settings, its surface speed unchanged."""
-    surface_speed = platform.protection["barrier"]["others_speed"]
-    return under_barrier(platform, **{"surface_speed": surface_speed, **changes})
 
 
 def passes(platform: Platform, scan: Scan, twist: Twist, age: float = 0.0) -> bool:
@@ -214,27 +207,6 @@ def test_more_returns_never_allow_more(
     both = [*returns, *(one for one in more if one[0] not in taken)]
     safe = decided(platform, seeing(platform, both), request_of(platform, v, w), age=age).safe
     assert passes(platform, seeing(platform, returns), safe, age)
-
-
-@given(PLATFORM, RETURNS, SHARE, SHARE, AGE, st.floats(0.0, 0.3))
-def test_older_scan_never_allows_more(
-    platform: Platform, returns: Returns, v: float, w: float, age: float, more: float
-) -> None:
-    scan = seeing(platform, returns)
-    safe = decided(platform, scan, request_of(platform, v, w), age=age + more).safe
-    assert passes(platform, scan, safe, age)
-
-
-@pytest.mark.parametrize("setting", ["others_speed", "margin", "unseen_extent"])
-@given(platform=PLATFORM, returns=RETURNS, v=SHARE, w=SHARE, more=st.floats(0.0, 1.0))
-def test_more_cautious_settings_never_allow_more(
-    setting: str, platform: Platform, returns: Returns, v: float, w: float, more: float
-) -> None:
-    scan = seeing(platform, returns)
-    value = platform.protection["barrier"][setting]
-    cautious = with_settings(platform, **{setting: value + more})
-    safe = decided(cautious, scan, request_of(platform, v, w)).safe
-    assert passes(with_settings(platform), scan, safe)
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE, AGE)

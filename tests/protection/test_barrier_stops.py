@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from swarmd.core.messages import Reason
@@ -68,16 +67,6 @@ def test_corner_does_not_swing_into_an_obstacle_beside(platform: Platform, side:
         assert run.min_gap >= MARGIN - ROUNDING
 
 
-def test_outline_is_placed_at_the_axle() -> None:
-    """A Burger reaches 38 mm ahead of its axle and 102 mm behind it."""
-    gaps = []
-    for way in (1, -1):
-        wall = box(0.1, 4.0, Pose(way * 0.8))
-        run = FilterSim(still(BURGER), [wall]).run(Twist(way * 0.22), 6.0)
-        gaps.append(run.min_gap)
-    assert gaps == pytest.approx([MARGIN, MARGIN], abs=ROUNDING)
-
-
 @pytest.mark.parametrize("bearing", [0.0, 0.6, -0.9, 2.6, math.pi])
 @pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
 def test_rammed_robot_does_not_close_on_the_other(platform: Platform, bearing: float) -> None:
@@ -129,15 +118,6 @@ def test_frozen_lidar_stops_the_robot_in_time() -> None:
     assert run.decisions[-1][1].reason is Reason.STALE_SCAN
 
 
-def test_frozen_lidar_stops_earlier_near_an_obstacle() -> None:
-    sim = FilterSim(BURGER, [box(0.1, 4.0, Pose(0.85))])
-    sim.run(Twist(0.22), 1.0)
-    sim.has_lidar = False
-    run = sim.run(Twist(0.22), 2.0)
-    assert run.min_gap >= 0.10
-    assert run.twists[-1].is_zero
-
-
 @pytest.mark.parametrize("at", [0.4, 0.9, 1.4, 1.9, 2.4])
 def test_lost_odometry_stops_the_robot_with_the_margin_left(at: float) -> None:
     sim = FilterSim(still(BURGER), [box(0.1, 4.0, Pose(0.6))])
@@ -146,16 +126,6 @@ def test_lost_odometry_stops_the_robot_with_the_margin_left(at: float) -> None:
     run = sim.run(Twist(0.22), 2.0)
     assert run.min_gap >= MARGIN - ROUNDING
     assert run.decisions[-1][1].reason is Reason.STALE_ODOMETRY
-
-
-@pytest.mark.parametrize("platform", [BURGER, WAFFLE], ids=lambda platform: platform.name)
-def test_corners_keep_the_surface_speed_near_an_obstacle(platform: Platform) -> None:
-    told = under_barrier(platform, surface_speed=0.15)
-    sim = FilterSim(told, [box(0.2, 0.2, Pose(-0.2, 0.6))])
-    run = sim.run(Twist(platform.limits.linear, platform.limits.angular), 4.0)
-    x, y = platform.footprint.T
-    fastest = max(np.hypot(t.linear - t.angular * y, t.angular * x).max() for t in run.twists[30:])
-    assert fastest == pytest.approx(0.15, abs=0.005)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -170,10 +140,3 @@ def test_spinning_robot_stops_before_its_corner_can_hit(side: float, distance: f
     assert run.touch is not None
     assert run.touch.speed <= NO_FAULT
     assert max(abs(twist.angular) for twist in run.twists) > 1.5
-
-
-def test_robot_does_not_reverse_into_another() -> None:
-    other = replace(pole(0.055, Pose(-0.7)), corners=BURGER.footprint - BURGER.scan.offset)
-    run = FilterSim(BURGER, [other]).run(Twist(-0.22, 0.1), 6.0)
-    assert run.min_gap >= MARGIN
-    assert run.poses[-1].x < -0.2

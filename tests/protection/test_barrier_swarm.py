@@ -119,14 +119,6 @@ def test_jackal_rammed_in_its_blind_zone_is_not_at_fault() -> None:
     assert first_touch(trace) <= NO_FAULT
 
 
-def test_turning_robot_does_not_swing_into_another() -> None:
-    trace = meeting(
-        group("burger", "a", (0.0, 0.0, 0.0), 0.0, 2.84),
-        group("burger", "b", (-0.4, 1.5, -math.pi / 2), 0.22),
-    )
-    assert len(trace.contact_t) == 0
-
-
 @pytest.mark.parametrize("seed", [1, 4])
 def test_two_robots_that_slide_to_the_same_place_keep_apart(seed: int) -> None:
     """Neither closes on the other as long as it stands; without a rule their corners would meet."""

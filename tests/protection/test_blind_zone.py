@@ -133,12 +133,6 @@ def test_nothing_is_hidden_without_an_earlier_obstacle() -> None:
     assert look(memory, WIDE, empty=range(100, 140)) == []
 
 
-def test_hidden_obstacle_stays_without_contrary_evidence() -> None:
-    memory = hiding()
-    for _ in range(50):
-        assert look(memory, empty=WIDE) == list(WIDE)
-
-
 def test_return_behind_it_clears_a_hidden_obstacle() -> None:
     memory = hiding()
     assert look(memory, empty=range(0, 5)) == list(range(0, 5))

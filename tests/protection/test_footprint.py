@@ -11,20 +11,6 @@ from swarmd.protection.footprint import Footprint, ScanGeometry
 BOX = Footprint(np.array([[-0.2, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.2, 0.1]]))
 
 
-@pytest.mark.parametrize(
-    ("point", "gap"),
-    [
-        ((0.3, 0.0), 0.2),
-        ((-0.5, 0.05), 0.3),
-        ((0.0, 0.6), 0.5),
-        ((0.4, 0.5), 0.5),  # 3-4-5 from the corner
-        ((0.05, 0.05), 0.0),
-    ],
-)
-def test_gap_is_the_distance_to_the_outline(point: tuple[float, float], gap: float) -> None:
-    assert BOX.gaps(np.array([point]))[0] == pytest.approx(gap, abs=1e-12)
-
-
 @given(st.floats(-3, 3), st.floats(-3, 3))
 def test_gap_equals_the_distance_to_an_axis_aligned_box(x: float, y: float) -> None:
     dx = max(-0.2 - x, 0.0, x - 0.1)

@@ -74,17 +74,6 @@ def test_result_satisfies_all_constraints(
     assert nearest(polygon, point) == pytest.approx(point, abs=1e-12)
 
 
-@given(REQUESTED, ROWS)
-def test_no_point_of_a_fine_grid_is_nearer(requested: Point, rows: HalfPlanes) -> None:
-    normals, caps = half_planes(rows)
-    point, _ = nearest_feasible(requested, BOX, normals, caps)
-    axis = np.linspace(-1.0, 1.0, 81)
-    grid = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    allowed = grid[(grid @ normals.T <= caps).all(axis=1)]
-    distances = np.hypot(*(allowed - requested).T)
-    assert np.hypot(*np.subtract(point, requested)) <= distances.min() + 1e-9
-
-
 @given(REQUESTED, POLYGON, ROWS)
 def test_feasible_request_is_returned_unchanged(
     requested: Point, polygon: Polygon, rows: HalfPlanes
@@ -94,29 +83,6 @@ def test_feasible_request_is_returned_unchanged(
     inside = (0.99 * inside[0], 0.99 * inside[1])
     roomy = np.maximum(caps, normals @ np.array(inside))
     assert nearest_feasible(inside, polygon, normals, roomy)[0] == inside
-
-
-@given(REQUESTED, ROWS, st.randoms(use_true_random=False))
-def test_order_and_repetition_of_constraints_do_not_matter(
-    requested: Point, rows: HalfPlanes, random: object
-) -> None:
-    shuffled = [*rows, *rows[: len(rows) // 2]]
-    random.shuffle(shuffled)  # type: ignore[attr-defined]  # a random.Random
-    point, _ = nearest_feasible(requested, BOX, *half_planes(rows))
-    assert nearest_feasible(requested, BOX, *half_planes(shuffled))[0] == pytest.approx(
-        point, abs=1e-9
-    )
-
-
-@given(REQUESTED, ROWS, st.tuples(ANGLE, st.floats(0.05, 3.0), CAP))
-def test_additional_constraint_never_brings_the_result_nearer(
-    requested: Point, rows: HalfPlanes, more: tuple[float, float, float]
-) -> None:
-    point, _ = nearest_feasible(requested, BOX, *half_planes(rows))
-    fewer, _ = nearest_feasible(requested, BOX, *half_planes([*rows, more]))
-    assert (
-        np.hypot(*np.subtract(fewer, requested)) >= np.hypot(*np.subtract(point, requested)) - 1e-9
-    )
 
 
 def test_tight_constraints_are_those_that_bind() -> None:

@@ -98,10 +98,6 @@ def test_closing_at_a_negligible_speed_passes() -> None:
     assert cleared((2.0 * NEGLIGIBLE_SPEED, 0.0), (FRONT + 0.001, 0.0))[0] < NEGLIGIBLE_SPEED
 
 
-def test_moving_away_passes_at_any_gap() -> None:
-    assert cleared((-0.2, 0.0), (FRONT + 0.001, 0.0), free=(0.2, 0.3)) == (-0.2, 0.0)
-
-
 def test_lateral_motion_is_checked() -> None:
     beside = (0.0, HALF + 0.015)
     assert cleared((0.2, 0.0), beside, along=(0.0, -1.0)) == (0.2, 0.0)

@@ -1,4 +1,4 @@
-"""What the running pattern may, from its load to its end, and that protection is told of it."""
+"""The permit of the running pattern, from its load to its end."""
 
 from __future__ import annotations
 
@@ -98,10 +98,10 @@ def run_pattern(harness: RobotHarness, pattern: str, **args: Any) -> None:
 
 
 def permit(harness: RobotHarness) -> Permit:
-    """What protection was told at the last decision."""
-    front = harness.robot._protection
-    assert isinstance(front, RecordingProtection)
-    return front.permit
+    """The permit of the last decision."""
+    protection = harness.robot._protection
+    assert isinstance(protection, RecordingProtection)
+    return protection.permit
 
 
 def event_texts(harness: RobotHarness) -> list[str]:
@@ -116,49 +116,26 @@ def test_granted_touch_zone_reaches_protection_and_events() -> None:
     assert event_texts(harness)[-1] == f"push {MAY}"
 
 
-def test_pattern_without_grant_runs_without_touch_zone() -> None:
-    harness = make_harness()
-    run_pattern(harness, "push")
+@pytest.mark.parametrize(
+    ("pattern", "granted"),
+    [("push", ()), ("push", ("other",)), ("forward", ("forward",)), ("team", ("team", "push"))],
+)
+def test_touch_zone_needs_a_declaration_and_a_grant(pattern: str, granted: tuple[str, ...]) -> None:
+    harness = make_harness(**dict.fromkeys(granted, LESS))
+    run_pattern(harness, pattern)
     assert harness.status.state is State.RUNNING
-    assert harness.twist == Twist(0.1)
     assert permit(harness).touch is None
-    assert "not granted" in event_texts(harness)[-1]
-    assert "touch: {push: ...}" in event_texts(harness)[-1]
+    assert ("not granted" in event_texts(harness)[-1]) is (pattern == "push")
 
 
-def test_grant_without_a_declared_zone_has_no_effect() -> None:
-    harness = make_harness(forward=LESS)
-    run_pattern(harness, "forward")
-    assert permit(harness).touch is None
-    assert event_texts(harness)[-1] == "runs forward, by alice"
-
-
-def test_grant_holds_for_its_pattern_only() -> None:
-    harness = make_harness(other=LESS)
-    run_pattern(harness, "push")
-    assert permit(harness).touch is None
-
-
-def test_zone_of_a_part_has_no_effect() -> None:
-    harness = make_harness(team=LESS, push=LESS)
-    run_pattern(harness, "team")
-    assert permit(harness).touch is None
-
-
-@pytest.mark.parametrize("verb", ["stop", "estop"])
-def test_permit_ends_with_the_run(verb: str) -> None:
-    harness = make_harness(push=LESS)
-    run_pattern(harness, "push")
-    harness.ask(verb)
-    assert permit(harness) == NO_PERMIT
-    harness.advance(0.5)
-    assert permit(harness) == NO_PERMIT
-
-
-def test_permit_ends_with_the_seconds_of_the_run() -> None:
+@pytest.mark.parametrize("end", ["stop", "estop", "seconds"])
+def test_permit_ends_with_the_run(end: str) -> None:
     harness = make_harness(push=LESS)
     run_pattern(harness, "push", seconds=1.0)
     assert permit(harness).touch == LESS
+    if end != "seconds":
+        harness.ask(end)
+        assert permit(harness) == NO_PERMIT
     harness.advance(1.0)
     assert permit(harness) == NO_PERMIT
 
@@ -192,17 +169,6 @@ def test_restart_without_a_declared_zone_has_none() -> None:
     harness.host_says(Loaded(harness.status.generation, 10.0, frozenset(), {}))
     assert harness.status.state is State.RUNNING
     assert permit(harness).touch is None
-
-
-def test_quarantined_pattern_has_no_permit() -> None:
-    harness = make_harness(push=LESS)
-    run_pattern(harness, "push")
-    for _ in range(4):
-        harness.host_says(PatternFailed(harness.status.generation, "ValueError"))
-        assert permit(harness) == NO_PERMIT
-        harness.advance(1.0)
-    assert harness.status.state is State.FAULTED
-    assert permit(harness) == NO_PERMIT
 
 
 def test_pattern_with_an_excessive_zone_is_refused() -> None:

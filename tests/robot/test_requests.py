@@ -200,13 +200,6 @@ def test_param_set_holds_until_the_next_run() -> None:
     assert harness.twist == Twist(0.2)
 
 
-def test_param_set_out_of_range_is_refused() -> None:
-    harness = started(speed=0.1)
-    assert "speed is '7'" in harness.refused("param", params={"speed": "7"}).text
-    harness.advance(0.2)
-    assert harness.twist == Twist(0.1)
-
-
 def test_duplicate_id_faults_until_it_left_and_a_reset() -> None:
     harness = started()
     harness.carry_out(harness.robot.on_duplicate("instance b", harness.now))

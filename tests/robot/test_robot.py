@@ -9,7 +9,7 @@ import pytest
 from swarmd.api import Inputs, MovementPattern, Outputs, Params, Twist
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.host_messages import HostDied, KillHost, Load, Loaded, Step, Stepped
-from swarmd.core.messages import Code, Reason, Refusal, State, Status
+from swarmd.core.messages import Code, Reason, State, Status
 from swarmd.core.values import Neighbor, Scalar
 from swarmd.pattern_host.wire import MAX_FRAME, encode_command
 from tests.support.robot_harness import RobotHarness
@@ -27,16 +27,6 @@ def test_runs_the_requested_command_within_limits() -> None:
     harness = started(speed=1.0)
     assert harness.twist == Twist(harness.platform.limits.linear)
     assert standing_state(harness) == (State.RUNNING, None)
-
-
-def test_refused_run_leaves_the_running_pattern_alone() -> None:
-    harness = started(speed=0.1)
-    reply = harness.refused("run", pattern="forward", params={"sped": 0.2})
-    assert reply.refusal is Refusal.INVALID_PARAMETER
-    assert "sped" in reply.text
-    harness.advance(1.0)
-    assert harness.twist == Twist(0.1)
-    assert harness.status.pattern == "forward"
 
 
 def test_stop_zeroes_at_once_until_the_next_run() -> None:
@@ -121,18 +111,6 @@ def test_pattern_that_keeps_raising_is_quarantined() -> None:
     assert standing_state(harness) == (State.IDLE, Reason.RESET)
 
 
-def test_raising_pattern_zeroes_at_once() -> None:
-    harness = RobotHarness(patterns=PATTERNS)
-    harness.advance(1.0)
-    harness.ask("run", pattern="raiser")
-    for _ in range(20):
-        harness.advance(0.05)
-        if harness.status.reason is Reason.PATTERN_RESTARTING:
-            break
-    assert harness.twist.is_zero
-    assert standing_state(harness) == (State.RUNNING, Reason.PATTERN_RESTARTING)
-
-
 def test_dead_host_zeroes_at_once_and_is_replaced() -> None:
     harness = started()
     harness.host_says(HostDied(harness.status.generation, "was killed by SIGKILL"))
@@ -158,16 +136,6 @@ def test_finished_pattern_leaves_the_robot_idle() -> None:
     assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
     assert harness.status.detail == "arrived"
     assert harness.twist.is_zero
-
-
-def test_run_ends_after_its_seconds() -> None:
-    harness = RobotHarness(patterns=PATTERNS)
-    harness.advance(1.0)
-    harness.ask("run", pattern="forward", seconds=1.0)
-    harness.advance(0.9)
-    assert not harness.twist.is_zero
-    harness.advance(0.15)
-    assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
 
 
 def test_restart_does_not_extend_the_seconds_of_a_run() -> None:

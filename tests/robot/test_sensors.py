@@ -46,13 +46,6 @@ def test_neighbors_age_in_steps_and_time_out(senses: Sensors) -> None:
     assert senses.neighbors(last + 0.01) == ()
 
 
-def test_messages_of_strangers_are_dropped(senses: Sensors) -> None:
-    assert not senses.on_message("b", "w", 1, 0.0)
-    senses.on_neighbors((Neighbor("b", 0.0),), 0.0)
-    assert senses.on_message("b", "w", 1, 0.0)
-    assert not senses.on_message("c", "w", 1, 0.0)
-
-
 def test_messages_arrive_once_and_the_oldest_are_dropped(senses: Sensors) -> None:
     senses.on_neighbors((Neighbor("b", 0.0),), 0.0)
     word = b"x" * 800
@@ -75,26 +68,6 @@ def test_odometry_with_an_old_stamp_becomes_stale(senses: Sensors) -> None:
         senses.on_scan(empty_scan(platform, tick, now), now)
         late = now > ODOMETRY_TIMEOUT + 1e-9
         assert senses.hold(now) is (Reason.STALE_ODOMETRY if late else None)
-
-
-def test_lost_sector_holds_after_stale_after(senses: Sensors) -> None:
-    platform = load_platform("waffle_pi")
-    stale_after = platform.scan.stale_after
-    senses.on_driver(True, "up")
-    senses.on_scan(empty_scan(platform, 0, 0.0, 2.0), 10.0)
-    is_lost = np.arange(360) < 30
-    for seq in range(1, 6):
-        now = 10.0 + 0.2 * seq
-        scan = empty_scan(platform, seq, now, 2.0)
-        senses.on_odometry(Odometry(now, Pose(), Twist()), now)
-        senses.on_scan(replace(scan, ranges=np.where(is_lost, np.nan, scan.ranges)), now)
-        assert senses.scan_age(now) == now - 10.0
-        assert senses.stale_at() == 10.0 + stale_after
-        # Also before a scan comes that is none any more, as the fourth and fifth are.
-        assert senses.hold(10.0 + stale_after - 1e-6) is None
-        assert senses.hold(10.0 + stale_after + 1e-6) is Reason.INVALID_SCAN
-    senses.on_scan(empty_scan(platform, 9, 11.2, 2.0), 11.2)
-    assert (senses.scan_age(11.2), senses.hold(11.2)) == (0.0, None)
 
 
 @pytest.mark.parametrize("mode", ["barrier", "potential_field", "stop_zone"])

@@ -31,12 +31,6 @@ def conditioned(conditioner: ScanConditioner, ranges: Array | float, seq: int) -
     return scan.ranges
 
 
-def test_limits_come_from_the_platform() -> None:
-    scan = ScanConditioner(SPEC).take(raw_scan(1.0, 1), None, 0.0)
-    assert isinstance(scan, Scan)
-    assert (scan.range_min, scan.range_max) == (0.12, 3.5)
-
-
 def test_ranges_beyond_the_limits_become_infinite() -> None:
     ranges = np.full(360, 1.0)
     ranges[:4] = [0.05, 9.0, np.inf, -np.inf]
@@ -85,18 +79,6 @@ def test_lost_lds_packet_beside_a_near_return_is_a_drop_out(
     assert got[rays].tolist() == (before[rays] if is_lost else np.full(width, -np.inf)).tolist()
 
 
-def test_zeros_are_not_guessed_near_when_switched_off() -> None:
-    conditioner = ScanConditioner(replace(SPEC, zero="lds"), guesses_near=False)
-    before = np.full(360, 2.0)
-    before[100] = 0.2
-    conditioned(conditioner, before, 1)
-    after = np.full(360, 2.0)
-    after[97:104] = 0.0
-    got = [conditioned(conditioner, after, seq)[97:104] for seq in range(2, 7)]
-    assert not np.isneginf(got).any()
-    assert np.isposinf(got[-1]).all()
-
-
 def test_near_return_explains_lds_zeros_for_1_s() -> None:
     conditioner = ScanConditioner(replace(SPEC, zero="lds"))
     before = np.full(360, 2.0)
@@ -110,24 +92,17 @@ def test_near_return_explains_lds_zeros_for_1_s() -> None:
     assert [np.isneginf(ranges).sum() for ranges in got] == [7] * 4 + [0] * 2
 
 
-def test_lds_zero_without_an_earlier_return_is_no_return() -> None:
+def test_lds_zero_without_a_recent_return_is_no_return() -> None:
     conditioner = ScanConditioner(replace(SPEC, zero="lds"))
     before = np.full(360, 2.0)
-    before[50] = np.inf
+    before[60] = np.inf
     conditioned(conditioner, before, 1)
-    after = np.full(360, 2.0)
-    after[50] = 0.0
-    assert conditioned(conditioner, after, 2)[50] == np.inf
-
-
-def test_lds_zero_after_a_stale_return_is_no_return() -> None:
-    conditioner = ScanConditioner(replace(SPEC, zero="lds"))
-    conditioned(conditioner, 2.0, 1)
     lost = np.full(360, 2.0)
-    lost[50] = 0.0
-    got = [conditioned(conditioner, lost, seq)[50] for seq in range(2, 7)]
+    lost[[50, 60]] = 0.0
+    got = [conditioned(conditioner, lost, seq) for seq in range(2, 7)]
     assert SPEC.stale_after == pytest.approx(0.7)
-    assert got == [2.0, 2.0, 2.0, np.inf, np.inf]
+    assert [ranges[50] for ranges in got] == [2.0, 2.0, 2.0, np.inf, np.inf]
+    assert [ranges[60] for ranges in got] == [np.inf] * 5
 
 
 def test_ray_far_from_remembered_rays_has_no_memory() -> None:
@@ -211,26 +186,28 @@ def lacking(*sectors: slice, what: float = np.nan) -> Array:
     return ranges
 
 
-def test_scan_without_a_wide_sector_has_the_age_of_its_memory() -> None:
-    raws = [lacking(), lacking(LOST), lacking(LOST), lacking(), lacking(LOST)]
-    assert ages(SPEC, raws) == [0.0, 0.2, 0.4, 0.0, 0.2]
+@pytest.mark.parametrize(
+    ("raws", "expected"),
+    [
+        ([(), (LOST,), (LOST,), (), (LOST,)], [0.0, 0.2, 0.4, 0.0, 0.2]),
+        ([(), (LOST,), (slice(200, 240),)], [0.0, 0.2, 0.2]),
+        # Bridged rays neither age a scan, nor count for the age of a sector lost later.
+        ([(), (NARROW,), (NARROW,), (slice(None, None, 3),)], [0.0] * 4),
+        ([(), (slice(15, 20),), (LOST,)], [0.0, 0.0, 0.2]),
+        ([(), (slice(0, 20),), (LOST,)], [0.0, 0.2, 0.4]),
+    ],
+)
+def test_scan_is_as_old_as_the_memory_of_its_lost_sector(
+    raws: list[tuple[slice, ...]], expected: list[float]
+) -> None:
+    assert ages(SPEC, [lacking(*sectors) for sectors in raws]) == expected
 
 
-def test_returned_sector_has_the_age_of_the_scan() -> None:
-    assert ages(SPEC, [lacking(), lacking(LOST), lacking(slice(200, 240))]) == [0.0, 0.2, 0.2]
-
-
-def test_bridged_sectors_do_not_age_a_scan() -> None:
-    scattered = lacking()
-    scattered[::3] = np.nan
-    assert ages(SPEC, [lacking(), lacking(NARROW), lacking(NARROW), scattered]) == [0.0] * 4
-
-
-def test_bridged_rays_do_not_count_for_the_age_of_a_sector() -> None:
-    """Of the sector's rays a few were missing already the time before: that was no lost sector."""
-    inside = slice(15, 20)
-    assert ages(SPEC, [lacking(), lacking(inside), lacking(LOST)]) == [0.0, 0.0, 0.2]
-    assert ages(SPEC, [lacking(), lacking(slice(0, 20)), lacking(LOST)]) == [0.0, 0.2, 0.4]
+def test_lds_zeros_do_not_age_a_scan() -> None:
+    """A zero that lasts stands for no return."""
+    raws = [lacking(), *[lacking(LOST, what=0.0)] * 5]
+    assert ages(replace(SPEC, zero="lds"), raws) == [0.0] * 6
+    assert ages(replace(SPEC, zero="unknown"), raws[:4]) == [0.0, 0.2, 0.4, 0.6]
 
 
 def test_lost_sector_across_the_first_ray_ages_a_scan() -> None:
@@ -250,13 +227,6 @@ def test_one_of_two_rays_is_a_lost_sector() -> None:
     for seq, ranges in enumerate((np.ones(2), np.array([1.0, np.nan]))):
         assert isinstance(conditioner.take(raw_scan(ranges, seq, pair), DRIVING, seq * 0.2), Scan)
     assert conditioner.known_at == 0.0
-
-
-def test_lds_zeros_do_not_age_a_scan() -> None:
-    """They say that nothing is there, as soon as they have lasted."""
-    raws = [lacking(), *[lacking(LOST, what=0.0)] * 5]
-    assert ages(replace(SPEC, zero="lds"), raws) == [0.0] * 6
-    assert ages(replace(SPEC, zero="unknown"), raws[:4]) == [0.0, 0.2, 0.4, 0.6]
 
 
 def test_narrow_unknown_sector_takes_the_nearer_edge() -> None:

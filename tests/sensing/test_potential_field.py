@@ -107,11 +107,6 @@ def test_near_ray_counts_as_range_min(too_near: float) -> None:
     assert field(ahead(12, too_near), ignore_near=True).count == 0
 
 
-@pytest.mark.parametrize(("rays", "is_alone"), [(5, True), (6, False)])
-def test_ray_threshold_decides_is_alone(rays: int, is_alone: bool) -> None:
-    assert field(ahead(rays, 0.3)).is_alone is is_alone
-
-
 @pytest.mark.parametrize("distance", [0.5, 1.0, INF, NAN])
 def test_ray_at_range_max_does_not_count(distance: float) -> None:
     result = field(np.full(360, distance))
@@ -125,36 +120,6 @@ def test_range_max_of_zero_is_no_field(kind: FieldKind, distance: float) -> None
     result = field(np.full(360, distance), high=0.0, kind=kind)
     assert result.is_alone
     assert result.count == 0
-
-
-def test_no_rays_are_no_field() -> None:
-    assert field(np.empty(0), np.empty(0)).is_alone
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_mirrored_rays_give_the_mirrored_field(kind: FieldKind) -> None:
-    ranges = np.random.default_rng(0).uniform(0.0, 0.7, 360)
-    here, there = field(ranges, RING, kind=kind), field(ranges, -RING, kind=kind)
-    np.testing.assert_allclose(here.vector, there.vector * [1.0, -1.0], rtol=0.0, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("kind", "sign"), [("repulsion", -1.0), ("attraction", 1.0), ("attraction2", 1.0)]
-)
-def test_repulsion_leads_away_and_attraction_towards(kind: FieldKind, sign: float) -> None:
-    ranges = np.full(360, INF)
-    ranges[80:100] = 0.3
-    result = field(ranges, bias=0.0, kind=kind)
-    assert np.sign(result.vector[1]) == sign
-
-
-def test_inputs_are_not_modified() -> None:
-    ranges, bearings = np.array([0.05, 0.3, 9.0, NAN]), np.array([0.0, 1.0, 2.0, 3.0])
-    before = ranges.copy(), bearings.copy()
-    field(ranges, bearings)
-    field(ranges, bearings, ignore_near=True)
-    assert np.array_equal(ranges, before[0], equal_nan=True)
-    assert np.array_equal(bearings, before[1])
 
 
 @given(x=st.floats(-10.0, 10.0), y=st.floats(-10.0, 10.0))
@@ -171,9 +136,3 @@ def test_field_command_has_full_speed(x: float, y: float) -> None:
 @pytest.mark.parametrize("vector", [(0.0, 0.0), (NAN, 1.0), (INF, 1.0), (1.0, -INF), (1e-12, 0.0)])
 def test_field_without_direction_gives_zero(vector: tuple[float, float]) -> None:
     assert field_twist(np.array(vector), 0.26, 1.82) == Twist()
-
-
-def test_turn_reaches_half_pi_times_its_limit() -> None:
-    assert field_twist(np.array([0.0, 1.0]), 0.26, 1.82).angular == pytest.approx(
-        1.82 * math.pi / 2
-    )

@@ -67,12 +67,6 @@ def test_wall_and_robot_have_one_closest_point_each() -> None:
     assert found == [(0.7, 90.0), (2.0, 0.0), (2.0, 180.0), (2.0, 270.0)]
 
 
-def test_closest_point_is_the_nearest_ray() -> None:
-    some = scan([1.0, 0.9, 1.1, 2.0], [10, 13, 16, 200])
-    points = closest_points(some, within=1.5)
-    np.testing.assert_allclose(points, [[0.9, 13 * DEGREE]])
-
-
 def test_far_obstacle_has_no_closest_point() -> None:
     assert closest_points(scan([1.0, 2.0], [0, 90]), within=0.9).shape == (0, 2)
     assert closest_points(None, within=1.0).shape == (0, 2)
