@@ -22,8 +22,8 @@ from swarmd.core.values import Array, Platform, Scan, Twist, Value
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.robot.latches import LatchRecord
+from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
-from swarmd.robot.status import RobotSettings
 from swarmd.sim.lockstep.recorder import LockstepRecorder
 from swarmd.sim.lockstep.schedules import Alarms, Schedules
 from swarmd.sim.lockstep.shell import RobotShell

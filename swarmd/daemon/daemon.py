@@ -36,8 +36,8 @@ from swarmd.network.claim import Claim, claim_id
 from swarmd.network.session import open_in_thread, open_session
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.robot.actions import Actions
+from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
-from swarmd.robot.status import RobotSettings, with_health
 from swarmd.settings.driver_options import IdleOutputFilter, base_options
 from swarmd.settings.settings import DaemonSettings
 
@@ -307,7 +307,10 @@ class Daemon:
         network = {} if self._bus is None else self._bus.dropped
         frames = {"host/frames": self._runner.dropped} if self._runner.dropped else {}
         dropped = {**status.health.dropped, **network, **self.sink.drops, **frames}
-        return with_health(status, self._timer.p99, self._timer.stalls, dropped)
+        health = msgspec.structs.replace(
+            status.health, loop_p99=self._timer.p99, loop_stalls=self._timer.stalls, dropped=dropped
+        )
+        return msgspec.structs.replace(status, health=health)
 
 
 async def _end(task: asyncio.Task[Any]) -> None:

@@ -44,7 +44,7 @@ from swarmd.kit.touch import effective_zone
 from swarmd.protection.decision import NO_PERMIT, Permit
 from swarmd.robot.actions import Effects, Outbox
 from swarmd.robot.latches import Latches, LatchRecord
-from swarmd.robot.pattern_run import LOAD_TIMEOUT, STEP_TIMEOUT, PatternRun, Trial
+from swarmd.robot.pattern_run import LOAD_TIMEOUT, STEP_TIMEOUT, Loading, PatternRun, Trial
 from swarmd.robot.state_machine import StateMachine, Trigger
 
 MAX_HOLD_TIME = 2.0  # s after which a hold ends the run
@@ -54,27 +54,39 @@ _ENDS_TRIAL = frozenset({Trigger.STOP, Trigger.ESTOP, Trigger.STALL})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RobotIdentity:
-    """The robot that a pattern is loaded for.
+class RobotSettings:
+    """Settings of a robot beside its platform.
 
     `layers` gives the configured parameters of a pattern by layer, weakest first; `touch` the
     granted touch zones by pattern.
     """
 
+    driver: str
+    layers: Callable[[str], Layers]
+    host: str = ""
+    profile: str = "dev"
+    is_secured: bool = False
+    labels: tuple[str, ...] = ()
+    touch: Mapping[str, TouchZone] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotIdentity:
+    """The robot that a pattern is loaded for, in the life `instance` of its daemon."""
+
     robot: str
     platform: Platform
+    settings: RobotSettings
     seed: int
     instance: str
-    layers: Callable[[str], Layers]
-    touch: Mapping[str, TouchZone] = field(default_factory=dict)
 
 
 class Lifecycle:
     """State, pattern and latches of one robot. Times are in s and come with `effects`."""
 
     def __init__(self, identity: RobotIdentity, latches: LatchRecord | None, now: float) -> None:
-        self._identity = identity
-        self._born = now
+        self.identity = identity
+        self.born = now
         self.state_machine = StateMachine(now)
         self.pattern_run = PatternRun()
         self.latches = Latches(latches)
@@ -101,7 +113,7 @@ class Lifecycle:
     @property
     def epoch(self) -> Epoch:
         """The epoch that a request must quote to change this robot."""
-        return Epoch(self._identity.instance, self.revision)
+        return Epoch(self.identity.instance, self.revision)
 
     @property
     def permit(self) -> Permit:
@@ -114,7 +126,7 @@ class Lifecycle:
 
     def log(self, text: str, now: float) -> None:
         """Record an event for `describe`."""
-        self.events.append(LoggedEvent(at=max(now - self._born, 0.0), text=text[:MAX_TEXT]))
+        self.events.append(LoggedEvent(at=max(now - self.born, 0.0), text=text[:MAX_TEXT]))
 
     def applied(self, effects: Effects, request: Request, text: str) -> None:
         """Acknowledge a request; the reply carries the epoch that follows from it."""
@@ -129,7 +141,7 @@ class Lifecycle:
     ) -> None:
         answer = Reply(
             id=request.id,
-            robot=self._identity.robot,
+            robot=self.identity.robot,
             code=code,
             refusal=refusal,
             text=text[:MAX_TEXT],
@@ -181,15 +193,13 @@ class Lifecycle:
             self.report = {}
             self.log(f"runs {loading.pattern}, by {loading.request.operator}", effects.now)
             self.applied(effects, loading.request, f"runs {loading.pattern}")
-        self._apply_touch_zone(loading.pattern, event, effects)
-
-    def _apply_touch_zone(self, pattern: str, event: Loaded, effects: Effects) -> None:
-        """Grant the touch zone to this generation alone: it ends with `pattern_run.running`."""
+        # The touch zone is granted to this generation alone: it ends with `pattern_run.running`.
         assert self.pattern_run.running is not None
-        granted = self._identity.touch.get(pattern)
-        self.pattern_run.running.touch, text = effective_zone(pattern, event.touches, granted)
+        granted = self.identity.settings.touch.get(loading.pattern)
+        zone, text = effective_zone(loading.pattern, event.touches, granted)
+        self.pattern_run.running.touch = zone
         if text:
-            self.log(f"{pattern} {text}", effects.now)
+            self.log(f"{loading.pattern} {text}", effects.now)
 
     def _on_load_refused(self, event: LoadRefused, effects: Effects) -> None:
         text = event.text
@@ -279,15 +289,19 @@ class Lifecycle:
         if trigger is Trigger.FINISH and loading is not None and loading.request is not None:
             self.pattern_run.end_running()  # the next run, already requested, goes on loading
         else:
-            self._cancel_load(reason, effects)
+            if loading is not None:
+                effects.command_host(KillHost(f"not wanted any more: {reason}"))
+            if loading is not None and loading.request is not None:
+                overtaken = f"{reason} while it was being loaded"
+                self.refuse(effects, loading.request, Refusal.OVERTAKEN, overtaken)
             self.pattern_run.end()
         if trigger in _ENDS_TRIAL:
             text = f"{reason} while the new code was being tried"
             self.end_trial(Refusal.OVERTAKEN, text, effects)
         if self.params_request is not None:
-            overtaken, self.params_request = self.params_request[0], None
+            request, self.params_request = self.params_request[0], None
             text = f"{reason} before the pattern answered"
-            self.refuse(effects, overtaken, Refusal.OVERTAKEN, text)
+            self.refuse(effects, request, Refusal.OVERTAKEN, text)
         self.hold_since = None
         before = self.state_machine.state
         self.state_machine.apply(trigger, reason, detail[:MAX_TEXT], effects.now)
@@ -299,17 +313,8 @@ class Lifecycle:
         trial, self.trial = self.trial, None
         if trial is not None:
             effects.trial = CancelTrial(text)
-            self.log(f"{trial.pattern} not reloaded: {text}", effects.now)
+            self.log(f"{trial.request.pattern} not reloaded: {text}", effects.now)
             self.refuse(effects, trial.request, refusal, text)
-
-    def _cancel_load(self, reason: Reason, effects: Effects) -> None:
-        loading = self.pattern_run.loading
-        if loading is None:
-            return
-        effects.command_host(KillHost(f"not wanted any more: {reason}"))
-        if loading.request is not None:
-            text = f"{reason} while it was being loaded"
-            self.refuse(effects, loading.request, Refusal.OVERTAKEN, text)
 
     # Operators, peers and the machine
 
@@ -329,7 +334,10 @@ class Lifecycle:
         `is_fresh`: in a fresh host. `until`: conditions of which any ends the run.
         """
         run = self.pattern_run
-        run.begin(pattern, params, seconds, request, effects.now, until)
+        run.generation += 1
+        now = effects.now
+        run.loading = Loading(run.generation, pattern, params, seconds, now, request, until)
+        run.restart_at = None
         load = self.load_of(run.generation, pattern, params)
         is_fresh = is_fresh or run.is_outdated
         self._load = structs.replace(load, is_fresh=is_fresh, until=until)
@@ -338,8 +346,8 @@ class Lifecycle:
 
     def load_of(self, generation: int, pattern: str, params: Mapping[str, Scalar | None]) -> Load:
         """The command that loads a pattern for this robot; `params` form the strongest layer."""
-        identity = self._identity
-        layers = (*identity.layers(pattern), ("runtime", dict(params)))
+        identity = self.identity
+        layers = (*identity.settings.layers(pattern), ("runtime", dict(params)))
         seed = (identity.seed * 1_000_003 + generation) % 2**63
         return Load(generation, pattern, layers, identity.robot, identity.platform, seed)
 

@@ -32,9 +32,9 @@ class RequestedCommand(Struct, frozen=True):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Loading:
-    """A pattern that is being loaded. `request` None: a restart after a fault.
+    """A pattern that is being loaded; the running one stays, without steps, until then.
 
-    `until`: conditions of which any ends the run.
+    `request` None: a restart after a fault. `until`: conditions of which any ends the run.
     """
 
     generation: int
@@ -51,7 +51,6 @@ class Trial:
     """A trial of new code, under way for a reload request."""
 
     generation: int
-    pattern: str
     since: float
     request: ReloadRequest
 
@@ -103,21 +102,6 @@ class PatternRun:
         self.is_outdated = False  # its host may hold code that has been replaced
         self.restarts = 0
         self._faults: deque[float] = deque()
-
-    def begin(
-        self,
-        pattern: str,
-        params: Mapping[str, Scalar | None],
-        seconds: float | None,
-        request: RunRequest | ReloadRequest | None,
-        now: float,
-        until: tuple[str, ...] = (),
-    ) -> Loading:
-        """Begin to load a new generation; the running one stays, without steps, until then."""
-        self.generation += 1
-        self.loading = Loading(self.generation, pattern, params, seconds, now, request, until)
-        self.restart_at = None
-        return self.loading
 
     def ready(self, event: Loaded, now: float) -> Loading:
         """Make the loaded pattern the running one, without a requested command yet."""
@@ -216,21 +200,17 @@ class PatternRun:
 
     def next_deadline(self, now: float) -> float:
         """The next deadline after `now`; inf without one."""
-        running, soonest = self.running, math.inf
+        running, deadlines = self.running, [math.inf]
         if running is not None:
             if self.awaiting_since is None and self.loading is None:
-                soonest = _sooner(self.last_step + 1.0 / running.rate, soonest, now)
-            soonest = _sooner(running.requested.at + running.expiry, soonest, now)
+                deadlines.append(self.last_step + 1.0 / running.rate)
+            deadlines.append(running.requested.at + running.expiry)
             if running.finish_at is not None:
-                soonest = _sooner(running.finish_at, soonest, now)
+                deadlines.append(running.finish_at)
         if self.loading is not None:
-            soonest = _sooner(self.loading.since + LOAD_TIMEOUT, soonest, now)
+            deadlines.append(self.loading.since + LOAD_TIMEOUT)
         if self.awaiting_since is not None:
-            soonest = _sooner(self.awaiting_since + STEP_TIMEOUT, soonest, now)
+            deadlines.append(self.awaiting_since + STEP_TIMEOUT)
         if self.restart_at is not None:
-            soonest = _sooner(self.restart_at, soonest, now)
-        return soonest
-
-
-def _sooner(at: float, soonest: float, now: float) -> float:
-    return at if now < at < soonest else soonest
+            deadlines.append(self.restart_at)
+        return min([at for at in deadlines if at > now])

@@ -46,16 +46,11 @@ TRIAL_TIMEOUT = 10.0
 class RequestHandler:
     """Carries out the requests of operators. `stop_text` returns the text of a stop's ack."""
 
-    def __init__(
-        self,
-        robot: str,
-        lifecycle: Lifecycle,
-        stop_text: Callable[[], str],
-    ) -> None:
+    def __init__(self, robot: str, lifecycle: Lifecycle, stop_text: Callable[[], str]) -> None:
         self._robot = robot
         self._lifecycle = lifecycle
         self._stop_text = stop_text
-        self.reloading = ReloadHandler(lifecycle)
+        self._trials = 0
         self._last_stop = ("", -1)  # its id, and the revision that it led to
 
     def answer(self, request: Request, effects: Effects) -> None:
@@ -74,7 +69,7 @@ class RequestHandler:
         elif isinstance(request, ResetRequest):
             self._reset(request, effects)
         elif isinstance(request, ReloadRequest):
-            self.reloading.begin(request, effects)
+            self._begin_trial(request, effects)
         else:
             self._set_params(request, effects)
 
@@ -152,15 +147,7 @@ class RequestHandler:
                 SetParams(run.running.generation, request.id, dict(request.params))
             )
 
-
-class ReloadHandler:
-    """Carries out `reload`: a trial of the new code, then the end or restart of the run."""
-
-    def __init__(self, lifecycle: Lifecycle) -> None:
-        self._lifecycle = lifecycle
-        self._trials = 0
-
-    def begin(self, request: ReloadRequest, effects: Effects) -> None:
+    def _begin_trial(self, request: ReloadRequest, effects: Effects) -> None:
         """Start a trial of the new code, or refuse; the reply follows when the trial ends."""
         lifecycle, pattern = self._lifecycle, request.pattern
         if text := under_way(lifecycle):
@@ -171,7 +158,7 @@ class ReloadHandler:
         is_running = running is not None and running.pattern == pattern
         params = running.params if running is not None and is_running else {}
         self._trials += 1
-        lifecycle.trial = Trial(self._trials, pattern, effects.now, request)
+        lifecycle.trial = Trial(self._trials, effects.now, request)
         effects.trial = StartTrial(lifecycle.load_of(self._trials, pattern, params))
 
     def on_trial_done(self, event: TrialDone, effects: Effects) -> None:
@@ -183,41 +170,39 @@ class ReloadHandler:
             lifecycle.end_trial(event.refusal, event.text, effects)
             return
         lifecycle.trial = None
+        new_code = f"a run of {trial.request.pattern} takes the new code"
         run, state = lifecycle.pattern_run, lifecycle.state_machine.state
         running = run.running
-        if running is not None and running.pattern == trial.pattern:
-            self._replace(trial, effects)
+        if running is not None and running.pattern == trial.request.pattern:
+            self._replace(trial.request, effects)
         elif running is not None:
             run.is_outdated = True
             effects.trial = CancelTrial("not wanted yet")
-            text = f"a run of {trial.pattern} takes the new code; {running.pattern} goes on"
-            lifecycle.applied(effects, trial.request, text)
+            lifecycle.applied(effects, trial.request, f"{new_code}; {running.pattern} goes on")
         else:
             effects.command_host(KillHost("reloaded"))
-            text = f"a run of {trial.pattern} takes the new code; {state}, as before"
-            lifecycle.applied(effects, trial.request, text)
+            lifecycle.applied(effects, trial.request, f"{new_code}; {state}, as before")
 
     def advance(self, effects: Effects) -> None:
         """End a trial that takes longer than TRIAL_TIMEOUT."""
         trial = self._lifecycle.trial
         if trial is not None and effects.now - trial.since >= TRIAL_TIMEOUT:
-            text = f"{trial.pattern}: loading took more than {TRIAL_TIMEOUT:.0f} s"
+            text = f"{trial.request.pattern}: loading took more than {TRIAL_TIMEOUT:.0f} s"
             self._lifecycle.end_trial(Refusal.PATTERN_FAILED, text, effects)
 
-    def _replace(self, trial: Trial, effects: Effects) -> None:
+    def _replace(self, request: ReloadRequest, effects: Effects) -> None:
         """Stop the running pattern and its host; run the new code in a fresh host if asked to."""
-        lifecycle, request = self._lifecycle, trial.request
-        run = lifecycle.pattern_run
+        lifecycle, run = self._lifecycle, self._lifecycle.pattern_run
         running = run.running
         assert running is not None
         left = None if running.finish_at is None else max(running.finish_at - effects.now, 1e-3)
-        lifecycle.log(f"{trial.pattern} reloaded, by {request.operator}", effects.now)
-        detail = f"{trial.pattern}, by {request.operator}"
+        lifecycle.log(f"{request.pattern} reloaded, by {request.operator}", effects.now)
+        detail = f"{request.pattern}, by {request.operator}"
         lifecycle.end(Trigger.STOP, Reason.RELOADED, detail, effects)
         run.awaiting_since = None  # the host that owes a step is gone
         if request.is_rerun:
             lifecycle.start_run(
-                trial.pattern,
+                request.pattern,
                 running.params,
                 effects,
                 seconds=left,
@@ -235,7 +220,7 @@ def under_way(lifecycle: Lifecycle) -> str:
     loading, trial = lifecycle.pattern_run.loading, lifecycle.trial
     if loading is not None and loading.request is not None:
         return f"still loading {loading.pattern}, by {loading.request.operator}"
-    return f"still trying {trial.pattern}, by {trial.request.operator}" if trial else ""
+    return f"still trying {trial.request.pattern}, by {trial.request.operator}" if trial else ""
 
 
 def _fault_of(until: tuple[str, ...]) -> str:

@@ -16,11 +16,11 @@ from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import Decision
 from swarmd.robot.actions import Actions, Effects
 from swarmd.robot.latches import LatchRecord
-from swarmd.robot.lifecycle import MAX_HOLD_TIME, Lifecycle, RobotIdentity
+from swarmd.robot.lifecycle import MAX_HOLD_TIME, Lifecycle, RobotIdentity, RobotSettings
 from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state_machine import Trigger
-from swarmd.robot.status import DutyCycle, RobotSettings, make_status, status_reason
+from swarmd.robot.status import DutyCycle, make_status, status_reason
 
 STALL_TIMEOUT = 1.0
 STATUS_PERIOD = 1.0
@@ -46,12 +46,10 @@ class Robot:
     ) -> None:
         self.id = id
         self.platform = platform
-        self._settings = settings
-        self._born = now
         self._last_tick = now
         self._sensors = Sensors(platform)
         self._protection = Protection(platform, f"{seed}/{id}")
-        identity = RobotIdentity(id, platform, seed, instance, settings.layers, settings.touch)
+        identity = RobotIdentity(id, platform, settings, seed, instance)
         self._lifecycle = Lifecycle(identity, latches, now)
         self._requests = RequestHandler(id, self._lifecycle, self._stop_text)
         self._duty = DutyCycle()
@@ -136,7 +134,7 @@ class Robot:
         """An event of the pattern host arrived."""
         effects = self._begin(now)
         if isinstance(event, TrialDone):
-            self._requests.reloading.on_trial_done(event, effects)
+            self._requests.on_trial_done(event, effects)
         else:
             self._lifecycle.on_host(event, effects)
         if effects.is_new_run:
@@ -195,17 +193,7 @@ class Robot:
 
     def status(self, now: float) -> Status:
         """The status at `now`."""
-        return make_status(
-            self.id,
-            self.platform,
-            self._settings,
-            self._lifecycle,
-            self._sensors,
-            self._decision,
-            self._duty,
-            self._born,
-            now,
-        )
+        return make_status(self._lifecycle, self._sensors, self._decision, self._duty, now)
 
     def _begin(self, now: float) -> Effects:
         """Begin the effects of an event. After a stall of the loop the run ends first."""
@@ -218,7 +206,7 @@ class Robot:
 
     def _settle(self, effects: Effects) -> Actions:
         now, lifecycle = effects.now, self._lifecycle
-        self._requests.reloading.advance(effects)
+        self._requests.advance(effects)
         hold = lifecycle.advance(self._sensors.hold(now), effects)
         self._decision = self._decide(hold, now)
         self._restart(effects)

@@ -21,7 +21,9 @@ MAX_INBOX_BYTES = 100_000  # of messages kept between two steps; the oldest are 
 
 @dataclass(frozen=True, slots=True)
 class _Received:
-    message: Message
+    sender: str
+    channel: str
+    value: Value
     at: float
     size: int
 
@@ -96,11 +98,10 @@ class Sensors:
 
         Raises CodecError if the encoded value is too large.
         """
-        is_near = sender in self._neighbor_ids and self._knows_neighbors(now)
-        if not is_near:
+        if sender not in self._neighbor_ids or not self._knows_neighbors(now):
             return False
         size = MESSAGE_OVERHEAD + len(encode_value(value))
-        self._inbox.append(_Received(Message(sender, channel, value, 0.0), now, size))
+        self._inbox.append(_Received(sender, channel, value, now, size))
         self._inbox_bytes += size
         while self._inbox_bytes > MAX_INBOX_BYTES:
             self._inbox_bytes -= self._inbox.popleft().size
@@ -176,7 +177,7 @@ class Sensors:
             is_new_scan=self._is_new_scan,
             odometry=self.odometry,
             neighbors=self.neighbors(now),
-            messages=tuple(_aged(received, now) for received in self._inbox),
+            messages=tuple(Message(r.sender, r.channel, r.value, now - r.at) for r in self._inbox),
             readings=self.readings,
         )
         self.forget_messages()
@@ -187,8 +188,3 @@ class Sensors:
         """Drop the messages to an earlier pattern."""
         self._inbox.clear()
         self._inbox_bytes = 0
-
-
-def _aged(received: _Received, now: float) -> Message:
-    message = received.message
-    return Message(message.sender, message.channel, message.value, now - received.at)

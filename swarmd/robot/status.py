@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import msgspec
 
-from swarmd.core.host_messages import Layers
 from swarmd.core.messages import DecisionSummary, Health, Param, Reason, Status
 from swarmd.core.messages import Scalar as BoundedScalar
-from swarmd.core.values import Platform, Scalar, TouchZone
+from swarmd.core.values import Scalar
 from swarmd.protection.decision import Decision
 from swarmd.robot.lifecycle import Lifecycle
 from swarmd.robot.sensors import Sensors
@@ -21,23 +20,6 @@ MAX_ROWS = 4
 SCALAR: Any = BoundedScalar  # the type as msgspec reads it, with its bounds
 MAX_NAME = 64
 MAX_VALUE = 256
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotSettings:
-    """Settings of a robot beside its platform.
-
-    `layers` gives the configured parameters of a pattern by layer, weakest first; `touch` the
-    granted touch zones by pattern.
-    """
-
-    driver: str
-    layers: Callable[[str], Layers]
-    host: str = ""
-    profile: str = "dev"
-    is_secured: bool = False
-    labels: tuple[str, ...] = ()
-    touch: Mapping[str, TouchZone] = field(default_factory=dict)
 
 
 @dataclass(slots=True, eq=False)
@@ -54,34 +36,24 @@ class DutyCycle:
 
 
 def make_status(
-    robot: str,
-    platform: Platform,
-    settings: RobotSettings,
-    lifecycle: Lifecycle,
-    sensors: Sensors,
-    decision: Decision,
-    duty: DutyCycle,
-    born: float,
-    now: float,
+    lifecycle: Lifecycle, sensors: Sensors, decision: Decision, duty: DutyCycle, now: float
 ) -> Status:
     """The status at `now`; the daemon adds the health of its own loop."""
+    identity, settings = lifecycle.identity, lifecycle.identity.settings
     machine, running = lifecycle.state_machine, lifecycle.pattern_run.running
     loading = lifecycle.pattern_run.loading
     values = {} if running is None else running.values
-    detail = machine.detail
-    if loading is not None:
-        detail = f"loading {loading.pattern}"
     return Status(
-        robot=robot,
-        instance=lifecycle.epoch.instance,
-        platform=platform.name,
+        robot=identity.robot,
+        instance=identity.instance,
+        platform=identity.platform.name,
         driver=settings.driver,
         host=settings.host,
         profile=settings.profile,
         is_secured=settings.is_secured,
         state=machine.state,
         reason=status_reason(lifecycle, decision),
-        detail=detail,
+        detail=machine.detail if loading is None else f"loading {loading.pattern}",
         pattern=None if running is None else running.pattern,
         generation=lifecycle.pattern_run.generation,
         since=max(now - machine.since, 0.0),
@@ -99,7 +71,7 @@ def make_status(
             driver_up=sensors.is_driver_up,
             dropped=_dropped(lifecycle, sensors),
         ),
-        uptime=max(now - born, 0.0),
+        uptime=max(now - lifecycle.born, 0.0),
         readings=_clean(sensors.readings),
         events=tuple(lifecycle.events),
     )
@@ -147,13 +119,3 @@ def _clean(report: Mapping[str, Scalar]) -> dict[str, Scalar]:
         except msgspec.ValidationError:
             continue
     return cleaned
-
-
-def with_health(
-    status: Status, loop_p99: float, loop_stalls: int, dropped: Mapping[str, int]
-) -> Status:
-    """The status with the health of its daemon: loop times in s, dropped inputs by cause."""
-    health = msgspec.structs.replace(
-        status.health, loop_p99=loop_p99, loop_stalls=loop_stalls, dropped=dropped
-    )
-    return msgspec.structs.replace(status, health=health)

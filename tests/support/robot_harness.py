@@ -27,8 +27,8 @@ from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.runner import InlineRunner
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
+from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
-from swarmd.robot.status import RobotSettings
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan
 
