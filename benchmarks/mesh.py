@@ -102,7 +102,7 @@ def halts(where: NetworkSettings, count: int) -> Iterator[Row]:
         for _ in range(RUNS):
             started = time.perf_counter()
             with Operator(where) as operator:
-                outcome = operator.stop() if verb == "stop" else operator.estop()
+                outcome = operator.halt(verb)
             done.append(time.perf_counter() - started)
             short += outcome.exit_code != 0
         note = f"until everyone is known and acked: {RUNS - short} of {RUNS}"

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import faulthandler
+import inspect
 import os
 import secrets
 import shutil
@@ -46,6 +48,27 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     long = {item.path for item in items if item.get_closest_marker("integration")}
     long |= {item.path for item in items if "studies" in item.path.parts}
     items.sort(key=lambda item: item.path not in long)
+
+
+@pytest.fixture
+def runner() -> Iterator[asyncio.Runner]:
+    """The loop of an asynchronous test, for fixtures that make objects on it."""
+    with asyncio.Runner() as made:
+        yield made
+
+
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run an `async def` test, on the loop of the fixture `runner` if it has one."""
+    test, fixtures = pyfuncitem.obj, pyfuncitem.funcargs
+    if not inspect.iscoroutinefunction(test):
+        return None
+    coroutine = test(**{name: fixtures[name] for name in inspect.signature(test).parameters})
+    runner = fixtures.get("runner")
+    if isinstance(runner, asyncio.Runner):
+        runner.run(coroutine)
+    else:
+        asyncio.run(coroutine)
+    return True
 
 
 class Namespaces:

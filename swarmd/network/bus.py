@@ -23,13 +23,14 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Protocol
 
 import zenoh
+from msgspec.structs import replace
 from zenoh.handlers import Callback
 
 from swarmd.core.clock import Clock, boottime
-from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE, Decoder, encode
+from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import ANY, Key, build, parse
 from swarmd.core.messages import Condition, Member, MembersQuery, PeerView, Status
@@ -37,8 +38,9 @@ from swarmd.network.inbound_queue import DropCounter, InboundQueue
 from swarmd.network.membership import Membership
 from swarmd.network.session import undeclare
 
-# The plane whose puts reach a robot at its own key; samples of the others come from other robots.
+# The plane whose puts reach a robot on its own key; samples of the others come from other robots.
 SAFETY = "safety"
+MAX_REPLIES = 1024
 
 
 class Query(Protocol):
@@ -54,49 +56,21 @@ class Query(Protocol):
 
 
 Listener = Callable[[Key, bytes], None]
-Server = Callable[[Query], None]
-MemberListener = Callable[[Member], None]
-StatusListener = Callable[[Status], None]
-
-_LIMITS = {"msg": MAX_MESSAGE, "sense": MAX_SENSE, "hw": MAX_SENSE}
-
-
-def limit_of(plane: str) -> int:
-    """The size in bytes above which a sample of this plane is dropped."""
-    return _LIMITS.get(plane, MAX_CONTROL)
-
-
-def matches(name: str, wanted: str) -> bool:
-    """True if each chunk of `name` equals that of `wanted`, or that one is `*`."""
-    chunks, wants = name.split("/"), wanted.split("/")
-    return len(chunks) == len(wants) and all(
-        want in (ANY, chunk) for chunk, want in zip(chunks, wants, strict=True)
-    )
 
 
 def members_for_view(membership: Membership, now: float) -> tuple[Member, ...]:
     """The members in a view: each living instance without its status, which it sends itself."""
-    members = [_brief(member) for member in membership.members(now).values()]
+    found: dict[tuple[str, str], Member] = {}
     for robot, instances in membership.duplicates.items():
-        members += [_alive(robot, instance) for instance in instances]
-    once = {(member.robot, member.instance): member for member in reversed(members)}
-    return tuple(once[key] for key in sorted(once))
+        for instance in instances:
+            found[robot, instance] = Member(
+                robot=robot, instance=instance, condition=Condition.ALIVE, age=0.0
+            )
+    for member in membership.members(now).values():
+        is_alive = member.condition is Condition.ALIVE
+        found[member.robot, member.instance] = replace(member, status=None) if is_alive else member
+    return tuple(found[key] for key in sorted(found))
 
-
-def _brief(member: Member) -> Member:
-    if member.condition is not Condition.ALIVE:
-        return member
-    return _alive(member.robot, member.instance, member.age)
-
-
-def _alive(robot: str, instance: str, age: float = 0.0) -> Member:
-    return Member(robot=robot, instance=instance, condition=Condition.ALIVE, age=age)
-
-
-# Tokens and emergency stops must not be lost in a flood: a longer queue, without pauses.
-URGENT_CAPACITY = 4096
-MAX_REPLIES = 1024
-_URGENT = frozenset({SAFETY, "hw"})
 
 _status = Decoder(Status)
 _members_query = Decoder(MembersQuery)
@@ -113,7 +87,7 @@ class ZenohQuery:
         self.payload = payload
 
     def reply(self, payload: bytes) -> None:
-        """Answer once; nothing happens for a plain put or after the first time."""
+        """Answer; nothing happens for a plain put or after the first time."""
         query, self._query = self._query, None
         if query is None:
             return
@@ -133,8 +107,7 @@ class ZenohQuery:
 class ZenohBus:
     """The bus of one robot; built on the loop's thread, on which all handlers run.
 
-    A sample or query whose key is not a concrete key that was asked for is dropped and counted in
-    `dropped`, by kind; so is what exceeds an inbound queue.
+    Samples and queries with a wild or foreign key are dropped and counted in `dropped`, by kind.
     """
 
     def __init__(
@@ -147,12 +120,11 @@ class ZenohBus:
         self._clock = clock
         self._drops = DropCounter()
         self._membership = Membership(robot)
-        self._callbacks: list[MemberListener] = []
-        self._status_callbacks: list[StatusListener] = []
+        self._member_callbacks: list[Callable[[Member], None]] = []
+        self._status_callbacks: list[Callable[[Status], None]] = []
         self._publishers: dict[tuple[str, str, bool], zenoh.Publisher] = {}
         self._entities: list[zenoh.Subscriber[None] | zenoh.Queryable[None]] = []
         self._queues: list[InboundQueue] = []
-        self._served: set[tuple[str, str]] = set()
         self._is_closed = False
         self._watch_tokens()
         self.listen("state", "status", self._on_status)
@@ -172,9 +144,9 @@ class ZenohBus:
         """What was dropped so far, by kind, such as `control/run:key`."""
         return self._drops.counts()
 
-    def drop(self, kind: str, count: int = 1) -> None:
+    def drop(self, kind: str) -> None:
         """Count what could not be read, such as `control/run:malformed`."""
-        self._drops.add(kind, count)
+        self._drops.add(kind)
 
     def publish(self, plane: str, name: str, payload: bytes, *, express: bool = False) -> None:
         """Publish on this robot's own key; dropped where a link is congested."""
@@ -187,33 +159,25 @@ class ZenohBus:
 
     def listen(self, plane: str, name: str, handler: Listener) -> None:
         """Subscribe to other robots' `<plane>/<name>`, where a chunk of `name` may be `*`."""
-        kind = f"{plane}/{name}"
+        self._subscribe(build(self.swarm, ANY, plane, name), f"{plane}/{name}", plane, handler)
 
-        def accepts(key: Key | None) -> bool:
-            return (
-                key is not None
-                and key.swarm == self.swarm
-                and key.plane == plane
-                and key.robot != self.robot
-                and matches(key.name, name)
-            )
-
-        self._subscribe(build(self.swarm, ANY, plane, name), kind, plane, accepts, handler)
-
-    def serve(self, plane: str, name: str, handler: Server) -> None:
+    def serve(self, plane: str, name: str, handler: Callable[[Query], None]) -> None:
         """Answer queries to this robot or to all; in plane `safety` also take plain puts."""
-        if (plane, name) in self._served:
-            raise ValueError(f"{plane}/{name} is served already")
-        self._served.add((plane, name))
         own = build(self.swarm, self.robot, plane, name)
         accepted = frozenset({own, build(self.swarm, ANY, plane, name)})
         kind = f"{plane}/{name}"
         queue = self._queue(kind, is_urgent=plane == SAFETY)
 
         def on_query(query: zenoh.Query) -> None:
-            taken = self._take_query(query, accepted, kind, queue)
-            if taken is None or not queue.offer(handler, ZenohQuery(query, own, taken)):
-                query.drop()
+            if not queue.is_full():
+                payload = b"" if query.payload is None else query.payload
+                if str(query.key_expr) not in accepted:
+                    self._drops.add(f"{kind}:key")
+                elif len(payload) > MAX_CONTROL:
+                    self._drops.add(f"{kind}:oversized")
+                elif queue.offer(handler, ZenohQuery(query, own, bytes(payload))):
+                    return
+            query.drop()
 
         self._entities.append(self._session.declare_queryable(own, on_query))
         if plane == SAFETY:
@@ -221,7 +185,6 @@ class ZenohBus:
                 own,
                 f"{kind}:put",
                 plane,
-                lambda key: key == Key(self.swarm, self.robot, plane, name),
                 lambda _key, payload: handler(ZenohQuery(None, own, payload)),
             )
 
@@ -245,11 +208,11 @@ class ZenohBus:
         members = members_for_view(self._membership, self._clock())
         return PeerView(robot=self.robot, status=status, members=members, roster=roster)
 
-    def on_member(self, callback: MemberListener) -> None:
+    def on_member(self, callback: Callable[[Member], None]) -> None:
         """Call back for each member whose instance or condition changed."""
-        self._callbacks.append(callback)
+        self._member_callbacks.append(callback)
 
-    def on_status(self, callback: StatusListener) -> None:
+    def on_status(self, callback: Callable[[Status], None]) -> None:
         """Call back for each status that another robot publishes on its own key."""
         self._status_callbacks.append(callback)
 
@@ -266,9 +229,7 @@ class ZenohBus:
         """
         answers: list[tuple[str, bytes]] = []
         done = asyncio.Event()
-        queue = InboundQueue(
-            self._loop, self._drops, f"ask {plane}/{name}", capacity=URGENT_CAPACITY, pause=0.0
-        )
+        queue = InboundQueue(self._loop, self._drops, f"ask {plane}/{name}", is_urgent=True)
 
         def on_reply(reply: zenoh.Reply) -> None:
             sample = reply.ok
@@ -313,32 +274,26 @@ class ZenohBus:
     def _publisher(self, plane: str, name: str, express: bool) -> zenoh.Publisher:
         publisher = self._publishers.get((plane, name, express))
         if publisher is None:
-            urgent = plane in _URGENT
             publisher = self._session.declare_publisher(
                 build(self.swarm, self.robot, plane, name),
                 congestion_control=zenoh.CongestionControl.DROP,
-                priority=zenoh.Priority.REAL_TIME if urgent else zenoh.Priority.DATA,
-                express=express or urgent,
+                express=express,
             )
             self._publishers[(plane, name, express)] = publisher
         return publisher
 
-    def _subscribe(
-        self,
-        key_expr: str,
-        kind: str,
-        plane: str,
-        accepts: Callable[[Key | None], bool],
-        handler: Listener,
-    ) -> None:
-        queue = self._queue(kind, is_urgent=plane == SAFETY)
-        limit = limit_of(plane)
+    def _subscribe(self, key_expr: str, kind: str, plane: str, handler: Listener) -> None:
+        """Zenoh delivers what intersects `key_expr`: a concrete key is one that was asked for."""
+        is_own = plane == SAFETY
+        queue = self._queue(kind, is_urgent=is_own)
+        limit = MAX_MESSAGE if plane == "msg" else MAX_CONTROL
 
         def on_sample(sample: zenoh.Sample) -> None:
             if queue.is_full():
                 return
             key = parse(str(sample.key_expr))
-            if not accepts(key) or sample.kind != zenoh.SampleKind.PUT:
+            is_accepted = key is not None and (key.robot == self.robot) == is_own
+            if not is_accepted or sample.kind != zenoh.SampleKind.PUT:
                 self._drops.add(f"{kind}:key")
             elif len(sample.payload) > limit:
                 self._drops.add(f"{kind}:oversized")
@@ -351,25 +306,8 @@ class ZenohBus:
             )
         )
 
-    def _take_query(
-        self, query: zenoh.Query, accepted: frozenset[str], kind: str, queue: InboundQueue
-    ) -> bytes | None:
-        if queue.is_full():
-            return None
-        if str(query.key_expr) not in accepted:
-            self._drops.add(f"{kind}:key")
-            return None
-        payload = query.payload
-        if payload is None:
-            return b""
-        if len(payload) > MAX_CONTROL:
-            self._drops.add(f"{kind}:oversized")
-            return None
-        return payload.to_bytes()
-
     def _queue(self, kind: str, *, is_urgent: bool = False) -> InboundQueue:
-        wide: dict[str, Any] = {"capacity": URGENT_CAPACITY, "pause": 0.0} if is_urgent else {}
-        queue = InboundQueue(self._loop, self._drops, kind, **wide)
+        queue = InboundQueue(self._loop, self._drops, kind, is_urgent=is_urgent)
         self._queues.append(queue)
         return queue
 
@@ -378,7 +316,7 @@ class ZenohBus:
 
         def on_token(sample: zenoh.Sample) -> None:
             key = parse(str(sample.key_expr))
-            if key is None or (key.swarm, key.plane) != (self.swarm, "alive"):
+            if key is None:
                 self._drops.add("alive:key")
             elif key.robot != self.robot:
                 is_there = sample.kind == zenoh.SampleKind.PUT
@@ -412,7 +350,7 @@ class ZenohBus:
     def _notify(self, robot: str) -> None:
         member = self._membership.member(robot, self._clock())
         if member is not None:
-            for callback in self._callbacks:
+            for callback in self._member_callbacks:
                 callback(member)
 
     def _is_excused(self, payload: bytes) -> bool:

@@ -34,7 +34,6 @@ from swarmd.network.inbound_queue import DropCounter, InboundQueue
 from swarmd.network.session import undeclare
 
 MAX_RIVALS = 64
-MAX_QUEUED = 4096
 MAX_SETTLES = 10.0
 
 Phase = Literal["alive", "claim"]
@@ -96,31 +95,6 @@ class Rivals:
         return max(quiet, min(self.linked_at + settle, self.started + MAX_SETTLES * settle))
 
 
-class Claim:
-    """A robot id that this daemon owns: holds the alive token and detects a second owner.
-
-    Keep a reference: Zenoh undeclares a token that is garbage-collected.
-    """
-
-    def __init__(self, attempt: _Attempt, alive: zenoh.LivelinessToken) -> None:
-        self._attempt = attempt
-        self._alive = alive
-
-    @property
-    def duplicates(self) -> Mapping[str, float]:
-        """Other instances that own this id now, and the time since when."""
-        return dict(self._attempt.rivals.alive)
-
-    def release(self) -> None:
-        """Release the id; publish `left` before. Harmless on a closed session.
-
-        Close the session soon: Zenoh 1.10 may leave a token that is taken back just while another
-        session asks for tokens in that session's tables, for as long as this session is open.
-        """
-        self._attempt.close()
-        undeclare(self._alive)
-
-
 async def claim_id(
     session: zenoh.Session,
     *,
@@ -133,55 +107,70 @@ async def claim_id(
     clock: Clock = boottime,
 ) -> Claim:
     """The claim on `robot`, won; IdHeldError in one line naming the holder if it is taken."""
-    liveliness = session.liveliness()
-    attempt = _Attempt(session, swarm, robot, instance, clock)
-    claiming = liveliness.declare_token(build(swarm, robot, "claim", instance))
+    claim = Claim(session, swarm, robot, instance, on_duplicate, clock)
+    claiming = session.liveliness().declare_token(build(swarm, robot, "claim", instance))
     try:
-        await attempt.win(settle=settle, patience=lease + 1.0)
-        alive = liveliness.declare_token(build(swarm, robot, "alive", instance))
-        attempt.on_duplicate = on_duplicate
+        await claim.win(settle=settle, patience=lease + 1.0)
     except BaseException:
-        attempt.close()
+        claim.release()
         raise
     finally:
         undeclare(claiming)
-    return Claim(attempt, alive)
+    return claim
 
 
-class _Attempt:
-    """Receives rivals' tokens on Zenoh's threads and handles them on the loop."""
+class Claim:
+    """A robot id that this daemon claims, and owns after `win`; then it detects a second owner.
+
+    Zenoh's threads receive the rivals' tokens, the loop handles them. Keep a reference: Zenoh
+    undeclares a token that is garbage-collected.
+    """
 
     def __init__(
-        self, session: zenoh.Session, swarm: str, robot: str, instance: str, clock: Clock
+        self,
+        session: zenoh.Session,
+        swarm: str,
+        robot: str,
+        instance: str,
+        on_duplicate: Callable[[str], object],
+        clock: Clock,
     ) -> None:
-        self.rivals = Rivals(own=instance, started=clock())
-        self.on_duplicate: Callable[[str], object] | None = None
+        self._rivals = Rivals(own=instance, started=clock())
+        self._on_duplicate = on_duplicate
+        self._session = session
         self._where = (swarm, robot)
         self._clock = clock
         self._news = asyncio.Event()
+        self._alive: zenoh.LivelinessToken | None = None
         loop = asyncio.get_running_loop()
-        self._queue = InboundQueue(loop, DropCounter(), "claim", capacity=MAX_QUEUED, pause=0.0)
+        self._queue = InboundQueue(loop, DropCounter(), "claim", is_urgent=True)
         self._watch = session.liveliness().declare_subscriber(
             build(swarm, robot, ANY, ANY), self._on_token_sample, history=True
         )
         self._links = session.info.declare_link_events_listener(self._on_link_event)
 
+    @property
+    def duplicates(self) -> Mapping[str, float]:
+        """Other instances that own this id now, and the time since when."""
+        return dict(self._rivals.alive)
+
     async def win(self, *, settle: float, patience: float) -> None:
-        """Return when the id may be taken; IdHeldError if another holds it for `patience` s."""
+        """Take the id; IdHeldError if another holds it for `patience` s."""
+        swarm, robot = self._where
         deadline: float | None = None
         while True:
             now = self._clock()
-            holder = self.rivals.holder
+            holder = self._rivals.holder
             if holder is None:
-                wait = self.rivals.settles_at(settle) - now
+                wait = self._rivals.settles_at(settle) - now
                 if wait <= 0.0:
                     break
             else:
                 deadline = now + patience if deadline is None else deadline
                 wait = deadline - now
-                if self.rivals.has_lost or wait <= 0.0:
+                if self._rivals.has_lost or wait <= 0.0:
                     raise IdHeldError(
-                        f"robot id {self._where[1]!r} is held by another daemon"
+                        f"robot id {robot!r} is held by another daemon"
                         f" (instance {holder}); stop it, or give this one another id"
                     )
             self._news.clear()
@@ -189,33 +178,37 @@ class _Attempt:
                 async with asyncio.timeout(wait):
                     await self._news.wait()
         undeclare(self._links)
+        alive = build(swarm, robot, "alive", self._rivals.own)
+        self._alive = self._session.liveliness().declare_token(alive)
 
-    def close(self) -> None:
-        """Stop listening."""
+    def release(self) -> None:
+        """Release the id; publish `left` before. Harmless on a closed session.
+
+        Close the session soon: Zenoh 1.10 may leave a token that is taken back just while another
+        session asks for tokens in that session's tables, for as long as this session is open.
+        """
         self._queue.close()
         undeclare(self._watch, self._links)
+        if self._alive is not None:
+            undeclare(self._alive)
 
     def _on_token_sample(self, sample: zenoh.Sample) -> None:
         key = parse(str(sample.key_expr))
-        if key is not None and (key.swarm, key.robot) == self._where:
+        if key is not None and key.plane in ("alive", "claim"):
             is_there = sample.kind == zenoh.SampleKind.PUT
-            self._queue.offer(self._on_token, key.plane, key.name, is_there)
+            self._queue.offer(self._on_token, key.plane == "alive", key.name, is_there)
 
     def _on_link_event(self, event: zenoh.LinkEvent) -> None:
         if event.kind == zenoh.SampleKind.PUT:
             self._queue.offer(self._on_link)
 
-    def _on_token(self, plane: str, other: str, is_there: bool) -> None:
-        if plane not in ("alive", "claim"):
-            return
-        was_alive = other in self.rivals.alive
-        self.rivals.on_token(
-            "alive" if plane == "alive" else "claim", other, is_there, self._clock()
-        )
+    def _on_token(self, is_alive: bool, other: str, is_there: bool) -> None:
+        was_alive = other in self._rivals.alive
+        self._rivals.on_token("alive" if is_alive else "claim", other, is_there, self._clock())
         self._news.set()
-        if self.on_duplicate is not None and other in self.rivals.alive and not was_alive:
-            self.on_duplicate(other)
+        if self._alive is not None and other in self._rivals.alive and not was_alive:
+            self._on_duplicate(other)
 
     def _on_link(self) -> None:
-        self.rivals.on_link(self._clock())
+        self._rivals.on_link(self._clock())
         self._news.set()

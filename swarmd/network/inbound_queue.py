@@ -16,6 +16,8 @@ from typing import Any
 from swarmd.core.threads import hand_over
 
 CAPACITY = 256
+# Tokens and emergency stops must not be lost in a flood: a longer queue, without pauses.
+URGENT_CAPACITY = 4096
 BATCH = 8
 BATCH_PAUSE = 0.001
 MAX_KIND_LENGTH = 64
@@ -29,13 +31,13 @@ class DropCounter:
         self._lock = threading.Lock()
         self._counts: dict[str, int] = {}
 
-    def add(self, kind: str, count: int = 1) -> None:
+    def add(self, kind: str) -> None:
         """Count a drop. Beyond MAX_KINDS kinds the later ones are counted together as `other`."""
         kind = kind[:MAX_KIND_LENGTH]
         with self._lock:
             if kind not in self._counts and len(self._counts) >= MAX_KINDS:
                 kind = "other"
-            self._counts[kind] = self._counts.get(kind, 0) + count
+            self._counts[kind] = self._counts.get(kind, 0) + 1
 
     def counts(self) -> dict[str, int]:
         """The counts so far, as a copy."""
@@ -44,7 +46,7 @@ class DropCounter:
 
 
 class InboundQueue:
-    """The queue of one kind of message. `pause`: s between batches while more is waiting."""
+    """The queue of one kind of message; an urgent one is longer and drains without pauses."""
 
     def __init__(
         self,
@@ -52,15 +54,14 @@ class InboundQueue:
         drops: DropCounter,
         kind: str,
         *,
-        capacity: int = CAPACITY,
-        pause: float = BATCH_PAUSE,
+        is_urgent: bool = False,
     ) -> None:
         self.kind = kind
         self._loop = loop
         self._drops = drops
         self._full = f"{kind[: MAX_KIND_LENGTH - 5]}:full"
-        self._capacity = capacity
-        self._pause = pause
+        self._capacity = URGENT_CAPACITY if is_urgent else CAPACITY
+        self._is_urgent = is_urgent
         self._lock = threading.Lock()
         self._items: deque[tuple[Callable[..., object], tuple[Any, ...]]] = deque()
         self._is_scheduled = False
@@ -102,14 +103,14 @@ class InboundQueue:
                     function, args = self._items.popleft()
                 function(*args)
         finally:
-            self._continue()
+            self._schedule_next()
 
-    def _continue(self) -> None:
+    def _schedule_next(self) -> None:
         with self._lock:
             self._is_scheduled = bool(self._items)
             if not self._is_scheduled:
                 return
-        if self._pause:
-            self._loop.call_later(self._pause, self._drain)
-        else:
+        if self._is_urgent:
             self._loop.call_soon(self._drain)
+        else:
+            self._loop.call_later(BATCH_PAUSE, self._drain)

@@ -5,7 +5,7 @@ Synchronous, without asyncio and numpy, since a command must start fast::
     with Operator(settings) as operator:
         view = operator.members()
         outcome = operator.request(RunRequest, view.epochs(names), pattern="attraction")
-        outcome = operator.estop(reason="...")
+        outcome = operator.halt("estop", reason="...")
 
 Zenoh's threads only put what they receive into tables under one lock; the caller's thread waits.
 Queries use DROP, since a reply inherits the query's congestion control and must not block a
@@ -198,14 +198,6 @@ class Operator:
                 self._send_halt(pending_stop, verb, to_all=news and pending_stop.is_for_all)
                 self._ask_members(discovery)
             self._wait(version, pace.pause(now))
-
-    def stop(self, **options: Any) -> Outcome:
-        """`halt("stop", ...)`."""
-        return self.halt("stop", **options)
-
-    def estop(self, **options: Any) -> Outcome:
-        """`halt("estop", ...)`."""
-        return self.halt("estop", **options)
 
     def swarms(self, *, timeout: float = 0.3) -> tuple[str, ...]:
         """The names of all swarms within reach, for an operator who finds no member of this one."""

@@ -21,10 +21,9 @@ import re
 import socket
 import struct
 import sys
-import threading
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import zenoh
 
@@ -51,6 +50,9 @@ _FDS = "/proc/self/fd"
 # Off: close() returns at once, and unsent data is still delivered in the background. On with 0 s
 # would cut off the last words of a daemon that leaves.
 _NO_LINGER = struct.pack("ii", 0, 0)
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
 
 Address = tuple[str, int]
 S = TypeVar("S", bound=zenoh.Session | None)
@@ -109,12 +111,19 @@ async def open_in_thread(open_it: Callable[[], S]) -> S:
     Even if the loop ends meanwhile: a session that is left open would keep the process alive.
     """
     import asyncio
+    from concurrent.futures import Future
 
-    opening = _Opening(open_it)
+    opened: Future[S] = Future()
+
+    def run() -> S:
+        session = open_it()
+        opened.set_result(session)
+        return session
+
     try:
-        return await asyncio.to_thread(opening.run)
+        return await asyncio.to_thread(run)
     except asyncio.CancelledError:
-        opening.abandon()
+        opened.add_done_callback(_close)
         raise
 
 
@@ -221,29 +230,8 @@ def _free_port(host: str, what: str) -> int:
         return int(probe.getsockname()[1])
 
 
-class _Opening(Generic[S]):
-    """A session that is opened in a thread and closed if its caller has gone."""
-
-    def __init__(self, open_it: Callable[[], S]) -> None:
-        self._open, self._lock = open_it, threading.Lock()
-        self._session: S | None = None
-        self._is_abandoned = False
-
-    def run(self) -> S:
-        session = self._open()
-        with self._lock:
-            self._session = session
-            if self._is_abandoned:
-                _close(session)
-        return session
-
-    def abandon(self) -> None:
-        with self._lock:
-            self._is_abandoned = True
-            _close(self._session)
-
-
-def _close(session: zenoh.Session | None) -> None:
+def _close(opened: Future[S]) -> None:
+    session: zenoh.Session | None = opened.result()
     if session is not None:
         session.close()
 

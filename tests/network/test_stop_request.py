@@ -44,14 +44,10 @@ def test_a_stop_of_all_names_no_targets(pending_stop: PendingStop) -> None:
     assert decode(pending_stop.payload()) == REQUEST
 
 
-def test_a_robot_that_acked_is_not_asked_again(pending_stop: PendingStop) -> None:
+def test_it_is_done_when_all_have_acked(pending_stop: PendingStop) -> None:
     assert pending_stop.pending() == ("a", "b")
     ack(pending_stop, "a")
     assert pending_stop.pending() == ("b",)
-
-
-def test_it_is_done_when_all_have_acked(pending_stop: PendingStop) -> None:
-    ack(pending_stop, "a")
     assert not pending_stop.is_done(0.02)
     ack(pending_stop, "b")
     assert pending_stop.is_done(0.02)
@@ -73,21 +69,19 @@ def test_without_members_it_is_never_done() -> None:
     assert pending_stop.outcome(3.0).targeted == 0
 
 
-def test_a_failed_robot_must_ack_too(pending_stop: PendingStop, discovery: Discovery) -> None:
-    discovery.on_view(view("a", ("b", Condition.ALIVE), ("c", Condition.FAILED)), 0.02)
+@pytest.mark.parametrize(
+    ("condition", "missing"), [(Condition.FAILED, ("c",)), (Condition.LEFT, ())]
+)
+def test_a_failed_robot_must_ack_too_and_one_that_left_need_not(
+    pending_stop: PendingStop, discovery: Discovery, condition: Condition, missing: tuple[str, ...]
+) -> None:
+    discovery.on_view(view("a", ("b", Condition.ALIVE), ("c", condition)), 0.02)
     ack(pending_stop, "a")
     ack(pending_stop, "b")
-    assert not pending_stop.is_done(2.0)
+    assert pending_stop.is_done(2.0) is (not missing)
     outcome = pending_stop.outcome(3.0)
-    assert outcome.missing == ("c",)
-    assert outcome.exit_code == PARTIAL
-
-
-def test_a_robot_that_left_need_not_ack(pending_stop: PendingStop, discovery: Discovery) -> None:
-    discovery.on_view(view("a", ("b", Condition.ALIVE), ("c", Condition.LEFT)), 0.02)
-    ack(pending_stop, "a")
-    ack(pending_stop, "b")
-    assert pending_stop.is_done(0.1)
+    assert outcome.missing == missing
+    assert outcome.exit_code == (PARTIAL if missing else 0)
 
 
 def test_the_roster_must_ack_before_any_robot_is_found() -> None:
