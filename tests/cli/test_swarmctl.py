@@ -153,9 +153,8 @@ def test_without_a_daemon_verbs_end_with_6_and_write_nothing(
 ) -> None:
     swarm = unique_swarm()
     done = swarmctl(*args, cwd=tmp_path, SWARM=swarm)
-    assert (done.returncode, done.stdout) == (6, "")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (6, "", 1), done
     assert f"'{swarm}'" in done.stderr
-    assert done.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 
 

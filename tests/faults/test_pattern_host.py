@@ -1,12 +1,13 @@
-"""Patterns that fail in every way: the robot stops, the daemon lives, the reason is right."""
+"""Patterns that fail, or are stopped while they load: the robot stops and the daemon lives."""
 
 from __future__ import annotations
 
 import os
 import re
 import signal
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import pytest
 
@@ -71,6 +72,7 @@ def test_an_endless_loop_stops_the_robot_and_not_the_daemon(robot: Bench) -> Non
     instance = robot.status().epoch.instance
     back = robot.drive_until_restarted("looper")
     robot.await_reason(Reason.COMMAND_EXPIRED, back.began)
+    assert robot.status().health.loop_stalls == 0
     robot.await_event("looper failed: gave no answer for 1 s", back.began)
     killed = back.failed.at
     hung = [one for one in robot.body.commands if killed - 0.5 < one.at < killed]
@@ -78,14 +80,6 @@ def test_an_endless_loop_stops_the_robot_and_not_the_daemon(robot: Bench) -> Non
     assert hung
     assert all(command.twist.is_zero for command in hung)
     robot.lives(instance)
-
-
-def test_a_daemon_whose_pattern_hangs_answers_and_keeps_its_tick(robot: Bench) -> None:
-    moving = robot.drive("looper")
-    instance = robot.status().epoch.instance
-    robot.await_reason(Reason.COMMAND_EXPIRED, moving.at)
-    robot.lives(instance)
-    assert robot.status().health.loop_stalls == 0
 
 
 def test_an_operator_can_stop_a_hanging_pattern_and_run_another(robot: Bench) -> None:
@@ -101,9 +95,7 @@ def test_an_operator_can_stop_a_hanging_pattern_and_run_another(robot: Bench) ->
     assert robot.status().pattern == "drive"
 
 
-def test_a_pattern_that_keeps_raising_backs_off_then_is_quarantined(
-    robot: Bench,
-) -> None:
+def test_a_pattern_that_keeps_raising_backs_off_then_is_quarantined(robot: Bench) -> None:
     instance = robot.status().epoch.instance
     _, end = robot.drive_to_quarantine("raiser")
     assert (end.status.state, end.status.reason) == (State.FAULTED, Reason.QUARANTINED)
@@ -133,8 +125,6 @@ def test_a_pattern_that_keeps_raising_backs_off_then_is_quarantined(
     ("pattern", "why"),
     [
         ("hoarder", "its process needed more memory than it may have"),
-        ("quitter", "its process ended with code 0"),
-        ("crasher", "its process was killed by SIGSEGV"),
         ("babbler", "the pattern host sent an unreadable frame"),
     ],
 )
@@ -166,9 +156,7 @@ def test_a_pattern_that_floods_the_daemon_does_not_block_it(robot: Bench) -> Non
     robot.lives(instance)
 
 
-def test_a_child_of_an_ended_pattern_is_killed_and_hides_nothing(
-    robot: Bench,
-) -> None:
+def test_a_child_of_an_ended_pattern_is_killed_and_hides_nothing(robot: Bench) -> None:
     instance = robot.status().epoch.instance
     back = robot.drive_until_restarted("forker")
     robot.await_event("forker failed: its process ended with code 3", back.began)
@@ -216,3 +204,47 @@ def test_an_endless_import_leaves_an_idle_robot_idle(robot: Bench) -> None:
     assert (status.state, status.reason) == (before.state, before.reason)
     assert "endless_import was not loaded" in status.events[-1].text
     robot.moves_not(asked)
+
+
+@pytest.mark.parametrize(
+    ("verb", "state", "reason"),
+    [
+        ("stop", State.STOPPED, Reason.OPERATOR),
+        ("estop", State.ESTOPPED, Reason.ESTOP),
+    ],
+)
+@pytest.mark.parametrize("is_driving", [True, False])
+def test_a_stop_while_a_pattern_is_loaded_cancels_the_load(
+    robot: Bench, verb: Literal["stop", "estop"], state: State, reason: Reason, is_driving: bool
+) -> None:
+    if is_driving:
+        robot.drive()
+    epoch = robot.status().epoch
+    with ThreadPoolExecutor() as pool:
+        asked = boottime()
+        run = pool.submit(robot.ask, "run", epoch=epoch, pattern="slow_import", params={})
+        robot.witness.wait("loading", lambda status: status.detail == "loading slow_import", asked)
+        halted = boottime()
+        ack = robot.halt(verb)
+        print(f"{verb} acked after {boottime() - halted:.3f} s: {ack.text}")
+        reply = run.result()
+    print(f"run answered after {boottime() - asked:.3f} s: {reply.text}")
+    assert reply.code is Code.REFUSED
+    assert reply.text == f"{reason} while it was being loaded"
+
+    robot.await_state(state, reason, halted)
+    zero = robot.body.wait_zero(halted)
+    robot.moves_not(zero.at, scans=8)  # longer than the import would have taken
+    status = robot.status()
+    assert (status.state, status.reason) == (state, reason)
+
+
+def test_a_pattern_that_imports_for_a_second_is_loaded_and_drives(robot: Bench) -> None:
+    moving = robot.drive()
+    asked = boottime()
+    assert robot.run("slow_import").code is Code.APPLIED
+    zero = robot.body.wait_zero(asked)
+    again = robot.body.wait_moving(zero.at)
+    print(f"stood {again.at - zero.at:.3f} s between the two patterns")
+    assert moving.at < zero.at
+    assert robot.status().pattern == "slow_import"

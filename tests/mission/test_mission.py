@@ -187,7 +187,7 @@ def test_a_change_that_breaks_a_map_value_is_refused(tmp_path: Path) -> None:
     assert mission.parts["vote"].params.expiry == 2.5
 
 
-@pytest.mark.parametrize("now", ["", "- [", "a: *b", "\x00"])
+@pytest.mark.parametrize("now", ["", "- ["])
 def test_a_refusal_at_run_time_does_not_need_the_file(tmp_path: Path, now: str) -> None:
     mission = made(tmp_path, MAPPED + "parameters: {opinions: vote.opinions}\n")
     path = tmp_path / "tried.yaml"
@@ -199,29 +199,22 @@ def test_a_refusal_at_run_time_does_not_need_the_file(tmp_path: Path, now: str) 
         mission.update(msgspec.structs.replace(mission.params, opinions=4))
 
 
-def test_more_opinions_than_map_values_are_refused_at_run_time(tmp_path: Path) -> None:
-    mission = made(tmp_path, MAPPED + "parameters: {opinions: vote.opinions}\n")
-    with pytest.raises(ConfigError, match="no value for opinion 3; vote has 4 opinions"):
-        mission.update(msgspec.structs.replace(mission.params, opinions=4))
-    assert mission.parts["vote"].params.opinions == 3
+GO = parts("go") + "part: go\n"
 
 
-@pytest.mark.parametrize(("more", "wanted"), [("", True), ("recovery: false\n", False)])
+@pytest.mark.parametrize(
+    ("text", "wanted"),
+    [
+        (parts("vote", "go") + "parallel: [vote, go]\ndrives: go\n", True),
+        (GO + "recovery: false\n", False),
+        (GO.replace("pattern: go}", "pattern: go, params: {recovery: false}}"), False),
+        (parts("vote") + "part: vote\n", False),
+    ],
+)
 def test_recovery_defaults_to_that_of_driving_parts(
-    tmp_path: Path, more: str, wanted: bool
+    tmp_path: Path, text: str, wanted: bool
 ) -> None:
-    text = parts("vote", "go") + "parallel: [vote, go]\ndrives: go\n" + more
     assert made(tmp_path, text).params.recovery is wanted
-
-
-def test_recovery_is_off_without_a_driving_part(tmp_path: Path) -> None:
-    assert made(tmp_path, parts("vote") + "part: vote\n").params.recovery is False
-
-
-def test_recovery_off_in_a_driving_part_counts(tmp_path: Path) -> None:
-    text = parts("go") + "part: go\n"
-    text = text.replace("pattern: go}", "pattern: go, params: {recovery: false}}")
-    assert made(tmp_path, text).params.recovery is False
 
 
 def test_a_repeating_sequence_continues_after_a_done_part(tmp_path: Path) -> None:
@@ -252,13 +245,6 @@ def test_times_of_inner_elements_count_from_their_start(tmp_path: Path) -> None:
     )
     found = steps(made(tmp_path, text), 100.0, 105.0, 106.9, 107.0, 108.0, 109.9, 110.0)
     assert speeds(found) == [None, 0.2, 0.2, None, 0.2, 0.2, 0.9]
-
-
-def test_parameters_are_what_they_were_set_to(tmp_path: Path) -> None:
-    mission = made(tmp_path, parts("go") + "part: go\nparameters: {speed: go.speed}\n")
-    mission.update(msgspec.structs.replace(mission.params, speed=0.4))
-    assert getattr(mission.params, "speed") == 0.4  # noqa: B009
-    assert speeds(steps(mission, 0.0)) == [0.4]
 
 
 def test_its_rate_is_that_of_its_fastest_part(

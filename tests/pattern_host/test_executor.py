@@ -11,7 +11,6 @@ import pytest
 from swarmd.core.host_messages import (
     Load,
     Loaded,
-    LoadRefused,
     PatternFailed,
     SentEvent,
     Step,
@@ -82,16 +81,3 @@ def test_commands_and_reports_are_made_plain() -> None:
     answer = step_giving(given, {})
     assert isinstance(answer, Stepped)
     assert answer.outputs == Outputs(Twist(0.1, 1.0), report={"a": 1})
-
-
-def test_a_refusal_for_neighbors_says_that_hearing_needs_nothing() -> None:
-    class Hearing(Pattern[Params]):
-        needs = frozenset({"neighbors"})
-
-        def step(self, inputs: Inputs) -> Outputs:
-            return Outputs()
-
-    executor = PatternExecutor(lambda name: Hearing)
-    refused = executor.handle(Load(1, "hearing", (), "r1", load_platform("burger"), 1))
-    assert isinstance(refused, LoadRefused)
-    assert "hear" in refused.text.replace("'hearing'", "")

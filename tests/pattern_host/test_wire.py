@@ -19,7 +19,6 @@ from swarmd.core.host_messages import (
     ParamsSet,
     PatternFailed,
     SentEvent,
-    SetParams,
     Step,
     Stepped,
 )
@@ -94,12 +93,6 @@ def test_inputs_arrive_bit_by_bit() -> None:
         assert not mine.flags.writeable  # as where patterns run inline
     for name in ("now", "dt", "is_new_scan", "odometry", "neighbors", "messages", "readings"):
         assert getattr(got.inputs, name) == getattr(inputs, name)
-
-
-def test_set_params_arrives() -> None:
-    got = decode_command(encode_command(SetParams(2, "r1", {"speed": "0.1"})))
-    assert isinstance(got, SetParams)
-    assert (got.request, got.values) == ("r1", {"speed": "0.1"})
 
 
 @pytest.mark.parametrize(

@@ -81,13 +81,9 @@ class Flatland:
             )
             dt = _PERIOD if self._tick else 0.0
             scan = self._scans[robot]
-            self.outputs[robot] = pattern.step(
-                Inputs(now, dt, scan, is_new[robot], None, (), messages)
-            )
-        requested_commands = [
-            self.platform.limits.clip(outputs.twist or ZERO) for outputs in self.outputs
-        ]
-        self._move(requested_commands)
+            inputs = Inputs(now, dt, scan, is_new[robot], messages=messages)
+            self.outputs[robot] = pattern.step(inputs)
+        self._move([self.platform.limits.clip(one.twist or ZERO) for one in self.outputs])
         self._tick += 1
         return [math.inf if s is None else float(np.min(s.ranges)) for s in self._scans]
 
@@ -117,10 +113,8 @@ class Flatland:
             self.platform.body.get("target_radius", 0.05),
         )
 
-    def _move(self, requested_commands: Sequence[Twist]) -> None:
-        wanted = np.array(
-            [(requested.linear, requested.angular) for requested in requested_commands]
-        )
+    def _move(self, commands: Sequence[Twist]) -> None:
+        wanted = np.array([(command.linear, command.angular) for command in commands])
         step = _PERIOD * np.array(_ACCELERATION)
         self._twists += np.clip(wanted - self._twists, -step, step)
         yaw = self.poses[:, 2] + 0.5 * _PERIOD * self._twists[:, 1]

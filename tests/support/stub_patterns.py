@@ -22,7 +22,6 @@ class Forward(MovementPattern[SpeedParams]):
     params_type = SpeedParams
 
     def drive(self, inputs: Inputs) -> Twist:
-        """Straight on."""
         return Twist(self.params.speed)
 
 
@@ -32,7 +31,6 @@ class Raiser(Pattern[Params]):
     count = 0
 
     def step(self, inputs: Inputs) -> Outputs:
-        """As the class says."""
         self.count += 1
         if self.count % 3 == 0:
             raise ZeroDivisionError("on purpose")
@@ -45,7 +43,6 @@ class Finisher(Pattern[Params]):
     count = 0
 
     def step(self, inputs: Inputs) -> Outputs:
-        """As the class says."""
         self.count += 1
         return Outputs(Twist(0.1), done="arrived" if self.count == 5 else None)
 
@@ -54,7 +51,6 @@ class NotFinite(Pattern[Params]):
     """Commands NaN."""
 
     def step(self, inputs: Inputs) -> Outputs:
-        """As the class says."""
         return Outputs(Twist(float("nan")))
 
 
@@ -65,7 +61,6 @@ class Listener(Pattern[Params]):
     heard: tuple[object, ...] = ()
 
     def step(self, inputs: Inputs) -> Outputs:
-        """As the class says."""
         self.heard += tuple((m.sender, m.value) for m in inputs.messages)
         return Outputs(messages={"count": 3, "other": 1}, report={"heard": str(self.heard)})
 

@@ -16,7 +16,6 @@ from tests.support.filter_sim import (
     placed,
     pole,
     ramped,
-    round_corners,
     separation,
 )
 
@@ -46,24 +45,12 @@ def test_gap_of_two_outlines(pose: Pose, gap: float) -> None:
     assert separation(other, UNIT)[0] == pytest.approx(gap, abs=1e-12)
 
 
-def test_nearest_place_and_direction() -> None:
-    _, at, towards = separation(UNIT, placed(UNIT, Pose(4.0, 5.0)))
-    assert at == pytest.approx([0.5, 0.5])
-    assert towards == pytest.approx([0.6, 0.8])
-
-
 def test_rays_end_at_the_nearest_outline() -> None:
     angles = np.array([0.0, math.pi / 4, math.pi / 2, math.pi])
     outlines = [placed(UNIT, Pose(3.0, 0.0)), placed(UNIT, Pose(5.0, 0.0)),
                 placed(UNIT, Pose(2.0, 2.0))]  # fmt: skip
     ranges = cast(np.zeros(2), angles, outlines)
     assert ranges == pytest.approx([2.5, 1.5 * math.sqrt(2.0), np.inf, np.inf])
-
-
-def test_round_outline_contains_its_circle() -> None:
-    radii = np.hypot(*round_corners(0.2).T)
-    assert radii.min() > 0.2
-    assert radii.max() < 0.2 * 1.01
 
 
 def test_driver_ranges_of_near_and_no_returns() -> None:

@@ -1,15 +1,17 @@
-"""The example pattern, found and loaded as a user's own file would be."""
+"""The example patterns, found and loaded as a user's own files would be."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from swarmd.core.values import Inputs, Twist
+from swarmd.core.values import Inputs, TouchZone, Twist
 from swarmd.kit.behavior import Pattern
+from swarmd.kit.touch import effective_zone
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import find_pattern
 from swarmd.settings.settings import load_platform
@@ -21,18 +23,24 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 BURGER = load_platform("burger")
 
 
-def load() -> type[Pattern[Any]]:
-    origin = find_pattern("shy", EXAMPLES)
-    return PatternLoader({"shy": (origin.value, origin.is_file)})("shy")
+def load(name: str) -> type[Pattern[Any]]:
+    origin = find_pattern(name, EXAMPLES)
+    return PatternLoader({name: (origin.value, origin.is_file)})(name)
+
+
+class TestPush(PatternContract):
+    pattern = load("push")
 
 
 class TestShy(PatternContract):
-    pattern = load()
+    pattern = load("shy")
 
 
-def test_it_is_fifteen_lines_long() -> None:
-    lines = (EXAMPLES / "shy.py").read_text().splitlines()
-    assert sum(1 for line in lines if line.strip()) == 15
+def test_the_grant_in_the_docstring_of_push_covers_its_zone() -> None:
+    granted = TouchZone(0.0, math.radians(20.0), 0.1)  # as its docstring configures it
+    assert "touch: {push: {half_width_deg: 20, speed: 0.1}}" in (EXAMPLES / "push.py").read_text()
+    assert effective_zone("push", TestPush.pattern.touches, granted)[0] == granted
+    assert TestPush.pattern.params_type().recovery is False
 
 
 @pytest.mark.parametrize(
@@ -44,13 +52,13 @@ def test_it_is_fifteen_lines_long() -> None:
         (Disc(-0.5, 0.2), Twist(linear=0.15)),
     ],
 )
-def test_it_turns_while_something_is_near_ahead(disc: Disc, twist: Twist) -> None:
-    pattern = Subject(load(), BURGER, {}).make()
+def test_shy_turns_while_something_is_near_ahead(disc: Disc, twist: Twist) -> None:
+    pattern = Subject(TestShy.pattern, BURGER, {}).make()
     assert pattern.step(Inputs(now=0.0, dt=0.0, scan=scan_of(BURGER, [disc]))).twist == twist
 
 
 def test_five_shy_robots_never_get_stuck() -> None:
-    subject = Subject(load(), BURGER, {})
+    subject = Subject(TestShy.pattern, BURGER, {})
     poses = np.array([[x, 0.0, x] for x in (-2.0, -1.0, 0.0, 1.0, 2.0)])
     world = Flatland(BURGER, [subject.make(i) for i in range(5)], poses, room=6.0)
     course = world.run(90.0)
