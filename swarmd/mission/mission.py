@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, ClassVar, Protocol, TypeAlias, cast
+from typing import Any, ClassVar, TypeAlias, cast
 from typing import get_type_hints as type_hints
 
 import msgspec
@@ -250,10 +250,6 @@ def _channels(document: Document, classes: PatternClasses) -> dict[str, type]:
     return found
 
 
-class _Stepper(Protocol):
-    def run_part(self, name: str, inputs: Inputs) -> Outputs: ...
-
-
 class _Node(ABC):
     """Carries out one element. `ended` is the reason why it has ended; empty before."""
 
@@ -281,7 +277,7 @@ class _Node(ABC):
         return self.ended
 
     @abstractmethod
-    def step(self, stepper: _Stepper, inputs: Inputs, seen: Observation) -> Twist | None:
+    def step(self, mission: Mission, inputs: Inputs, seen: Observation) -> Twist | None:
         """One step of its parts; the command of the part that drives."""
 
     @property
@@ -295,8 +291,8 @@ class _RunNode(_Node):
         super().__init__(element)
         self._part = element.part
 
-    def step(self, stepper: _Stepper, inputs: Inputs, seen: Observation) -> Twist | None:
-        outputs = stepper.run_part(self._part, inputs)
+    def step(self, mission: Mission, inputs: Inputs, seen: Observation) -> Twist | None:
+        outputs = mission.run_part(self._part, inputs)
         if outputs.done is not None:
             self.ended = f"{self._part}: {outputs.done}"
         return outputs.twist
@@ -318,7 +314,7 @@ class _SequenceNode(_Node):
         self._index = 0
         self._steps[0].start(now)
 
-    def step(self, stepper: _Stepper, inputs: Inputs, seen: Observation) -> Twist | None:
+    def step(self, mission: Mission, inputs: Inputs, seen: Observation) -> Twist | None:
         current = self._steps[self._index]
         if current.check(seen):
             if self._is_final:
@@ -328,7 +324,7 @@ class _SequenceNode(_Node):
             current = self._steps[self._index]
             current.start(seen.now)
             current.check(seen)
-        twist = current.step(stepper, inputs, seen)
+        twist = current.step(mission, inputs, seen)
         if self._is_final:
             self.ended = current.ended
         return twist
@@ -353,12 +349,12 @@ class _ParallelNode(_Node):
         for item in self._items:
             item.start(now)
 
-    def step(self, stepper: _Stepper, inputs: Inputs, seen: Observation) -> Twist | None:
+    def step(self, mission: Mission, inputs: Inputs, seen: Observation) -> Twist | None:
         requested = None
         for item in self._items:
             if item.check(seen):
                 continue
-            twist = item.step(stepper, inputs, seen)
+            twist = item.step(mission, inputs, seen)
             if item.name == self._driver:
                 requested = twist
         if all(item.ended for item in self._items):
@@ -386,7 +382,7 @@ class _SwitchNode(_Node):
             if when is not None:
                 when.start(now)
 
-    def step(self, stepper: _Stepper, inputs: Inputs, seen: Observation) -> Twist | None:
+    def step(self, mission: Mission, inputs: Inputs, seen: Observation) -> Twist | None:
         # A list, not a generator: each must be evaluated at every step for its memory.
         met = [node for when, node in self._branches if when is None or when.is_met(seen)]
         chosen = met[0] if met else None
@@ -396,7 +392,7 @@ class _SwitchNode(_Node):
                 chosen.start(seen.now)
         if chosen is None or chosen.check(seen):
             return None
-        return chosen.step(stepper, inputs, seen)
+        return chosen.step(mission, inputs, seen)
 
     @property
     def phase(self) -> str:

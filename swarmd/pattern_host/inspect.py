@@ -25,6 +25,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from swarmd.core.errors import PluginError, SwarmError
+from swarmd.core.host_messages import Layers
 from swarmd.core.keys import check_id, is_id
 from swarmd.core.processes import die_with_parent, limit_growth
 from swarmd.core.values import Platform, Value
@@ -135,8 +136,7 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
         has_all_defaults = not any(spec.is_required for spec in params)
         refused = _refusal(name, loader, platform) if is_mission_here and has_all_defaults else ""
     except (Exception, SystemExit) as error:  # a plugin may raise anything
-        text = str(error) if isinstance(error, SwarmError) else f"{type(error).__name__}: {error}"
-        return {"name": name, "error": text, "source": source}
+        return {"name": name, "error": error_text(error), "source": source}
     return {
         "name": name,
         "summary": (kind.__doc__ or "").strip().split("\n")[0],
@@ -165,12 +165,26 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
 def _refusal(name: str, loader: PatternLoader, platform: Platform) -> str:
     """Why a robot of that platform would refuse a mission; empty if it would not."""
     try:
-        assemble(
-            name, (), find=loader, robot="checked", platform=platform, rng=np.random.default_rng(0)
-        )
+        _made(name, (), loader, platform)
     except SwarmError as error:
         return str(error)
     return ""
+
+
+def _made(
+    name: str, layers: Layers, find: Find, platform: Platform, channel_prefix: str = ""
+) -> Pattern[Any]:
+    """A pattern as a robot of that platform would make it; SwarmError if it would not."""
+    rng = np.random.default_rng(0)
+    return assemble(
+        name,
+        layers,
+        find=find,
+        robot="checked",
+        platform=platform,
+        rng=rng,
+        channel_prefix=channel_prefix,
+    ).pattern
 
 
 def _kind(kind: type[Pattern[Any]]) -> str:
@@ -374,15 +388,7 @@ def _check_parts(document: Document, platform: Platform, find: Find) -> None:
         inner: str, /, *, part: str = "", private: bool = False, **params: Value
     ) -> Pattern[Any]:
         layers = (("platform", platform.patterns.get(inner, {})), (document.path.stem, params))
-        return assemble(
-            inner,
-            layers,
-            find=find,
-            robot="checked",
-            platform=platform,
-            rng=np.random.default_rng(0),
-            channel_prefix=f"{part}-" if private else f"{inner}/",
-        ).pattern
+        return _made(inner, layers, find, platform, f"{part}-" if private else f"{inner}/")
 
     builder = PartBuilder(document, make, {}, document.faults)
     parts = build_parts(builder)
@@ -398,14 +404,7 @@ def _check_whole(document: Document, platform: Platform, find: Find) -> None:
     """Make the mission as a robot does; a fault found only here is one of the whole file."""
     try:
         mission_class(document.path, find)
-        assemble(
-            document.path.stem,
-            (),
-            find=find,
-            robot="checked",
-            platform=platform,
-            rng=np.random.default_rng(0),
-        )
+        _made(document.path.stem, (), find, platform)
     except SwarmError as error:
         document.faults.append(((), str(error)))
 

@@ -321,15 +321,8 @@ def _check_sane(run: Iterable[Outputs], platform: Platform) -> None:
 
 
 def _check_close(here: Twist, there: Twist, what: str) -> None:
-    pairs = (
-        (here.linear, there.linear),
-        (here.angular, there.angular),
-        (here.lateral, there.lateral),
-    )
-    is_close = all(
-        math.isclose(a, b, rel_tol=0.0, abs_tol=_TOLERANCE) or (math.isnan(a) and math.isnan(b))
-        for a, b in pairs
-    )
+    one, other = msgspec.structs.astuple(here), msgspec.structs.astuple(there)
+    is_close = np.allclose(one, other, rtol=0.0, atol=_TOLERANCE, equal_nan=True)
     assert is_close, f"{what}: {here} and {there}"
 
 

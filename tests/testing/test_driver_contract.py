@@ -39,8 +39,12 @@ BROKEN: dict[str, tuple[type[Good], ...]] = {
     "the_last_command_is_zero_if": (broken.StopsOnlyIfCancelled,),
     "a_command_just_before": (broken.KeepsAQueue, broken.RepeatsItself),
     "sending_to_a_lost_base": (broken.WaitsForTheBase,),
-    "runs_again": (broken.RunsOnce,),
-    "leaves_no_task": (broken.LeavesATask, broken.LeavesASocket, broken.LeavesAProcess),
+    "leaves_no_task": (
+        broken.RunsOnce,
+        broken.LeavesATask,
+        broken.LeavesASocket,
+        broken.LeavesAProcess,
+    ),
     "garbage": (
         broken.DiesOfGarbage,
         broken.CountsNoGarbage,
