@@ -126,7 +126,8 @@ class Protection:
         elif judged is not wanted:
             decision = replace(decision, is_active=True)
         reason = None
-        if _is_stopped(decision.twist):
+        twist = decision.twist
+        if max(abs(twist.linear), abs(twist.angular), abs(twist.lateral)) <= _ZERO_TOLERANCE:
             reason = Reason.PROTECTION if decision.is_active else Reason.NO_REQUESTED_COMMAND
         return self._decision(wanted, decision, reason, context)
 
@@ -156,7 +157,3 @@ class Protection:
             scan_seq=self._scan_seq,
             is_recovering=self._recovery is not None and self._recovery.is_active,
         )
-
-
-def _is_stopped(twist: Twist) -> bool:
-    return max(abs(twist.linear), abs(twist.angular), abs(twist.lateral)) <= _ZERO_TOLERANCE

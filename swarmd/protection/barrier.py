@@ -294,10 +294,7 @@ class Barrier:
     ) -> Constraints:
         """The constraints of points at `x`, `y` (k,) with so much room (k,) in m."""
         linear = separations.nx * along[0] + separations.ny * along[1]
-        braking = np.abs(linear) * self._settings.braking_linear
-        braking += np.abs(separations.lever) * self._settings.braking_angular
-        np.maximum(braking, _MIN_BRAKING, out=braking)
-        caps = self._caps(room, braking, age)
+        caps = self._caps(room, self._braking(linear, separations.lever), age)
         return Constraints(linear, separations.lever, caps, x, y, separations.gap)
 
     def _corner_constraints(
@@ -318,6 +315,13 @@ class Barrier:
         nx, ny = dx / distance, dy / distance
         separations = Separations(distance, nx, ny, own_x * ny - own_y * nx)
         return self._point_constraints(separations, distance - free, x, y, along, age)
+
+    def _braking(self, linear: Array, lever: Array) -> Array:
+        """(k,) m/s2: the rate at which the closing speeds of constraints (k,) can fall."""
+        braking: Array = np.abs(linear) * self._settings.braking_linear
+        braking += np.abs(lever) * self._settings.braking_angular
+        np.maximum(braking, _MIN_BRAKING, out=braking)
+        return braking
 
     def _caps(self, room: Array, braking: Array, unseen: float) -> Array:
         settings = self._settings
@@ -358,11 +362,7 @@ class Barrier:
         nx, ny = dx / distance, dy / distance
         linear = nx * along[0] + ny * along[1]
         lever = self._offset[0] * ny - self._offset[1] * nx  # of the centre: a circle has no corner
-        settings = self._settings
-        braking = np.abs(linear) * settings.braking_linear
-        braking += np.abs(lever) * settings.braking_angular
-        np.maximum(braking, _MIN_BRAKING, out=braking)
-        caps = reciprocal_caps(distance - radius, braking, age, TICK)
+        caps = reciprocal_caps(distance - radius, self._braking(linear, lever), age, TICK)
         return concatenated(rows, Constraints(linear, lever, caps, rows.x, rows.y, rows.gaps))
 
     def _with_touch_zone(self, rows: Constraints, touch: TouchZone, along: Point) -> Constraints:

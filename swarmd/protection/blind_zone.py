@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from swarmd.core.values import Array, Pose, Scan, ScanSpec
 from swarmd.protection.footprint import ScanGeometry
+from swarmd.sensing.rays import nearest_bearings
 
 _NARROW_MEMORY = 2.0  # s for which an empty sector too narrow for a robot is remembered
 _FORGET_DISTANCE = 2.0  # of range_min: a robot that moved this far has left hidden obstacles behind
@@ -146,13 +147,13 @@ class BlindZoneMemory:
         hidden = self._aged(seconds, is_gone, step)
         shift = min(step / (_MIN_HIDDEN_RANGE * self._blind), 0.25 * math.pi)
         empty = np.flatnonzero(is_empty)
-        place, off = _nearest(scan.bearings[empty], bearings)
+        place, off = nearest_bearings(scan.bearings[empty], bearings)
         is_hidden = (off <= shift) & (hidden.ages < _NARROW_MEMORY)
         is_hidden &= bool(np.hypot(*self._entered_at) < _FORGET_DISTANCE * self._blind)
         out = self._reappeared(scan, moved.yaw, step)
         if len(out):
             is_old = np.arange(len(bearings)) < len(self.bearings)
-            is_hidden &= ~is_old | (_nearest(out, bearings)[1] > shift)
+            is_hidden &= ~is_old | (nearest_bearings(out, bearings)[1] > shift)
         rays, exact = empty[place[is_hidden]], scan.bearings.copy()
         found = _by_ray(len(exact), rays, hidden.at(is_hidden))
         stays = off[is_hidden] <= math.pi / len(exact)  # a slow turn would be lost in whole rays
@@ -214,7 +215,7 @@ class BlindZoneMemory:
         bearings = scan.bearings[is_out]
         if not len(bearings) or not len(self._empty_bearings):
             return np.empty(0)
-        off = _nearest(self._empty_bearings - turned, bearings)[1]
+        off = nearest_bearings(self._empty_bearings - turned, bearings)[1]
         return bearings[off <= math.pi / len(is_out)]
 
     def _vanished(
@@ -244,7 +245,7 @@ class BlindZoneMemory:
         bearings = np.arctan2(y - left, x - ahead)
         is_within = is_gone.copy()
         if inside.any():
-            is_within |= inside[_nearest(rays, bearings)[0]]
+            is_within |= inside[nearest_bearings(rays, bearings)[0]]
         return bearings[is_within], is_gone[is_within]
 
 
@@ -280,19 +281,6 @@ def _fill(found: _Hidden, sectors: list[_EmptySector], narrow: float, seconds: f
         elif youngest < np.inf and width <= _MAX_SECTOR:
             found.ages[run] = 0.0 if crossings or width >= narrow else youngest + seconds
             found.nearest[run] = found.nearest[run].min()
-
-
-def _nearest(bearings: Array, wanted: Array) -> tuple[Indices, Array]:
-    """For each of `wanted` (k,), the index of the nearest of `bearings` (n,) and the distance."""
-    turn = 2.0 * np.pi
-    order = np.argsort(bearings % turn)
-    rising = bearings[order] % turn
-    after = np.searchsorted(rising, wanted % turn) % len(rising)
-    pair = np.stack((after, after - 1))
-    off = np.abs((rising[pair] - wanted + np.pi) % turn - np.pi)
-    nearer = off.argmin(axis=0)
-    column = np.arange(len(wanted))
-    return order[pair[nearer, column]], off[nearer, column]
 
 
 def _in_runs(is_empty: Mask) -> Mask:

@@ -92,13 +92,13 @@ def placed(x: Array, y: Array, frame: Pose) -> tuple[Array, Array]:
 
 
 def passive_caps(
-    room: Array, braking: Array, others_speed: float, unseen: Array | float, tick: float
+    room: Array, braking: Array, others_speed: float, unseen: float, tick: float
 ) -> Array:
     """Caps (k,) in m/s on the closing speed for obstacles that approach at `others_speed`.
 
     From a cap the robot can still stop before the two use up `room` (k,), the gap in m less the
-    clearance. `braking` (k,) m/s2 is the rate at which the closing speed can fall, `unseen` s (or
-    (k,)) the time since the obstacle was seen, `tick` s the time until the next decision. Solves
+    clearance. `braking` (k,) m/s2 is the rate at which the closing speed can fall, `unseen` s the
+    time since the obstacle was seen, `tick` s the time until the next decision. Solves
     s tick + s^2 / 2b + V (unseen + tick + s / b) = room. After the dynamic window with moving
     obstacles and "passive safety" (Mitsch, Ghorbal, Vogelbacher and Platzer, IJRR 2017).
     """
@@ -109,7 +109,7 @@ def passive_caps(
     return caps
 
 
-def reciprocal_caps(room: Array, braking: Array, unseen: Array | float, tick: float) -> Array:
+def reciprocal_caps(room: Array, braking: Array, unseen: float, tick: float) -> Array:
     """Caps (k,) in m/s towards robots with the same rule: each may use half of the room.
 
     As `passive_caps`, with others at rest and a reaction of two ticks plus the time unseen. After
@@ -212,15 +212,6 @@ def side_constraints(
     return Constraints(ax * along[0] + ay * along[1], lever, caps, x, y, gaps)
 
 
-class TouchDirections(NamedTuple):
-    """Directions `nx`, `ny` (n,) of a touch zone, and the corners `x`, `y` (n,) in m in front."""
-
-    nx: Array
-    ny: Array
-    x: Array
-    y: Array
-
-
 def in_touch_zone(separations: Separations, zone: TouchZone) -> NDArray[np.bool_]:
     """(k,) true for points whose direction from the outline lies in the sector of the zone."""
     off = np.arctan2(separations.ny, separations.nx) - zone.bearing
@@ -228,8 +219,8 @@ def in_touch_zone(separations: Separations, zone: TouchZone) -> NDArray[np.bool_
     return found
 
 
-def touch_directions(corners: Array, zone: TouchZone) -> TouchDirections:
-    """The corners (k, 2) of a convex outline that are foremost in directions of the zone.
+def touch_directions(corners: Array, zone: TouchZone) -> tuple[Array, Array, Array, Array]:
+    """Directions nx, ny (n,) of the zone, and the corners x, y (n,) in m foremost in each.
 
     A lidar does not show what touches the robot, and a pushed object moves with it. So the speed
     of a touch zone limits any motion in its directions, not only motion towards a return.
@@ -243,4 +234,4 @@ def touch_directions(corners: Array, zone: TouchZone) -> TouchDirections:
     directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
     heights = directions @ corners.T
     direction, corner = np.nonzero(heights >= heights.max(axis=1, keepdims=True) - _SAME_FACE)
-    return TouchDirections(*directions[direction].T, *corners[corner].T)
+    return (*directions[direction].T, *corners[corner].T)

@@ -364,7 +364,7 @@ class Lifecycle:
         if not new:
             return
         effects.is_latched = True
-        self.raise_revision(f"{latches[new[0]].issuer} (estop)" if new[0] in latches else "estop")
+        self.raise_revision(f"{latches[new[0]].issuer} (estop)")
         self.end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
 
     def stall(self, late: float, effects: Effects) -> None:

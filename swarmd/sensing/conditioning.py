@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from swarmd.core.angles import wrap
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Odometry, Scan, ScanSpec
+from swarmd.sensing.rays import nearest_bearings
 
 MAX_REPEATS = 3  # repeats of a noisy sensor after which its scan counts as frozen
-COMPARED_SCANS = (
-    4  # last scans that a repeat is compared with: a driver may resend any of its buffers
-)
+COMPARED_SCANS = 4  # with which a repeat is compared: a driver may resend any of its buffers
 MIN_DISTINCT_RETURNS = 8  # a noisy sensor never gives this many equal returns twice
 RESTART_SCANS = 3  # scans in order after which a lower sequence or stamp counts as a restart
 BLIND_SHARE = 0.1  # of the rays: this many far returns do not vanish from one scan to the next
@@ -54,15 +53,8 @@ class _RayMemory:
         if not len(self.bearings):
             return _blank(bearings)
         turn = 2.0 * math.pi
-        order = np.argsort(self.bearings % turn)
-        sorted_bearings = (self.bearings % turn)[order]
-        wanted = (bearings + turned) % turn
-        right = np.searchsorted(sorted_bearings, wanted) % len(order)
-        left = right - 1
-        off_right = np.abs((sorted_bearings[right] - wanted + math.pi) % turn - math.pi)
-        off_left = np.abs((sorted_bearings[left] - wanted + math.pi) % turn - math.pi)
-        nearest = order[np.where(off_left < off_right, left, right)]
-        too_far = np.minimum(off_left, off_right) > 2.0 * turn / len(order)
+        nearest, off = nearest_bearings(self.bearings, (bearings + turned) % turn)
+        too_far = off > 2.0 * turn / len(self.bearings)
         known_at = np.where(too_far, -np.inf, self.known_at[nearest])
         near_at = np.where(too_far, -np.inf, self.near_at[nearest])
         return _RayMemory(bearings, self.ranges[nearest], known_at, near_at)
@@ -109,8 +101,10 @@ class ScanConditioner:
             return Reason.INVALID_SCAN
         if scan.ranges.shape != scan.bearings.shape:
             return Reason.INVALID_SCAN
-        is_known = scan.bearings is self._memory.bearings
-        if not is_known and not self._covers_sectors(scan.bearings):
+        if scan.bearings is not self._memory.bearings and (
+            not np.isfinite(scan.bearings).all()
+            or _widest_between_rays(scan.bearings) > self._max_sector
+        ):
             return Reason.INVALID_SCAN
         if not self._is_newer(scan):
             return Reason.FROZEN_SCAN
@@ -151,12 +145,6 @@ class ScanConditioner:
         turned = step * round(turned / step)
         self._yaw += turned
         return turned
-
-    def _covers_sectors(self, bearings: Array) -> bool:
-        """True if the rays cover every sector that this sensor covers."""
-        return (
-            bool(np.isfinite(bearings).all()) and _widest_between_rays(bearings) <= self._max_sector
-        )
 
     def _is_newer(self, scan: Scan) -> bool:
         """True if the scan is newer than all others, or in order after a restart of the sensor."""

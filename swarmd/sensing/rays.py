@@ -111,6 +111,18 @@ def closest_points(scan: Scan | None, *, within: float, count: int = 24) -> Arra
     return points
 
 
+def nearest_bearings(bearings: Array, wanted: Array) -> tuple[NDArray[np.intp], Array]:
+    """For each of `wanted` (k,), the index of the nearest of `bearings` (n,) and the distance."""
+    order = np.argsort(bearings % _TWO_PI)
+    rising = bearings[order] % _TWO_PI
+    after = np.searchsorted(rising, wanted % _TWO_PI) % len(rising)
+    pair = np.stack((after, after - 1))
+    off = np.abs((rising[pair] - wanted + np.pi) % _TWO_PI - np.pi)
+    nearer = off.argmin(axis=0)
+    column = np.arange(len(wanted))
+    return order[pair[nearer, column]], off[nearer, column]
+
+
 def gaps(scan: Scan | None, *, beyond: float) -> list[Gap]:
     """The free sectors, widest first: runs of rays without a return up to `beyond` m.
 
@@ -150,7 +162,10 @@ def clusters(
     order, bearings, _, spacing = _in_order(layout)
     ranges = ranges.take(order)
     ranges = np.where(ranges > within, _UNSEEN, ranges)
-    is_last = _is_last(ranges, jump, *_surfaces(layout, grazing))
+    slopes, is_apart = _surfaces(layout, grazing)
+    after = _rolled(ranges, 1)
+    is_last = np.abs(ranges - after) > jump + np.minimum(ranges, after) * slopes
+    is_last |= is_apart
     # Start behind a break, so that no object spans the end of the arrays.
     shift = int(is_last.argmax()) + 1
     ends = _rolled(is_last, shift).nonzero()[0]
@@ -158,16 +173,6 @@ def clusters(
         ends = np.array([len(ranges) - 1])
     turned = np.concatenate((bearings[shift:], bearings[:shift] + _TWO_PI))
     return _objects(_rolled(ranges, shift), turned, ends, spacing)
-
-
-def _is_last(
-    ranges: Array, jump: float, slopes: Array, is_apart: NDArray[np.bool_]
-) -> NDArray[np.bool_]:
-    """(n,) true where a ray does not belong together with the one after it."""
-    after = _rolled(ranges, 1)
-    breaks: NDArray[np.bool_] = np.abs(ranges - after) > jump + np.minimum(ranges, after) * slopes
-    breaks |= is_apart
-    return breaks
 
 
 def _objects(

@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarmd.core.values import ZERO, Array, Odometry, Platform, Pose, Scan, Twist
+from swarmd.core.values import ZERO, Odometry, Platform, Pose, Scan, Twist
 from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import (
-    HERE,
     FilterRun,
     FilterSim,
     box,
@@ -159,71 +158,3 @@ def test_restarted_odometry_does_not_move_a_wall_away(name: str) -> None:
         assert run.touch is None
         assert run.min_gap >= MARGIN - ROUNDING
         assert abs(run.poses[-1].x - 0.85 + platform.footprint[:, 0].max() + MARGIN) < 2 * ROUNDING
-
-
-@pytest.mark.parametrize("radius", [0.06, 0.10])
-@pytest.mark.parametrize("back", [1.05, 1.2])
-def test_leg_hidden_before_a_wall_is_not_hit(back: float, radius: float) -> None:
-    """A leg enters the blind zone, stops 5 cm from the Jackal, and the wall behind is visible."""
-    jackal = KINDS["jackal"]
-    far, stop, speed = back - radius - 0.05, 0.254 + 0.05 + radius, 0.4
-    end = (far - stop) / speed
-    leg = pole(radius, Pose(far), velocity=(-speed, 0.0), end=end)
-    sim = FilterSim(jackal, [leg, box(0.1, 6.0, Pose(back + 0.05))], start=HERE)
-    assert sim.run(ZERO, end + 1.0).touch is None
-    run = sim.run(Twist(0.5), 6.0)
-    assert run.touch is None
-    assert run.min_gap > 0.04
-
-
-PLATFORMS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")]
-
-
-class StuckLidar(FilterSim):
-    """From `stuck` s on the lidar repeats its last ranges with new stamps."""
-
-    stuck = math.inf
-    last: Array | None = None
-
-    def scan(self) -> Scan:
-        scan = super().scan()
-        if self.time < self.stuck or self.last is None:
-            self.last = scan.ranges
-        return replace(scan, ranges=self.last)
-
-
-@pytest.mark.parametrize("platform", PLATFORMS, ids=lambda platform: platform.name)
-@pytest.mark.parametrize("distance", [0.6, 0.9, 1.3, 1.8])
-def test_repeated_scans_do_not_lead_into_a_wall(platform: Platform, distance: float) -> None:
-    """Without the rule, each repeat would move the wall back to its old place."""
-    front = float(platform.footprint[:, 0].max())
-    speed = platform.limits.linear
-    sim = StuckLidar(platform, [box(0.2, 6.0, Pose(front + distance + 0.1))], noise=0.01)
-    sim.stuck = max(distance - 0.5, 0.0) / speed
-    run = sim.run(Twist(speed), sim.stuck + 6.0)
-    assert run.touch is None
-    assert run.twists[-1].linear == pytest.approx(0.0, abs=1e-9)
-
-
-class PartialLidar(FilterSim):
-    """The lidar sends only the rays from `first` to `last`."""
-
-    first, last = 0, 360
-
-    def scan(self) -> Scan:
-        scan = super().scan()
-        rays = slice(self.first, self.last)
-        return replace(scan, ranges=scan.ranges[rays], bearings=scan.bearings[rays])
-
-
-@pytest.mark.parametrize("platform", PLATFORMS, ids=lambda platform: platform.name)
-@pytest.mark.parametrize(("first", "last"), [(0, 90), (0, 1), (0, 180), (200, 360)])
-def test_robot_does_not_drive_where_the_lidar_has_no_rays(
-    platform: Platform, first: int, last: int
-) -> None:
-    back = float(-platform.footprint[:, 0].min())
-    sim = PartialLidar(platform, [box(0.2, 0.8, Pose(-back - 0.5))])
-    sim.first, sim.last = first, last
-    run = sim.run(Twist(-platform.limits.linear), 6.0)
-    assert run.touch is None
-    assert not np.array([twist.linear for twist in run.twists]).any()

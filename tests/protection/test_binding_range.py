@@ -84,14 +84,3 @@ def test_returns_beyond_the_binding_range_change_nothing(
     some = decided(Barrier(platform), platform, returns, twist, age)
     every = decided(SeesAll(platform), platform, returns, twist, age)
     assert (some.linear, some.angular) == pytest.approx((every.linear, every.angular), abs=1e-9)
-
-
-@pytest.mark.parametrize("platform", KINDS)
-def test_binding_range_holds_at_every_distance_and_age(platform: Platform) -> None:
-    """A narrow wall at distances from near to far, before a robot at full speed."""
-    for age in np.array((0.0, 0.1, 0.4, 1.0)) * platform.scan.stale_after:
-        for beyond in np.arange(0.0, 1.5, 0.04):
-            ahead = [(350, 20, float(beyond))]
-            twist = Twist(platform.limits.linear)
-            some = decided(Barrier(platform), platform, ahead, twist, float(age))
-            assert some == decided(SeesAll(platform), platform, ahead, twist, float(age))

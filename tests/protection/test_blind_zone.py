@@ -139,12 +139,6 @@ def test_return_behind_it_clears_a_hidden_obstacle() -> None:
     assert look(memory) == []
 
 
-def test_near_return_shows_that_the_obstacle_reappeared() -> None:
-    memory = hiding()
-    assert look(memory, WIDE, distance=0.9) == []
-    assert look(memory, empty=range(0)) == []
-
-
 def test_obstacle_that_reappears_beside_its_place_is_not_hidden() -> None:
     """In the open, rays are empty before the obstacle comes and after it has left."""
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)

@@ -104,16 +104,6 @@ def test_lateral_motion_is_checked() -> None:
     assert cleared((0.2, 0.0), beside, along=(0.0, 1.0))[0] < 0.2
 
 
-def test_reduces_speeds_as_little_as_possible() -> None:
-    """Only the speed that leads to contact is reduced."""
-    beside = (0.0, HALF + 0.012)
-    linear, angular = cleared((0.05, -2.84), beside)
-    assert linear == 0.05
-    assert -2.84 < angular <= 0.0
-    ahead = (FRONT + 0.022, 0.0)
-    assert cleared((0.2, 0.1), ahead) == (0.5 * 0.2, 0.1)
-
-
 def test_stands_between_walls() -> None:
     walls = [(x, y) for x in np.arange(-0.15, 0.1, 0.01) for y in (-HALF - 0.002, HALF + 0.002)]
     assert cleared((0.0, 1.0), *walls) == (0.0, 0.0)
