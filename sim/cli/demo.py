@@ -18,7 +18,7 @@ import click
 from swarmd.cli.arguments import Duration, read_assignments
 from swarmd.cli.output import print_json, print_section, warn
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.cli.options import WorldOptions, fleet_for, fleet_options, need, output_option
+from swarmd.sim.cli.options import fleet_for, fleet_options, need, output_option
 
 if TYPE_CHECKING:
     from swarmd.sim.live.demo_run import DemoSettings
@@ -56,15 +56,14 @@ def demo(
     from swarmd.plugins import find_pattern
     from swarmd.sim.live.demo_run import DemoSettings
 
-    options = WorldOptions(**world)
     settings = DemoSettings(
         pattern=pattern,
         params=read_assignments(params),
         seconds=seconds,
-        platform=options.platform,
+        platform=world["platform"],
     )
-    find_pattern(pattern, options.plugin_dir)
-    fleet = fleet_for(options, f"demo-{secrets.token_hex(3)}", Path())
+    find_pattern(pattern, world["plugin_dir"])
+    fleet = fleet_for(f"demo-{secrets.token_hex(3)}", Path(), **world)
     folder = new_folder(Path("runs"))
     spec = replace(fleet, folder=folder / "logs", trace=folder / "trace.npz", seconds=seconds)
     summary = perform(spec, settings, is_live=sys.stdout.isatty() and not (headless or is_json))

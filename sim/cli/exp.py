@@ -14,7 +14,6 @@ import click
 
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.cli.measure import measure
 from swarmd.sim.cli.options import chosen_metrics, need, output_option
 
 if TYPE_CHECKING:
@@ -122,7 +121,7 @@ def run(
     results = _do_runs(manifest, folder, jobs, timeout)
     _print_results(results, names, is_json)
     warn(f"results: {folder}/ (to see them: swarmctl exp plot {shlex.quote(str(folder))})")
-    ctx.exit(_exit_code(results))
+    ctx.exit(0 if not results.failures else PARTIAL if results.runs else FAILED)
 
 
 @exp.command()
@@ -254,7 +253,34 @@ def list_metrics(is_json: bool) -> None:
     print_table(("NAME", "UNIT", "BETTER", "MEANING", "SOURCE"), rows)
 
 
-exp.add_command(measure)
+@exp.command()
+@click.argument(
+    "files", metavar="TRACE.npz..", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
+@_metrics
+@output_option
+def measure(files: tuple[Path, ...], metrics: str | None, is_json: bool) -> None:
+    """Compute metrics of traces: of experiments, of `swarmctl demo`, of a recorded world.
+
+    A live trace has no requested commands: metrics that need them stay empty.
+    """
+    from swarmd.sim.experiments.report import number
+    from swarmd.sim.metrics import catalog
+    from swarmd.sim.trace import load_trace
+
+    names = chosen_metrics(metrics) or tuple(catalog.METRICS)
+    measured = {str(file): catalog.measure(load_trace(file), names) for file in files}
+    if is_json:
+        print_json("Measurements", {"traces": measured})
+        return
+    units = {name: catalog.METRICS[name].unit or "-" for name in names}
+    rows = [
+        (name, unit, *(number(found[name]) for found in measured.values()))
+        for name, unit in units.items()
+    ]
+    stems = [Path(file).stem.upper() for file in measured]
+    heads = stems if len(set(stems)) == len(stems) else list(measured)
+    print_table(("METRIC", "UNIT", *heads), rows)
 
 
 def _described(name: str) -> dict[str, Any]:
@@ -329,19 +355,15 @@ def _print_results(results: Results, names: Sequence[str] | None, is_json: bool)
             click.echo(f"\n{variant}" if variant else "")
             print_table(HEADER, summary_rows(results.summary(variant, names)))
     _warn_of_few(len(results.seeds(variant)) for variant in results.variants)
-    _warn_of_patterns(results)
+    if "failed_patterns" in results.metrics:
+        count = int((results.metric("failed_patterns") > 0.0).sum())
+        if count:
+            warn(f"patterns failed in {count} runs: see failed_patterns, and reason in the traces")
     for name, reason in list(results.failures.items())[:_FAILURES_SHOWN]:
         warn(f"failed: {name}: {reason}")
     more = len(results.failures) - _FAILURES_SHOWN
     if more > 0:
         warn(f"and {more} more; see {results.folder}/failures.json")
-
-
-def _warn_of_patterns(results: Results) -> None:
-    if "failed_patterns" in results.metrics:
-        count = int((results.metric("failed_patterns") > 0.0).sum())
-        if count:
-            warn(f"patterns failed in {count} runs: see failed_patterns, and reason in the traces")
 
 
 def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> None:
@@ -371,9 +393,3 @@ def _warn_of_few(counts: Iterable[int]) -> None:
         warn("only 1 run: run more seeds, such as 20, before you draw conclusions")
     elif fewest < FEW:
         warn(f"only {fewest} runs: intervals of so few are too narrow; 20 seeds are a good number")
-
-
-def _exit_code(results: Results) -> int:
-    if not results.failures:
-        return 0
-    return PARTIAL if results.runs else FAILED

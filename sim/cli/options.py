@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -97,62 +96,49 @@ def output_option(function: Callable[..., R]) -> Callable[..., R]:
 
 
 def fleet_options(function: Function) -> Function:
-    """Give a verb the options of `WorldOptions`."""
+    """Give a verb the options of a fleet."""
     for option in reversed(_OPTIONS):
         function = option(function)
     return function
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class WorldOptions:
-    """The values of `fleet_options`, as given."""
+def fleet_for(
+    swarm: str,
+    folder: Path,
+    *,
+    count: int,
+    platform: str,
+    arena: str | None,
+    layout: str | None,
+    emulator: str | None,
+    **others: Any,
+) -> FleetSpec:
+    """The fleet of the values of `fleet_options`; ConfigError if one is wrong.
 
-    count: int
-    platform: str
-    arena: str | None
-    layout: str | None
-    seed: int
-    realism: str
-    lidar_visibility: str
-    radio_range: float | None
-    emulator: str | None
-    plugin_dir: Path | None
-
-
-def fleet_for(options: WorldOptions, swarm: str, folder: Path) -> FleetSpec:
-    """The fleet of these options; ConfigError if an option is wrong."""
+    PluginError if the emulator is unknown or lacks a library.
+    """
     from swarmd.sim.live.fleet import FleetSpec
 
-    check_emulator(options)
-    kind, robots = robots_for(options.platform, options.count)
-    arena, layout = place_for(kind, options.count, options.arena, options.layout, options.seed)
+    if emulator is not None:
+        from swarmd.plugins import load_emulator
+
+        load_emulator(emulator)
+        if others["radio_range"] is not None:
+            raise ConfigError(
+                f"--radio-range and --emulate {emulator}: emulated robots do not report which"
+                " robots they receive; leave one of the two out"
+            )
+    kind, robots = robots_for(platform, count)
+    arena, layout = place_for(kind, count, arena, layout, others["seed"])
     return FleetSpec(
         swarm=swarm,
         robots=robots,
         folder=folder,
         arena=arena,
         layout=layout,
-        seed=options.seed,
-        realism=options.realism,
-        lidar_visibility=options.lidar_visibility,
-        radio_range=options.radio_range,
-        emulator=options.emulator,
-        plugin_dir=options.plugin_dir,
+        emulator=emulator,
+        **others,
     )
-
-
-def check_emulator(options: WorldOptions) -> None:
-    """PluginError if the emulator is unknown or lacks a library; ConfigError beside radio range."""
-    if options.emulator is None:
-        return
-    from swarmd.plugins import load_emulator
-
-    load_emulator(options.emulator)
-    if options.radio_range is not None:
-        raise ConfigError(
-            f"--radio-range and --emulate {options.emulator}: emulated robots do not report which"
-            " robots they receive; leave one of the two out"
-        )
 
 
 def need(*modules: str) -> None:

@@ -24,7 +24,17 @@ def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress
     """
     left = _TimeLeft(clock)
     if not sys.stderr.isatty():
-        yield _Lines(left).show
+        part = -1
+
+        def show_lines(done: int, total: int, failed: int) -> None:
+            nonlocal part
+            text = left.text(done, total)
+            now = MAX_LINES * done // total if total else MAX_LINES
+            if now > part or left.is_first(done):
+                part = now
+                warn(f"{done} of {total} runs{_failed(failed)}{text}")
+
+        yield show_lines
         return
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
@@ -78,24 +88,9 @@ class _TimeLeft:
             return ""
         return f", about {seconds((now - began) / (done - before) * (total - done))} left"
 
-
-class _Lines:
-    """A line for the start, for the first run and for each tenth."""
-
-    def __init__(self, left: _TimeLeft) -> None:
-        self._left = left
-        self._first: int | None = None
-        self._part = -1
-
-    def show(self, done: int, total: int, failed: int) -> None:
-        """Print a line if there is enough news."""
-        left = self._left.text(done, total)
-        if self._first is None:
-            self._first = done
-        part = MAX_LINES * done // total if total else MAX_LINES
-        if part > self._part or done == self._first + 1:
-            self._part = part
-            warn(f"{done} of {total} runs{_failed(failed)}{left}")
+    def is_first(self, done: int) -> bool:
+        """True for the first run that finishes after the start."""
+        return self._start is not None and done == self._start[1] + 1
 
 
 def _failed(count: int) -> str:

@@ -16,7 +16,7 @@ import click
 from swarmd.cli.options import DEFAULT_SWARM, CommonOptions
 from swarmd.cli.output import print_section, warn
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.cli.options import WorldOptions, fleet_for, fleet_options, need
+from swarmd.sim.cli.options import fleet_for, fleet_options, need
 
 if TYPE_CHECKING:
     from collections.abc import Collection
@@ -58,9 +58,8 @@ def up(
 
     given = swarm or (ctx.find_object(CommonOptions) or CommonOptions()).swarm
     name = check_id(given or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
-    options = WorldOptions(**world)
     with _folder(keep) as folder:
-        serve(fleet_for(options, name, folder))
+        serve(fleet_for(name, folder, **world))
 
 
 def serve(spec: FleetSpec) -> None:

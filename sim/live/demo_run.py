@@ -143,7 +143,11 @@ def start_pattern(
         if attempt:
             view = operator.members()
             # The acknowledgement may have been late or lost, and the robot runs all the same.
-            running = {name for name, one in statuses_of(view).items() if _runs(one, settings)}
+            running = {
+                name
+                for name, one in statuses_of(view).items()
+                if one.state is State.RUNNING and one.pattern == settings.pattern
+            }
             late |= running.intersection(waiting)
             waiting = tuple(name for name in waiting if name not in late)
         outcome = operator.request(
@@ -159,10 +163,6 @@ def start_pattern(
     if not started:
         raise SwarmError(_why("run", outcome))
     return Started(tuple(sorted(started)), tuple(sorted(late)), _texts(outcome))
-
-
-def _runs(status: Status, settings: DemoSettings) -> bool:
-    return status.state is State.RUNNING and status.pattern == settings.pattern
 
 
 def _texts(outcome: Outcome) -> dict[str, str]:

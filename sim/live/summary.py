@@ -74,7 +74,7 @@ class Summary:
     def lines(self) -> list[tuple[str, str]]:
         """(name, value) pairs to print."""
         n = self.numbers
-        moving = self.seconds_to_moving
+        moving, duty = self.seconds_to_moving, n.protection_duty
         return [
             ("robots", f"{len(self.robots)} {self.platform}, {self.pattern}, {self.arena} m"),
             ("simulated time", f"{n.seconds:.1f} s, {n.real_time_factor:.2f} times real time"),
@@ -86,7 +86,7 @@ class Summary:
             ("contacts", f"{n.contacts} between robots, {n.arena_contacts} with walls"),
             ("minimum gap", "-" if n.minimum_gap is None else f"{n.minimum_gap:.2f} m"),
             ("speed at the end", f"{n.mean_speed_late:.3f} m/s"),
-            ("protection active", _percent(n.protection_duty)),
+            ("protection active", "-" if duty is None else f"{100 * duty:.0f} % of decisions"),
         ]
 
 
@@ -97,8 +97,8 @@ def numbers_of(
     real_time_factor: float,
 ) -> Numbers:
     """The numbers of a trace; `platforms` by name, `duty` as the robots reported it."""
-    thresholds = (_threshold(platforms[name]) for name in set(trace.platforms))
-    link = 2.0 * max(thresholds)
+    kinds = (platforms[name] for name in set(trace.platforms))
+    link = 2.0 * max(float(kind.protection.get("threshold", 0.5)) for kind in kinds)
     away = distance_to_centroid(trace)
     counts = cluster_counts(trace, link)
     gap = minimum_gap(trace)
@@ -163,11 +163,3 @@ def _problem(robot: str, before: Mapping[str, Status], after: Mapping[str, Statu
     if end.generation != start.generation:
         return f"{robot} was given another request"
     return ""
-
-
-def _threshold(platform: Platform) -> float:
-    return float(platform.protection.get("threshold", 0.5))
-
-
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{100 * share:.0f} % of decisions"

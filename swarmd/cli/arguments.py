@@ -24,14 +24,17 @@ _DURATION = re.compile(r"(\d+(?:\.\d+)?)(ms|s|m|h)?")
 _UNITS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0, None: 1.0}
 _MAX_DURATION = 1e7  # s
 _MAX_INTEGER = 2**53
+_NO_TARGET = 4  # as in swarmd.network.outcome, which `--help` does not import
 # The bounds of a request: characters of a parameter's name and value, bytes of all together.
 _MAX_KEY, _MAX_TEXT, _MAX_BYTES = 64, 256, 32 * 1024
 
 
-class NoTarget(click.ClickException):
-    """No robot is targeted; exit code 4."""
+class Failure(click.ClickException):
+    """An error with its exit code (see `swarmd.network.outcome`)."""
 
-    exit_code = 4
+    def __init__(self, text: str, exit_code: int) -> None:
+        super().__init__(text)
+        self.exit_code = exit_code  # type: ignore[misc]  # click declares it for the class
 
 
 class Duration(click.ParamType[float]):
@@ -70,10 +73,10 @@ class Targets:
         return tuple(name for name in self.names if is_id(name) and not self._is_excluded(name))
 
     def select(self, known: Collection[str]) -> tuple[str, ...]:
-        """The targets among `known`; NoTarget if a name or glob, excluded or not, matches none."""
+        """The targets among `known`; Failure if a name or glob, excluded or not, matches none."""
         for glob in (*self.names, *self.exclude):
             if not any(fnmatchcase(name, glob) for name in known):
-                raise _unknown_robot(glob, known)
+                check_known(glob, known)
         return self.matching(known)
 
     def matching(self, known: Iterable[str]) -> tuple[str, ...]:
@@ -138,13 +141,10 @@ def takes_targets(*, is_required: bool) -> Callable[[Callable[..., R]], Callable
 
 
 def check_known(name: str, known: Collection[str]) -> None:
-    """NoTarget, with the nearest name, unless the robot is known."""
+    """Failure, with the nearest name, unless the robot is known."""
     if name not in known:
-        raise _unknown_robot(name, known)
-
-
-def _unknown_robot(name: str, known: Collection[str]) -> NoTarget:
-    return NoTarget(f"{unknown('robot', name, known)}; see `swarmctl members`")
+        text = f"{unknown('robot', name, known)}; see `swarmctl members`"
+        raise Failure(text, _NO_TARGET)
 
 
 def read_assignments(words: Iterable[str], option: str = "-p") -> dict[str, Value]:

@@ -6,7 +6,6 @@ import asyncio
 import logging
 import os
 import sys
-from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, NoReturn
 
@@ -19,17 +18,6 @@ from swarmd.core.processes import die_with_parent as tie_to
 
 if TYPE_CHECKING:
     from swarmd.settings.settings import DaemonSettings
-
-
-class Exit(IntEnum):
-    """Exit codes of the daemon."""
-
-    CLEAN = 0
-    INTERNAL = 1
-    CONFIG = 2
-    ID_HELD = 3
-    NETWORK = 4
-    DRIVER = 5
 
 
 _EPILOG = """\b
@@ -127,12 +115,9 @@ def main(args: list[str] | None = None) -> NoReturn:
 
 
 def exit_code_of(error: SwarmError) -> int:
-    """The exit code for an error, for a process supervisor such as systemd."""
-    if isinstance(error, IdHeldError):
-        return Exit.ID_HELD
-    if isinstance(error, NetworkError):
-        return Exit.NETWORK
-    return Exit.DRIVER if isinstance(error, DriverError) else Exit.CONFIG
+    """The exit code for an error, for a process supervisor such as systemd; else 2."""
+    codes = {IdHeldError: 3, NetworkError: 4, DriverError: 5}
+    return next((code for kind, code in codes.items() if isinstance(error, kind)), 2)
 
 
 def _read_options(words: tuple[str, ...]) -> dict[str, Value]:

@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING
 import click
 from msgspec import to_builtins
 
-from swarmd.cli.arguments import check_known
+from swarmd.cli.arguments import Failure, check_known
 from swarmd.cli.explain import activity
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_table, printable, seconds
-from swarmd.cli.report import report_outcome
-from swarmd.cli.send import known_members
+from swarmd.cli.send import known_members, report
 from swarmd.core.messages import Condition, ForgetRequest, Member
 from swarmd.network.outcome import REFUSED
 
@@ -26,12 +25,6 @@ HEADER = (
     "REPORT",
 )
 _MAX_REPORT = 60
-
-
-class Refused(click.ClickException):
-    """The request is refused before it is sent; exit code 7."""
-
-    exit_code = REFUSED
 
 
 @click.group(invoke_without_command=True)
@@ -67,9 +60,10 @@ def forget(options: CommonOptions, name: str) -> None:
         view = known_members(operator, options.timeout)
         check_known(name, view.members)
         if view.members[name].condition is Condition.ALIVE:
-            raise Refused(f"{name} is alive; only robots that failed or left can be forgotten")
+            text = f"{name} is alive; only robots that failed or left can be forgotten"
+            raise Failure(text, REFUSED)
         outcome = operator.request(ForgetRequest, view.epochs(view.alive), name=name)
-    report_outcome(options, "members forget", outcome)
+    report(options, outcome)
 
 
 def row(member: Member) -> tuple[str, ...]:

@@ -81,7 +81,16 @@ class CommonOptions:
         from swarmd.network.settings import NetworkSettings, Profile
 
         if self.config is not None:
-            return self._operator_of_file(self.config)
+            from swarmd.settings.swarmfile import load_swarm  # YAML, which most commands do without
+
+            overrides = {
+                "swarm": self.swarm,
+                "profile": self.profile,
+                "interface": self.interface,
+                "seeds": list(self.seeds) or None,
+            }
+            file = load_swarm(self.config, overrides, os.environ)
+            return Operator(file, roster=file.roster)
         settings = NetworkSettings(
             swarm=self.swarm or os.environ.get("SWARM") or DEFAULT_SWARM,
             profile=cast(Profile, self.profile or "dev"),
@@ -90,28 +99,15 @@ class CommonOptions:
         )
         return Operator(settings)
 
-    def _operator_of_file(self, config: Path) -> Operator:
-        from swarmd.network.operator import Operator
-        from swarmd.settings.swarmfile import load_swarm  # YAML, which most commands do without
-
-        overrides = {
-            "swarm": self.swarm,
-            "profile": self.profile,
-            "interface": self.interface,
-            "seeds": list(self.seeds) or None,
-        }
-        file = load_swarm(config, overrides, os.environ)
-        return Operator(file, roster=file.roster)
-
 
 def root_options(function: Callable[P, R]) -> Callable[..., R]:
     """Take the common options before the verb; those after the verb override them."""
 
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> R:
-        ctx = click.get_current_context()
+        ctx, name = click.get_current_context(), os.environ.get("SWARM_CONFIG")
         ctx.obj = _pop_options(kwargs).with_defaults(
-            ctx.obj or CommonOptions(config=_config_of_environment())
+            ctx.obj or CommonOptions(config=Path(name) if name else None)
         )
         return function(*args, **kwargs)
 
@@ -137,8 +133,3 @@ def _with_options(function: Function) -> Function:
     for option in reversed(_OPTIONS):
         function = option(function)
     return function
-
-
-def _config_of_environment() -> Path | None:
-    name = os.environ.get("SWARM_CONFIG")
-    return Path(name) if name else None

@@ -13,7 +13,6 @@ from swarmd.cli.arguments import (
 )
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_table
-from swarmd.cli.report import report_outcome
 from swarmd.cli.send import known_members, send_to
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Member, Param, ParamRequest
@@ -81,8 +80,7 @@ def set_params(
         raise click.UsageError("param set needs values; add KEY=VALUE, such as speed=0.15")
     values = read_assignments(words)
     targets = read_targets("param set", robots, is_all, exclude, is_required=True)
-    outcome = send_to(options, ParamRequest, targets, params=values)
-    report_outcome(options, "param set", outcome)
+    send_to(options, ParamRequest, targets, params=values)
 
 
 def _params(member: Member) -> dict[str, Param]:

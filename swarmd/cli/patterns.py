@@ -1,4 +1,4 @@
-"""`swarmctl patterns`: the patterns on this machine, and their parameters."""
+"""`swarmctl patterns` and `mission`: the patterns on this machine, and checks of missions."""
 
 from __future__ import annotations
 
@@ -8,9 +8,17 @@ from typing import Any
 
 import click
 
-from swarmd.cli.inspect import Row, describe_patterns
+from swarmd.cli.inspect import Row, check_mission, describe_patterns
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import NOTHING, number, print_json, print_section, print_table, printable
+from swarmd.cli.output import (
+    NOTHING,
+    number,
+    print_json,
+    print_section,
+    print_table,
+    printable,
+    warn,
+)
 
 _plugin_dir = click.option(
     "--plugin-dir",
@@ -21,7 +29,7 @@ _plugin_dir = click.option(
 _platform = click.option(
     "--platform",
     default="waffle_pi",
-    help="The platform for defaults that depend on it [waffle_pi].",
+    help="The platform, on which defaults and bounds depend [waffle_pi].",
 )
 
 
@@ -77,6 +85,40 @@ def show_pattern(options: CommonOptions, name: str, plugin_dir: Path | None, pla
     click.echo(f"Parameters on {row['platform']}")
     header = ("NAME", "DEFAULT", "WANTED", "MEANING", "SOURCE")
     print_table(header, [_param(spec) for spec in row["params"]])
+
+
+@click.group()
+def mission() -> None:
+    """Patterns composed of others in a YAML file."""
+
+
+@mission.command()
+@click.argument("file", type=click.Path(path_type=Path))
+@_platform
+@click.option(
+    "--plugin-dir",
+    type=click.Path(exists=True, file_okay=False, path_type=Path),
+    envvar="SWARM_PLUGIN_DIR",
+    help="Folder of one-file patterns [$SWARM_PLUGIN_DIR, else the folder of FILE].",
+)
+@common_options
+def check(options: CommonOptions, file: Path, platform: str, plugin_dir: Path | None) -> None:
+    """Check the mission in FILE; moves nothing and needs no network.
+
+    Prints each fault with file, line and key. Exit code 2 if there is a fault.
+    """
+    if not file.is_file():
+        raise click.UsageError(f"{file} is no file; wanted the YAML file of a mission")
+    faults = check_mission(file, platform, plugin_dir or file.parent)
+    if options.is_json:
+        print_json("Mission", {"file": str(file), "platform": platform, "faults": faults})
+    elif not faults:
+        click.echo(f"{file}: ok on {platform}")
+    else:
+        for line in faults:
+            warn(line)
+    if faults:
+        click.get_current_context().exit(2)
 
 
 def _about(row: Row) -> list[tuple[str, str]]:

@@ -10,7 +10,6 @@ import click
 from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, printable
-from swarmd.cli.report import report_outcome
 from swarmd.cli.send import send_to
 from swarmd.core.keys import is_id
 from swarmd.core.messages import ReloadRequest
@@ -114,5 +113,4 @@ def reload(options: CommonOptions, name: str, targets: Targets, is_run: bool) ->
     if not is_id(name):
         raise click.UsageError(f"{name!r} is no pattern name; see `swarmctl patterns`")
     fields = {"pattern": name, "is_rerun": is_run}
-    outcome = send_to(options, ReloadRequest, targets, timeout=RELOAD_TIMEOUT, **fields)
-    report_outcome(options, "plugin reload", outcome)
+    send_to(options, ReloadRequest, targets, timeout=RELOAD_TIMEOUT, **fields)

@@ -1,15 +1,27 @@
-"""Requests to robots: the swarm as seen, the robots that must answer, the outcome."""
+"""Requests to robots: the swarm as seen, the robots that must answer, the outcome reported.
+
+The outcome is a line for each robot, a count, and the exit code.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import click
 
-from swarmd.cli.arguments import NoTarget, Targets
+from swarmd.cli.arguments import Failure, Targets
+from swarmd.cli.output import NOTHING, print_json, print_table, warn
 from swarmd.core.errors import unknown
-from swarmd.network.outcome import UNREACHABLE, Expected, Outcome, expected_to_run
+from swarmd.core.messages import Refusal
+from swarmd.network.outcome import (
+    NO_TARGET,
+    UNREACHABLE,
+    USAGE,
+    Expected,
+    Outcome,
+    expected_to_run,
+)
 
 if TYPE_CHECKING:
     from swarmd.cli.options import CommonOptions
@@ -19,18 +31,18 @@ if TYPE_CHECKING:
 
 REQUEST_TIMEOUT = 5.0  # s
 STOP_TIMEOUT = 3.0  # s
-
-
-class Unreachable(click.ClickException):
-    """No daemon of the swarm was reached; exit code 6."""
-
-    exit_code = UNREACHABLE
+# Where the operator finds what all robots refused as a mistake.
+_HELP = {
+    Refusal.UNKNOWN_PATTERN: "swarmctl patterns",
+    Refusal.INVALID_PARAMETER: "swarmctl patterns show NAME",
+    Refusal.INVALID_CONDITION: "swarmctl run --help",
+}
 
 
 def known_members(operator: Operator, timeout: float | None = None) -> MembersView:
     """The swarm, once all have answered or after `timeout` s; None: 1 s.
 
-    Unreachable, naming the swarms that were found, if no daemon was reached.
+    Failure, naming the swarms that were found, if no daemon was reached.
     """
     view = operator.members() if timeout is None else operator.members(timeout=timeout)
     if view.members:
@@ -39,13 +51,15 @@ def known_members(operator: Operator, timeout: float | None = None) -> MembersVi
     text = f"no daemon of swarm {settings.swarm!r} can be reached"
     others = [name for name in operator.swarms() if name != settings.swarm]
     if others:
-        raise Unreachable(f"{text}; there are the swarms: {', '.join(others)} (see --swarm)")
+        text = f"{text}; there are the swarms: {', '.join(others)} (see --swarm)"
+        raise Failure(text, UNREACHABLE)
     where = "on this machine" if settings.profile == "dev" else f"by {settings.interface}"
-    raise Unreachable(f"{text}, nor any other swarm {where}; start swarmd, or see --profile")
+    text = f"{text}, nor any other swarm {where}; start swarmd, or see --profile"
+    raise Failure(text, UNREACHABLE)
 
 
 def expected_of(view: MembersView, targets: Targets) -> Expected:
-    """The robots that must answer a request to `targets`; NoTarget if there are none."""
+    """The robots that must answer a request to `targets`; Failure if there are none."""
     selected = targets.select(view.members.keys() | view.roster)
     expected = expected_to_run(view.members, view.roster, selected)
     if not expected.asked and not expected.absent:
@@ -79,41 +93,86 @@ def send_to(
     *,
     timeout: float = REQUEST_TIMEOUT,
     **fields: Any,
-) -> Outcome:
-    """Look at the swarm and send a request to the targets; `--timeout` overrides `timeout` s."""
+) -> NoReturn:
+    """Send a request to the targets and report; `--timeout` overrides `timeout` s."""
     with options.operator() as operator:
         view = known_members(operator)
         expected = expected_of(view, targets)
-        return send(operator, view, kind, expected, options.timeout or timeout, **fields)
+        outcome = send(operator, view, kind, expected, options.timeout or timeout, **fields)
+    report(options, outcome)
 
 
 def send_stop(
     options: CommonOptions, verb: Literal["stop", "estop"], targets: Targets, reason: str = ""
-) -> Outcome:
-    """Stop the targets at once; a full name that no robot has counts as not answering.
+) -> NoReturn:
+    """Stop the targets at once and report; a full name that no robot has does not answer.
 
-    Unreachable if no daemon was reached, NoTarget if none is targeted.
+    Failure if no daemon was reached or no robot is targeted.
     """
     select = None if targets.is_whole_swarm else targets.matching
     with options.operator() as operator:
         timeout = options.timeout or STOP_TIMEOUT
         outcome = operator.halt(verb, select=select, reason=reason, timeout=timeout)
-        if outcome.targeted and set(targets.full_names) <= {*outcome.replies, *outcome.missing}:
-            return outcome
-        view = known_members(operator)
-    if not outcome.targeted:
-        targets.select(view.members.keys() | view.roster)
-        raise _no_target()
-    lost = set(targets.full_names) - view.members.keys()
-    warnings = (f"{unknown('robot', name, view.members)}" for name in sorted(lost))
-    return replace(
-        outcome,
-        missing=tuple(sorted({*outcome.missing, *lost})),
-        warnings=(*outcome.warnings, *warnings),
-    )
+        names = set(targets.full_names)
+        if not outcome.targeted or not names <= {*outcome.replies, *outcome.missing}:
+            view = known_members(operator)
+            if not outcome.targeted:
+                targets.select(view.members.keys() | view.roster)
+                raise _no_target()
+            lost = sorted(names - view.members.keys())
+            warnings = (unknown("robot", name, view.members) for name in lost)
+            outcome = replace(
+                outcome,
+                missing=tuple(sorted({*outcome.missing, *lost})),
+                warnings=(*outcome.warnings, *warnings),
+            )
+    report(options, outcome)
 
 
-def _no_target(*reasons: str) -> NoTarget:
-    return NoTarget(
-        f"no robot is targeted: {'; '.join(reasons) or 'the targets have left, or are excluded'}"
-    )
+def report(options: CommonOptions, outcome: Outcome) -> NoReturn:
+    """Print the outcome of a request and end with its exit code."""
+    for line in outcome.warnings:
+        warn(f"warning: {line}")
+    for name in outcome.duplicates:
+        warn(f"warning: {name} answered twice: two daemons have this id; stop one of them")
+    if options.is_json:
+        print_json("Outcome", _as_json(outcome))
+        warn(outcome.line)
+    else:
+        rows = [
+            (name, reply.code.value, reply.text or NOTHING)
+            for name, reply in outcome.replies.items()
+        ]
+        rows += [(name, "no answer", NOTHING) for name in outcome.missing]
+        if rows:
+            print_table(("NAME", "ANSWER", "TEXT"), sorted(rows))
+        click.echo(outcome.line)
+    if outcome.mistake:
+        refusal = next(iter(outcome.replies.values())).refusal
+        see = f" (see {_HELP[refusal]})" if refusal in _HELP else ""
+        raise Failure(f"{outcome.mistake}{see}", USAGE)
+    click.get_current_context().exit(outcome.exit_code)
+
+
+def _no_target(*reasons: str) -> Failure:
+    text = "; ".join(reasons) or "the targets have left, or are excluded"
+    return Failure(f"no robot is targeted: {text}", NO_TARGET)
+
+
+def _as_json(outcome: Outcome) -> dict[str, Any]:
+    return {
+        "verb": click.get_current_context().command_path.partition(" ")[2],
+        "targeted": outcome.targeted,
+        "applied": list(outcome.applied),
+        "refused": list(outcome.refused),
+        "failed": list(outcome.failed),
+        "missing": list(outcome.missing),
+        "line": outcome.line,
+        "exit_code": outcome.exit_code,
+        "seconds": round(outcome.seconds, 4),
+        "replies": {
+            name: {"code": reply.code, "refusal": reply.refusal, "text": reply.text}
+            for name, reply in outcome.replies.items()
+        },
+        "warnings": list(outcome.warnings),
+    }

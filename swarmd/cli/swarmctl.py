@@ -1,4 +1,4 @@
-"""`swarmctl`: the operator's command line, one file for each verb.
+"""`swarmctl`: the operator's command line.
 
 A verb is imported when it is used. Verbs of plugins are searched only if the core has no verb of
 that name, and for `--help`: reading the metadata of installed packages takes 40 ms and more.
@@ -25,11 +25,11 @@ VERBS = {
         "Show one robot in detail, and why it does not move.",
     ),
     "patterns": ("swarmd.cli.patterns:patterns", "List patterns and their parameters."),
-    "mission": ("swarmd.cli.mission:mission", "Check a mission before robots run it."),
-    "run": ("swarmd.cli.run:run", "Start a pattern on robots."),
-    "stop": ("swarmd.cli.stop:stop", "Stop robots, or all robots."),
-    "estop": ("swarmd.cli.stop:estop", "Emergency-stop robots, or all robots; latched."),
-    "reset": ("swarmd.cli.reset:reset", "Clear emergency stops and faults; moves nothing."),
+    "mission": ("swarmd.cli.patterns:mission", "Check a mission before robots run it."),
+    "run": ("swarmd.cli.requests:run", "Start a pattern on robots."),
+    "stop": ("swarmd.cli.requests:stop", "Stop robots, or all robots."),
+    "estop": ("swarmd.cli.requests:estop", "Emergency-stop robots, or all robots; latched."),
+    "reset": ("swarmd.cli.requests:reset", "Clear emergency stops and faults; moves nothing."),
     "param": ("swarmd.cli.param:param", "Get or set parameters of running patterns."),
     "plugin": ("swarmd.cli.plugin:plugin", "Write, check and reload patterns of your own."),
 }
@@ -104,25 +104,10 @@ class Verbs(click.Group):
             formatter.write_dl(rows)
 
 
-def _print_version(ctx: click.Context, param: click.Parameter, value: bool) -> None:
-    if value:
-        from importlib.metadata import version
-
-        click.echo(f"swarmctl {version('swarmd')}")
-        ctx.exit()
-
-
 @click.group(
     cls=Verbs, epilog=_EXIT_CODES, context_settings={"help_option_names": ["-h", "--help"]}
 )
-@click.option(
-    "--version",
-    is_flag=True,
-    is_eager=True,
-    expose_value=False,
-    callback=_print_version,
-    help="Show the version and exit.",
-)
+@click.version_option(package_name="swarmd", prog_name="swarmctl", message="%(prog)s %(version)s")
 @root_options
 def cli() -> None:
     """Command a swarm of robots from any machine in its network.

@@ -7,7 +7,7 @@ import pytest
 
 from swarmd.cli.arguments import (
     Duration,
-    NoTarget,
+    Failure,
     Targets,
     read_assignments,
     read_targets,
@@ -108,7 +108,7 @@ def test_selects_by_names_and_globs(
 def test_a_name_that_matches_no_robot_is_an_error(
     names: tuple[str, ...], exclude: tuple[str, ...], subject: str
 ) -> None:
-    with pytest.raises(NoTarget, match=subject) as caught:
+    with pytest.raises(Failure, match=subject) as caught:
         targets(*names, exclude=exclude).select(KNOWN)
     assert caught.value.exit_code == 4
 
