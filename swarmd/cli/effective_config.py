@@ -52,11 +52,7 @@ def _flow(value: object) -> str:
 def _platform(platform: Platform) -> Mapping[str, Any]:
     scan = platform.scan
     return {
-        "limits": {
-            "linear": platform.limits.linear,
-            "angular": platform.limits.angular,
-            "lateral": platform.limits.lateral,
-        },
+        "limits": to_builtins(platform.limits),
         "footprint": platform.footprint.tolist(),
         "scan": {
             "rays": len(scan.bearings),

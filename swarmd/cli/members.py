@@ -34,9 +34,7 @@ def members(options: CommonOptions) -> None:
 
     Failed robots stay listed until they return or `members forget NAME` removes them.
     """
-    ctx = click.get_current_context()
-    ctx.obj = options
-    if ctx.invoked_subcommand is not None:
+    if click.get_current_context().invoked_subcommand is not None:
         return
     with options.operator() as operator:
         view = known_members(operator, options.timeout)

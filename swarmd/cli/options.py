@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, cast
 
@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
 P = ParamSpec("P")
 R = TypeVar("R")
-Function = TypeVar("Function", bound=Callable[..., Any])
 
 DEFAULT_SWARM = "default"
 
@@ -67,11 +66,6 @@ class CommonOptions:
         """True if the answer is wanted as JSON."""
         return self.output == "json"
 
-    def with_defaults(self, defaults: CommonOptions) -> CommonOptions:
-        """These options, those not given from `defaults`."""
-        given = {f.name: getattr(self, f.name) for f in fields(self) if getattr(self, f.name)}
-        return replace(defaults, **given)
-
     def operator(self) -> Operator:
         """A session in the swarm's network, a context manager.
 
@@ -100,36 +94,18 @@ class CommonOptions:
         return Operator(settings)
 
 
-def root_options(function: Callable[P, R]) -> Callable[..., R]:
-    """Take the common options before the verb; those after the verb override them."""
-
-    @functools.wraps(function)
-    def wrapper(*args: Any, **kwargs: Any) -> R:
-        ctx, name = click.get_current_context(), os.environ.get("SWARM_CONFIG")
-        ctx.obj = _pop_options(kwargs).with_defaults(
-            ctx.obj or CommonOptions(config=Path(name) if name else None)
-        )
-        return function(*args, **kwargs)
-
-    return _with_options(wrapper)
-
-
 def common_options(function: Callable[Concatenate[CommonOptions, P], R]) -> Callable[..., R]:
-    """Give a verb the common options as its first argument."""
+    """Give a verb the common options as its first argument; those before the verb are defaults."""
 
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> R:
-        defaults = click.get_current_context().find_object(CommonOptions) or CommonOptions()
-        return function(_pop_options(kwargs).with_defaults(defaults), *args, **kwargs)
+        ctx, config = click.get_current_context(), os.environ.get("SWARM_CONFIG")
+        above = ctx.find_object(CommonOptions)
+        defaults = above or CommonOptions(config=Path(config) if config else None)
+        given = {name: kwargs.pop(name) for name in CommonOptions.__slots__}
+        ctx.obj = replace(defaults, **{name: value for name, value in given.items() if value})
+        return function(ctx.obj, *args, **kwargs)
 
-    return _with_options(wrapper)
-
-
-def _pop_options(kwargs: dict[str, Any]) -> CommonOptions:
-    return CommonOptions(**{field.name: kwargs.pop(field.name) for field in fields(CommonOptions)})
-
-
-def _with_options(function: Function) -> Function:
     for option in reversed(_OPTIONS):
-        function = option(function)
-    return function
+        wrapper = option(wrapper)
+    return wrapper

@@ -38,7 +38,6 @@ _platform = click.option(
 def patterns(options: CommonOptions) -> None:
     """Print the patterns on this machine, or one with its parameters."""
     ctx = click.get_current_context()
-    ctx.obj = options
     if ctx.invoked_subcommand is None:
         ctx.invoke(list_patterns)
 

@@ -14,7 +14,7 @@ from typing import Any, NoReturn, cast
 
 import click
 
-from swarmd.cli.options import root_options
+from swarmd.cli.options import CommonOptions, common_options
 from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError, unknown
 
 # Verb -> its function, and its line for --help, which must not import the verbs.
@@ -108,8 +108,8 @@ class Verbs(click.Group):
     cls=Verbs, epilog=_EXIT_CODES, context_settings={"help_option_names": ["-h", "--help"]}
 )
 @click.version_option(package_name="swarmd", prog_name="swarmctl", message="%(prog)s %(version)s")
-@root_options
-def cli() -> None:
+@common_options
+def cli(options: CommonOptions) -> None:
     """Command a swarm of robots from any machine in its network.
 
     Targets are robot names, globs such as 'tb3-*' (quoted), or --all, less --exclude GLOB.
