@@ -6,7 +6,6 @@ import re
 import shlex
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -220,17 +219,21 @@ def plot(folder: Path, out: Path | None, metrics: str | None, seeds: str | None)
 def list_scenarios(is_json: bool) -> None:
     """List the scenarios that come with swarmd."""
     need("mujoco")
-    from swarmd.sim.scenarios.scenariofile import scenario_names
+    from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
 
-    found = [_described(name) for name in scenario_names()]
+    scenarios = {name: load_scenario(name) for name in scenario_names()}
+    texts = {name: " ".join(one.description.split()) for name, one in scenarios.items()}
     if is_json:
+        found = [
+            {"name": name, "robots": len(one.robots), "duration": one.duration,
+             "description": texts[name]}
+            for name, one in scenarios.items()
+        ]  # fmt: skip
         print_json("Scenarios", {"scenarios": found})
         return
     rows = [
-        (one["name"], str(one["robots"]), f"{one['duration']:g} s", one["description"])
-        if not one["error"]
-        else (one["name"], "-", "-", f"cannot be run: {one['error']}")
-        for one in found
+        (name, str(len(one.robots)), f"{one.duration:g} s", texts[name])
+        for name, one in scenarios.items()
     ]
     print_table(("NAME", "ROBOTS", "DURATION", "DESCRIPTION"), rows)
 
@@ -283,37 +286,21 @@ def measure(files: tuple[Path, ...], metrics: str | None, is_json: bool) -> None
     print_table(("METRIC", "UNIT", *heads), rows)
 
 
-def _described(name: str) -> dict[str, Any]:
-    """A row of the list, also for a scenario that cannot be loaded."""
-    from swarmd.sim.scenarios.scenariofile import load_scenario
-
-    about = {"name": name, "description": "", "robots": None, "duration": None, "error": ""}
-    try:
-        scenario = load_scenario(name)
-    except SwarmError as error:
-        return {**about, "error": str(error)}
-    text = " ".join(scenario.description.split())
-    numbers = {"robots": len(scenario.robots), "duration": scenario.duration}
-    return {**about, **numbers, "description": text}
-
-
 def new_folder(base: Path, stem: str) -> Path:
     """A new folder `base/stem-N`, N above all existing; ConfigError if it cannot be made."""
     names = [path.name for path in base.iterdir()] if base.is_dir() else []
     found = [re.fullmatch(rf"{re.escape(stem)}-(\d+)", name) for name in names]
-    for number in count(max((int(match[1]) for match in found if match), default=0) + 1):
+    number = max((int(match[1]) for match in found if match), default=0) + 1
+    while True:
         folder = base / f"{stem}-{number}"
         try:
             folder.mkdir(parents=True)
-        except FileExistsError:
-            if not base.is_dir():
-                raise ConfigError(f"{base}: is a file; name a folder with --out") from None
-            continue  # another swarmctl was faster
+            return folder
         except OSError as error:
-            text = f"{folder}/ cannot be made ({error.strerror})"
-            raise ConfigError(f"{text}; name another folder with --out") from error
-        return folder
-    raise AssertionError("unreachable")
+            if not isinstance(error, FileExistsError) or not base.is_dir():
+                text = f"{folder}/ cannot be made ({error.strerror})"
+                raise ConfigError(f"{text}; name another folder with --out") from error
+        number += 1  # another swarmctl was faster
 
 
 def _do_runs(manifest: Manifest, folder: Path, processes: int, timeout: float | None) -> Results:

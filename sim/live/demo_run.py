@@ -23,7 +23,7 @@ from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.state import WorldState
-from swarmd.sim.live.summary import Summary, duties, mean_duty, numbers_of, problems_of
+from swarmd.sim.live.summary import Summary, mean_duty, numbers_of, problems_of
 from swarmd.sim.live.trace_from_statuses import StatusLog
 from swarmd.sim.live.view import Scene
 from swarmd.sim.trace import load_trace
@@ -78,14 +78,15 @@ class WorldWatcher:
 
     def wait(self, since: float = -1.0) -> WorldState:
         """A state later than simulated time `since`; NetworkError after `timeout` s without one."""
-        with self._changed:
-            if self._changed.wait_for(lambda: self._is_later(since), self._timeout):
-                assert self._state is not None
-                return self._state
-        raise NetworkError(f"the world has sent no state for {self._timeout:g} s")
 
-    def _is_later(self, since: float) -> bool:
-        return self._state is not None and self._state.time > since
+        def later() -> WorldState | None:
+            return self._state if self._state is not None and self._state.time > since else None
+
+        with self._changed:
+            state = self._changed.wait_for(later, self._timeout)
+        if state is None:
+            raise NetworkError(f"the world has sent no state for {self._timeout:g} s")
+        return state
 
     def _take(self, state: WorldState) -> None:
         with self._changed:
@@ -276,7 +277,6 @@ class DemoRun:
             seed=spec.seed,
             seconds_to_moving=None if moved is None else round(moved - began, 2),
             numbers=numbers,
-            duty=duties(after),
             problems=tuple(problems),
         )
 

@@ -18,7 +18,7 @@ import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import IO, Any
 
 import msgspec
@@ -83,8 +83,7 @@ class Fleet:
     def __init__(self, spec: FleetSpec) -> None:
         self.spec = spec
         self.endpoint = ""
-        self._world: Child | None = None
-        self._daemons: list[Child] = []
+        self._children: list[Child] = []  # the world first
 
     def __enter__(self) -> Fleet:
         try:
@@ -94,24 +93,19 @@ class Fleet:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.stop()
 
     @property
     def pids(self) -> Mapping[str, int]:
         """Process ids by name; the world's is `WORLD`."""
-        return {child.name: child.process.pid for child in self._children()}
+        return {child.name: child.process.pid for child in self._children}
 
     def ended(self) -> Mapping[str, str]:
         """How each child that has ended did so, by name."""
         return {
             child.name: child.how_it_ended()
-            for child in self._children()
+            for child in self._children
             if child.process.poll() is not None
         }
 
@@ -123,24 +117,22 @@ class Fleet:
 
     def stop(self) -> None:
         """End every child: TERM, after 2 s KILL. The world ends last, to record the stops."""
-        _end(self._daemons)
-        _end([self._world] if self._world else [])
-        self._daemons, self._world = [], None
-
-    def _children(self) -> list[Child]:
-        return [*([self._world] if self._world else []), *self._daemons]
+        _end(self._children[1:])
+        _end(self._children[:1])
+        self._children = []
 
     def _start(self) -> None:
         spec = self.spec
         spec.folder.mkdir(parents=True, exist_ok=True)
-        self._world = _spawn(WORLD, world_command(spec), spec.folder, stdout=subprocess.PIPE)
-        ready = _await_ready(self._world)
+        world = _spawn(WORLD, world_command(spec), spec.folder, stdout=subprocess.PIPE)
+        self._children.append(world)
+        ready = _await_ready(world)
         self.endpoint = ready.endpoint
         for robot in spec.robots:
             config = spec.folder / f"{robot}.yaml"
             config.write_text(yaml.safe_dump(daemon_config(spec, robot, ready)))
             command = ["swarmd.cli.daemon", "--config", str(config)]
-            self._daemons.append(_spawn(robot, command, spec.folder, stdout=subprocess.DEVNULL))
+            self._children.append(_spawn(robot, command, spec.folder, stdout=subprocess.DEVNULL))
 
 
 def robot_ids(platform: str, count: int) -> tuple[str, ...]:
@@ -165,11 +157,14 @@ def world_command(spec: FleetSpec) -> list[str]:
 
 def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object]:
     """The content of a daemon's configuration file."""
+    platform = spec.robots[robot]
+    if platform.endswith(".yaml"):
+        platform = str(Path(platform).expanduser().absolute())
     config: dict[str, object] = {
         "id": robot,
         "swarm": spec.swarm,
         "profile": "dev",
-        "platform": _absolute_platform(spec.robots[robot]),
+        "platform": platform,
         "driver": ready.driver,
         "driver_options": dict(ready.driver_options),
         "state_dir": str((spec.folder / "state").absolute()),
@@ -177,12 +172,6 @@ def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object
     if spec.plugin_dir is not None:
         config["plugin_dir"] = str(spec.plugin_dir.absolute())
     return config
-
-
-def _absolute_platform(platform: str) -> str:
-    """The platform with an absolute path, if it is a file."""
-    is_file = platform.endswith(".yaml")
-    return str(Path(platform).expanduser().absolute()) if is_file else platform
 
 
 def started_at() -> float:

@@ -47,7 +47,7 @@ class Summary:
     """A finished demo. `problems` is empty if all robots ran to the end and no two touched.
 
     `late` robots started only when they were asked again. `seconds_to_moving` counts from the
-    start of the command until all robots moved; None if they did not all move. `duty` by robot.
+    start of the command until all robots moved; None if they did not all move.
     """
 
     pattern: str
@@ -59,7 +59,6 @@ class Summary:
     seed: int
     seconds_to_moving: float | None
     numbers: Numbers
-    duty: Mapping[str, float]
     problems: tuple[str, ...]
 
     @property
@@ -119,13 +118,8 @@ def numbers_of(
     )
 
 
-def duties(statuses: Mapping[str, Status]) -> dict[str, float]:
-    """The share of decisions since `run` in which protection was active, by robot."""
-    return {name: s.decision.duty for name, s in sorted(statuses.items()) if s.decision.decisions}
-
-
 def mean_duty(statuses: Mapping[str, Status]) -> float | None:
-    """That share over all robots, weighted by their decisions; None without decisions."""
+    """The share of all decisions since `run` in which protection was active; None without any."""
     decisions = sum(s.decision.decisions for s in statuses.values())
     if not decisions:
         return None

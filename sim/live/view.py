@@ -75,9 +75,10 @@ def table_of(scene: Scene, lines: int) -> RenderableType:
     for title, width in (("scan", 7), ("loop99", 7), ("near", 6)):
         table.add_column(title, width=width, no_wrap=True, justify="right")
     shown = chosen(scene, max(lines - 1, 1))
-    marks = {robot: _label(number, robot) for number, robot in enumerate(scene.poses)}
-    for robot in shown:
-        table.add_row(marks[robot], *_cells(scene.statuses.get(robot)))
+    for number, robot in enumerate(scene.poses):
+        if robot in shown:
+            label = Text(f"{_mark(number)} {robot}", no_wrap=True, overflow="ellipsis")
+            table.add_row(label, *_cells(scene.statuses.get(robot)))
     more = len(scene.poses) - len(shown)
     return Group(table, Text(f"... and {more} more", style="dim")) if more else table
 
@@ -90,13 +91,10 @@ def chosen(scene: Scene, rows: int) -> tuple[str, ...]:
     robots = list(scene.poses)
     if len(robots) <= rows:
         return tuple(robots)
-    first = sorted(robots, key=lambda robot: _is_running(scene.statuses.get(robot)))
+    running = {name for name, one in scene.statuses.items() if one.state is State.RUNNING}
+    first = sorted(robots, key=running.__contains__)
     kept = set(first[: rows - 1])
     return tuple(robot for robot in robots if robot in kept)
-
-
-def _is_running(status: Status | None) -> bool:
-    return status is not None and status.state is State.RUNNING
 
 
 def _cells(status: Status | None) -> tuple[Text | str, ...]:
@@ -166,10 +164,6 @@ def _octant(yaw: float) -> int:
 def _mark(number: int) -> str:
     marks = "123456789abcdefghijklmnopqrstuvwxyz"
     return marks[number] if number < len(marks) else "*"
-
-
-def _label(number: int, robot: str) -> Text:
-    return Text(f"{_mark(number)} {robot}", no_wrap=True, overflow="ellipsis")
 
 
 def _colour(scene: Scene, robot: str) -> str:

@@ -7,7 +7,7 @@ import logging
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 import click
 
@@ -15,10 +15,6 @@ from swarmd.cli.arguments import Value, read_assignments
 from swarmd.cli.swarmctl import run_cli
 from swarmd.core.errors import DriverError, IdHeldError, NetworkError, SwarmError
 from swarmd.core.processes import die_with_parent as tie_to
-
-if TYPE_CHECKING:
-    from swarmd.settings.settings import DaemonSettings
-
 
 _EPILOG = """\b
 Exit codes:
@@ -106,7 +102,9 @@ def swarmd(
 
         click.get_current_context().exit(check_daemon(settings))
     else:
-        click.get_current_context().exit(_serve(settings))
+        from swarmd.daemon.daemon import serve
+
+        click.get_current_context().exit(asyncio.run(serve(settings)))
 
 
 def main(args: list[str] | None = None) -> NoReturn:
@@ -125,12 +123,6 @@ def _read_options(words: tuple[str, ...]) -> dict[str, Value]:
     found = read_assignments(words, "--driver-option")
     booleans: dict[Value, Value] = {"true": True, "false": False}
     return {key: booleans.get(value, value) for key, value in found.items()}
-
-
-def _serve(settings: DaemonSettings) -> int:
-    from swarmd.daemon.daemon import serve
-
-    return asyncio.run(serve(settings))
 
 
 if __name__ == "__main__":

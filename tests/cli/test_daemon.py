@@ -31,14 +31,6 @@ def swarmd(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     )
 
 
-def test_help_documents_every_exit_code(tmp_path: Path) -> None:
-    done = swarmd("--help", cwd=tmp_path)
-    assert done.returncode == 0
-    for code in range(6):
-        assert f"\n    {code}  " in done.stdout
-    assert "--die-with-parent" not in done.stdout
-
-
 @pytest.mark.parametrize(
     ("args", "subject"),
     [

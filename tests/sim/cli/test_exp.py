@@ -229,14 +229,9 @@ def test_a_signal_keeps_finished_runs_and_says_how_to_resume(
         (["run", "none.yaml"], "none.yaml"),
         (["run", "DUO", "--seeds", "5-3"], "'5-3'"),
         (["run", "DUO", "--set", "duraton=3"], "'duration'"),
-        (["run", "DUO", "--set", "duration"], "key=value"),
-        (["run", "DUO", "--sweep", "duration="], "duration"),
-        (["run", "DUO", "--sweep", "duraton=3,4"], "'duration'"),
         (["run", "DUO", "--sweep", "duration=3,x"], "'x'"),
-        (["run", "DUO", "--sweep", "duration=3,3"], "twice"),
         (["run", "DUO", "--set", "duration=1", "--sweep", "duration=3"], "duration"),
         (["run", "DUO", "--metrics", "path_lenght"], "'path_length'"),
-        (["run", "DUO", "--metrics", ","], "--metrics"),
         (["run", "DUO", "--set", "groups.all.count=400"], "start"),
         (["run", "DUO", "--out", "."], "it holds duo"),
         (["run", "DUO", "--out", "duo/duo.yaml"], "duo/duo.yaml"),
@@ -301,15 +296,13 @@ def test_plot_draws_the_runs_asked_for(tmp_path: Path, duo: Path, swarmctl: Swar
     assert not (tmp_path / "y").exists()
 
 
-def test_list_and_metrics_are_tables_and_json(swarmctl: Swarmctl) -> None:
+def test_list_and_metrics_in_json(swarmctl: Swarmctl) -> None:
     listed = json.loads(swarmctl("exp", "list", "-o", "json").stdout)["scenarios"]
     (one,) = [scenario for scenario in listed if scenario["name"] == "aggregation"]
     assert one["robots"] > 1
     assert one["description"]
-    assert "aggregation " in swarmctl("exp", "list").stdout
     metrics = json.loads(swarmctl("exp", "metrics", "-o", "json").stdout)["metrics"]
     assert {"path_length", "minimum_gap"} <= {metric["name"] for metric in metrics}
-    assert swarmctl("exp", "metrics").stdout.startswith("NAME ")
 
 
 def test_new_folders_are_numbered_on(tmp_path: Path) -> None:

@@ -154,7 +154,6 @@ def summary() -> Summary:
         seed=0,
         seconds_to_moving=1.0,
         numbers=Numbers(**numbers),  # ones in every field
-        duty={},
         problems=(),
     )
 

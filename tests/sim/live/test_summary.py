@@ -10,7 +10,7 @@ import pytest
 
 from swarmd.core.messages import DecisionSummary, Health, Reason, State
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.summary import Summary, duties, mean_duty, numbers_of, problems_of
+from swarmd.sim.live.summary import Summary, mean_duty, numbers_of, problems_of
 from swarmd.sim.trace import Trace, TraceBuilder
 from tests.sim.live.statuses import status
 
@@ -43,7 +43,6 @@ def summary(**changes: Any) -> Summary:
         "seed": 0,
         "seconds_to_moving": 1.5,
         "numbers": numbers,
-        "duty": {"a": 0.25},
         "problems": (),
     }
     return Summary(**{**plain, **changes})
@@ -112,5 +111,4 @@ def test_duty_is_weighted_by_decisions() -> None:
         "c": status("c"),
     }
     assert mean_duty(statuses) == pytest.approx(0.4)
-    assert duties(statuses) == {"a": 0.5, "b": 0.1}
     assert mean_duty({"c": status("c")}) is None
