@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import msgspec
 
 from swarmd.cli.describe import sections
 from swarmd.core.messages import DecisionSummary, Member, Reason, Row, Status
-
-MakeMember = Callable[..., Member]
+from tests.support.statuses import ESTOPPED, make_member
 
 
 def shown(member: Member) -> dict[str, dict[str, str]]:
@@ -18,7 +16,7 @@ def shown(member: Member) -> dict[str, dict[str, str]]:
     return {title: dict(rows) for title, rows in sections(member, member.status)}
 
 
-def test_shows_the_status_in_groups(make_member: MakeMember, estopped: Member) -> None:
+def test_shows_the_status_in_groups() -> None:
     member = make_member(
         reason=Reason.NO_REQUESTED_COMMAND, detail="thinks", readings={"battery": 0.71}
     )
@@ -38,10 +36,10 @@ def test_shows_the_status_in_groups(make_member: MakeMember, estopped: Member) -
     }
     for group, rows in expected.items():
         assert rows.items() <= groups[group].items()
-    assert shown(estopped)["Emergency stops"] == {"e1": "by bob@desk, for swarm: smoke"}
+    assert shown(ESTOPPED)["Emergency stops"] == {"e1": "by bob@desk, for swarm: smoke"}
 
 
-def test_shows_each_obstacle_that_limits_the_command(make_member: MakeMember) -> None:
+def test_shows_each_obstacle_that_limits_the_command() -> None:
     rows = (
         Row(math.radians(-30.4), 0.208, 0.0),
         Row(math.radians(-33.0), 0.208, 0.01),  # the same wall
@@ -58,7 +56,7 @@ def test_shows_each_obstacle_that_limits_the_command(make_member: MakeMember) ->
     ]
 
 
-def test_shows_every_field_of_a_status(make_member: MakeMember) -> None:
+def test_shows_every_field_of_a_status() -> None:
     """A new field of Status must be shown too."""
     member = make_member()
     assert member.status is not None
@@ -70,7 +68,7 @@ def test_shows_every_field_of_a_status(make_member: MakeMember) -> None:
     assert "without certificates" in text
 
 
-def test_shows_no_minus_zero(make_member: MakeMember) -> None:
+def test_shows_no_minus_zero() -> None:
     rows = (Row(-0.001, -0.001, -0.001),)
     decision = DecisionSummary(requested_angular=-1e-5, safe_linear=-0.0, rows=rows)
     text = repr(shown(make_member(decision=decision, report={"turn": -0.0}, readings={"x": -0.0})))

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from swarmd.cli.explain import obstacles, why
-from swarmd.core.messages import Condition, DecisionSummary, Health, Member, Reason, Row, State
-
-MakeMember = Callable[..., Member]
+from swarmd.core.messages import Condition, DecisionSummary, Health, Reason, Row, State
+from tests.support.statuses import ESTOPPED, make_member
 
 
 @pytest.mark.parametrize("state", [State.STOPPED, State.RUNNING])
 @pytest.mark.parametrize("reason", Reason)
-def test_there_is_a_sentence_for_every_reason(
-    make_member: MakeMember, reason: Reason, state: State
-) -> None:
+def test_there_is_a_sentence_for_every_reason(reason: Reason, state: State) -> None:
     text = why(make_member(state=state, reason=reason, detail="the detail"))
     assert text.startswith(f"{state.value}")
     assert "{" not in text
@@ -28,13 +24,13 @@ def test_there_is_a_sentence_for_every_reason(
 @pytest.mark.parametrize(
     "reason", [Reason.NO_SCAN, Reason.STALE_SCAN, Reason.STALE_ODOMETRY, Reason.DRIVER_LOST]
 )
-def test_the_diagnosis_of_the_driver_is_quoted(make_member: MakeMember, reason: Reason) -> None:
+def test_the_diagnosis_of_the_driver_is_quoted(reason: Reason) -> None:
     diagnosis = "/scan is announced but silent; look at the sensor: ros2 topic hz /scan"
     assert f"({diagnosis})" in why(make_member(reason=reason, health=Health(driver=diagnosis)))
 
 
-def test_an_emergency_stop_names_its_issuer_and_the_reset(estopped: Member) -> None:
-    text = why(estopped)
+def test_an_emergency_stop_names_its_issuer_and_the_reset() -> None:
+    text = why(ESTOPPED)
     assert "bob@desk" in text
     assert "`swarmctl reset r2`" in text
 
@@ -54,7 +50,7 @@ def test_an_emergency_stop_names_its_issuer_and_the_reset(estopped: Member) -> N
     ],
 )
 def test_the_obstacle_that_limits_a_robot_is_named(
-    make_member: MakeMember, changes: dict[str, Any], is_held: bool, words: str
+    changes: dict[str, Any], is_held: bool, words: str
 ) -> None:
     rows = (Row(math.radians(-30.2), 0.214, 0.0), Row(0.0, 0.3, 0.1))
     decision = DecisionSummary(rows=rows if "is_active" in changes else (), **changes)
@@ -70,13 +66,13 @@ def test_each_obstacle_is_given_once_and_never_at_minus_zero() -> None:
     assert texts == ["an obstacle at 0 deg, 0.00 m", "an obstacle at 180 deg, 0.20 m"]
 
 
-def test_a_failed_robot_has_its_age_and_last_state(make_member: MakeMember) -> None:
+def test_a_failed_robot_has_its_age_and_last_state() -> None:
     text = why(make_member(condition=Condition.FAILED, age=38.0))
     assert text.startswith("failed 38.0 s ago; last known: running; ")
     assert "`swarmctl members forget r1`" in text
 
 
-def test_a_hold_that_lasted_is_in_the_past_tense(make_member: MakeMember) -> None:
+def test_a_hold_that_lasted_is_in_the_past_tense() -> None:
     lasting = make_member(state=State.STOPPED, reason=Reason.STALE_SCAN, detail="for 2 s")
     assert why(lasting).startswith("stopped: scans stopped arriving (for 2 s); ")
     assert "`swarmctl run PATTERN r1`" in why(lasting)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -10,15 +9,14 @@ import pytest
 from swarmd.cli.members import HEADER, health, row
 from swarmd.core.messages import Condition, DecisionSummary, Health, Member, Reason, State
 from swarmd.network.discovery import MembersView
-
-MakeMember = Callable[..., Member]
+from tests.support.statuses import make_member
 
 
 def line(member: Member) -> dict[str, str]:
     return dict(zip(HEADER, row(member), strict=True))
 
 
-def test_shows_a_running_robot(make_member: MakeMember) -> None:
+def test_shows_a_running_robot() -> None:
     assert line(make_member()) == {
         "NAME": "r1",
         "STATE": "running",
@@ -33,7 +31,7 @@ def test_shows_a_running_robot(make_member: MakeMember) -> None:
     }
 
 
-def test_shows_the_report_of_the_pattern_cut_to_its_column(make_member: MakeMember) -> None:
+def test_shows_the_report_of_the_pattern_cut_to_its_column() -> None:
     assert line(make_member(report={}))["REPORT"] == "-"
     report = {"phase": "disperse", "opinion": 2, "distance": 1.4000000001}
     assert line(make_member(report=report))["REPORT"] == "phase disperse, opinion 2, distance 1.4"
@@ -55,9 +53,7 @@ def test_shows_the_report_of_the_pattern_cut_to_its_column(make_member: MakeMemb
         ({"condition": Condition.LEFT, "pattern": None}, {"STATE": "left", "PATTERN": "-"}),
     ],
 )
-def test_shows_a_robot_in_each_condition(
-    make_member: MakeMember, changes: dict[str, Any], cells: dict[str, str]
-) -> None:
+def test_shows_a_robot_in_each_condition(changes: dict[str, Any], cells: dict[str, str]) -> None:
     assert cells.items() <= line(make_member(**changes)).items()
 
 
@@ -71,7 +67,7 @@ def notes(*members: Member) -> list[str]:
     return list(health(MembersView(members=by_name, answered=frozenset(by_name))))
 
 
-def test_names_robots_with_problems(make_member: MakeMember) -> None:
+def test_names_robots_with_problems() -> None:
     lost = Health(driver="no odometry for 2 s", driver_up=False)
     members = {
         "r1": make_member("r1"),
@@ -96,7 +92,7 @@ def test_names_robots_with_problems(make_member: MakeMember) -> None:
     ]
 
 
-def test_warns_that_anyone_on_an_open_network_can_drive(make_member: MakeMember) -> None:
+def test_warns_that_anyone_on_an_open_network_can_drive() -> None:
     open_to_all = make_member("r2", profile="field")
     text = notes(make_member(profile="field", is_secured=True), open_to_all)[-1]
     assert "anyone on this network can drive these robots" in text

@@ -8,14 +8,14 @@ from typing import Any, cast
 import pytest
 
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
-from swarmd.core.messages import Code, Condition, Epoch, Member, Reply, RunRequest, State
+from swarmd.core.messages import Code, Epoch, Member, Reply, RunRequest, State
 from swarmd.network.discovery import MembersView
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
 from swarmd.sim.live.demo_run import DemoSettings, Started, WorldWatcher, start_pattern
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.state import WorldState
-from tests.sim.live.statuses import status
+from tests.support.statuses import make_member
 
 ROBOTS = ("a", "b", "c")
 SETTINGS = DemoSettings(pattern="drive", params={}, seconds=1.0, platform="burger")
@@ -60,10 +60,7 @@ class FakeOperator:
 
     def _member(self, robot: str) -> Member:
         state = State.RUNNING if robot in self.running else State.IDLE
-        seen = status(robot, state=state, pattern="drive")
-        return Member(
-            robot=robot, instance=seen.instance, condition=Condition.ALIVE, age=0.0, status=seen
-        )
+        return make_member(robot, state=state)
 
 
 def start(operator: FakeOperator) -> Started:

@@ -12,7 +12,7 @@ from swarmd.core.messages import DecisionSummary, Health, Reason, State
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.summary import Summary, mean_duty, numbers_of, problems_of
 from swarmd.sim.trace import Trace, TraceBuilder
-from tests.sim.live.statuses import status
+from tests.support.statuses import status
 
 BURGER = load_platform("burger")
 

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from swarmd.core.messages import Reason, State
 from swarmd.sim.live.view import Scene, cell_of, map_of, map_size, render
-from tests.sim.live.statuses import status
+from tests.support.statuses import status
 
 ARENA = (6.0, 3.0)
 
@@ -29,7 +29,7 @@ def scene(**poses: tuple[float, float, float]) -> Scene:
 def test_a_row_has_the_status_of_the_robot() -> None:
     row = next(line for line in shown(scene(a=(0.0, 0.0, 0.0))).splitlines() if "1 a" in line)
     assert row.split("│")[0].split() == (
-        ["1", "a", "running", "attraction", "5.0", "Hz", "3.1", "ms", "0.62", "m"]
+        ["1", "a", "running", "drive", "5.0", "Hz", "4.1", "ms", "0.61", "m"]
     )
 
 

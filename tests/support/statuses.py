@@ -1,10 +1,9 @@
-"""Members of a swarm, as daemons describe them."""
+"""The status of a running robot, and its members in each condition."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import Any
 
-import pytest
 from msgspec.structs import replace
 
 from swarmd.core.messages import (
@@ -20,8 +19,6 @@ from swarmd.core.messages import (
     State,
     Status,
 )
-
-MakeMember = Callable[..., Member]
 
 RUNNING = Status(
     robot="r1",
@@ -50,30 +47,22 @@ RUNNING = Status(
 )
 
 
-@pytest.fixture
-def make_member() -> MakeMember:
-    """A member by name; keywords change its condition, age or parts of its status."""
-
-    def make(
-        robot: str = "r1",
-        condition: Condition = Condition.ALIVE,
-        age: float = 0.0,
-        **changes: object,
-    ) -> Member:
-        status = replace(RUNNING, robot=robot, **changes)
-        return Member(
-            robot=robot, instance=status.instance, condition=condition, age=age, status=status
-        )
-
-    return make
+def status(robot: str = "r1", **changes: Any) -> Status:
+    """A running robot's status, with changes."""
+    return replace(RUNNING, robot=robot, **changes)
 
 
-@pytest.fixture
-def estopped(make_member: MakeMember) -> Member:
-    """A robot that holds one emergency stop."""
-    return make_member(
-        "r2",
-        state=State.ESTOPPED,
-        reason=Reason.ESTOP,
-        latches={"e1": Latch(issuer="bob@desk", scope="swarm", reason="smoke")},
-    )
+def make_member(
+    robot: str = "r1", condition: Condition = Condition.ALIVE, age: float = 0.0, **changes: Any
+) -> Member:
+    """A member with the status of a running robot, with changes."""
+    seen = status(robot, **changes)
+    return Member(robot=robot, instance=seen.instance, condition=condition, age=age, status=seen)
+
+
+ESTOPPED = make_member(
+    "r2",
+    state=State.ESTOPPED,
+    reason=Reason.ESTOP,
+    latches={"e1": Latch(issuer="bob@desk", scope="swarm", reason="smoke")},
+)
