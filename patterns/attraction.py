@@ -22,34 +22,30 @@ robot, and groups farther apart than `range` meet only by chance.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
 import numpy as np
 
 from swarmd.api import (
     ZERO,
     Array,
+    Bias,
     Context,
+    FieldParams,
+    FieldPattern,
     Inputs,
-    MovementPattern,
-    Params,
-    Platform,
-    Recovery,
-    Scalar,
+    ObjectWidth,
     Scan,
-    TopSpeed,
-    TopTurn,
+    TurnIfAlone,
     Twist,
-    Value,
     about,
+    clear_distance,
     closest_points,
     clusters,
-    field_twist,
     from_base,
     keep_clear,
-    potential_field,
+    of_threshold,
     steer,
 )
 
@@ -78,18 +74,15 @@ _DRIFT_TIMES = (2.0, 5.0)
 _MAX_RANGE_SHARE = 0.95
 
 
-class AttractionParams(Params, frozen=True):
-    """The law, speeds and distances; those of law "paper" come last."""
+class AttractionParams(FieldParams, frozen=True, kw_only=True):
+    """The reach of each law, the distances, and those of every FieldPattern."""
 
-    law: Annotated[
-        Literal["settling", "paper"],
-        about(
-            "settling: comes to rest at a spacing; paper: the original equations",
-            source="ours: the original drives at full speed forever",
-        ),
-    ] = "settling"
-    speed: TopSpeed = 0.2
-    turn: TopTurn = 1.82
+    paper_range: Annotated[
+        float,
+        about("law paper: reach of the field", ge=0.1, le=100.0, unit="m", source="paper"),
+    ] = 2.0
+    bias: Bias = -1.0
+    angular_if_alone: TurnIfAlone = 1.0
     range: Annotated[
         float,
         about(
@@ -98,8 +91,9 @@ class AttractionParams(Params, frozen=True):
             le=100.0,
             unit="m",
             source="ours: the range of the lidar, so that no group is left behind",
+            derived=lambda platform: platform.scan.range_max,
         ),
-    ] = 3.5
+    ]
     spacing: Annotated[
         float,
         about(
@@ -109,8 +103,9 @@ class AttractionParams(Params, frozen=True):
             unit="m",
             source="ours: 1.06 times the protection threshold plus 1.3 times the lidar's offset, "
             "so that turning in place does not activate protection",
+            derived=clear_distance,
         ),
-    ] = 0.65
+    ]
     slack: Annotated[
         float,
         about(
@@ -119,8 +114,9 @@ class AttractionParams(Params, frozen=True):
             le=5.0,
             unit="m",
             source="ours: a twentieth of the protection threshold",
+            derived=of_threshold(0.05),
         ),
-    ] = 0.05
+    ]
     brake: Annotated[
         float,
         about(
@@ -129,41 +125,10 @@ class AttractionParams(Params, frozen=True):
             le=5.0,
             unit="m",
             source="ours: 0.6 times the protection threshold; two robots that meet need it",
+            derived=of_threshold(0.6),
         ),
-    ] = 0.3
-    object_width: Annotated[
-        float,
-        about(
-            "a wider object is not a robot",
-            ge=0.05,
-            le=10.0,
-            unit="m",
-            source="ours: twice the footprint's diagonal",
-        ),
-    ] = 0.8
-    paper_range: Annotated[
-        float,
-        about("law paper: reach of the field", ge=0.1, le=100.0, unit="m", source="paper"),
-    ] = 2.0
-    bias: Annotated[
-        float,
-        about("law paper: forward bias", ge=-100.0, le=100.0, source="ROS2swarm"),
-    ] = -1.0
-    rays: Annotated[
-        int,
-        about(
-            "law paper: alone if at most so many rays return", ge=0, le=10000, source="ROS2swarm"
-        ),
-    ] = 1
-    linear_if_alone: Annotated[
-        float,
-        about("law paper: speed if alone", ge=-2.0, le=2.0, unit="m/s", source="ROS2swarm"),
-    ] = 0.0
-    angular_if_alone: Annotated[
-        float,
-        about("law paper: turn rate if alone", ge=-4.0, le=4.0, unit="rad/s", source="ROS2swarm"),
-    ] = 1.0
-    recovery: Recovery = False
+    ]
+    object_width: ObjectWidth
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -191,15 +156,16 @@ class _Surroundings:
         return float(self.robots[np.argmin(self.robots[:, 0]), 1])
 
 
-class Attraction(MovementPattern[AttractionParams]):
+class Attraction(FieldPattern[AttractionParams]):
     """Drives to other robots and stands next to them; alone it searches."""
 
     params_type = AttractionParams
+    field_kind = "attraction"
     is_symmetric = True
 
     def __init__(self, params: AttractionParams, context: Context) -> None:
         super().__init__(params, context)
-        self._state = "search"
+        self.state = "search"
         self._since = 0.0
         self._rest_time = _FIRST_REST_TIME
         self._most_seen = 0
@@ -208,62 +174,21 @@ class Attraction(MovementPattern[AttractionParams]):
         self._drift = 0.0
         self._drift_until = -math.inf
 
-    @classmethod
-    def defaults(cls, platform: Platform) -> Mapping[str, Value]:
-        """Speeds from the limits, range from the lidar, distances from the protection."""
-        threshold = float(platform.protection["threshold"])
-        diagonal = float(np.hypot(*np.ptp(platform.footprint, axis=0)))
-        return {
-            "speed": min(platform.limits.linear, 0.5),
-            "turn": min(platform.limits.angular, 4.0),
-            "range": platform.scan.range_max,
-            "spacing": 1.06 * threshold + 1.3 * math.hypot(*platform.scan.offset),
-            "slack": 0.05 * threshold,
-            "brake": 0.6 * threshold,
-            "object_width": 2.0 * diagonal,
-        }
-
     def update(self, params: AttractionParams) -> None:
         """Apply changed parameters, and evaluate the scan again."""
         super().update(params)
         self._view = None
 
-    def report(self) -> Mapping[str, Scalar]:
-        """Its state: search, gather, settled, roll or lead."""
-        return {"state": "paper" if self.params.law == "paper" else self._state}
-
-    def drive(self, inputs: Inputs) -> Twist:
-        """The command from the latest scan."""
-        if inputs.scan is None:
-            return ZERO
-        if self.params.law == "paper":
-            return self._follow_field(inputs.scan)
-        return self._settle(inputs.scan, inputs.now, len(inputs.neighbors))
-
-    def _follow_field(self, scan: Scan) -> Twist:
-        params = self.params
-        field = potential_field(
-            scan.ranges,
-            scan.bearings,
-            range_max=params.paper_range,
-            range_min=scan.range_min,
-            bias=params.bias,
-            ray_threshold=params.rays,
-            kind="attraction",
-            ignore_near=True,
-        )
-        if field.is_alone:
-            return Twist(linear=params.linear_if_alone, angular=params.angular_if_alone)
-        return field_twist(field.vector, params.speed, params.turn)
-
-    def _settle(self, scan: Scan, now: float, received: int) -> Twist:
+    def settle(self, inputs: Inputs, scan: Scan) -> Twist:
+        """Change its state (search, gather, settled, roll or lead) and follow it."""
+        now, received = inputs.now, len(inputs.neighbors)
         if self._view is None or self._view.scan is not scan:
             self._view = self._look(scan)
         view = self._view
         is_in_line = received > view.seen and view.is_line
         state = self._next_state(view, now, received, is_in_line)
-        if state != self._state:
-            self._state, self._since = state, now
+        if state != self.state:
+            self.state, self._since = state, now
         if state == "settled":
             return ZERO
         if state == "search":
@@ -291,7 +216,7 @@ class Attraction(MovementPattern[AttractionParams]):
         params = self.params
         spacing, points = params.spacing - params.slack, view.points
         vector = keep_clear(vector, points, spacing=spacing, brake=params.brake)
-        if self._state in ("search", "lead") and math.hypot(*vector) < _MIN_SEARCH_SPEED:
+        if self.state in ("search", "lead") and math.hypot(*vector) < _MIN_SEARCH_SPEED:
             return Twist(angular=math.copysign(0.5 * params.turn, self._drift))
         return steer(
             vector,
@@ -322,7 +247,7 @@ class Attraction(MovementPattern[AttractionParams]):
     def _next_state(self, view: _Surroundings, now: float, received: int, is_in_line: bool) -> str:
         if len(view.robots) == 0:
             return "search"
-        is_going = self._state
+        is_going = self.state
         if view.seen > self._most_seen:
             self._most_seen, self._rest_time = view.seen, _FIRST_REST_TIME
             is_going = "gather" if is_going == "lead" else is_going

@@ -28,9 +28,10 @@ from swarmd.api import (
     TieRule,
     TopSpeed,
     TopTurn,
-    Value,
     WindowLength,
     about,
+    of_threshold,
+    threshold,
 )
 
 _VOTE, _MOVE = "vote", "move"
@@ -38,7 +39,7 @@ _OF_VOTE = ("opinions", "initial", "window", "ties")
 _OF_MOVE = ("law", "speed", "turn")
 
 
-class DiscussedDispersionParams(Params, frozen=True):
+class DiscussedDispersionParams(Params, frozen=True, kw_only=True):
     """Duration of the vote and meaning of the opinions; then those of vote and motion."""
 
     discuss: Annotated[
@@ -59,8 +60,9 @@ class DiscussedDispersionParams(Params, frozen=True):
             le=100.0,
             unit="m",
             source="paper, experiment 2: 1.2 times the protection threshold",
+            derived=of_threshold(1.2),
         ),
-    ] = 0.6
+    ]
     step: Annotated[
         float,
         about(
@@ -69,8 +71,9 @@ class DiscussedDispersionParams(Params, frozen=True):
             le=100.0,
             unit="m",
             source="paper, experiment 2: 0.8 times the protection threshold",
+            derived=of_threshold(0.8),
         ),
-    ] = 0.4
+    ]
     opinions: Opinions = 3
     initial: Initial | None = None
     window: WindowLength = 5.0
@@ -82,8 +85,8 @@ class DiscussedDispersionParams(Params, frozen=True):
             source="ours: the original drives at full speed forever",
         ),
     ] = "settling"
-    speed: TopSpeed = 0.2
-    turn: TopTurn = 1.82
+    speed: TopSpeed
+    turn: TopTurn
     recovery: Recovery = False
 
     def __post_init__(self) -> None:
@@ -109,17 +112,6 @@ class DiscussedDispersion(CombinedPattern[DiscussedDispersionParams]):
         super().__init__(params, context)
         self._started_at: float | None = None
         self._distance = float(self.parts[_MOVE].params.distance)
-
-    @classmethod
-    def defaults(cls, platform: Platform) -> Mapping[str, Value]:
-        """Distances from the protection, speeds from the limits."""
-        threshold = float(platform.protection["threshold"])
-        return {
-            "base": 1.2 * threshold,
-            "step": 0.8 * threshold,
-            "speed": min(platform.limits.linear, 0.5),
-            "turn": min(platform.limits.angular, 4.0),
-        }
 
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
         """The vote, shared with all robots that run majority_rule, and the motion."""
@@ -163,12 +155,12 @@ def _chosen(params: DiscussedDispersionParams, names: tuple[str, ...]) -> dict[s
 
 
 def _check(params: DiscussedDispersionParams, platform: Platform) -> None:
-    threshold = float(platform.protection["threshold"])
+    least = threshold(platform)
     for opinion in range(params.opinions):
         distance = params.distance(opinion)
-        if not threshold < distance <= 100.0:
+        if not least < distance <= 100.0:
             raise ConfigError(
                 f"parameters base and step: opinion {opinion} means {distance:g} m; wanted more"
-                f" than {threshold:g} m, which the protection of {platform.name} keeps, and at most"
+                f" than {least:g} m, which the protection of {platform.name} keeps, and at most"
                 " 100 m"
             )

@@ -5,13 +5,12 @@ Source: pattern "drive" of Kaiser et al., ICRA 2022 (ROS2swarm).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Annotated
 
-from swarmd.api import Inputs, MovementPattern, Params, Platform, Twist, Value, about
+from swarmd.api import Inputs, MovementPattern, Params, Twist, about
 
 
-class DriveParams(Params, frozen=True):
+class DriveParams(Params, frozen=True, kw_only=True):
     """Speed and turn rate."""
 
     speed: Annotated[
@@ -22,8 +21,9 @@ class DriveParams(Params, frozen=True):
             le=2.0,
             unit="m/s",
             source="ROS2swarm: the platform's limit, 0.5 m/s at most",
+            derived=lambda platform: min(platform.limits.linear, 0.5),
         ),
-    ] = 0.2
+    ]
     turn: Annotated[
         float,
         about(
@@ -45,11 +45,6 @@ class Drive(MovementPattern[DriveParams]):
     params_type = DriveParams
     needs = frozenset[str]()
     is_symmetric = True
-
-    @classmethod
-    def defaults(cls, platform: Platform) -> Mapping[str, Value]:
-        """The platform's speed, up to that of the fastest robot of ROS2swarm."""
-        return {"speed": min(platform.limits.linear, 0.5)}
 
     def drive(self, inputs: Inputs) -> Twist:
         """The same command at every step."""

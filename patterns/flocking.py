@@ -32,6 +32,7 @@ from swarmd.api import (
     Context,
     Inputs,
     MovementPattern,
+    ObjectWidth,
     Params,
     Platform,
     Recovery,
@@ -40,10 +41,11 @@ from swarmd.api import (
     TopSpeed,
     TopTurn,
     Twist,
-    Value,
     about,
     closest_points,
     clusters,
+    of_threshold,
+    threshold,
     wrap,
 )
 
@@ -65,7 +67,7 @@ _NEAR_WIDTH, _WALL_WIDTH = math.radians(4.0), math.radians(18.0)
 _TURNS = {"straight": 0.0, "left": 1.0, "right": -1.0}
 
 
-class FlockingParams(Params, frozen=True):
+class FlockingParams(Params, frozen=True, kw_only=True):
     """The law, speeds and distances; those of law "paper" come last."""
 
     law: Annotated[
@@ -75,8 +77,8 @@ class FlockingParams(Params, frozen=True):
             source="ours: the original treats a fully visible robot as a wall, and splits",
         ),
     ] = "elastic"
-    speed: TopSpeed = 0.2
-    turn: TopTurn = 1.82
+    speed: TopSpeed
+    turn: TopTurn
     cruise: Annotated[
         float,
         about(
@@ -104,8 +106,9 @@ class FlockingParams(Params, frozen=True):
             le=20.0,
             unit="m",
             source="ours: 1.5 times the protection threshold",
+            derived=of_threshold(1.5),
         ),
-    ] = 0.75
+    ]
     give: Annotated[
         float,
         about(
@@ -114,8 +117,9 @@ class FlockingParams(Params, frozen=True):
             le=20.0,
             unit="m",
             source="ours: the protection threshold",
+            derived=of_threshold(1.0),
         ),
-    ] = 0.5
+    ]
     surge: Annotated[
         float,
         about(
@@ -153,18 +157,10 @@ class FlockingParams(Params, frozen=True):
             le=100.0,
             unit="m",
             source="ours: twice the spacing, at most 0.9 times the lidar's range",
+            derived=_wall_distance,
         ),
-    ] = 1.5
-    object_width: Annotated[
-        float,
-        about(
-            "a wider object is not a robot",
-            ge=0.05,
-            le=10.0,
-            unit="m",
-            source="ours: twice the footprint's diagonal",
-        ),
-    ] = 0.8
+    ]
+    object_width: ObjectWidth
     paper_turn: Annotated[
         float,
         about("law paper: turn rate", ge=0.0, le=4.0, unit="rad/s", source="ROS2swarm"),
@@ -177,8 +173,9 @@ class FlockingParams(Params, frozen=True):
             le=100.0,
             unit="m",
             source="ROS2swarm: z1 and z2, the protection threshold",
+            derived=of_threshold(1.0),
         ),
-    ] = 0.5
+    ]
     far_aside: Annotated[
         float,
         about(
@@ -187,8 +184,9 @@ class FlockingParams(Params, frozen=True):
             le=100.0,
             unit="m",
             source="ROS2swarm: z3, 3/7 of the lidar's range",
+            derived=lambda platform: platform.scan.range_max * 3.0 / 7.0,
         ),
-    ] = 1.5
+    ]
     far_behind: Annotated[
         float,
         about(
@@ -197,8 +195,9 @@ class FlockingParams(Params, frozen=True):
             le=100.0,
             unit="m",
             source="ROS2swarm: z4, 5/7 of the lidar's range",
+            derived=lambda platform: platform.scan.range_max * 5.0 / 7.0,
         ),
-    ] = 2.5
+    ]
     recovery: Recovery = False
 
 
@@ -214,24 +213,6 @@ class Flocking(MovementPattern[FlockingParams]):
         self._scan: Scan | None = None
         self._requested = ZERO
         self._seen: deque[tuple[float, NDArray[np.complex128]]] = deque()
-
-    @classmethod
-    def defaults(cls, platform: Platform) -> Mapping[str, Value]:
-        """Speeds from the limits, ranges from the lidar, distances from the protection."""
-        threshold = float(platform.protection["threshold"])
-        diagonal = float(np.hypot(*np.ptp(platform.footprint, axis=0)))
-        reach = platform.scan.range_max
-        return {
-            "speed": min(platform.limits.linear, 0.5),
-            "turn": min(platform.limits.angular, 4.0),
-            "spacing": 1.5 * threshold,
-            "give": threshold,
-            "wall": min(3.0 * threshold, 0.9 * reach),
-            "object_width": 2.0 * diagonal,
-            "near": threshold,
-            "far_aside": reach * 3.0 / 7.0,
-            "far_behind": reach * 5.0 / 7.0,
-        }
 
     def report(self) -> Mapping[str, Scalar]:
         """Its state: flock or alone; with law paper straight, left or right."""
@@ -361,6 +342,10 @@ class Flocking(MovementPattern[FlockingParams]):
         if self._state not in ("left", "right"):
             return str(self.context.rng.choice(("left", "right")))
         return self._state
+
+
+def _wall_distance(platform: Platform) -> float:
+    return min(3.0 * threshold(platform), 0.9 * platform.scan.range_max)
 
 
 def _places(points: Array) -> NDArray[np.complex128]:

@@ -20,13 +20,13 @@ from swarmd.api import (
     Inputs,
     MovementPattern,
     Params,
-    Platform,
     Ray,
     Scalar,
+    TopSpeed,
     Twist,
-    Value,
     about,
     nearest,
+    of_threshold,
 )
 
 # rad to each side of ahead: the robot passes obstacles farther aside.
@@ -35,7 +35,7 @@ _AHEAD_HALF_WIDTH = math.radians(60.0)
 _START_DELAY = 5.0
 
 
-class RandomWalkParams(Params, frozen=True):
+class RandomWalkParams(Params, frozen=True, kw_only=True):
     """The law, speeds, times and the clearance."""
 
     law: Annotated[
@@ -45,16 +45,7 @@ class RandomWalkParams(Params, frozen=True):
             source="ours: the original leaves walls to protection",
         ),
     ] = "avoiding"
-    speed: Annotated[
-        float,
-        about(
-            "speed when straight",
-            ge=0.0,
-            le=2.0,
-            unit="m/s",
-            source="ROS2swarm: the platform's limit, 0.5 m/s at most",
-        ),
-    ] = 0.2
+    speed: TopSpeed
     turn: Annotated[
         float,
         about(
@@ -63,8 +54,9 @@ class RandomWalkParams(Params, frozen=True):
             le=4.0,
             unit="rad/s",
             source="ROS2swarm: the platform's limit",
+            derived=lambda platform: min(platform.limits.angular, 4.0),
         ),
-    ] = 1.82
+    ]
     turn_time: Annotated[
         float,
         about(
@@ -73,8 +65,9 @@ class RandomWalkParams(Params, frozen=True):
             le=60.0,
             unit="s",
             source="ours: 6 rad / turn, near ROS2swarm's 2.0, 3.5 and 1.0 s by platform",
+            derived=lambda platform: 6.0 / platform.limits.angular,
         ),
-    ] = 3.3
+    ]
     straight_min: Annotated[
         float, about("shortest straight", ge=0.0, le=600.0, unit="s", source="ROS2swarm")
     ] = 10.0
@@ -89,8 +82,9 @@ class RandomWalkParams(Params, frozen=True):
             le=20.0,
             unit="m",
             source="ours: 1.6 times the protection threshold, to turn before it acts",
+            derived=of_threshold(1.6),
         ),
-    ] = 0.8
+    ]
 
     def __post_init__(self) -> None:
         """Check that straight_min is at most straight_max."""
@@ -111,16 +105,6 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
         self._until: float | None = None  # before the first step
         self._is_turning = False
         self._begin: float | None = None
-
-    @classmethod
-    def defaults(cls, platform: Platform) -> Mapping[str, Value]:
-        """Speeds from the limits, turns of about 1.5 rad on average, clearance from protection."""
-        return {
-            "speed": min(platform.limits.linear, 0.5),
-            "turn": min(platform.limits.angular, 4.0),
-            "turn_time": 6.0 / platform.limits.angular,
-            "clearance": 1.6 * float(platform.protection["threshold"]),
-        }
 
     def report(self) -> Mapping[str, Scalar]:
         """Its state: straight, turn or wait."""

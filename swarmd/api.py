@@ -24,9 +24,21 @@ from swarmd.core.values import (
 )
 from swarmd.kit.behavior import Context, Make, MovementPattern, Pattern
 from swarmd.kit.combined import CombinedPattern
+from swarmd.kit.field_pattern import Bias, FieldParams, FieldPattern, TurnIfAlone
 from swarmd.kit.formation_geometry import place_on_circle, place_on_line, radius_of
 from swarmd.kit.formation_pattern import FormationParams, FormationPattern
-from swarmd.kit.params import P, Params, Recovery, TopSpeed, TopTurn, about
+from swarmd.kit.params import (
+    ObjectWidth,
+    P,
+    Params,
+    Recovery,
+    TopSpeed,
+    TopTurn,
+    about,
+    clear_distance,
+    of_threshold,
+    threshold,
+)
 from swarmd.kit.steering import from_base, keep_clear, steer
 from swarmd.kit.vote_windows import Ties, VoteWindow, majority, tally
 from swarmd.kit.voting_pattern import (
@@ -53,10 +65,13 @@ __all__ = [
     "ZERO",
     "Annotated",
     "Array",
+    "Bias",
     "CombinedPattern",
     "ConfigError",
     "Context",
     "FieldKind",
+    "FieldParams",
+    "FieldPattern",
     "FieldResult",
     "FormationParams",
     "FormationPattern",
@@ -67,6 +82,7 @@ __all__ = [
     "Message",
     "MovementPattern",
     "Neighbor",
+    "ObjectWidth",
     "Odometry",
     "Opinions",
     "Outputs",
@@ -86,6 +102,7 @@ __all__ = [
     "TopSpeed",
     "TopTurn",
     "TouchZone",
+    "TurnIfAlone",
     "Twist",
     "Value",
     "VoteWindow",
@@ -93,6 +110,7 @@ __all__ = [
     "VotingPattern",
     "WindowLength",
     "about",
+    "clear_distance",
     "closest_points",
     "clusters",
     "difference",
@@ -102,6 +120,7 @@ __all__ = [
     "keep_clear",
     "majority",
     "nearest",
+    "of_threshold",
     "place_on_circle",
     "place_on_line",
     "potential_field",
@@ -109,5 +128,6 @@ __all__ = [
     "sectors",
     "steer",
     "tally",
+    "threshold",
     "wrap",
 ]

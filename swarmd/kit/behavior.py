@@ -16,7 +16,7 @@ from numpy.random import Generator
 
 from swarmd.core.errors import PluginError, named
 from swarmd.core.values import Inputs, Outputs, Platform, Scalar, TouchZone, Twist, Value
-from swarmd.kit.params import P, Params
+from swarmd.kit.params import P, Params, derived_defaults
 
 
 class Make(Protocol):
@@ -82,8 +82,8 @@ class Pattern(ABC, Generic[P]):
 
     @classmethod
     def defaults(cls, platform: Platform) -> Mapping[str, Value]:
-        """Defaults that derive from the platform; they override the declared ones."""
-        return {}
+        """Defaults that derive from the platform: those of `about`; override to declare others."""
+        return derived_defaults(cls.params_type, platform)
 
     @abstractmethod
     def step(self, inputs: Inputs) -> Outputs:

@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar
 import numpy as np
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import ZERO, Array, Inputs, Platform, Pose, Scalar, Scan, Twist, Value
+from swarmd.core.values import ZERO, Array, Inputs, Platform, Pose, Scalar, Scan, Twist
 from swarmd.kit.behavior import Context, MovementPattern
 from swarmd.kit.formation_geometry import (
     NeighborTracker,
@@ -23,7 +23,17 @@ from swarmd.kit.formation_geometry import (
     to_base_frame,
     to_odometry_frame,
 )
-from swarmd.kit.params import Params, Recovery, TopSpeed, TopTurn, about
+from swarmd.kit.params import (
+    ObjectWidth,
+    Params,
+    Recovery,
+    TopSpeed,
+    TopTurn,
+    about,
+    clear_distance,
+    of_threshold,
+    threshold,
+)
 from swarmd.kit.steering import from_base, keep_clear, steer
 from swarmd.sensing.rays import closest_points
 
@@ -47,8 +57,8 @@ class FormationParams(Params, frozen=True, kw_only=True):
             source="ours",
         ),
     ] = "auto"
-    speed: TopSpeed = 0.2
-    turn: TopTurn = 1.82
+    speed: TopSpeed
+    turn: TopTurn
     spacing: Annotated[
         float,
         about(
@@ -58,8 +68,9 @@ class FormationParams(Params, frozen=True, kw_only=True):
             unit="m",
             source="ours: 2.2 times the protection threshold, and less than half of what the lidar "
             "reaches, so that it sees two in a row",
+            derived=_spacing,
         ),
-    ] = 1.1
+    ]
     range: Annotated[
         float,
         about(
@@ -78,8 +89,9 @@ class FormationParams(Params, frozen=True, kw_only=True):
             le=10.0,
             unit="m",
             source="ours: 0.07 times the spacing; below the noise no robot comes to rest",
+            derived=_tolerance,
         ),
-    ] = 0.077
+    ]
     clearance: Annotated[
         float,
         about(
@@ -89,8 +101,9 @@ class FormationParams(Params, frozen=True, kw_only=True):
             unit="m",
             source="as attraction: 1.06 times the protection threshold plus 1.3 times the lidar's "
             "offset",
+            derived=clear_distance,
         ),
-    ] = 0.6
+    ]
     brake: Annotated[
         float,
         about(
@@ -99,18 +112,10 @@ class FormationParams(Params, frozen=True, kw_only=True):
             le=20.0,
             unit="m",
             source="as dispersion: 0.6 times the protection threshold",
+            derived=of_threshold(0.6),
         ),
-    ] = 0.3
-    object_width: Annotated[
-        float,
-        about(
-            "by lidar: a wider object is not a robot",
-            ge=0.05,
-            le=10.0,
-            unit="m",
-            source="as attraction: twice the footprint's diagonal",
-        ),
-    ] = 0.8
+    ]
+    object_width: ObjectWidth
     recovery: Recovery = False
 
 
@@ -140,23 +145,6 @@ class FormationPattern(MovementPattern[F]):
         self._aimed_at = -math.inf
         self._seen = 0
         self._is_settled = False
-
-    @classmethod
-    def defaults(cls, platform: Platform) -> Mapping[str, Value]:
-        """Speeds from the limits, distances from the protection and the lidar."""
-        threshold = float(platform.protection["threshold"])
-        clearance = 1.06 * threshold + 1.3 * math.hypot(*platform.scan.offset)
-        in_sight = min(2.2 * threshold, 0.45 * platform.scan.range_max)
-        spacing = max(in_sight, 1.1 * _min_spacing(clearance, platform))
-        return {
-            "speed": min(platform.limits.linear, 0.5),
-            "turn": min(platform.limits.angular, 4.0),
-            "spacing": spacing,
-            "tolerance": max(0.07 * spacing, 0.03),
-            "clearance": clearance,
-            "brake": 0.6 * threshold,
-            "object_width": 2.0 * float(np.hypot(*np.ptp(platform.footprint, axis=0))),
-        }
 
     def update(self, params: F) -> None:
         """Apply changed parameters; ConfigError if the platform cannot satisfy them."""
@@ -249,6 +237,16 @@ def check_spacing(params: FormationParams, platform: Platform) -> None:
         )
 
 
+def _spacing(platform: Platform) -> float:
+    """The default spacing."""
+    in_sight = min(2.2 * threshold(platform), 0.45 * platform.scan.range_max)
+    return max(in_sight, 1.1 * _min_spacing(clear_distance(platform), platform))
+
+
+def _tolerance(platform: Platform) -> float:
+    return max(0.07 * _spacing(platform), 0.03)
+
+
 def _min_spacing(clearance: float, platform: Platform) -> float:
     half = 0.5 * float(np.ptp(platform.footprint, axis=0).max())
     return max(_kept_free(platform), clearance) + half
@@ -256,7 +254,7 @@ def _min_spacing(clearance: float, platform: Platform) -> float:
 
 def _kept_free(platform: Platform) -> float:
     """The distance in m from the axle that protection keeps free."""
-    return float(platform.protection["threshold"]) + math.hypot(*platform.scan.offset)
+    return threshold(platform) + math.hypot(*platform.scan.offset)
 
 
 def _lacking(platform: Platform) -> str:

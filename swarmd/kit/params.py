@@ -8,18 +8,19 @@ from __future__ import annotations
 
 import math
 import types
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
 from typing import get_type_hints as type_hints
 
 import msgspec
-from msgspec import NODEFAULT, Meta, Struct
+import numpy as np
+from msgspec import Meta, Struct
 
 from swarmd.core.errors import ParameterError, PluginError, unknown
 from swarmd.core.host_messages import Layers
-from swarmd.core.values import Scalar, Value
+from swarmd.core.values import Platform, Scalar, Value
 
 _TYPES: Mapping[object, str] = {float: "float", int: "int", bool: "bool", str: "str"}
 
@@ -37,9 +38,9 @@ class Params(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The parameters of one pattern: fields `name: Annotated[type, about(...)] = default`.
 
     The type is float, int, bool, str or a Literal of strings, `Annotated[int, about(...)] | None`
-    where None has a meaning. `__post_init__` may check several fields and raise ValueError. Every
-    pattern has `recovery`; one that stands or pushes on purpose overrides its default,
-    `recovery: Recovery = False`.
+    where None has a meaning. Without a default it is derived or required. `__post_init__` may check
+    several fields and raise ValueError. Every pattern has `recovery`; one that stands or pushes on
+    purpose overrides its default, `recovery: Recovery = False`.
     """
 
     recovery: Recovery = True
@@ -55,9 +56,30 @@ def about(
     le: float | None = None,
     unit: str = "",
     source: str = "",
+    derived: Callable[[Platform], float] | None = None,
 ) -> Meta:
-    """The meaning, bounds and unit of a parameter, and the source of its default."""
-    return Meta(ge=ge, le=le, description=description, extra={"unit": unit, "source": source})
+    """The meaning, bounds and unit of a parameter, and the source of its default.
+
+    `derived` computes the default from the platform; it applies to a field that declares none. A
+    lambda may use only its argument there: annotations are evaluated outside of the module.
+    """
+    extra = {"unit": unit, "source": source, "derived": derived}
+    return Meta(ge=ge, le=le, description=description, extra=extra)
+
+
+def threshold(platform: Platform) -> float:
+    """The distance in m that protection keeps free."""
+    return float(platform.protection["threshold"])
+
+
+def of_threshold(share: float) -> Callable[[Platform], float]:
+    """For `about(derived=...)`: so many times `threshold`."""
+    return lambda platform: share * threshold(platform)
+
+
+def clear_distance(platform: Platform) -> float:
+    """The distance in m from the axle at which turning in place does not activate protection."""
+    return 1.06 * threshold(platform) + 1.3 * math.hypot(*platform.scan.offset)
 
 
 TopSpeed = Annotated[
@@ -68,6 +90,7 @@ TopSpeed = Annotated[
         le=2.0,
         unit="m/s",
         source="ROS2swarm: the platform's limit, 0.5 m/s at most",
+        derived=lambda platform: min(platform.limits.linear, 0.5),
     ),
 ]
 TopTurn = Annotated[
@@ -78,13 +101,25 @@ TopTurn = Annotated[
         le=4.0,
         unit="rad/s",
         source="ROS2swarm: the platform's limit",
+        derived=lambda platform: min(platform.limits.angular, 4.0),
+    ),
+]
+ObjectWidth = Annotated[
+    float,
+    about(
+        "a wider object is not a robot",
+        ge=0.05,
+        le=10.0,
+        unit="m",
+        source="ours: twice the footprint's diagonal",
+        derived=lambda p: 2.0 * float(np.hypot(*np.ptp(p.footprint, axis=0))),
     ),
 ]
 
 
 @dataclass(frozen=True, slots=True)
 class ParamSpec:
-    """One parameter as tools show it; `default` is None if `is_required`."""
+    """One parameter as tools show it; `default` is None if derived or `is_required`."""
 
     name: str
     type: str
@@ -136,14 +171,26 @@ def build(
                 raise ParameterError(f"{unknown('parameter', name, specs)} (from {source})", name)
             values[name] = _convert(value, hints[name], specs[name], source)
             sources[name] = source
-    for name, spec in specs.items():
-        if spec.is_required and name not in values:
-            raise ParameterError(f"parameter {name} has no default; give it {spec.wanted}", name)
+    for field in msgspec.structs.fields(params_type):
+        if field.required and field.name not in values:
+            text = f"has no default; give it {specs[field.name].wanted}"
+            raise ParameterError(f"parameter {field.name} {text}", field.name)
     try:
         params = params_type(**values)
     except ValueError as error:
         raise ParameterError(f"parameters do not fit together: {error}") from error
     return params, {name: (getattr(params, name), sources[name]) for name in specs}
+
+
+def derived_defaults(params_type: type[Params], platform: Platform) -> dict[str, Value]:
+    """The defaults that are computed from the platform; see `about`."""
+    found: dict[str, Value] = {}
+    hints = _declared(params_type)[1]
+    for field in msgspec.structs.fields(params_type):
+        compute = (_unwrap(hints[field.name])[1].extra or {}).get("derived")
+        if field.required and compute is not None:
+            found[field.name] = compute(platform)
+    return found
 
 
 @lru_cache(maxsize=64)  # evaluating annotations takes 1 ms, and each run needs them
@@ -155,8 +202,8 @@ def _declared(params_type: type[Params]) -> tuple[Mapping[str, ParamSpec], Mappi
     except TypeError as error:
         raise PluginError(f"{params_type.__name__}: {error}") from error
     specs = [_spec(params_type, field, hints[field.name]) for field in _fields(params_type)]
-    for spec in specs:
-        if not spec.is_required:
+    for spec, field in zip(specs, _fields(params_type), strict=True):
+        if not field.required:
             _check_default(params_type, spec, hints[spec.name])
     return {spec.name: spec for spec in specs}, hints
 
@@ -197,19 +244,18 @@ def _spec(params_type: type[Params], field: Any, hint: Any) -> ParamSpec:
             "wanted is float, int, bool, str or a Literal of strings"
         )
     extra = meta.extra or {}
-    is_required = field.default is NODEFAULT and field.default_factory is NODEFAULT
     return ParamSpec(
         name=field.name,
         type="str" if choices else _TYPES[plain],
         unit=str(extra.get("unit", "")),
         ge=meta.ge,
         le=meta.le,
-        default=None if is_required else field.default,
+        default=None if field.required else field.default,
         description=meta.description or "",
         source=str(extra.get("source", "")),
         choices=choices,
         is_optional=is_optional,
-        is_required=is_required,
+        is_required=field.required and extra.get("derived") is None,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -94,7 +95,7 @@ def test_a_distance_within_protection_is_refused(distance: float) -> None:
 def test_a_refused_change_of_distance_keeps_the_old_one() -> None:
     pattern = Subject(Dispersion, WAFFLE, {}).make()
     good = pattern.params
-    bad = type(good)(distance=0.3)
+    bad = msgspec.structs.replace(good, distance=0.3)
     with pytest.raises(ConfigError, match=r"distance is 0\.3 m"):
         pattern.update(bad)
     assert pattern.params is good

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -15,7 +16,7 @@ from swarmd.kit.behavior import Pattern
 from swarmd.kit.factory import assemble
 from swarmd.kit.formation_geometry import NeighborTracker, place_on_line, robot_centers
 from swarmd.kit.formation_pattern import FormationParams
-from swarmd.patterns.line_formation import LineFormation, LineFormationParams
+from swarmd.patterns.line_formation import LineFormation
 from swarmd.settings.settings import load_platform
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of
@@ -179,7 +180,7 @@ def test_sensing_cannot_change_to_missing_hardware() -> None:
     pattern = make(BURGER)
     good = pattern.params
     with pytest.raises(ConfigError, match=r"neighbors\.bearing"):
-        pattern.update(LineFormationParams(sensing="neighbors"))
+        pattern.update(msgspec.structs.replace(good, sensing="neighbors"))
     assert pattern.params is good
 
 
