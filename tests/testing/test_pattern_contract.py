@@ -143,7 +143,7 @@ BROKEN: Mapping[str, tuple[Kind, str, str]] = {
     ),
     "reports_a_list": (
         giving(lambda i: Outputs(report={"seen": [1, 2]})),  # type: ignore[dict-item]  # the mistake
-        "test_reports_are_scalars",
+        STEPS,
         "report seen is a list",
     ),
     "trusts_messages": (
