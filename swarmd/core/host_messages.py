@@ -57,8 +57,6 @@ class SetParams(Struct, frozen=True, eq=False, array_like=True, tag="set"):
 class KillHost(Struct, frozen=True):
     """End the host; the next Load starts a fresh one."""
 
-    reason: str
-
 
 class StartTrial(Struct, frozen=True, eq=False):
     """Load a pattern in a new process beside the host, to learn whether it can be loaded.
@@ -72,8 +70,6 @@ class StartTrial(Struct, frozen=True, eq=False):
 
 class CancelTrial(Struct, frozen=True):
     """End the trial under way; no TrialDone follows."""
-
-    reason: str
 
 
 class Loaded(Struct, frozen=True, eq=False, array_like=True, tag="loaded"):

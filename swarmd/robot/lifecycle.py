@@ -260,7 +260,7 @@ class Lifecycle:
         running, loading = run.running, run.loading
         if running is None or not self.is_running:
             return
-        effects.command_host(KillHost(text))
+        effects.command_host(KillHost())
         self._last_fault = text
         self.log(f"{running.pattern} failed: {text}", effects.now)
         if loading is not None and loading.request is not None:
@@ -274,7 +274,7 @@ class Lifecycle:
     def fail_load(self, text: str, effects: Effects) -> None:
         """End a load that failed, and its host."""
         loading, self.pattern_run.loading = self.pattern_run.loading, None
-        effects.command_host(KillHost(text))
+        effects.command_host(KillHost())
         if loading is None:
             return
         self.log(f"{loading.pattern} was not loaded: {text}", effects.now)
@@ -290,7 +290,7 @@ class Lifecycle:
             self.pattern_run.end_running()  # the next run, already requested, goes on loading
         else:
             if loading is not None:
-                effects.command_host(KillHost(f"not wanted any more: {reason}"))
+                effects.command_host(KillHost())
             if loading is not None and loading.request is not None:
                 overtaken = f"{reason} while it was being loaded"
                 self.refuse(effects, loading.request, Refusal.OVERTAKEN, overtaken)
@@ -312,7 +312,7 @@ class Lifecycle:
         """End the trial under way, if any, without success; the running pattern goes on."""
         trial, self.trial = self.trial, None
         if trial is not None:
-            effects.trial = CancelTrial(text)
+            effects.trial = CancelTrial()
             self.log(f"{trial.request.pattern} not reloaded: {text}", effects.now)
             self.refuse(effects, trial.request, refusal, text)
 
@@ -408,7 +408,7 @@ class Lifecycle:
         """End a host that hangs in a step; a load that waits behind it gets a fresh host."""
         run, text = self.pattern_run, f"gave no answer for {STEP_TIMEOUT:.0f} s"
         if run.loading is None or self._load is None:
-            effects.command_host(KillHost("silent"))
+            effects.command_host(KillHost())
             self.fault(text, effects)
             return
         self.log(f"the pattern before {run.loading.pattern} {text}", effects.now)

@@ -177,10 +177,10 @@ class RequestHandler:
             self._replace(trial.request, effects)
         elif running is not None:
             run.is_outdated = True
-            effects.trial = CancelTrial("not wanted yet")
+            effects.trial = CancelTrial()
             lifecycle.applied(effects, trial.request, f"{new_code}; {running.pattern} goes on")
         else:
-            effects.command_host(KillHost("reloaded"))
+            effects.command_host(KillHost())
             lifecycle.applied(effects, trial.request, f"{new_code}; {state}, as before")
 
     def advance(self, effects: Effects) -> None:
@@ -211,7 +211,7 @@ class RequestHandler:
                 is_fresh=True,
             )
         else:
-            effects.command_host(KillHost("reloaded"))
+            effects.command_host(KillHost())
             lifecycle.applied(effects, request, "reloaded, and stopped")
 
 

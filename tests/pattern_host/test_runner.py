@@ -147,7 +147,7 @@ def test_the_end_of_a_host_is_reported_with_cause(tmp_path: Path, body: str, wor
 
 def test_a_fresh_host_takes_the_load_after_a_kill(tmp_path: Path) -> None:
     answers = play(
-        tmp_path, "return Twist(0.1)", load("plugin"), KillHost("test"), load("plugin", 2), step(2)
+        tmp_path, "return Twist(0.1)", load("plugin"), KillHost(), load("plugin", 2), step(2)
     )
     assert [type(answer) for answer in answers] == [Loaded, Loaded, Stepped]
 

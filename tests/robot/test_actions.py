@@ -11,7 +11,7 @@ from swarmd.settings.settings import load_platform
 
 LOAD = Load(1, "drive", (), "tb3-01", load_platform("burger"), 1)
 FRESH = Load(1, "drive", (), "tb3-01", LOAD.platform, 1, is_fresh=True)
-KILL, SET_PARAMS = KillHost("stopped"), SetParams(1, "r1", {})
+KILL, SET_PARAMS = KillHost(), SetParams(1, "r1", {})
 STEP = Step(1, Inputs(now=0.0, dt=0.0))
 
 
