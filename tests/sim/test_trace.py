@@ -30,6 +30,7 @@ def test_comes_back_from_the_disk_as_it_was(tmp_path: Path) -> None:
     path = tmp_path / "deep" / "run.npz"
     trace.save(path)
     again = load_trace(path)
+    np.testing.assert_array_equal(trace.contact_pair, [[0, 1], [1, ARENA]])
     for name in ("t", "pose", "safe", "contact_t", "contact_pair", "contact_speed"):
         np.testing.assert_array_equal(getattr(again, name), getattr(trace, name))
     assert again.ids == IDS
@@ -71,10 +72,6 @@ def test_keeps_reports_and_words(tmp_path: Path) -> None:
     assert again.box_pose.shape == (10, 1, 3)
 
 
-def test_contacts_hold_rows_of_robots_and_the_arena() -> None:
-    np.testing.assert_array_equal(recorded().contact_pair, [[0, 1], [1, ARENA]])
-
-
 def test_clearing_begins_anew() -> None:
     recorder = TraceBuilder(IDS, [load_platform("burger")] * 2, {})
     recorder.add(0.0, np.zeros((2, 3)), np.zeros((2, 3)))
@@ -108,14 +105,8 @@ def test_a_trace_of_another_version_is_said_to_be_one(tmp_path: Path) -> None:
 def test_a_file_that_is_no_trace_is_one_clear_error(tmp_path: Path, content: bytes) -> None:
     path = tmp_path / "run.npz"
     path.write_bytes(content)
-    with pytest.raises(ConfigError, match="not a trace"):
+    with pytest.raises(ConfigError, match=r"run\.npz: not a trace"):
         load_trace(path)
-
-
-def test_other_arrays_than_a_trace_are_refused(tmp_path: Path) -> None:
-    np.savez(tmp_path / "run.npz", numbers=np.arange(3))
-    with pytest.raises(ConfigError, match="not a trace"):
-        load_trace(tmp_path / "run.npz")
     with pytest.raises(ConfigError, match=r"missing\.npz"):
         load_trace(tmp_path / "missing.npz")
 

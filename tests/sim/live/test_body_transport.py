@@ -90,13 +90,6 @@ def test_every_robot_publishes_its_sensors_at_their_rates(stage: Stage) -> None:
     assert all(len(scan.ranges) == 360 for _, scan in stage.side.scans)
 
 
-def test_an_lds_reports_no_return_as_zero(stage: Stage) -> None:
-    stage.pass_time(0.5)
-    _, scan = stage.side.scans[0]
-    assert (scan.ranges == 0.0).any()
-    assert not np.isinf(scan.ranges).any()
-
-
 def test_an_emulated_base_stops_by_its_own_timeout_or_never(stage: Stage) -> None:
     for robot in IDS:
         stage.side.command(robot, Twist(0.2))

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 import zenoh
+from msgspec.structs import replace
 
 from swarmd.core import keys
-from swarmd.core.codec import encode
+from swarmd.core.codec import MAX_SENSE, encode
 from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.core.values import Twist
 from swarmd.driver_api.hw_codec import CommandWire, decode_command, encode_command
 from swarmd.sim.live.link import WorldLink, WorldView, client_options
 from swarmd.sim.live.state import WorldReply, WorldState
+from tests.support.processes import wait_until
 
 CAP = 20.0
 ANY_PORT = "tcp/127.0.0.1:0"
@@ -39,16 +41,6 @@ def peer(link: WorldLink) -> Iterator[zenoh.Session]:
     session = zenoh.open(config)
     yield session
     session.close()
-
-
-def until(condition: Callable[[], bool]) -> bool:
-    """True once the condition holds; false if it does not for a very long time."""
-    pause = threading.Event()
-    for _ in range(int(CAP / 0.005)):
-        if condition():
-            return True
-        pause.wait(0.005)
-    return False
 
 
 def state(time: float = 0.0) -> WorldState:
@@ -92,7 +84,7 @@ def test_only_the_newest_command_of_each_robot_is_kept(
         taken.update(link.take_commands())
         return "b" in taken and "a" in taken and taken["a"][0] == decode_command(last)
 
-    assert until(all_there)
+    wait_until(all_there, "all_there")
     assert taken["b"][0].linear == 0.2
     assert set(taken) == {"a", "b"}
 
@@ -107,7 +99,7 @@ def test_a_malformed_command_replaces_no_valid_one(link: WorldLink, peer: zenoh.
             taken.update(link.take_commands())
         return bool(taken)
 
-    assert until(counted)
+    wait_until(counted, "counted")
     assert taken["a"][0].linear == 0.2
 
 
@@ -121,7 +113,7 @@ def test_commands_on_other_keys_are_counted_and_dropped(
         peer.put(key, payload)
         return link.dropped > 0
 
-    assert until(counted)
+    wait_until(counted, "counted")
     assert link.take_commands() == {}
 
 
@@ -134,7 +126,7 @@ def test_a_viewer_sees_the_state(link: WorldLink) -> None:
             link.publish_state(state(12.5))
             return bool(seen)
 
-        assert until(shown)
+        wait_until(shown, "shown")
     assert seen[0].time == 12.5
     assert seen[0].arena == (6.0, 6.0)
 
@@ -178,20 +170,12 @@ def test_senses_reach_the_key_of_their_robot_alone(link: WorldLink, peer: zenoh.
         link.publish("a", "scan", b"ranges")
         return bool(heard)
 
-    assert until(sent)
+    wait_until(sent, "sent")
     assert set(heard) == {(keys.build("s", "a", "hw", "scan"), b"ranges")}
 
 
 def test_a_state_of_many_robots_stays_within_the_size_limit() -> None:
-    n = 500
-    big = state()
-    whole = WorldState(
-        **{
-            **{name: getattr(big, name) for name in big.__struct_fields__},
-            "ids": tuple(f"robot-{i:03d}" for i in range(n)),
-            "poses": ((1.0 / 3.0, -1.0 / 3.0, 3.0),) * n,
-            "twists": ((1.0 / 3.0, -1.0 / 3.0, 3.0),) * n,
-            "commanded": (True,) * n,
-        }
-    )
-    assert len(encode(whole)) < 64 * 1024
+    three = (1.0 / 3.0, -1.0 / 3.0, 3.0)
+    many = {"poses": (three,) * 500, "twists": (three,) * 500, "commanded": (True,) * 500}
+    whole = replace(state(), ids=tuple(f"robot-{i:03d}" for i in range(500)), **many)
+    assert len(encode(whole)) < MAX_SENSE

@@ -15,12 +15,11 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.core.errors import ConfigError
 from swarmd.core.values import Neighbor, Odometry, Scan, Twist
 from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldView
-from swarmd.sim.live.server import main, parse_robots
+from swarmd.sim.live.server import main
 from swarmd.sim.metrics.kinematics import path_lengths
 from swarmd.sim.trace import load_trace
 
@@ -234,14 +233,15 @@ async def _ended(pidfd: int) -> None:
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (("--robots", "a:wafle_pi"), "did you mean 'waffle_pi'"),
-        (("--robots", "A:burger"), "robot id is 'A'"),
-        (("--robots", "a:burger,a:burger"), "'a' twice"),
-        (("--robots", "a"), "wanted is such as tb3-01:waffle_pi"),
-        ((*TWO, "--arena", "big"), "wanted is such as 6x6"),
-        ((*TWO[:2], "--layout", "row:0.1"), "robot 1 at (0, 0.05) touches robot 0"),
+        (("--robots", "a:wafle_pi"), "'waffle_pi'"),
+        (("--robots", "A:burger"), "'A'"),
+        (("--robots", "a:burger,a:burger"), "'a'"),
+        (("--robots", "a"), "robots"),
+        (("--robots", ""), "robots"),
+        ((*TWO, "--arena", "big"), "6x6"),
+        ((*TWO[:2], "--layout", "row:0.1"), "robot 1"),
         ((*TWO, "--endpoint", "here"), "endpoint"),
-        ((*TWO, "--radio-range", "-1"), "--radio-range: range is -1"),
+        ((*TWO, "--radio-range", "-1"), "--radio-range"),
     ],
 )
 def test_an_invalid_option_is_one_line_and_exit_code_2(
@@ -252,11 +252,3 @@ def test_an_invalid_option_is_one_line_and_exit_code_2(
     assert complaint in said.err
     assert said.err.count("\n") == 1
     assert said.out == ""
-
-
-def test_a_platform_is_loaded_once_for_all_its_robots() -> None:
-    robots = parse_robots("a:burger,b:burger,c:jackal")
-    assert list(robots) == ["a", "b", "c"]
-    assert robots["a"] is robots["b"]
-    with pytest.raises(ConfigError, match="wanted is such as"):
-        parse_robots("")

@@ -9,7 +9,6 @@ import pytest
 from swarmd.core.messages import Reason, Row, State, Status
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.trace_from_statuses import StatusLog
-from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.trace import Trace, TraceBuilder
 from tests.support.robot_harness import RobotHarness
 
@@ -85,15 +84,6 @@ def test_the_tightest_constraint_is_in_the_trace(trace: Trace, status: Status) -
     assert np.isnan(told.bound[[4, 10], 0]).all()
     assert np.isnan(told.bound[:, 1]).all()
     assert told.recovering[:, 0].tolist() == [*[False] * 5, *[True] * 5, *[False] * 11]
-
-
-def test_the_merged_trace_gives_metrics_of_protection(trace: Trace, status: Status) -> None:
-    assert measure(trace, ["consensus_share"]) == {"consensus_share": None}
-    statements = StatusLog()
-    both = {"a": say(status, "a", 1, is_active=True), "b": say(status, "b", 1, is_active=True)}
-    statements.add(0.0, both)
-    found = measure(statements.merged_into(trace), ["consensus_share", "protection_duty"])
-    assert found == {"consensus_share": 1.0, "protection_duty": 1.0}
 
 
 def test_without_statuses_the_trace_is_unchanged(trace: Trace) -> None:

@@ -63,16 +63,8 @@ def at(trace: Trace, time: float) -> int:
 def digest(trace: Trace) -> str:
     """Of every array."""
     whole = hashlib.sha256()
-    for name in (
-        "t",
-        "pose",
-        "safe",
-        "requested",
-        "contact_t",
-        "contact_speed",
-        "decided",
-        "evaded",
-    ):
+    names = "t pose safe requested contact_t contact_speed decided evaded"
+    for name in names.split():
         whole.update(np.ascontiguousarray(getattr(trace, name)).tobytes())
     for name in sorted(trace.report):
         whole.update(trace.report[name].tobytes())
@@ -227,23 +219,15 @@ def test_parameters_of_a_run_and_of_param_reach_the_pattern() -> None:
     assert (late[:, 1] > 0.1).all()
 
 
-def test_a_run_for_some_seconds_finishes() -> None:
+@pytest.mark.parametrize("end", [{"for": 1.0}, {"until": ["timeout:1"]}])
+def test_a_run_ends_after_its_seconds_or_by_its_condition(end: dict[str, Any]) -> None:
     running = {"count": 3, "prefix": "r"}
-    trace = simulate_run(
-        scenario(groups={"all": running}, events=[{"at": 0.5, "run": "drive", "for": 1.0}]), 0
-    )
-    assert trace.reason is not None
-    assert set(trace.reason[-1]) == {"finished"}
-    assert (speeds(trace)[-1] < 1e-6).all()
-
-
-def test_a_run_ends_until_a_condition_holds() -> None:
-    running = {"count": 3, "prefix": "r"}
-    event = {"at": 0.5, "run": "drive", "until": ["timeout:1"]}
+    event = {"at": 0.5, "run": "drive", **end}
     trace = simulate_run(scenario(groups={"all": running}, events=[event]), 0)
     assert trace.reason is not None
+    assert (speeds(trace)[at(trace, 1.2)] > 0.01).all()
     assert set(trace.reason[-1]) == {"finished"}
-    assert (np.abs(speeds(trace)[at(trace, 1.2)]) > 0.01).all()
+    assert (speeds(trace)[-1] < 1e-6).all()
 
 
 def test_messages_pass_the_radio_alone() -> None:
@@ -333,14 +317,7 @@ def test_readings_reach_the_pattern(tmp_path: Path) -> None:
             groups={"all": {"count": 2, "prefix": "r", "pattern": "sniff"}},
             plugin_dir=str(tmp_path),
             fields=[
-                {
-                    "name": "light",
-                    "kind": "linear",
-                    "slope": 1.0,
-                    "base": 2.0,
-                    "origin": [0.0, 0.0],
-                    "direction_deg": 90.0,
-                }
+                {"name": "light", "kind": "linear", "slope": 1.0, "base": 2.0, "direction_deg": 90}
             ],
         ),
         0,

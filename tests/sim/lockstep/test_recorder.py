@@ -46,6 +46,9 @@ def test_keeps_the_tightest_constraint_and_nan_without_one(trace: Trace) -> None
     assert abs(bound[first, 0]) < math.radians(60.0)
     assert 0.0 < bound[first, 2] < 0.2
     assert np.isnan(trace.bound[:, 1]).all()
+    assert trace.recovering is not None
+    np.testing.assert_array_equal(trace.recovering.any(axis=0), [True, False])
+    assert trace.meta["modes"] == {"careful": "barrier"}
 
 
 def test_keeps_gap_and_scan_age(trace: Trace) -> None:
@@ -57,13 +60,3 @@ def test_keeps_gap_and_scan_age(trace: Trace) -> None:
     assert np.isnan(trace.gap[:, 1]).all()
     assert np.isnan(trace.scan_age[0]).all()
     assert (trace.scan_age[5:] < 0.3).all()
-
-
-def test_keeps_when_a_robot_was_recovering(trace: Trace) -> None:
-    assert trace.recovering is not None
-    assert trace.recovering[:, 0].any()
-    assert not trace.recovering[:, 1].any()
-
-
-def test_keeps_the_mode_of_each_platform(trace: Trace) -> None:
-    assert trace.meta["modes"] == {"careful": "barrier"}

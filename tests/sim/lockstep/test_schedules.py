@@ -24,16 +24,6 @@ def test_each_job_comes_at_its_rate_and_no_two_in_step(rate: float) -> None:
         assert len({times[0] for times in seen}) == 3
 
 
-def test_rhythms_that_begin_together_meet_again() -> None:
-    sweeps, beats = (
-        Schedules(np.array([5.0]), np.array([0.37])),
-        Schedules(np.array([20.0]), np.array([0.37])),
-    )
-    for step in range(200):
-        swept, beaten = sweeps.due(step * DT), beats.due(step * DT)
-        assert len(beaten) >= len(swept)
-
-
 def test_all_jobs_begin_at_once_by_default() -> None:
     rhythm = Schedules(np.array([10.0, 10.0]))
     assert [len(rhythm.due(step * DT)) for step in range(11)] == [2, *[0] * 9, 2]
