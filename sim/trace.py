@@ -9,15 +9,20 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.messages import DecisionSummary
 from swarmd.core.values import Array, Platform
+from swarmd.protection.decision import Decision
 
 ARENA = -1
 """The index of walls, fixed boxes and poles in a contact."""
 
 VERSION = 4
+WORD = "U24"
+"""The type of states, reasons and reported texts in arrays."""
 
 _PARTS = {
     "t": "f T", "pose": "f T n 3", "safe": "f T n 3", "requested": "f T n 3",
@@ -216,3 +221,32 @@ class TraceBuilder:
             box_pose=np.array(self._box_pose).reshape(-1, m, 3) if m else None,
             box_shapes=self._shapes,
         )
+
+
+def blank_decisions(shape: tuple[int, ...]) -> dict[str, NDArray[Any]]:
+    """The arrays that `enter_decision` fills, as of robots that reported nothing."""
+    return {
+        "state": np.full(shape, "", dtype=WORD),
+        "reason": np.full(shape, "", dtype=WORD),
+        "active": np.zeros(shape, dtype=bool),
+        "recovering": np.zeros(shape, dtype=bool),
+        "gap": np.full(shape, np.nan),
+        "scan_age": np.full(shape, np.nan),
+        "bound": np.full((*shape, 3), np.nan),
+    }
+
+
+def enter_decision(
+    arrays: Mapping[str, NDArray[Any]],
+    place: Any,
+    state: str,
+    reason: str,
+    decision: Decision | DecisionSummary,
+) -> None:
+    """Enter what a robot reports of its decision at `place`, an index of the arrays."""
+    arrays["state"][place], arrays["reason"][place] = state, reason
+    arrays["active"][place] = decision.is_active
+    arrays["recovering"][place] = decision.is_recovering
+    arrays["gap"][place] = np.nan if decision.min_gap is None else decision.min_gap
+    arrays["scan_age"][place] = np.nan if decision.scan_age is None else decision.scan_age
+    arrays["bound"][place] = astuple(decision.rows[0]) if decision.rows else np.nan

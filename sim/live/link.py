@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from types import TracebackType
 
@@ -18,8 +18,16 @@ import zenoh
 from swarmd.core import keys
 from swarmd.core.codec import MAX_CONTROL, encode
 from swarmd.core.errors import CodecError, NetworkError, SwarmError
-from swarmd.driver_api.hw_codec import CommandWire, decode_command
+from swarmd.core.values import Neighbor, Odometry, Scan, Twist
+from swarmd.driver_api.hw_codec import (
+    decode_command,
+    encode_neighbors,
+    encode_odometry,
+    encode_readings,
+    encode_scan,
+)
 from swarmd.network.session import open_listening, open_with, tune_sockets
+from swarmd.sim.live.body_transport import Command
 from swarmd.sim.live.state import (
     Action,
     Triple,
@@ -75,7 +83,7 @@ class WorldLink:
         self.dropped = 0
         self._clock = clock
         self._lock = threading.Lock()
-        self._commands: dict[str, tuple[CommandWire, float]] = {}
+        self._commands: dict[str, Command] = {}
         self._requests: list[PendingRequest] = []
         self._swarm = swarm
         self._ids = frozenset(ids)
@@ -96,12 +104,28 @@ class WorldLink:
         """Publish sensor data of a robot; dropped if the link is busy."""
         self._publishers[robot, name].put(payload)
 
+    def scan(self, robot: str, scan: Scan) -> None:
+        """Publish a scan."""
+        self.publish(robot, "scan", encode_scan(scan))
+
+    def odometry(self, robot: str, odometry: Odometry) -> None:
+        """Publish a measured pose and twist."""
+        self.publish(robot, "odometry", encode_odometry(odometry))
+
+    def neighbors(self, robot: str, neighbors: tuple[Neighbor, ...]) -> None:
+        """Publish the robots in radio contact."""
+        self.publish(robot, "neighbors", encode_neighbors(neighbors))
+
+    def readings(self, robot: str, values: Mapping[str, float]) -> None:
+        """Publish scalar readings."""
+        self.publish(robot, "readings", encode_readings(values))
+
     def publish_state(self, state: WorldState) -> None:
         """Publish the state for viewers."""
         self._state.put(encode(state))
 
-    def take_commands(self) -> dict[str, tuple[CommandWire, float]]:
-        """The newest command of each robot since the last call, with its time of arrival in s."""
+    def take_commands(self) -> Mapping[str, Command]:
+        """The newest command of each robot since the last call."""
         with self._lock:
             commands, self._commands = self._commands, {}
         return commands
@@ -131,12 +155,13 @@ class WorldLink:
             return
         arrival = self._clock()
         try:
-            command = decode_command(sample.payload.to_bytes())
+            wire = decode_command(sample.payload.to_bytes())
         except CodecError:  # keep the newest valid command
             self.dropped += 1
             return
+        twist = Twist(wire.linear, wire.angular, wire.lateral)
         with self._lock:
-            self._commands[key.robot] = (command, arrival)
+            self._commands[key.robot] = Command(twist, arrival, wire.scan_seq)
 
     def _on_query(self, query: zenoh.Query) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""

@@ -14,7 +14,7 @@ import numpy as np
 
 from swarmd.core.errors import CodecError, SwarmError
 from swarmd.core.values import Array, Scan
-from swarmd.sim.live.body_transport import BodyTransport, HwTransport
+from swarmd.sim.live.body_transport import EmulatorTransport
 from swarmd.sim.live.link import PendingRequest, WorldLink
 from swarmd.sim.live.pacing import Staggered, StepPacer
 from swarmd.sim.live.recording import LiveRecorder
@@ -41,18 +41,20 @@ class RealTimeWorld:
         recorder: LiveRecorder,
         *,
         radio: Radio | None = None,
-        transport: BodyTransport | None = None,
+        emulated: EmulatorTransport | None = None,
         command_timeouts: Sequence[float] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        """`clock` is the clock with which `link` and `transport` stamp arrivals.
+        """`clock` is the clock with which `link` and `emulated` stamp arrivals.
 
         `radio` gives the neighbors; without one they are not published and all hear all.
-        `transport` defaults to the link. `command_timeouts`: for each robot the seconds without a
-        command after which its base stops, inf for never, by default `COMMAND_TIMEOUT`.
+        With `emulated` the robots have its sensors and commands instead of those of the link.
+        `command_timeouts`: for each robot the seconds without a command after which its base stops,
+        inf for never, by default `COMMAND_TIMEOUT`.
         """
         self._world, self._link, self._recorder, self._clock = world, link, recorder, clock
-        self._radio, self._transport = radio, transport or HwTransport(link)
+        self._radio, self._emulated = radio, emulated
+        self._transport = emulated or link
         n, start = len(world.ids), world.time
         self._rows = {robot: row for row, robot in enumerate(world.ids)}
         self._commands = np.zeros((n, 3))
@@ -161,6 +163,7 @@ class RealTimeWorld:
 
     def _state(self) -> WorldState:
         world, record = self._world, self._recorder
+        emulated = self._emulated.side.dropped if self._emulated else 0
         return WorldState(
             time=world.time,
             real_time_factor=self._pacer.real_time_factor(),
@@ -174,9 +177,9 @@ class RealTimeWorld:
             is_recording=record.is_running,
             recorded=record.seconds,
             overruns=self._pacer.overruns,
-            dropped=self._link.dropped + self._transport.dropped + self._unreadable,
+            dropped=self._link.dropped + emulated + self._unreadable,
         )
 
 
 def _triples(rows: Array) -> tuple[Triple, ...]:
-    return tuple((float(a), float(b), float(c)) for a, b, c in rows)
+    return tuple((a, b, c) for a, b, c in rows.tolist())

@@ -19,7 +19,7 @@ from swarmd.sim.world.world import World
 _log = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class RecorderSettings:
     """How a run is recorded.
 

@@ -28,7 +28,7 @@ from swarmd.plugins import load_emulator
 from swarmd.settings.driver_options import stops_after
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.body_transport import DRIVER, BodyTransport, EmulatorTransport, HwTransport
+from swarmd.sim.live.body_transport import DRIVER, EmulatorTransport
 from swarmd.sim.live.link import WorldLink
 from swarmd.sim.live.realtime import RealTimeWorld
 from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
@@ -95,31 +95,32 @@ def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
     swarm = check_id(options.swarm, "swarm")
     robots = parse_robots(options.robots)
     world = _make_world(options, robots)
-    settings = RecorderSettings(
-        path=options.trace,
-        rate=options.trace_rate,
-        seconds=options.seconds,
-        meta=_meta(options, robots),
-    )
+    meta = _meta(options, robots, world)
+    settings = RecorderSettings(options.trace, options.trace_rate, options.seconds, meta)
     record = LiveRecorder(world, settings)
     with ExitStack() as opened:
         link = WorldLink(swarm, robots, options.endpoint)
         opened.callback(link.close)
-        transport: BodyTransport = HwTransport(link)
         driver, driver_options, timeouts = DRIVER, dict[str, Value](endpoint=link.endpoint), None
+        emulated = None
         if options.emulator is not None:
-            transport = emulated = _make_emulator(options, robots)
-            opened.callback(emulated.close)
+            emulated = _make_emulator(options, robots)
+            opened.callback(emulated.side.close)
             driver, driver_options = options.emulator, dict(emulated.side.driver_options)
-            timeouts = [_command_timeout(platform, driver) for platform in robots.values()]
+            timeouts = [
+                stops_after(p.drivers.get(driver, {}), f"platform {p.name}: drivers.{driver}")
+                for p in robots.values()
+            ]
         ready = {"endpoint": link.endpoint, "swarm": swarm, "driver": driver}
         print(json.dumps({**ready, "driver_options": driver_options}), flush=True)
         # What is alive now stays alive; a collection would only walk through it again.
         gc.collect()
         gc.freeze()
-        radio = _make_radio(options, world)
+        radio = None  # all robots hear each other, which daemons assume without neighbors
+        if options.radio_range is not None:
+            radio = Radio(_radio_settings(options), world.ids, world.arena, seed=options.seed)
         live = RealTimeWorld(
-            world, link, record, radio=radio, transport=transport, command_timeouts=timeouts
+            world, link, record, radio=radio, emulated=emulated, command_timeouts=timeouts
         )
         live.run(is_over)
 
@@ -133,11 +134,6 @@ def _make_emulator(
             " neighbors; leave one of the two out"
         )
     return EmulatorTransport(load_emulator(options.emulator), robots, options.emulator_endpoint)
-
-
-def _command_timeout(platform: Platform, driver: str) -> float:
-    what = f"platform {platform.name}: drivers.{driver}"
-    return stops_after(platform.drivers.get(driver, {}), what)
 
 
 def _with_varying_ranges(realism: Realism) -> Realism:
@@ -164,14 +160,6 @@ def _make_world(options: argparse.Namespace, robots: Mapping[str, Platform]) -> 
     )
 
 
-def _make_radio(options: argparse.Namespace, world: World) -> Radio | None:
-    """The radio; None if all robots hear each other, which daemons assume without one."""
-    settings = _radio_settings(options)
-    if settings.neighborhood == "all":
-        return None
-    return Radio(settings, world.ids, world.arena, seed=options.seed)
-
-
 def _radio_settings(options: argparse.Namespace) -> RadioSettings:
     if options.radio_range is None:
         return RadioSettings()
@@ -179,11 +167,13 @@ def _radio_settings(options: argparse.Namespace) -> RadioSettings:
     return Layered(("--radio-range", asked)).build(RadioSettings)
 
 
-def _meta(options: argparse.Namespace, robots: Mapping[str, Platform]) -> dict[str, object]:
+def _meta(
+    options: argparse.Namespace, robots: Mapping[str, Platform], world: World
+) -> dict[str, object]:
     kinds = {platform.name: platform for platform in robots.values()}
     return {
         "swarm": options.swarm,
-        "arena": parse_arena(options.arena).text,
+        "arena": world.arena.text,
         "layout": options.layout,
         "seed": options.seed,
         "lidar_visibility": options.lidar_visibility,

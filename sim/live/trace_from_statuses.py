@@ -7,13 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from swarmd.core.messages import Status
-from swarmd.sim.trace import Trace
-
-_WORD = "U24"
+from swarmd.sim.trace import WORD, Trace, blank_decisions, enter_decision
 
 
 class StatusLog:
@@ -36,7 +33,7 @@ class StatusLog:
         if not self._received:
             return trace
         shape = len(trace.t), len(trace.ids)
-        known = _blank(shape)
+        known: dict[str, Any] = blank_decisions(shape)
         reports: dict[str, NDArray[Any]] = {}
         words: dict[str, NDArray[Any]] = {}
         for time, statuses in self._received:
@@ -45,10 +42,11 @@ class StatusLog:
                 if robot not in trace.ids:
                     continue
                 place = slice(since, None), trace.ids.index(robot)
-                _enter(known, place, status)
+                state, reason = status.state.value, status.reason or ""
+                enter_decision(known, place, state, reason, status.decision)
                 for name, value in status.report.items():
                     if isinstance(value, str):
-                        words.setdefault(name, np.full(shape, "", dtype=_WORD))[place] = value
+                        words.setdefault(name, np.full(shape, "", dtype=WORD))[place] = value
                     else:
                         reports.setdefault(name, np.full(shape, np.nan))[place] = float(value)
         return replace(
@@ -57,25 +55,3 @@ class StatusLog:
             report=dict(sorted(reports.items())),
             words=dict(sorted(words.items())),
         )
-
-
-def _blank(shape: tuple[int, int]) -> dict[str, Any]:
-    """The values of robots before their first status."""
-    return {
-        "state": np.full(shape, "", dtype=_WORD),
-        "reason": np.full(shape, "", dtype=_WORD),
-        "active": np.zeros(shape, dtype=bool),
-        "recovering": np.zeros(shape, dtype=bool),
-        "gap": np.full(shape, np.nan),
-        "scan_age": np.full(shape, np.nan),
-        "bound": np.full((*shape, 3), np.nan),
-    }
-
-
-def _enter(known: Mapping[str, Any], place: tuple[slice, int], status: Status) -> None:
-    decision = status.decision
-    known["state"][place], known["reason"][place] = status.state.value, status.reason or ""
-    known["active"][place], known["recovering"][place] = decision.is_active, decision.is_recovering
-    known["gap"][place] = np.nan if decision.min_gap is None else decision.min_gap
-    known["scan_age"][place] = np.nan if decision.scan_age is None else decision.scan_age
-    known["bound"][place] = astuple(decision.rows[0]) if decision.rows else np.nan

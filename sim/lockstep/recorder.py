@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 
 from swarmd.core.values import Array
 from swarmd.sim.lockstep.shell import RobotShell
-from swarmd.sim.trace import Trace, TraceBuilder
+from swarmd.sim.trace import WORD, Trace, TraceBuilder, blank_decisions, enter_decision
 from swarmd.sim.world.world import World
-
-_WORD = "U24"
 
 
 class LockstepRecorder:
@@ -63,7 +61,7 @@ class LockstepRecorder:
                 for name, entries in sorted(self._reports.items())
             },
             words={
-                name: _filled(entries, np.full(shape, "", dtype=_WORD))
+                name: _filled(entries, np.full(shape, "", dtype=WORD))
                 for name, entries in sorted(self._words.items())
             },
             **known,
@@ -79,38 +77,23 @@ class LockstepRecorder:
 
 def _blank(n: int) -> dict[str, NDArray[Any]]:
     """The values of n robots without a daemon."""
-    flags, counts = np.zeros((3, n), dtype=bool), np.zeros((2, n), dtype=np.int64)
-    words, numbers = np.full((2, n), "", dtype=_WORD), np.full((2, n), np.nan)
     return {
-        "present": flags[0],
-        "active": flags[1],
-        "recovering": flags[2],
-        "decided": counts[0],
-        "evaded": counts[1],
-        "state": words[0],
-        "reason": words[1],
-        "gap": numbers[0],
-        "scan_age": numbers[1],
-        "bound": np.full((n, 3), np.nan),
+        "present": np.zeros(n, dtype=bool),
+        "decided": np.zeros(n, dtype=np.int64),
+        "evaded": np.zeros(n, dtype=np.int64),
         "requested": np.zeros((n, 3)),
+        **blank_decisions((n,)),
     }
 
 
 def _enter(kept: Mapping[str, NDArray[Any]], row: int, shell: RobotShell) -> None:
     """Enter the state of robot `row` and its decisions since the last sample."""
     robot, decision = shell.robot, shell.robot.decision
+    enter_decision(kept, row, robot.state.value, robot.reason or "", decision)
     kept["present"][row] = True
-    kept["state"][row], kept["reason"][row] = robot.state.value, robot.reason or ""
     kept["requested"][row] = astuple(decision.requested)
-    kept["active"][row], kept["recovering"][row] = decision.is_active, decision.is_recovering
     kept["decided"][row], kept["evaded"][row] = shell.decided, shell.evaded
     shell.decided = shell.evaded = 0
-    if decision.min_gap is not None:
-        kept["gap"][row] = decision.min_gap
-    if decision.scan_age is not None:
-        kept["scan_age"][row] = decision.scan_age
-    if decision.rows:
-        kept["bound"][row] = astuple(decision.rows[0])
 
 
 def _filled(entries: Sequence[tuple[int, int, Any]], values: NDArray[Any]) -> NDArray[Any]:

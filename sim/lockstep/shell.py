@@ -5,11 +5,11 @@ It takes the place of the daemon: patterns run inline, without sockets, threads 
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 from swarmd.core.host_messages import HostCommand
-from swarmd.core.messages import Reply, Request, Status
-from swarmd.core.values import Scan, Twist, Value
+from swarmd.core.messages import Reply, Request
+from swarmd.core.values import Scan, Twist
 from swarmd.kit.factory import Find
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.runner import InlineRunner
@@ -17,29 +17,14 @@ from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
 
-
-class RobotOutputs(Protocol):
-    """The base, radio and alarm of robot `row`."""
-
-    def command(self, row: int, twist: Twist) -> None:
-        """Set the command of the base."""
-
-    def send_message(self, row: int, name: str, value: Value, now: float) -> None:
-        """Send a pattern's message on `<pattern>/<channel>`."""
-
-    def publish_status(self, row: int, status: Status) -> None:
-        """Publish the robot's status."""
-
-    def set_alarm(self, row: int, at: float | None) -> None:
-        """Tick the robot at `at`, even between two ticks."""
+if TYPE_CHECKING:
+    from swarmd.sim.lockstep.lockstep import Lockstep
 
 
 class RobotShell:
     """`decided` counts the scans judged while running, `evaded` those with protection active."""
 
-    def __init__(
-        self, row: int, robot: Robot, find: Find, outputs: RobotOutputs, now: float
-    ) -> None:
+    def __init__(self, row: int, robot: Robot, find: Find, outputs: Lockstep, now: float) -> None:
         self.row = row
         self.robot = robot
         self.latches: LatchRecord | None = None

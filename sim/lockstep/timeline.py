@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import (
@@ -17,29 +17,18 @@ from swarmd.core.messages import (
 )
 from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.scenarios.scenario import ScheduledEvent
-from swarmd.sim.world.world import World
+
+if TYPE_CHECKING:
+    from swarmd.sim.lockstep.lockstep import Lockstep
 
 OPERATOR = "scenario"
 _ROUNDING = 1e-9
 
 
-class Swarm(Protocol):
-    """The swarm that events act on. `shells`: by row, None without a daemon."""
-
-    world: World
-    shells: list[RobotShell | None]
-
-    def start(self, row: int) -> None:
-        """Start a daemon on robot `row`."""
-
-    def end(self, row: int, *, in_order: bool) -> None:
-        """End the daemon of robot `row`, in order or by a kill."""
-
-
 class Timeline:
     """Events in order of time, carried out when due."""
 
-    def __init__(self, events: Sequence[ScheduledEvent], swarm: Swarm) -> None:
+    def __init__(self, events: Sequence[ScheduledEvent], swarm: Lockstep) -> None:
         self._events = events
         self._swarm = swarm
         self._rows = {robot: row for row, robot in enumerate(swarm.world.ids)}
@@ -54,41 +43,28 @@ class Timeline:
 
     def _carry_out(self, event: ScheduledEvent, now: float) -> None:
         swarm = self._swarm
-        if event.action == "place":
-            assert event.pose is not None
+        if event.pose is not None:
             swarm.world.place(event.box, event.pose)
-        elif event.action == "remove" and event.box:
+        elif event.box:
             swarm.world.remove(event.box)
-        elif event.action == "remove":
-            for row in self._rows_of(event):
-                if swarm.shells[row] is not None:
-                    swarm.end(row, in_order=False)
-                swarm.world.take_out(row)
-        elif event.action == "join":
-            for row in self._rows_of(event):
-                if swarm.shells[row] is None:
-                    swarm.start(row)
-        elif event.action in ("leave", "kill"):
-            for row in self._rows_of(event):
-                if swarm.shells[row] is not None:
-                    swarm.end(row, in_order=event.action == "leave")
-        else:
-            self._request_all(event, now)
-
-    def _rows_of(self, event: ScheduledEvent) -> list[int]:
-        return [self._rows[robot] for robot in event.robots]
-
-    def _request_all(self, event: ScheduledEvent, now: float) -> None:
-        """Send the event's request to each of its robots with a daemon."""
-        for row in self._rows_of(event):
-            shell = self._swarm.shells[row]
+        for row in [self._rows[robot] for robot in event.robots]:
+            shell = swarm.shells[row]
             if shell is None:
-                continue
-            reply = shell.request(self._request(event, shell, now), now)
-            if reply is None or reply.code is not Code.APPLIED:
-                answer = "gave no answer" if reply is None else reply.text
-                what = f"{event.action} {event.pattern}".rstrip()
-                raise SwarmError(f"at {event.at:g} s {what}: {shell.robot.id}: {answer}")
+                if event.action == "join":
+                    swarm.start(row)
+            elif event.action in ("leave", "kill", "remove"):
+                swarm.end(row, in_order=event.action == "leave")
+            elif event.action != "join":
+                self._send_request(event, shell, now)
+            if event.action == "remove":
+                swarm.world.take_out(row)
+
+    def _send_request(self, event: ScheduledEvent, shell: RobotShell, now: float) -> None:
+        reply = shell.request(self._request(event, shell, now), now)
+        if reply is None or reply.code is not Code.APPLIED:
+            answer = "gave no answer" if reply is None else reply.text
+            what = f"{event.action} {event.pattern}".rstrip()
+            raise SwarmError(f"at {event.at:g} s {what}: {shell.robot.id}: {answer}")
 
     def _is_for_all(self, event: ScheduledEvent) -> bool:
         chosen = frozenset(event.robots)

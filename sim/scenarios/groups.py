@@ -14,6 +14,7 @@ from swarmd.core.values import Platform
 from swarmd.settings.layered import Keys, Layered, dotted
 from swarmd.settings.platforms import PlatformFile, platform_names, platform_of, platform_sources
 from swarmd.settings.yamlfile import Data
+from swarmd.sim.scenarios.environment import blamed
 from swarmd.sim.scenarios.schema import GroupSection, ScenarioFile
 from swarmd.sim.world.radio import with_bearings
 from swarmd.sim.world.scalar_fields import Field, with_readings
@@ -71,7 +72,8 @@ def platform_name(text: str) -> str:
 
 def _ids(layers: Layered, name: str, group: GroupSection) -> tuple[str, ...]:
     keys = ("groups", name)
-    _check_id(layers, keys, name, "a group's name")
+    with blamed(layers, *keys):
+        check_id(name, "a group's name")
     if group.robots is not None and group.count is not None:
         text = f"groups.{name} has both count and robots; keep one (null takes the other away)"
         raise layers.error((*keys, "count"), text)
@@ -95,20 +97,14 @@ def _check_robot(
     group_of: Mapping[str, str],
 ) -> None:
     keys = ("groups", group)
-    _check_id(layers, keys, robot, f"groups.{group}: a robot's id")
+    with blamed(layers, *keys):
+        check_id(robot, f"groups.{group}: a robot's id")
     if robot in group_of:
         text = f"groups.{group}: robot {robot!r} is in group {group_of[robot]!r} already"
         raise layers.error(keys, f"{text}; name it once, or give another prefix")
     if robot in groups or robot == ALL:
         text = f"groups.{group}: robot {robot!r} has the name of a group; rename one"
         raise layers.error(keys, text)
-
-
-def _check_id(layers: Layered, keys: Keys, value: str, what: str) -> None:
-    try:
-        check_id(value, what)
-    except ConfigError as error:
-        raise layers.error(keys, str(error)) from error
 
 
 def _sensing(platform: Platform, file: ScenarioFile, fields: Sequence[Field]) -> Platform:

@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from swarmd.core.errors import PluginError, unknown
+from swarmd.core.errors import unknown
 from swarmd.core.host_messages import Layers, Load, LoadRefused
 from swarmd.core.values import Value
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import Origin, check_single, pattern_names
 from swarmd.settings.layered import Keys, Layered, dotted
+from swarmd.sim.scenarios.environment import blamed
 from swarmd.sim.scenarios.groups import Groups
 from swarmd.sim.scenarios.schedule import Preflight, Schedule
 from swarmd.sim.scenarios.schema import ScenarioFile
@@ -47,10 +48,8 @@ def check_patterns(
     plugin_dir: Path | None,
 ) -> None:
     """Raise ConfigError for the first pattern that is unknown or that a robot would refuse."""
-    try:
+    with blamed(layers, "plugin_dir"):
         origins = pattern_names(plugin_dir)
-    except PluginError as error:
-        raise layers.error(("plugin_dir",), str(error)) from error
     for pattern in configured.file.parameters:
         if pattern not in origins:
             text = f"parameters: {unknown('pattern', pattern, origins)}"
@@ -64,12 +63,17 @@ def check_patterns(
     done: set[str] = set()
     for preflight in schedule.preflights:
         _check_name(layers, preflight.keys, preflight.pattern, origins)
-        load = _load(preflight, groups, configured)
+        robot, pattern = preflight.robot, preflight.pattern
+        parameters = (*configured(robot, pattern), ("runtime", {**preflight.parameters}))
+        platform = groups.robots[robot]
         # Robots of one platform with the same parameters give the same result.
-        what = repr((load.pattern, load.platform.name, load.layers))
+        what = repr((pattern, platform.name, parameters))
         if what in done:
             continue
         done.add(what)
+        load = Load(
+            generation=1, pattern=pattern, layers=parameters, robot=robot, platform=platform, seed=0
+        )
         try:
             event = executor.handle(load)
         except SystemExit:  # it would end this process without a message
@@ -96,19 +100,5 @@ def _check_name(layers: Layered, keys: Keys, pattern: str, origins: Mapping[str,
     if pattern not in origins:
         text = f"{dotted(keys)}: {unknown('pattern', pattern, origins)}"
         raise layers.error(keys, text)
-    try:
+    with blamed(layers, *keys, prefix=f"{dotted(keys)}: "):
         check_single(pattern, origins[pattern])
-    except PluginError as error:
-        raise layers.error(keys, f"{dotted(keys)}: {error}") from error
-
-
-def _load(preflight: Preflight, groups: Groups, configured: ConfiguredParameters) -> Load:
-    robot, pattern = preflight.robot, preflight.pattern
-    return Load(
-        generation=1,
-        pattern=pattern,
-        layers=(*configured(robot, pattern), ("runtime", {**preflight.parameters})),
-        robot=robot,
-        platform=groups.robots[robot],
-        seed=0,
-    )

@@ -18,7 +18,7 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.kit.touch import granted_zones
 from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import Data, read_extended, shown
-from swarmd.sim.scenarios.environment import arena_of, check_radio_section, fields_of
+from swarmd.sim.scenarios.environment import arena_of, blamed, fields_of
 from swarmd.sim.scenarios.groups import Groups, groups_of, platform_name
 from swarmd.sim.scenarios.overrides import SOURCE, nested, parse_override
 from swarmd.sim.scenarios.preflight import ConfiguredParameters, check_patterns
@@ -27,6 +27,7 @@ from swarmd.sim.scenarios.schedule import schedule_of
 from swarmd.sim.scenarios.schema import ScenarioFile
 from swarmd.sim.scenarios.start_poses import StartPoses, start_group_of, without_stale
 from swarmd.sim.world.arena import Arena
+from swarmd.sim.world.radio import check_radio
 from swarmd.sim.world.realism import realism_of
 from swarmd.sim.world.scalar_fields import Field
 
@@ -119,7 +120,8 @@ def _built(layers: Layered, name: str) -> Scenario:
     if file.extends is not None:
         raise layers.error(("extends",), "extends is for files alone; leave it out here")
     arena, fields = arena_of(layers, file.arena), fields_of(layers, file.fields)
-    check_radio_section(layers, file.radio)
+    with blamed(layers, "radio"):
+        check_radio(file.radio)
     groups = groups_of(layers, file, fields)
     starts = _starts(layers, file, groups, arena)
     schedule = schedule_of(layers, file, groups)
@@ -155,13 +157,13 @@ def _effective(
     data: Data = json.decode(json.encode(file))
     for group in data["groups"].values():
         group["platform"] = platform_name(group["platform"])
-    whole = {
+    return {
+        **data,
         "name": file.name or name,
         "platforms": deepcopy(dict(groups.platform_files)),
         "fields": json.decode(json.encode(fields)),
         "plugin_dir": None if plugin_dir is None else str(plugin_dir),
     }
-    return {**data, **whole}
 
 
 def _starts(layers: Layered, file: ScenarioFile, groups: Groups, arena: Arena) -> StartPoses:

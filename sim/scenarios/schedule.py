@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.kit.conditions import parse_conditions
 from swarmd.settings.layered import Keys, Layered
-from swarmd.sim.scenarios.environment import check_inside
+from swarmd.sim.scenarios.environment import blamed, check_inside
 from swarmd.sim.scenarios.groups import ALL, Groups
 from swarmd.sim.scenarios.scenario import Action, ScheduledEvent
 from swarmd.sim.scenarios.schema import EventSection, ScenarioFile, Values
@@ -41,6 +41,9 @@ def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) 
     if action == "place" or (action == "remove" and is_box):
         return _box_event(layers, file, section, (*keys, action), movable)
     key = action if action in OF_ROBOTS or is_robot else "targets"
+    with blamed(layers, *keys, "until", prefix=f"events[{index}].until: "):
+        if section.until is not None:
+            parse_conditions(section.until)
     values = section.param if action == "param" else section.parameters
     return ScheduledEvent(
         at=section.at,
@@ -49,19 +52,8 @@ def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) 
         pattern=section.run or "",
         parameters=values or {},
         seconds=section.seconds,
-        until=_until(layers, section, (*keys, "until")),
+        until=tuple(section.until or ()),
     )
-
-
-def _until(layers: Layered, section: EventSection, keys: Keys) -> tuple[str, ...]:
-    """The checked conditions, any of which ends the run."""
-    if section.until is None:
-        return ()
-    try:
-        parse_conditions(section.until)
-    except ConfigError as error:
-        raise layers.error(keys, f"events[{keys[1]}].until: {error}") from error
-    return tuple(section.until)
 
 
 def targets_of(section: EventSection, action: Action) -> Sequence[str]:
@@ -96,8 +88,7 @@ def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
 def _box_event(
     layers: Layered, file: ScenarioFile, section: EventSection, keys: Keys, movable: Sequence[str]
 ) -> ScheduledEvent:
-    name = f"events[{keys[1]}]"
-    box = section.place or section.remove or ""
+    name, box = f"events[{keys[1]}]", section.place or section.remove or ""
     if box not in movable:
         fault = unknown("box with a name and a mass", box, movable)
         raise layers.error(keys, f"{name}.{keys[2]}: {fault}")
@@ -212,10 +203,8 @@ class _ScheduleChecker:
         """Apply an event; ConfigError if it is impossible."""
         if event.box:
             self._place_or_remove_box(keys, event)
-        elif event.action == "remove":
-            self._remove_robots(keys, event)
-        elif event.action in _MEMBERSHIP:
-            self._join_or_leave(keys, event)
+        elif event.action in (*_MEMBERSHIP, "remove"):
+            self._come_or_go(keys, event)
         else:
             self._check_there(keys, event)
             act = {"run": self.run, "param": self._set}.get(event.action, self._halt)
@@ -249,23 +238,16 @@ class _ScheduleChecker:
             raise self._error(keys, f"{event.box} is not in the arena at {event.at:g} s")
         self._movable_boxes[event.box] = event.action == "place"
 
-    def _remove_robots(self, keys: Keys, event: ScheduledEvent) -> None:
+    def _come_or_go(self, keys: Keys, event: ScheduledEvent) -> None:
+        is_joining, is_removed = event.action == "join", event.action == "remove"
         for robot in event.robots:
             state = self._robots[robot]
             if state.is_out:
                 raise self._error(keys, f"{robot} is not in the arena at {event.at:g} s")
-            state.is_there, state.is_out, state.pattern = False, True, ""
-
-    def _join_or_leave(self, keys: Keys, event: ScheduledEvent) -> None:
-        is_joining = event.action == "join"
-        for robot in event.robots:
-            state = self._robots[robot]
-            if state.is_out:
-                raise self._error(keys, f"{robot} is not in the arena at {event.at:g} s")
-            if state.is_there == is_joining:
+            if state.is_there == is_joining and not is_removed:
                 there = "there already" if is_joining else "not there"
                 raise self._error(keys, f"{robot} is {there} at {event.at:g} s")
-            state.is_there, state.pattern = is_joining, ""
+            state.is_there, state.is_out, state.pattern = is_joining, is_removed, ""
 
     def _present(self, event: ScheduledEvent) -> Iterator[tuple[str, _Robot]]:
         robots = ((robot, self._robots[robot]) for robot in event.robots)

@@ -20,7 +20,7 @@ class BaseDynamics:
     def __init__(self, platforms: Sequence[Platform], dt: float) -> None:
         n = len(platforms)
         self._dt = dt
-        self._limits = np.array([_limits(p) for p in platforms]).reshape(n, 3)
+        self._limits = _limits(platforms)
         self._gains = np.array([_accelerations(p) for p in platforms]).reshape(n, 3) * dt
         mass = np.array([value(p, "mass") for p in platforms])
         self._inert = np.stack((mass, mass, [inertia(p) for p in platforms]), axis=-1)
@@ -62,9 +62,9 @@ class BaseDynamics:
         return force
 
 
-def _limits(platform: Platform) -> tuple[float, float, float]:
-    limits = platform.limits
-    return limits.linear, limits.angular, limits.lateral
+def _limits(platforms: Sequence[Platform]) -> Array:
+    limits = [(p.limits.linear, p.limits.angular, p.limits.lateral) for p in platforms]
+    return np.array(limits).reshape(-1, 3)
 
 
 def _accelerations(platform: Platform) -> tuple[float, float, float]:
@@ -89,8 +89,7 @@ class Actuators:
         self._is_capped = linear is not None or angular is not None
         caps = [np.inf if cap is None else cap * dt for cap in (linear, angular, linear)]
         self._gains = np.array(caps)
-        limits = [(p.limits.linear, p.limits.angular, p.limits.lateral) for p in platforms]
-        self._limits = np.array(limits).reshape(n, 3)
+        self._limits = _limits(platforms)
         self._command, self._driven = np.zeros((n, 3)), np.zeros((n, 3))
 
     def put(self, commands: Array) -> None:

@@ -25,6 +25,7 @@ SOLID, GHOST = 1, 2
 SOLID_TO_ALL = SOLID | GHOST
 """The type of walls and boxes, which collide with all bodies."""
 
+_BOX, _CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
 _HEIGHT = 0.5
 _WALL = 0.1
 # Impedance of dry friction: with the default of 0.9 a pushed box at rest creeps by 1 mm/s.
@@ -42,7 +43,8 @@ def build_model(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujo
     spec.option.gravity = [0.0, 0.0, 0.0]
     _add_arena(spec, arena)
     for robot, platform in robots.items():
-        _add_robot(spec, robot, platform)
+        body = _add_planar(spec, f"robot/{robot}", value(platform, "mass"), inertia(platform))
+        _add_shapes(body, robot, platform)
     for name, box in arena.movable_boxes:
         _add_movable_box(spec, name, box)
     return spec.compile()
@@ -62,36 +64,33 @@ def _add_arena(spec: mujoco.MjSpec, arena: Arena) -> None:
         geom = _add_box(spec.worldbody, name, (box.x, box.y), size)
         geom.quat = [np.cos(box.yaw / 2.0), 0.0, 0.0, np.sin(box.yaw / 2.0)]
     for index, pole in enumerate(arena.poles):
-        spec.worldbody.add_geom(
-            name=f"pole/{index}",
-            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            pos=[pole.x, pole.y, _HEIGHT / 2.0],
-            size=[pole.radius, _HEIGHT / 2.0, 0.0],
-            group=FIXED,
-            condim=1,
-            contype=SOLID_TO_ALL,
-            conaffinity=SOLID,
-        )
+        shape = (pole.radius, _HEIGHT / 2.0, 0.0)
+        _add_solid(spec.worldbody, f"pole/{index}", _CYLINDER, (pole.x, pole.y), shape)
 
 
 def _add_box(
     body: mujoco.MjsBody, name: str, pos: tuple[float, float], size: tuple[float, float]
 ) -> mujoco.MjsGeom:
+    return _add_solid(body, name, _BOX, pos, (*size, _HEIGHT / 2.0))
+
+
+def _add_solid(
+    body: mujoco.MjsBody,
+    name: str,
+    kind: mujoco.mjtGeom,
+    pos: tuple[float, float],
+    size: tuple[float, float, float],
+) -> mujoco.MjsGeom:
     return body.add_geom(
         name=name,
-        type=mujoco.mjtGeom.mjGEOM_BOX,
+        type=kind,
         pos=[*pos, _HEIGHT / 2.0],
-        size=[*size, _HEIGHT / 2.0],
+        size=size,
         group=FIXED,
         condim=1,
         contype=SOLID_TO_ALL,
         conaffinity=SOLID,
     )
-
-
-def _add_robot(spec: mujoco.MjSpec, robot: str, platform: Platform) -> None:
-    body = _add_planar(spec, f"robot/{robot}", value(platform, "mass"), inertia(platform))
-    _add_shapes(body, robot, platform)
 
 
 def _add_movable_box(spec: mujoco.MjSpec, name: str, box: Box) -> None:
@@ -122,24 +121,21 @@ def _add_shapes(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:
     x, y = (low + high) / 2.0
     half_x, half_y = (high - low) / 2.0
     contype, conaffinity = (SOLID, SOLID) if is_solid(platform) else (0, GHOST)
-    for name, height, group in (
-        ("", _HEIGHT, COLLISION),
-        ("/body", value(platform, "height"), BODY),
-    ):
+    bottom, top = value(platform, "height"), value(platform, "target_top")
+    for name, height, types in (("", _HEIGHT, (contype, conaffinity)), ("/body", bottom, (0, 0))):
         body.add_geom(
             name=f"{robot}{name}",
-            type=mujoco.mjtGeom.mjGEOM_BOX,
+            type=_BOX,
             pos=[x, y, height / 2.0],
             size=[half_x, half_y, height / 2.0],
-            group=group,
+            group=BODY if name else COLLISION,
             condim=1,
-            contype=contype if group == COLLISION else 0,
-            conaffinity=conaffinity if group == COLLISION else 0,
+            contype=types[0],
+            conaffinity=types[1],
         )
-    bottom, top = value(platform, "height"), value(platform, "target_top")
     body.add_geom(
         name=f"{robot}/housing",
-        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        type=_CYLINDER,
         pos=[*platform.scan.offset, (bottom + top) / 2.0],
         size=[value(platform, "target_radius"), (top - bottom) / 2.0, 0.0],
         group=HOUSING,

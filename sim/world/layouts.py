@@ -28,22 +28,20 @@ def parse_layout(text: str, footprints: Sequence[Array], arena: Arena, *, seed: 
     name, _, rest = text.partition(":")
     n = len(footprints)
     placement = Placement([f"robot {index}" for index in range(n)], footprints, arena)
-    if name == "random":
-        scatter(
-            placement, range(n), np.random.default_rng(seed), clearance=_number(text, rest, 0.2)
-        )
-        return placement.poses
-    if name == "list":
-        poses = _listed(text, rest, n)
-    elif name in REGULAR:
-        poses = REGULAR[name](n, _number(text, rest, 1.5 if name == "ring" else 1.0))
-    else:
-        raise ConfigError(unknown("layout", name, NAMES))
     try:
-        placement.place_all(range(n), poses)
+        if name == "random":
+            apart = _number(rest, 0.2)
+            scatter(placement, range(n), np.random.default_rng(seed), clearance=apart)
+        elif name == "list":
+            placement.place_all(range(n), _listed(rest, n))
+        elif name in REGULAR:
+            size = _number(rest, 1.5 if name == "ring" else 1.0)
+            placement.place_all(range(n), REGULAR[name](n, size))
+        else:
+            raise ConfigError(unknown("layout", name, NAMES))
     except ConfigError as error:
         raise ConfigError(f"layout {text!r}: {error}") from error
-    return poses
+    return placement.poses
 
 
 def row(n: int, spacing: float) -> Array:
@@ -217,16 +215,16 @@ def _headed(pose: Array, heading: float | None) -> Array:
     return pose if heading is None else np.array([pose[0], pose[1], heading])
 
 
-def _listed(text: str, rest: str, n: int) -> Array:
-    rows = [[_number(text, word, math.nan) for word in row.split(":")] for row in rest.split(",")]
+def _listed(rest: str, n: int) -> Array:
+    rows = [[_number(word, math.nan) for word in row.split(":")] for row in rest.split(",")]
     if len(rows) != n or any(len(row) != 3 for row in rows):
-        raise ConfigError(f"layout {text!r} has {len(rows)} poses; wanted are {n} of x:y:degrees")
+        raise ConfigError(f"{len(rows)} poses; wanted are {n} of x:y:degrees")
     poses = np.array(rows)
     poses[:, 2] = np.radians(poses[:, 2])
     return poses
 
 
-def _number(text: str, word: str, default: float) -> float:
+def _number(word: str, default: float) -> float:
     if not word:
         return default
     try:
@@ -234,5 +232,5 @@ def _number(text: str, word: str, default: float) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ConfigError(f"layout {text!r}: {word!r} is no number; wanted is such as row:1.0")
+        raise ConfigError(f"{word!r} is no number; wanted is such as row:1.0")
     return value

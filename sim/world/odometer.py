@@ -73,13 +73,9 @@ class Odometers:
 
     def _relative(self, rows: Indices, poses: Array) -> Array:
         reported: Array = poses.take(rows, axis=0) - self._starts.take(rows, axis=0)
-        turns = self._turns.take(rows, axis=0)
-        cos, sin = turns[:, 0], turns[:, 1]
-        x, y = reported[:, 0].copy(), reported[:, 1].copy()
-        reported[:, 0] = cos * x + sin * y
-        reported[:, 1] = cos * y - sin * x
-        reported[:, 2] = _wrapped(reported[:, 2])
-        return reported
+        cos, sin = self._turns.take(rows, axis=0).T
+        x, y = _turned_back(reported, cos, sin)
+        return np.stack((x, y, _wrapped(reported[:, 2])), axis=-1)
 
     def _slips(self, rows: Indices) -> Array:
         """Random factors (m, 2) of one reading on linear and angular motion."""
@@ -109,15 +105,16 @@ def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral
 
 def _motion(before: Array, after: Array) -> Array:
     """Linear, angular and lateral motion (m, 3) between poses (m, 3), along the mean heading."""
-    motion: Array = after - before
-    turn = motion[:, 2].copy()
-    middle = before[:, 2] + turn / 2.0
-    cos, sin = np.cos(middle), np.sin(middle)
-    x, y = motion[:, 0].copy(), motion[:, 1].copy()
-    motion[:, 0] = cos * x + sin * y
-    motion[:, 1] = turn
-    motion[:, 2] = cos * y - sin * x
-    return motion
+    way = after - before
+    middle = before[:, 2] + way[:, 2] / 2.0
+    linear, lateral = _turned_back(way, np.cos(middle), np.sin(middle))
+    return np.stack((linear, way[:, 2], lateral), axis=-1)
+
+
+def _turned_back(way: Array, cos: Array, sin: Array) -> tuple[Array, Array]:
+    """x and y of world vectors (m, ...) in frames at these headings."""
+    x, y = way[:, 0], way[:, 1]
+    return cos * x + sin * y, cos * y - sin * x
 
 
 def _moved(before: Array, motion: Array) -> Array:

@@ -16,7 +16,7 @@ from swarmd.core.values import Array, Neighbor, Platform, Value
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.delay_queue import DelayQueue
 from swarmd.sim.world.geometry import Indices
-from swarmd.sim.world.radio_visibility import LineOfSight, all_pairs, near_pairs
+from swarmd.sim.world.radio_visibility import LineOfSight
 from swarmd.sim.world.seeding import generator
 
 Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
@@ -159,18 +159,6 @@ class Radio:
             for hearers, sender, name, value in self._in_flight.due(now)
             for hearer in hearers
         ]
-
-    def links(self, poses: Array, movable_boxes: Array | None = None) -> Indices:
-        """All pairs of rows in radio contact: (k, 2), the lower first, in order."""
-        pairs = (
-            all_pairs(len(poses))
-            if math.isinf(self._reach)
-            else near_pairs(poses[:, :2], self._reach)
-        )
-        if self._sight is None or not len(pairs):
-            return pairs
-        here, there = poses[pairs[:, 0], :2], poses[pairs[:, 1], :2]
-        return pairs[self._sight.is_clear(here, there, movable_boxes)]
 
     def _sense(self, row: int, neighbors: Indices, poses: Array) -> Array:
         """Distance, bearing and heading (k, 3) of robots `neighbors` from robot `row`."""

@@ -1,4 +1,4 @@
-"""Pairs of places within radio range, and the line of sight between them."""
+"""The line of sight between places, which the radio may need."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 
 from swarmd.core.values import Array
 from swarmd.sim.world.arena import Arena
-from swarmd.sim.world.geometry import Indices, apart, crossings
+from swarmd.sim.world.geometry import apart, crossings
 
-_AT_ONCE = 65_536
+MAX_BATCH = 65_536
 """Pairs of path and obstacle in one batch, which bounds memory."""
 
 
@@ -32,7 +32,7 @@ class LineOfSight:
             )
             walls = np.concatenate((walls, edges))
         is_clear = np.ones(len(a), dtype=np.bool_)
-        stride = max(1, _AT_ONCE // max(1, len(walls) + len(poles)))
+        stride = max(1, MAX_BATCH // max(1, len(walls) + len(poles)))
         for first in range(0, len(a), stride):
             some = slice(first, first + stride)
             here, there = a[some, None], b[some, None]
@@ -41,16 +41,3 @@ class LineOfSight:
                 is_behind |= (apart(poles[:, :2], here, there) < poles[:, 2]).any(axis=1)
             is_clear[some] = ~is_behind
         return is_clear
-
-
-def all_pairs(n: int) -> Indices:
-    """Every two of n, (k, 2), the lower row first, in order."""
-    return np.stack(np.triu_indices(n, 1), axis=-1)
-
-
-def near_pairs(places: Array, reach: float) -> Indices:
-    """Every two of `places` (n, 2) at most `reach` m apart: (k, 2), lower row first, in order."""
-    from scipy.spatial import cKDTree  # for metrics alone: a simulation starts without it
-
-    pairs: Indices = cKDTree(places).query_pairs(reach, output_type="ndarray").astype(np.intp)
-    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, TypeAlias
 
@@ -12,7 +12,14 @@ from msgspec import Meta, Struct
 
 from swarmd.core.values import Array, Platform
 
-Name = Annotated[str, Meta(pattern="^[A-Za-z_][A-Za-z0-9_]*$", max_length=63)]
+Name = Annotated[
+    str,
+    Meta(
+        pattern="^[A-Za-z_][A-Za-z0-9_]*$",
+        max_length=63,
+        extra_json_schema={"description": "up to 63 letters, digits and _"},
+    ),
+]
 Level = Annotated[float, Meta(ge=-1e6, le=1e6)]
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
 Point = tuple[Coordinate, Coordinate]
@@ -23,12 +30,13 @@ READINGS_RATE = 10.0
 _MAX_READING = 1e6
 
 
-class GaussianField(
-    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="gaussian"
-):
+class _Field(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind"):
+    name: Name
+
+
+class GaussianField(_Field, frozen=True, kw_only=True, tag="gaussian"):
     """A bell: `peak` at `center` (m), `floor` far away, `sigma` m its standard deviation."""
 
-    name: Name
     center: Point = (0.0, 0.0)
     sigma: Annotated[float, Meta(ge=0.001, le=10_000.0)]
     peak: Level = 1.0
@@ -41,12 +49,9 @@ class GaussianField(
         return self.floor + (self.peak - self.floor) * bell
 
 
-class LinearField(
-    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="linear"
-):
+class LinearField(_Field, frozen=True, kw_only=True, tag="linear"):
     """A slope: `base` at `origin` (m), `slope` more with every metre along `direction_deg`."""
 
-    name: Name
     origin: Point = (0.0, 0.0)
     direction_deg: Annotated[float, Meta(ge=-360.0, le=360.0)] = 0.0
     slope: Level
@@ -60,12 +65,9 @@ class LinearField(
         return self.base + self.slope * distance
 
 
-class UniformField(
-    Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="kind", tag="uniform"
-):
+class UniformField(_Field, frozen=True, kw_only=True, tag="uniform"):
     """The same `value` everywhere."""
 
-    name: Name
     value: Level
 
     def at(self, places: Array) -> Array:
@@ -92,8 +94,3 @@ def with_readings(platform: Platform, fields: Sequence[Field]) -> Platform:
     """The platform with a sensor `reading:<name>` for each field."""
     words = {f"reading:{field.name}" for field in fields}
     return replace(platform, provides=platform.provides | words)
-
-
-def readings_at(fields: Sequence[Field], place: Array) -> Mapping[str, float]:
-    """The readings at `place` (2,) by name."""
-    return {name: float(values[0]) for name, values in sample(fields, place[None]).items()}

@@ -24,7 +24,7 @@ from swarmd.sim.world.movable_boxes import MovableBoxes
 from swarmd.sim.world.noise import NoisyLidar
 from swarmd.sim.world.odometer import Odometers
 from swarmd.sim.world.realism import IDEAL, Realism
-from swarmd.sim.world.scalar_fields import Field, readings_at
+from swarmd.sim.world.scalar_fields import Field, sample
 
 
 class World:
@@ -175,7 +175,8 @@ class World:
 
     def readings(self, robot: int) -> Mapping[str, float]:
         """The values of the fields at the robot's axle, by name."""
-        return readings_at(self._fields, self.poses()[robot, :2])
+        values = sample(self._fields, self.poses()[robot, None, :2])
+        return {name: float(value[0]) for name, value in values.items()}
 
     def box_poses(self) -> Array:
         """(m, 3) x, y in m and yaw in rad of the movable boxes; NaN for one outside the arena."""

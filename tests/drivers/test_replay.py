@@ -212,10 +212,7 @@ def test_a_recording_holds_what_the_driver_delivered(tmp_path: Path) -> None:
             link.publish("r", "odometry", encode_odometry(odometry(self.spoken)))
 
         def commands(self) -> Sequence[Twist]:
-            return [
-                Twist(command.linear, command.angular, command.lateral)
-                for command, _ in link.take_commands().values()
-            ]
+            return [command.twist for command in link.take_commands().values()]
 
         def close(self) -> None:
             link.close()

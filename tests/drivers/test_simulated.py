@@ -13,7 +13,7 @@ import zenoh
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import ZERO, Neighbor, Odometry, Pose, Scan, Twist, Value
 from swarmd.driver_api.hw_codec import (
-    CommandWire,
+    decode_command,
     encode_neighbors,
     encode_odometry,
     encode_readings,
@@ -35,13 +35,25 @@ SPEC = PLATFORM.scan
 ODOMETRY = Odometry(1.0, Pose(0.1, 0.2, 0.3), Twist(0.1, 0.2))
 
 
+class RecordingLink(WorldLink):
+    """A world's link that keeps what came."""
+
+    def __init__(self, endpoint: str) -> None:
+        self.payloads: list[bytes] = []
+        super().__init__("s", ("r",), endpoint)
+
+    def _on_command(self, sample: zenoh.Sample) -> None:
+        self.payloads.append(sample.payload.to_bytes())
+        super()._on_command(sample)
+
+
 class Body:
     """A world with one body: the world's own end of the link."""
 
     platform = PLATFORM
 
     def __init__(self, endpoint: str = "tcp/127.0.0.1:0") -> None:
-        self.link = WorldLink("s", ("r",), endpoint)
+        self.link = RecordingLink(endpoint)
         self.endpoint = self.link.endpoint
         self._spoken = 0
 
@@ -73,14 +85,10 @@ class Body:
         self.link.close()
 
     def reconnect(self) -> None:
-        self.link = WorldLink("s", ("r",), self.endpoint)
+        self.link = RecordingLink(self.endpoint)
 
     def commands(self) -> Sequence[Twist]:
-        taken = self.link.take_commands().get("r")
-        if taken is None:
-            return []
-        command = taken[0]
-        return [Twist(command.linear, command.angular, command.lateral)]
+        return [command.twist for command in self.link.take_commands().values()]
 
     def close(self) -> None:
         self.link.close()
@@ -150,14 +158,8 @@ def test_says_where_it_looks_for_its_body_and_why_it_is_lost() -> None:
 def test_a_command_carries_the_scans_it_rests_on() -> None:
     async def story(harness: DriverHarness, body: Body) -> None:
         harness.driver.send(Twist(0.2), 5, 4)
-        taken: list[CommandWire] = []
-
-        def has_come() -> bool:
-            taken.extend(command for command, _ in body.link.take_commands().values())
-            return bool(taken)
-
-        await harness.until(has_come)
-        command = taken[0]
+        await harness.until(lambda: bool(body.link.payloads))
+        command = decode_command(body.link.payloads[0])
         assert (command.scan_seq, command.requested_scan_seq) == (5, 4)
 
     play(story)

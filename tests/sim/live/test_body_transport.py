@@ -61,7 +61,7 @@ class Stage:
             self.world,
             self.link,
             LiveRecorder(self.world, RecorderSettings()),
-            transport=transport,
+            emulated=transport,
             command_timeouts=command_timeouts,
             clock=lambda: self.now,
         )

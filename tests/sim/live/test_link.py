@@ -14,7 +14,8 @@ from swarmd.core import keys
 from swarmd.core.codec import MAX_SENSE, encode
 from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.core.values import Twist
-from swarmd.driver_api.hw_codec import CommandWire, decode_command, encode_command
+from swarmd.driver_api.hw_codec import encode_command
+from swarmd.sim.live.body_transport import Command
 from swarmd.sim.live.link import WorldLink, WorldView, client_options
 from swarmd.sim.live.state import WorldReply, WorldState
 from tests.support.processes import wait_until
@@ -74,7 +75,7 @@ def test_only_the_newest_command_of_each_robot_is_kept(
 ) -> None:
     # Once the link is up, everything below arrives in order.
     last = encode_command(Twist(9.0), -1, -1)
-    taken: dict[str, tuple[CommandWire, float]] = {}
+    taken: dict[str, Command] = {}
 
     def all_there() -> bool:
         for speed in (0.1, 0.2):
@@ -82,15 +83,15 @@ def test_only_the_newest_command_of_each_robot_is_kept(
                 peer.put(f"swarm/s/{robot}/hw/cmd_vel", encode_command(Twist(speed), 1, 1))
         peer.put("swarm/s/a/hw/cmd_vel", last)
         taken.update(link.take_commands())
-        return "b" in taken and "a" in taken and taken["a"][0] == decode_command(last)
+        return "b" in taken and "a" in taken and taken["a"].twist == Twist(9.0)
 
     wait_until(all_there, "all_there")
-    assert taken["b"][0].linear == 0.2
+    assert taken["b"].twist.linear == 0.2
     assert set(taken) == {"a", "b"}
 
 
 def test_a_malformed_command_replaces_no_valid_one(link: WorldLink, peer: zenoh.Session) -> None:
-    taken: dict[str, tuple[CommandWire, float]] = {}
+    taken: dict[str, Command] = {}
 
     def counted() -> bool:
         peer.put("swarm/s/a/hw/cmd_vel", encode_command(Twist(0.2), 1, 1))
@@ -100,7 +101,7 @@ def test_a_malformed_command_replaces_no_valid_one(link: WorldLink, peer: zenoh.
         return bool(taken)
 
     wait_until(counted, "counted")
-    assert taken["a"][0].linear == 0.2
+    assert taken["a"].twist.linear == 0.2
 
 
 @pytest.mark.parametrize("key", ["swarm/s/*/hw/cmd_vel", "swarm/**", "swarm/s/stranger/hw/cmd_vel"])

@@ -86,9 +86,15 @@ class LiveWorld:
 
     def command(self, robot: str, payload: bytes) -> None:
         """Send a command and wait until the world has received it."""
-        command = decode_command(payload)
+        wire = decode_command(payload)
+
+        def has_arrived() -> bool:
+            command = self.link._commands.get(robot)
+            return command is not None and command.scan_seq == wire.scan_seq
+
+        self.link._commands.pop(robot, None)
         self.peer.put(f"swarm/s/{robot}/hw/cmd_vel", payload)
-        wait_until(lambda: self.link._commands.get(robot, (None, 0.0))[0] == command, "received")
+        wait_until(has_arrived, "received")
 
     def _connect(self) -> None:
         """Send until a command arrives, then a last one, after which none is in flight."""

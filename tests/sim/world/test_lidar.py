@@ -15,8 +15,7 @@ from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena, Box, Pole, parse_arena
 from swarmd.sim.world.layouts import parse_layout
-from swarmd.sim.world.lidar import Lidar, Rays, Visibility
-from swarmd.sim.world.scan_plane import shapes_of
+from swarmd.sim.world.lidar import Lidar, Rays, Visibility, shapes_of
 from swarmd.sim.world.world import World
 from tests.support.platforms import with_plain_scan
 
