@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -10,10 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmd.core.clock import TICK
-from swarmd.core.values import Array, Limits, Platform, Scan, TouchZone, Twist
-from swarmd.protection.barrier import CREEP_SPEED
+from swarmd.core.values import Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
+from swarmd.protection.barrier import CREEP_SPEED, Barrier
 from swarmd.protection.constraints import (
     LIMIT_BOX,
+    BindingRange,
     envelope,
     half_planes,
     linear_limit,
@@ -22,8 +24,10 @@ from swarmd.protection.constraints import (
     touch_directions,
 )
 from swarmd.protection.dead_reckoning import REACTION_TIME
+from swarmd.protection.decision import DecisionContext
+from swarmd.protection.footprint import ScanGeometry
 from swarmd.protection.projection import nearest, nearest_feasible
-from swarmd.settings.settings import load_platform
+from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.filter_sim import decided, under_barrier
 
@@ -140,6 +144,7 @@ MARGIN = WAFFLE.protection["barrier"]["margin"]
 REAR, FRONT = (
     float(bound) for bound in (WAFFLE.footprint[:, 0].min(), WAFFLE.footprint[:, 0].max())
 )
+
 SIDE_ANGLE = math.radians(60.0)
 TOP = WAFFLE.limits.linear
 
@@ -218,3 +223,67 @@ def test_touch_directions_cover_the_zone_within_1_percent(
         nx, ny = math.cos(way), math.sin(way)
         x, y = max(BURGER_OUTLINE.tolist(), key=lambda corner: nx * corner[0] + ny * corner[1])
         assert nx * (v - w * y) + ny * w * x <= found + 0.01 * math.hypot(v - w * y, w * x) + 1e-9
+
+
+KINDS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")]
+KINDS += [under_barrier(KINDS[0], unseen_extent=0.0), under_barrier(KINDS[2], others_speed=0.4)]
+ALONE = {"others_speed": 0.001, "surface_speed": 0.25, "unseen_extent": 0.0}
+KINDS += [under_barrier(KINDS[0], **ALONE), under_barrier(KINDS[1], **ALONE)]
+KINDS += [under_barrier(KINDS[2], surface_speed=0.3, envelope_within=0.2)]  # slower near others
+SHARE = st.sampled_from([-1.0, -0.5, 0.0, 0.3, 1.0])
+RETURNS = st.lists(st.tuples(st.integers(0, 359), st.integers(1, 30), st.floats(0, 2)), max_size=3)
+BEGIN = 10.0
+FAR = 100.0
+
+
+class Everywhere(BindingRange):
+    """A binding range without limit."""
+
+    def for_scan_age(self, age: float) -> float:
+        return FAR
+
+
+class SeesAll(Barrier):
+    """A barrier that considers every return."""
+
+    def __init__(self, platform: Platform) -> None:
+        super().__init__(platform)
+        assert self._furthest < FAR
+        self._binding_range = Everywhere(platform, self._settings, TICK)
+        self._furthest = FAR
+
+
+def driving(twist: Twist, seconds: float) -> Odometry:
+    """Odometry after `seconds` at a constant twist from the origin."""
+    v, turn = twist.linear, twist.angular * seconds
+    radius = v / twist.angular if twist.angular else 0.0
+    there = Pose(radius * math.sin(turn), radius * (1.0 - math.cos(turn)), turn)
+    return Odometry(BEGIN + seconds, there if turn else Pose(v * seconds), twist)
+
+
+def decided_by(
+    barrier: Barrier, platform: Platform, returns: Sequence[tuple[int, int, float]], twist: Twist,
+    age: float,
+) -> Twist:  # fmt: skip
+    """The decision on a request to go on at the same twist, `age` s after a scan."""
+    ranges = np.full(360, math.inf)
+    for first, count, beyond in returns:
+        ranges[np.arange(first, first + count) % 360] = platform.scan.range_min + beyond
+    scan = scan_from(platform, ranges, platform.scan.bearings)
+    before = DecisionContext(BEGIN - 0.1, None, driving(twist, -0.1), 0.0)
+    barrier.decide(twist, before, command=twist, touch=None)
+    now = DecisionContext(BEGIN, 0.0, driving(twist, 0.0), 0.0)
+    barrier.observe(scan, ScanGeometry(platform.scan), now)
+    later = now if age == 0.0 else DecisionContext(BEGIN + age, age, driving(twist, age), 0.0)
+    return barrier.decide(twist, later, command=twist, touch=None).twist
+
+
+@given(st.sampled_from(KINDS), RETURNS, SHARE, SHARE, st.sampled_from([0.0, 0.1, 0.4, 1.0]))
+def test_returns_beyond_the_binding_range_change_nothing(
+    platform: Platform, returns: list[tuple[int, int, float]], v: float, w: float, share: float
+) -> None:
+    age = share * platform.scan.stale_after
+    twist = Twist(v * platform.limits.linear, w * platform.limits.angular)
+    some = decided_by(Barrier(platform), platform, returns, twist, age)
+    every = decided_by(SeesAll(platform), platform, returns, twist, age)
+    assert (some.linear, some.angular) == pytest.approx((every.linear, every.angular), abs=1e-9)

@@ -1,4 +1,4 @@
-"""How long a robot remembers whom and what it heard."""
+"""The inputs of one robot, their ages, and when the robot must not move on them."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from swarmd.core.messages import Reason
-from swarmd.core.values import Neighbor, Odometry, Pose, Twist
+from swarmd.core.messages import Reason, State
+from swarmd.core.values import Neighbor, Odometry, Pose, Scan, Twist
 from swarmd.protection.settings import Mode
 from swarmd.robot.sensors import (
     AGE_UPDATE_PERIOD,
@@ -22,6 +22,8 @@ from swarmd.robot.sensors import (
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import empty_scan
 from tests.support.platforms import with_mode
+from tests.support.robot_harness import RobotHarness
+from tests.support.stub_patterns import PATTERNS, standing_state, started
 
 
 @pytest.fixture
@@ -97,3 +99,114 @@ def test_non_finite_odometry_is_ignored(senses: Sensors, odometry: Odometry) -> 
     senses.on_odometry(odometry, 10.2)
     assert senses.odometry is first
     assert senses.context(10.2).odometry_age == pytest.approx(0.2)
+
+
+def test_missing_scan_holds_and_then_stops() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.scans = lambda seq, now: None
+    harness.advance(1.0)
+    harness.ask("run", pattern="forward")
+    harness.advance(1.0)
+    assert standing_state(harness) == (State.RUNNING, Reason.NO_SCAN)
+    harness.advance(1.2)
+    assert standing_state(harness) == (State.STOPPED, Reason.NO_SCAN)
+    assert all(twist.is_zero for _, twist in harness.commands)
+
+
+@pytest.mark.parametrize(
+    ("is_sector", "reason"), [(False, Reason.STALE_SCAN), (True, Reason.INVALID_SCAN)]
+)
+def test_lost_scan_or_sector_zeroes_at_its_deadline(is_sector: bool, reason: Reason) -> None:
+    harness = started()
+    age = harness.status.decision.scan_age
+    assert age is not None
+    limit = harness.now - age + harness.platform.scan.stale_after
+    lost = harness.nan_scan(0.0, sector=(0.0, 0.5))
+    harness.scans = lost if is_sector else lambda seq, now: None
+    harness.commands.clear()
+    harness.advance(1.5)
+    moving = [at for at, twist in harness.commands if not twist.is_zero]
+    stood = [at for at, twist in harness.commands if twist.is_zero]
+    assert limit - 0.051 < max(moving) <= limit
+    assert limit < min(stood) <= limit + 0.001
+    assert harness.status.reason is reason
+    harness.advance(1.6)
+    assert standing_state(harness) == (State.STOPPED, reason)
+
+
+@pytest.mark.parametrize("fault", ["all_nan", "sector", "lengths", "empty", "frozen"])
+def test_invalid_scans_stop_the_robot(fault: str) -> None:
+    harness = started()
+    frozen = empty_scan(harness.platform, 10_000, 5.0)
+
+    def bad(seq: int, now: float) -> Scan:
+        scan = empty_scan(harness.platform, seq, now, 2.0)
+        if fault == "all_nan":
+            return replace(scan, ranges=np.full(360, np.nan))
+        if fault == "sector":
+            return replace(scan, ranges=np.where(np.arange(360) < 30, np.nan, scan.ranges))
+        if fault == "lengths":
+            return replace(scan, ranges=scan.ranges[:-7])
+        if fault == "frozen":
+            return frozen
+        return replace(scan, ranges=np.empty(0), bearings=np.empty(0))
+
+    harness.scans = bad
+    harness.advance(2.0)
+    reason = Reason.FROZEN_SCAN if fault == "frozen" else Reason.INVALID_SCAN
+    assert harness.status.reason is reason
+    assert harness.twist.is_zero
+    harness.advance(1.6)
+    assert standing_state(harness) == (State.STOPPED, reason)
+
+
+@pytest.mark.parametrize("fault", ["lost scans", "unknown rays", "other rays"])
+def test_small_faults_of_a_sensor_do_not_stop(fault: str) -> None:
+    harness = started()
+
+    def faulty(seq: int, now: float) -> Scan | None:
+        scan = empty_scan(harness.platform, seq, now)
+        if fault == "lost scans":
+            return None if seq % 3 == 0 else scan
+        n = 350 + 5 * (seq % 4)
+        bearings = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
+        return replace(scan, ranges=np.full(n, 2.0 + 1e-6 * seq), bearings=bearings)
+
+    harness.scans = harness.nan_scan(0.1) if fault == "unknown rays" else faulty
+    harness.commands.clear()
+    harness.advance(10.0)
+    assert all(twist == Twist(0.2) for _, twist in harness.commands)
+
+
+def test_stale_odometry_holds() -> None:
+    harness = started()
+    harness.odometry = None
+    harness.advance(0.6)
+    assert harness.twist.is_zero
+    assert harness.status.reason is Reason.STALE_ODOMETRY
+
+
+def test_returned_driver_does_not_start_a_stopped_robot() -> None:
+    harness = started()
+    harness.carry_out(harness.robot.on_driver(False, "cable", harness.now))
+    assert harness.twist.is_zero
+    assert harness.status.reason is Reason.DRIVER_LOST
+    harness.advance(2.2)
+    assert standing_state(harness) == (State.STOPPED, Reason.DRIVER_LOST)
+    harness.carry_out(harness.robot.on_driver(True, "there", harness.now))
+    harness.advance(2.0)
+    assert harness.twist.is_zero
+
+
+def test_protection_acts_only_while_running() -> None:
+    harness = started()
+    harness.scans = lambda seq, now: replace(
+        empty_scan(harness.platform, seq, now),
+        ranges=np.where(np.abs(np.arange(360) - 180) > 150, 0.3, np.inf),
+    )
+    harness.advance(0.5)
+    assert harness.twist.linear < 0.0
+    assert harness.status.decision.is_active
+    harness.ask("stop")
+    harness.advance(1.0)
+    assert harness.twist.is_zero
