@@ -170,11 +170,6 @@ def test_parts_take_the_platforms_parameters() -> None:
     assert pattern.parts["move"].params.speed == 0.05
 
 
-def test_an_unknown_pattern_or_part_is_named() -> None:
-    with pytest.raises(PluginError, match="no pattern 'mower'; did you mean 'mover'"):
-        put_together("mower")
-
-
 def test_a_wrong_parameter_of_a_part_names_its_source() -> None:
     both = put_together("both").pattern
     with pytest.raises(ConfigError, match=r"speed is 9 \(from both\)"):

@@ -64,19 +64,6 @@ def test_a_timeout_ends_the_run() -> None:
     assert story.twist.is_zero
 
 
-def test_a_settled_report_ends_the_run() -> None:
-    story = story_of(["settled:word:3"])
-    # Twenty steps of 0.1 s or less pass before the last change.
-    assert 3.0 <= seconds_until_idle(story) <= 5.3
-    assert story.status.detail == "until word settled for 3 s"
-
-
-def test_a_reported_value_ends_the_run() -> None:
-    story = story_of(["report:word=b"])
-    assert seconds_until_idle(story) < 1.5
-    assert story.status.detail == "until word is b"
-
-
 def test_an_obstacle_ends_the_run() -> None:
     story = story_of(["nearer:0.5"])
     story.advance(2.0)

@@ -9,7 +9,17 @@ import pytest
 
 from swarmd.core.errors import ConfigError, PluginError
 from swarmd.core.values import Value
-from swarmd.kit.params import Params, ParamSpec, about, build, schema
+from swarmd.kit.params import (
+    Params,
+    ParamSpec,
+    TopSpeed,
+    about,
+    build,
+    derived_defaults,
+    of_threshold,
+    schema,
+)
+from swarmd.settings.settings import load_platform
 
 
 class Swirl(Params, frozen=True):
@@ -76,12 +86,6 @@ def test_a_parameter_without_default_is_required() -> None:
     assert required == ["high"]
     with pytest.raises(ConfigError, match="high has no default; give it a float from 0 to 9"):
         build(Strict, ())
-
-
-def test_without_layers_declared_defaults_apply() -> None:
-    params, sources = build(Swirl, ())
-    assert params == Swirl()
-    assert sources["radius"] == (1.0, "pattern")
 
 
 def test_the_strongest_layer_wins_and_is_named() -> None:
@@ -168,3 +172,19 @@ class Unioned(Params, frozen=True):
 def test_an_unsupported_type_is_a_plugin_error(kind: type[Params]) -> None:
     with pytest.raises(PluginError, match=kind.__name__):
         schema(kind)
+
+
+class Derived(Params, frozen=True, kw_only=True):
+    speed: TopSpeed
+    slow: TopSpeed = 0.1
+    gap: Annotated[float, about("gap", ge=0.0, le=9.0, derived=of_threshold(2.0))]
+
+
+def test_a_default_derives_from_the_platform_unless_one_is_declared() -> None:
+    platform = load_platform("burger")
+    found = derived_defaults(Derived, platform)
+    assert found == {"speed": 0.22, "gap": 2.0 * platform.protection["threshold"]}
+    assert build(Derived, (("derived", found),))[1]["slow"] == (0.1, "pattern")
+    assert not any(spec.is_required for spec in schema(Derived))
+    with pytest.raises(ConfigError, match="speed has no default"):
+        build(Derived, ())

@@ -31,11 +31,6 @@ def test_points_are_moved_from_the_sensor_to_the_base() -> None:
     np.testing.assert_allclose(left, [[1.5, math.pi / 2]])
 
 
-def test_without_points_nothing_changes() -> None:
-    vector = np.array([0.3, -0.4])
-    np.testing.assert_array_equal(keep_clear(vector, NOTHING, spacing=0.5, brake=0.5), vector)
-
-
 @pytest.mark.parametrize(("distance", "speed"), [(2.0, 1.0), (1.0, 1.0), (0.75, 0.5), (0.5, 0.0)])
 def test_the_speed_towards_a_point_falls_to_zero_at_the_spacing(
     distance: float, speed: float

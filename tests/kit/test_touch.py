@@ -50,10 +50,6 @@ def test_intersection_has_common_directions_at_the_lower_speed(
     assert in_degrees(intersection(asked, granted)) == both
 
 
-def test_intersection_with_itself_is_identical() -> None:
-    assert intersection(NARROW, NARROW) == NARROW
-
-
 @given(ANGLES, WIDTHS, ANGLES, WIDTHS, ANGLES)
 def test_a_direction_is_allowed_only_where_both_zones_have_it(
     asked: float, wide: float, granted: float, broad: float, direction: float

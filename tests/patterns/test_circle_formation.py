@@ -7,7 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Inputs, Odometry, Pose, Scan, Twist, Value
 from swarmd.kit.formation_geometry import place_on_circle, radius_of
 from swarmd.patterns.circle_formation import CircleFormation
@@ -73,16 +72,6 @@ def test_it_corrects_the_radius_of_the_circle(robot: int) -> None:
     np.testing.assert_allclose(smaller, -0.2 * outwards, atol=1e-9)
 
 
-def test_it_moves_away_from_the_nearer_neighbour() -> None:
-    points = polygon(6, 1.5, first=0.0)
-    left = points.copy()
-    left[0] = 1.5 * np.array([math.cos(0.3), math.sin(0.3)])
-    place = place_on_circle(seen_from(left, 0), 1.5)
-    assert place[1] < -0.2
-    place = place_on_circle(seen_from(left * (1.0, -1.0), 0), 1.5)
-    assert place[1] > 0.2
-
-
 def test_robots_that_see_the_same_agree() -> None:
     points = np.random.default_rng(5).uniform(-2.0, 2.0, (7, 2))
     radius = radius_of(1.1, 7)
@@ -106,8 +95,3 @@ def test_two_robots_that_are_too_near_back_off() -> None:
     # Two on a circle of radius 0.6 are 1.2 m apart.
     assert requested(scan_of(BURGER, [Disc(1.2, 0.0, 0.09)]), radius=0.6) == Twist()
     assert requested(scan_of(BURGER, [Disc(1.6, 0.0, 0.09)]), radius=0.6).linear > 0.0
-
-
-def test_a_spacing_within_protection_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"spacing is 0\.5 m"):
-        Subject(CircleFormation, BURGER, {"spacing": 0.5}).make()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
 import msgspec
 import numpy as np
@@ -55,12 +54,6 @@ def test_stands_where_nothing_is_near() -> None:
     assert requested(scan_of(WAFFLE, [Disc(1.3, 0.0)], room=3.0)) == Twist()
 
 
-def test_drives_away_from_an_obstacle_behind() -> None:
-    twist = requested(scan_of(WAFFLE, [Disc(-0.8, 0.0)]))
-    assert twist.linear > 0.1
-    assert abs(twist.angular) < 0.1
-
-
 def test_reverses_slowly_from_an_obstacle_ahead() -> None:
     twist = requested(scan_of(WAFFLE, [Disc(0.8, 0.0)]))
     assert -0.131 <= twist.linear < -0.05
@@ -99,31 +92,6 @@ def test_a_refused_change_of_distance_keeps_the_old_one() -> None:
     with pytest.raises(ConfigError, match=r"distance is 0\.3 m"):
         pattern.update(bad)
     assert pattern.params is good
-
-
-@pytest.mark.parametrize(
-    ("ranges", "bearings"),
-    [([1.0, 2.0, 0.5], [0.5, 2.0, -1.0]), ([0.2, 0.3], [3.0, -3.0])],
-)
-def test_the_law_of_the_paper_is_its_equations(
-    ranges: Sequence[float], bearings: Sequence[float]
-) -> None:
-    # Weights 1 - r / 3.5 m, away from the sum, the bias of 1 along x.
-    x = 1.0 - sum((1.0 - r / 3.5) * math.cos(b) for r, b in zip(ranges, bearings, strict=True))
-    y = -sum((1.0 - r / 3.5) * math.sin(b) for r, b in zip(ranges, bearings, strict=True))
-    length = math.hypot(x, y)
-    twist = requested(scan_from(WAFFLE, np.array(ranges), np.array(bearings)), law="paper")
-    assert twist.linear == pytest.approx(0.26 * x / length)
-    assert twist.angular == pytest.approx(1.82 * math.asin(y / length))
-
-
-def test_the_law_of_the_paper_stops_when_alone() -> None:
-    assert requested(scan_of(WAFFLE), law="paper") == Twist()
-
-
-def test_the_law_of_the_paper_ignores_what_is_too_near() -> None:
-    near = scan_from(WAFFLE, np.full(3, -math.inf), np.array([0.1, 0.2, 0.3]))
-    assert requested(near, law="paper") == Twist()
 
 
 @pytest.mark.parametrize("platform", ["burger", "waffle_pi"])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -53,28 +53,8 @@ def opinion_after(pattern: MajorityRule, votes: Mapping[str, Value]) -> int:
     return pattern.opinion
 
 
-def talk(swarm: Sequence[MajorityRule], seconds: float) -> list[list[int]]:
-    """The opinions at every step, if all hear all one step later."""
-    said: dict[str, Value] = {}
-    history = []
-    for tick in range(round(seconds / PERIOD)):
-        heard, said = said, {}
-        for pattern in swarm:
-            others = {name: v for name, v in heard.items() if name != pattern.context.robot}
-            outputs = pattern.step(Inputs(tick * PERIOD, PERIOD, messages=hear(others)))
-            assert outputs.twist is None
-            if "opinion" in outputs.messages:
-                said[pattern.context.robot] = outputs.messages["opinion"]
-        history.append([pattern.opinion for pattern in swarm])
-    return history
-
-
 def test_adopts_the_majority_of_its_neighbours() -> None:
     assert opinion_after(make("a", initial=0), {"b": 2, "c": 2, "d": 1}) == 2
-
-
-def test_its_own_opinion_is_not_a_vote() -> None:
-    assert opinion_after(make("a", initial=0, ties="lowest"), {"a": 0, "b": 1}) == 1
 
 
 def test_other_channels_are_ignored() -> None:
@@ -86,10 +66,6 @@ def test_other_channels_are_ignored() -> None:
     assert pattern.opinion == 0
 
 
-def test_keeps_its_opinion_without_votes() -> None:
-    assert opinion_after(make("a", initial=2), {}) == 2
-
-
 @pytest.mark.parametrize(("ties", "opinion"), [("lowest", 1), ("keep", 3)])
 def test_ties_follow_the_parameter(ties: str, opinion: int) -> None:
     pattern = make("a", opinions=4, initial=3, ties=ties)
@@ -99,29 +75,6 @@ def test_ties_follow_the_parameter(ties: str, opinion: int) -> None:
 def test_ties_are_random_by_default() -> None:
     seen = {opinion_after(make("a", seed, initial=0), {"b": 2, "c": 1}) for seed in range(20)}
     assert seen == {1, 2}
-
-
-@pytest.mark.parametrize("nonsense", [True, -1, 3, 2**60, 1.0, "1", None, [1], b"1"])
-def test_an_invalid_opinion_is_not_a_vote(nonsense: Value) -> None:
-    assert opinion_after(make("a", initial=0), {"b": nonsense, "c": nonsense, "d": 2}) == 2
-
-
-def test_the_latest_vote_of_a_sender_counts_once() -> None:
-    pattern = make("a", initial=0)
-    pattern.step(Inputs(now=0.0, dt=0.0))
-    for now, vote in ((3.0, 1), (3.5, 1), (4.0, 2)):
-        pattern.step(Inputs(now=now, dt=0.5, messages=hear({"b": vote})))
-    pattern.step(Inputs(now=5.0, dt=1.0))
-    assert pattern.opinion == 2
-
-
-def test_a_silent_robot_does_not_vote() -> None:
-    pattern = make("a", initial=0, expiry=3.0)
-    pattern.step(Inputs(now=0.0, dt=0.0))
-    pattern.step(Inputs(now=1.0, dt=1.0, messages=hear({"gone": 1, "gone-too": 1})))
-    pattern.step(Inputs(now=4.0, dt=3.0, messages=hear({"b": 2})))
-    outputs = pattern.step(Inputs(now=5.0, dt=1.0))
-    assert outputs.report == {"opinion": 2, "heard": 1}
 
 
 @pytest.mark.parametrize(
@@ -154,14 +107,3 @@ def test_a_removed_opinion_is_drawn_again() -> None:
     pattern = make("a", initial=2)
     pattern.update(make("b", opinions=2, initial=0).params)
     assert pattern.opinion in {0, 1}
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_seven_robots_agree_within_twenty_seconds_and_stay_agreed(seed: int) -> None:
-    # Original rule, lossless, all hear all, 2000 runs: consensus of seven on one of three
-    # opinions within 20 s in every one.
-    swarm = [make(f"robot-{i}", 100 * seed + i) for i in range(7)]
-    history = talk(swarm, 40.0)
-    agreed = [len(set(opinions)) == 1 for opinions in history]
-    assert all(agreed[round(20.0 / PERIOD) :])
-    assert len({opinions[0] for opinions in history[round(20.0 / PERIOD) :]}) == 1

@@ -117,11 +117,3 @@ def test_the_law_of_the_paper_waits_and_ignores_obstacles() -> None:
     twists = walk(lambda now: ahead, 14.9, law="paper")
     assert all(twist == Twist() for twist in twists[:50])
     assert all(twist == Twist(linear=0.26) for twist in twists[50:])
-
-
-def test_the_law_of_the_paper_turns_as_ours_does() -> None:
-    twists = walk(lambda now: FREE, 600.0, law="paper", straight_min=0.1, straight_max=0.1)
-    rates = np.array([twist.angular for twist in twists[50:] if twist.linear == 0.0])
-    assert np.abs(rates).min() >= 0.2 * 1.82
-    assert np.abs(rates).max() <= 0.8 * 1.82
-    assert set(np.sign(rates)) == {-1.0, 1.0}

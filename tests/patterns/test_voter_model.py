@@ -56,14 +56,3 @@ def test_each_neighbour_is_drawn_with_equal_probability() -> None:
     assert 243 <= counts[1] <= 357
     spoken = Counter(opinion_after(make(seed), *votes) for seed in range(300))
     assert 67 <= spoken[1] <= 133
-
-
-def test_keeps_its_opinion_without_votes() -> None:
-    assert opinion_after(make()) == 0
-
-
-def test_its_own_opinion_counts_only_with_count_own() -> None:
-    alone = Counter(opinion_after(make(seed), ("b", 1)) for seed in range(50))
-    counted = Counter(opinion_after(make(seed, count_own=True), ("b", 1)) for seed in range(200))
-    assert alone == {1: 50}
-    assert 72 <= counted[0] <= 128

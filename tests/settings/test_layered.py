@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Literal
 
 import pytest
@@ -56,19 +57,13 @@ def test_does_not_change_its_sources() -> None:
     [
         ({}, "inner is missing; wanted keys and values: speed, count"),
         ({"inner": {}}, "inner.speed is missing; wanted a number above 0 and up to 2"),
-        ({"inner": {"speed": 0}}, "inner.speed is 0; wanted a number above 0 and up to 2"),
-        ({"inner": {"speed": 2.1}}, "inner.speed is 2.1; wanted a number above 0 and up to 2"),
-        (
-            {"inner": {"speed": float("nan")}},
-            "inner.speed is nan; wanted a number above 0 and up to 2",
+        *(
+            (
+                {"inner": {"speed": bad}},
+                f"inner.speed is {bad!r}; wanted a number above 0 and up to 2",
+            )
+            for bad in (0, 2.1, math.nan, math.inf, "1", True, None)
         ),
-        (
-            {"inner": {"speed": float("inf")}},
-            "inner.speed is inf; wanted a number above 0 and up to 2",
-        ),
-        ({"inner": {"speed": "1"}}, "inner.speed is '1'; wanted a number above 0 and up to 2"),
-        ({"inner": {"speed": True}}, "inner.speed is True; wanted a number above 0 and up to 2"),
-        ({"inner": {"speed": None}}, "inner.speed is None; wanted a number above 0 and up to 2"),
         ({"inner": {"spede": 1}}, "inner has no key 'spede'; did you mean 'speed'?"),
         ({"iner": {}}, "no key 'iner'; did you mean 'inner'?"),
         ({"inner": 5}, "inner is 5; wanted keys and values: speed, count"),

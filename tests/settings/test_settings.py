@@ -10,7 +10,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import TouchZone
-from swarmd.settings.settings import DaemonSettings, load_daemon_settings, platform_names
+from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 
 HOME = {"HOME": "/home/someone"}
 
@@ -181,8 +181,6 @@ def test_a_source_is_never_longer_than_a_status_can_name(folder: Path) -> None:
         ("id: TB3", "r.yaml: id is 'TB3'; wanted are 1 to 63 of a-z"),
         ("id: 7", "r.yaml: id is 7; wanted text or null"),
         ("id: r1\nplatform: wafle_pi", "no platform 'wafle_pi'; did you mean 'waffle_pi'?"),
-        ("id: r1\nplattform: burger", "r.yaml: no key 'plattform'; did you mean 'platform'?"),
-        ("id: r1\nid: r2", "r.yaml:2: key 'id' stands twice, first in line 1; keep one"),
         ("id: r1\ndriver_options: {x: .inf}", "r.yaml: driver_options.x is inf; wanted"),
         ("id: r1\nplatform: none.yaml", "none.yaml: cannot be read: No such file"),
     ],
@@ -206,7 +204,3 @@ def test_the_example_in_config_can_be_read() -> None:
     settings = load_daemon_settings(example, {"id": "tb3-01", "platform": "burger"}, HOME)
     assert settings.id in settings.roster
     assert settings.pattern_layers("attraction")
-
-
-def test_lists_the_shipped_platforms() -> None:
-    assert {"burger", "jackal", "waffle_pi"} <= set(platform_names())
