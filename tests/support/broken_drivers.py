@@ -9,15 +9,14 @@ import subprocess
 import sys
 import threading
 import time
-from collections import deque
-from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from swarmd.core.errors import CodecError
-from swarmd.core.values import ZERO, Odometry, Pose, Scan, Twist, Value
+from swarmd.core.values import ZERO, Odometry, Pose, Scan, Twist
 from swarmd.driver_api.driver import Finding, Sink
-from tests.support.wire import SPEC, Good, Wire
+from tests.support.wire import SPEC, Good
 
 # Beginnings
 
@@ -39,11 +38,6 @@ class ThereFromTheFirst(Good):
         sink.state(True, "surely there")
         self.is_up, self.heard_at = True, time.monotonic() + 60.0
         await super().run(sink)
-
-
-class SendsWhileLost(Good):
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
-        self.put(twist)
 
 
 class KeepsForLater(Good):
@@ -137,11 +131,6 @@ class HearsOneInThree(Good):
 # Ends
 
 
-class LeavesItMoving(Good):
-    def leave(self, error: BaseException) -> None:
-        pass
-
-
 class StopsOnlyIfCancelled(Good):
     def leave(self, error: BaseException) -> None:
         if isinstance(error, asyncio.CancelledError):
@@ -183,22 +172,6 @@ class RepeatsItself(Good):
     def leave(self, error: BaseException) -> None:
         super().leave(error)
         asyncio.get_running_loop().call_later(0.1, self.put, self.last)
-
-
-class KeepsAQueue(Good):
-    def __init__(self, wire: Wire, options: Mapping[str, Value]) -> None:
-        super().__init__(wire, options)
-        self.queue: deque[Twist] = deque()
-
-    def put(self, twist: Twist) -> None:
-        self.queue.append(twist)
-        asyncio.get_running_loop().call_later(0.02 * len(self.queue), self.drain)
-
-    def drain(self) -> None:
-        self.wire.take(self.queue.popleft())
-
-    def leave(self, error: BaseException) -> None:
-        self.wire.take(ZERO)
 
 
 class WaitsForTheBase(Good):
@@ -265,33 +238,10 @@ class TakesGarbage(Good):
             sink.scan(Scan(0, 0.0, np.ones(360), SPEC.bearings, SPEC.range_min, SPEC.range_max))
 
 
-class DeafAfterGarbage(Good):
-    is_deaf = False
-
-    def hear(self, sink: Sink, name: str, payload: bytes) -> None:
-        self.is_deaf |= payload[:1] == b"\xff"
-        if self.is_deaf:
-            sink.dropped(name)
-        else:
-            super().hear(sink, name, payload)
-
-
-def with_scan(scan: Scan, **changes: object) -> Scan:
-    fields = ("seq", "stamp", "ranges", "bearings", "range_min", "range_max")
-    values = {name: getattr(scan, name) for name in fields} | changes
-    return Scan(**values)
-
-
-class TakesNothingForFar(Good):
-    def on_scan(self, sink: Sink, scan: Scan) -> None:
-        ranges = np.where(np.isinf(scan.ranges), scan.range_max, scan.ranges)
-        sink.scan(with_scan(scan, ranges=ranges))
-
-
 class TakesUnknownForNothing(Good):
     def on_scan(self, sink: Sink, scan: Scan) -> None:
         ranges = np.where(np.isnan(scan.ranges), np.inf, scan.ranges)
-        sink.scan(with_scan(scan, ranges=ranges))
+        sink.scan(replace(scan, ranges=ranges))
 
 
 class DropsBlindSweeps(Good):
@@ -303,33 +253,33 @@ class DropsBlindSweeps(Good):
 class KnowsHowManyRays(Good):
     def on_scan(self, sink: Sink, scan: Scan) -> None:
         ranges = np.resize(scan.ranges, 360)
-        sink.scan(with_scan(scan, ranges=ranges, bearings=SPEC.bearings))
+        sink.scan(replace(scan, ranges=ranges, bearings=SPEC.bearings))
 
 
 class KnowsTheBearings(Good):
     def on_scan(self, sink: Sink, scan: Scan) -> None:
         bearings = np.resize(SPEC.bearings, len(scan.ranges))
-        sink.scan(with_scan(scan, bearings=bearings))
+        sink.scan(replace(scan, bearings=bearings))
 
 
 class CountsNothing(Good):
     def on_scan(self, sink: Sink, scan: Scan) -> None:
-        sink.scan(with_scan(scan, seq=1))
+        sink.scan(replace(scan, seq=1))
 
 
 class HasNoClock(Good):
     def on_scan(self, sink: Sink, scan: Scan) -> None:
-        sink.scan(with_scan(scan, stamp=1.0))
+        sink.scan(replace(scan, stamp=1.0))
 
 
 class IsHalfPrecise(Good):
     def on_scan(self, sink: Sink, scan: Scan) -> None:
-        sink.scan(with_scan(scan, ranges=scan.ranges.astype(np.float32)))
+        sink.scan(replace(scan, ranges=scan.ranges.astype(np.float32)))
 
 
 class BelievesTheMessage(Good):
     def on_scan(self, sink: Sink, scan: Scan) -> None:
-        sink.scan(with_scan(scan, range_max=100.0))
+        sink.scan(replace(scan, range_max=100.0))
 
 
 class IsNowhere(Good):

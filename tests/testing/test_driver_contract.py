@@ -15,7 +15,6 @@ BROKEN: dict[str, tuple[type[Good], ...]] = {
     "reports_the_base_up": (broken.HandsOnTooEarly, broken.NeverSaysThere),
     "commands_without_a_base": (
         broken.ThereFromTheFirst,
-        broken.SendsWhileLost,
         broken.KeepsForLater,
     ),
     "the_first_command_is_zero_and": (
@@ -32,12 +31,11 @@ BROKEN: dict[str, tuple[type[Good], ...]] = {
     "a_silent_base_gets_zero": (broken.FallsWithoutZero,),
     "slow_and_fast": (broken.CallsASlowSensorSilent, broken.HearsOneInThree),
     "the_last_command_is_zero_and": (
-        broken.LeavesItMoving,
         broken.SendsAfterItsEnd,
         broken.RepeatsItself,
     ),
     "the_last_command_is_zero_if": (broken.StopsOnlyIfCancelled,),
-    "a_command_just_before": (broken.KeepsAQueue, broken.RepeatsItself),
+    "a_command_just_before": (broken.RepeatsItself,),
     "sending_to_a_lost_base": (broken.WaitsForTheBase,),
     "leaves_no_task": (
         broken.RunsOnce,
@@ -49,10 +47,8 @@ BROKEN: dict[str, tuple[type[Good], ...]] = {
         broken.DiesOfGarbage,
         broken.CountsNoGarbage,
         broken.TakesGarbage,
-        broken.DeafAfterGarbage,
     ),
     "nan_and_infinity": (
-        broken.TakesNothingForFar,
         broken.TakesUnknownForNothing,
         broken.DropsBlindSweeps,
     ),
