@@ -2,8 +2,7 @@
 
 Publishes 3 kB at 20 Hz, so that links to vanished peers hold unacknowledged data. Lines:
 {"ready": name}, {"member": name, "condition": ..., "at": s}, and on each line of standard input
-{"gaps": {name: longest silence in s since the last such line}}; {"duplicate": instance} when
-another daemon turns out to hold the same id.
+{"gaps": {name: longest silence in s since the last such line}}.
 """
 
 from __future__ import annotations
@@ -31,12 +30,11 @@ class Survivor:
     async def run(self) -> None:
         bus = self._daemon.bus
         bus.on_member(self._on_member)
-        self._daemon.on_duplicate = lambda instance: _say({"duplicate": instance})
         bus.listen("sense", "noise", self._on_noise)
         for member in bus.members.values():
             self._on_member(member)
         lines = await _stdin()
-        _say({"ready": self._daemon.robot, "instance": self._daemon.instance})
+        _say({"ready": self._daemon.robot})
         noise = asyncio.create_task(self._noise())
         while await lines.readline():
             now = time.monotonic()

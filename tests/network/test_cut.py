@@ -12,7 +12,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,34 +31,28 @@ PEERS = STAYING | VANISHING
 STALLED = 5.0
 
 
-Places = Mapping[str, tuple[str, int]]
-
-
 class Peer:
     """One survivor.py in its namespace; its events, and the condition it last saw of each."""
 
-    def __init__(
-        self, name: str, namespace: str, swarm: str, places: Places, *, robot: str | None = None
-    ) -> None:
-        side, port = places[name]
+    def __init__(self, name: str, namespace: str, swarm: str) -> None:
+        side, port = PEERS[name]
         seeds = [
             word
-            for other, (where, number) in places.items()
+            for other, (where, number) in PEERS.items()
             if other != name
             for word in ("--seed", f"tcp/{ADDRESSES[where]}:{number}")
         ]
         self._changed = threading.Condition()
         self._process = subprocess.Popen(
             ["ip", "netns", "exec", namespace, sys.executable, "-m",
-             "tests.network.survivor", robot or name, "--swarm", swarm, "--interface", "eth0",
+             "tests.network.survivor", name, "--swarm", swarm, "--interface", "eth0",
              "--listen", f"tcp/{ADDRESSES[side]}:{port}", *seeds],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT,
         )  # fmt: skip
         self.events: list[dict[str, Any]] = []
         self.conditions: dict[str, str] = {}
         self.gaps: list[dict[str, float]] = []
-        self.instance: str | None = None
-        self.duplicates: list[str] = []
+        self.is_ready = False
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
 
@@ -92,26 +86,18 @@ class Peer:
                     self.conditions[event["member"]] = event["condition"]
                 elif "gaps" in event:
                     self.gaps.append(event["gaps"])
-                elif "duplicate" in event:
-                    self.duplicates.append(event["duplicate"])
-                elif "ready" in event:
-                    self.instance = event["instance"]
+                else:
+                    self.is_ready = True
                 self._changed.notify_all()
-
-
-def is_ready(peer: Peer) -> bool:
-    return peer.instance is not None
 
 
 @pytest.fixture
 def peers(namespaces: Any, settings: NetworkSettings) -> Iterator[dict[str, Peer]]:
     sides = {side: namespaces.join(side, address) for side, address in ADDRESSES.items()}
-    made = {
-        name: Peer(name, sides[side], settings.swarm, PEERS) for name, (side, _) in PEERS.items()
-    }
+    made = {name: Peer(name, sides[side], settings.swarm) for name, (side, _) in PEERS.items()}
     try:
         for peer in made.values():
-            peer.until(is_ready)
+            peer.until(lambda peer: peer.is_ready)
         yield made
     finally:
         for peer in made.values():
@@ -150,26 +136,3 @@ def test_vanished_peers_fail_and_do_not_stall_the_others(
     gap = max(gap, peers["a"].silences()["b"], peers["b"].silences()["a"])
     assert gap < STALLED
     print(f"noticed {noticed:.2f} s, longest silence {gap:.2f} s, healed {healed:.2f} s")
-
-
-def test_two_owners_of_an_id_are_detected_when_a_cut_heals(
-    namespaces: Any, settings: NetworkSettings
-) -> None:
-    places = {"one": ("a", 7447), "other": ("far", 7447)}
-    sides = {side: namespaces.join(side, ADDRESSES[side]) for side, _ in places.values()}
-    namespaces.cut("far")
-    both = {
-        name: Peer(name, sides[side], settings.swarm, places, robot="tb3-01")
-        for name, (side, _) in places.items()
-    }
-    one, other = both.values()
-    try:
-        one.until(is_ready)
-        other.until(is_ready)
-        assert not one.duplicates
-        namespaces.heal("far")
-        one.until(lambda peer: other.instance in peer.duplicates)
-        other.until(lambda peer: one.instance in peer.duplicates)
-    finally:
-        one.end()
-        other.end()

@@ -11,7 +11,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 
 import pytest
 import zenoh
@@ -39,46 +39,51 @@ def field(**changes: object) -> NetworkSettings:
     )
 
 
-def test_dev_stays_on_loopback() -> None:
-    options = session_options(NetworkSettings(swarm="lab"))
-    assert options["scouting/multicast/interface"] == "lo"
-    assert options["listen/endpoints"] == ["tcp/127.0.0.1:0"]
-    assert options["scouting/gossip/enabled"] is False
-    assert options["transport/link/tx/lease"] == 2000
+MULTICAST, GOSSIP = "scouting/multicast/enabled", "scouting/gossip/enabled"
+INTERFACE, LEASE = "scouting/multicast/interface", "transport/link/tx/lease"
+LISTEN, DIAL = "listen/endpoints", "connect/endpoints"
 
 
-def test_field_binds_the_named_interface_alone() -> None:
-    options = session_options(field())
-    assert options["scouting/multicast/interface"] == "wlan0"
-    assert options["listen/endpoints"] == ["tcp/0.0.0.0:7440#iface=wlan0"]
-    assert options["transport/link/tx/lease"] == 3000
+@pytest.mark.parametrize(
+    ("settings", "wanted"),
+    [
+        (
+            NetworkSettings(swarm="lab"),
+            {INTERFACE: "lo", LISTEN: ["tcp/127.0.0.1:0"], GOSSIP: False, LEASE: 2000},
+        ),
+        (
+            field(),
+            {INTERFACE: "wlan0", LISTEN: ["tcp/0.0.0.0:7440#iface=wlan0"], LEASE: 3000},
+        ),
+        (field(listen=("tcp/10.0.0.5:7001",)), {LISTEN: ["tcp/10.0.0.5:7001#iface=wlan0"]}),
+        (
+            field(seeds=("tcp/10.0.0.5:7447",), multicast=False),
+            {MULTICAST: False, GOSSIP: True, DIAL: ["tcp/10.0.0.5:7447"]},
+        ),
+        (
+            field(listen=("tcp/10.0.0.5:7447",)).as_operator(),
+            {LISTEN: ["tcp/0.0.0.0:0#iface=wlan0"]},
+        ),
+    ],
+    ids=["dev", "field", "field's own endpoint", "seeds alone", "operator"],
+)
+def test_a_session_binds_and_dials_only_what_its_profile_names(
+    settings: NetworkSettings, wanted: dict[str, object]
+) -> None:
+    options = session_options(settings)
+    assert {path: options[path] for path in wanted} == wanted
 
 
-def test_field_binds_its_own_endpoints_to_the_interface_too() -> None:
-    options = session_options(field(listen=("tcp/10.0.0.5:7001",)))
-    assert options["listen/endpoints"] == ["tcp/10.0.0.5:7001#iface=wlan0"]
-
-
-def test_field_dials_its_seeds_and_again_within_a_second() -> None:
-    options = session_options(field(seeds=("tcp/10.0.0.5:7447",), multicast=False))
-    assert options["scouting/multicast/enabled"] is False
-    assert options["scouting/gossip/enabled"] is True
-    assert options["connect/endpoints"] == ["tcp/10.0.0.5:7447"]
-    retry = options["connect/retry"]
+def test_seeds_that_are_away_are_dialled_again_within_a_second() -> None:
+    retry = session_options(NetworkSettings())["connect/retry"]
     assert isinstance(retry, dict)
     assert retry["period_max_ms"] == 1000
-
-
-def test_an_operator_takes_any_port() -> None:
-    visitor = field(listen=("tcp/10.0.0.5:7447",)).as_operator()
-    assert session_options(visitor)["listen/endpoints"] == ["tcp/0.0.0.0:0#iface=wlan0"]
 
 
 def test_the_scouting_port_follows_from_the_name() -> None:
     ports = {scouting_port(f"class-{number}") for number in range(500)}
     assert ports <= set(range(FIRST_PORT, FIRST_PORT + PORTS))
     assert len(ports) == PORTS
-    assert scouting_port("class-1") == scouting_port("class-1")
 
 
 @pytest.mark.parametrize(
@@ -100,12 +105,6 @@ def test_a_wrong_setting_is_named_in_one_line(settings: NetworkSettings, words: 
         session_options(settings)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_zenoh_knows_every_option(settings: NetworkSettings) -> None:
-    session = open_session(settings)
-    assert not session.is_closed()
-    session.close()
 
 
 def test_a_port_in_use_is_one_clear_line(settings: NetworkSettings) -> None:
@@ -168,23 +167,10 @@ def session() -> zenoh.Session:
     return zenoh.open(config)
 
 
-def opener(made: list[zenoh.Session], go_on: threading.Event) -> Callable[[], zenoh.Session]:
-    def open_it() -> zenoh.Session:
-        go_on.wait(TIMEOUT)
-        made.append(session())
-        return made[-1]
-
-    return open_it
-
-
-def test_an_opened_session_is_returned() -> None:
-    found = asyncio.run(open_in_thread(session))
+async def test_an_opened_session_is_returned() -> None:
+    found = await open_in_thread(session)
     assert not found.is_closed()
     found.close()
-
-
-def test_an_opener_may_return_none() -> None:
-    assert asyncio.run(open_in_thread(lambda: None)) is None
 
 
 @pytest.mark.parametrize("waits", [False, True])
@@ -192,8 +178,13 @@ def test_a_session_opened_after_a_cancel_is_closed(waits: bool) -> None:
     made: list[zenoh.Session] = []
     go_on = threading.Event()
 
+    def open_it() -> zenoh.Session:
+        go_on.wait(TIMEOUT)
+        made.append(session())
+        return made[-1]
+
     async def run() -> None:
-        task = asyncio.create_task(open_in_thread(opener(made, go_on)))
+        task = asyncio.create_task(open_in_thread(open_it))
         await asyncio.sleep(0.01)
         task.cancel()
         if waits:
@@ -204,7 +195,7 @@ def test_a_session_opened_after_a_cancel_is_closed(waits: bool) -> None:
     assert [one.is_closed() for one in made] == [True]
 
 
-def test_a_session_opened_while_cancelled_is_closed() -> None:
+async def test_a_session_opened_while_cancelled_is_closed() -> None:
     made: list[zenoh.Session] = []
     is_made = threading.Event()
 
@@ -213,14 +204,11 @@ def test_a_session_opened_while_cancelled_is_closed() -> None:
         is_made.set()
         return made[-1]
 
-    async def run() -> None:
-        task = asyncio.create_task(open_in_thread(open_it))
-        await asyncio.sleep(0)
-        assert is_made.wait(TIMEOUT)  # the loop is held up, and has not heard of it
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-
-    asyncio.run(run())
+    task = asyncio.create_task(open_in_thread(open_it))
+    await asyncio.sleep(0)
+    assert is_made.wait(TIMEOUT)  # the loop is held up, and has not heard of it
+    task.cancel()
+    await asyncio.gather(task, return_exceptions=True)
     assert [one.is_closed() for one in made] == [True]
 
 

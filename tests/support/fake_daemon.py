@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import contextlib
 import secrets
 import sys
 import threading
@@ -98,8 +99,6 @@ class FakeDaemon:
         self.instance = secrets.token_hex(6)
         self.settings = settings
         self.requests: list[AnyRequest] = []
-        self.duplicates: list[str] = []
-        self.on_duplicate: Callable[[str], object] = self.duplicates.append
         self._answer = answer
         self._roster = roster
         self._is_claiming = is_claiming
@@ -137,7 +136,7 @@ class FakeDaemon:
                 instance=self.instance,
                 settle=self.settings.settle,
                 lease=self.settings.lease_seconds,
-                on_duplicate=lambda instance: self.on_duplicate(instance),
+                on_duplicate=lambda instance: None,
             )
         except BaseException:
             self.vanish()
@@ -226,50 +225,22 @@ class FakeSwarm:
 
 
 async def serve(settings: NetworkSettings, robots: list[str]) -> None:
-    """Run these robots until cancelled; prints `ready` once all have their ids."""
-    daemons = [FakeDaemon(settings, robot) for robot in robots]
-    try:
-        await asyncio.gather(*(daemon.start() for daemon in daemons))
-        print("ready", flush=True)
-        await asyncio.Event().wait()
-    finally:
-        for daemon in daemons:
-            daemon.vanish()
-
-
-def main() -> None:
-    """Command line; ends with its standard input, so that nothing outlives a test."""
-    parser = argparse.ArgumentParser(description="robots without bodies")
-    parser.add_argument("--swarm", required=True)
-    parser.add_argument("--profile", choices=("dev", "field"), default="dev")
-    parser.add_argument("--interface")
-    parser.add_argument("--listen", action="append", default=[])
-    parser.add_argument("--seed", action="append", default=[])
-    parser.add_argument("--no-multicast", action="store_true")
-    parser.add_argument("robots", nargs="+")
-    args = parser.parse_args()
-    settings = NetworkSettings(
-        swarm=args.swarm,
-        profile=args.profile,
-        interface=args.interface,
-        listen=tuple(args.listen),
-        seeds=tuple(args.seed),
-        multicast=not args.no_multicast,
-    )
-    asyncio.run(_until_stdin_ends(settings, args.robots))
-
-
-async def _until_stdin_ends(settings: NetworkSettings, robots: list[str]) -> None:
+    """Run these robots until standard input ends; prints `ready` once all have their ids."""
     reader = asyncio.StreamReader()
-    loop = asyncio.get_running_loop()
-    await loop.connect_read_pipe(lambda: asyncio.StreamReaderProtocol(reader), sys.stdin)
-    running = asyncio.create_task(serve(settings, robots))
-    ended = asyncio.create_task(reader.read())
-    await asyncio.wait({running, ended}, return_when=asyncio.FIRST_COMPLETED)
-    running.cancel()
-    ended.cancel()
-    await asyncio.gather(running, ended, return_exceptions=True)
+    await asyncio.get_running_loop().connect_read_pipe(
+        lambda: asyncio.StreamReaderProtocol(reader), sys.stdin
+    )
+    async with contextlib.AsyncExitStack() as daemons:
+        await asyncio.gather(
+            *(daemons.enter_async_context(FakeDaemon(settings, robot)) for robot in robots)
+        )
+        print("ready", flush=True)
+        await reader.read()
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description="robots without bodies")
+    parser.add_argument("--swarm", required=True)
+    parser.add_argument("robots", nargs="+")
+    args = parser.parse_args()
+    asyncio.run(serve(NetworkSettings(swarm=args.swarm), args.robots))
