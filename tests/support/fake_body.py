@@ -120,10 +120,10 @@ class Body:
         """The first command that moves."""
         return self.wait(lambda command: not command.twist.is_zero, since)
 
-    def wait_stepped(self) -> Commanded:
+    def wait_stepped(self, since: float = 0.0) -> Commanded:
         """The first command that moves on a wish for which the pattern had seen a scan."""
         return self.wait(
-            lambda command: not command.twist.is_zero and command.requested_scan_seq >= 0
+            lambda command: not command.twist.is_zero and command.requested_scan_seq >= 0, since
         )
 
     def wait_zero(self, since: float = 0.0) -> Commanded:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import signal
-import time
 from typing import TYPE_CHECKING
 
 import pytest
@@ -65,28 +64,22 @@ def test_a_frozen_daemon_fails_after_its_lease_and_is_alive_once_thawed(swarm: S
     assert not body.moved_anew(thawed)
 
 
-def test_a_terminated_daemon_commands_zero_and_is_listed_as_left(swarm: Swarm) -> None:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_daemon_that_is_ended_commands_zero_and_is_listed_as_left(
+    swarm: Swarm, number: signal.Signals
+) -> None:
     body = swarm.body("r1")
     daemon = swarm.start("r1", body)
     swarm.start("r2")
     swarm.run_drive("r1")
     body.wait_moving()
 
-    began = time.monotonic()
-    assert daemon.terminate() == 0
-    print(f"ended after {time.monotonic() - began:.3f} s")
-    swarm.await_condition("r2", "r1", Condition.LEFT)
-    assert body.commands[-1].twist.is_zero
-    done = swarm.ctl("stop")  # nobody waits for a robot that said goodbye
-    assert (done.code, done.out.splitlines()[-1]) == (0, "1 targeted, 1 applied")
-
-
-def test_interrupting_a_daemon_is_a_clean_end_as_well(swarm: Swarm) -> None:
-    daemon = swarm.start("r1")
-    swarm.start("r2")
-    daemon.send(signal.SIGINT)
+    daemon.send(number)
     assert daemon.process.wait(CAP) == 0
     swarm.await_condition("r2", "r1", Condition.LEFT)
+    assert body.commands[-1].twist.is_zero
+    done = swarm.ctl("stop")  # does not wait for a robot that left
+    assert (done.code, done.out.splitlines()[-1]) == (0, "1 targeted, 1 applied")
 
 
 def test_a_failed_robot_stays_listed_until_it_is_forgotten_everywhere(swarm: Swarm) -> None:

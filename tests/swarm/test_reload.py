@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +16,7 @@ from swarmd.testing.driver_rig import is_running
 from tests.support.processes import DaemonProcess, children, wait_until
 
 if TYPE_CHECKING:
-    from tests.support.fake_body import Body
+    from tests.support.fake_body import Body, Commanded
     from tests.swarm.conftest import Finished, Swarm
 
 pytestmark = pytest.mark.integration
@@ -80,29 +80,55 @@ class Own:
         """`swarmctl plugin reload NAME r1`."""
         return self.swarm.ctl("plugin", "reload", name, "r1", *words)
 
-    def check_undisturbed(self, since: Callable[[], bool], before: Status) -> None:
-        """It has run on all the time, the same object in the same process."""
+    def start_reload(self, *words: str, user: str = "anna") -> subprocess.Popen[str]:
+        """A reload of code that hangs, whose trial is under way."""
+        self.run()
+        self.write(HANGS)
+        begun = self.swarm.begin("plugin", "reload", "own", "r1", *words, user=user)
+        wait_until(lambda: len(self.hosts()) == 2, "the trial is under way")
+        return begun
+
+    def hosts(self) -> list[int]:
+        """The processes of its daemon."""
+        return children(self.daemon.process.pid)
+
+    def calm(self) -> None:
+        """It stands and has version 1, whatever was before."""
+        self.write(V1)
+        assert self.swarm.ctl("stop").code == 0
+        if self.swarm.status("r1").state is S.ESTOPPED:
+            assert self.swarm.ctl("reset", "r1").code == 0
+        assert self.reload().code == 0
+
+    def check_undisturbed(self, moving: Commanded, before: Status) -> None:
+        """Since `moving` it has run on all the time, the same object in the same process."""
         after = self.swarm.status("r1")
-        assert (after.state, after.generation, after.report) == (
+        assert (after.state, after.generation, after.report, after.params) == (
             S.RUNNING,
             before.generation,
             before.report,
+            before.params,
         )
-        assert after.params == before.params
         assert after.health.host_restarts == before.health.host_restarts
-        assert since()
+        assert self.body.ran_since(moving)
         self.body.wait_moving(boottime())
 
 
 @pytest.fixture(scope="module")
-def steady(shared_swarm: Swarm, tmp_path_factory: pytest.TempPathFactory) -> tuple[Own, Status]:
-    """A robot that runs version 1 and has to go on doing so, and how it was at first."""
-    own = Own(shared_swarm, tmp_path_factory.mktemp("steady") / "own")
-    return own, own.run("-p", "speed=0.05")
+def robot(shared_swarm: Swarm, tmp_path_factory: pytest.TempPathFactory) -> Own:
+    """One robot for all tests that leave its daemon running."""
+    return Own(shared_swarm, tmp_path_factory.mktemp("shared") / "own")
 
 
 @pytest.fixture
-def own(swarm: Swarm, tmp_path: Path) -> Own:
+def own(robot: Own) -> Own:
+    """The shared robot; it stands and has version 1."""
+    robot.calm()
+    return robot
+
+
+@pytest.fixture
+def fresh(swarm: Swarm, tmp_path: Path) -> Own:
     """A robot that knows the pattern, and was never asked to run it."""
     return Own(swarm, tmp_path / "own")
 
@@ -135,73 +161,62 @@ def test_a_reload_with_run_keeps_the_parameters(own: Own) -> None:
     assert any(text.startswith("stopped (reloaded) own") for text in texts), texts
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("import os\nimport nothing_of_that_name\n", "No module named 'nothing_of_that_name' (own"),
-        ("x = 1\n\ndef broken(:\n", "SyntaxError: invalid syntax (own.py:3)"),
-        ("x = 1\n", "must hold exactly one Pattern; it holds none"),
-        (V2.replace("speed:", "pace:"), "no parameter 'speed'; there are: pace"),
-        (
-            V2.replace("needs =", "x = 1 / 0\n    needs ="),
-            "ZeroDivisionError: division by zero (own",
-        ),
-        ("import os\nos._exit(3)\n", "while it was being loaded its process ended with code 3"),
-        ("import ctypes\nctypes.string_at(0)\n", "its process was killed by SIGSEGV"),
-        (HOG, "its process needed more memory than it may have"),
-    ],
-)
-def test_code_that_does_not_load_is_refused_without_effect(
-    steady: tuple[Own, Status], text: str, told: str
-) -> None:
-    own, before = steady
-    moving = own.body.wait_stepped()
-    own.write(text)
-    done = own.reload("--run", "-o", "json")
-    reply = done.json["replies"]["r1"]
-    assert (reply["code"], done.json["exit_code"]) == ("refused", done.code), done
-    assert done.code in (2, 7)  # 2: a parameter that the new code does not know
-    assert told in reply["text"]
-    own.check_undisturbed(lambda: own.body.ran_since(moving), before)
-    wait_until(lambda: len(children(own.daemon.process.pid)) == 1, "the trial's process is gone")
+BROKEN = [
+    ("import os\nimport nothing_of_that_name\n", "No module named 'nothing_of_that_name' (own"),
+    ("x = 1\n\ndef broken(:\n", "SyntaxError: invalid syntax (own.py:3)"),
+    ("x = 1\n", "must hold exactly one Pattern"),
+    (V2.replace("speed:", "pace:"), "no parameter 'speed'; there are: pace"),
+    (V2.replace("needs =", "x = 1 / 0\n    needs ="), "ZeroDivisionError"),
+    ("import os\nos._exit(3)\n", "ended with code 3"),
+    ("import ctypes\nctypes.string_at(0)\n", "killed by SIGSEGV"),
+    (HOG, "needed more memory than it may have"),
+]
+
+
+def test_code_that_does_not_load_is_refused_without_effect(own: Own) -> None:
+    before = own.run("-p", "speed=0.05")
+    for text, told in BROKEN:
+        moving = own.body.wait_stepped(boottime())
+        own.write(text)
+        done = own.reload("--run", "-o", "json")
+        reply = done.json["replies"]["r1"]
+        assert (reply["code"], done.json["exit_code"]) == ("refused", done.code), done
+        assert done.code in (2, 7)  # 2: a parameter that the new code does not know
+        assert told in reply["text"]
+        own.check_undisturbed(moving, before)
+        (host,) = own.hosts()
+        assert is_running(host)
 
 
 def test_code_that_hangs_is_refused_and_its_process_ended(own: Own) -> None:
     before = own.run()
-    moving = own.body.wait_stepped()
+    moving = own.body.wait_stepped(boottime())
     own.write(HANGS)
     began = time.monotonic()
     done = own.reload()
     assert time.monotonic() - began < 20.0
     assert done.code == 7, done
     assert "own: loading took more than 10 s" in done.out
-    own.check_undisturbed(lambda: own.body.ran_since(moving), before)
-    wait_until(lambda: len(children(own.daemon.process.pid)) == 1, "the trial's process is gone")
+    own.check_undisturbed(moving, before)
+    wait_until(lambda: len(own.hosts()) == 1, "the trial's process is gone")
 
 
 @pytest.mark.parametrize("verb", ["stop", "estop"])
 def test_a_stop_ends_the_trial(own: Own, verb: str) -> None:
-    own.run()
-    own.write(HANGS)
-    begun = own.swarm.begin("plugin", "reload", "own", "r1", "--run", "-o", "json")
-    wait_until(lambda: len(children(own.daemon.process.pid)) == 2, "the trial is under way")
+    begun = own.start_reload("--run", "-o", "json")
     stopped = own.swarm.ctl(verb, "r1")
     assert stopped.code == 0, stopped
-    own.body.wait_zero(boottime())
+    zero = own.body.wait_zero(boottime())
     done = own.swarm.finish(begun)
     assert done.code == 7, done
     assert "while the new code was being tried" in done.json["replies"]["r1"]["text"]
-    wait_until(lambda: len(children(own.daemon.process.pid)) == 1, "the trial's process is gone")
-    now = boottime()
-    time.sleep(1.0)
-    assert not own.body.moved_since(now)
+    wait_until(lambda: len(own.hosts()) == 1, "the trial's process is gone")
+    own.body.wait(lambda command: command.scan_seq >= zero.scan_seq + 5, zero.at)
+    assert not own.body.moved_since(zero.at)
 
 
 def test_no_second_trial_and_no_run_during_a_trial(own: Own) -> None:
-    own.run()
-    own.write(HANGS)
-    begun = own.swarm.begin("plugin", "reload", "own", "r1", user="ben")
-    wait_until(lambda: len(children(own.daemon.process.pid)) == 2, "the trial is under way")
+    begun = own.start_reload(user="ben")
     for words in (("plugin", "reload", "own", "r1"), ("run", "drive", "r1")):
         done = own.swarm.ctl(*words)
         assert done.code == 7, done
@@ -212,51 +227,44 @@ def test_no_second_trial_and_no_run_during_a_trial(own: Own) -> None:
     assert own.swarm.finish(begun).code == 7
 
 
-def test_a_daemon_that_ends_during_a_trial_leaves_no_process(own: Own) -> None:
-    own.run()
-    own.write(HANGS)
-    begun = own.swarm.begin("plugin", "reload", "own", "r1")
-    wait_until(lambda: len(children(own.daemon.process.pid)) == 2, "the trial is under way")
-    hosts = children(own.daemon.process.pid)
-    assert own.daemon.terminate() == 0
+def test_a_daemon_that_ends_during_a_trial_leaves_no_process(fresh: Own) -> None:
+    begun = fresh.start_reload()
+    hosts = fresh.hosts()
+    assert fresh.daemon.terminate() == 0
     assert not any(map(is_running, hosts))
-    assert own.swarm.finish(begun).code in (5, 7)
+    assert fresh.swarm.finish(begun).code in (5, 7)
 
 
-def test_reloading_a_pattern_that_does_not_run_stops_nothing(own: Own) -> None:
-    done = own.reload("--run")
+def test_reloading_a_pattern_that_does_not_run_stops_nothing(fresh: Own) -> None:
+    done = fresh.reload("--run")
     assert done.code == 0, done
-    assert "a run of own takes the new code; idle, as before" in done.out
-    assert own.swarm.status("r1").state is S.IDLE
-    own.swarm.run_drive("r1")
-    moving = own.body.wait_stepped()
-    before = own.swarm.status("r1")
-    done = own.reload("--run")
-    assert "a run of own takes the new code; drive goes on" in done.out
-    own.check_undisturbed(lambda: own.body.ran_since(moving), before)
-    own.write(V2)
-    own.run()
-    assert own.at_version().report == {"version": 2}
+    assert "idle, as before" in done.out
+    assert fresh.swarm.status("r1").state is S.IDLE
+    fresh.swarm.run_drive("r1")
+    moving = fresh.body.wait_stepped()
+    before = fresh.swarm.status("r1")
+    done = fresh.reload("--run")
+    assert "drive goes on" in done.out
+    fresh.check_undisturbed(moving, before)
+    fresh.write(V2)
+    fresh.run()
+    assert fresh.at_version().report == {"version": 2}
 
 
-def test_only_patterns_that_exist_can_be_reloaded(
-    own: Own,
-) -> None:
+def test_only_patterns_that_exist_can_be_reloaded(own: Own) -> None:
     own.swarm.run_drive("r1")
     done = own.reload("--run", name="drive")
     assert done.code == 0, done
     assert "runs drive" in done.out
     done = own.reload(name="drvie")
-    assert (done.code, done.err.splitlines()[-1][:52]) == (
-        2,
-        "error: no pattern 'drvie'; did you mean 'drive'? (see",
-    ) or "no pattern 'drvie'" in done.err, done
+    assert done.code == 2, done
+    assert "no pattern 'drvie'" in done.err
     assert own.swarm.status("r1").state is S.RUNNING
 
 
 def test_an_edit_without_reload_changes_nothing(own: Own) -> None:
     before = own.run()
-    moving = own.body.wait_stepped()
+    moving = own.body.wait_stepped(boottime())
     own.write("x = 1\n\ndef broken(:\n")
     done = own.swarm.ctl("run", "own", "r1", "-o", "json")
     assert done.json["replies"]["r1"]["code"] == Code.REFUSED.value
