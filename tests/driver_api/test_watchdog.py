@@ -47,13 +47,7 @@ def test_the_numbers_are_those_promised() -> None:
 
 def test_begins_after_exactly_0_4_s_of_silence() -> None:
     assert sending(fed(), 0.0, 0.1, 0.3999999, 0.4, 0.5) == [False, False, False, True, True]
-
-
-def test_each_tick_begins_the_wait_anew() -> None:
-    timer = fed()
-    for i in range(1, 100):
-        assert not timer.is_sending(0.39 * i)
-        timer.tick(0.39 * i)
+    assert sending(fed(9.0), 9.3999999, 9.4) == [False, True]
 
 
 def test_sends_for_2_s_although_the_daemon_is_back_at_once() -> None:
@@ -90,16 +84,13 @@ def test_end_of_file_is_acted_on_at_once_and_lasts_until_relieved() -> None:
     assert not timer.is_done(100.0)
     timer.relieve()
     assert timer.is_done(100.0)
-
-
-def test_relieved_early_it_still_sends_for_2_s() -> None:
-    timer = fed()
-    timer.close(1.0)
-    timer.relieve()
-    assert sending(timer, 1.0, 2.9) == [True, True]
-    assert not timer.is_done(2.9)
-    assert timer.is_done(3.0)
-    assert not timer.is_sending(3.0)
+    early = fed()
+    early.close(1.0)
+    early.relieve()
+    assert sending(early, 1.0, 2.9) == [True, True]
+    assert not early.is_done(2.9)
+    assert early.is_done(3.0)
+    assert not early.is_sending(3.0)
 
 
 def test_before_the_first_tick_it_never_sends() -> None:
@@ -168,14 +159,6 @@ def test_only_an_idle_robot_is_silent() -> None:
 
 
 # What the files say
-
-
-@pytest.mark.parametrize("command_timeout", ["base", "none", 0.25, 0.5])
-def test_takes_every_kind_of_command_timeout(command_timeout: Value) -> None:
-    assert (
-        base_options({"command_timeout": command_timeout, "endpoint": "x"}, "here").command_timeout
-        == command_timeout
-    )
 
 
 @pytest.mark.parametrize(

@@ -130,6 +130,16 @@ def test_one_that_cannot_be_ready_is_an_error(
     asyncio.run(asyncio.wait_for(run(), TIMEOUT))
 
 
+def test_a_watchdog_whose_sender_cannot_be_made_reports_why() -> None:
+    async def run() -> None:
+        mine = WatchdogProcess(SPEC, name=None)
+        with pytest.raises(DriverError, match="nowhere"):
+            await mine.start()
+        mine.close()
+
+    asyncio.run(asyncio.wait_for(run(), TIMEOUT))
+
+
 # The watchdog's end
 
 
@@ -286,8 +296,8 @@ class Process:
     pid = 7
     requires_zero = False
 
-    def __init__(self, story: list[str], **_: object) -> None:
-        self.story = story
+    def __init__(self) -> None:
+        self.story: list[str] = []
         self.ready: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self.end: asyncio.Future[str] = asyncio.get_running_loop().create_future()
 
@@ -307,51 +317,57 @@ class Process:
         self.story.append("buried")
 
 
+@pytest.fixture
+def started(monkeypatch: pytest.MonkeyPatch) -> list[Process]:
+    """The watchdog processes that a driver has started."""
+    made: list[Process] = []
+
+    def start(spec: ZeroSenderSpec, **keywords: Any) -> Process:
+        made.append(Process())
+        return made[-1]
+
+    monkeypatch.setattr(guarded, "WatchdogProcess", start)
+    return made
+
+
 def test_the_driver_lives_within_its_watchdog_and_each_command_feeds_it(
-    monkeypatch: pytest.MonkeyPatch,
+    started: list[Process],
 ) -> None:
     async def run() -> None:
-        inner, made = Inner(), list[Process]()
-
-        def start(spec: ZeroSenderSpec, **keywords: Any) -> Process:
-            made.append(Process(inner.story, **keywords))
-            return made[-1]
-
-        monkeypatch.setattr(guarded, "WatchdogProcess", start)
-        driver, heard = WatchedDriver(inner, SPEC, name="n"), CollectingSink()
+        inner, heard = Inner(), CollectingSink()
+        driver = WatchedDriver(inner, SPEC, name="n")
         task = asyncio.create_task(driver.run(heard))
         await asyncio.sleep(0.01)
         driver.send(Twist(0.1), 1, 1)
         assert inner.story == []
         assert heard.states == [(False, "waits for its watchdog")]
-        made[0].ready.set_result(None)
+        (process,) = started
+        process.ready.set_result(None)
         await asyncio.sleep(0.01)
         driver.send(Twist(0.1), 1, 1)
-        driver.send(Twist(), 2, 2)
-        assert inner.story[0] == "runs"
-        assert sorted(inner.story[1:]) == ["fed", "fed", "sends 0", "sends 0.1"]
-        made[0].end.set_result("has ended")
+        process.requires_zero = True
+        driver.send(Twist(0.1), 2, 2)
+        assert inner.story == ["runs", "sends 0.1", "sends 0"]
+        assert process.story == ["fed", "fed"]
+        process.end.set_result("has ended")
         with pytest.raises(DriverError, match="the watchdog has ended"):
             await task
-        assert inner.story[5:] == ["ends", "farewell"]
+        assert inner.story[3:] == ["ends"]
         driver.send(Twist(0.1), 3, 3)
-        assert inner.story[7:] == []
+        assert inner.story[4:] == []
+        assert process.story == ["fed", "fed", "farewell"]
 
     asyncio.run(asyncio.wait_for(run(), TIMEOUT))
 
 
-def test_without_a_watchdog_the_driver_does_not_run(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_watchdog_the_driver_does_not_run(started: list[Process]) -> None:
     async def run() -> None:
-        inner, made = Inner(), list[Process]()
-
-        def start(spec: ZeroSenderSpec, **keywords: Any) -> Process:
-            made.append(Process(inner.story, **keywords))
-            made[-1].ready.set_exception(DriverError("no watchdog: see the log"))
-            return made[-1]
-
-        monkeypatch.setattr(guarded, "WatchdogProcess", start)
+        inner = Inner()
+        task = asyncio.create_task(WatchedDriver(inner, SPEC, name="n").run(CollectingSink()))
+        await asyncio.sleep(0.0)
+        started[0].ready.set_exception(DriverError("no watchdog: see the log"))
         with pytest.raises(DriverError, match="no watchdog"):
-            await WatchedDriver(inner, SPEC, name="n").run(CollectingSink())
-        assert inner.story == ["farewell"]
+            await task
+        assert (inner.story, started[0].story) == ([], ["farewell"])
 
     asyncio.run(asyncio.wait_for(run(), TIMEOUT))

@@ -122,10 +122,6 @@ def play(
     asyncio.run(run())
 
 
-def test_is_simulated() -> None:
-    assert make().is_simulated
-
-
 def test_all_senses_arrive_as_they_were_sent() -> None:
     async def story(harness: DriverHarness, body: Body) -> None:
         neighbors = (Neighbor("x", 0.0, 1.0, 0.5), Neighbor("y", 0.0))
@@ -217,18 +213,6 @@ def test_what_cannot_be_read_is_counted(name: str, payload: bytes) -> None:
     play(story)
 
 
-def test_garbage_alone_does_not_bring_a_body_up() -> None:
-    async def story(harness: DriverHarness, body: Body) -> None:
-        def is_counted() -> bool:
-            body.send("scan", b"\x01rubbish")
-            return bool(harness.sink.lost)
-
-        await harness.until(is_counted)
-        assert not harness.sink.is_up
-
-    play(story, connected=False)
-
-
 def test_a_run_cancelled_while_it_opens_leaves_no_session_behind() -> None:
     go_on = threading.Event()
     sessions: list[zenoh.Session] = []
@@ -269,10 +253,3 @@ def test_a_run_cancelled_while_it_opens_leaves_no_session_behind() -> None:
 def test_options_it_does_not_know_are_refused(options: Mapping[str, Value], complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         SimulatedDriver(swarm="s", robot="r", platform=PLATFORM, options=options)
-
-
-def test_check_tells_what_is_missing_and_the_next_step() -> None:
-    findings = asyncio.run(make(endpoint="tcp/127.0.0.1:9").check(0.3))
-    assert [finding.subject for finding in findings] == ["scan", "odometry", "cmd_vel"]
-    assert not any(finding.is_well for finding in findings)
-    assert all("swarmctl sim up" in finding.text for finding in findings)

@@ -14,15 +14,14 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.errors import DriverError
 from swarmd.core.messages import Code, Reason, State
 from swarmd.driver_api.driver import ZeroSenderSpec
-from swarmd.driver_api.watchdog import MIN_ZERO_TIME, watchdog_name
+from swarmd.driver_api.watchdog import MIN_ZERO_TIME
 from swarmd.driver_api.watchdog_client import WatchdogProcess
 from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.testing.driver_rig import is_running
 from tests.support.fake_body import Commanded
-from tests.support.processes import unique_swarm, wait_until, watchdogs
+from tests.support.processes import wait_until, watchdogs
 
 if TYPE_CHECKING:
     from tests.faults.conftest import Bench
@@ -151,16 +150,6 @@ def test_asked_to_end_the_watchdog_sends_zeros_for_2_s_and_ends(guarded: Bench) 
     assert gone - ended < 10.0
 
 
-def test_a_watchdog_whose_daemon_was_killed_ends_upon_sigterm(guarded: Bench) -> None:
-    guarded.drive()
-    watchdog = watchdog_of(guarded)
-    guarded.daemon.kill()
-    killed = boottime()
-    os.kill(watchdog, signal.SIGTERM)
-    wait_until(lambda: not is_running(watchdog), "its watchdog is gone")
-    assert zeros_since(guarded, killed)[-1].at - killed > 1.5
-
-
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_without_its_watchdog_the_robot_stands_until_there_is_one_again(
     guarded: Bench, number: signal.Signals
@@ -182,54 +171,6 @@ def test_without_its_watchdog_the_robot_stands_until_there_is_one_again(
             os.kill(watchdog, signal.SIGKILL)
 
 
-def test_the_driver_refuses_to_start_without_its_watchdog(bench: Bench) -> None:
-    bench.driver_options = {"command_timeout": "none"}
-    broken = {"PYTHONPATH": f"{bench.folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
-    (bench.folder / "sitecustomize.py").write_text(BROKEN)
-    bench.spawn(broken).wait_ready()
-    wait_until(lambda: "no watchdog" in bench.daemon.text(), "it says why")
-    assert not bench.status().health.driver_up
-    assert "no connection to be had" in bench.status().health.driver
-    assert not bench.body.moved_since(0.0)
-
-
-BROKEN = """
-import sys
-if "swarmd.driver_api.watchdog" in " ".join(sys.orig_argv):
-    from swarmd.drivers.simulated import SimulatedZeroSender
-    from swarmd.core.errors import DriverError
-    def refuse(self):
-        raise DriverError("no connection to be had")
-    SimulatedZeroSender.open = refuse
-"""
-
-
-def test_a_zero_that_cannot_be_sent_is_followed_by_others(bench: Bench) -> None:
-    bench.driver_options = {"command_timeout": "none"}
-    shaky = {"PYTHONPATH": f"{bench.folder}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
-    (bench.folder / "sitecustomize.py").write_text(SHAKY)
-    bench.start(shaky)
-    bench.drive()
-    killed = boottime()
-    bench.daemon.kill()
-    await_steady_zeros(bench, killed, 1.0)
-    assert bench.daemon.text().count("a zero could not be sent: not yet") == 1
-
-
-SHAKY = """
-import sys
-if "swarmd.driver_api.watchdog" in " ".join(sys.orig_argv):
-    from swarmd.drivers.simulated import SimulatedZeroSender
-    send, failed = SimulatedZeroSender.send_zero, []
-    def send_later(self):
-        if len(failed) < 3:
-            failed.append(1)
-            raise ValueError("not yet")
-        send(self)
-    SimulatedZeroSender.send_zero = send_later
-"""
-
-
 def test_a_silent_daemon_leaves_an_idle_robot_alone_and_no_other(bench: Bench) -> None:
     bench.driver_options = {"command_timeout": 0.5, "idle_output": "silent"}
     bench.start()
@@ -243,34 +184,6 @@ def test_a_silent_daemon_leaves_an_idle_robot_alone_and_no_other(bench: Bench) -
     wait_until(lambda: commands[-1].at - stopped.at > 2.0, "who is stopped is told zero")
     assert not bench.body.moved_since(stopped.at)
     assert not watchdogs(bench.swarm, bench.body.robot), "a base with a timeout needs none"
-
-
-def test_a_watchdog_is_relieved_only_if_its_daemon_is_silent() -> None:
-    where = {"swarm": "s", "robot": "r", "endpoint": "tcp/127.0.0.1:9"}
-    spec = ZeroSenderSpec(SimulatedDriver.__module__ + ":SimulatedZeroSender", where)
-    name = watchdog_name(unique_swarm(), "r")
-
-    async def feed(watchdog: WatchdogProcess) -> None:
-        while True:
-            watchdog.feed()
-            await asyncio.sleep(0.05)
-
-    async def meet() -> None:
-        made = [WatchdogProcess(spec, name=name)]
-        try:
-            await made[0].start()
-            feeding = asyncio.create_task(feed(made[0]))
-            made.append(WatchdogProcess(spec, name=name))
-            with pytest.raises(DriverError, match="another daemon"):
-                await made[1].start()
-            feeding.cancel()
-            made.append(WatchdogProcess(spec, name=name))
-            await made[2].start()
-        finally:
-            for watchdog in made:
-                watchdog.close()
-
-    asyncio.run(meet())
 
 
 def test_what_it_is_tied_to_ends_it_although_its_daemon_never_returns() -> None:

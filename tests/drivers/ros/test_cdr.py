@@ -13,7 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarmd.core.errors import CodecError
+from swarmd.core.values import Twist
 from swarmd.drivers.ros import cdr, messages
+from swarmd.drivers.ros.from_ros import twist_message
+from tests.support import dds_types
 from tests.support import second_codec as second
 
 doubles = st.floats(width=64)
@@ -153,3 +156,19 @@ def test_a_range_has_two_hashes() -> None:
 def test_names_as_dds_has_them() -> None:
     assert messages.dds_name("sensor_msgs/msg/LaserScan") == "sensor_msgs::msg::dds_::LaserScan_"
     assert messages.ros_name("sensor_msgs::msg::dds_::LaserScan_") == "sensor_msgs/msg/LaserScan"
+
+
+def test_bytes_are_those_of_cyclonedds_too() -> None:
+    scan = dds_types.LaserScan(
+        header=dds_types.Header(dds_types.Time(7, 5), "base_scan"),
+        angle_min=-1.5,
+        angle_increment=0.25,
+        ranges=[0.0, math.inf, 1.5],
+        intensities=[1.0, 2.0, 3.0],
+    )
+    written = scan.serialize()
+    read = cdr.decode(messages.LaserScan, written)
+    assert read.ranges.tolist() == scan.ranges
+    assert cdr.encode(read) == written
+    twist = dds_types.Twist(dds_types.Vector3(0.1, 0.0, 0.0), dds_types.Vector3(0.0, 0.0, -0.2))
+    assert cdr.encode(twist_message(Twist(0.1, -0.2))) == twist.serialize()

@@ -12,7 +12,6 @@ from swarmd.core.errors import CodecError
 from swarmd.core.values import Scan, Twist
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros import from_ros as conversion
-from swarmd.sensing.conditioning import ScanConditioner
 from tests.drivers.ros2 import robots
 from tests.support import second_codec as second
 
@@ -33,11 +32,6 @@ def test_ranges_pass_as_the_sensor_gave_them() -> None:
     np.testing.assert_array_equal(scan.ranges, np.array(given, dtype=np.float32))
     assert (scan.seq, scan.stamp) == (7, 12.25)
     assert scan.ranges.dtype == scan.bearings.dtype == np.float64
-
-
-def test_range_limits_are_the_platforms() -> None:
-    scan = swept(robots.scan(1.0, [1.0], angle_increment=0.1))
-    assert (scan.range_min, scan.range_max) == (SPEC.range_min, SPEC.range_max)
 
 
 @pytest.mark.parametrize(
@@ -81,20 +75,6 @@ def test_a_sensor_that_hangs_turns_the_other_way_round(
     )
     np.testing.assert_allclose(hanging.bearings, wanted, atol=1e-4)
     np.testing.assert_allclose(hanging.bearings, turned, atol=1e-4)
-
-
-@pytest.mark.parametrize("turn", [1.0, -1.0])
-def test_a_wall_ahead_is_ahead_whichever_way_the_sensor_turns(turn: float) -> None:
-    n = 360
-    message = robots.scan(
-        1.0,
-        [0.5 if i < 5 or i > n - 5 else 3.0 for i in range(n)],
-        angle_increment=turn * 2.0 * math.pi / n,
-    )
-    taken = ScanConditioner(SPEC).take(swept(message), None, 0.0)
-    assert isinstance(taken, Scan)
-    near = taken.bearings[taken.ranges < 1.0]
-    assert np.abs(near).max() < math.radians(6.0)
 
 
 def test_scans_alike_share_their_bearings() -> None:
@@ -251,11 +231,6 @@ class TestRangeRing:
         scans = [ring.take(i % 7, self.value(9.0 - i // 7, 0.2)) for i in range(21)]
         assert len([scan for scan in scans if scan is not None]) == 3
 
-    def test_a_single_sensor_is_a_scan_each_time(self) -> None:
-        ring = conversion.RangeRing([0.0], [0.0], SPEC)
-        scans = [ring.take(0, self.value(1.0 + i, 0.2)) for i in range(3)]
-        assert [scan.seq for scan in scans if scan is not None] == [1, 2, 3]
-
 
 @pytest.mark.parametrize("field", ["linear", "angular"])
 def test_a_twist_that_is_not_finite_is_refused(field: str) -> None:
@@ -263,7 +238,3 @@ def test_a_twist_that_is_not_finite_is_refused(field: str) -> None:
     setattr(message.twist.twist, field, second.Vector3(math.nan, 0.0, math.inf))
     with pytest.raises(CodecError, match="not finite"):
         conversion.odometry_of(read(messages.Odometry, message))
-
-
-def test_stamps_are_seconds_and_billionths() -> None:
-    assert conversion.stamp_of(messages.Time(sec=12, nanosec=250_000_000)) == 12.25

@@ -69,13 +69,6 @@ def test_what_is_needed_and_silent_is_missing() -> None:
     assert [sense.name for sense in hearing.silent(3.0, 2.0)] == ["scan", "odometry"]
 
 
-def test_scans_are_counted_by_arrival() -> None:
-    hearing, heard = Subscriptions(OPTIONS, robots.PLATFORM), CollectingSink()
-    for stamp in (3.0, 1.0, 1.0):
-        hearing.read("scan", robots.scan(stamp).serialize(), 0.0)(heard)
-    assert [(scan.seq, scan.stamp) for scan in heard.scans] == [(1, 3.0), (2, 1.0), (3, 1.0)]
-
-
 def test_a_ring_stands_for_the_scan() -> None:
     hearing, heard = Subscriptions(RING, robots.PLATFORM), CollectingSink()
     assert "scan" not in hearing.topics

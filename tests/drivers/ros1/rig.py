@@ -9,8 +9,7 @@ import os
 import random
 import subprocess
 import threading
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from swarmd.core.values import Scan, Twist, Value
@@ -124,16 +123,6 @@ def _read(process: subprocess.Popen[bytes], lines: list[str], ready: threading.E
             ready.set()
         else:
             lines.append(line.decode())
-
-
-@contextmanager
-def robot(core: RosCore, *words: str, namespace: str = "") -> Iterator[RosRobot]:
-    """A robot that is gone afterwards."""
-    made = RosRobot(core, *words, namespace=namespace)
-    try:
-        yield made
-    finally:
-        made.close()
 
 
 def _twist(line: str) -> Twist:

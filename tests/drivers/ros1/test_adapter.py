@@ -99,13 +99,6 @@ def test_an_adapter_that_does_not_leave_is_killed(monkeypatch: pytest.MonkeyPatc
     play(monkeypatch, "deaf", story)
 
 
-def test_an_interpreter_that_is_not_there_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
-        await until(lambda: any("/no/python3 cannot be started" in text for text in texts(heard)))
-
-    play(monkeypatch, "dies", story, python="/no/python3")
-
-
 def test_a_machine_that_is_full_ends_no_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise OSError(errno.EMFILE, "Too many open files")
@@ -121,14 +114,19 @@ def test_a_machine_that_is_full_ends_no_daemon(monkeypatch: pytest.MonkeyPatch) 
     play(monkeypatch, "mute", story)
 
 
-def test_check_says_why_there_is_no_adapter(monkeypatch: pytest.MonkeyPatch) -> None:
-    findings = asyncio.run(make(python="/no/python3").check(5.0))
-    assert [finding.is_well for finding in findings] == [False]
-    assert "set driver_options.python" in findings[0].text
-
-
-def test_an_interpreter_without_rospy_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("python", "remedy"),
+    [("/no/python3", "set driver_options.python"), (sys.executable, "install python3-rospy")],
+)
+def test_an_interpreter_without_rospy_is_named(
+    monkeypatch: pytest.MonkeyPatch, python: str, remedy: str
+) -> None:
     monkeypatch.setenv("PYTHONPATH", "/nowhere")
-    findings = asyncio.run(make(python=sys.executable).check(TIMEOUT))
+    findings = asyncio.run(make(python=python).check(TIMEOUT))
     assert [finding.is_well for finding in findings] == [False]
-    assert "install python3-rospy" in findings[0].text
+    assert remedy in findings[0].text
+
+
+def test_the_adapter_is_the_watchdog_of_a_real_robot() -> None:
+    assert not make().is_simulated
+    assert make().zero_sender() is None

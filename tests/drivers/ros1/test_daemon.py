@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -11,7 +12,7 @@ from swarmd.core.values import Twist, Value
 from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.testing.driver_rig import is_running
-from tests.drivers.ros1.rig import RosRobot, robot
+from tests.drivers.ros1.rig import RosRobot
 from tests.support.drive_daemon import ROBOT, drive
 from tests.support.processes import DaemonProcess, children, unique_swarm, wait_until
 from tests.support.roscore import RosCore
@@ -46,7 +47,7 @@ def all_for(body: RosRobot, seconds: float) -> list[Twist]:
 
 def test_a_daemon_drives_and_its_end_stops_the_robot(roscore: RosCore, tmp_path: Path) -> None:
     swarm = unique_swarm()
-    with robot(roscore) as body:
+    with closing(RosRobot(roscore)) as body:
         options: dict[str, Value] = {
             "platform": "burger",
             "driver": "ros1",
@@ -75,21 +76,3 @@ def test_a_daemon_drives_and_its_end_stops_the_robot(roscore: RosCore, tmp_path:
             assert until(body, moving=False) < 0.5 + SLACK
             assert all(twist.is_zero for twist in all_for(body, 1.0))
             wait_until(lambda: not is_running(adapter), "the adapter has left")
-
-
-def test_why_a_robot_is_not_driven_is_one_line_of_the_log(roscore: RosCore, tmp_path: Path) -> None:
-    options: dict[str, Value] = {
-        "platform": "burger",
-        "driver": "ros1",
-        "driver_options": {"master": roscore.uri, "ip": "127.0.0.1", "namespace": "/wrong"},
-    }
-    with DaemonProcess(
-        tmp_path, swarm=unique_swarm(), robot=ROBOT, endpoint="", options=options
-    ) as daemon:
-        line = "WARNING swarmd.drivers.ros1.driver: driver ros1: no /wrong/"
-        wait_until(lambda: line in daemon.text(), "it is in the log")
-        time.sleep(SLACK)  # and looks at the master again
-        said = [text for text in daemon.text().splitlines() if "driver ros1" in text]
-        assert len(said) == 1
-        assert "driver_options" in said[0]
-        daemon.terminate()

@@ -138,19 +138,6 @@ def play(
     handclock.run(run())
 
 
-def test_it_commands_only_a_base_that_is_there_and_zero_first(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async def story(scene: Scene) -> None:
-        assert not scene.command()
-        scene.rise()
-        assert scene.heard.is_up
-        assert scene.command() == FIRST
-        assert scene.command() == [FIRST[1]] * 2
-
-    play(monkeypatch, story)
-
-
 @pytest.mark.parametrize(
     "lost",
     [
@@ -175,6 +162,19 @@ def test_what_takes_the_base_away_ends_commands_at_once(
             assert scene.command() == FIRST
 
     play(monkeypatch, story)
+
+
+def test_one_cause_of_a_loss_is_one_line_in_the_log(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def story(scene: Scene) -> None:
+        for _ in range(40):
+            scene.tell(replace(WELL, publishers={}))
+            await asyncio.sleep(0.1)
+
+    play(monkeypatch, story)
+    (line,) = [record.getMessage() for record in caplog.records if "no /scan" in record.message]
+    assert "driver_options" in line
 
 
 def test_a_silent_sense_takes_it_away_after_2_and_a_half_s(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -255,18 +255,6 @@ def test_unreadable_messages_and_other_types_are_counted_and_no_sign_of_life(
         assert not scene.heard.is_up
 
     play(monkeypatch, story)
-
-
-def test_a_scan_is_turned_as_the_lidar_is_mounted(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(scene: Scene) -> None:
-        scene.rise()
-        scene.adapter.listener.on_message(0, scan(1.0, 2.0, 3.0))
-        sweep = scene.heard.scans[-1]
-        assert sweep.ranges.tolist() == [1.0, 2.0, 3.0]
-        assert sweep.bearings.tolist() == pytest.approx([0.5, 1.5, 2.5])
-        assert (sweep.stamp, sweep.range_min, sweep.range_max) == (5.25, 0.12, 3.5)
-
-    play(monkeypatch, story, scan_yaw_deg=28.64788975654116)
 
 
 def test_stamped_commands_are_numbered_and_in_the_frame_asked_for(

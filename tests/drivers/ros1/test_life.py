@@ -1,32 +1,34 @@
-"""What ends and comes back around driver `ros1`: the master, the adapter, the daemon."""
+"""What ends, comes back and misbehaves around driver `ros1`: against a real roscore."""
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import json
 import os
 import signal
-import subprocess
-import sys
+import socket
+import threading
 import time
 import xmlrpc.client
-from collections.abc import Awaitable, Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Awaitable, Callable
+from contextlib import closing
 from pathlib import Path
+from typing import Any
+from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 
 from swarmd.core.values import Twist
-from swarmd.drivers.ros1.adapter_process import SILENCE, STOPPING
+from swarmd.driver_api.command_gate import ZERO_REPEAT_TIME
+from swarmd.drivers.ros.messages import LaserScan
+from swarmd.drivers.ros1.adapter_process import SILENCE
 from swarmd.drivers.ros1.driver import Ros1Driver
+from swarmd.drivers.ros1.serialization import definition, type_name
 from swarmd.testing.driver_contract import CollectingSink, DriverHarness, running_driver
 from swarmd.testing.driver_rig import is_running
-from tests.drivers.ros1.rig import RosRobot, robot
-from tests.support.processes import wait_until
+from tests.drivers.ros1.rig import RosRobot
+from tests.support.processes import CAP
 from tests.support.roscore import RosCore
-
-DAEMON = Path(__file__).with_name("daemon_process.py")
 
 
 def play(rig: RosRobot, story: Callable[[DriverHarness, RosRobot], Awaitable[None]]) -> None:
@@ -105,7 +107,7 @@ def test_a_master_started_anew_at_once_is_noticed(roscore: RosCore, tmp_path: Pa
             first = adapter(harness.driver)
             core.kill()
             await asyncio.to_thread(core.start)
-            with robot(core, namespace=body.namespace) as again:
+            with closing(RosRobot(core, namespace=body.namespace)) as again:
                 again.do("rate", hz=10)
                 await harness.until(lambda: not is_running(first))
                 await harness.until(lambda: harness.sink.is_up)
@@ -147,9 +149,8 @@ def test_an_adapter_that_ros_shuts_down_stops_the_base_first(roscore: RosCore) -
         await drive(harness, body)
         nodes = roscore.topics()[f"{body.namespace}/cmd_vel"]
         with xmlrpc.client.ServerProxy(roscore.uri) as master:
-            found: object = master.lookupNode("/test", nodes[0])
-        assert isinstance(found, list)
-        with xmlrpc.client.ServerProxy(found[2]) as node, contextlib.suppress(OSError):
+            uri = str(_value(master.lookupNode("/test", nodes[0])))
+        with xmlrpc.client.ServerProxy(uri) as node, contextlib.suppress(OSError):
             node.shutdown("/test", "as rosnode kill does")
         taken: list[Twist] = []
 
@@ -206,61 +207,174 @@ def test_a_base_that_connects_while_driving_gets_zero_first(roscore: RosCore) ->
     play(RosRobot(roscore), story)
 
 
-@contextmanager
-def running_daemon(body: RosRobot) -> Iterator[tuple[subprocess.Popen[str], int]]:
-    """A daemon that drives the robot, and its adapter's process id; both gone afterwards."""
-    body.do("rate", hz=10)
-    command = [sys.executable, str(DAEMON), json.dumps(body.options)]
-    daemon = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert daemon.stdout is not None
-    pid = int(daemon.stdout.readline())
-    try:
-        wait_until(lambda: any(not twist.is_zero for twist in body.commands()), "it drives")
-        yield daemon, pid
-    finally:
-        daemon.kill()
-        daemon.wait()
-        daemon.stdout.close()
-        wait_until(lambda: not is_running(pid), "the adapter has left")
-
-
-def test_the_base_of_a_killed_daemon_is_stopped_and_nothing_is_left(roscore: RosCore) -> None:
-    with robot(roscore) as body, running_daemon(body) as (daemon, pid):
-        daemon.kill()
-        killed = time.monotonic()
-        taken = taken_until_zero(body)
-        stopped = time.monotonic()
-        wait_until(lambda: not is_running(pid), "the adapter has left")
-        left = time.monotonic()
-        taken += body.commands()
-        zeros = sum(twist.is_zero for twist in taken)
-        assert taken[-1].is_zero
-        assert stopped - killed < SILENCE + 2.0
-        assert left - killed > STOPPING - 0.1
-        assert zeros > 0.5 * STOPPING / 0.05
-
-
-def test_the_base_of_a_frozen_daemon_is_stopped_until_it_is_back(roscore: RosCore) -> None:
-    with robot(roscore) as body, running_daemon(body) as (daemon, pid):
-        daemon.send_signal(signal.SIGSTOP)
-        frozen = time.monotonic()
-        taken_until_zero(body)
-        assert time.monotonic() - frozen < SILENCE + 2.0
-        time.sleep(STOPPING + 1.0)
-        taken = body.commands()
-        assert len(taken) > 20
-        assert all(twist.is_zero for twist in taken)
-        assert is_running(pid)
-        daemon.send_signal(signal.SIGCONT)
-        wait_until(lambda: any(not twist.is_zero for twist in body.commands()), "it drives again")
-
-
-def taken_until_zero(body: RosRobot) -> list[Twist]:
+async def moving(
+    harness: DriverHarness, seconds: float, condition: Callable[[], bool]
+) -> list[Twist]:
+    """Command a velocity 20 times a second until the condition holds, and for seconds more."""
     taken: list[Twist] = []
 
-    def stands() -> bool:
-        taken.extend(body.commands())
-        return bool(taken) and taken[-1].is_zero
+    def has_come() -> bool:
+        harness.driver.send(Twist(0.1), 1, 1)
+        assert isinstance(harness.rig, RosRobot)
+        taken.extend(harness.rig.commands())
+        return condition()
 
-    wait_until(stands, "the base stands")
+    await harness.until(has_come)
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        has_come()
+        await asyncio.sleep(0.05)
     return taken
+
+
+def test_another_driver_is_left_alone_after_zeros_and_logged_once(
+    roscore: RosCore, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        await drive(harness, body)
+        other = body.make({})
+        second = asyncio.create_task(other.run(CollectingSink()))
+        await moving(harness, 0.0, lambda: not harness.sink.is_up)
+        told = await moving(harness, ZERO_REPEAT_TIME + SILENCE, lambda: True)
+        while not told[0].is_zero:  # sent before
+            del told[0]
+        assert len(told) > 10
+        assert all(twist.is_zero for twist in told)
+        assert not await moving(harness, 3.0 * SILENCE, lambda: not body.commands())
+        second.cancel()
+        await asyncio.gather(second, return_exceptions=True)
+        await harness.until(lambda: harness.sink.is_up)
+
+    with caplog.at_level("INFO", "swarmd.drivers.ros1.driver"):
+        play(RosRobot(roscore), story)
+    lines = [record.getMessage() for record in caplog.records]
+    named = [line for line in lines if "another node" in line and "is also published by" in line]
+    assert 1 <= len(named) <= 2  # by each of the two
+    assert lines[-1].startswith("driver ros1: drives on ")
+
+
+def test_a_node_that_connects_and_sends_nothing_blocks_no_base(roscore: RosCore) -> None:
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        topic = f"{body.namespace}/cmd_vel"
+        port = _port_of(roscore, topic)
+        with (
+            socket.create_connection(("127.0.0.1", port)),
+            socket.create_connection(("127.0.0.1", port)) as noisy,
+        ):
+            noisy.send(b"\xff" * 2000)
+            body.disconnect()
+            await moving(harness, 0.0, lambda: not harness.sink.is_up)
+            await asyncio.to_thread(body.reconnect)
+            body.do("rate", hz=10)
+            await harness.until(lambda: harness.sink.is_up)
+            harness.driver.send(Twist(0.1), 1, 1)
+            assert (await harness.command()).is_zero
+
+    play(RosRobot(roscore), story)
+
+
+class Liar(threading.Thread):
+    """Who publishes one message without an end on a topic, until he is hung up on."""
+
+    def __init__(self, core: RosCore, topic: str) -> None:
+        super().__init__(daemon=True)
+        self._server = socket.create_server(("127.0.0.1", 0))
+        port = self._server.getsockname()[1]
+        self._api = SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False)
+        where = [1, "", ["TCPROS", "127.0.0.1", port]]
+        self._api.register_function(lambda *asked: where, "requestTopic")
+        self._talk = threading.Thread(target=self._api.serve_forever)
+        self._talk.start()
+        self.start()
+        uri = f"http://127.0.0.1:{self._api.server_address[1]}"
+        with xmlrpc.client.ServerProxy(core.uri) as master:
+            master.registerPublisher("/liar", topic, type_name(LaserScan), uri)
+
+    def run(self) -> None:
+        with self._server, self._server.accept()[0] as reader:
+            reader.recv(4096)
+            says = {"type": type_name(LaserScan), "md5sum": definition(LaserScan)[1]}
+            head = b"".join(_sized(f"{key}={value}") for key, value in says.items())
+            try:
+                reader.sendall(len(head).to_bytes(4, "little") + head + b"\xff\xff\xff\xff")
+                for _ in range(4096):
+                    reader.sendall(bytes(1 << 20))
+            except OSError:
+                return
+
+    def close(self) -> None:
+        self.join(CAP)
+        self._api.shutdown()
+        self._api.server_close()
+        self._talk.join(CAP)
+
+
+def _sized(text: str) -> bytes:
+    return len(text).to_bytes(4, "little") + text.encode()
+
+
+def test_a_master_that_hangs_stops_the_robot_until_it_answers(
+    roscore: RosCore, tmp_path: Path
+) -> None:
+    with RosCore(tmp_path, is_whole=False) as core:
+
+        async def story(harness: DriverHarness, body: RosRobot) -> None:
+            await drive(harness, body)
+            first = adapter(harness.driver)
+            core.send(signal.SIGSTOP)
+            try:
+                taken = await moving(harness, 1.0, lambda: not harness.sink.is_up)
+                assert taken[-1].is_zero
+                said = harness.sink.states[-1][1]
+                assert f"{core.uri} (timed out)" in said
+            finally:
+                core.send(signal.SIGCONT)
+            await harness.until(lambda: harness.sink.is_up)
+            body.commands()
+            harness.driver.send(Twist(0.1), 1, 1)
+            assert (await harness.command()).is_zero
+            assert adapter(harness.driver) == first
+            core.send(signal.SIGSTOP)
+            await harness.end()
+            assert not is_running(first)
+            core.send(signal.SIGCONT)
+
+        play(RosRobot(core), story)
+
+
+def test_a_message_without_an_end_fills_no_memory(roscore: RosCore) -> None:
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        await drive(harness, body)
+        with closing(Liar(roscore, f"{body.namespace}/scan")) as liar:
+            await harness.until(lambda: not liar.is_alive())
+        status = Path(f"/proc/{adapter(harness.driver)}/status").read_text()
+        peak = int(status.partition("VmHWM:")[2].split()[0])  # kB
+        assert peak < 1 << 20
+        known = len(harness.sink.scans)
+        await harness.until(lambda: harness.sink.is_up and len(harness.sink.scans) > known)
+
+    play(RosRobot(roscore), story)
+
+
+def test_an_address_that_is_a_nodes_and_no_masters_is_said(roscore: RosCore) -> None:
+    with closing(RosRobot(roscore)) as body:
+        with xmlrpc.client.ServerProxy(roscore.uri) as master:
+            node = str(_value(master.lookupNode("/test", f"{body.namespace}/robot")))
+        driver = body.make({"master": node.rstrip("/")})
+        findings = asyncio.run(driver.check(4.0))
+    assert [finding.is_well for finding in findings] == [False]
+    assert f"{node.rstrip('/')} (" in findings[0].text
+    assert "correct driver_options.master" in findings[0].text
+
+
+def _port_of(core: RosCore, topic: str) -> int:
+    """Where the first publisher of a topic waits for who listens."""
+    with xmlrpc.client.ServerProxy(core.uri) as master:
+        uri = str(_value(master.lookupNode("/test", core.topics()[topic][0])))
+    with xmlrpc.client.ServerProxy(uri) as node:
+        return int(_value(node.requestTopic("/test", topic, [["TCPROS"]]))[2])
+
+
+def _value(answer: object) -> Any:
+    assert isinstance(answer, list)
+    return answer[2]

@@ -213,17 +213,8 @@ def test_bytes_are_little_endian_and_fields_in_their_order() -> None:
     """Also where no ROS is installed to ask."""
     scan = decode(ros.LaserScan, SCAN)
     assert (scan.header.stamp.sec, scan.header.stamp.nanosec) == (2, 3)
-    angles = (scan.angle_min, scan.angle_max, scan.angle_increment)
-    assert (*angles, scan.range_min, scan.range_max) == (1, 2, 3, 6, 7)
+    assert (scan.angle_min, scan.angle_increment, scan.range_max) == (1, 3, 7)
     np.testing.assert_array_equal(scan.ranges, np.array([np.nan, np.inf, -np.inf], np.float32))
-    odometry = decode(ros.Odometry, VALID[ros.Odometry])
-    position, orientation = odometry.pose.pose.position, odometry.pose.pose.orientation
-    assert (position.y, orientation.w, odometry.twist.twist.angular.z) == (1, 6, 5)
-    imu = decode(ros.Imu, VALID[ros.Imu])
-    assert (imu.orientation.w, imu.orientation_covariance[0]) == (3, 4)
-    battery = decode(ros.BatteryState, VALID[ros.BatteryState])
-    assert (battery.voltage, battery.percentage) == (0, 6)
-    assert decode(ros.Range, VALID[ros.Range]).range == 5
     command = struct.pack("<6d", 0.5, 0.125, 0, 0, 0, -0.25)
     assert encode_twist(Twist(0.5, -0.25, 0.125)) == command
     assert encode_twist_stamped(Twist(0.5, -0.25, 0.125), 1, 2_000_000_003, "ab") == HEAD + command

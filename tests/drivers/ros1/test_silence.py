@@ -159,6 +159,8 @@ def test_a_daemon_that_is_back_is_obeyed(scene: Scene) -> None:
     scene.command(MOVING)
     zeros = scene.pass_time(4.0, {1.0 + 0.1 * i: lambda: scene.command(MOVING) for i in range(40)})
     assert all(0.4 <= zero <= 2.5 for zero in zeros), "it may send them for 2 s"
+    moving = [at - BEGIN for at, payload in scene.published if payload == MOVING]
+    assert moving[0] == pytest.approx(0.4 + STOPPING, abs=0.16), "zeros for 2 s come first"
 
 
 def test_before_the_first_command_it_says_nothing(scene: Scene) -> None:

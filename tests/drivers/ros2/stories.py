@@ -7,8 +7,9 @@ from collections.abc import Awaitable, Callable, Mapping
 
 from swarmd.core.values import Twist, Value
 from swarmd.driver_api.driver import Finding
+from swarmd.drivers.ros.messages import dds_name
 from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, DriverHarness
-from tests.drivers.ros2.robots import Robot
+from tests.drivers.ros2.robots import BridgedRobot, Robot
 
 PACE = 0.01
 
@@ -79,3 +80,16 @@ def check(
 def told(harness: DriverHarness, words: str, *, is_up: bool | None = None) -> bool:
     """Whether the driver has said that of its base."""
     return any(words in text and is_up in (None, up) for up, text in harness.sink.states)
+
+
+def announce(robot: Robot, what: str, topic: str, kind: str, domain: int = 0) -> None:
+    """Announce a publisher (MP) or a subscription (MS) of the robot's node, as its hub does."""
+    zid = str(robot.hub.zid())
+    if isinstance(robot, BridgedRobot):
+        key, typed = topic.replace("/", "§"), kind.replace("/", "§")
+        robot.announce(f"@/{zid}/@ros2_lv/{what}/{key}/{typed}/:::1,5")
+    else:
+        key = topic.replace("/", "%")
+        robot.announce(
+            f"@ros2_lv/{domain}/{zid}/0/10/{what}/%/%/base/%{key}/{dds_name(kind)}/RIHS01_x/::,7:,:,:,,"
+        )

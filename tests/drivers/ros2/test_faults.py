@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import logging
-import math
 import threading
 from collections.abc import Callable
 
@@ -12,13 +11,12 @@ import pytest
 import zenoh
 
 from swarmd.core.values import Twist
-from swarmd.drivers.ros.messages import dds_name
 from swarmd.drivers.ros2 import driver as ros_driver
 from swarmd.drivers.ros2.session import open_session
-from swarmd.testing.driver_contract import TIMEOUT, DriverHarness
+from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, DriverHarness
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
-from tests.drivers.ros2.stories import check, play, told
+from tests.drivers.ros2.stories import announce, check, play, told
 
 LASER, TWIST = "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/Twist"
 STAMPED = "geometry_msgs/msg/TwistStamped"
@@ -36,18 +34,6 @@ class Deaf(BridgedRobot):
 
     def command_key(self) -> str:
         return "bot1/cmd_vel"
-
-
-def announce(robot: Robot, what: str, topic: str, kind: str, node: str = "base") -> None:
-    zid = str(robot.hub.zid())
-    if isinstance(robot, BridgedRobot):
-        key, typed = topic.replace("/", "§"), kind.replace("/", "§")
-        robot.announce(f"@/{zid}/@ros2_lv/{what}/{key}/{typed}/:::1,5")
-    else:
-        key = topic.replace("/", "%")
-        robot.announce(
-            f"@ros2_lv/0/{zid}/0/10/{what}/%/%/{node}/%{key}/{dds_name(kind)}/RIHS01_x/::,7:,:,:,,"
-        )
 
 
 async def stays_lost(harness: DriverHarness, words: str) -> None:
@@ -119,14 +105,6 @@ def test_the_last_zero_is_zero_also_to_a_base_that_takes_it_for_a_twist() -> Non
             assert max(abs(taken.linear), abs(taken.angular), abs(taken.lateral)) < 1e-9
 
     play(robot, story)
-
-
-def test_an_unknown_type_of_command_is_reported() -> None:
-    robot = BridgedRobot()
-    announce(robot, "MS", "cmd_vel", "my_msgs/msg/Wheels")
-    found = check(robot, robot.publish)
-    assert "wants my_msgs/msg/Wheels" in found["cmd_vel"].text
-    assert found["cmd_vel"].text.endswith("set driver_options.cmd_vel, or cmd_vel_type")
 
 
 def test_a_robot_whose_base_takes_no_commands_is_lost() -> None:
@@ -207,77 +185,83 @@ def test_what_cannot_be_read_is_one_line_however_it_varies(
     assert "ros2 topic info -v /scan" in lines[0].getMessage()
 
 
-def test_constant_stamps_are_reported_while_the_driver_runs() -> None:
+@pytest.mark.parametrize(
+    ("scan", "words"),
+    [
+        (lambda robot: robots.scan(5.0), "all with the stamp 5; look at the sensor"),
+        (
+            lambda robot: robots.scan(robot._stamp(), [1.0] * 180, angle_increment=0.0174),
+            "180 rays that leave too wide a sector unseen; look at",
+        ),
+    ],
+    ids=["constant stamps", "half a scan"],
+)
+def test_scans_that_cannot_be_relied_on_are_reported_while_the_driver_runs(
+    scan: Callable[[Robot], object], words: str
+) -> None:
     robot = BridgedRobot()
 
     async def story(harness: DriverHarness) -> None:
         def is_told() -> bool:
             robot.publish_odometry()
-            robot.put("scan", robots.scan(5.0))
-            return told(harness, "all with the stamp 5; look at the sensor", is_up=True)
+            robot.put("scan", scan(robot))
+            return told(harness, words, is_up=True)
 
         await harness.until(is_told)
 
     play(robot, story)
 
 
-def test_incomplete_scans_are_reported_while_the_driver_runs() -> None:
+@pytest.mark.parametrize(
+    ("make", "step"), [(BridgedRobot, "start zenoh-bridge-ros2dds"), (ZenohRobot, "rmw_zenohd")]
+)
+def test_check_without_a_hub_tells_what_to_start(make: Callable[[], Robot], step: str) -> None:
+    robot = make()
+    robot.disconnect()
+    found = check(robot, seconds=1.2)
+    assert list(found) == ["connection"]
+    assert step in found["connection"].text
+    assert robot.endpoint in found["connection"].text
+
+
+@pytest.mark.parametrize("make", MAKERS)
+def test_check_names_a_node_that_may_command_too(make: Callable[[], Robot]) -> None:
+    robot = make()
+    announce(robot, "MP", "cmd_vel", TWIST)
+    announce(robot, "MS", "cmd_vel", TWIST)
+    others = check(robot, robot.publish)["others"]
+    assert others.is_well
+    wanted = "/base" if isinstance(robot, ZenohRobot) else f"bridge {str(robot.hub.zid())[:8]}"
+    assert f"{wanted} may publish /cmd_vel" in others.text
+
+
+def test_the_command_type_of_a_base_is_known_before_its_first_message() -> None:
     robot = BridgedRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        def is_told() -> bool:
-            robot.publish_odometry()
-            robot.put("scan", robots.scan(robot._stamp(), [1.0] * 180, angle_increment=0.0174))
-            return told(
-                harness, "180 rays that leave too wide a sector unseen; look at", is_up=True
-            )
-
-        await harness.until(is_told)
-
-    play(robot, story)
-
-
-def checked_stamps(stamp: Callable[[int], float], seconds: float = 2.0) -> str:
-    """What check says of scans with these stamps; empty if all is well."""
-    robot, count = BridgedRobot(), 0
+    announce(robot, "MS", "cmd_vel", TWIST)
+    is_ending = threading.Event()
 
     def speak() -> None:
-        nonlocal count
-        count += 1
-        robot.publish_odometry()
-        if count % 4 == 0:
-            robot.put("scan", robots.scan(stamp(count // 4)))
+        while not is_ending.wait(0.0003):
+            robot.publish()
 
-    scan = check(robot, speak, seconds=seconds, battery="battery")["scan"]
-    return "" if scan.is_well else scan.text
+    async def run() -> bool:
+        driver, heard = robot.make({"cmd_vel_type": "twist_stamped"}), CollectingSink()
+        running = asyncio.create_task(driver.run(heard))
+        async with asyncio.timeout(TIMEOUT):
+            while len(heard.states) < 2:
+                await asyncio.sleep(0.01)
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+        return any(is_up for is_up, _ in heard.states)
 
-
-def test_a_robot_that_was_restarted_while_it_was_checked_is_well() -> None:
-    assert checked_stamps(lambda count: (1000.0 if count < 8 else 0.0) + 0.05 * count) == ""
-
-
-def test_stamps_of_two_publishers_are_reported() -> None:
-    text = checked_stamps(lambda count: 0.05 * count + (0.0 if count % 2 else 500.0))
-    assert "the stamps of /scan go back again and again: two publish it" in text
-
-
-def test_two_publishers_of_the_scan_are_reported() -> None:
-    robot = ZenohRobot()
-    for node in ("lidar", "other"):
-        announce(robot, "MP", "scan", LASER, node)
-    found = check(robot, robot.publish)
-    assert found["odometry"].is_well
-    assert found["scan"].text.startswith("2 publish /scan: /lidar, /other; end all but one, or")
-
-
-def test_unreadable_scans_among_readable_ones_are_reported() -> None:
-    robot = BridgedRobot()
-
-    def speak() -> None:
-        robot.publish()
-        robot.put("scan", robots.scan(1.0, [1.0], angle_min=math.nan))
-
-    assert "/scan: cannot be read" in check(robot, speak)["scan"].text
+    speaking = threading.Thread(target=speak)
+    speaking.start()
+    try:
+        assert not any(asyncio.run(run()) for _ in range(3))
+    finally:
+        is_ending.set()
+        speaking.join()
+        robot.close()
 
 
 @pytest.mark.parametrize("make", MAKERS)

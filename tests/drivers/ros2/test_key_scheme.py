@@ -34,18 +34,13 @@ def scheme(domain: int = 0) -> RmwZenoh:
     return RmwZenoh(domain, "/cmd_vel")
 
 
-def test_a_published_talker_is_understood() -> None:
+def test_published_tokens_are_understood() -> None:
     end = scheme().parse_token(TALKER)
-    assert end is not None
-    assert (end.is_publisher, end.topic, end.type) == (True, "/chatter", "std_msgs/msg/String")
-    assert (end.domain, end.node) == (2, "/talker")
-    assert end.zid == "8b20917502ee955ac4476e0266340d5c"
-
-
-def test_a_published_listener_is_understood() -> None:
-    end = scheme().parse_token(LISTENER)
-    assert end is not None
-    assert (end.is_publisher, end.node) == (False, "/listener")
+    zid = "8b20917502ee955ac4476e0266340d5c"
+    assert end == Endpoint(True, "/chatter", "std_msgs/msg/String", zid, 2, "/talker")
+    listener = scheme().parse_token(LISTENER)
+    assert listener is not None
+    assert (listener.is_publisher, listener.node) == (False, "/listener")
 
 
 @pytest.mark.parametrize(
@@ -148,25 +143,19 @@ def test_the_bridges_keys_are_topics_without_their_first_slash() -> None:
     assert ours.attachment() is None
 
 
-def test_the_announcements_of_a_bridge_since_iron_are_understood() -> None:
+def test_the_announcements_of_a_bridge_are_understood() -> None:
     """As zenoh-bridge-ros2dds 1.10 says them: the type's hash behind the quality of service."""
     zid, hashed = "ad21b741805add91719f8b8dd4f837a7", "typehash=RIHS01_9c45bf16fe0983d8;"
     end = Ros2Dds().parse_token(
         f"@/{zid}/@ros2_lv/MS/cmd_vel/geometry_msgs§msg§Twist/:1::0,10:{hashed}"
     )
     assert end == Endpoint(False, "/cmd_vel", "geometry_msgs/msg/Twist", zid)
-    assert Ros2Dds().parse_token(f"@/{zid}/@ros2_lv") is None
-
-
-def test_the_bridges_announcements_are_understood() -> None:
     end = Ros2Dds().parse_token(
-        "@/8b20917502ee955a/@ros2_lv/MP/bot1§scan/sensor_msgs§msg§LaserScan/:::1,5"
+        f"@/{zid}/@ros2_lv/MP/bot1§scan/sensor_msgs§msg§LaserScan/:::1,5"  # of Humble
     )
-    assert end is not None
-    assert (end.is_publisher, end.topic) == (True, "/bot1/scan")
-    assert end.type == "sensor_msgs/msg/LaserScan"
-    assert Ros2Dds().parse_token("@/8b20917502ee955a/@ros2_lv/SS/a/b") is None
-    assert Ros2Dds().parse_token("@/8b20917502ee955a/@ros2_lv") is None
+    assert end == Endpoint(True, "/bot1/scan", "sensor_msgs/msg/LaserScan", zid)
+    for other in (f"@/{zid}/@ros2_lv", f"@/{zid}/@ros2_lv/SS/a/b"):
+        assert Ros2Dds().parse_token(other) is None
 
 
 def test_a_topic_is_heard_in_its_domain_whatever_its_type_and_hash() -> None:

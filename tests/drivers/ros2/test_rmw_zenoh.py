@@ -14,7 +14,9 @@ from swarmd.drivers.ros2 import rmw_zenoh
 from swarmd.testing.driver_contract import DriverContract, DriverHarness
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.robots import ZenohRobot
-from tests.drivers.ros2.stories import check, play, told
+from tests.drivers.ros2.stories import announce, check, play, told
+
+LASER = "sensor_msgs/msg/LaserScan"
 
 
 class TestContract(DriverContract):
@@ -141,7 +143,7 @@ def test_nodes_that_are_peers_of_the_router_are_heard_and_commanded() -> None:
 @pytest.mark.parametrize(
     ("key", "wanted"),
     [
-        (f"0/scan/{dds_name('sensor_msgs/msg/LaserScan')}/RIHS01_{'0' * 64}", "type hash"),
+        (f"0/scan/{dds_name(LASER)}/RIHS01_{'0' * 64}", "type hash"),
         (f"0/scan/{dds_name('sensor_msgs/msg/PointCloud2')}/RIHS01_{'0' * 64}", "carries sensor_"),
     ],
 )
@@ -161,85 +163,10 @@ def test_another_type_or_hash_is_dropped_and_reported(key: str, wanted: str) -> 
     play(robot, story, connected=False)
 
 
-def test_another_topic_below_the_scans_is_not_heard() -> None:
+def test_check_finds_the_topic_in_another_domain() -> None:
     robot = ZenohRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        for _ in range(20):
-            key = robot.key("scan/front", "LaserScan")
-            robot.put_on(key, robots.scan(1.0).serialize())
-            await asyncio.sleep(0.01)
-        assert not harness.sink.lost
-        assert not harness.sink.is_up
-
-    play(robot, story, connected=False)
-
-
-def test_check_tells_of_a_wrong_hash() -> None:
-    robot = ZenohRobot()
-
-    def speak() -> None:
-        robot.publish_odometry()
-        key = f"0/scan/{dds_name('sensor_msgs/msg/LaserScan')}/RIHS01_{'0' * 64}"
-        robot.put_on(key, robots.scan(1.0).serialize())
-
-    found = check(robot, speak, seconds=1.2)
-    assert "its sensor_msgs/msg/LaserScan has the type hash" in found["scan"].text
-
-
-def announce(robot: ZenohRobot, domain: int, what: str, topic: str, kind: str) -> None:
-    zid = str(robot.hub.zid())
-    robot.announce(
-        f"@ros2_lv/{domain}/{zid}/0/10/{what}/%/%/teleop/%{topic}/{dds_name(kind)}/RIHS01_x/::,7:,:,:,,"
-    )
-
-
-def test_check_tells_of_another_domain() -> None:
-    robot = ZenohRobot()
-    announce(robot, 30, "MP", "scan", "sensor_msgs/msg/LaserScan")
-    found = check(robot, seconds=0.7)
-    assert "no topic in domain 0, but in 30; correct driver_options.domain" in found["scan"].text
-
-
-def test_check_finds_the_topic_in_another_domain_than_some_nodes() -> None:
-    robot = ZenohRobot()
-    announce(robot, 0, "MP", "rosout", "rcl_interfaces/msg/Log")
-    announce(robot, 0, "MP", "bot1%scan", "sensor_msgs/msg/LaserScan")
-    announce(robot, 30, "MP", "scan", "sensor_msgs/msg/LaserScan")
+    announce(robot, "MP", "rosout", "rcl_interfaces/msg/Log")
+    announce(robot, "MP", "bot1/scan", LASER)
+    announce(robot, "MP", "scan", LASER, 30)
     found = check(robot, robot.publish_odometry, seconds=0.7)
     assert "no /scan in domain 0, but in 30; correct driver_options.domain" in found["scan"].text
-
-
-def test_check_without_any_node_says_how_they_are_started() -> None:
-    found = check(ZenohRobot(), seconds=0.7)
-    assert "RMW_IMPLEMENTATION=rmw_zenoh_cpp" in found["scan"].text
-
-
-def test_check_without_a_router_says_what_to_start() -> None:
-    robot = ZenohRobot()
-    robot.disconnect()
-    found = check(robot, seconds=1.2)
-    assert "rmw_zenohd" in found["connection"].text
-
-
-def test_check_names_a_node_that_may_command_too() -> None:
-    robot = ZenohRobot()
-    announce(robot, 0, "MP", "cmd_vel", "geometry_msgs/msg/Twist")
-    found = check(robot, robot.publish)
-    assert found["others"].is_well
-    assert "/teleop may publish /cmd_vel too" in found["others"].text
-
-
-@pytest.mark.parametrize("is_humble", [False, True])
-def test_a_zero_sender_sends_zero_for_every_distribution(is_humble: bool) -> None:
-    robot = ZenohRobot(is_humble=is_humble, is_stamped=True)
-    given = dict(robot.options({}))
-    sender = rmw_zenoh.make_zero_sender(robot="r", given=given)
-    sender.open()
-    taken: list[Twist] = []
-    while not taken:
-        sender.send_zero()
-        taken.extend(robot.commands())
-    assert all(twist.is_zero for twist in taken)
-    sender.close()
-    robot.close()

@@ -63,6 +63,8 @@ def test_zero_goes_out_on_the_keys_of_every_distribution(hub: Hub) -> None:
     assert sorted(keys) == [prefix + HASHES["TwistStamped"], prefix + "TypeHashNotSupported"]
     wanted = second.TwistStamped(second.stamped(0.0, ""), second.Twist()).serialize()
     assert all(payload == wanted for _, payload, _ in hub.said)
+    read = second.Twist.deserialize(wanted + bytes(48))  # as a base that takes it for a Twist
+    assert abs(read.linear.x) + abs(read.linear.y) + abs(read.angular.z) < 1e-300
     assert all(attachment is not None and len(attachment) == 33 for _, _, attachment in hub.said)
 
 

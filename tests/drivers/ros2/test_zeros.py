@@ -3,46 +3,33 @@
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
+from importlib import import_module
 
 import pytest
 import zenoh
 
 from swarmd.core.values import Twist
-from swarmd.driver_api.driver import ZeroSenderProvider
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2.session import open_session
 from swarmd.testing.driver_contract import TIMEOUT, DriverHarness
 from tests.drivers.ros2 import robots
-from tests.drivers.ros2.robots import BridgedRobot
+from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
 from tests.drivers.ros2.stories import drive, play, told
 from tests.support.processes import wait_until
 
 
-def test_a_zero_sender_sends_zero_to_this_base() -> None:
-    robot = BridgedRobot()
-    driver = robot.make({})
-    assert isinstance(driver, ZeroSenderProvider)
-    spec = driver.zero_sender()
-    assert spec is not None
-    assert spec.maker == "swarmd.drivers.ros2.dds_bridge:make_zero_sender"
-    sender = ros2dds.make_zero_sender(**spec.options)  # type: ignore[arg-type]  # from JSON
+@pytest.mark.parametrize(
+    "make",
+    [BridgedRobot, ZenohRobot, lambda: ZenohRobot(is_humble=True, is_stamped=True)],
+    ids=["ros2dds", "rmw_zenoh", "Humble, stamped"],
+)
+def test_the_zero_sender_of_a_driver_sends_zero_to_its_base(make: Callable[[], Robot]) -> None:
+    robot = make()
+    spec = robot.make({}).zero_sender()
+    module, _, maker = spec.maker.partition(":")
+    sender = getattr(import_module(module), maker)(**spec.options)
     sender.open()
-    taken: list[Twist] = []
-    while not taken:
-        sender.send_zero()
-        taken.extend(robot.commands())
-    assert all(twist.is_zero for twist in taken)
-    sender.close()
-    robot.close()
-
-
-def test_a_zero_sender_finds_a_late_base() -> None:
-    robot = BridgedRobot()
-    robot.disconnect()
-    sender = ros2dds.make_zero_sender(robot="r", given=dict(robot.options({})))
-    sender.open()
-    sender.send_zero()
-    robot.reconnect()
     taken: list[Twist] = []
     while not taken:
         sender.send_zero()
