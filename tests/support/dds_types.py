@@ -1,112 +1,50 @@
-"""ROS 2's messages as cyclonedds knows them: a third codec, and types for a DDS participant."""
+"""ROS 2's messages as cyclonedds knows them: a third codec, and types for a DDS participant.
+
+The definitions are those of `second_codec.py`, made anew for this library.
+"""
 
 # No `from __future__ import annotations`: cyclonedds reads the annotations as types.
 
-from dataclasses import dataclass, field
+from dataclasses import MISSING, dataclass, field, fields
+from functools import cache
+from types import new_class
+from typing import Any, get_args
 
+import pycdr2
 from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, float32, float64, int32, sequence, uint8, uint32
+from cyclonedds.idl.types import array, sequence, uint8
+
+from tests.support import second_codec as second
 
 
-@dataclass
-class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
-    """builtin_interfaces/msg/Time."""
-
-    sec: int32 = 0
-    nanosec: uint32 = 0
-
-
-@dataclass
-class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
-    """std_msgs/msg/Header."""
-
-    stamp: Time = field(default_factory=Time)
-    frame_id: str = ""
+@cache
+def _twin(kind: Any) -> Any:
+    """The same message for cyclonedds."""
+    types = {one.name: _type(one.type) for one in fields(kind)}
+    defaults: dict[str, Any] = {}
+    for one in fields(kind):
+        is_struct = types[one.name] is not one.type and isinstance(types[one.name], type)
+        make = types[one.name] if is_struct else one.default_factory
+        defaults[one.name] = one.default if make is MISSING else field(default_factory=make)
+    body = {"__annotations__": types, "__doc__": kind.__name__, **defaults}
+    name = {"typename": kind.__idl_typename__}
+    return dataclass(new_class(kind.__name__, (IdlStruct,), name, lambda own: own.update(body)))
 
 
-@dataclass
-class Vector3(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3_"):
-    """geometry_msgs/msg/Vector3."""
-
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-
-
-@dataclass
-class Twist(IdlStruct, typename="geometry_msgs.msg.dds_.Twist_"):
-    """geometry_msgs/msg/Twist."""
-
-    linear: Vector3 = field(default_factory=Vector3)
-    angular: Vector3 = field(default_factory=Vector3)
+def _type(kind: Any) -> Any:
+    if isinstance(kind, type) and issubclass(kind, pycdr2.IdlStruct):
+        return _twin(kind)
+    shape = get_args(kind)[-1] if get_args(kind) else None
+    if isinstance(shape, pycdr2.types.sequence):
+        return sequence[shape.subtype]
+    if isinstance(shape, pycdr2.types.array):
+        return array[shape.subtype, shape.length]
+    return kind  # the libraries have the scalars in common
 
 
-@dataclass
-class LaserScan(IdlStruct, typename="sensor_msgs.msg.dds_.LaserScan_"):
-    """sensor_msgs/msg/LaserScan."""
-
-    header: Header = field(default_factory=Header)
-    angle_min: float32 = 0.0
-    angle_max: float32 = 0.0
-    angle_increment: float32 = 0.0
-    time_increment: float32 = 0.0
-    scan_time: float32 = 0.0
-    range_min: float32 = 0.0
-    range_max: float32 = 0.0
-    ranges: sequence[float32] = field(default_factory=list)
-    intensities: sequence[float32] = field(default_factory=list)
-
-
-@dataclass
-class TwistStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TwistStamped_"):
-    """geometry_msgs/msg/TwistStamped."""
-
-    header: Header = field(default_factory=Header)
-    twist: Twist = field(default_factory=Twist)
-
-
-@dataclass
-class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
-    """geometry_msgs/msg/Quaternion."""
-
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-    w: float64 = 1.0
-
-
-@dataclass
-class Pose(IdlStruct, typename="geometry_msgs.msg.dds_.Pose_"):
-    """geometry_msgs/msg/Pose."""
-
-    position: Vector3 = field(default_factory=Vector3)
-    orientation: Quaternion = field(default_factory=Quaternion)
-
-
-@dataclass
-class PoseWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.PoseWithCovariance_"):
-    """geometry_msgs/msg/PoseWithCovariance."""
-
-    pose: Pose = field(default_factory=Pose)
-    covariance: array[float64, 36] = field(default_factory=lambda: [0.0] * 36)
-
-
-@dataclass
-class TwistWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.TwistWithCovariance_"):
-    """geometry_msgs/msg/TwistWithCovariance."""
-
-    twist: Twist = field(default_factory=Twist)
-    covariance: array[float64, 36] = field(default_factory=lambda: [0.0] * 36)
-
-
-@dataclass
-class Odometry(IdlStruct, typename="nav_msgs.msg.dds_.Odometry_"):
-    """nav_msgs/msg/Odometry."""
-
-    header: Header = field(default_factory=Header)
-    child_frame_id: str = ""
-    pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
-    twist: TwistWithCovariance = field(default_factory=TwistWithCovariance)
+Time, Header, Vector3 = _twin(second.Time), _twin(second.Header), _twin(second.Vector3)
+Twist, TwistStamped = _twin(second.Twist), _twin(second.TwistStamped)
+LaserScan, Odometry = _twin(second.LaserScan), _twin(second.Odometry)
 
 
 @dataclass
