@@ -9,6 +9,7 @@ import asyncio
 import logging
 from collections import Counter, deque
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -18,12 +19,7 @@ from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, Sink
-from swarmd.driver_api.hw_codec import (
-    decode_neighbors,
-    decode_odometry,
-    decode_readings,
-    decode_scan,
-)
+from swarmd.driver_api.hw_codec import INPUTS, decode_input, deliver
 from swarmd.driver_api.recording import Entry, Recording, named_file, read_recording
 from swarmd.settings.layered import Layered
 
@@ -65,7 +61,9 @@ class ReplayDriver:
     async def run(self, sink: Sink) -> None:
         """Play it, once or in a loop, until cancelled."""
         if self._recording.cut:
-            log.warning("%s is %s; what came before that is played", self._path, self._cut)
+            log.warning(
+                "%s is %s; what came before that is played", self._path, self._recording.cut
+            )
         try:
             sink.state(False, f"{self._path.name} is about to begin")
             await asyncio.sleep(LEAD)
@@ -106,10 +104,6 @@ class ReplayDriver:
                 findings.append(Finding(kind, bool(count), rate if count else missing))
         return tuple(findings)
 
-    @property
-    def _cut(self) -> str:
-        return self._recording.cut
-
     async def _play(self, sink: Sink, rounds: int) -> None:
         """One round; stamps and sequences of later rounds continue those of the one before."""
         loop, speed = asyncio.get_running_loop(), self._options.speed
@@ -122,26 +116,13 @@ class ReplayDriver:
             self._deliver(sink, entry, shift, rounds * self._after)
 
     def _deliver(self, sink: Sink, entry: Entry, shift: float, ahead: int) -> None:
-        if entry.kind == "scan":
-            scan = decode_scan(entry.payload, self._spec)
-            spec = self._spec
-            sink.scan(
-                Scan(
-                    scan.seq + ahead,
-                    scan.stamp + shift,
-                    scan.ranges,
-                    scan.bearings,
-                    spec.range_min,
-                    spec.range_max,
-                )
-            )
-        elif entry.kind == "odometry":
-            odometry = decode_odometry(entry.payload)
-            sink.odometry(Odometry(odometry.stamp + shift, odometry.pose, odometry.twist))
-        elif entry.kind == "neighbors":
-            sink.neighbors(decode_neighbors(entry.payload))
-        elif entry.kind == "readings":
-            sink.readings(decode_readings(entry.payload))
+        if entry.kind in INPUTS:
+            value = decode_input(entry.kind, entry.payload, self._spec)
+            if isinstance(value, Scan):
+                value = replace(value, seq=value.seq + ahead, stamp=value.stamp + shift)
+            elif isinstance(value, Odometry):
+                value = Odometry(value.stamp + shift, value.pose, value.twist)
+            deliver(sink, value)
         elif entry.kind == "state":
             text = entry.payload[1:].decode(errors="replace")
             if entry.payload[:1] == b"1":
@@ -171,19 +152,16 @@ def _extent(path: Path, recording: Recording, platform: Platform) -> tuple[int, 
     """
     sequences, stamps = [0], []
     for entry in recording.entries:
+        if entry.kind not in INPUTS:
+            continue
         try:
-            if entry.kind == "scan":
-                scan = decode_scan(entry.payload, platform.scan)
-                sequences.append(scan.seq + 1)
-                stamps.append(scan.stamp)
-            elif entry.kind == "odometry":
-                stamps.append(decode_odometry(entry.payload).stamp)
-            elif entry.kind == "neighbors":
-                decode_neighbors(entry.payload)
-            elif entry.kind == "readings":
-                decode_readings(entry.payload)
+            value = decode_input(entry.kind, entry.payload, platform.scan)
         except CodecError as error:
             raise ConfigError(
                 f"{path}: damaged {entry.at:.1f} s after it began: {error}; record it again"
             ) from error
+        if isinstance(value, Scan):
+            sequences.append(value.seq + 1)
+        if isinstance(value, Scan | Odometry):
+            stamps.append(value.stamp)
     return max(sequences), max(stamps, default=0.0) - min(stamps, default=0.0)

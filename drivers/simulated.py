@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import partial
 
 import zenoh
 
@@ -15,15 +14,9 @@ from swarmd.core.errors import CodecError, ConfigError, unknown
 from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
-from swarmd.driver_api.hw_codec import (
-    decode_neighbors,
-    decode_odometry,
-    decode_readings,
-    decode_scan,
-    encode_command,
-)
+from swarmd.driver_api.hw_codec import INPUTS, decode_input, deliver, encode_command
 from swarmd.drivers.latest_samples import LatestSamples
-from swarmd.network.session import open_in_thread, open_with
+from swarmd.network.session import has_subscriber, open_in_thread, open_with, realtime_publisher
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7790"
 SILENCE = 1.0
@@ -31,7 +24,6 @@ SILENCE = 1.0
 
 _OPTIONS = frozenset({"endpoint"})
 _WATCH_PERIOD = 0.1
-_INPUTS = ("scan", "odometry", "neighbors", "readings")
 
 
 class SimulatedDriver:
@@ -60,8 +52,8 @@ class SimulatedDriver:
             lambda what: sink.dropped(f"hw/{what}"),
         )
         try:
-            self._commands = _publisher(session, self._key("cmd_vel"))
-            for name in _INPUTS:
+            self._commands = realtime_publisher(session, self._key("cmd_vel"))
+            for name in INPUTS:
                 session.declare_subscriber(self._key(name), inbox.receiver(name, self._key(name)))
             while True:
                 await asyncio.sleep(_WATCH_PERIOD)
@@ -91,41 +83,28 @@ class SimulatedDriver:
         except TimeoutError:
             pass  # the findings name what is missing
         finally:
-            has_subscriber = self._commands is not None and _is_subscribed(self._commands)
+            is_taken = self._commands is not None and has_subscriber(self._commands)
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
-        return self._findings(seen, has_subscriber)
+        return self._findings(seen, is_taken)
 
     def zero_sender(self) -> ZeroSenderSpec:
         """How the watchdog sends zero to this base."""
         where = {"swarm": self._swarm, "robot": self._robot, "endpoint": self._endpoint}
         return ZeroSenderSpec(f"{__name__}:SimulatedZeroSender", where)
 
-    def _findings(self, seen: _CheckSink, has_subscriber: bool) -> tuple[Finding, ...]:
-        where = f"from {self._robot} of swarm {self._swarm} at {self._endpoint}"
+    def _findings(self, seen: _CheckSink, is_taken: bool) -> tuple[Finding, ...]:
         hint = "start the world first (swarmctl sim up), or correct driver_options.endpoint"
-        rays = len(self._platform.scan.bearings)
-        scan = seen.last_scan
+        missing = f"none from {self._robot} of swarm {self._swarm} at {self._endpoint}; {hint}"
+        scan, has_odometry = seen.last_scan, seen.last_odometry is not None
+        rays = f"the platform has {len(self._platform.scan.bearings)}"
+        taken = "has a subscriber" if is_taken else f"no simulated robot takes commands; {hint}"
         return (
             Finding(
-                "scan",
-                scan is not None,
-                f"{len(scan.ranges)} rays, the platform has {rays}"
-                if scan is not None
-                else f"none {where}; {hint}",
+                "scan", scan is not None, f"{len(scan.ranges)} rays, {rays}" if scan else missing
             ),
-            Finding(
-                "odometry",
-                seen.last_odometry is not None,
-                "arrives" if seen.last_odometry is not None else f"none {where}; {hint}",
-            ),
-            Finding(
-                "cmd_vel",
-                has_subscriber,
-                "has a subscriber"
-                if has_subscriber
-                else f"no simulated robot takes commands; {hint}",
-            ),
+            Finding("odometry", has_odometry, "arrives" if has_odometry else missing),
+            Finding("cmd_vel", is_taken, taken),
         )
 
     def _open(self) -> zenoh.Session:
@@ -140,7 +119,7 @@ class SimulatedDriver:
 
     def _take(self, sink: Sink, name: str, payload: bytes) -> None:
         try:
-            deliver = self._decode(sink, name, payload)
+            value = decode_input(name, payload, self._platform.scan)
         except CodecError:
             sink.dropped(f"hw/{name}")
             return
@@ -148,16 +127,7 @@ class SimulatedDriver:
         if not self._gate.is_open:
             self._gate.open()
             sink.state(True, f"simulated robot at {self._endpoint}")
-        deliver()
-
-    def _decode(self, sink: Sink, name: str, payload: bytes) -> Callable[[], None]:
-        if name == "scan":
-            return partial(sink.scan, decode_scan(payload, self._platform.scan))
-        if name == "odometry":
-            return partial(sink.odometry, decode_odometry(payload))
-        if name == "neighbors":
-            return partial(sink.neighbors, decode_neighbors(payload))
-        return partial(sink.readings, decode_readings(payload))
+        deliver(sink, value)
 
     def _watch(self, sink: Sink, now: float) -> None:
         if self._gate.is_open and now - self._last_sample > SILENCE:
@@ -176,7 +146,7 @@ class SimulatedZeroSender:
     def open(self) -> None:
         """Open a session; the robot may come later."""
         self._session = _session(self._endpoint, self._robot)
-        self._commands = _publisher(self._session, self._key)
+        self._commands = realtime_publisher(self._session, self._key)
 
     def send_zero(self) -> None:
         """Send zero once."""
@@ -231,20 +201,6 @@ def _session(endpoint: str, robot: str) -> zenoh.Session:
         "transport/shared_memory/enabled": False,
     }
     return open_with(options, what=f"the simulated robot {robot} at {endpoint}")
-
-
-def _publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
-    return session.declare_publisher(
-        key,
-        congestion_control=zenoh.CongestionControl.DROP,
-        priority=zenoh.Priority.REAL_TIME,
-        express=True,
-    )
-
-
-def _is_subscribed(publisher: zenoh.Publisher) -> bool:
-    # The stubs call it a bool; it is an object with that attribute.
-    return bool(getattr(publisher.matching_status, "matching", False))
 
 
 def _endpoint(options: Mapping[str, Value]) -> str:

@@ -31,13 +31,8 @@ from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros2.duplicate_nodes import DuplicateNodes
 from swarmd.drivers.ros2.key_scheme import KeyScheme
-from swarmd.drivers.ros2.session import (
-    command_publisher,
-    has_subscriber,
-    linked_hubs,
-    open_session,
-)
-from swarmd.network.session import open_in_thread
+from swarmd.drivers.ros2.session import command_publisher, linked_hubs, open_session
+from swarmd.network.session import has_subscriber, open_in_thread
 
 log = logging.getLogger(__name__)
 

@@ -22,7 +22,7 @@ from swarmd.drivers.ros import cdr, from_ros
 from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.options import RosOptions, read_options
 from swarmd.drivers.ros.to_ros import odometry_message, scan_encoder
-from swarmd.network.session import open_listening
+from swarmd.network.session import open_listening, realtime_publisher
 from swarmd.settings.driver_options import BaseOptions
 
 NAMESPACE = "{robot}"
@@ -162,7 +162,7 @@ class _Robot:
         liveliness = hub.liveliness()
         self._tokens = [liveliness.declare_token(token) for token in (*nodes, *self._ends)]
         self._publishers = [
-            _publisher(hub, keys.key(end.topic, end.message_type)) for end in published
+            realtime_publisher(hub, keys.key(end.topic, end.message_type)) for end in published
         ]
 
     def scan(self, scan: Scan) -> None:
@@ -207,12 +207,3 @@ def _command(message: object) -> Twist:
     if not twist.is_finite or max(speeds) > MAX_COMMAND:
         raise CodecError(f"a twist that is not finite, or faster than {MAX_COMMAND:g}")
     return twist
-
-
-def _publisher(hub: zenoh.Session, key: str) -> zenoh.Publisher:
-    return hub.declare_publisher(
-        key,
-        congestion_control=zenoh.CongestionControl.DROP,
-        priority=zenoh.Priority.REAL_TIME,
-        express=True,
-    )

@@ -11,7 +11,7 @@ import contextlib
 import zenoh
 
 from swarmd.core.errors import NetworkError
-from swarmd.network.session import open_with, tune_sockets
+from swarmd.network.session import open_with, realtime_publisher, tune_sockets
 
 LINK_TIMEOUT = 5.0
 """Seconds without an acknowledgement after which a link is given up and dialled anew."""
@@ -51,17 +51,5 @@ def linked_hubs(session: zenoh.Session) -> frozenset[str]:
 
 
 def command_publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
-    """A publisher that never waits, has the highest priority and skips its own session."""
-    return session.declare_publisher(
-        key,
-        allowed_destination=zenoh.Locality.REMOTE,
-        congestion_control=zenoh.CongestionControl.DROP,
-        priority=zenoh.Priority.REAL_TIME,
-        express=True,
-    )
-
-
-def has_subscriber(publisher: zenoh.Publisher) -> bool:
-    """True if another session subscribes to its key."""
-    # The stubs call it a bool; it is an object with that attribute.
-    return bool(getattr(publisher.matching_status, "matching", False))
+    """A publisher of commands; it skips its own session."""
+    return realtime_publisher(session, key, allowed_destination=zenoh.Locality.REMOTE)

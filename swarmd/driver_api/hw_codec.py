@@ -18,6 +18,7 @@ from swarmd.core.codec import MAX_SENSE, Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.messages import Count, Metres, Name, Speed, Word
 from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, ScanSpec, Twist
+from swarmd.driver_api.driver import Sink
 
 Angle = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Stamp = Annotated[float, Meta(ge=-1e10, le=1e10)]
@@ -25,6 +26,8 @@ Stamp = Annotated[float, Meta(ge=-1e10, le=1e10)]
 Coordinate = Annotated[float, Meta(ge=-1e9, le=1e9)]
 """Metres in the odometry frame, which may be that of a map."""
 MAX_RAYS = 20_000
+INPUTS = ("scan", "odometry", "neighbors", "readings")
+Input = Scan | Odometry | tuple[Neighbor, ...] | Mapping[str, float]
 
 
 class ScanWire(Struct, frozen=True, array_like=True):
@@ -163,6 +166,27 @@ def encode_command(twist: Twist, scan_seq: int, requested_scan_seq: int) -> byte
 def decode_command(payload: bytes) -> CommandWire:
     """A safe command and the scans behind it."""
     return _command(payload)
+
+
+def decode_input(kind: str, payload: bytes, spec: ScanSpec) -> Input:
+    """The value of one of INPUTS."""
+    if kind == "scan":
+        return decode_scan(payload, spec)
+    if kind == "odometry":
+        return decode_odometry(payload)
+    return decode_neighbors(payload) if kind == "neighbors" else decode_readings(payload)
+
+
+def deliver(sink: Sink, value: Input) -> None:
+    """Hand a decoded value to the sink."""
+    if isinstance(value, Scan):
+        sink.scan(value)
+    elif isinstance(value, Odometry):
+        sink.odometry(value)
+    elif isinstance(value, tuple):
+        sink.neighbors(value)
+    else:
+        sink.readings(value)
 
 
 @lru_cache(maxsize=8)

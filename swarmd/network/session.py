@@ -127,6 +127,23 @@ async def open_in_thread(open_it: Callable[[], S]) -> S:
         raise
 
 
+def realtime_publisher(session: zenoh.Session, key: str, **options: Any) -> zenoh.Publisher:
+    """A publisher that never waits and has the highest priority."""
+    return session.declare_publisher(
+        key,
+        congestion_control=zenoh.CongestionControl.DROP,
+        priority=zenoh.Priority.REAL_TIME,
+        express=True,
+        **options,
+    )
+
+
+def has_subscriber(publisher: zenoh.Publisher) -> bool:
+    """True if another session subscribes to its key."""
+    # The stubs call it a bool; it is an object with that attribute.
+    return bool(getattr(publisher.matching_status, "matching", False))
+
+
 def undeclare(*entities: Any) -> None:
     """Undeclare tokens, subscribers, queryables, publishers; harmless once the session closed.
 
