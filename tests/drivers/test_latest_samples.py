@@ -4,10 +4,30 @@ from __future__ import annotations
 
 import asyncio
 import threading
+from collections.abc import Awaitable, Callable
 
 from swarmd.drivers.latest_samples import LatestSamples
 
 Taken = list[tuple[str, bytes]]
+
+
+def play(story: Callable[[LatestSamples], Awaitable[None]]) -> tuple[Taken, list[str]]:
+    """What was taken and dropped while a story ran."""
+    taken: Taken = []
+    dropped: list[str] = []
+
+    async def run() -> None:
+        loop, thread = asyncio.get_running_loop(), threading.get_ident()
+
+        def take(name: str, payload: bytes) -> None:
+            assert threading.get_ident() == thread
+            taken.append((name, payload))
+
+        await story(LatestSamples(loop, take, dropped.append))
+        await settle()
+
+    asyncio.run(run())
+    return taken, dropped
 
 
 async def settle() -> None:
@@ -17,80 +37,39 @@ async def settle() -> None:
 
 
 def test_after_a_stall_of_the_loop_only_the_newest_of_each_is_delivered() -> None:
-    async def run() -> Taken:
-        taken: Taken = []
-        inbox = LatestSamples(
-            asyncio.get_running_loop(), lambda name, payload: taken.append((name, payload))
-        )
-        for k in range(10):  # the loop does not run meanwhile
+    async def story(inbox: LatestSamples) -> None:
+        for k in range(3):  # the loop does not run meanwhile
             inbox.put("scan", b"%d" % k)
-            inbox.put("odometry", b"%d" % -k)
-        await settle()
-        return taken
+        inbox.put("odometry", b"1")
 
-    assert asyncio.run(run()) == [("scan", b"9"), ("odometry", b"-9")]
+    taken, dropped = play(story)
+    assert taken == [("scan", b"2"), ("odometry", b"1")]
+    assert dropped == ["scan:overtaken", "scan:overtaken"]
 
 
 def test_in_a_loop_that_keeps_up_each_is_delivered() -> None:
-    async def run() -> Taken:
-        taken: Taken = []
-        inbox = LatestSamples(
-            asyncio.get_running_loop(), lambda name, payload: taken.append((name, payload))
-        )
+    async def story(inbox: LatestSamples) -> None:
         for k in range(3):
             inbox.put("scan", b"%d" % k)
             await settle()
-        return taken
 
-    assert [payload for _, payload in asyncio.run(run())] == [b"0", b"1", b"2"]
-
-
-def test_what_was_overtaken_is_counted() -> None:
-    async def run() -> list[str]:
-        dropped: list[str] = []
-        loop = asyncio.get_running_loop()
-        inbox = LatestSamples(loop, lambda name, payload: None, dropped.append)
-        for name in ("scan", "scan", "odometry", "scan"):
-            inbox.put(name, b"")
-        await settle()
-        inbox.put("scan", b"")
-        await settle()
-        return dropped
-
-    assert asyncio.run(run()) == ["scan:overtaken", "scan:overtaken"]
+    assert play(story) == ([("scan", b"0"), ("scan", b"1"), ("scan", b"2")], [])
 
 
 def test_nothing_is_delivered_after_closing_not_even_what_was_on_its_way() -> None:
-    async def run() -> Taken:
-        taken: Taken = []
-        inbox = LatestSamples(
-            asyncio.get_running_loop(), lambda name, payload: taken.append((name, payload))
-        )
+    async def story(inbox: LatestSamples) -> None:
         inbox.put("scan", b"1")
         inbox.close()
         inbox.put("scan", b"2")
-        await settle()
-        return taken
 
-    assert asyncio.run(run()) == []
+    assert play(story)[0] == []
 
 
 def test_what_comes_from_another_thread_is_taken_on_the_loops() -> None:
-    async def run() -> tuple[int, int]:
-        threads: list[int] = []
-        arrived = asyncio.Event()
-
-        def take(name: str, payload: bytes) -> None:
-            threads.append(threading.get_ident())
-            arrived.set()
-
-        inbox = LatestSamples(asyncio.get_running_loop(), take)
+    async def story(inbox: LatestSamples) -> None:
         await asyncio.to_thread(inbox.put, "scan", b"1")
-        await asyncio.wait_for(arrived.wait(), 20.0)
-        return threads[0], threading.get_ident()
 
-    taken_on, loops = asyncio.run(run())
-    assert taken_on == loops
+    assert play(story)[0] == [("scan", b"1")]
 
 
 def test_what_comes_after_the_loop_has_ended_is_dropped() -> None:

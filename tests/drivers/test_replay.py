@@ -167,19 +167,14 @@ def same(one: Scan, other: Scan) -> bool:
     )  # fmt: skip
 
 
-def test_the_same_scans_in_order_and_at_their_pace(tmp_path: Path) -> None:
+@pytest.mark.parametrize("speed", [1.0, 4.0])
+def test_the_same_scans_in_order_and_at_their_pace(tmp_path: Path, speed: float) -> None:
     at = [0.0, 0.1, 0.4, 0.5, 1.0]
-    heard = played(record(tmp_path / "a.rec", at), 5)
+    heard = played(record(tmp_path / "a.rec", at), 5, speed=speed)
     assert all(same(scan(i), one) for i, one in enumerate(heard.scans))
     assert heard.odometries == [odometry(i) for i in range(5)]
     assert heard.order[:3] == ["lost", "up", "scan"]
-    assert heard.times == pytest.approx(at)
-
-
-def test_speed_makes_it_pass_faster(tmp_path: Path) -> None:
-    path = record(tmp_path / "a.rec", [0.0, 1.0, 2.0, 4.0])
-    heard = played(path, 4, speed=4.0)
-    assert heard.times == pytest.approx([0.0, 0.25, 0.5, 1.0])
+    assert heard.times == pytest.approx([time / speed for time in at])
 
 
 def test_in_a_loop_stamps_and_sequences_go_on(tmp_path: Path) -> None:
@@ -274,13 +269,22 @@ def test_what_is_no_recording_is_one_clear_line(tmp_path: Path, data: bytes, fau
     assert "\n" not in str(caught.value)
 
 
-def test_damage_in_the_middle_is_found_before_it_begins(tmp_path: Path) -> None:
-    path = tmp_path / "a.rec"
-    recorder = Recorder(path, HEAD)
-    recorder.add("scan", b"\x01 no scan")
+@pytest.mark.parametrize(
+    ("entries", "fault"),
+    [
+        ([(0.0, b"\x01 no scan")], "damaged 0.0 s after it began: "),
+        ([(0.2, encode_scan(scan(1))), (0.1, encode_scan(scan(2)))], "times that go back"),
+    ],
+)
+def test_damage_in_the_middle_is_found_before_it_begins(
+    tmp_path: Path, entries: list[tuple[float, bytes]], fault: str
+) -> None:
+    recorder = Recorder(tmp_path / "a.rec", HEAD)
+    for time, payload in entries:
+        recorder.add("scan", payload, time)
     recorder.close()
-    with pytest.raises(ConfigError, match=r"a\.rec: damaged 0\.0 s after it began: .*; record it"):
-        make(path)
+    with pytest.raises(ConfigError, match=f"{fault}.*; record it again"):
+        make(tmp_path / "a.rec")
 
 
 @pytest.mark.parametrize(
@@ -314,11 +318,6 @@ def test_option_record_is_for_every_driver(tmp_path: Path) -> None:
     assert isinstance(make_driver(load_daemon_settings(None, values)), RecordedDriver)
 
 
-def test_times_that_go_back_are_damage(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match="times that go back; record it again"):
-        make(record(tmp_path / "a.rec", [0.2, 0.1]))
-
-
 def test_a_disk_that_is_full_ends_the_recording_and_nothing_else(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -334,32 +333,6 @@ def test_a_disk_that_is_full_ends_the_recording_and_nothing_else(
     assert full.closed
     assert "ends here: No space left on device" in caplog.text
     assert caplog.text.count("ends here") == 1
-
-
-def test_each_beginning_is_commanded_zero_first_and_the_end_is_zero(tmp_path: Path) -> None:
-    driver = make(record(tmp_path / "a.rec", [0.0, 1.0]), loop=True)
-
-    def taken() -> list[Twist]:
-        for _ in range(2):
-            driver.send(Twist(0.1), 1, 1)
-        found = list(driver.taken)
-        driver.taken.clear()
-        return found
-
-    async def story() -> None:
-        task = asyncio.create_task(driver.run(CollectingSink()))
-        for told in ([], [Twist()]):  # no robot yet; then the one that has gone was told to stand
-            await asyncio.sleep(0.4)
-            assert taken() == told
-            await asyncio.sleep(0.2)
-            assert taken() == [Twist(), Twist(0.1)]
-            assert taken() == [Twist(0.1)] * 2
-            await asyncio.sleep(1.4)
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-        assert taken() == [Twist()] * 2, "as its round has ended, and as it ends"
-
-    handclock.run(story())
 
 
 NOW = 1_767_225_600.25

@@ -11,7 +11,7 @@ import pytest
 import zenoh
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import ZERO, Neighbor, Odometry, Pose, Scan, Twist, Value
+from swarmd.core.values import Neighbor, Odometry, Pose, Scan, Twist, Value
 from swarmd.driver_api.hw_codec import (
     decode_command,
     encode_neighbors,
@@ -159,47 +159,6 @@ def test_a_command_carries_the_scans_it_rests_on() -> None:
         assert (command.scan_seq, command.requested_scan_seq) == (5, 4)
 
     play(story)
-
-
-def test_finds_a_body_that_starts_later_and_one_that_comes_back() -> None:
-    async def run() -> None:
-        first = Body()
-        first.close()
-        driver, heard = make(endpoint=first.endpoint), CollectingSink()
-        task = asyncio.create_task(driver.run(heard))
-        for _ in range(2):
-            harness = DriverHarness(Body(first.endpoint), driver, heard, task)
-            await harness.connect()
-            harness.rig.close()
-            await harness.until(lambda: not heard.is_up)
-        await harness.end()
-        assert [is_up for is_up, _ in heard.states] == [False, True, False, True, False]
-
-    asyncio.run(run())
-
-
-def test_sends_zero_when_its_sink_fails() -> None:
-    class Broken(CollectingSink):
-        def state(self, is_up: bool, text: str) -> None:
-            super().state(is_up, text)
-            if self.order[-2:] == ["odometry", "lost"] or self.order[-2:] == ["scan", "lost"]:
-                raise RuntimeError("broken")
-
-    async def run() -> None:
-        body, heard = Body(), Broken()
-        driver = body.make({})
-        harness = DriverHarness(body, driver, heard, asyncio.create_task(driver.run(heard)))
-        await harness.connect()
-        driver.send(ZERO, -1, -1)
-        driver.send(Twist(0.1), -1, -1)
-        while (await harness.command()).is_zero:
-            pass
-        with pytest.raises(RuntimeError, match="broken"):
-            await harness.task
-        assert (await harness.command()).is_zero
-        body.close()
-
-    asyncio.run(run())
 
 
 @pytest.mark.parametrize("payload", [b"", b"\x01", b"\x02\xc0", b"\x01" + b"\xff" * 200_000])

@@ -38,7 +38,6 @@ class Robot:
         self._odometry = raw_publisher("odom", Odometry)
         self._imu = rospy.Publisher("imu", Imu, queue_size=5)
         self._battery = rospy.Publisher("battery", BatteryState, queue_size=5)
-        self._ranges = [rospy.Publisher(name, Range, queue_size=5) for name in args.ranges]
         if not args.no_base:
             stamped = args.command_type == "TwistStamped"
             rospy.Subscriber(
@@ -113,10 +112,6 @@ class Robot:
         imu.orientation.z, imu.orientation.w = math.sin(0.25), math.cos(0.25)
         self._imu.publish(imu)
         self._battery.publish(BatteryState(voltage=12.0, percentage=0.75))
-        for index, publisher in enumerate(self._ranges):
-            near = Range(range=0.5 + index)
-            near.header.stamp = self._stamp()
-            publisher.publish(near)
 
     def _on_command(self, message: Any) -> None:
         twist = getattr(message, "twist", message)
@@ -158,7 +153,6 @@ def main() -> None:
     parser.add_argument("--scan-type", default="LaserScan")
     parser.add_argument("--command-type", default="Twist")
     parser.add_argument("--no-base", action="store_true")
-    parser.add_argument("--ranges", nargs="+", default=["ir/0", "ir/1", "ir/2"])
     args = parser.parse_args()
     rospy.init_node(args.name, argv=[], disable_signals=True, disable_rosout=True)
     robot = Robot(args)

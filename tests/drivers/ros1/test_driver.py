@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable
 from contextlib import closing
 
 import numpy as np
 import pytest
 
 from swarmd.core.values import Twist, Value
-from swarmd.drivers.ros1.driver import Ros1Driver
-from swarmd.settings.driver_options import BaseOptions
-from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import DriverContract, DriverHarness, running_driver
 from tests.drivers.ros1.rig import RosRobot
 from tests.support.roscore import RosCore
@@ -100,48 +97,6 @@ def test_all_senses_arrive_as_they_were_sent(roscore: RosCore, hangs: bool) -> N
     more: dict[str, Value] = {"imu": "imu", "battery": "battery", "scan_yaw_deg": 90.0}
     more["scan_upside_down"] = hangs
     play(Wanting(roscore, more), story)
-
-
-class Thymio(RosRobot):
-    """Seven range sensors in place of a lidar, called and placed as its platform's file says."""
-
-    platform = load_platform("thymio")
-
-    def __init__(self, core: RosCore) -> None:
-        options = self.platform.drivers["ros1"]
-        self._given = {key: options[key] for key in options.keys() - BaseOptions.__struct_fields__}
-        ring = self._given["ranges"]
-        assert isinstance(ring, Mapping)
-        super().__init__(core, "--ranges", *ring, namespace="/thymio_01")
-
-    def make(self, options: Mapping[str, Value]) -> Ros1Driver:
-        where = {"master": self.core.uri, "ip": "127.0.0.1"}
-        return Ros1Driver(
-            swarm="s",
-            robot="thymio-01",
-            platform=self.platform,
-            options={**self._given, **where, **options},
-        )
-
-
-def test_a_thymio_sees_with_its_seven_sensors_by_its_file_alone(roscore: RosCore) -> None:
-    async def story(harness: DriverHarness, body: RosRobot) -> None:
-        heard = harness.sink
-
-        def is_whole() -> bool:
-            body.do("extras")
-            return bool(heard.scans) and bool(np.isfinite(heard.scans[-1].ranges).all())
-
-        await harness.until(is_whole, publishing=True)
-        scan = heard.scans[-1]
-        off = scan.bearings - body.platform.scan.bearings
-        assert np.cos(off) == pytest.approx(np.ones(7))
-        wanted = [0.58, 1.58, 2.58, 3.58, 4.58, 5.535, 6.535]  # 0.5 m, 1.5 m ... from each sensor
-        assert scan.ranges.tolist() == pytest.approx(wanted)
-        harness.driver.send(Twist(0.1), 1, 1)
-        assert (await harness.command()).is_zero
-
-    play(Thymio(roscore), story, connected=False)
 
 
 def test_commands_are_stamped_where_the_base_wants_it(roscore: RosCore) -> None:

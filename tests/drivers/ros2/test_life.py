@@ -279,26 +279,6 @@ def test_the_way_out_is_one_zero_and_none_if_nothing_was_commanded(
     play(monkeypatch, idle)
 
 
-def test_a_check_moves_nothing_and_announces_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    session = Session()
-    monkeypatch.setattr(ros_driver, "open_session", lambda endpoint: session)
-
-    async def run() -> None:
-        driver = make({}, robots.PLATFORM)
-        checking = asyncio.create_task(driver.check(2.0))
-        await asyncio.sleep(0.01)
-        for count in range(5):
-            session.moves(0.1 * count)
-            await asyncio.sleep(0.1)
-        found = await checking
-        assert not session.taken()
-        assert not session.tokens
-        assert session.is_closed
-        assert [finding.subject for finding in found if not finding.is_well] == ["scan"]
-
-    handclock.run(run())
-
-
 def test_a_battery_alone_is_no_base(monkeypatch: pytest.MonkeyPatch) -> None:
     async def story(scene: Scene) -> None:
         scene.session.speak("power", second.BatteryState(percentage=0.5))
