@@ -30,19 +30,28 @@ class RoundVote(NamedTuple):
 
 
 class VoteWindow:
-    """A tumbling window of `length` s: opens at `now` and opens again whenever it is closed.
+    """A window of `length` s: tumbling, or sliding with a `period`.
 
-    Votes received before it opened, or more than `expiry` s before its end, do not count. The
-    first window lasts the share `first` of the length.
+    A tumbling window opens again whenever it is closed; votes received before do not count. A
+    sliding one is closed every `period` s and counts the votes of the last `length` s, also those
+    counted before. Votes received more than `expiry` s before its end do not count. The first
+    window or period lasts the share `first` of its length.
     """
 
     def __init__(
-        self, length: float, *, now: float, expiry: float = math.inf, first: float = 1.0
+        self,
+        length: float,
+        *,
+        now: float,
+        period: float | None = None,
+        expiry: float = math.inf,
+        first: float = 1.0,
     ) -> None:
         self.length = length
+        self.period = period
         self.expiry = expiry
         self._opened = now
-        self._end = now + first * length
+        self._end = now + first * (length if period is None else period)
         self._votes: dict[str, tuple[int, float]] = {}
 
     def add(self, sender: str, opinion: int, received_at: float) -> None:
@@ -60,54 +69,20 @@ class VoteWindow:
         self._votes.pop(sender, None)
 
     def close(self, now: float) -> Mapping[str, int] | None:
-        """The votes by sender if the window has ended (then a new one opens); else None.
+        """The votes by sender if the window or period has ended; else None.
 
         Ends stay on the grid of the first one: several windows that ended between two calls are
         closed as one.
         """
         if now < self._end:
             return None
-        self._end = _next(self._end, self.length, now)
-        votes = self._since(max(self._opened, now - self.expiry))
-        self._opened = now
-        self._votes.clear()
-        return votes
-
-    def _since(self, oldest: float) -> Mapping[str, int]:
-        return {
-            sender: opinion
-            for sender, (opinion, received_at) in self._votes.items()
-            if received_at >= oldest
-        }
-
-
-class SlidingWindow(VoteWindow):
-    """Every `period` s counts the votes of the last `length` s, also those counted before.
-
-    It counts for the first time after the share `first` of a period.
-    """
-
-    def __init__(
-        self,
-        length: float,
-        period: float,
-        *,
-        now: float,
-        expiry: float = math.inf,
-        first: float = 1.0,
-    ) -> None:
-        super().__init__(length, now=now, expiry=expiry)
-        self.period = period
-        self._end = now + first * period
-
-    def close(self, now: float) -> Mapping[str, int] | None:
-        """The votes by sender if a period has ended; else None."""
-        if now < self._end:
-            return None
-        self._end = _next(self._end, self.period, now)
-        votes = self._since(now - min(self.length, self.expiry))
-        self._votes = {sender: self._votes[sender] for sender in votes}
-        return votes
+        every = self.length if self.period is None else self.period
+        self._end += every * (math.floor((now - self._end) / every) + 1)
+        opened = self._opened if self.period is None else now - self.length
+        oldest = max(opened, now - self.expiry)
+        votes = {sender: vote for sender, vote in self._votes.items() if vote[1] >= oldest}
+        self._opened, self._votes = now, {} if self.period is None else votes
+        return {sender: opinion for sender, (opinion, _) in votes.items()}
 
 
 class Rounds:
@@ -230,11 +205,6 @@ def read_round_vote(value: object, count: int) -> RoundVote | None:
     if number is None or opinion is None or previous is None:
         return None
     return RoundVote(number, opinion, previous)
-
-
-def _next(end: float, length: float, now: float) -> float:
-    """The first end after `now` on the grid of ends `length` s apart."""
-    return end + length * (math.floor((now - end) / length) + 1)
 
 
 def _lead(number: int, other: int) -> int:

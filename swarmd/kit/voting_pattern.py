@@ -11,7 +11,6 @@ from swarmd.kit.behavior import Context, Pattern
 from swarmd.kit.params import Params, Recovery, about
 from swarmd.kit.vote_windows import (
     Rounds,
-    SlidingWindow,
     Ties,
     VoteWindow,
     Windows,
@@ -165,8 +164,8 @@ class VotingPattern(Pattern[V]):
         super().update(params)
         if self._window is not None:
             self._window.length, self._window.expiry = params.window, params.expiry
-        if isinstance(self._window, SlidingWindow | Rounds):
-            self._window.period = params.period
+            if self._window.period is not None:
+                self._window.period = params.period
         if self.opinion >= params.opinions:
             self.opinion = int(self.context.rng.integers(params.opinions))
             self._share_at = 0.0
@@ -178,9 +177,8 @@ class VotingPattern(Pattern[V]):
         if params.windows == "rounds":
             return Rounds(length, period, now=now, expiry=expiry)
         first = 1.0 - float(self.context.rng.random()) if params.staggered else 1.0
-        if params.windows == "sliding":
-            return SlidingWindow(length, period, now=now, expiry=expiry, first=first)
-        return VoteWindow(length, now=now, expiry=expiry, first=first)
+        every = period if params.windows == "sliding" else None
+        return VoteWindow(length, now=now, period=every, expiry=expiry, first=first)
 
     def _take(self, window: VoteWindow | Rounds, message: Message, received_at: float) -> None:
         """Count the vote in a message; anything else in it is ignored."""

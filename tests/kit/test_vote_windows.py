@@ -9,7 +9,6 @@ from swarmd.kit.vote_windows import (
     ROUNDS,
     Rounds,
     RoundVote,
-    SlidingWindow,
     VoteWindow,
     majority,
     read_opinion,
@@ -66,7 +65,7 @@ def test_a_vote_from_before_the_window_does_not_count(heard_at: float, counts: b
 
 
 def test_a_sliding_window_counts_a_vote_again_until_it_is_too_old() -> None:
-    window = SlidingWindow(3.0, 1.0, now=0.0)
+    window = VoteWindow(3.0, period=1.0, now=0.0)
     window.add("a", 1, 0.5)
     assert window.close(0.9) is None
     assert [window.close(now) for now in (1.0, 2.0, 3.0, 3.4)] == [{"a": 1}] * 3 + [None]
@@ -74,7 +73,7 @@ def test_a_sliding_window_counts_a_vote_again_until_it_is_too_old() -> None:
 
 
 def test_a_sliding_window_counts_the_latest_vote_of_a_sender() -> None:
-    window = SlidingWindow(3.0, 1.0, now=0.0)
+    window = VoteWindow(3.0, period=1.0, now=0.0)
     window.add("a", 1, 0.5)
     assert window.close(1.0) == {"a": 1}
     window.add("a", 2, 1.5)
@@ -83,7 +82,7 @@ def test_a_sliding_window_counts_the_latest_vote_of_a_sender() -> None:
 
 
 def test_in_a_sliding_window_too_votes_expire() -> None:
-    window = SlidingWindow(5.0, 1.0, now=0.0, expiry=2.0)
+    window = VoteWindow(5.0, period=1.0, now=0.0, expiry=2.0)
     window.add("a", 1, 0.5)
     assert [window.close(now) for now in (2.5, 3.5)] == [{"a": 1}, {}]
 
