@@ -8,10 +8,8 @@ from typing import Any
 
 import pytest
 
-from swarmd.core.host_messages import Load
 from swarmd.core.messages import Code, Reason, State
 from swarmd.core.values import Inputs, Scalar, Twist
-from swarmd.pattern_host.wire import decode_command, encode_command
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import Disc, scan_of
 from tests.support.robot_harness import RobotHarness
@@ -114,10 +112,3 @@ def test_a_malformed_condition_refuses_the_run(until: Any, words: str) -> None:
     assert reply.code is Code.REFUSED
     assert words in reply.text
     assert standing_state(story) == (State.IDLE, Reason.NEVER_ASKED)
-
-
-def test_conditions_reach_the_pattern_host() -> None:
-    load = Load(3, "drive", (), "r1", WAFFLE, 5, until=("done", "timeout:3"))
-    again = decode_command(encode_command(load))
-    assert isinstance(again, Load)
-    assert again.until == ("done", "timeout:3")

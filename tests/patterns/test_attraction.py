@@ -236,8 +236,12 @@ def test_seven_scattered_robots_gather_and_come_to_rest(platform: str, seed: int
     course = gather(platform, scattered(7, 6.0, seed), room=6.0, seconds=60.0, seed=seed)
     assert cluster_count(course.poses[-1]) == 1
     assert spread(course.poses[-1]) < 0.5 * spread(course.poses[0])
-    limit = load_platform(platform).limits.linear
-    assert np.abs(course.speeds[-200:]).mean() <= 0.2 * limit
+    kind = load_platform(platform)
+    assert np.abs(course.speeds[-200:]).mean() <= 0.2 * kind.limits.linear
+    # The spacing leaves protection inactive: it needs six rays, not one shortened by noise.
+    threshold = float(kind.protection["threshold"])
+    assert (course.nearest[-200:] < threshold).mean() < 0.1
+    assert (course.nearest < threshold).mean() < 0.1
 
 
 @pytest.mark.parametrize("platform", PLATFORMS)
@@ -247,15 +251,6 @@ def test_a_row_folds_up_into_a_cluster(platform: str) -> None:
     assert cluster_count(course.poses[-1]) == 1
     # 1.71 m in the row; at best some 0.5 m at this spacing.
     assert spread(course.poses[-1]) < 0.9
-
-
-@pytest.mark.parametrize("platform", PLATFORMS)
-def test_the_spacing_leaves_protection_inactive(platform: str) -> None:
-    course = gather(platform, scattered(7, 6.0, 5), room=6.0, seconds=60.0, seed=5)
-    threshold = float(load_platform(platform).protection["threshold"])
-    # Single rays that noise has shortened do not wake it: it asks for six.
-    assert (course.nearest[-200:] < threshold).mean() < 0.1
-    assert (course.nearest < threshold).mean() < 0.1
 
 
 def test_a_single_robot_keeps_clear_of_the_walls() -> None:

@@ -95,15 +95,12 @@ def test_a_fault_names_source_key_value_and_wanted_type(
     assert "\n" not in str(caught.value)
 
 
-def test_a_fault_names_the_source_of_its_key() -> None:
-    layers = Layered(("a.yaml", {"name": "y"}), ("b.yaml", {"inner": {"speed": -1}}))
-    with pytest.raises(ConfigError, match=r"^b\.yaml: inner\.speed is -1"):
-        layers.build(Outer)
-
-
-def test_a_missing_key_names_the_source_of_its_section() -> None:
-    layers = Layered(("a.yaml", {"name": "y"}), ("b.yaml", {"inner": {}}))
-    with pytest.raises(ConfigError, match=r"^b\.yaml: inner\.speed is missing"):
+@pytest.mark.parametrize(
+    ("inner", "fault"), [({"speed": -1}, "speed is -1"), ({}, "speed is missing")]
+)
+def test_a_fault_names_the_source_of_its_key_or_section(inner: object, fault: str) -> None:
+    layers = Layered(("a.yaml", {"name": "y"}), ("b.yaml", {"inner": inner}))
+    with pytest.raises(ConfigError, match=rf"^b\.yaml: inner\.{fault}"):
         layers.build(Outer)
 
 

@@ -70,11 +70,6 @@ def test_refuses_a_missing_file(file: Path) -> None:
         read(file)
 
 
-def test_refuses_a_folder(file: Path) -> None:
-    with pytest.raises(ConfigError, match="cannot be read: Is a directory"):
-        read(file.parent)
-
-
 def test_paths_below_the_working_directory_are_shown_relative(file: Path) -> None:
     assert shown(file.parent / "a" / "b.yaml") == "a/b.yaml"
     assert shown(Path("/etc/b.yaml")) == "/etc/b.yaml"
