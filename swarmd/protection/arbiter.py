@@ -83,11 +83,6 @@ class Protection:
         clearance = self._arbiter.clearance(_CORRIDOR_SPEED_SHARE * platform.limits.linear)
         self._recovery = None if clearance is None else Recovery(clearance, platform.limits, seed)
 
-    @property
-    def mode(self) -> str:
-        """The name of the mode."""
-        return self._arbiter.mode
-
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan."""
         self._scan_seq, self._scan = scan.seq, scan

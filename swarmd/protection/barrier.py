@@ -24,7 +24,7 @@ import numpy as np
 from swarmd.core.clock import TICK
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import ZERO, Array, Platform, Pose, Scan, ScanSpec, TouchZone, Twist
-from swarmd.protection.blind_zone import BlindZoneMemory, blind_zone_memory
+from swarmd.protection.blind_zone import BlindZoneMemory
 from swarmd.protection.constraints import (
     LIMIT_BOX,
     BindingRange,
@@ -119,7 +119,10 @@ class Barrier:
         self._feasible: _Feasible | None = None
         self._dead_reckoning = DeadReckoning(settings.braking_linear, settings.braking_angular)
         own = max(self._limits.linear, self._limits.lateral)
-        self._memory = blind_zone_memory(platform.scan, settings.others_speed + own)
+        self._memory: BlindZoneMemory | None = None
+        if self._spec.near == "lost" and self._spec.range_min > 0.0:
+            speed = settings.others_speed + own
+            self._memory = BlindZoneMemory(self._spec.range_min, speed, 1.0 / self._spec.rate)
         self._radius = float(np.hypot(*platform.footprint.T).max())
         self._stop_check = StopCheck(
             self._outline, settings.braking_linear, settings.braking_angular, TICK

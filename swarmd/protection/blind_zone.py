@@ -25,7 +25,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from swarmd.core.values import Array, Pose, Scan, ScanSpec
+from swarmd.core.values import Array, Pose, Scan
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.sensing.rays import nearest_bearings
 
@@ -247,13 +247,6 @@ class BlindZoneMemory:
         if inside.any():
             is_within |= inside[nearest_bearings(rays, bearings)[0]]
         return bearings[is_within], is_gone[is_within]
-
-
-def blind_zone_memory(spec: ScanSpec, speed: float) -> BlindZoneMemory | None:
-    """The memory for obstacles at up to `speed` m/s; None if the sensor reports near obstacles."""
-    if spec.near == "reported" or spec.range_min <= 0.0:
-        return None
-    return BlindZoneMemory(spec.range_min, speed, 1.0 / spec.rate)
 
 
 def _by_ray(count: int, rays: Indices, hidden: _Hidden) -> _Hidden:

@@ -76,8 +76,7 @@ class Outbox:
     """Passes at most 20 messages per second on each declared channel; counts the others."""
 
     def __init__(self) -> None:
-        self._tokens: dict[str, float] = {}
-        self._at: dict[str, float] = {}
+        self._tokens: dict[str, tuple[float, float]] = {}  # by channel: how many, and when
         self.dropped = 0
 
     def take(
@@ -93,10 +92,8 @@ class Outbox:
         return passed
 
     def _spend(self, channel: str, now: float) -> bool:
-        elapsed = now - self._at.get(channel, -1e9)
-        filled = self._tokens.get(channel, 0.0) + elapsed * MESSAGES_PER_SECOND
-        tokens = min(filled, MESSAGES_PER_SECOND / 4.0)
-        self._at[channel] = now
+        tokens, at = self._tokens.get(channel, (0.0, -1e9))
+        tokens = min(tokens + (now - at) * MESSAGES_PER_SECOND, MESSAGES_PER_SECOND / 4.0)
         is_allowed = tokens >= 1.0
-        self._tokens[channel] = tokens - 1.0 if is_allowed else tokens
+        self._tokens[channel] = (tokens - is_allowed, now)
         return is_allowed

@@ -44,7 +44,14 @@ from swarmd.kit.touch import effective_zone
 from swarmd.protection.decision import NO_PERMIT, Permit
 from swarmd.robot.actions import Effects, Outbox
 from swarmd.robot.latches import Latches, LatchRecord
-from swarmd.robot.pattern_run import LOAD_TIMEOUT, STEP_TIMEOUT, Loading, PatternRun, Trial
+from swarmd.robot.pattern_run import (
+    FAULTS_BEFORE_QUARANTINE,
+    LOAD_TIMEOUT,
+    STEP_TIMEOUT,
+    Loading,
+    PatternRun,
+    Trial,
+)
 from swarmd.robot.state_machine import StateMachine, Trigger
 
 MAX_HOLD_TIME = 2.0  # s after which a hold ends the run
@@ -268,7 +275,7 @@ class Lifecycle:
         elif not run.fault(effects.now):
             self.hold_since = None  # the restart may take as long as any other hold
         else:
-            detail = f"{running.pattern} failed {run.faults} times, last: {text}"
+            detail = f"{running.pattern} failed {FAULTS_BEFORE_QUARANTINE} times, last: {text}"
             self.end(Trigger.FAULT, Reason.QUARANTINED, detail, effects)
 
     def fail_load(self, text: str, effects: Effects) -> None:
@@ -291,9 +298,9 @@ class Lifecycle:
         else:
             if loading is not None:
                 effects.command_host(KillHost())
-            if loading is not None and loading.request is not None:
-                overtaken = f"{reason} while it was being loaded"
-                self.refuse(effects, loading.request, Refusal.OVERTAKEN, overtaken)
+                if loading.request is not None:
+                    text = f"{reason} while it was being loaded"
+                    self.refuse(effects, loading.request, Refusal.OVERTAKEN, text)
             self.pattern_run.end()
         if trigger in _ENDS_TRIAL:
             text = f"{reason} while the new code was being tried"

@@ -168,11 +168,6 @@ class PatternRun:
         is_reloading = self.loading is not None and self.loading.request is None
         return self.restart_at is not None or is_reloading
 
-    @property
-    def faults(self) -> int:
-        """The number of faults within FAULT_WINDOW."""
-        return len(self._faults)
-
     def fault(self, now: float) -> bool:
         """Count a fault; True if the pattern must be quarantined, else its restart is scheduled."""
         self.awaiting_since = None

@@ -55,7 +55,7 @@ class Robot:
         self._duty = DutyCycle()
         self._published: tuple[object, ...] = ()
         self._published_at = -math.inf
-        self._decision = self._decide(None, now)
+        self.decision = self._decide(None, now)  # the last one
 
     # Present state
 
@@ -72,12 +72,7 @@ class Robot:
     @property
     def reason(self) -> Reason | None:
         """The one reason why the robot does not move; None while it moves."""
-        return status_reason(self._lifecycle, self._decision)
-
-    @property
-    def decision(self) -> Decision:
-        """The last decision of protection."""
-        return self._decision
+        return status_reason(self._lifecycle, self.decision)
 
     @property
     def epoch(self) -> Epoch:
@@ -175,7 +170,7 @@ class Robot:
         self._last_tick = now
         if self._lifecycle.is_running:
             self._duty.decisions += 1
-            self._duty.active += self._decision.is_active
+            self._duty.active += self.decision.is_active
         return self._settle(effects)
 
     def wake_at(self, now: float) -> float | None:
@@ -193,7 +188,7 @@ class Robot:
 
     def status(self, now: float) -> Status:
         """The status at `now`."""
-        return make_status(self._lifecycle, self._sensors, self._decision, self._duty, now)
+        return make_status(self._lifecycle, self._sensors, self.decision, self._duty, now)
 
     def _begin(self, now: float) -> Effects:
         """Begin the effects of an event. After a stall of the loop the run ends first."""
@@ -208,14 +203,14 @@ class Robot:
         now, lifecycle = effects.now, self._lifecycle
         self._requests.advance(effects)
         hold = lifecycle.advance(self._sensors.hold(now), effects)
-        self._decision = self._decide(hold, now)
+        self.decision = self._decide(hold, now)
         self._restart(effects)
         if effects.host is None and lifecycle.is_running:
             self._step(effects)
         running = lifecycle.pattern_run.running
         return Actions(
-            twist=self._decision.safe,
-            decision=self._decision,
+            twist=self.decision.safe,
+            decision=self.decision,
             requested_scan_seq=-1 if running is None else running.requested.scan_seq,
             is_idle=self._sensors.is_driver_up and lifecycle.state_machine.state is State.IDLE,
             latches=lifecycle.latches.record() if effects.is_latched else None,
@@ -256,7 +251,7 @@ class Robot:
     def _changed_status(self, now: float) -> Status | None:
         """The status if something that peers act on has changed, or after STATUS_PERIOD."""
         lifecycle, machine = self._lifecycle, self._lifecycle.state_machine
-        reason = status_reason(lifecycle, self._decision)
+        reason = status_reason(lifecycle, self.decision)
         if reason in (Reason.NO_REQUESTED_COMMAND, Reason.PROTECTION):
             reason = None  # these change with every scan
         running, loading = lifecycle.pattern_run.running, lifecycle.pattern_run.loading

@@ -43,6 +43,11 @@ def make_status(
     machine, running = lifecycle.state_machine, lifecycle.pattern_run.running
     loading = lifecycle.pattern_run.loading
     values = {} if running is None else running.values
+    dropped = {
+        "msg:inbox_full": sensors.overflowed,
+        "msg:wrong_type": lifecycle.wrong_type_count,
+        "msg:too_much_said": lifecycle.outbox.dropped,
+    }
     return Status(
         robot=identity.robot,
         instance=identity.instance,
@@ -69,7 +74,7 @@ def make_status(
             host_restarts=lifecycle.pattern_run.restarts,
             driver=sensors.driver_text[:MAX_VALUE],
             driver_up=sensors.is_driver_up,
-            dropped=_dropped(lifecycle, sensors),
+            dropped={kind: count for kind, count in dropped.items() if count},
         ),
         uptime=max(now - lifecycle.born, 0.0),
         readings=_clean(sensors.readings),
@@ -97,16 +102,6 @@ def _summary(decision: Decision, duty: DutyCycle) -> DecisionSummary:
         duty=duty.share,
         decisions=duty.decisions,
     )
-
-
-def _dropped(lifecycle: Lifecycle, sensors: Sensors) -> dict[str, int]:
-    """The numbers of dropped messages between patterns, by kind."""
-    counts = {
-        "msg:inbox_full": sensors.overflowed,
-        "msg:wrong_type": lifecycle.wrong_type_count,
-        "msg:too_much_said": lifecycle.outbox.dropped,
-    }
-    return {kind: count for kind, count in counts.items() if count}
 
 
 def _clean(report: Mapping[str, Scalar]) -> dict[str, Scalar]:

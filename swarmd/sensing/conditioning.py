@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from swarmd.core.angles import wrap
 from swarmd.core.messages import Reason
-from swarmd.core.values import Array, Odometry, Scan, ScanSpec
+from swarmd.core.values import ZERO, Array, Odometry, Scan, ScanSpec
 from swarmd.sensing.rays import nearest_bearings
 
 MAX_REPEATS = 3  # repeats of a noisy sensor after which its scan counts as frozen
@@ -170,7 +170,9 @@ class ScanConditioner:
             self._identical = 0
             return False
         returns = int(np.count_nonzero(np.isfinite(scan.ranges) & (scan.ranges != 0.0)))
-        is_moving = odometry is not None and _moves(odometry)
+        twist = ZERO if odometry is None else odometry.twist
+        is_moving = max(abs(twist.linear), abs(twist.lateral)) > MOVES_LINEAR
+        is_moving |= abs(twist.angular) > MOVES_ANGULAR
         repeats = returns >= (1 if is_moving else MIN_DISTINCT_RETURNS)
         self._identical += repeats
         return repeats
@@ -250,15 +252,6 @@ class ScanConditioner:
         is_near &= scan.ranges != 0.0
         near_at = np.where(is_near, now, memory.near_at) if is_near.any() else memory.near_at
         self._memory = _RayMemory(scan.bearings, kept, known_at, near_at)
-
-
-def _moves(odometry: Odometry) -> bool:
-    twist = odometry.twist
-    return (
-        abs(twist.linear) > MOVES_LINEAR
-        or abs(twist.lateral) > MOVES_LINEAR
-        or abs(twist.angular) > MOVES_ANGULAR
-    )
 
 
 def _run_lengths(rays: Indices, n: int) -> Indices:
