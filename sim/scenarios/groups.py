@@ -74,37 +74,31 @@ def _ids(layers: Layered, name: str, group: GroupSection) -> tuple[str, ...]:
     keys = ("groups", name)
     with blamed(layers, *keys):
         check_id(name, "a group's name")
+    if group.robots is None and group.count is None:
+        raise layers.error(keys, f"groups.{name} has no robots; give count, or robots: [ids]")
     if group.robots is not None and group.count is not None:
         text = f"groups.{name} has both count and robots; keep one (null takes the other away)"
         raise layers.error((*keys, "count"), text)
-    if group.robots is not None:
-        if not group.robots:
-            raise layers.error((*keys, "robots"), f"groups.{name}.robots is empty; name one")
-        return tuple(group.robots)
-    if group.count is None:
-        text = f"groups.{name} has no robots; give count, or robots: [ids]"
-        raise layers.error(keys, text)
-    prefix = group.prefix or name
-    digits = max(2, len(str(group.count)))
-    return tuple(f"{prefix}-{number:0{digits}}" for number in range(1, group.count + 1))
+    if group.robots == []:
+        raise layers.error((*keys, "robots"), f"groups.{name}.robots is empty; name one")
+    count, prefix = group.count or 0, group.prefix or name
+    digits = max(2, len(str(count)))
+    numbered = (f"{prefix}-{number:0{digits}}" for number in range(1, count + 1))
+    return tuple(group.robots or numbered)
 
 
 def _check_robot(
-    layers: Layered,
-    group: str,
-    robot: str,
-    groups: Mapping[str, Iterable[str]],
-    group_of: Mapping[str, str],
+    layers: Layered, group: str, robot: str, groups: Iterable[str], group_of: Mapping[str, str]
 ) -> None:
-    keys = ("groups", group)
-    with blamed(layers, *keys):
-        check_id(robot, f"groups.{group}: a robot's id")
+    where, fault = f"groups.{group}: robot {robot!r}", ""
     if robot in group_of:
-        text = f"groups.{group}: robot {robot!r} is in group {group_of[robot]!r} already"
-        raise layers.error(keys, f"{text}; name it once, or give another prefix")
+        fault = f"is in group {group_of[robot]!r} already; name it once, or give another prefix"
     if robot in groups or robot == ALL:
-        text = f"groups.{group}: robot {robot!r} has the name of a group; rename one"
-        raise layers.error(keys, text)
+        fault = "has the name of a group; rename one"
+    with blamed(layers, "groups", group):
+        check_id(robot, f"groups.{group}: a robot's id")
+        if fault:
+            raise ConfigError(f"{where} {fault}")
 
 
 def _sensing(platform: Platform, file: ScenarioFile, fields: Sequence[Field]) -> Platform:

@@ -68,15 +68,11 @@ def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
     if len(given) != 1:
         text = f"{name} has {' and '.join(given) or 'nothing'} at {section.at:g}"
         raise layers.error(keys, f"{text}; wanted one of {', '.join(ACTIONS)}")
-    besides = {
-        "targets": section.targets,
-        "parameters": section.parameters,
-        "for": section.seconds,
-        "until": section.until,
-        "pose": section.pose,
-    }
-    for key, value in besides.items():
-        if value is not None and key not in _BESIDES.get(given[0], ()):
+    for key, field_name in zip(
+        EventSection.__struct_encode_fields__, EventSection.__struct_fields__, strict=True
+    ):
+        is_known = key in ("at", *ACTIONS, *_BESIDES.get(given[0], ()))
+        if not is_known and getattr(section, field_name) is not None:
             text = f"{name}.{key} means nothing beside {given[0]}; leave it out"
             raise layers.error((*keys, key), text)
     if given[0] == "param" and not section.param:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from typing import Any
 
 import numpy as np
@@ -157,10 +157,8 @@ class Arena:
         """The text from which `parse_arena` makes the same arena."""
         words = [f"{_text(self.length)}x{_text(self.width)}"]
         words += [_box_text(box) for box in self.boxes]
-        words += [":".join(("pole", *map(_text, (p.x, p.y, p.radius)))) for p in self.poles]
-        words += [
-            ":".join(("segment", *map(_text, (s.x1, s.y1, s.x2, s.y2)))) for s in self.segments
-        ]
+        words += [":".join(("pole", *map(_text, astuple(pole)))) for pole in self.poles]
+        words += [":".join(("segment", *map(_text, astuple(wall)))) for wall in self.segments]
         return ",".join(words)
 
 
@@ -196,61 +194,64 @@ def parse_arena(text: str) -> Arena:
     `,segment:x1:y1:x2:y2`. The yaw and mass of a box are optional: without a mass it is fixed.
     `box/crate:...` names it; `:out` after the mass leaves it out of the arena at first.
     """
+    try:
+        return _parsed(text)
+    except _TextError as error:
+        raise ConfigError(f"arena {text!r}: {error}; {_WANTED}") from error
+
+
+class _TextError(ValueError):
+    pass
+
+
+def _parsed(text: str) -> Arena:
     size, *items = text.split(",")
     match = _SIZE.fullmatch(size)
     if match is None:
-        raise ConfigError(f"arena is {text!r}; {_WANTED}")
+        raise _TextError(f"{size!r} is no length and width")
     found: dict[str, list[Any]] = {"box": [], "pole": [], "segment": []}
     for item in items:
         head, *words = item.split(":")
         kind, _, name = head.partition("/")
         if kind == "box" and 4 <= len(words) <= 7:
-            found["box"].append(_box(name, words, text))
+            found["box"].append(_box(name, words))
         elif head == "pole" and len(words) == 3:
-            x, y, radius = (_number(word, text) for word in words)
-            found["pole"].append(Pole(x, y, _size(radius, text)))
+            x, y, radius = map(_number, words)
+            found["pole"].append(Pole(x, y, _size(radius)))
         elif head == "segment" and len(words) == 4:
-            found["segment"].append(_segment(words, text))
+            segment = Segment(*map(_number, words))
+            _size(segment.box.length)
+            found["segment"].append(segment)
         else:
-            raise ConfigError(
-                f"arena {text!r}: {item!r} is not a valid box, pole or segment; {_WANTED}"
-            )
-    length, width = (_size(_number(word, text), text) for word in match.groups())
+            raise _TextError(f"{item!r} is not a valid box, pole or segment")
+    length, width = (_size(_number(word)) for word in match.groups())
     return Arena(length, width, *(tuple(kind) for kind in found.values()))
 
 
-def _box(name: str, words: list[str], text: str) -> Box:
+def _box(name: str, words: list[str]) -> Box:
     is_out = len(words) == 7
     if is_out and words.pop() != "out":
-        raise ConfigError(f"arena {text!r}: after a box's mass only 'out' may follow; {_WANTED}")
-    x, y, length, width = (_number(word, text) for word in words[:4])
+        raise _TextError("after a box's mass only 'out' may follow")
+    x, y, length, width = map(_number, words[:4])
     yaw = 0.0
     if len(words) > 4:
         word = words[4].removesuffix("rad")
-        yaw = _number(word, text)
-        yaw = math.radians(yaw) if word == words[4] else yaw
-    mass = _number(words[5], text) if len(words) > 5 else None
-    size = _size(length, text), _size(width, text)
-    return Box(x, y, *size, yaw, name=name, mass=mass, is_placed=not is_out)
+        yaw = _number(word) if word != words[4] else math.radians(_number(word))
+    mass = _number(words[5]) if len(words) > 5 else None
+    return Box(x, y, _size(length), _size(width), yaw, name, mass, is_placed=not is_out)
 
 
-def _segment(words: list[str], text: str) -> Segment:
-    x1, y1, x2, y2 = (_number(word, text) for word in words)
-    _size(math.hypot(x2 - x1, y2 - y1), text)
-    return Segment(x1, y1, x2, y2)
-
-
-def _number(word: str, text: str) -> float:
+def _number(word: str) -> float:
     try:
         value = float(word)
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ConfigError(f"arena {text!r}: {word!r} is no number; {_WANTED}")
+        raise _TextError(f"{word!r} is no number")
     return value
 
 
-def _size(value: float, text: str) -> float:
+def _size(value: float) -> float:
     if not 0.01 <= value <= 10_000.0:
-        raise ConfigError(f"arena {text!r}: a size is {value:g} m; wanted 0.01 to 10000 m")
+        raise _TextError(f"a size is {value:g} m; possible are 0.01 to 10000 m")
     return value

@@ -15,13 +15,14 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.core.values import Neighbor, Odometry, Scan, Twist
+from swarmd.core.values import Twist
 from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.server import main
 from swarmd.sim.metrics.kinematics import path_lengths
 from swarmd.sim.trace import load_trace
+from swarmd.testing.driver_contract import CollectingSink
 
 CAP = 30.0
 COMMAND = (sys.executable, "-m", "swarmd.sim.live.server", "--swarm", "s")
@@ -40,44 +41,13 @@ def world(*options: str) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
             process.kill()
 
 
-class CollectingSink:
-    """A sink that keeps what came last and lets a test wait for what it needs."""
+def speed(sink: CollectingSink) -> float:
+    return sink.odometries[-1].twist.linear if sink.odometries else 0.0
 
-    def __init__(self) -> None:
-        self.last_scan: Scan | None = None
-        self.last_odometry: Odometry | None = None
-        self.states: list[bool] = []
-        self._news = asyncio.Event()
 
-    def scan(self, scan: Scan) -> None:
-        self.last_scan = scan
-        self._news.set()
-
-    def odometry(self, odometry: Odometry) -> None:
-        self.last_odometry = odometry
-        self._news.set()
-
-    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        self._news.set()
-
-    def readings(self, values: object) -> None:
-        self._news.set()
-
-    def state(self, is_up: bool, text: str) -> None:
-        self.states.append(is_up)
-        self._news.set()
-
-    def dropped(self, what: str) -> None:
-        if not what.endswith(":overtaken"):  # a slow machine may leave some out
-            raise AssertionError(what)
-
-    async def news(self) -> None:
-        self._news.clear()
-        await self._news.wait()
-
-    @property
-    def speed(self) -> float:
-        return self.last_odometry.twist.linear if self.last_odometry else 0.0
+def check(sink: CollectingSink) -> None:
+    """All came whole; a slow machine may leave some out."""
+    assert [what for what in sink.lost if not what.endswith(":overtaken")] == []
 
 
 @pytest.mark.integration
@@ -95,14 +65,14 @@ def test_a_robot_follows_its_driver_and_stops_when_commands_end(
         task = asyncio.create_task(driver.run(heard))
         with WorldView("s", endpoint) as view:
             async with asyncio.timeout(CAP):
-                while heard.last_scan is None:
-                    await heard.news()
+                while not heard.scans:
+                    await asyncio.sleep(0.01)
                 started = await asyncio.to_thread(view.ask, "start")
-                while heard.speed < 0.19:  # the first one is sent as zero, so once would not do
-                    driver.send(Twist(0.2), heard.last_scan.seq, -1)
-                    await heard.news()
-                while heard.speed > 0.0:  # silence
-                    await heard.news()
+                while speed(heard) < 0.19:  # the first one is sent as zero, so once would not do
+                    driver.send(Twist(0.2), heard.scans[-1].seq, -1)
+                    await asyncio.sleep(0.01)
+                while speed(heard) > 0.0:  # silence
+                    await asyncio.sleep(0.01)
                 done = await asyncio.to_thread(view.ask, "finish")
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
@@ -110,6 +80,7 @@ def test_a_robot_follows_its_driver_and_stops_when_commands_end(
         assert done.state.poses[0][0] > 0.0
         assert Path(done.path) == trace
         assert not any(done.state.commanded)
+        check(heard)
 
     with world("--trace", str(trace)) as (_, endpoint):
         asyncio.run(story(endpoint))
@@ -153,21 +124,22 @@ def test_a_frozen_driver_stops_its_own_base_and_no_other() -> None:
                 while not (await asyncio.to_thread(view.ask, "poses")).state.commanded[0]:
                     await asyncio.sleep(0.05)
                 frozen.send_signal(signal.SIGSTOP)
-                while heard.last_odometry is None:
-                    await heard.news()
-                start = heard.last_odometry.stamp
+                while not heard.odometries:
+                    await asyncio.sleep(0.01)
+                start = heard.odometries[-1].stamp
                 # Long enough for the frozen one's buffers to fill: 25 odometries, 5 scans a second.
-                while heard.last_odometry.stamp - start < 4.0:
-                    seq = -1 if heard.last_scan is None else heard.last_scan.seq
+                while heard.odometries[-1].stamp - start < 4.0:
+                    seq = heard.scans[-1].seq if heard.scans else -1
                     driver.send(Twist(0.0, 0.5), seq, -1)
-                    await heard.news()
+                    await asyncio.sleep(0.01)
                 state = (await asyncio.to_thread(view.ask, "poses")).state
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
         assert state.commanded == (False, True)
         assert state.twists[0] == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
         assert state.twists[1][1] == pytest.approx(0.5)
-        assert False not in heard.states[1:]  # after the first `not yet`, never lost
+        assert all(is_up for is_up, _ in heard.states[1:])  # after the first `not yet`, never lost
+        check(heard)
 
     with (
         world() as (_, endpoint),
