@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from types import TracebackType
 
 import zenoh
 
@@ -171,13 +170,11 @@ class WorldLink:
             query.drop()  # ends the requester's wait
 
         with self._lock:
-            is_taken = len(payload) <= MAX_CONTROL and len(self._requests) < MAX_PENDING_REQUESTS
-            if is_taken:
+            if len(payload) <= MAX_CONTROL and len(self._requests) < MAX_PENDING_REQUESTS:
                 self._requests.append(PendingRequest(payload, answer))
-            else:
-                self.dropped += 1
-        if not is_taken:
-            query.drop()
+                return
+            self.dropped += 1
+        query.drop()
 
 
 class WorldView:
@@ -192,12 +189,7 @@ class WorldView:
     def __enter__(self) -> WorldView:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def watch(self, handler: Callable[[WorldState], None]) -> None:

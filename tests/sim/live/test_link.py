@@ -3,21 +3,19 @@
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Iterator
 
 import pytest
 import zenoh
 from msgspec.structs import replace
 
-from swarmd.core import keys
 from swarmd.core.codec import MAX_SENSE, encode
 from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.core.values import Twist
 from swarmd.driver_api.hw_codec import encode_command
 from swarmd.sim.live.body_transport import Command
 from swarmd.sim.live.link import WorldLink, WorldView, client_options
-from swarmd.sim.live.state import WorldReply, WorldState
+from swarmd.sim.live.state import WorldState
 from tests.support.processes import wait_until
 
 CAP = 20.0
@@ -132,25 +130,6 @@ def test_a_viewer_sees_the_state(link: WorldLink) -> None:
     assert seen[0].arena == (6.0, 6.0)
 
 
-def test_a_request_gets_the_reply_of_the_world(link: WorldLink) -> None:
-    stop = threading.Event()
-
-    def serve() -> None:
-        while not stop.wait(0.005):
-            for question in link.take_requests():
-                question.answer(WorldReply(is_done=True, text="ok", state=state(3.0), path="x.npz"))
-
-    server = threading.Thread(target=serve)
-    server.start()
-    try:
-        with WorldView("s", link.endpoint) as view:
-            reply = view.ask("finish", timeout=CAP)
-    finally:
-        stop.set()
-        server.join()
-    assert (reply.is_done, reply.path, reply.state.time) == (True, "x.npz", 3.0)
-
-
 def test_a_world_that_is_not_there_is_one_clear_error() -> None:
     gone = WorldLink("s", ("a",), ANY_PORT)
     gone.close()
@@ -159,20 +138,6 @@ def test_a_world_that_is_not_there_is_one_clear_error() -> None:
         pytest.raises(NetworkError, match="'poses'"),
     ):
         view.ask("poses", timeout=0.2)
-
-
-def test_senses_reach_the_key_of_their_robot_alone(link: WorldLink, peer: zenoh.Session) -> None:
-    heard: list[tuple[str, bytes]] = []
-    peer.declare_subscriber(
-        "swarm/s/**", lambda s: heard.append((str(s.key_expr), s.payload.to_bytes()))
-    )
-
-    def sent() -> bool:
-        link.publish("a", "scan", b"ranges")
-        return bool(heard)
-
-    wait_until(sent, "sent")
-    assert set(heard) == {(keys.build("s", "a", "hw", "scan"), b"ranges")}
 
 
 def test_a_state_of_many_robots_stays_within_the_size_limit() -> None:

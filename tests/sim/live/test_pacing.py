@@ -59,12 +59,6 @@ def test_jobs_are_spread_over_the_period_and_keep_their_rate() -> None:
     assert counts.tolist() == [50, 50, 50, 50, 50]
 
 
-def test_jobs_of_different_rates_live_side_by_side() -> None:
-    jobs = Staggered(np.array([5.0, 10.0, 30.0]), now=0.0)
-    counts = np.bincount(np.concatenate([jobs.due(k * 0.01) for k in range(1, 1001)]))
-    np.testing.assert_allclose(counts, [50, 100, 300], atol=1)
-
-
 def test_a_missed_turn_is_left_out_not_repeated() -> None:
     jobs = Staggered(np.array([10.0]), now=0.0)
     jobs.due(1.0)

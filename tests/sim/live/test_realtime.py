@@ -347,22 +347,3 @@ def test_a_box_that_cannot_be_placed_is_refused_with_the_reason(
     with pytest.raises(SwarmError, match=fault):
         asked(live, lambda view: view.place(box, (0.0, 0.0, 0.0)))
     assert live.server._state().dropped == 0
-
-
-def test_boxes_that_are_pushed_are_recorded(make: Make, tmp_path: Path) -> None:
-    crate = Box(0.3, 0.0, 0.2, 0.2, name="crate", mass=0.5)
-    live = make(RecorderSettings(path=tmp_path / "run.npz"), boxes=(crate,))
-    for _ in range(20):
-        seq = live.world._seq[0]
-        live.command("a", encode_command(Twist(0.22), seq, seq))
-        live.pass_time(0.1)
-    live.recorder.finish()
-    trace = load_trace(tmp_path / "run.npz")
-    assert trace.movable_boxes == ("crate",)
-    assert trace.box_pose is not None
-    assert trace.box_pose.shape == (len(trace.t), 1, 3)
-    assert trace.box_pose[0, 0, 0] == 0.3
-    assert trace.box_pose[-1, 0, 0] > 0.4
-    assert trace.box_shapes is not None
-    assert trace.box_shapes.shape == (1, 4, 2)
-    assert set(map(tuple, trace.contact_pair.tolist())) == {(0, -2)}

@@ -17,7 +17,6 @@ from swarmd.sim.live.demo_run import WorldWatcher, await_robots
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.lockstep.lockstep import simulate_run
-from swarmd.sim.metrics.consensus import consensus_time
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace, load_trace
 from tests.support.processes import wait_until
@@ -124,13 +123,6 @@ def test_lockstep_and_daemons_drive_the_same_paths(
 VOTE = {"opinions": 2, "window": 1.0}
 AGREE_TIMEOUT = 40.0
 """s, many times what lockstep takes: a loaded machine is slow."""
-
-
-def test_voters_in_lockstep_agree() -> None:
-    group = {"count": 4, "pattern": "majority_rule", "parameters": VOTE}
-    data = {"duration": 15.0, "groups": {"all": group}, "start": {"spacing": 1.5}}
-    times = [consensus_time(simulate_run(scenario_of(data), seed)) for seed in range(3)]
-    assert all(time is not None for time in times)
 
 
 @pytest.mark.integration

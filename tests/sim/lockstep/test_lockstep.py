@@ -191,13 +191,6 @@ def test_a_removed_robot_is_absent_invisible_and_untouched() -> None:
     numbers = measure(trace)
     assert (numbers["minimum_gap"] or 0.0) > 1.0
     assert (numbers["clearance"] or 0.0) > 1.0
-    alone = scenario(
-        duration=12.0,
-        groups={"a": {"robots": ["r-1"], "pattern": "drive"}},
-        start={"layout": "list", "poses": [[-1.0, 0.0, 0.0]]},
-    )
-    end = simulate_run(alone, 0).pose[-1, 0]
-    np.testing.assert_allclose(trace.pose[-1, 0, :2], end[:2], atol=0.05)
 
 
 def test_a_robot_that_joins_later_stands_at_its_start_pose() -> None:

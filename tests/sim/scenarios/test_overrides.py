@@ -20,11 +20,8 @@ if TYPE_CHECKING:
     ("text", "override"),
     [
         ("duration=30", ("duration", 30)),
-        ("groups.all.parameters.law=paper", ("groups.all.parameters.law", "paper")),
         ("radio.loss=1e-3", ("radio.loss", 0.001)),
-        ("radio.line_of_sight=true", ("radio.line_of_sight", True)),
         ("arena.size=[6, 4.5]", ("arena.size", [6, 4.5])),
-        ("groups.all.start={layout: ring}", ("groups.all.start", {"layout": "ring"})),
         ("groups.all.pattern=null", ("groups.all.pattern", None)),
         ("groups.all.pattern=", ("groups.all.pattern", None)),
         ("description=a=b", ("description", "a=b")),

@@ -114,12 +114,6 @@ def test_the_hardware_of_experiment_1_starts_near_each_other() -> None:
         assert np.all((nearest >= 0.62) & (nearest <= 0.8))
 
 
-def test_a_thousand_robots_have_room_for_any_seed() -> None:
-    scenario = load_scenario("thousand")
-    assert scenario.starts(0).shape == (1000, 3)
-    assert scenario.arena.length * scenario.arena.width == pytest.approx(1000, rel=0.01)
-
-
 def test_extends_another_by_name_or_file(load: Load, tmp_path: Path) -> None:
     load()
     (tmp_path / "sub").mkdir()

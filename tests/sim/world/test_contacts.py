@@ -5,16 +5,10 @@ from __future__ import annotations
 from swarmd.sim.world.contacts import EPISODE_GAP, ContactEpisodes
 
 
-def test_a_lasting_touch_counts_once_and_a_later_one_again() -> None:
+def test_a_lasting_touch_of_a_pair_counts_once_and_a_later_one_again() -> None:
     episodes = ContactEpisodes()
     begun = [episodes.add(t, "b", "a") for t in (0.0, 0.01, EPISODE_GAP, 2.0 * EPISODE_GAP)]
     assert begun == [True, False, False, False]
+    assert episodes.add(2.1 * EPISODE_GAP, "a", "wall/east")
     assert episodes.add(3.1 * EPISODE_GAP, "a", "b")
-    assert episodes.counts == {("a", "b"): 2}
-
-
-def test_pairs_are_counted_apart() -> None:
-    episodes = ContactEpisodes()
-    assert episodes.add(0.0, "a", "b")
-    assert episodes.add(0.0, "a", "wall/east")
-    assert episodes.counts == {("a", "b"): 1, ("a", "wall/east"): 1}
+    assert episodes.counts == {("a", "b"): 2, ("a", "wall/east"): 1}

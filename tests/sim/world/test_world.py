@@ -169,18 +169,12 @@ def test_the_corner_of_a_turning_robot_has_its_own_contact_speed(
     assert contact.speed_b == pytest.approx(0.0, abs=1e-9)
 
 
-def test_contacts_cover_all_steps_of_a_call() -> None:
+def test_contacts_are_those_of_all_steps_of_the_last_call() -> None:
     bumper = pair("waffle_pi", 0.18)
     drive(bumper, (0.26, 0.0, 0.0), 0.5)
     (contact,) = bumper.contacts()
     assert (contact.a, contact.b) == ("a", "b")
     assert contact.closing_speed > 0.2  # of the first touch, not of the rest that followed
-
-
-def test_contacts_are_those_of_the_last_call_only() -> None:
-    bumper = pair("waffle_pi", 0.18)
-    drive(bumper, (0.26, 0.0, 0.0), 0.5)
-    assert bumper.contacts()
     drive(bumper, (-0.26, 0.0, 0.0), 0.5)
     assert bumper.contacts()  # they touched while they slowed down
     drive(bumper, (-0.26, 0.0, 0.0), 0.5)
