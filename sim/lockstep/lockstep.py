@@ -190,10 +190,10 @@ class Lockstep:
                 self._step()
                 report(self.world.time)
 
-    def trace(self, **meta: Any) -> Trace:
+    def trace(self) -> Trace:
         """The trace up to now."""
         self._recorder.record_instant(self.world.time, self._commands, self.shells)
-        return self._recorder.trace({**self._meta(), **meta})
+        return self._recorder.trace(self._meta())
 
     def _step(self) -> None:
         world, now = self.world, self.world.time

@@ -19,7 +19,7 @@ from swarmd.sim.metrics.window import cut, last, mean, presence
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.geometry import transform
-from swarmd.sim.world.radio_visibility import LineOfSight
+from swarmd.sim.world.radio import LineOfSight
 
 _DECIMALS = 8
 

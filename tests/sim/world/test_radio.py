@@ -1,4 +1,4 @@
-"""The radio: neighbors, losses, delays, and range-and-bearing boards."""
+"""The radio: neighbors, losses, delays, line of sight, and range-and-bearing boards."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Neighbor
-from swarmd.sim.world.arena import Arena, Box
-from swarmd.sim.world.radio import Radio, RadioSettings, check_radio
+from swarmd.sim.world.arena import Arena, Box, Pole, Segment
+from swarmd.sim.world.radio import LineOfSight, Radio, RadioSettings, check_radio
 
 ARENA = Arena(40.0, 40.0)
 ROW = np.array([[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
@@ -47,20 +47,13 @@ def test_the_radio_ends_at_its_range() -> None:
     assert [air.hearers(row, ROW).tolist() for row in range(3)] == [[1], [0, 2], [1]]
 
 
-def test_a_box_blocks_the_radio_only_with_line_of_sight() -> None:
-    walled = Arena(40.0, 40.0, boxes=(Box(3.5, 0.0, 0.5, 4.0),))
-    assert radio(arena=walled).hearers(1, ROW).tolist() == [0, 2]
-    air = radio(arena=walled, line_of_sight=True)
-    assert [air.hearers(row, ROW).tolist() for row in range(3)] == [[1], [0], []]
-    assert heard(air.neighbors(2, ROW)) == []
-
-
 def test_a_movable_box_blocks_the_radio_if_given() -> None:
     crate = Box(1.0, 0.0, 0.5, 0.5, mass=1.0)
     air = radio(arena=Arena(40.0, 40.0, boxes=(crate,)), line_of_sight=True)
     movable_boxes = crate.corners[None]
     assert air.hearers(0, ROW).tolist() == [1, 2]
     assert air.hearers(0, ROW, movable_boxes).tolist() == []
+    assert radio(arena=ARENA).hearers(0, ROW, movable_boxes).tolist() == [1, 2]
     air.send(0, "a/b", 1, 0.0, ROW, movable_boxes)
     assert air.arrived(0.0) == []
 
@@ -218,3 +211,49 @@ def test_contradicting_settings_are_refused(values: dict[str, Any], key: str) ->
         check_radio(RadioSettings(**values))
     with pytest.raises(ConfigError, match=key):
         radio(**values)
+
+
+def clear(arena: Arena, a: tuple[float, float], b: tuple[float, float]) -> bool:
+    forth = LineOfSight(arena).is_clear(np.array([a]), np.array([b]))
+    back = LineOfSight(arena).is_clear(np.array([b]), np.array([a]))
+    assert forth == back
+    return bool(forth[0])
+
+
+@pytest.mark.parametrize(
+    "arena",
+    [
+        Arena(20.0, 20.0, boxes=(Box(0.0, 0.0, 1.0, 1.0, 0.4),)),
+        Arena(20.0, 20.0, poles=(Pole(0.0, 0.0, 0.3),)),
+        Arena(20.0, 20.0, segments=(Segment(0.1, -1.0, -0.1, 1.0),)),
+    ],
+)
+def test_box_pole_and_inner_wall_block_the_sight(arena: Arena) -> None:
+    assert not clear(arena, (-2.0, 0.0), (2.0, 0.0))
+    assert not clear(arena, (-2.0, -0.2), (3.0, 0.25))
+    assert clear(arena, (-2.0, 0.0), (-1.0, 0.0))  # in front of it
+    assert clear(arena, (1.0, 0.0), (2.0, 0.0))  # behind it
+    assert clear(arena, (-2.0, 1.5), (2.0, 1.5))  # beside it
+    assert clear(arena, (-2.0, 0.0), (0.0, 3.0))  # past its corner
+
+
+def test_movable_boxes_block_only_where_they_are() -> None:
+    crate = Box(0.0, 0.0, 1.0, 1.0, mass=2.0)
+    sight = LineOfSight(Arena(20.0, 20.0, boxes=(crate,)))
+    a, b = np.array([[-2.0, 0.0]]), np.array([[2.0, 0.0]])
+    elsewhere, away = crate.corners + np.array([0.0, 4.0]), np.full((4, 2), np.nan)
+    assert sight.is_clear(a, b)[0]
+    assert not sight.is_clear(a, b, np.array([away, crate.corners]))[0]
+    assert sight.is_clear(a, b, np.array([away, elsewhere]))[0]
+    assert sight.is_clear(a, b, np.empty((0, 4, 2)))[0]
+
+
+def test_many_ways_at_once_are_each_as_alone() -> None:
+    rng = np.random.default_rng(3)
+    boxes = tuple(Box(x, y, 0.4, 0.2, x) for x, y in rng.uniform(-4.0, 4.0, (30, 2)).tolist())
+    sight = LineOfSight(Arena(10.0, 10.0, boxes, (Pole(3.0, -3.0, 0.5),)))
+    a, b = rng.uniform(-5.0, 5.0, (2, 3000, 2))
+    together = sight.is_clear(a, b)
+    alone = [sight.is_clear(a[i : i + 1], b[i : i + 1])[0] for i in range(3000)]
+    assert together.tolist() == alone
+    assert 0.1 < together.mean() < 0.9
