@@ -105,17 +105,13 @@ class Placement:
         self._obstacles += [pole.corners for pole in arena.poles]
         self._obstacles += [wall.corners for wall in arena.segments]
 
-    def place(self, index: int, pose: Array) -> None:
-        """Place robot `index` without a check."""
-        self.poses[index] = pose
-
     def place_all(self, robots: Sequence[int], poses: Array) -> None:
         """Place robots (rows) at `poses` (k, 3); ConfigError if one does not fit."""
         for row, pose in zip(robots, poses, strict=True):
             fault = self.fault(row, pose)
             if fault:
                 raise ConfigError(f"{fault}; take more space or fewer robots")
-            self.place(row, pose)
+            self.poses[row] = pose
 
     def fault(self, index: int, pose: Array, clearance: float = 0.0) -> str:
         """Why the robot does not fit at the pose, with its name; empty if it fits."""
@@ -202,7 +198,7 @@ def _place_each(
     for row in robots:
         for _, pose in zip(range(_TRIES), candidates, strict=False):
             if not placement.fault(row, pose, clearance):
-                placement.place(row, pose)
+                placement.poses[row] = pose
                 break
         else:
             raise ConfigError(

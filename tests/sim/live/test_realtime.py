@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
@@ -14,7 +15,8 @@ import pytest
 import zenoh
 
 from swarmd.core.errors import SwarmError
-from swarmd.core.values import Twist
+from swarmd.core.values import Odometry, Platform, Scan, Twist, Value
+from swarmd.driver_api.emulator import EmulatorFactory, OnCommand
 from swarmd.driver_api.hw_codec import (
     decode_command,
     decode_neighbors,
@@ -24,6 +26,7 @@ from swarmd.driver_api.hw_codec import (
     encode_command,
 )
 from swarmd.settings.platforms import load_platform
+from swarmd.sim.live.body_transport import EmulatorTransport
 from swarmd.sim.live.link import WorldLink, WorldView, client_options
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT, RealTimeWorld
 from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
@@ -39,8 +42,30 @@ from tests.support.processes import wait_until
 IDS = ("a", "b")
 
 
-class LiveWorld:
-    """A live world of two Burgers with a manual clock."""
+class Side:
+    """A fake emulator that records what it publishes and sends given commands."""
+
+    def __init__(
+        self, *, robots: Mapping[str, Platform], endpoint: str, on_command: OnCommand
+    ) -> None:
+        self.driver_options: Mapping[str, Value] = {"endpoint": endpoint}
+        self.dropped = 3
+        self.command = on_command
+        self.scans: list[tuple[str, Scan]] = []
+        self.poses: list[tuple[str, Odometry]] = []
+
+    def scan(self, robot: str, scan: Scan) -> None:
+        self.scans.append((robot, scan))
+
+    def odometry(self, robot: str, odometry: Odometry) -> None:
+        self.poses.append((robot, odometry))
+
+    def close(self) -> None:
+        pass
+
+
+class ManualWorld:
+    """Two Burgers in real time with a manual clock."""
 
     def __init__(
         self,
@@ -49,6 +74,8 @@ class LiveWorld:
         reach: float | None = None,
         fields: tuple[Field, ...] = (),
         boxes: tuple[Box, ...] = (),
+        emulator: EmulatorFactory | None = None,
+        command_timeouts: Sequence[float] | None = None,
     ) -> None:
         self.now = 100.0
         platform = load_platform("burger")
@@ -58,22 +85,20 @@ class LiveWorld:
         radio = RadioSettings(neighborhood="range", range=reach)
         self.link = WorldLink("s", IDS, "tcp/127.0.0.1:0", clock=lambda: self.now)
         self.recorder = LiveRecorder(self.world, settings)
+        emulated = None
+        if emulator is not None:
+            emulated = EmulatorTransport(emulator, robots, "here", clock=lambda: self.now)
         self.server = RealTimeWorld(
             self.world,
             self.link,
             self.recorder,
             radio=None if reach is None else Radio(radio, IDS, arena, seed=0),
+            emulated=emulated,
+            command_timeouts=command_timeouts,
             clock=lambda: self.now,
         )
-        config = zenoh.Config()
-        options = {**client_options(self.link.endpoint), "scouting/multicast/enabled": False}
-        for path, value in options.items():
-            config.insert_json5(path, json.dumps(value))
-        self.peer = zenoh.open(config)
-        self._connect()
 
     def close(self) -> None:
-        self.peer.close()
         self.link.close()
 
     def pass_time(self, seconds: float) -> None:
@@ -83,6 +108,39 @@ class LiveWorld:
 
     def speed(self, robot: int = 0) -> float:
         return float(self.world.twists()[robot, 0])
+
+
+class EmulatedWorld(ManualWorld):
+    """The bases of its robots stop after 0.5 s without a command, or never."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            RecorderSettings(), emulator=self._emulator, command_timeouts=(0.5, math.inf)
+        )
+
+    def _emulator(self, **values: Any) -> Side:
+        self.side = Side(**values)
+        return self.side
+
+    def speeds(self) -> list[float]:
+        return [self.speed(row) for row in (0, 1)]
+
+
+class LiveWorld(ManualWorld):
+    """A world with a peer that sends commands."""
+
+    def __init__(self, settings: RecorderSettings, **values: Any) -> None:
+        super().__init__(settings, **values)
+        config = zenoh.Config()
+        options = {**client_options(self.link.endpoint), "scouting/multicast/enabled": False}
+        for path, value in options.items():
+            config.insert_json5(path, json.dumps(value))
+        self.peer = zenoh.open(config)
+        self._connect()
+
+    def close(self) -> None:
+        self.peer.close()
+        super().close()
 
     def command(self, robot: str, payload: bytes) -> None:
         """Send a command and wait until the world has received it."""
@@ -347,3 +405,46 @@ def test_a_box_that_cannot_be_placed_is_refused_with_the_reason(
     with pytest.raises(SwarmError, match=fault):
         asked(live, lambda view: view.place(box, (0.0, 0.0, 0.0)))
     assert live.server._state().dropped == 0
+
+
+@pytest.fixture
+def emulated() -> Iterator[EmulatedWorld]:
+    one = EmulatedWorld()
+    yield one
+    one.close()
+
+
+def test_every_robot_publishes_its_sensors_at_their_rates(emulated: EmulatedWorld) -> None:
+    emulated.pass_time(2.0)
+    for robot in IDS:
+        assert len([r for r, _ in emulated.side.scans if r == robot]) in (9, 10)
+        assert len([r for r, _ in emulated.side.poses if r == robot]) in (39, 40)
+    assert all(len(scan.ranges) == 360 for _, scan in emulated.side.scans)
+
+
+def test_an_emulated_base_stops_by_its_own_timeout_or_never(emulated: EmulatedWorld) -> None:
+    for robot in IDS:
+        emulated.side.command(robot, Twist(0.2))
+    emulated.pass_time(0.45)
+    assert emulated.speeds() == pytest.approx([0.2, 0.2])
+    emulated.pass_time(1.0)
+    assert emulated.speeds() == pytest.approx([0.0, 0.2], abs=1e-6)
+    emulated.side.command("b", Twist())
+    emulated.pass_time(0.5)
+    assert emulated.speeds() == pytest.approx([0.0, 0.0], abs=1e-6)
+
+
+def test_no_command_is_in_force_before_the_first(emulated: EmulatedWorld) -> None:
+    emulated.pass_time(0.2)
+    assert emulated.server._state().commanded == (False, False)
+    emulated.side.command("b", Twist(0.1))
+    emulated.pass_time(3.0)
+    assert emulated.server._state().commanded == (False, True)
+    assert emulated.server._state().dropped == 3
+
+
+def test_only_the_newest_command_counts(emulated: EmulatedWorld) -> None:
+    for speed in (0.1, 0.05, 0.2):
+        emulated.side.command("a", Twist(speed))
+    emulated.pass_time(0.3)
+    assert emulated.speeds() == pytest.approx([0.2, 0.0], abs=1e-6)
