@@ -32,6 +32,8 @@ def test_stale_epoch_is_refused_and_names_the_operator() -> None:
     assert second is not None
     assert second.code is Code.REFUSED
     assert "by alice (run forward)" in second.text
+    earlier = harness.answer(harness.request("run", Epoch("boot0", 1), pattern="finisher"))
+    assert earlier.refusal is Refusal.STALE_EPOCH
     assert harness.status.pattern == "forward"
 
 
@@ -44,13 +46,6 @@ def test_replayed_run_never_moves_the_robot() -> None:
     assert harness.answer(request).code is Code.REFUSED
     harness.advance(1.0)
     assert harness.twist.is_zero
-
-
-def test_epoch_of_an_earlier_instance_is_refused() -> None:
-    harness = RobotHarness(patterns=PATTERNS, instance="boot2")
-    reply = harness.send(harness.request("run", Epoch("boot1", 0), pattern="forward"))
-    assert reply is not None
-    assert reply.code is Code.REFUSED
 
 
 def test_robot_that_is_no_target_does_not_answer() -> None:

@@ -66,6 +66,8 @@ def test_rerun_keeps_parameters_and_remaining_seconds() -> None:
     harness.advance(20.0)
     harness.sent.clear()
     assert harness.applied("reload", pattern="own", is_rerun=True).text == "runs own"
+    (trial,) = (command for command in harness.sent if isinstance(command, StartTrial))
+    assert dict(trial.load.layers[-1][1]) == {"recovery": False}
     loads = [command for command in harness.sent if isinstance(command, Load)]
     assert [(load.is_fresh, dict(load.layers[-1][1])) for load in loads] == [
         (True, {"recovery": False})
@@ -74,15 +76,6 @@ def test_rerun_keeps_parameters_and_remaining_seconds() -> None:
     assert harness.twist == Twist(0.2)
     harness.advance(2.0)
     assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
-
-
-def test_trial_has_the_present_parameters() -> None:
-    harness = driving()
-    harness.ask("run", pattern="own", params={"recovery": False})
-    request = harness.request("reload", pattern="own")
-    actions = harness.robot.on_request(request, harness.now)
-    assert isinstance(actions.trial, StartTrial)
-    assert dict(actions.trial.load.layers[-1][1]) == {"recovery": False}
 
 
 @pytest.mark.parametrize(

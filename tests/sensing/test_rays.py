@@ -89,18 +89,17 @@ def test_gaps_come_widest_first() -> None:
     np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
-def test_unknown_ray_is_no_gap() -> None:
-    assert gaps(scan([NAN, 1.0], [0, 90]), beyond=2.0) == []
+@pytest.mark.parametrize(
+    ("ranges", "expected"),
+    [([NAN, 1.0], []), ([0.5], []), ([], []), ([INF, 5.0], [Gap(0.0, 2.0 * math.pi)])],
+)
+def test_gaps_of_few_rays(ranges: list[float], expected: list[Gap]) -> None:
+    assert gaps(scan(ranges, [0.0, 90.0][: len(ranges)]), beyond=2.0) == expected
 
 
-def test_free_scan_is_one_gap() -> None:
-    assert gaps(scan([INF, 5.0], [0, 90]), beyond=2.0) == [Gap(0.0, 2.0 * math.pi)]
-
-
-@pytest.mark.parametrize("ranges", [[0.5], []])
-def test_blocked_scan_has_no_gap(ranges: list[float]) -> None:
-    assert gaps(scan(ranges, [0.0] * len(ranges)), beyond=2.0) == []
+def test_nothing_is_found_before_the_first_scan() -> None:
     assert gaps(None, beyond=2.0) == []
+    assert len(clusters(None, within=1.0)) == 0
 
 
 def test_objects_have_range_bearing_width_and_rays() -> None:
@@ -177,7 +176,3 @@ def test_order_of_rays_does_not_matter() -> None:
         assert sorted(here.ranges.tolist()) == sorted(there.ranges.tolist())
         assert nearest(some).range == nearest(other).range  # type: ignore[union-attr]
         np.testing.assert_array_equal(sectors(some, 24), sectors(other, 24))
-
-
-def test_no_objects_before_the_first_scan() -> None:
-    assert len(clusters(None, within=1.0)) == 0
