@@ -195,17 +195,21 @@ class PatternRun:
 
     def next_deadline(self, now: float) -> float:
         """The next deadline after `now`; inf without one."""
-        running, deadlines = self.running, [math.inf]
+        running, soonest = self.running, math.inf
         if running is not None:
             if self.awaiting_since is None and self.loading is None:
-                deadlines.append(self.last_step + 1.0 / running.rate)
-            deadlines.append(running.requested.at + running.expiry)
+                soonest = _sooner(self.last_step + 1.0 / running.rate, soonest, now)
+            soonest = _sooner(running.requested.at + running.expiry, soonest, now)
             if running.finish_at is not None:
-                deadlines.append(running.finish_at)
+                soonest = _sooner(running.finish_at, soonest, now)
         if self.loading is not None:
-            deadlines.append(self.loading.since + LOAD_TIMEOUT)
+            soonest = _sooner(self.loading.since + LOAD_TIMEOUT, soonest, now)
         if self.awaiting_since is not None:
-            deadlines.append(self.awaiting_since + STEP_TIMEOUT)
+            soonest = _sooner(self.awaiting_since + STEP_TIMEOUT, soonest, now)
         if self.restart_at is not None:
-            deadlines.append(self.restart_at)
-        return min([at for at in deadlines if at > now])
+            soonest = _sooner(self.restart_at, soonest, now)
+        return soonest
+
+
+def _sooner(at: float, soonest: float, now: float) -> float:
+    return at if now < at < soonest else soonest
