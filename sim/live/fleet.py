@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-import selectors
+import select
 import signal
 import subprocess
 import sys
@@ -19,7 +19,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import IO, Any
+from typing import Any
 
 import msgspec
 import yaml
@@ -209,7 +209,8 @@ def _spawn(name: str, arguments: Iterable[str], folder: Path, *, stdout: int) ->
 def _await_ready(world: Child) -> Ready:
     """The ready line of the world; SwarmError if it ends, NetworkError if it takes too long."""
     assert world.process.stdout is not None
-    line = _read_line(world.process.stdout, WORLD_TIMEOUT)
+    is_ready, _, _ = select.select([world.process.stdout], [], [], WORLD_TIMEOUT)
+    line = world.process.stdout.readline() if is_ready else b""  # a world writes it at once
     if line:
         with contextlib.suppress(msgspec.DecodeError):
             return msgspec.json.decode(line, type=Ready)
@@ -219,20 +220,6 @@ def _await_ready(world: Child) -> Ready:
     if world.process.poll() is not None:
         raise SwarmError(world.how_it_ended())
     raise NetworkError(f"the world was not ready after {WORLD_TIMEOUT:.0f} s (log: {world.log})")
-
-
-def _read_line(stream: IO[bytes], seconds: float) -> bytes:
-    """The first line of a pipe; empty at its end, or without a line within `seconds`."""
-    deadline = time.monotonic() + seconds
-    line = b""
-    with selectors.DefaultSelector() as selector:
-        selector.register(stream, selectors.EVENT_READ)
-        while not line.endswith(b"\n") and selector.select(max(0.0, deadline - time.monotonic())):
-            piece = os.read(stream.fileno(), 4096)
-            if not piece:
-                break
-            line += piece
-    return line
 
 
 def _end(children: list[Child]) -> None:

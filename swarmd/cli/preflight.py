@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import socket
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile
 from time import monotonic
@@ -94,26 +93,18 @@ def _check_network(settings: DaemonSettings) -> Finding:
 
 
 def check_state_dir(folder: Path) -> Finding:
-    """Whether the daemon can write latches: writes a file, since modes are not enough.
+    """Whether the daemon can write latches, or make the folder: writes a file, which it removes.
 
-    Leaves nothing behind.
+    The modes of a folder are not enough: the disk may be full, or mounted read-only.
     """
     there = folder.absolute()
-    made: list[Path] = []
     try:
-        lacking = [path for path in (there, *there.parents) if not path.exists()]
-        for path in reversed(lacking):
-            path.mkdir()
-            made.append(path)
-        with TemporaryFile(dir=there) as file:
+        nearest = next(path for path in (there, *there.parents) if path.exists())
+        with TemporaryFile(dir=nearest) as file:
             file.write(b"latches")
     except OSError as error:
         text = f"{folder} cannot be written to ({error.strerror}), so latches would be lost"
         return Finding("state_dir", False, f"{text}; give --state-dir")
-    finally:
-        for path in reversed(made):
-            with suppress(OSError):  # not empty: another process uses it
-                path.rmdir()
     return Finding("state_dir", True, str(folder))
 
 

@@ -150,7 +150,8 @@ def run_cli(
         import logging
 
         logging.getLogger(__name__).debug("where it was raised", exc_info=True)
-        return _fail(_of_system(error), 1)
+        why = error.strerror or str(error) or type(error).__name__
+        return _fail(why if error.filename is None else f"{error.filename}: {why}", 1)
 
 
 def exit_code_of(error: SwarmError) -> int:
@@ -158,11 +159,6 @@ def exit_code_of(error: SwarmError) -> int:
     if isinstance(error, ConfigError | PluginError):
         return 2
     return 6 if isinstance(error, NetworkError) else 1
-
-
-def _of_system(error: OSError) -> str:
-    why = error.strerror or str(error) or type(error).__name__
-    return f"{error.filename}: {why}" if error.filename is not None else why
 
 
 def _fail(text: str, code: int) -> int:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,7 @@ import pytest
 from swarmd.cli.inspect import describe_patterns
 from swarmd.cli.swarmctl import VERBS, cli, exit_code_of, run_cli
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
-from tests.support.processes import unique_swarm
+from tests.support.processes import run_command, unique_swarm
 
 LOADED = """
 import json, sys
@@ -34,18 +35,6 @@ class Own(MovementPattern[Params]):
         return Twist()
 '''
 HEAVY = {"numpy", "rich", "yaml", "asyncio", "mujoco", "matplotlib", "swarmd.patterns"}
-
-
-def swarmctl(*args: str, cwd: Path, **environ: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()", *args],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        env={**os.environ, "HOME": str(cwd), "SWARM": unique_swarm(), **environ},
-        timeout=60,
-        check=False,
-    )
 
 
 def loaded(*args: str) -> set[str]:
@@ -74,7 +63,7 @@ def test_a_verb_loads_nothing_heavy_and_reads_no_package_metadata(args: list[str
 
 
 def test_help_lists_all_verbs(tmp_path: Path) -> None:
-    done = swarmctl("--help", cwd=tmp_path)
+    done = run_command("swarmctl", "--help", cwd=tmp_path)
     assert done.returncode == 0
     for verb in (*VERBS, "sim", "demo", "exp"):
         assert f"\n  {verb} " in done.stdout
@@ -91,7 +80,7 @@ def test_every_verb_has_a_help(capsys: pytest.CaptureFixture[str], verb: str) ->
 
 def test_the_shell_completes_verbs_of_core_and_plugins(tmp_path: Path) -> None:
     words = {"COMP_WORDS": "swarmctl de", "COMP_CWORD": "1"}
-    done = swarmctl(cwd=tmp_path, _SWARMCTL_COMPLETE="bash_complete", **words)
+    done = run_command("swarmctl", cwd=tmp_path, _SWARMCTL_COMPLETE="bash_complete", **words)
     assert done.stdout.split() == ["plain,describe", "plain,demo"]
 
 
@@ -150,7 +139,7 @@ def test_without_a_daemon_verbs_end_with_6_and_write_nothing(
     tmp_path: Path, args: list[str]
 ) -> None:
     swarm = unique_swarm()
-    done = swarmctl(*args, cwd=tmp_path, SWARM=swarm)
+    done = run_command("swarmctl", *args, cwd=tmp_path, SWARM=swarm)
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (6, "", 1), done
     assert f"'{swarm}'" in done.stderr
     assert list(tmp_path.iterdir()) == []
@@ -165,17 +154,21 @@ def test_an_unknown_network_interface_ends_with_6(capsys: pytest.CaptureFixture[
 @pytest.mark.integration
 def test_the_swarm_is_that_of_the_file_given(tmp_path: Path) -> None:
     (tmp_path / "swarm.yaml").write_text("swarm: from-file")
-    named = swarmctl("members", "--config", "swarm.yaml", cwd=tmp_path)
+    named = run_command("swarmctl", "members", "--config", "swarm.yaml", cwd=tmp_path)
     assert "'from-file'" in named.stderr
-    by_environment = swarmctl("members", cwd=tmp_path, SWARM_CONFIG="swarm.yaml")
+    by_environment = run_command("swarmctl", "members", cwd=tmp_path, SWARM_CONFIG="swarm.yaml")
     assert "'from-file'" in by_environment.stderr
-    overridden = swarmctl("members", "--config", "swarm.yaml", "--swarm", "other", cwd=tmp_path)
+    overridden = run_command(
+        "swarmctl", "members", "--config", "swarm.yaml", "--swarm", "other", cwd=tmp_path
+    )
     assert "'other'" in overridden.stderr
 
 
 def test_lists_patterns_with_their_needs(tmp_path: Path) -> None:
     (tmp_path / "broken.py").write_text("import nothing_of_that_name")
-    done = swarmctl("patterns", "list", "--plugin-dir", ".", "-o", "json", cwd=tmp_path)
+    done = run_command(
+        "swarmctl", "patterns", "list", "--plugin-dir", ".", "-o", "json", cwd=tmp_path
+    )
     answer = json.loads(done.stdout)
     rows = {row["name"]: row for row in answer["patterns"]}
     assert (done.returncode, answer["apiVersion"]) == (0, "swarm/v1")
@@ -204,7 +197,9 @@ def test_a_plugin_that_ends_its_process_is_named_and_others_are_shown(tmp_path: 
 
 
 def test_show_lists_parameters_with_their_bounds(tmp_path: Path) -> None:
-    done = swarmctl("patterns", "show", "drive", "--platform", "burger", cwd=tmp_path)
+    done = run_command(
+        "swarmctl", "patterns", "show", "drive", "--platform", "burger", cwd=tmp_path
+    )
     speed = next(line for line in done.stdout.splitlines() if line.startswith("speed "))
     assert done.returncode == 0
     assert "0.22" in speed
@@ -225,7 +220,7 @@ def test_a_verb_that_lacks_a_library_says_how_to_install_it(tmp_path: Path) -> N
         "import click\n@click.command()\ndef go():\n    import absent.deep\n"
     )
     for verb in ("early", "late"):
-        done = swarmctl(verb, cwd=tmp_path, PYTHONPATH=str(tmp_path))
+        done = run_command("swarmctl", verb, cwd=tmp_path, PYTHONPATH=str(tmp_path))
         assert done.returncode == 1
         assert "pip install 'outsider[far]'" in done.stderr
         assert done.stderr.count("\n") == 1
@@ -261,6 +256,24 @@ def test_a_closed_pipe_is_no_traceback(tmp_path: Path) -> None:
         process.stdout.close()
         assert process.stderr.read() == b""
         assert process.wait(30) == 1
+
+
+@pytest.mark.parametrize("name", ["swarmctl", "swarmd"])
+def test_ctrl_c_while_a_command_is_imported_is_no_traceback(tmp_path: Path, name: str) -> None:
+    slow = "import signal\nprint('importing', flush=True)\nsignal.pause()\n"
+    (tmp_path / "click.py").write_text(slow)
+    with subprocess.Popen(
+        [sys.executable, "-c", f"from swarmd.cli.entry import {name}; {name}()"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": str(tmp_path)},
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline() == b"importing\n"
+        process.send_signal(signal.SIGINT)
+        assert process.stderr.read() == b""
+        assert process.wait(30) == 130
 
 
 def test_files_of_the_working_directory_are_not_imported(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tests.support.processes import DaemonProcess, unique_swarm, wait_until
+from tests.support.processes import DaemonProcess, run_command, unique_swarm, wait_until
 
 pytestmark = pytest.mark.integration
 
@@ -56,16 +56,7 @@ class Swarm:
 
     def ctl(self, *args: str) -> subprocess.CompletedProcess[str]:
         """A swarmctl command; its standard input is no terminal."""
-        return subprocess.run(
-            [sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()", *args],
-            capture_output=True,
-            text=True,
-            stdin=subprocess.DEVNULL,
-            cwd=self.home,
-            env=self.environment,
-            timeout=60,
-            check=False,
-        )
+        return run_command("swarmctl", *args, cwd=self.home, SWARM=self.name)
 
     def json(self, *args: str) -> Any:
         answer = json.loads(self.ctl(*args, "-o", "json", "--timeout", "10s").stdout)

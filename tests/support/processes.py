@@ -27,6 +27,22 @@ def unique_swarm() -> str:
     return f"t{uuid.uuid4().hex[:12]}"
 
 
+def run_command(
+    name: str, *words: object, cwd: Path, **environ: str
+) -> subprocess.CompletedProcess[str]:
+    """Run `swarmctl` or `swarmd` to its end, in a swarm and with a home of its own."""
+    return subprocess.run(
+        [sys.executable, "-c", f"from swarmd.cli.entry import {name}; {name}()", *map(str, words)],
+        capture_output=True,
+        text=True,
+        stdin=subprocess.DEVNULL,
+        cwd=cwd,
+        env={**os.environ, "HOME": str(cwd), "SWARM": unique_swarm(), **environ},
+        timeout=120,
+        check=False,
+    )
+
+
 def wait_until(condition: Callable[[], bool], what: str, cap: float = CAP) -> None:
     """Return once the condition holds; AssertionError naming `what` after `cap` s."""
     deadline = time.monotonic() + cap

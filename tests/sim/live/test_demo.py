@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -17,7 +18,7 @@ from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.errors import SwarmError
 from swarmd.sim.cli.demo import report
 from swarmd.sim.live.summary import Numbers, Summary
-from tests.support.processes import unique_swarm, wait_until
+from tests.support.processes import run_command, unique_swarm, wait_until
 
 SWARMCTL = str(Path(sys.executable).with_name("swarmctl"))
 RAISES = '''
@@ -36,18 +37,8 @@ class Clumsy(MovementPattern[Params]):
 '''
 
 
-def swarmctl(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    command = [SWARMCTL, *words]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
-
-
 def demo(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    return swarmctl(folder, "demo", *words)
-
-
-def members(swarm: str) -> str:
-    command = [SWARMCTL, "--swarm", swarm, "members"]
-    return subprocess.run(command, capture_output=True, text=True, timeout=30).stdout
+    return run_command("swarmctl", "demo", *words, cwd=folder)
 
 
 def running_with(word: str) -> dict[int, str]:
@@ -184,6 +175,7 @@ def test_without_matplotlib_only_the_picture_is_missing(
 @pytest.mark.integration
 def test_sim_up_outlives_a_killed_daemon_and_ends_on_ctrl_c(tmp_path: Path) -> None:
     swarm = unique_swarm()
+    swarmctl = partial(run_command, "swarmctl", cwd=tmp_path, SWARM=swarm)
     command = [SWARMCTL, "sim", "up", "-n", "2", "--swarm", swarm, "--keep", str(tmp_path)]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
@@ -192,14 +184,16 @@ def test_sim_up_outlives_a_killed_daemon_and_ends_on_ctrl_c(tmp_path: Path) -> N
         config = str(tmp_path / "tb3-02.yaml")
         try:
             assert "2 robots are up" in process.stdout.readline()
-            run = swarmctl(tmp_path, "--swarm", swarm, "run", "dispersion", "--all")
-            again = swarmctl(tmp_path, "sim", "up", "-n", "2", "--swarm", swarm)
+            run = swarmctl("run", "dispersion", "--all")
+            again = swarmctl("sim", "up", "-n", "2")
             os.kill(next(iter(running_with(config))), signal.SIGKILL)
             assert process.stderr.readline().startswith("tb3-02 was killed by SIGKILL: ")
-            wait_until(lambda: "1/2 alive" in members(swarm), "tb3-02 is listed as failed")
+            wait_until(
+                lambda: "1/2 alive" in swarmctl("members").stdout, "tb3-02 is listed as failed"
+            )
             restart = [sys.executable, "-m", "swarmd.cli.daemon", "--config", config]
             with subprocess.Popen(restart, stderr=subprocess.DEVNULL) as second:
-                wait_until(lambda: "2/2 alive" in members(swarm), "tb3-02 is back")
+                wait_until(lambda: "2/2 alive" in swarmctl("members").stdout, "tb3-02 is back")
                 second.terminate()
         finally:
             process.send_signal(signal.SIGINT)
