@@ -73,7 +73,7 @@ def serve(spec: FleetSpec) -> None:
     with Operator(NetworkSettings(swarm=spec.swarm)) as operator:
         _refuse_taken_names(operator, spec.robots)
         with Fleet(spec) as fleet:
-            up = statuses_of(await_robots(operator, fleet, tuple(spec.robots)))
+            up = statuses_of(await_robots(operator, fleet))
             for robot in spec.robots:
                 if robot not in up or not up[robot].health.driver_up:
                     warn(f"{robot} is not up yet; its log: {spec.folder}/{robot}.log")

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -98,16 +98,13 @@ class WorldWatcher:
             self._changed.notify_all()
 
 
-def await_robots(
-    operator: Operator, fleet: Fleet, robots: Sequence[str], timeout: float | None = None
-) -> MembersView:
+def await_robots(operator: Operator, fleet: Fleet) -> MembersView:
     """The swarm once each robot has answered and reaches its base, or when the time is up.
 
-    SwarmError if a process ends meanwhile, NetworkError if no robot is up in time. `timeout` in s;
-    None: 20 s and 1 s for each robot.
+    SwarmError if a process ends meanwhile, NetworkError if no robot is up in time.
     """
-    if timeout is None:
-        timeout = UP_TIMEOUT + UP_TIMEOUT_EACH * len(robots)
+    robots = fleet.spec.robots
+    timeout = UP_TIMEOUT + UP_TIMEOUT_EACH * len(robots)
     deadline = time.monotonic() + timeout
     while True:
         fleet.check()
@@ -204,7 +201,7 @@ class DemoRun:
 
     def perform(self, trace: Path, began: float) -> Summary:
         """Run the pattern from start to end; `began` is when the command did (boot time)."""
-        view = await_robots(self._operator, self._fleet, self._robots)
+        view = await_robots(self._operator, self._fleet)
         wall_start = time.monotonic()
         self._watcher.begin(self._world.ask("start").state)
         started = start_pattern(self._operator, view, self._robots, self._settings)

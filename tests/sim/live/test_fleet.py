@@ -56,7 +56,7 @@ def all_gone(pids: set[int]) -> bool:
 @contextmanager
 def up(spec: FleetSpec) -> Iterator[Fleet]:
     with Fleet(spec) as fleet, Operator(NetworkSettings(swarm=spec.swarm)) as operator:
-        view = await_robots(operator, fleet, tuple(spec.robots))
+        view = await_robots(operator, fleet)
         assert {s.state for s in statuses_of(view).values()} == {State.IDLE}
         yield fleet
 
@@ -138,4 +138,4 @@ def test_a_daemon_that_ends_ends_the_wait(tmp_path: Path) -> None:
     with Fleet(spec) as fleet, Operator(NetworkSettings(swarm=spec.swarm)) as operator:
         os.kill(fleet.pids["tb3-01"], signal.SIGKILL)
         with pytest.raises(SwarmError, match=r"tb3-01.*SIGKILL.*tb3-01\.log"):
-            await_robots(operator, fleet, tuple(spec.robots))
+            await_robots(operator, fleet)

@@ -61,7 +61,7 @@ def live(pattern: str, poses: Poses, folder: Path) -> Trace:
         trace=trace,
     )
     with Operator(NetworkSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:
-        view = await_robots(operator, fleet, tuple(robots))
+        view = await_robots(operator, fleet)
         with WorldView(swarm, fleet.endpoint) as world:
             world.ask("start")
             epochs = view.epochs(tuple(robots))
@@ -137,7 +137,7 @@ def test_voters_with_daemons_agree_and_stay_so(tmp_path: Path) -> None:
         layout="grid:1.5",
     )
     with Operator(NetworkSettings(swarm=swarm)) as operator, Fleet(spec) as fleet:
-        epochs = await_robots(operator, fleet, ids).epochs(ids)
+        epochs = await_robots(operator, fleet).epochs(ids)
         outcome = operator.request(RunRequest, epochs, pattern="majority_rule", params=VOTE)
         assert len(outcome.applied) == len(ids)
         wait_until(lambda: agreed(opinions(operator)), "agreed", AGREE_TIMEOUT)
