@@ -13,10 +13,11 @@ import logging
 import secrets
 import signal
 import socket
+from contextlib import suppress
 from functools import partial
 from typing import Any
 
-import msgspec
+from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, decode_value, encode, encode_value
@@ -184,7 +185,10 @@ class Daemon:
         bus.listen("msg", "*/*", self._on_message)
         bus.on_member(lambda member: self._update_neighbors())
         for robot, payload in await bus.ask("state", "status", timeout=PEER_STATUS_TIMEOUT):
-            self._on_answered_status(robot, payload)
+            with suppress(CodecError):  # the bus counts the malformed statuses that are published
+                status = self._status(payload)
+                if status.robot == robot:
+                    self._on_peer_status(status)
         self._requests.serve(bus, ("run", "reload"))
         self._update_neighbors()
         self._publish(self._robot.status(boottime()))
@@ -210,23 +214,12 @@ class Daemon:
                 self._session.close()
 
     def _publish_left(self) -> None:
-        if self._bus is not None and self._claim is not None:
-            status = self._with_health(self._robot.status(boottime()))
-            left = msgspec.structs.replace(status, has_left=True)
-            self._bus.publish("state", "status", encode(left), express=True)
+        self._publish(replace(self._robot.status(boottime()), has_left=True))
 
     # Inputs from the network
 
     def _on_request(self, request: Request) -> None:
         self._carry_out(self._robot.on_request(request, boottime()))
-
-    def _on_answered_status(self, robot: str, payload: bytes) -> None:
-        try:
-            status = self._status(payload)
-        except CodecError:
-            return  # the bus counts the malformed statuses that are published
-        if status.robot == robot:
-            self._on_peer_status(status)
 
     def _on_peer_status(self, status: Status) -> None:
         if status.latches:
@@ -307,10 +300,10 @@ class Daemon:
         network = {} if self._bus is None else self._bus.dropped
         frames = {"host/frames": self._runner.dropped} if self._runner.dropped else {}
         dropped = {**status.health.dropped, **network, **self.sink.drops, **frames}
-        health = msgspec.structs.replace(
+        health = replace(
             status.health, loop_p99=self._timer.p99, loop_stalls=self._timer.stalls, dropped=dropped
         )
-        return msgspec.structs.replace(status, health=health)
+        return replace(status, health=health)
 
 
 async def _end(task: asyncio.Task[Any]) -> None:

@@ -19,44 +19,34 @@ def make_driver(settings: DaemonSettings) -> Driver:
     base = base_options(settings.driver_options, f"driver {name}")
     common = BaseOptions.__struct_fields__
     factory = load_driver(name)
-    driver = factory(
+    driver: Driver = factory(
         swarm=settings.network.swarm,
         robot=settings.id,
         platform=settings.platform,
         options={k: v for k, v in settings.driver_options.items() if k not in common},
     )
-    return _watched(_recorded(driver, base, settings), driver, base, settings)
+    recorded = driver
+    if base.record is not None:
+        from swarmd.driver_api.recording import RecordedDriver, named_file
 
-
-def _recorded(driver: Driver, base: BaseOptions, settings: DaemonSettings) -> Driver:
-    if base.record is None:
-        return driver
-    from swarmd.driver_api.recording import RecordedDriver, named_file
-
-    head = {"robot": settings.id, "platform": settings.platform.name, "driver": settings.driver}
-    path = named_file(base.record, f"driver {settings.driver}: record")
-    return RecordedDriver(driver, path, head)
-
-
-def _watched(
-    wrapped: Driver, driver: Driver, base: BaseOptions, settings: DaemonSettings
-) -> Driver:
+        head = {"robot": settings.id, "platform": settings.platform.name, "driver": name}
+        recorded = RecordedDriver(driver, named_file(base.record, f"driver {name}: record"), head)
     if effective_command_timeout(base, driver) != "none":
-        return wrapped
+        return recorded
     if base.idle_output == "silent":
         raise ConfigError(
-            f"driver {settings.driver}: idle_output is silent, but command_timeout counts as none"
-            " where it is not given; add command_timeout: base, or its seconds"
+            f"driver {name}: idle_output is silent, but command_timeout counts as none where it"
+            " is not given; add command_timeout: base, or its seconds"
         )
     if not isinstance(driver, ZeroSenderProvider):
         raise ConfigError(
-            f"driver {settings.driver}: command_timeout is none, and this driver has no watchdog;"
+            f"driver {name}: command_timeout is none, and this driver has no watchdog;"
             " give command_timeout: base, or its seconds, if this base stops by itself"
         )
     spec = driver.zero_sender()
     if spec is None:
-        return wrapped
+        return recorded
     from swarmd.driver_api.watchdog_client import WatchedDriver
 
-    name = watchdog_name(settings.network.swarm, settings.id)
-    return WatchedDriver(wrapped, spec, name=name, tie=settings.die_with_parent)
+    watchdog = watchdog_name(settings.network.swarm, settings.id)
+    return WatchedDriver(recorded, spec, name=watchdog, tie=settings.die_with_parent)

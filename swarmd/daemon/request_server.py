@@ -89,12 +89,12 @@ class RequestServer:
         try:
             header = _header(query.payload)
         except CodecError:
+            header = RequestHeader(id="", verb="")
+        if 0 < len(header.id) <= MAX_ID and self._robot in (header.targets or ()):
+            text = f"{header.verb[:MAX_ID]}: {text}"
+            self._refuse(query, header.id, Refusal.INVALID_REQUEST, text)
+        else:
             query.drop()
-            return
-        if not header.id or len(header.id) > MAX_ID or self._robot not in (header.targets or ()):
-            query.drop()
-            return
-        self._refuse(query, header.id, Refusal.INVALID_REQUEST, f"{header.verb[:MAX_ID]}: {text}")
 
     def _forget(self, request: ForgetRequest, query: Query) -> None:
         assert self._bus is not None
@@ -106,17 +106,9 @@ class RequestServer:
         query.reply(encode(Reply(id=request.id, robot=self._robot, code=Code.APPLIED, text=text)))
 
     def _refuse(self, query: Query, id: str, refusal: Refusal, text: str) -> None:
-        query.reply(
-            encode(
-                Reply(
-                    id=id,
-                    robot=self._robot,
-                    code=Code.REFUSED,
-                    refusal=refusal,
-                    text=text[:MAX_TEXT],
-                )
-            )
-        )
+        text = text[:MAX_TEXT]
+        reply = Reply(id=id, robot=self._robot, code=Code.REFUSED, refusal=refusal, text=text)
+        query.reply(encode(reply))
 
 
 def read_request(verb: str, payload: bytes) -> AnyRequest:

@@ -2,16 +2,11 @@
 
 Order of use in a daemon::
 
-    session = open_session(settings)
     bus = ZenohBus(session, swarm="lab", robot="tb3-01")  # learns of members from here on
-    claim = await claim_id(session, ..., on_duplicate=...)  # may raise NetworkError
-    bus.serve_view(robot_status, roster)  # state/status and control/members
+    claim = await claim_id(session, ...)  # may raise NetworkError
     bus.serve("control", "run", on_run)  # on_run(query): query.payload, query.reply(bytes)
-    bus.serve("safety", "estop", on_estop)
     bus.listen("msg", "*/*", on_message)  # on_message(key, payload)
-    bus.publish("state", "status", encode(status))
-    ...
-    bus.publish("state", "status", encode(left))  # has_left=True
+    bus.publish("state", "status", encode(status))  # at last one with has_left=True
     claim.release(); bus.close(); session.close()
 
 Zenoh calls from its own threads. Each callback checks key, kind and size, and puts the bytes into
@@ -29,7 +24,7 @@ import zenoh
 from msgspec.structs import replace
 from zenoh.handlers import Callback
 
-from swarmd.core.clock import Clock, boottime
+from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import ANY, Key, build, parse
@@ -110,14 +105,11 @@ class ZenohBus:
     Samples and queries with a wild or foreign key are dropped and counted in `dropped`, by kind.
     """
 
-    def __init__(
-        self, session: zenoh.Session, *, swarm: str, robot: str, clock: Clock = boottime
-    ) -> None:
+    def __init__(self, session: zenoh.Session, *, swarm: str, robot: str) -> None:
         self.swarm = swarm
         self.robot = robot
         self._session = session
         self._loop = asyncio.get_running_loop()
-        self._clock = clock
         self._drops = DropCounter()
         self._membership = Membership(robot)
         self._member_callbacks: list[Callable[[Member], None]] = []
@@ -132,12 +124,7 @@ class ZenohBus:
     @property
     def members(self) -> Mapping[str, Member]:
         """The other robots that were ever seen and not forgotten, by id."""
-        return self._membership.members(self._clock())
-
-    @property
-    def duplicates(self) -> Mapping[str, tuple[str, ...]]:
-        """Other robots' ids that two living daemons hold, with their instances."""
-        return self._membership.duplicates
+        return self._membership.members(boottime())
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -191,22 +178,16 @@ class ZenohBus:
     def serve_view(self, status: Callable[[], Status], roster: tuple[str, ...] = ()) -> None:
         """Answer `state/status` and `control/members` from `status()` and the membership."""
 
-        def on_status(query: Query) -> None:
-            query.reply(encode(status()))
-
         def on_members(query: Query) -> None:
             if self._is_excused(query.payload):
                 query.drop()
-            else:
-                query.reply(encode(self.view(status(), roster)))
+                return
+            members = members_for_view(self._membership, boottime())
+            view = PeerView(robot=self.robot, status=status(), members=members, roster=roster)
+            query.reply(encode(view))
 
-        self.serve("state", "status", on_status)
+        self.serve("state", "status", lambda query: query.reply(encode(status())))
         self.serve("control", "members", on_members)
-
-    def view(self, status: Status, roster: tuple[str, ...] = ()) -> PeerView:
-        """This robot's status and the members that it knows; both instances of a duplicate id."""
-        members = members_for_view(self._membership, self._clock())
-        return PeerView(robot=self.robot, status=status, members=members, roster=roster)
 
     def on_member(self, callback: Callable[[Member], None]) -> None:
         """Call back for each member whose instance or condition changed."""
@@ -330,7 +311,7 @@ class ZenohBus:
 
     def _on_token(self, robot: str, instance: str, is_there: bool) -> None:
         event = self._membership.on_alive if is_there else self._membership.on_gone
-        if event(robot, instance, self._clock()):
+        if event(robot, instance, boottime()):
             self._notify(robot)
 
     def _on_status(self, key: Key, payload: bytes) -> None:
@@ -342,13 +323,13 @@ class ZenohBus:
         if status.robot != key.robot:
             self._drops.add("state/status:key")
             return
-        if self._membership.on_status(status, self._clock()):
+        if self._membership.on_status(status, boottime()):
             self._notify(key.robot)
         for callback in self._status_callbacks:
             callback(status)
 
     def _notify(self, robot: str) -> None:
-        member = self._membership.member(robot, self._clock())
+        member = self._membership.member(robot, boottime())
         if member is not None:
             for callback in self._member_callbacks:
                 callback(member)

@@ -5,15 +5,7 @@ settled: `settle` seconds without a rival's token or a new link. The smaller cla
 declares `alive/<instance>`; the other is refused. Asking first and declaring then let two owners
 through in 6 of 12 trials, this let one through in 80 of 80. A foreign `alive` may be the leftover
 of a machine that lost power, so the daemon waits for its end, at most the lease and a second. Two
-owners can still meet when a cut heals; then `on_duplicate` is called.
-
-Use::
-
-    claim = await claim_id(session, swarm="lab", robot="tb3-01", instance=instance,
-                           settle=settings.settle, lease=settings.lease_seconds,
-                           on_duplicate=robot_is_held_by)   # called on the loop, with the instance
-    ...
-    claim.release()      # drops the alive token; publish `left` before
+owners can still meet when a cut heals; then `on_duplicate` is called on the loop.
 """
 
 from __future__ import annotations
@@ -27,7 +19,7 @@ from typing import Literal
 
 import zenoh
 
-from swarmd.core.clock import Clock, boottime
+from swarmd.core.clock import boottime
 from swarmd.core.errors import IdHeldError
 from swarmd.core.keys import ANY, build, parse
 from swarmd.network.inbound_queue import DropCounter, InboundQueue
@@ -104,10 +96,9 @@ async def claim_id(
     settle: float,
     lease: float,
     on_duplicate: Callable[[str], object],
-    clock: Clock = boottime,
 ) -> Claim:
     """The claim on `robot`, won; IdHeldError in one line naming the holder if it is taken."""
-    claim = Claim(session, swarm, robot, instance, on_duplicate, clock)
+    claim = Claim(session, swarm, robot, instance, on_duplicate)
     claiming = session.liveliness().declare_token(build(swarm, robot, "claim", instance))
     try:
         await claim.win(settle=settle, patience=lease + 1.0)
@@ -133,13 +124,11 @@ class Claim:
         robot: str,
         instance: str,
         on_duplicate: Callable[[str], object],
-        clock: Clock,
     ) -> None:
-        self._rivals = Rivals(own=instance, started=clock())
+        self._rivals = Rivals(own=instance, started=boottime())
         self._on_duplicate = on_duplicate
         self._session = session
         self._where = (swarm, robot)
-        self._clock = clock
         self._news = asyncio.Event()
         self._alive: zenoh.LivelinessToken | None = None
         loop = asyncio.get_running_loop()
@@ -159,7 +148,7 @@ class Claim:
         swarm, robot = self._where
         deadline: float | None = None
         while True:
-            now = self._clock()
+            now = boottime()
             holder = self._rivals.holder
             if holder is None:
                 wait = self._rivals.settles_at(settle) - now
@@ -204,11 +193,11 @@ class Claim:
 
     def _on_token(self, is_alive: bool, other: str, is_there: bool) -> None:
         was_alive = other in self._rivals.alive
-        self._rivals.on_token("alive" if is_alive else "claim", other, is_there, self._clock())
+        self._rivals.on_token("alive" if is_alive else "claim", other, is_there, boottime())
         self._news.set()
         if self._alive is not None and other in self._rivals.alive and not was_alive:
             self._on_duplicate(other)
 
     def _on_link(self) -> None:
-        self._rivals.on_link(self._clock())
+        self._rivals.on_link(boottime())
         self._news.set()

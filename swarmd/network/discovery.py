@@ -10,7 +10,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from swarmd.core.messages import Condition, Epoch, Member, PeerView, Status
+from msgspec.structs import replace
+
+from swarmd.core.messages import Condition, Epoch, Member, PeerView
 
 # With one view, or views that do not agree yet, this long must pass without news, in s.
 QUIET_TIME = 0.1
@@ -58,11 +60,8 @@ class MembersView:
 
     def epochs(self, names: Iterable[str]) -> dict[str, Epoch | None]:
         """The epoch seen of each robot, to quote in a request; None without an answer."""
-        return {name: self._epoch(name) for name in names}
-
-    def _epoch(self, name: str) -> Epoch | None:
-        member = self.members.get(name)
-        return member.status.epoch if member is not None and member.status is not None else None
+        members = ((name, self.members.get(name)) for name in names)
+        return {name: one.status.epoch if one and one.status else None for name, one in members}
 
     def _in(self, condition: Condition) -> tuple[str, ...]:
         return tuple(name for name, one in self.members.items() if one.condition is condition)
@@ -111,12 +110,12 @@ class Discovery:
 
     @property
     def answered(self) -> frozenset[str]:
-        """Who has answered for itself."""
+        """The robots that have answered for themselves."""
         return frozenset(robot for robot, views in self._views.items() if views)
 
     @property
     def settled(self) -> frozenset[str]:
-        """Who has answered with every living instance: with two, if two hold one id."""
+        """The robots of which every living instance has answered: both, if two hold one id."""
         alive = self._alive()
         return frozenset(
             robot for robot in self.answered if alive[robot] <= self._views[robot].keys()
@@ -151,7 +150,7 @@ class Discovery:
             members[robot] = self._alive_member(robot, members.get(robot))
         for robot, member in list(members.items()):
             if member.condition is Condition.ALIVE and robot not in self.alive:
-                members[robot] = _failed(member)
+                members[robot] = replace(member, condition=Condition.FAILED, age=0.0)
         return MembersView(
             members=dict(sorted(members.items())),
             answered=self.answered,
@@ -166,7 +165,7 @@ class Discovery:
         found: dict[str, set[str]] = {}
         for robot, instances in self._tokens.items():
             if instances:
-                found.setdefault(robot, set()).update(instances)
+                found[robot] = set(instances)
         for view in self._all():
             found.setdefault(view.robot, set()).add(view.status.instance)
             for member in view.members:
@@ -189,13 +188,17 @@ class Discovery:
 
     def _alive_member(self, robot: str, known: Member | None) -> Member:
         views = self._views.get(robot)
-        if views:
-            status = next(reversed(views.values())).status
-            return _alive(robot, status.instance, status, known.age if known else 0.0)
-        tokens = sorted(self._tokens.get(robot, ()))
-        if known is not None and known.condition is Condition.ALIVE:
+        if not views and known is not None and known.condition is Condition.ALIVE:
             return known
-        return _alive(robot, tokens[0] if tokens else "unknown", None, 0.0)
+        status = next(reversed(views.values())).status if views else None
+        instances = [status.instance] if status else sorted(self._tokens.get(robot, ()))
+        return Member(
+            robot=robot,
+            instance=instances[0] if instances else "unknown",
+            condition=Condition.ALIVE,
+            age=known.age if views and known else 0.0,
+            status=status,
+        )
 
 
 def _seen_alive(view: PeerView) -> frozenset[str]:
@@ -207,17 +210,3 @@ def _more_certain(one: Member, other: Member) -> Member:
     if Condition.ALIVE in (one.condition, other.condition) or one.instance == other.instance:
         return min(one, other, key=lambda member: (_RANK[member.condition], member.age))
     return min(one, other, key=lambda member: member.age)
-
-
-def _alive(robot: str, instance: str, status: Status | None, age: float) -> Member:
-    return Member(robot=robot, instance=instance, condition=Condition.ALIVE, age=age, status=status)
-
-
-def _failed(member: Member) -> Member:
-    return Member(
-        robot=member.robot,
-        instance=member.instance,
-        condition=Condition.FAILED,
-        age=0.0,
-        status=member.status,
-    )

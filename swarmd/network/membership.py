@@ -33,6 +33,10 @@ class _Record:
     shown: tuple[str, Condition] | None = None
     since: float = 0.0
 
+    @property
+    def is_gone(self) -> bool:
+        return self.shown is not None and self.shown[1] is not Condition.ALIVE
+
 
 class Membership:
     """The other robots of a swarm; `own` is never among them.
@@ -53,7 +57,7 @@ class Membership:
             return False
         if instance not in record.alive:
             record.alive.add(instance)
-            _renew(record.seen, instance)
+            record.seen = [*(name for name in record.seen if name != instance), instance]
         return self._settle(record, now)
 
     def on_gone(self, robot: str, instance: str, now: float) -> bool:
@@ -78,7 +82,7 @@ class Membership:
     def forget(self, robot: str) -> bool:
         """Remove a robot; False if it is alive or unknown."""
         record = self._records.get(robot)
-        if record is None or record.shown is None or record.shown[1] is Condition.ALIVE:
+        if record is None or not record.is_gone:
             return False
         del self._records[robot]
         return True
@@ -129,11 +133,7 @@ class Membership:
                 return True
         if not has_token:
             return False
-        gone = [
-            (record.since, robot)
-            for robot, record in self._records.items()
-            if record.shown is not None and record.shown[1] is not Condition.ALIVE
-        ]
+        gone = [(record.since, robot) for robot, record in self._records.items() if record.is_gone]
         if gone:
             del self._records[min(gone)[1]]
         return bool(gone)
@@ -155,12 +155,6 @@ def _shown(record: _Record) -> tuple[str, Condition] | None:
         return None
     last = record.seen[-1]
     return last, Condition.LEFT if last in record.left else Condition.FAILED
-
-
-def _renew(seen: list[str], instance: str) -> None:
-    if instance in seen:
-        seen.remove(instance)
-    seen.append(instance)
 
 
 def _prune(record: _Record) -> None:

@@ -22,7 +22,6 @@ import threading
 import time
 import uuid
 from collections.abc import Callable, Iterable, Mapping
-from types import TracebackType
 from typing import Any, Literal, Self, TypeVar
 
 import zenoh
@@ -45,9 +44,8 @@ from swarmd.network.outcome import Acks, Outcome
 from swarmd.network.scouting import swarms_in_reach
 from swarmd.network.session import MAX_WIRE, open_session, undeclare
 from swarmd.network.settings import NetworkSettings
-from swarmd.network.stop_request import PendingStop, Select
+from swarmd.network.stop_request import DISCOVERY_TIMEOUT, PendingStop, Select
 
-DISCOVERY_TIMEOUT = 1.0
 STOP_TIMEOUT = 3.0
 # Polls are frequent while links come up, then spare the network, in s.
 FAST_POLL_PERIOD = 0.015
@@ -106,12 +104,7 @@ class Operator:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
@@ -245,17 +238,14 @@ class Operator:
         for name in names:
             key = self._key(name, plane, verb)
             if verb == "estop":
-                self._put(key, payload)
+                self._session.put(
+                    key,
+                    payload,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    priority=zenoh.Priority.REAL_TIME,
+                    express=True,
+                )
             self._get(key, payload, STOP_TIMEOUT, on_reply)
-
-    def _put(self, key: str, payload: bytes) -> None:
-        self._session.put(
-            key,
-            payload,
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.REAL_TIME,
-            express=True,
-        )
 
     def _on_ack(self, acks: Acks, plane: str, name: str) -> Callable[[zenoh.Reply], None]:
         def on_ack(key: Key, payload: bytes) -> None:
@@ -302,11 +292,13 @@ class Operator:
             if event.kind == zenoh.SampleKind.PUT:
                 with self._news:
                     self._links += 1
-                    self._announce(lambda discovery, now: discovery.on_link(now))
+                    if self._discovery is not None:
+                        self._discovery.on_link(time.monotonic())
+                    self._notify()
 
         def on_token(sample: zenoh.Sample) -> None:
             key = parse(str(sample.key_expr))
-            if key is not None and (key.swarm, key.plane) == (self.settings.swarm, "alive"):
+            if key is not None:
                 with self._news:
                     self._on_token(key.robot, key.name, sample.kind == zenoh.SampleKind.PUT)
 
@@ -322,11 +314,8 @@ class Operator:
             instances.add(instance)
         else:
             instances.discard(instance)
-        self._announce(lambda discovery, now: discovery.on_token(robot, instance, is_there, now))
-
-    def _announce(self, tell: Callable[[Discovery, float], None]) -> None:
         if self._discovery is not None:
-            tell(self._discovery, time.monotonic())
+            self._discovery.on_token(robot, instance, is_there, time.monotonic())
         self._notify()
 
     def _notify(self) -> None:

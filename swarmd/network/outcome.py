@@ -17,7 +17,7 @@ An empty list of acks is never success. The exit codes of swarmctl:
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from swarmd.core.messages import Code, Condition, Member, Refusal, Reply
 
@@ -57,7 +57,7 @@ class Outcome:
     missing: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
-    duplicates: tuple[str, ...] = field(default=())
+    duplicates: tuple[str, ...] = ()
 
     @property
     def targeted(self) -> int:
@@ -112,16 +112,13 @@ class Outcome:
             return NO_TARGET
         if self.mistake:
             return USAGE
-        groups = (
-            (len(self.applied), APPLIED),
-            (len(self.refused), REFUSED),
-            (len(self.failed), FAILED),
-            (len(self.missing), TIMEOUT),
-        )
-        for count, code in groups:
-            if count == self.targeted:
-                return code
-        return PARTIAL
+        counts = {
+            APPLIED: len(self.applied),
+            REFUSED: len(self.refused),
+            FAILED: len(self.failed),
+            TIMEOUT: len(self.missing),
+        }
+        return next((code for code, n in counts.items() if n == self.targeted), PARTIAL)
 
     def _with(self, code: Code) -> tuple[str, ...]:
         return tuple(sorted(name for name, reply in self.replies.items() if reply.code is code))
@@ -145,11 +142,6 @@ class Acks:
         instance = reply.epoch.instance if reply.epoch is not None else ""
         self._replies.setdefault(robot, {})[instance] = reply
         return True
-
-    @property
-    def answered(self) -> frozenset[str]:
-        """The robots that have answered so far."""
-        return frozenset(self._replies)
 
     def lacks(self, robot: str, instances: Collection[str]) -> bool:
         """True unless the robot answered; if it has several instances, unless each did."""

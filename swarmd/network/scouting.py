@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Iterable
 from contextlib import suppress
 
 import zenoh
@@ -34,9 +33,16 @@ def swarms_in_reach(
     if not settings.multicast:
         return tuple(sorted(_poll(session, timeout)))
     found = _names(session, timeout)
-    locators = _scout(settings.interface or "lo", timeout)
+    locators = _scout(settings.interface_name, timeout)
     if locators:
-        found |= _names_at(locators, settings, timeout)
+        options = session_options(settings) | {
+            "scouting/multicast/enabled": False,
+            "scouting/gossip/enabled": False,
+            "connect/endpoints": sorted(locators),
+            "open/return_conditions/connect_scouted": True,
+        }
+        with suppress(NetworkError), open_with(options, what="a look around") as visitor:
+            found |= _poll(visitor, timeout)
     return tuple(sorted(found))
 
 
@@ -44,23 +50,6 @@ def _names(session: zenoh.Session, timeout: float) -> set[str]:
     replies = session.liveliness().get(_TOKENS, timeout=timeout)
     keys = (parse(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None)
     return {key.swarm for key in keys if key is not None}
-
-
-def _names_at(locators: Iterable[str], settings: NetworkSettings, timeout: float) -> set[str]:
-    options = session_options(settings) | {
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
-        "connect/endpoints": sorted(locators),
-        "open/return_conditions/connect_scouted": True,
-    }
-    try:
-        session = open_with(options, what="a look around")
-    except NetworkError:
-        return set()
-    try:
-        return _poll(session, timeout)
-    finally:
-        session.close()
 
 
 def _poll(session: zenoh.Session, timeout: float) -> set[str]:
