@@ -68,14 +68,13 @@ def decided(
 class Shape:
     """A convex obstacle: `corners` (k, 2) counter-clockwise in its own frame in m, and its motion.
 
-    It is at `pose` at time 0 and moves with `velocity` (x, y) in m/s and `spin` in rad/s from
-    `begin` to `end` s. `seen` (j, 2): its outline in the scan plane, if different.
+    It is at `pose` at time 0 and moves with `velocity` (x, y) in m/s from `begin` to `end` s.
+    `seen` (j, 2): its outline in the scan plane, if different.
     """
 
     corners: Array
     pose: Pose = HERE
     velocity: tuple[float, float] = (0.0, 0.0)
-    spin: float = 0.0
     begin: float = 0.0
     end: float = math.inf
     seen: Array | None = None
@@ -84,7 +83,7 @@ class Shape:
         """Where it is."""
         t = min(max(time, self.begin), self.end) - self.begin
         (vx, vy), pose = self.velocity, self.pose
-        return Pose(pose.x + vx * t, pose.y + vy * t, pose.yaw + self.spin * t)
+        return Pose(pose.x + vx * t, pose.y + vy * t, pose.yaw)
 
 
 def box(length: float, width: float, pose: Pose = HERE, **motion: object) -> Shape:
@@ -138,10 +137,9 @@ class FilterRun:
 class FilterSim:
     """One robot of a platform among shapes.
 
-    `latency`: delay of a scan (None: that of the platform); `phase`: time of the first scan;
-    `delay`: from command to base; all in s. `braking`: m/s2 and rad/s2 (None: as protection
-    assumes). `noise`: the standard deviation of ranges in m. A test may set `has_lidar` and
-    `has_odometry` to false at any time.
+    `phase`: time of the first scan; `delay`: from command to base; both in s. `braking`: m/s2 and
+    rad/s2 (None: as protection assumes). `noise`: the standard deviation of ranges in m. A test may
+    set `has_lidar` and `has_odometry` to false at any time.
     """
 
     def __init__(
@@ -149,8 +147,6 @@ class FilterSim:
         platform: Platform,
         shapes: Sequence[Shape] = (),
         *,
-        start: Pose = HERE,
-        latency: float | None = None,
         phase: float = 0.0,
         delay: float = 0.03,
         braking: tuple[float, float] | None = None,
@@ -158,11 +154,10 @@ class FilterSim:
         seed: int = 0,
     ) -> None:
         self.platform, self.shapes = platform, tuple(shapes)
-        self.pose, self.twist, self.time = start, ZERO, 0.0
+        self.pose, self.twist, self.time = HERE, ZERO, 0.0
         self.has_lidar = self.has_odometry = True
         self.protection, self.sensors = Protection(platform), Sensors(platform)
         self.sensors.on_driver(True, "a simulation")
-        self._latency = platform.scan.latency if latency is None else latency
         settings = platform.protection["barrier"] or {"braking_linear": 1.0, "braking_angular": 3.0}
         self._braking = braking or (settings["braking_linear"], settings["braking_angular"])
         accelerating = platform.body["linear_acceleration"], platform.body["angular_acceleration"]
@@ -221,7 +216,7 @@ class FilterSim:
     def _sense(self) -> None:
         period = round(1.0 / (self.platform.scan.rate * DT))
         if (self._step - round(self._phase / DT)) % period == 0 and self.has_lidar:
-            self._coming.append((self.time + self._latency - 1e-9, self.scan()))
+            self._coming.append((self.time + self.platform.scan.latency - 1e-9, self.scan()))
         if self._step % round(TICK / DT) == 0 and self.has_odometry:
             self.sensors.on_odometry(self.odometry(), self.time)
 
