@@ -96,11 +96,6 @@ def check_single(name: str, origin: Origin) -> None:
         )
 
 
-def driver_names() -> tuple[str, ...]:
-    """The installed drivers."""
-    return tuple(sorted({point.name for point in entry_points(group=DRIVERS)}))
-
-
 def load_driver(name: str) -> DriverFactory:
     """The driver of that name, imported: the daemon itself runs drivers."""
     return cast("DriverFactory", _load("driver", DRIVERS, name))
