@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from enum import StrEnum
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from msgspec import Meta, Struct
 
@@ -175,17 +175,9 @@ class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
 
 
 Request = RunRequest | StopRequest | EstopRequest | ResetRequest | ParamRequest | ReloadRequest
-
-
 AnyRequest = Request | ForgetRequest
 REQUEST_TYPES: Mapping[str, type[AnyRequest]] = {
-    "run": RunRequest,
-    "stop": StopRequest,
-    "estop": EstopRequest,
-    "reset": ResetRequest,
-    "param": ParamRequest,
-    "reload": ReloadRequest,
-    "forget": ForgetRequest,
+    str(kind.__struct_config__.tag): kind for kind in get_args(AnyRequest)
 }
 
 

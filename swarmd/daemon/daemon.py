@@ -274,23 +274,19 @@ class Daemon:
         for command in (actions.trial, actions.host):
             if command is not None:
                 self._runner.send(command)
-        for name, value in actions.messages.items():
-            self._publish_message(name, value)
+        if self._bus is not None:
+            for name, value in actions.messages.items():
+                try:
+                    self._bus.publish("msg", name, encode_value(value))
+                except CodecError as error:
+                    log.debug("message on %s not sent: %s", name, error)
+                    self._bus.drop(f"msg/{name}:unsendable")
         if actions.status is not None:
             self._publish(actions.status)
         for reply in actions.replies:
             self._requests.reply(reply, is_stored=is_stored)
         wake_at = self._robot.wake_at(boottime())
         self._timer.wake_in(None if wake_at is None else wake_at - boottime())
-
-    def _publish_message(self, name: str, value: object) -> None:
-        if self._bus is None:
-            return
-        try:
-            self._bus.publish("msg", name, encode_value(value))
-        except CodecError as error:
-            log.debug("message on %s not sent: %s", name, error)
-            self._bus.drop(f"msg/{name}:unsendable"[:64])
 
     def _publish(self, status: Status) -> None:
         if self._bus is not None and self._claim is not None:

@@ -25,7 +25,7 @@ class DriverSink:
         self.drops: dict[str, int] = {}
 
     def scan(self, scan: Scan) -> None:
-        """A scan as the sensor gave it."""
+        """A scan as measured."""
         self._carry_out(self._robot.on_scan(scan, boottime()))
 
     def odometry(self, odometry: Odometry) -> None:

@@ -49,18 +49,13 @@ class LatchFile:
                 file.flush()
                 os.fsync(file.fileno())
             temporary.replace(self.path)
-            _sync(self.path.parent)
+            folder = os.open(self.path.parent, os.O_RDONLY | os.O_DIRECTORY)
+            try:
+                os.fsync(folder)  # without it the rename may be lost
+            finally:
+                os.close(folder)
         except OSError as error:
             log.error("%s cannot be written (%s): latched in memory only", self.path, error)
             return False
         self._written = record
         return True
-
-
-def _sync(folder: Path) -> None:
-    """Wait until the folder's entries are on the disk: without it a rename may be lost."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)

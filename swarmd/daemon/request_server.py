@@ -39,8 +39,7 @@ _header = Decoder(RequestHeader)
 class RequestServer:
     """Answers the requests to one robot. `on_request` carries one out; its reply may follow later.
 
-    At most MAX_PENDING requests wait for their replies; further ones are dropped, but never a stop
-    or estop.
+    Beyond MAX_PENDING requests without a reply further ones are dropped, never a stop or estop.
     """
 
     def __init__(self, robot: str, on_request: Callable[[Request], None]) -> None:
@@ -50,7 +49,7 @@ class RequestServer:
         self._pending: dict[str, Query] = {}
 
     def serve(self, bus: ZenohBus, verbs: Iterable[str]) -> None:
-        """Answer requests with these verbs from now on."""
+        """Answer requests with these verbs."""
         self._bus = bus
         for verb in verbs:
             bus.serve(_plane(verb), verb, partial(self.handle, verb))
@@ -101,9 +100,11 @@ class RequestServer:
         name = request.name
         if not self._bus.forget(name) and name in self._bus.members:
             self._refuse(query, request.id, Refusal.MEMBER_ALIVE, f"{name} is alive")
-            return
-        text = f"forgot {name}"
-        query.reply(encode(Reply(id=request.id, robot=self._robot, code=Code.APPLIED, text=text)))
+        else:
+            reply = Reply(
+                id=request.id, robot=self._robot, code=Code.APPLIED, text=f"forgot {name}"
+            )
+            query.reply(encode(reply))
 
     def _refuse(self, query: Query, id: str, refusal: Refusal, text: str) -> None:
         text = text[:MAX_TEXT]

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import os
 import socket
+from contextlib import suppress
 
 
 class Notifier:
     """Writes to `$NOTIFY_SOCKET`, if that is set. `pings`: systemd's watchdog expects pings."""
 
-    def __init__(self, environ: dict[str, str] | None = None) -> None:
-        env = dict(os.environ) if environ is None else environ
-        address = env.get("NOTIFY_SOCKET", "")
+    def __init__(self) -> None:
+        address = os.environ.get("NOTIFY_SOCKET", "")
         self._address = "\0" + address[1:] if address.startswith("@") else address
-        self.pings = bool(env.get("WATCHDOG_USEC"))
+        self.pings = bool(os.environ.get("WATCHDOG_USEC"))
 
     def __call__(self, message: str) -> None:
         """Send one line such as `READY=1`."""
-        if not self._address:
-            return
-        with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as notify:
-            try:
+        kind = socket.SOCK_DGRAM | socket.SOCK_NONBLOCK
+        if self._address:
+            with socket.socket(socket.AF_UNIX, kind) as notify, suppress(OSError):
                 notify.sendto(message.encode(), self._address)
-            except OSError:
-                return

@@ -34,10 +34,7 @@ class TickTimer:
         if self._wake is not None:
             self._wake.cancel()
             self._wake = None
-        if seconds is None:
-            return
-        at = self._loop.time() + seconds
-        if at < self._next:
+        if seconds is not None and (at := self._loop.time() + seconds) < self._next:
             self._wake = self._loop.call_at(at, self._tick)
 
     def stop(self) -> None:

@@ -287,7 +287,7 @@ class ZenohBus:
             )
         )
 
-    def _queue(self, kind: str, *, is_urgent: bool = False) -> InboundQueue:
+    def _queue(self, kind: str, *, is_urgent: bool) -> InboundQueue:
         queue = InboundQueue(self._loop, self._drops, kind, is_urgent=is_urgent)
         self._queues.append(queue)
         return queue

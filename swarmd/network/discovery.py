@@ -28,25 +28,18 @@ class MembersView:
     `members`: all robots by id; those in `answered` with their own status. `silent` robots are
     alive by a token or another robot's view, and did not answer. `absent` robots are on the roster
     and nowhere else. `duplicates`: ids that several instances hold, with those instances.
-    `is_complete` is False if the timeout came first.
     """
 
     members: Mapping[str, Member]
     answered: frozenset[str] = frozenset()
     roster: frozenset[str] = frozenset()
     duplicates: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    is_complete: bool = True
-    seconds: float = 0.0
 
     @property
     def alive(self) -> tuple[str, ...]:
         """The names of the robots that are alive."""
-        return self._in(Condition.ALIVE)
-
-    @property
-    def failed(self) -> tuple[str, ...]:
-        """The names of the robots that vanished without leaving."""
-        return self._in(Condition.FAILED)
+        members = self.members.items()
+        return tuple(name for name, one in members if one.condition is Condition.ALIVE)
 
     @property
     def silent(self) -> tuple[str, ...]:
@@ -63,15 +56,11 @@ class MembersView:
         members = ((name, self.members.get(name)) for name in names)
         return {name: one.status.epoch if one and one.status else None for name, one in members}
 
-    def _in(self, condition: Condition) -> tuple[str, ...]:
-        return tuple(name for name, one in self.members.items() if one.condition is condition)
-
 
 class Discovery:
     """Collects views; `tokens` (robot -> instances) is what the own links show from the start."""
 
     def __init__(self, now: float, roster: Iterable[str] = ()) -> None:
-        self._started = now
         self._news = now
         self._views: dict[str, dict[str, PeerView]] = {}
         self._tokens: dict[str, set[str]] = {}
@@ -127,37 +116,33 @@ class Discovery:
         said = {member.robot for view in self._all() for member in view.members}
         return frozenset(said | self._tokens.keys() | self.answered | self._roster)
 
-    @property
-    def alive(self) -> frozenset[str]:
-        """The robots that a token, a view or their own answer shows alive."""
-        return frozenset(self._alive())
-
     def is_complete(self, now: float) -> bool:
         """True once all alive robots answered, and the views agree or QUIET_TIME passed."""
         settled = self.settled
-        if not settled or not self.alive <= settled:
+        if not settled or not self._alive().keys() <= settled:
             return False
         return self._agree(settled) or now - self._news >= QUIET_TIME
 
-    def result(self, now: float) -> MembersView:
-        """The members as known at `now`."""
+    def result(self) -> MembersView:
+        """The members as known so far."""
         members: dict[str, Member] = {}
         for view in self._all():
             for member in view.members:
                 known = members.get(member.robot)
                 members[member.robot] = member if known is None else _more_certain(known, member)
-        for robot in self.alive:
-            members[robot] = self._alive_member(robot, members.get(robot))
-        for robot, member in list(members.items()):
-            if member.condition is Condition.ALIVE and robot not in self.alive:
+        alive = self._alive()
+        for robot, member in members.items():
+            if member.condition is Condition.ALIVE and robot not in alive:
                 members[robot] = replace(member, condition=Condition.FAILED, age=0.0)
+        for robot in alive:
+            members[robot] = self._alive_member(robot, members.get(robot))
         return MembersView(
             members=dict(sorted(members.items())),
             answered=self.answered,
             roster=frozenset(self._roster),
-            duplicates=self._duplicates(),
-            is_complete=self.is_complete(now),
-            seconds=now - self._started,
+            duplicates={
+                robot: tuple(sorted(some)) for robot, some in sorted(alive.items()) if len(some) > 1
+            },
         )
 
     def _alive(self) -> dict[str, set[str]]:
@@ -173,10 +158,6 @@ class Discovery:
                 if member.condition is Condition.ALIVE and not is_gone:
                     found.setdefault(member.robot, set()).add(member.instance)
         return found
-
-    def _duplicates(self) -> dict[str, tuple[str, ...]]:
-        alive = sorted(self._alive().items())
-        return {robot: tuple(sorted(some)) for robot, some in alive if len(some) > 1}
 
     def _all(self) -> list[PeerView]:
         return [view for views in self._views.values() for view in views.values()]

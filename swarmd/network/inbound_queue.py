@@ -103,14 +103,9 @@ class InboundQueue:
                     function, args = self._items.popleft()
                 function(*args)
         finally:
-            self._schedule_next()
-
-    def _schedule_next(self) -> None:
-        with self._lock:
-            self._is_scheduled = bool(self._items)
-            if not self._is_scheduled:
-                return
-        if self._is_urgent:
-            self._loop.call_soon(self._drain)
-        else:
-            self._loop.call_later(BATCH_PAUSE, self._drain)
+            with self._lock:
+                self._is_scheduled = bool(self._items)
+                if self._is_scheduled and self._is_urgent:
+                    self._loop.call_soon(self._drain)
+                elif self._is_scheduled:
+                    self._loop.call_later(BATCH_PAUSE, self._drain)

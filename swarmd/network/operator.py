@@ -29,7 +29,7 @@ from zenoh.handlers import Callback
 
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
 from swarmd.core.errors import CodecError
-from swarmd.core.keys import ANY, Key, build, parse
+from swarmd.core.keys import ANY, build, parse
 from swarmd.core.messages import (
     AnyRequest,
     Epoch,
@@ -94,7 +94,7 @@ class Operator:
         self.name = _sendable(name, MAX_OPERATOR) if name else operator_name()
         self._roster = frozenset(roster)
         self._news = threading.Condition()
-        self._tokens: dict[str, set[str]] = {}
+        self._tokens: set[tuple[str, str]] = set()
         self._links = 0
         self._discovery: Discovery | None = None
         self._version = 0
@@ -120,7 +120,7 @@ class Operator:
             with self._news:
                 now, version = time.monotonic(), self._version
                 if discovery.is_complete(now) or pace.is_over(now):
-                    return discovery.result(now)
+                    return discovery.result()
             if pace.is_due(now):
                 self._ask_members(discovery)
             self._wait(version, pace.pause(now))
@@ -145,8 +145,7 @@ class Operator:
         acks = Acks(request.id)
         started = time.monotonic()
         if targets:
-            on_reply = self._on_ack(acks, "control", verb)
-            self._get(self._key(ANY, "control", verb), encode(request), timeout, on_reply)
+            self._get(ANY, "control", verb, encode(request), timeout, _collect(acks))
             with self._news:
                 self._news.wait_for(lambda: not acks.missing(targets), timeout)
         with self._news:
@@ -205,9 +204,8 @@ class Operator:
         now = time.monotonic()
         discovery = Discovery(now, self._roster)
         with self._news:
-            for robot, instances in self._tokens.items():
-                for instance in instances:
-                    discovery.on_token(robot, instance, True, now)
+            for robot, instance in self._tokens:
+                discovery.on_token(robot, instance, True, now)
             self._discovery = discovery
         return discovery
 
@@ -215,68 +213,62 @@ class Operator:
         with self._news:
             known = sorted(discovery.settled)
 
-        def on_view(key: Key, payload: bytes) -> None:
+        def on_view(robot: str, payload: bytes) -> None:
             view = _view(payload)
-            if view.robot == key.robot:
+            if view.robot == robot:
                 discovery.on_view(view, time.monotonic())
 
-        self._get(
-            self._key(ANY, "control", "members"),
-            encode(MembersQuery(answered=tuple(known))),
-            DISCOVERY_TIMEOUT,
-            self._checked("control", "members", on_view),
-        )
+        query = encode(MembersQuery(answered=tuple(known)))
+        self._get(ANY, "control", "members", query, DISCOVERY_TIMEOUT, on_view)
 
     def _send_halt(self, pending_stop: PendingStop, verb: StopVerb, *, to_all: bool) -> None:
         """Send it to each known robot without an ack, and on new links to all robots."""
         plane = "safety" if verb == "estop" else "control"
         with self._news:
             payload, names = pending_stop.payload(), pending_stop.pending()
-        on_reply = self._on_ack(pending_stop.acks, plane, verb)
+        on_ack = _collect(pending_stop.acks)
         if to_all:
-            self._get(self._key(ANY, plane, verb), payload, STOP_TIMEOUT, on_reply)
+            self._get(ANY, plane, verb, payload, STOP_TIMEOUT, on_ack)
         for name in names:
-            key = self._key(name, plane, verb)
             if verb == "estop":
                 self._session.put(
-                    key,
+                    build(self.settings.swarm, name, plane, verb),
                     payload,
                     congestion_control=zenoh.CongestionControl.DROP,
                     priority=zenoh.Priority.REAL_TIME,
                     express=True,
                 )
-            self._get(key, payload, STOP_TIMEOUT, on_reply)
+            self._get(name, plane, verb, payload, STOP_TIMEOUT, on_ack)
 
-    def _on_ack(self, acks: Acks, plane: str, name: str) -> Callable[[zenoh.Reply], None]:
-        def on_ack(key: Key, payload: bytes) -> None:
-            acks.on_reply(key.robot, _reply(payload))
-
-        return self._checked(plane, name, on_ack)
-
-    def _checked(
-        self, plane: str, name: str, handler: Callable[[Key, bytes], None]
-    ) -> Callable[[zenoh.Reply], None]:
-        swarm = self.settings.swarm
+    def _get(
+        self,
+        robot: str,
+        plane: str,
+        name: str,
+        payload: bytes,
+        timeout: float,
+        handler: Callable[[str, bytes], object],
+    ) -> None:
+        """Query a key; `handler` takes each reply's robot and payload, under the lock."""
 
         def on_reply(reply: zenoh.Reply) -> None:
             sample = reply.ok
             if sample is None or len(sample.payload) > MAX_WIRE:
                 return
             key = parse(str(sample.key_expr))
-            if key is None or (key.swarm, key.plane, key.name) != (swarm, plane, name):
+            if key is None or (key.swarm, key.plane, key.name) != (
+                self.settings.swarm,
+                plane,
+                name,
+            ):
                 return
             payload = sample.payload.to_bytes()
             with self._news, contextlib.suppress(CodecError):
-                handler(key, payload)
+                handler(key.robot, payload)
                 self._notify()
 
-        return on_reply
-
-    def _get(
-        self, key: str, payload: bytes, timeout: float, on_reply: Callable[[zenoh.Reply], None]
-    ) -> None:
         self._session.get(
-            key,
+            build(self.settings.swarm, robot, plane, name),
             Callback(on_reply, indirect=False),
             target=zenoh.QueryTarget.ALL,
             consolidation=zenoh.ConsolidationMode.NONE,
@@ -300,23 +292,19 @@ class Operator:
             key = parse(str(sample.key_expr))
             if key is not None:
                 with self._news:
-                    self._on_token(key.robot, key.name, sample.kind == zenoh.SampleKind.PUT)
+                    is_there = sample.kind == zenoh.SampleKind.PUT
+                    change = self._tokens.add if is_there else self._tokens.discard
+                    change((key.robot, key.name))
+                    if self._discovery is not None:
+                        now = time.monotonic()
+                        self._discovery.on_token(key.robot, key.name, is_there, now)
+                    self._notify()
 
         links = self._session.info.declare_link_events_listener(on_link, history=True)
         tokens = self._session.liveliness().declare_subscriber(
             build(self.settings.swarm, ANY, "alive", ANY), on_token, history=True
         )
         return tokens, links
-
-    def _on_token(self, robot: str, instance: str, is_there: bool) -> None:
-        instances = self._tokens.setdefault(robot, set())
-        if is_there:
-            instances.add(instance)
-        else:
-            instances.discard(instance)
-        if self._discovery is not None:
-            self._discovery.on_token(robot, instance, is_there, time.monotonic())
-        self._notify()
 
     def _notify(self) -> None:
         self._version += 1
@@ -326,8 +314,9 @@ class Operator:
         with self._news:
             self._news.wait_for(lambda: self._version != version, timeout)
 
-    def _key(self, robot: str, plane: str, name: str) -> str:
-        return build(self.settings.swarm, robot, plane, name)
+
+def _collect(acks: Acks) -> Callable[[str, bytes], object]:
+    return lambda robot, payload: acks.on_reply(robot, _reply(payload))
 
 
 class PollSchedule:

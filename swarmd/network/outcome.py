@@ -61,7 +61,7 @@ class Outcome:
 
     @property
     def targeted(self) -> int:
-        """The number of targeted robots."""
+        """The number of robots that the request was for."""
         return len(self.replies) + len(self.missing)
 
     @property
@@ -83,13 +83,10 @@ class Outcome:
     def line(self) -> str:
         """Such as `7 targeted, 6 applied, 1 no answer (tb3-03)`."""
         parts = [f"{self.targeted} targeted", f"{len(self.applied)} applied"]
-        for what, names in (
-            ("refused", self.refused),
-            ("failed", self.failed),
-            ("no answer", self.missing),
-        ):
-            if names:
-                parts.append(f"{len(names)} {what} ({', '.join(names)})")
+        others = {"refused": self.refused, "failed": self.failed, "no answer": self.missing}
+        parts += [
+            f"{len(some)} {what} ({', '.join(some)})" for what, some in others.items() if some
+        ]
         return ", ".join(parts)
 
     @property
@@ -165,19 +162,17 @@ class Acks:
         Those in `silent` count as missing even if one of their instances has answered.
         """
         answered = sorted(self._replies.keys() - set(silent))
+        worst = {
+            name: max(self._replies[name].values(), key=lambda reply: _SEVERITY[reply.code])
+            for name in answered
+        }
         return Outcome(
-            replies={name: _worst(self._replies[name].values()) for name in answered},
+            replies=worst,
             missing=tuple(sorted({*self.missing(expected), *silent})),
             warnings=warnings,
             seconds=seconds,
-            duplicates=tuple(
-                sorted(name for name, found in self._replies.items() if len(found) > 1)
-            ),
+            duplicates=tuple(sorted(name for name, all_ in self._replies.items() if len(all_) > 1)),
         )
-
-
-def _worst(replies: Iterable[Reply]) -> Reply:
-    return max(replies, key=lambda reply: _SEVERITY[reply.code])
 
 
 def expected_to_run(
@@ -192,15 +187,13 @@ def expected_to_run(
     asked, absent, warnings = [], [], []
     for name in sorted(set(selected)):
         member = members.get(name)
-        if member is not None and member.condition is Condition.ALIVE:
+        condition = member.condition if member is not None else None
+        has_failed = condition is Condition.FAILED
+        if condition is Condition.ALIVE:
             asked.append(name)
-        elif name in roster or (
-            member is not None
-            and member.condition is Condition.FAILED
-            and member.age <= RECENT_FAILURE
-        ):
+        elif name in roster or (member and has_failed and member.age <= RECENT_FAILURE):
             absent.append(name)
-        elif member is not None and member.condition is Condition.FAILED:
+        elif member and has_failed:
             warnings.append(
                 f"{name} failed {member.age:.0f} s ago and is not counted;"
                 f" `swarmctl members forget {name}` removes it"

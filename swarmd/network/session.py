@@ -1,11 +1,10 @@
 """Opens Zenoh sessions: those of a swarm by profile, and others from Zenoh's own options.
 
-Profile `dev` stays on loopback, `field` on one named interface. Each session tunes the sockets of
-its links, so that a peer that vanished does not stall the links to the others. Zenoh sets
-SO_LINGER to 10 s on its TCP sockets: when a lease expires with unacknowledged data, close() blocks
-one of the two receiving threads in the kernel, and the survivors receive nothing from each other
-for up to 10 s (measured: 10.1 s with six of eight robots gone). Linux only, since the sockets are
-found in /proc/self/fd; elsewhere nothing is tuned.
+Each session tunes the sockets of its links, so that a peer that vanished does not stall the links
+to the others. Zenoh sets SO_LINGER to 10 s on its TCP sockets: when a lease expires with
+unacknowledged data, close() blocks one of the two receiving threads in the kernel, and the
+survivors receive nothing from each other for up to 10 s (measured: 10.1 s with six of eight robots
+gone). Linux only, since the sockets are found in /proc/self/fd; elsewhere nothing is tuned.
 
 swarmctl imports this module and must start fast, so asyncio is imported where it is used.
 """
@@ -145,10 +144,7 @@ def has_subscriber(publisher: zenoh.Publisher) -> bool:
 
 
 def undeclare(*entities: Any) -> None:
-    """Undeclare tokens, subscribers, queryables, publishers; harmless once the session closed.
-
-    `Any`, since Zenoh's own stubs leave `undeclare` without a return type.
-    """
+    """Undeclare tokens, subscribers, queryables, publishers; harmless once the session closed."""
     for entity in entities:
         with contextlib.suppress(zenoh.ZError):
             entity.undeclare()
@@ -312,13 +308,10 @@ def _duplicate(fd: int) -> socket.socket | None:
 
 
 def _is_connected_tcp(sock: socket.socket) -> bool:
-    if sock.family not in (socket.AF_INET, socket.AF_INET6) or sock.type != socket.SOCK_STREAM:
-        return False
-    try:
-        sock.getpeername()
-    except OSError:
-        return False
-    return True
+    is_tcp = sock.family in (socket.AF_INET, socket.AF_INET6) and sock.type == socket.SOCK_STREAM
+    with contextlib.suppress(OSError):
+        return is_tcp and bool(sock.getpeername())
+    return False
 
 
 def _address(locator: str) -> Address | None:

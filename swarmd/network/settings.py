@@ -54,8 +54,8 @@ class NetworkSettings(Struct, frozen=True, kw_only=True):
     `interface`: required in profile field, which binds nothing else; dev uses `lo`.
     `listen`: endpoints such as `tcp/10.0.0.5:7440`; empty means an ephemeral port on loopback
     (dev) or port 7440 on the interface (field).
-    `seeds`: endpoints that are dialled, and again at least every second while they are away.
-    They are the fastest way back after a cut, and the only one with `multicast` off.
+    `seeds`: endpoints that are dialled, and again at least every second while they are away:
+    the fastest way back after a cut, and the only one with `multicast` off.
     `lease`: seconds without a sign of life after which a peer counts as gone. A shorter one
     notices sooner and tolerates less loss. None: 2 s in dev, 3 s in field.
     """

@@ -31,15 +31,11 @@ class PendingStop:
         started: float,
     ) -> None:
         self.acks = Acks(request.id)
+        self.is_for_all = select is None
         self._request = request
         self._select = select
         self._discovery = discovery
         self._started = started
-
-    @property
-    def is_for_all(self) -> bool:
-        """True if every robot is targeted."""
-        return self._select is None
 
     def payload(self) -> bytes:
         """The bytes to send now."""
@@ -57,11 +53,11 @@ class PendingStop:
         if not self._discovery.known:
             return False
         is_known = self._discovery.is_complete(now) or now - self._started >= DISCOVERY_TIMEOUT
-        return is_known and not self._lacking(self._expected(now))
+        return is_known and not self._lacking(self._expected())
 
     def outcome(self, now: float) -> Outcome:
         """The outcome if it ended now."""
-        expected = self._expected(now)
+        expected = self._expected()
         return self.acks.outcome(
             expected, silent=self._lacking(expected), seconds=now - self._started
         )
@@ -76,6 +72,6 @@ class PendingStop:
         known = self._discovery.known
         return known if self._select is None else frozenset(self._select(known))
 
-    def _expected(self, now: float) -> frozenset[str]:
-        view = self._discovery.result(now)
+    def _expected(self) -> frozenset[str]:
+        view = self._discovery.result()
         return expected_to_stop(view.members, view.roster, self._selected())

@@ -32,7 +32,7 @@ def discovery() -> Discovery:
 
 def test_an_empty_discovery_is_never_complete(discovery: Discovery) -> None:
     assert not discovery.is_complete(10.0)
-    assert discovery.result(10.0).members == {}
+    assert discovery.result().members == {}
 
 
 def test_one_view_is_complete_only_after_the_quiet_time(discovery: Discovery) -> None:
@@ -67,8 +67,7 @@ def test_a_robot_that_a_view_or_token_shows_must_answer(discovery: Discovery, so
     if source == "token":
         discovery.on_token("b", "1", True, 0.02)
     assert not discovery.is_complete(10.0)
-    result = discovery.result(1.0)
-    assert not result.is_complete
+    result = discovery.result()
     assert (result.alive, result.silent) == (("a", "b"), ("b",))
 
 
@@ -77,13 +76,13 @@ def test_a_robot_whose_token_vanished_need_not_answer(discovery: Discovery) -> N
     discovery.on_token("b", "1", True, 0.02)
     discovery.on_token("b", "1", False, 0.03)
     assert discovery.is_complete(0.031 + QUIET_TIME)
-    assert discovery.result(1.0).members["b"].condition is FAILED
+    assert discovery.result().members["b"].condition is FAILED
 
 
 def test_a_robots_own_status_wins_over_views_of_others(discovery: Discovery) -> None:
     discovery.on_view(view("a", member("b", age=7.0)), 0.01)
     discovery.on_view(view("b", member("a", FAILED), instance="9"), 0.02)
-    result = discovery.result(1.0)
+    result = discovery.result()
     assert result.members["b"].status == light_status("b", "9")
     assert result.members["b"].age == 7.0
     assert result.members["a"].condition is ALIVE
@@ -104,13 +103,13 @@ def test_the_more_certain_of_two_views_of_a_robot_counts(
 ) -> None:
     discovery.on_view(view("a", words[0]), 0.01)
     discovery.on_view(view("b", words[1]), 0.02)
-    assert discovery.result(1.0).members["x"].condition is truth
+    assert discovery.result().members["x"].condition is truth
 
 
 def test_the_rosters_of_all_views_are_merged(discovery: Discovery) -> None:
     discovery.on_view(view("a", roster=("a", "b")), 0.01)
     discovery.on_view(view("b", roster=("c",)), 0.01)
-    result = discovery.result(1.0)
+    result = discovery.result()
     assert result.roster == {"a", "b", "c"}
     assert result.absent == ("c",)
     assert discovery.known == {"a", "b", "c"}
@@ -122,7 +121,7 @@ def test_both_daemons_of_one_id_must_answer(discovery: Discovery) -> None:
     discovery.on_token("a", "1", True, 0.01)
     discovery.on_token("a", "2", True, 0.01)
     assert not discovery.is_complete(10.0)
-    assert discovery.result(1.0).duplicates == {"a": ("1", "2")}
+    assert discovery.result().duplicates == {"a": ("1", "2")}
     discovery.on_view(view("a", member("b"), instance="2"), 0.02)
     assert discovery.is_complete(0.02)
 
@@ -131,4 +130,4 @@ def test_both_instances_in_a_peers_view_must_answer(discovery: Discovery) -> Non
     discovery.on_view(view("a", member("b"), instance="1"), 0.01)
     discovery.on_view(view("b", member("a", instance="1"), member("a", instance="2")), 0.01)
     assert not discovery.is_complete(10.0)
-    assert discovery.result(1.0).duplicates == {"a": ("1", "2")}
+    assert discovery.result().duplicates == {"a": ("1", "2")}
