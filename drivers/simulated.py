@@ -16,7 +16,13 @@ from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
 from swarmd.driver_api.hw_codec import INPUTS, decode_input, deliver, encode_command
 from swarmd.drivers.latest_samples import LatestSamples
-from swarmd.network.session import has_subscriber, open_in_thread, open_with, realtime_publisher
+from swarmd.network.session import (
+    PROMPT_OPTIONS,
+    has_subscriber,
+    open_in_thread,
+    open_with,
+    realtime_publisher,
+)
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7790"
 SILENCE = 1.0
@@ -182,9 +188,8 @@ class _CheckSink(NullSink):
 
 def _session(endpoint: str, robot: str) -> zenoh.Session:
     options: dict[str, object] = {
+        **PROMPT_OPTIONS,
         "mode": "peer",
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
         "listen/endpoints": [],
         "connect/endpoints": [endpoint],
         # Retries for ever, as long as connect/timeout_ms is left alone: 0 there means once.
@@ -195,10 +200,6 @@ def _session(endpoint: str, robot: str) -> zenoh.Session:
         },
         # A world that ends closes its socket; a frozen world keeps its link.
         "transport/link/tx/lease": 60_000,
-        # Sending never waits; without room for a burst the newest would be dropped: a zero.
-        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
-        "transport/link/tx/queue/size/real_time": 16,
-        "transport/shared_memory/enabled": False,
     }
     return open_with(options, what=f"the simulated robot {robot} at {endpoint}")
 

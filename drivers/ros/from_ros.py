@@ -100,16 +100,17 @@ def twist_message(twist: Twist) -> ros.Twist:
     )
 
 
-def stamped_message(twist: Twist, frame: str) -> ros.TwistStamped:
-    """A command as a TwistStamped, in that frame.
+def command_message(twist: Twist, message_type: type, frame: str) -> ros.Twist | ros.TwistStamped:
+    """A command as a Twist, or as a TwistStamped in that frame.
 
     The stamp is zero, which ros2_control takes for "now": it refuses commands that are old on its
     own clock, and the clocks of two machines need not agree.
     """
-    return ros.TwistStamped(
-        header=ros.Header(stamp=ros.Time(sec=0, nanosec=0), frame_id=frame),
-        twist=twist_message(twist),
-    )
+    message = twist_message(twist)
+    if message_type is ros.Twist:
+        return message
+    header = ros.Header(stamp=ros.Time(sec=0, nanosec=0), frame_id=frame)
+    return ros.TwistStamped(header=header, twist=message)
 
 
 def twist_of(message: object) -> Twist:

@@ -12,6 +12,7 @@ from msgspec import Meta, Struct
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Value
+from swarmd.drivers.ros.messages import Twist, TwistStamped
 from swarmd.settings.layered import Layered
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
@@ -50,6 +51,11 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     scan_upside_down: bool = False
     # Unbounded here: msgspec 0.22 crashes on a union of a bounded number and a tuple of such.
     ranges: dict[str, float | tuple[float, float]] = {}
+
+    @property
+    def command_type(self) -> type:
+        """The message class of the commands."""
+        return Twist if self.cmd_vel_type == "twist" else TwistStamped
 
     def topic(self, name: str) -> str:
         """The full name of a topic, such as `/tb3_01/scan`."""

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Value
 from swarmd.drivers.ros import options as ros
-from swarmd.drivers.ros.messages import Twist, TwistStamped
 from swarmd.drivers.ros.options import Name, TopicOptions
 
 DEFAULT_MASTER = "http://127.0.0.1:11311"
@@ -27,11 +26,6 @@ class Ros1Options(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields
     ip: str | None = None
     shared_cmd_vel: bool = False
     python: Name = "/usr/bin/python3"
-
-    @property
-    def command_type(self) -> type:
-        """The message class of the commands."""
-        return Twist if self.cmd_vel_type == "twist" else TwistStamped
 
     @property
     def master_uri(self) -> str:

@@ -17,7 +17,6 @@ from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
 from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.ros import cdr, from_ros
-from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.diagnosis import (
     Endpoint,
     Graph,
@@ -68,8 +67,7 @@ class RosDriver:
         self._name, self._scheme, self._platform = name, scheme, platform
         self._options, self._zero_sender = options, zero_sender
         self._cmd_vel = options.topic(options.cmd_vel)
-        self._is_stamped = options.cmd_vel_type == "twist_stamped"
-        self._command_type: type = ros.TwistStamped if self._is_stamped else ros.Twist
+        self._command_type = options.command_type
         self._silence = max(SILENCE, 3.5 / platform.scan.rate)
         self._subscriptions = Subscriptions(options, platform)
         cdr.warm(self._command_type, *(t.message_type for t in self._subscriptions.topics.values()))
@@ -360,11 +358,7 @@ class RosDriver:
         )
         if publisher is None:
             return
-        message = (
-            from_ros.stamped_message(twist, frame)
-            if self._is_stamped
-            else from_ros.twist_message(twist)
-        )
+        message = from_ros.command_message(twist, self._command_type, frame)
         publisher.put(cdr.encode(message), attachment=self._scheme.attachment())
 
 

@@ -22,7 +22,7 @@ from swarmd.drivers.ros import cdr, from_ros
 from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.options import RosOptions, read_options
 from swarmd.drivers.ros.to_ros import odometry_message, scan_encoder
-from swarmd.network.session import open_listening, realtime_publisher
+from swarmd.network.session import PROMPT_OPTIONS, open_listening, realtime_publisher
 from swarmd.settings.driver_options import BaseOptions
 
 NAMESPACE = "{robot}"
@@ -30,14 +30,9 @@ MAX_COMMAND = 100.0
 """m/s or rad/s; a faster command is dropped as unreadable."""
 
 _OPTIONS: dict[str, object] = {
+    **PROMPT_OPTIONS,  # the world never waits for a daemon that does not read
     "mode": "router",
-    "scouting/multicast/enabled": False,
-    "scouting/gossip/enabled": False,
-    # The world never waits for a daemon that does not read.
-    "transport/link/tx/queue/size/real_time": 16,
-    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
     "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 0,
-    "transport/shared_memory/enabled": False,
 }
 
 
@@ -121,9 +116,7 @@ class EmulatedRobots:
     def _start(
         self, robot: str, platform: Platform, options: RosOptions, keys: EmulatedKeys
     ) -> _Robot:
-        is_stamped = options.cmd_vel_type == "twist_stamped"
-        command_type = ros.TwistStamped if is_stamped else ros.Twist
-        topic = options.topic(options.cmd_vel)
+        command_type, topic = options.command_type, options.topic(options.cmd_vel)
 
         def on_sample(sample: zenoh.Sample) -> None:
             try:

@@ -11,7 +11,7 @@ import contextlib
 import zenoh
 
 from swarmd.core.errors import NetworkError
-from swarmd.network.session import open_with, realtime_publisher, tune_sockets
+from swarmd.network.session import PROMPT_OPTIONS, open_with, realtime_publisher, tune_sockets
 
 LINK_TIMEOUT = 5.0
 """Seconds without an acknowledgement after which a link is given up and dialled anew."""
@@ -20,9 +20,8 @@ LINK_TIMEOUT = 5.0
 def open_session(endpoint: str, *, within: float = 1.0) -> zenoh.Session | None:
     """A session to the hub at `endpoint`; None if there is none within that time in s."""
     options: dict[str, object] = {
+        **PROMPT_OPTIONS,
         "mode": "client",
-        "scouting/multicast/enabled": False,
-        "scouting/gossip/enabled": False,
         "connect/endpoints": [endpoint],
         "connect/timeout_ms": round(within * 1000),
         "connect/retry": {
@@ -30,10 +29,6 @@ def open_session(endpoint: str, *, within: float = 1.0) -> zenoh.Session | None:
             "period_max_ms": 500,
             "period_increase_factor": 1.5,
         },
-        # Sending never waits; without room for a burst the newest would be dropped: a zero.
-        "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
-        "transport/link/tx/queue/size/real_time": 16,
-        "transport/shared_memory/enabled": False,
     }
     try:
         session = open_with(options, what=endpoint)

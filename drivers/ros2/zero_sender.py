@@ -9,8 +9,7 @@ import zenoh
 
 from swarmd.core.values import ZERO
 from swarmd.drivers.ros.cdr import encode
-from swarmd.drivers.ros.from_ros import stamped_message, twist_message
-from swarmd.drivers.ros.messages import Twist, TwistStamped
+from swarmd.drivers.ros.from_ros import command_message
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros2.key_scheme import KeyScheme
 from swarmd.drivers.ros2.session import command_publisher, open_session
@@ -71,11 +70,8 @@ class RosZeroSender:
 
 def zero_sender_of(scheme: KeyScheme, options: RosOptions) -> RosZeroSender:
     """The sender for a robot with these options."""
-    is_stamped = options.cmd_vel_type == "twist_stamped"
     # A base that reads this as a Twist takes the frame's name for a speed: an empty name is 0,
     # `base_link` would be 1e180 m/s to the side. The type that it wants is not known here.
-    message = stamped_message(ZERO, "") if is_stamped else twist_message(ZERO)
-    keys = scheme.command_keys(
-        options.topic(options.cmd_vel), TwistStamped if is_stamped else Twist
-    )
+    message = command_message(ZERO, options.command_type, "")
+    keys = scheme.command_keys(options.topic(options.cmd_vel), options.command_type)
     return RosZeroSender(scheme, options.endpoint, keys, encode(message))

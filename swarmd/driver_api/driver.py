@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Neighbor, Odometry, Platform, Scan, Twist, Value
@@ -120,20 +120,7 @@ def check_protected(platform: Platform, driver: Driver, name: str) -> None:
 class NullSink:
     """A sink that keeps nothing."""
 
-    def scan(self, scan: Scan) -> None:
-        """Drop it."""
+    def _ignore(self, *args: Any, **kwargs: Any) -> None:
+        pass
 
-    def odometry(self, odometry: Odometry) -> None:
-        """Drop it."""
-
-    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        """Drop them."""
-
-    def readings(self, values: Mapping[str, float]) -> None:
-        """Drop them."""
-
-    def state(self, is_up: bool, text: str) -> None:
-        """Drop it."""
-
-    def dropped(self, what: str) -> None:
-        """Do not count it."""
+    scan = odometry = neighbors = readings = state = dropped = _ignore

@@ -83,13 +83,9 @@ class WatchdogProcess:
         if self._fed_at and now - self._fed_at >= TICK_TIMEOUT:
             self._on_readable()  # this process stood still; read the answers that waited
         self._fed_at = now
-        if self._unanswered_since and now - self._unanswered_since > ANSWER_TIMEOUT:
+        if self._is_late(now):
             self._on_readable()  # its answers may have waited for this loop
-            if (
-                self._unanswered_since
-                and now - self._unanswered_since > ANSWER_TIMEOUT
-                and not self._lost.done()
-            ):
+            if self._is_late(now) and not self._lost.done():
                 with contextlib.suppress(OSError):  # its socket is open, so the id is still its own
                     self._frozen = os.pidfd_open(self.pid)
                 self._lose(f"has not answered for {ANSWER_TIMEOUT:g} s")
@@ -113,6 +109,10 @@ class WatchdogProcess:
                 signal.pidfd_send_signal(self._frozen, signal.SIGKILL)
             os.close(self._frozen)
             self._frozen = -1
+
+    def _is_late(self, now: float) -> bool:
+        since = self._unanswered_since
+        return since > 0.0 and now - since > ANSWER_TIMEOUT
 
     def _on_readable(self) -> None:
         while self._socket.fileno() >= 0:

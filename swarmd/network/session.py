@@ -69,6 +69,17 @@ def open_session(settings: NetworkSettings, *, wait_for_peers: bool = True) -> z
     return session
 
 
+PROMPT_OPTIONS: Mapping[str, object] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    # Sending never waits; without room for a burst the newest would be dropped: a zero.
+    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+    "transport/link/tx/queue/size/real_time": 16,
+    "transport/shared_memory/enabled": False,
+}
+"""Of a session that finds one endpoint and drops what cannot be sent at once."""
+
+
 def open_with(options: Mapping[str, object], what: str) -> zenoh.Session:
     """Open a session from Zenoh's own option paths; NetworkError names `what` it was for."""
     config = zenoh.Config()

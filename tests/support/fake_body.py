@@ -7,7 +7,6 @@ thread of its own at their nominal rates; `scans` makes each sweep and can be re
 from __future__ import annotations
 
 import json
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -22,6 +21,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.values import Odometry, Platform, Pose, Scan, Twist
 from swarmd.driver_api.hw_codec import decode_command, encode_odometry, encode_scan
 from swarmd.testing.scans import empty_scan
+from tests.support.processes import free_endpoint
 
 CAP = 60.0
 ODOMETRY_RATE = 20.0
@@ -64,7 +64,7 @@ class Body:
         self._changed = threading.Condition()
         self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._publish, name=f"body {robot}", daemon=True)
-        self.endpoint = endpoint or f"tcp/127.0.0.1:{_free_port()}"
+        self.endpoint = endpoint or free_endpoint()
         config = zenoh.Config()
         for path, value in (
             ("mode", "peer"),
@@ -189,10 +189,3 @@ class Body:
             if scan is not None:
                 payload = scan if isinstance(scan, bytes) else encode_scan(scan)
                 self._session.put(self._key("scan"), payload)
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

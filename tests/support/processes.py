@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
@@ -41,6 +42,13 @@ def run_command(
         timeout=120,
         check=False,
     )
+
+
+def free_endpoint() -> str:
+    """A TCP endpoint on loopback at which nothing listens."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def wait_until(condition: Callable[[], bool], what: str, cap: float = CAP) -> None:

@@ -10,7 +10,7 @@ import socket
 import subprocess
 from pathlib import Path
 
-from tests.support.processes import CAP, wait_until
+from tests.support.processes import CAP, free_endpoint, wait_until
 
 NAME = "zenoh-bridge-ros2dds"
 LOOPBACK = (
@@ -50,7 +50,7 @@ class Bridge:
     def __init__(
         self, folder: Path, domain: int, *, namespace: str = "/", distro: str = "jazzy"
     ) -> None:
-        self.endpoint = f"tcp/127.0.0.1:{_free_port()}"
+        self.endpoint = free_endpoint()
         self.log = folder / "bridge.log"
         self._command = [
             *("setpriv", "--pdeathsig", "KILL", NAME, "-d", str(domain), "-n", namespace),
@@ -101,10 +101,3 @@ class Bridge:
         host, _, port = self.endpoint.removeprefix("tcp/").rpartition(":")
         with socket.socket() as probe:
             return probe.connect_ex((host, int(port))) == 0
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

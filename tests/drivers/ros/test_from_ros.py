@@ -143,9 +143,12 @@ def test_what_a_battery_does_not_measure_is_left_out() -> None:
 def test_commands_are_those_of_the_second_library() -> None:
     twist = Twist(0.1, -0.2, 0.05)
     wanted = second.Twist(second.Vector3(0.1, 0.05, 0.0), second.Vector3(0.0, 0.0, -0.2))
-    assert cdr.encode(conversion.twist_message(twist)) == wanted.serialize()
+    assert cdr.encode(conversion.command_message(twist, messages.Twist, "x")) == wanted.serialize()
     stamped = second.TwistStamped(second.stamped(0.0, "base_link"), wanted)
-    assert cdr.encode(conversion.stamped_message(twist, "base_link")) == stamped.serialize()
+    assert (
+        cdr.encode(conversion.command_message(twist, messages.TwistStamped, "base_link"))
+        == stamped.serialize()
+    )
     assert conversion.twist_of(conversion.twist_message(twist)) == twist
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import socket
 import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -17,15 +16,10 @@ from swarmd.drivers.ros2 import rmw_zenoh
 from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.settings.platforms import load_platform
 from tests.support import second_codec as second
+from tests.support.processes import free_endpoint
 
 PLATFORM = load_platform("burger")
 RAYS = 360
-
-
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
 
 
 def open_session(mode: str, path: str, endpoint: str) -> zenoh.Session:
