@@ -114,7 +114,6 @@ def test_a_killed_daemon_is_stopped_for(driven: tuple[Course, DaemonProcess]) ->
     killed = boottime()
     daemon.kill()
     zero = course.first(killed, moving=False)
-    print(f"zero {zero - killed:.3f} s after it was killed")
     assert zero - killed < 0.6 + SLACK
     course.stands(zero, 3.0)
     assert watchdogs(daemon.swarm, ROBOT), "it goes on until a daemon is back"
@@ -126,7 +125,6 @@ def test_a_frozen_daemon_is_stopped_for(driven: tuple[Course, DaemonProcess]) ->
     daemon.freeze()
     try:
         zero = course.first(frozen, moving=False)
-        print(f"zero {zero - frozen:.3f} s after it was frozen")
         assert 0.3 < zero - frozen < 0.6 + SLACK
         course.stands(zero, 3.0)
         thawed = boottime()

@@ -52,7 +52,6 @@ class DdsNode:
         self._about.write(self._info(name))
 
     def say(self, topic: str, message: object) -> None:
-        """Write one message."""
         self._writers[topic].write(message)
 
     def heard(self, topic: str) -> Sequence[Any]:
@@ -66,7 +65,6 @@ class DdsNode:
         return next((message for message in found if self._is_whole(topic, message)), None)
 
     def close(self) -> None:
-        """Leave the domain."""
         self._writers.clear()
         self._readers.clear()
         del self._about, self._participant

@@ -1,7 +1,7 @@
 """A scripted body: speaks `hw/*` like the simulated world, but does what a test tells it.
 
-It listens on loopback for the daemon's simulated driver. Sweeps and odometry are published from a
-thread of its own at their nominal rates; `scans` makes each sweep and can be replaced at any time.
+It listens on loopback for the daemon's simulated driver. Scans and odometry are published from a
+thread of its own at their nominal rates; `scans` makes each scan and can be replaced at any time.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ class Body:
             self._session.close()
 
     def clear(self, seq: int, stamp: float, distance: float = 3.0) -> Scan:
-        """A sweep in which every ray returns `distance` m."""
+        """A scan in which every ray returns `distance` m."""
         return empty_scan(self.platform, seq, stamp, distance)
 
     def put(self, key: str, payload: bytes) -> None:
@@ -121,7 +121,7 @@ class Body:
         return self.wait(lambda command: not command.twist.is_zero, since)
 
     def wait_stepped(self, since: float = 0.0) -> Commanded:
-        """The first command that moves on a wish for which the pattern had seen a scan."""
+        """The first command that moves as a pattern requested after it had seen a scan."""
         return self.wait(
             lambda command: not command.twist.is_zero and command.requested_scan_seq >= 0, since
         )
@@ -139,7 +139,7 @@ class Body:
         """True if a command after the thaw of a daemon moves, and was not on its way before.
 
         The one that was on its way when it froze the network sends on at the thaw, before all
-        others. It rests on the sweep of the last one that came by then, or on the one after.
+        others. It rests on the scan of the last one that came by then, or on the one after.
         """
         with self._changed:
             before = max((one.scan_seq for one in self.commands if one.at <= thawed), default=-1)
@@ -150,7 +150,7 @@ class Body:
     def ran_since(self, moving: Commanded) -> bool:
         """True if from then on every command was of a running pattern, held up or not.
 
-        `moving` is one that moves and whose wish was made of a scan: see `wait_stepped`.
+        `moving` is one that moves and was requested for a scan: see `wait_stepped`.
         """
         with self._changed:
             return all(

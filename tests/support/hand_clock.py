@@ -45,12 +45,10 @@ class HandLoop(asyncio.SelectorEventLoop):
         self.set_default_executor(_Here())
 
     def time(self) -> float:
-        """The clock."""
         return self._skipping.now
 
 
 def run(story: Coroutine[Any, Any, None]) -> None:
-    """Tell a story on a loop of its own."""
     loop = HandLoop()
     try:
         loop.run_until_complete(story)

@@ -86,12 +86,10 @@ class Bridge:
             self._process = None
 
     def freeze(self) -> None:
-        """SIGSTOP."""
         assert self._process is not None
         self._process.send_signal(signal.SIGSTOP)
 
     def thaw(self) -> None:
-        """SIGCONT."""
         assert self._process is not None
         self._process.send_signal(signal.SIGCONT)
 

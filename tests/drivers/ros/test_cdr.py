@@ -16,6 +16,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.values import Twist
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros.from_ros import twist_message
+from tests.drivers.ros2.robots import HASHES
 from tests.support import dds_types
 from tests.support import second_codec as second
 
@@ -134,28 +135,16 @@ def test_what_is_too_long_is_not_read() -> None:
         cdr.decode(messages.LaserScan, bytes(cdr.MAX_PAYLOAD + 1))
 
 
-@pytest.mark.parametrize(
-    ("kind", "wanted"),  # published: reference of rmw_zenoh and the REP 2016 hashes of common types
-    [
-        (messages.LaserScan, "64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828"),
-        (messages.Twist, "9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"),
-        (messages.TwistStamped, "5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64"),
-        (messages.Odometry, "3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),
-    ],
-)
-def test_type_hashes_are_one_for_all_distributions(kind: type, wanted: str) -> None:
-    assert cdr.type_hash(kind) == f"RIHS01_{wanted}"
-    assert cdr.known_hashes(kind) == {f"RIHS01_{wanted}"}
+@pytest.mark.parametrize("name", HASHES)
+def test_type_hashes_are_one_for_all_distributions(name: str) -> None:
+    kind = getattr(messages, name)
+    assert cdr.type_hash(kind) == HASHES[name]
+    assert cdr.known_hashes(kind) == {HASHES[name]}
 
 
 def test_a_range_has_two_hashes() -> None:
     assert len(cdr.known_hashes(messages.Range)) == 2
     assert cdr.type_hash(messages.Range) in cdr.known_hashes(messages.Range)
-
-
-def test_names_as_dds_has_them() -> None:
-    assert messages.dds_name("sensor_msgs/msg/LaserScan") == "sensor_msgs::msg::dds_::LaserScan_"
-    assert messages.ros_name("sensor_msgs::msg::dds_::LaserScan_") == "sensor_msgs/msg/LaserScan"
 
 
 def test_bytes_are_those_of_cyclonedds_too() -> None:

@@ -280,7 +280,8 @@ def test_a_rate_is_that_of_the_gaps(stats: TopicStats) -> None:
 
 
 def test_a_fault_is_recent_for_2_s(stats: TopicStats) -> None:
-    stats.record_fault(1.0, "rubbish")
+    stats.record_fault(0.5, "rubbish")
+    stats.record_fault(1.0, "other rubbish")  # of a series the first: a text that varies is no news
     assert (stats.recent_fault(2.99), stats.recent_fault(3.0)) == ("rubbish", "")
 
 

@@ -18,7 +18,6 @@ STATE = {"event": "state", "master": False, "text": "an impostor"}
 
 
 def main() -> None:
-    """Behave."""
     kind = os.environ["IMPOSTOR"]
     sock = socket.socket(fileno=os.dup(0))
     if kind == "dies":

@@ -17,7 +17,6 @@ import roslib.message
 
 
 def answer(order: dict[str, Any]) -> dict[str, Any]:
-    """What is asked for."""
     if "text" in order:
         made = genpy.dynamic.generate_dynamic(order["type"], order["text"])
         return {"md5sum": made[order["type"]]._md5sum}
@@ -44,7 +43,6 @@ def fill(message: Any, fields: dict[str, Any]) -> None:
 
 
 def plain(value: Any) -> Any:
-    """A message as objects and lists."""
     if isinstance(value, genpy.rostime.TVal):
         return [value.secs, value.nsecs]
     if isinstance(value, genpy.Message):

@@ -57,17 +57,14 @@ class RosRobot:
 
     @property
     def options(self) -> dict[str, Value]:
-        """What a driver needs to find this robot."""
         return {"master": self.core.uri, "ip": "127.0.0.1", "namespace": self.namespace}
 
     def make(self, options: Mapping[str, Value]) -> Ros1Driver:
-        """A driver for this robot."""
         return Ros1Driver(
             swarm="s", robot="r-1", platform=PLATFORM, options={**self.options, **options}
         )
 
     def do(self, what: str, **more: object) -> None:
-        """Have it do something."""
         assert self._process.stdin is not None
         try:
             self._process.stdin.write(json.dumps({"do": what, **more}).encode() + b"\n")
@@ -76,7 +73,6 @@ class RosRobot:
             return
 
     def publish(self) -> None:
-        """Send a scan and an odometry."""
         self.do("speak")
 
     def commands(self) -> Sequence[Twist]:
@@ -86,12 +82,10 @@ class RosRobot:
         return [_twist(line) for line in lines]
 
     def publish_scan(self, scan: Scan) -> None:
-        """Send this sweep."""
         first, ranges = float(scan.bearings[0]), scan.ranges.tolist()
         self.do("say", stamp=scan.stamp, first=first, ranges=ranges)
 
     def publish_odometry(self) -> None:
-        """Send an odometry."""
         self.do("move")
 
     def publish_garbage(self) -> None:
@@ -104,7 +98,6 @@ class RosRobot:
         self.close()
 
     def close(self) -> None:
-        """Kill it."""
         self._process.kill()
         self._process.wait(CAP)
         self._thread.join(CAP)

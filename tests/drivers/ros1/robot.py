@@ -46,7 +46,6 @@ class Robot:
         threading.Thread(target=self._speak_by_itself, daemon=True).start()
 
     def obey(self, order: dict[str, Any]) -> None:
-        """Do what a line says."""
         if order["do"] == "rate":
             self._rate = order["hz"]
         elif order["do"] == "scan":
@@ -64,12 +63,10 @@ class Robot:
             self._extras()
 
     def speak(self, ranges: list[float]) -> None:
-        """Publish a scan and an odometry."""
         send(self._scans, bytes_of(self._scan(self._stamp(), ranges)))
         self.move()
 
     def move(self) -> None:
-        """Publish an odometry."""
         send(self._odometry, bytes_of(self._pose()))
 
     def _pose(self) -> Any:
@@ -133,21 +130,18 @@ def raw_publisher(topic: str, kind: Any) -> Any:
 
 
 def send(publisher: Any, data: bytes) -> None:
-    """Publish bytes."""
     message = publisher.data_class()
     message._buff = data
     publisher.publish(message)
 
 
 def bytes_of(message: Any) -> bytes:
-    """A message, serialised."""
     buffer = io.BytesIO()
     message.serialize(buffer)
     return buffer.getvalue()
 
 
 def main() -> None:
-    """Serve until standard input ends."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--name", default="robot")
     parser.add_argument("--scan-type", default="LaserScan")

@@ -52,11 +52,9 @@ class DdsRobot(BridgedRobot):
         self.start()
 
     def name(self, topic: str) -> str:
-        """Its full name on DDS."""
         return f"{self.namespace}/{topic}"
 
     def start(self) -> None:
-        """The node is there."""
         says = {self.name(topic): kind for topic, kind in self._says.items()}
         hears = {self.name("cmd_vel"): self._command}
         self.node = DdsNode(self.domain, "base", says, hears)

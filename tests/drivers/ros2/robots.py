@@ -125,7 +125,7 @@ class BridgedRobot(Robot):
         self.hub.put(topic, payload)
 
 
-HASHES = {
+HASHES = {  # published: the reference of rmw_zenoh, and REP 2016
     "LaserScan": "RIHS01_64c191398013af96509d518dac71d5164f9382553fce5c1f8cca5be7924bd828",
     "Twist": "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a",
     "TwistStamped": "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",

@@ -163,28 +163,6 @@ def test_one_cause_is_one_line_in_the_log(
     assert line.getMessage().count(";") == 1
 
 
-def test_what_cannot_be_read_is_one_line_however_it_varies(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    robot = BridgedRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        caplog.clear()
-        until = asyncio.get_running_loop().time() + 2.5
-        count = 0
-        while asyncio.get_running_loop().time() < until:
-            count += 1
-            robot.publish_odometry()
-            robot.put("scan", bytes([0, 1, 0, 0]) + bytes(count))
-            await asyncio.sleep(0.02)
-
-    play(robot, story)
-    lines = [record for record in caplog.records if "cannot be read" in record.getMessage()]
-    assert len(lines) == 1
-    assert lines[0].levelno == logging.WARNING
-    assert "ros2 topic info -v /scan" in lines[0].getMessage()
-
-
 @pytest.mark.parametrize(
     ("scan", "words"),
     [
@@ -272,16 +250,6 @@ def test_names_that_are_none_make_no_second_line(make: Callable[[], Robot]) -> N
     found = check(robot, robot.publish_odometry, seconds=1.0)
     assert "announces no topic at all" in found["scan"].text
     assert found["scan"].text.isprintable()
-
-
-def test_a_type_that_is_none_makes_no_second_line() -> None:
-    robot = ZenohRobot()
-
-    def speak() -> None:
-        robot.publish_odometry()
-        robot.put_on(f"0/scan/ok\nok/{robots.HASHES['LaserScan']}", b"")
-
-    assert "sent on key '0/scan/ok\\nok/RIHS" in check(robot, speak, seconds=1.0)["scan"].text
 
 
 def test_a_hub_that_answers_as_the_check_ends_leaves_no_session(

@@ -105,6 +105,7 @@ def test_the_attachment_is_sequence_time_and_gid() -> None:
         (f"1/bot/scan/{LASER}/{NO_HASH}", "sent on key"),
         (f"0/bot/scan/front/{LASER}/{NO_HASH}", "sent on key"),
         ("0/bot/scan/**", "sent on key"),
+        (f"0/bot/scan/ok\nok/{NO_HASH}", "sent on key '0/bot/scan/ok\\nok/"),
         ("**", "sent on key"),
     ],
 )

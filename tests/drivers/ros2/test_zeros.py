@@ -10,13 +10,11 @@ import pytest
 import zenoh
 
 from swarmd.core.values import Twist
-from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2.session import open_session
-from swarmd.testing.driver_contract import TIMEOUT, DriverHarness
+from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
 from tests.drivers.ros2.stories import drive, play, told
-from tests.support.processes import wait_until
 
 
 @pytest.mark.parametrize(
@@ -35,17 +33,6 @@ def test_the_zero_sender_of_a_driver_sends_zero_to_its_base(make: Callable[[], R
         sender.send_zero()
         taken.extend(robot.commands())
     assert all(twist.is_zero for twist in taken)
-    sender.close()
-    robot.close()
-
-
-def test_a_zero_sender_connects_to_a_late_base_before_a_zero_is_due() -> None:
-    robot = BridgedRobot()
-    robot.disconnect()
-    sender = ros2dds.make_zero_sender(robot="r", given=dict(robot.options({})))
-    sender.open()
-    robot.reconnect()
-    wait_until(lambda: bool(robot.hub.info.transports()), "it is connected", TIMEOUT)
     sender.close()
     robot.close()
 
