@@ -97,13 +97,6 @@ def _from_pole(pole: Pole) -> Measure:
 
 
 METRICS = (
-    Metric(
-        "clearance",
-        "m",
-        "smallest distance of a robot's footprint from walls, boxes and poles",
-        "Ericson 2005, Real-Time Collision Detection",
-        clearance,
-        clearances,
-        "more",
-    ),
-)
+    Metric("clearance", "m", "smallest distance of a robot's footprint from walls, boxes and poles",
+           "Ericson 2005, Real-Time Collision Detection", clearance, clearances, "more"),
+)  # fmt: skip

@@ -91,28 +91,11 @@ def _directions(trace: Trace, standing: float) -> Array:
 
 
 METRICS = (
-    Metric(
-        "polarisation",
-        "0 to 1",
-        "length of the mean direction of motion, mean of the last 60 s; 0 at rest",
-        "Vicsek et al. 1995, Phys. Rev. Lett. 75",
-        late_mean(polarisations),
-        polarisations,
-    ),
-    Metric(
-        "milling",
-        "0 to 1",
-        "rotation about the centroid, mean of the last 60 s",
-        "Couzin et al. 2002, J. Theor. Biol. 218",
-        late_mean(millings),
-        millings,
-    ),
-    Metric(
-        "centroid_path_length",
-        "m",
-        "path length of the centroid, in steps of a second",
-        "ours",
-        centroid_path_length,
-        centroid_path_lengths,
-    ),
-)
+    Metric("polarisation", "0 to 1",
+           "length of the mean direction of motion, mean of the last 60 s; 0 at rest",
+           "Vicsek et al. 1995, Phys. Rev. Lett. 75", late_mean(polarisations), polarisations),
+    Metric("milling", "0 to 1", "rotation about the centroid, mean of the last 60 s",
+           "Couzin et al. 2002, J. Theor. Biol. 218", late_mean(millings), millings),
+    Metric("centroid_path_length", "m", "path length of the centroid, in steps of a second", "ours",
+           centroid_path_length, centroid_path_lengths),
+)  # fmt: skip

@@ -67,30 +67,10 @@ def consensus_time(trace: Trace, name: str = OPINION) -> float | None:
 _VALENTINI = "Valentini et al. 2017, Front. Robot. AI 4:9"
 
 METRICS = (
-    Metric(
-        "consensus_time",
-        "s",
-        "until all robots hold one opinion, and keep it to the end",
-        _VALENTINI,
-        consensus_time,
-        None,
-        "less",
-        is_time_to_event=True,
-    ),
-    Metric(
-        "consensus_share",
-        "share",
-        "robots that hold the most common opinion at the end",
-        _VALENTINI,
-        consensus_share,
-        consensus_shares,
-        "more",
-    ),
-    Metric(
-        "consensus_opinion",
-        "",
-        "the opinion that all robots hold at the end",
-        _VALENTINI,
-        consensus_opinion,
-    ),
-)
+    Metric("consensus_time", "s", "until all robots hold one opinion, and keep it to the end",
+           _VALENTINI, consensus_time, better="less", is_time_to_event=True),
+    Metric("consensus_share", "share", "robots that hold the most common opinion at the end",
+           _VALENTINI, consensus_share, consensus_shares, "more"),
+    Metric("consensus_opinion", "", "the opinion that all robots hold at the end", _VALENTINI,
+           consensus_opinion),
+)  # fmt: skip

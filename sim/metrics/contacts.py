@@ -113,38 +113,12 @@ def _contact(
 _OURS = "ours"
 
 METRICS = (
-    Metric(
-        "robot_contacts",
-        "",
-        "contacts of two robots, each counted once",
-        _OURS,
-        contacts_between_robots,
-        None,
-        "less",
-    ),
-    Metric(
-        "arena_contacts",
-        "",
-        "contacts of a robot with a wall, fixed box or pole",
-        _OURS,
-        contacts_with_arena,
-        None,
-        "less",
-    ),
-    Metric(
-        "box_contacts",
-        "",
-        "contacts of a robot with a movable box",
-        _OURS,
-        contacts_with_boxes,
-    ),
-    Metric(
-        "hardest_contact",
-        "m/s",
-        "fastest approach in any contact of two robots",
-        _OURS,
-        hardest_contact,
-        None,
-        "less",
-    ),
-)
+    Metric("robot_contacts", "", "contacts of two robots, each counted once", _OURS,
+           contacts_between_robots, better="less"),
+    Metric("arena_contacts", "", "contacts of a robot with a wall, fixed box or pole", _OURS,
+           contacts_with_arena, better="less"),
+    Metric("box_contacts", "", "contacts of a robot with a movable box", _OURS,
+           contacts_with_boxes),
+    Metric("hardest_contact", "m/s", "fastest approach in any contact of two robots", _OURS,
+           hardest_contact, better="less"),
+)  # fmt: skip

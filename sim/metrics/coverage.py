@@ -119,20 +119,8 @@ def _hull_area(place: Array) -> float:
 
 
 METRICS = (
-    Metric(
-        "covered_area",
-        "m2",
-        "floor that has been within 0.5 m of a robot",
-        "Gage 1992, AUVS (sweep coverage)",
-        covered_area,
-        covered_areas,
-    ),
-    Metric(
-        "hull_area_end",
-        "m2",
-        "convex hull of the robots at the end",
-        "Barber et al. 1996, ACM TOMS 22 (Qhull)",
-        hull_area,
-        hull_areas,
-    ),
-)
+    Metric("covered_area", "m2", "floor that has been within 0.5 m of a robot",
+           "Gage 1992, AUVS (sweep coverage)", covered_area, covered_areas),
+    Metric("hull_area_end", "m2", "convex hull of the robots at the end",
+           "Barber et al. 1996, ACM TOMS 22 (Qhull)", hull_area, hull_areas),
+)  # fmt: skip

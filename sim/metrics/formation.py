@@ -118,36 +118,16 @@ _LINE = "Pearson 1901, Phil. Mag. 2; Fredslund and Mataric 2002"
 _CIRCLE = "Kasa 1976, IEEE Trans. Instrum. Meas. 25"
 
 METRICS = (
-    Metric(
-        "line_offset",
-        "m",
-        "rms distance of the robots from the line that fits them best, mean of the last 60 s",
-        _LINE,
-        late_mean(line_offsets),
-        line_offsets,
-    ),
-    Metric(
-        "line_unevenness",
-        "share",
-        "rms difference of gaps along that line from their mean, over it; mean of the last 60 s",
-        _LINE,
-        late_mean(line_unevenness),
-        line_unevenness,
-    ),
-    Metric(
-        "circle_offset",
-        "m",
-        "rms distance of the robots from the circle that fits them best, mean of the last 60 s",
-        _CIRCLE,
-        late_mean(circle_offsets),
-        circle_offsets,
-    ),
-    Metric(
-        "circle_unevenness",
-        "share",
-        "rms difference of angular gaps on it from equal ones, over these; mean of the last 60 s",
-        _CIRCLE,
-        late_mean(circle_unevenness),
-        circle_unevenness,
-    ),
-)
+    Metric("line_offset", "m",
+           "rms distance of the robots from the line that fits them best, mean of the last 60 s",
+           _LINE, late_mean(line_offsets), line_offsets),
+    Metric("line_unevenness", "share",
+           "rms difference of gaps along that line from their mean, over it; mean of the last 60 s",
+           _LINE, late_mean(line_unevenness), line_unevenness),
+    Metric("circle_offset", "m",
+           "rms distance of the robots from the circle that fits them best, mean of the last 60 s",
+           _CIRCLE, late_mean(circle_offsets), circle_offsets),
+    Metric("circle_unevenness", "share",
+           "rms difference of angular gaps on it from equal ones, over these; mean of last 60 s",
+           _CIRCLE, late_mean(circle_unevenness), circle_unevenness),
+)  # fmt: skip

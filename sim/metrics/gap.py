@@ -125,13 +125,6 @@ def _exact(trace: Trace, span: slice, found: Pairs, chosen: pairs.Ints) -> Array
 
 
 METRICS = (
-    Metric(
-        "minimum_gap",
-        "m",
-        "smallest distance between two robots' footprints",
-        "Ericson 2005, Real-Time Collision Detection",
-        minimum_gap,
-        minimum_gaps,
-        "more",
-    ),
-)
+    Metric("minimum_gap", "m", "smallest distance between two robots' footprints",
+           "Ericson 2005, Real-Time Collision Detection", minimum_gap, minimum_gaps, "more"),
+)  # fmt: skip

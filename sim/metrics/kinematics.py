@@ -96,28 +96,11 @@ def _seconds(trace: Trace) -> Array:
 _KINEMATICS = "kinematics"
 
 METRICS = (
-    Metric(
-        "mean_speed",
-        "m/s",
-        "the robots' mean speed over the whole run",
-        _KINEMATICS,
-        mean_speed,
-        mean_speeds,
-    ),
-    Metric(
-        "mean_speed_late_share",
-        "share",
-        "mean speed in the last 60 s as a share of the platform's highest",
-        _KINEMATICS,
-        speed_share,
-        speed_shares,
-    ),
-    Metric(
-        "path_length",
-        "m",
-        "path length over the whole run, mean of the robots",
-        _KINEMATICS,
-        path_length,
-        path_lengths_over_time,
-    ),
-)
+    Metric("mean_speed", "m/s", "the robots' mean speed over the whole run", _KINEMATICS,
+           mean_speed, mean_speeds),
+    Metric("mean_speed_late_share", "share",
+           "mean speed in the last 60 s as a share of the platform's highest", _KINEMATICS,
+           speed_share, speed_shares),
+    Metric("path_length", "m", "path length over the whole run, mean of the robots", _KINEMATICS,
+           path_length, path_lengths_over_time),
+)  # fmt: skip

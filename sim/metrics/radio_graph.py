@@ -138,31 +138,12 @@ def _fiedler(trace: Trace) -> float:
 _ZAVLANOS = "Zavlanos et al. 2011, Proc. IEEE 99"
 
 METRICS = (
-    Metric(
-        "radio_connected",
-        "share",
-        "share of time in which the radio graph is connected",
-        _ZAVLANOS,
-        radio_connected,
-        is_radio_connected,
-        "more",
-    ),
-    Metric(
-        "radio_components_end",
-        "",
-        "connected components of the radio graph at the end",
-        _ZAVLANOS,
-        at_end(radio_components),
-        radio_components,
-        "less",
-    ),
-    Metric(
-        "algebraic_connectivity_end",
-        "",
-        "second smallest eigenvalue of the radio graph's Laplacian at the end",
-        "Fiedler 1973, Czechoslovak Math. J. 23",
-        algebraic_connectivity,
-        algebraic_connectivities,
-        "more",
-    ),
-)
+    Metric("radio_connected", "share", "share of time in which the radio graph is connected",
+           _ZAVLANOS, radio_connected, is_radio_connected, "more"),
+    Metric("radio_components_end", "", "connected components of the radio graph at the end",
+           _ZAVLANOS, at_end(radio_components), radio_components, "less"),
+    Metric("algebraic_connectivity_end", "",
+           "second smallest eigenvalue of the radio graph's Laplacian at the end",
+           "Fiedler 1973, Czechoslovak Math. J. 23", algebraic_connectivity,
+           algebraic_connectivities, "more"),
+)  # fmt: skip

@@ -12,7 +12,6 @@ import pytest
 
 from swarmd.sim.experiments.pool import Job, JobResult, run_job, run_jobs
 from swarmd.sim.scenarios.scenariofile import load_scenario
-from swarmd.sim.trace import load_trace
 from tests.support.processes import children
 
 END = "groups.all.parameters.end"
@@ -36,15 +35,6 @@ def done(jobs: list[Job], processes: int) -> dict[str, JobResult]:
         listed = list(found)
     assert sorted(result.run for result in listed) == sorted(job.run for job in jobs)
     return {result.run: result for result in listed}
-
-
-def test_a_worker_gives_the_same_result_as_this_process(duo: Path, tmp_path: Path) -> None:
-    here = run_job(job(duo, 5, tmp_path / "here.npz"))
-    there = done([job(duo, 5, tmp_path / "there.npz")], 1)["s5"]
-    assert here.metrics is not None
-    assert here.metrics == there.metrics
-    assert (tmp_path / "here.npz").read_bytes() == (tmp_path / "there.npz").read_bytes()
-    assert load_trace(tmp_path / "there.npz").meta["seed"] == 5
 
 
 @pytest.mark.parametrize("processes", [1, 2, 5])

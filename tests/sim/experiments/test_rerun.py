@@ -28,6 +28,7 @@ def test_every_run_is_identical_even_without_the_scenario(
     results: Results, duo: Path, tmp_path: Path
 ) -> None:
     duo.unlink()
+    assert warnings(results.folder) == []
     assert again(results, tmp_path) == {"s0000": "", "s0001": ""}
 
 
@@ -92,10 +93,6 @@ def test_an_experiment_without_runs_has_nothing_to_compare(results: Results) -> 
     table.write_text(table.read_text().splitlines(keepends=True)[0])
     with pytest.raises(ConfigError, match="no run of it has finished"):
         rerun(results.folder, None, 1)
-
-
-def test_nothing_has_changed_by_itself(results: Results) -> None:
-    assert warnings(results.folder) == []
 
 
 def test_traces_differ_in_values_types_and_words(results: Results) -> None:

@@ -64,35 +64,11 @@ def test_clusters_by_single_linkage(
     assert share.tolist() == pytest.approx([largest / len(xs)])
 
 
-def test_cluster_labels_are_their_lowest_member(run: Run, line: Line) -> None:
-    labels = aggregation.clusters(run(line(9.0, 0.0, 8.5, 0.5)), link=1.0)
-    assert labels.tolist() == [[0, 1, 0, 1]]
-
-
 def test_an_absent_robot_is_in_no_cluster_and_joins_none(run: Run, line: Line) -> None:
     trace = run(line(0.0, 0.9, 1.8), present=np.array([[True, False, True]]))
     assert aggregation.clusters(trace, link=1.0).tolist() == [[0, -1, 2]]
     assert aggregation.cluster_counts(trace, link=1.0).tolist() == [2]
     assert aggregation.largest_cluster_share(trace, link=1.0).tolist() == [0.5]
-
-
-@pytest.mark.parametrize("n", [12, 70])
-def test_clusters_agree_with_a_walk_through_the_graph(run: Run, n: int) -> None:
-    rng = np.random.default_rng(2)
-    pose = np.zeros((20, n, 3))
-    pose[..., :2] = rng.uniform(0.0, 1.5 * math.sqrt(n), (20, n, 2))
-    counted = aggregation.cluster_counts(run(pose), link=1.1)
-    for place, count in zip(pose[..., :2], counted, strict=True):
-        left, groups = set(range(n)), 0
-        while left:
-            groups += 1
-            front = [left.pop()]
-            while front:
-                here = front.pop()
-                near = {i for i in left if math.dist(place[here], place[i]) <= 1.1}
-                left -= near
-                front += near
-        assert count == groups
 
 
 def test_clusters_of_more_robots_and_instants_than_are_worked_on_at_once(run: Run) -> None:
@@ -136,12 +112,3 @@ def test_a_robot_alone_has_no_neighbor(run: Run, line: Line) -> None:
     assert aggregation.nearest_neighbors(run(line(1.0))).tolist() == [[math.inf]]
     assert np.isnan(aggregation.nearest_neighbor_medians(run(line(1.0)))).all()
     assert aggregation.nearest_neighbor_median(run(line(1.0))) is None
-
-
-def test_an_empty_run_has_no_numbers_but_breaks_nothing(run: Run) -> None:
-    trace = run(np.zeros((0, 3, 3)))
-    assert aggregation.distance_to_centroid(trace).shape == (0,)
-    assert aggregation.cluster_counts(trace, 1.0).shape == (0,)
-    assert aggregation.largest_cluster(trace, 1.0).shape == (0,)
-    assert aggregation.gather_time(trace, 1.0) is None
-    assert aggregation.distance_at(trace, 0.0) is None

@@ -21,29 +21,24 @@ def votes(run: Run, *rows: tuple[float, ...], present: object = None) -> Trace:
     return run(np.zeros((*opinion.shape, 3)), report={"opinion": opinion}, **parts)
 
 
-def test_consensus_lasts_to_the_end(run: Run) -> None:
-    trace = votes(run, (0, 1, 1), (1, 1, 1), (1, 1, 0), (1, 1, 1), (1, 1, 1))
-    assert consensus.consensus_time(trace) == pytest.approx(0.3)
-    assert consensus.consensus_opinion(trace) == 1.0
-    assert consensus.consensus_share(trace) == 1.0
-
-
-def test_no_consensus_at_the_end_is_none(run: Run) -> None:
-    trace = votes(run, (1, 1, 1), (1, 1, 1), (1, 2, 1))
-    assert consensus.consensus_time(trace) is None
-    assert consensus.consensus_opinion(trace) is None
-    assert consensus.consensus_share(trace) == pytest.approx(2.0 / 3.0)
-
-
-def test_a_swarm_that_changes_its_mind_as_one_begins_anew(run: Run) -> None:
-    assert consensus.consensus_time(votes(run, (0, 0), (0, 0), (2, 2), (2, 2))) == pytest.approx(
-        0.2
-    )
-
-
-def test_consensus_from_the_start_takes_no_time(run: Run) -> None:
-    assert consensus.consensus_time(votes(run, (0, 0), (0, 0))) == 0.0
-    assert consensus.consensus_time(votes(run, (3.0,))) == 0.0
+@pytest.mark.parametrize(
+    ("rows", "time", "opinion", "share"),
+    [
+        (((0, 1, 1), (1, 1, 1), (1, 1, 0), (1, 1, 1), (1, 1, 1)), 0.3, 1.0, 1.0),
+        (((1, 1, 1), (1, 1, 1), (1, 2, 1)), None, None, 2.0 / 3.0),
+        (((0, 0), (0, 0), (2, 2), (2, 2)), 0.2, 2.0, 1.0),  # the swarm changes its opinion
+        (((0, 0), (0, 0)), 0.0, 0.0, 1.0),
+        (((3.0,),), 0.0, 3.0, 1.0),
+    ],
+)
+def test_consensus_lasts_to_the_end(
+    run: Run, rows: tuple[tuple[float, ...], ...], time: float | None, opinion: float | None,
+    share: float,
+) -> None:  # fmt: skip
+    trace = votes(run, *rows)
+    assert consensus.consensus_time(trace) == (None if time is None else pytest.approx(time))
+    assert consensus.consensus_opinion(trace) == opinion
+    assert consensus.consensus_share(trace) == pytest.approx(share)
 
 
 def test_shares_are_of_the_most_common_opinion(run: Run) -> None:

@@ -75,12 +75,3 @@ def test_who_was_never_there_is_not_in_the_mean(run: Run) -> None:
     nobody = half_way(run, present=np.zeros((11, 2), dtype=bool))
     assert kinematics.path_length(nobody) is None
     assert np.isnan(kinematics.path_lengths_over_time(nobody)).all()
-
-
-@pytest.mark.parametrize("instants", [0, 1])
-def test_no_time_is_no_speed(run: Run, instants: int) -> None:
-    trace = run(np.zeros((instants, 3, 3)))
-    assert kinematics.mean_speed(trace) is None
-    assert kinematics.speed_share(trace) is None
-    assert kinematics.mean_speeds(trace).shape == (instants,)
-    assert kinematics.path_lengths(trace).tolist() == [0.0, 0.0, 0.0]

@@ -27,14 +27,11 @@ def test_duty_is_of_judged_sweeps(run: Run) -> None:
     np.testing.assert_allclose(duties, [np.nan, 2.0 / 3.0, 0.0, 1.0])
 
 
-def test_nothing_judged_is_no_duty(run: Run) -> None:
-    none = np.zeros((4, 2), dtype=np.int64)
-    assert protection.protection_duty(run(STILL, decided=none, evaded=none)) is None
-
-
 def test_duty_falls_back_to_instants(run: Run) -> None:
     assert protection.protection_duty(run(STILL)) is None
     assert protection.protection_duties(run(STILL)) is None
+    none = np.zeros((4, 2), dtype=np.int64)
+    assert protection.protection_duty(run(STILL, decided=none, evaded=none)) is None
     active = np.zeros((4, 2), dtype=bool)
     active[0] = True
     trace = run(STILL, active=active)

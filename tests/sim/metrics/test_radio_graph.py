@@ -132,11 +132,3 @@ def test_components_of_more_than_is_worked_on_at_once(run: Run) -> None:
     pose[20:, n // 2 :, 0] += 5.0
     counts = radio_graph.radio_components(run(pose, **radio(1.1)))
     assert counts.tolist() == [1.0] * 20 + [2.0] * 5
-
-
-def test_an_empty_run_has_no_graph(run: Run) -> None:
-    trace = run(np.zeros((0, 3, 3)), **radio(1.0))
-    assert radio_graph.radio_components(trace).shape == (0,)
-    assert radio_graph.algebraic_connectivities(trace).shape == (0,)
-    assert radio_graph.radio_connected(trace) is None
-    assert radio_graph.algebraic_connectivity(trace) is None

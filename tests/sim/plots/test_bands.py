@@ -115,11 +115,6 @@ def test_nothing_to_draw_is_one_clear_error(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_one_instant_is_a_picture(tmp_path: Path) -> None:
-    draw_series({"a": [(np.zeros(1), np.ones(1))] * 3}, tmp_path / "x.png", label="gap")
-    assert (tmp_path / "x.png").stat().st_size > 5_000
-
-
 def test_counts_have_whole_ticks_and_steps() -> None:
     steps = (T, np.array([1.0, 1.0, 2.0, 2.0, 2.0]))
     late = (np.array([0.0, 2.5, 4.0]), np.array([1.0, 2.0, 2.0]))
@@ -154,12 +149,6 @@ def test_from_twenty_runs_on_the_outer_band_holds_95_percent() -> None:
     outer = bands_of(runs).outer
     assert outer is not None
     assert (outer[0][0], outer[1][0]) == (1.0, 39.0)
-
-
-@pytest.mark.parametrize(("count", "bands"), [(1, (None, None)), (2, (None, "outer"))])
-def test_few_runs_have_few_bands(count: int, bands: tuple[str | None, str | None]) -> None:
-    found = bands_of([constant(float(value)) for value in range(count)])
-    assert (found.inner is None, found.outer is None) == (bands[0] is None, bands[1] is None)
 
 
 def test_a_run_has_no_value_after_its_end() -> None:

@@ -50,10 +50,3 @@ def test_each_kind_is_painted_with_all_its_marks(full: Full) -> None:
     marks = marks_of(full(2))
     paint_contacts(axes, [*marks, marks[0]], is_by_robot=True, size=8.0)
     assert [len(np.asarray(dots.get_offsets())) for dots in axes.collections] == [2, 1, 1]
-
-
-def test_without_contacts_there_are_no_marks(walk: Walk) -> None:
-    pytest.importorskip("matplotlib")
-    axes = new_figure(3.0, 3.0).add_subplot()
-    paint_contacts(axes, marks_of(walk(3)), is_by_robot=True, size=8.0)
-    assert len(axes.collections) == 0

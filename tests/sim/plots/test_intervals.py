@@ -79,15 +79,11 @@ def test_one_value_has_no_interval() -> None:
     assert len(axes.collections) == 2
 
 
-def test_values_that_hardly_differ_have_one_tick() -> None:
-    axes = intervals_figure([Panel(label="x", values={"a": (0.0132, 0.0132001)})]).axes[0]
-    assert [text.get_text() for text in axes.get_xticklabels()] == ["0.0132"]
-
-
-def test_equal_values_have_one_tick() -> None:
-    axes = intervals_figure([Panel(label="x", values={"a": (7.0, 7.0)})]).axes[0]
-    assert axes.get_xlim() == (6.0, 8.0)
-    assert axes.get_xticks().tolist() == [7.0]
+@pytest.mark.parametrize(("values", "tick"), [((7.0, 7.0), "7"), ((0.0132, 0.0132001), "0.0132")])
+def test_values_that_hardly_differ_have_one_tick(values: tuple[float, float], tick: str) -> None:
+    axes = intervals_figure([Panel(label="x", values={"a": values})]).axes[0]
+    assert axes.get_xlim() == pytest.approx((values[0] - 1.0, values[0] + 1.0), abs=1e-3)
+    assert [text.get_text() for text in axes.get_xticklabels()] == [tick]
 
 
 def test_a_target_is_a_labelled_line() -> None:
@@ -109,11 +105,6 @@ def test_no_word_is_overlaps(overlaps: Overlaps, metrics: int, variants: int) ->
         for _ in range(metrics)
     ]
     assert overlaps(intervals_figure(panels, "paper_exp1_hardware")) == []
-
-
-def test_writes_a_picture(tmp_path: Path) -> None:
-    draw_intervals([Panel(label="x", values={"": VALUES})], tmp_path / "x.png")
-    assert (tmp_path / "x.png").stat().st_size > 5_000
 
 
 def test_counts_are_counted_in_whole_numbers() -> None:

@@ -50,19 +50,6 @@ def test_another_suffix_is_refused(tmp_path: Path) -> None:
         save(new_figure(3.0, 2.0), tmp_path / "x.bmp")
 
 
-def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "taken").write_text("")
-    with pytest.raises(SwarmError, match=r"taken/x\.png"):
-        save(new_figure(3.0, 2.0), tmp_path / "taken" / "x.png")
-
-
-def test_what_cannot_be_finished_leaves_nothing(tmp_path: Path) -> None:
-    (tmp_path / "x.png" / "in the way").mkdir(parents=True)
-    with pytest.raises(SwarmError, match=r"x\.png"):
-        save(new_figure(3.0, 2.0), tmp_path / "x.png")
-    assert [path.name for path in tmp_path.iterdir()] == ["x.png"]
-
-
 def test_without_matplotlib_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(SwarmError, match=r"pip install 'swarmd\[plot\]'"):
@@ -72,3 +59,13 @@ def test_without_matplotlib_it_says_what_to_install(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize("colours", [ROBOT_COLOURS, VARIANT_COLOURS])
 def test_colours_differ(colours: tuple[str, ...]) -> None:
     assert len(set(colours)) == len(colours)
+
+
+@pytest.mark.parametrize("in_the_way", ["taken", "taken/x.png/folder"])
+def test_a_picture_that_cannot_be_written_leaves_nothing(tmp_path: Path, in_the_way: str) -> None:
+    blocked = tmp_path / in_the_way
+    blocked.parent.mkdir(parents=True, exist_ok=True)
+    blocked.write_text("")
+    with pytest.raises(SwarmError, match=r"taken/x\.png"):
+        save(new_figure(3.0, 2.0), tmp_path / "taken" / "x.png")
+    assert not list(tmp_path.rglob("*.partial"))
