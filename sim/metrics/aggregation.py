@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
-from swarmd.sim.metrics.metric import Metric, Series, Value, at_end, at_start, late_mean, peak
-from swarmd.sim.metrics.window import LATE, by_platform, late, presence, row_means
+from swarmd.sim.metrics.metric import Metric, at_end, at_start, late_mean, peak
+from swarmd.sim.metrics.window import LATE, by_platform, centroids, late, presence, row_means
 from swarmd.sim.trace import Trace
 
 LINKS = 2.0
@@ -28,10 +28,8 @@ def distance_to_centroid(trace: Trace) -> Array:
 
     Named in the outlook of Kaiser et al. 2022. NaN while no robot is present.
     """
-    is_present = presence(trace)
-    centre = np.stack([row_means(trace.pose[..., axis], is_present) for axis in (0, 1)], axis=-1)
-    away = trace.pose[..., :2] - centre[:, None]
-    return row_means(np.hypot(away[..., 0], away[..., 1]), is_present)
+    away = trace.pose[..., :2] - centroids(trace)[:, None]
+    return row_means(np.hypot(away[..., 0], away[..., 1]), presence(trace))
 
 
 def distance_at(trace: Trace, time: float) -> float | None:
@@ -139,24 +137,15 @@ def nearest_neighbor_median(trace: Trace, seconds: float = LATE) -> float | None
     return float(np.median(known)) if len(known) else None
 
 
-def _linked(of: Callable[[Trace, float], NDArray[Any]]) -> Series:
-    """A series that needs the link of clusters; None if the trace has no thresholds."""
+def _linked(of: Callable[[Trace, float], Any]) -> Callable[[Trace], Any]:
+    """A series or number that needs the link of clusters; None if the trace has no thresholds."""
 
-    def series(trace: Trace) -> Array | None:
+    def linked(trace: Trace) -> Any:
         link = cluster_link(trace)
-        return None if link is None else of(trace, link).astype(np.float64)
+        found = None if link is None else of(trace, link)
+        return found.astype(np.float64) if isinstance(found, np.ndarray) else found
 
-    return series
-
-
-def _linked_value(of: Callable[[Trace, float], float | None]) -> Value:
-    """A number that needs the link of clusters; None if the trace has no thresholds."""
-
-    def value(trace: Trace) -> float | None:
-        link = cluster_link(trace)
-        return None if link is None else of(trace, link)
-
-    return value
+    return linked
 
 
 _KAISER = "Kaiser et al. 2022, ICRA"
@@ -191,7 +180,7 @@ METRICS = (
            late_mean(_linked(is_one_cluster)), _linked(is_one_cluster)),
     Metric("gather_time", "s",
            "until all are in one cluster and half as far from the centroid as at the start", "ours",
-           _linked_value(gather_time), is_time_to_event=True),
+           _linked(gather_time), is_time_to_event=True),
     Metric("nearest_neighbor_median_late", "m",
            "median distance to the nearest other robot in the last 60 s",
            "Clark and Evans 1954, Ecology 35", nearest_neighbor_median, nearest_neighbor_medians),

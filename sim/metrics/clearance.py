@@ -12,12 +12,12 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.metric import Metric
+from swarmd.sim.metrics.window import arena_of
 from swarmd.sim.trace import Trace
-from swarmd.sim.world.arena import Arena, Pole, parse_arena
+from swarmd.sim.world.arena import Arena, Pole
 from swarmd.sim.world.geometry import apart, gaps, radius, transform
 
 Measure: TypeAlias = Callable[[Array, NDArray[np.int64]], Array]
@@ -29,9 +29,8 @@ def clearances(trace: Trace) -> Array | None:
 
     0 in contact; inf without a robot. None if the arena is unknown.
     """
-    try:
-        arena = parse_arena(str(trace.meta.get("arena", "")))
-    except ConfigError:  # a trace from elsewhere
+    arena = arena_of(trace)
+    if arena is None:
         return None
     smallest = np.full(len(trace.t), np.inf)
     for span in pairs.spans(*trace.pose.shape[:2]):

@@ -11,7 +11,7 @@ import numpy as np
 
 from swarmd.core.values import Array
 from swarmd.sim.metrics.metric import Metric, late_mean
-from swarmd.sim.metrics.window import presence, row_means
+from swarmd.sim.metrics.window import centroids, presence, row_means
 from swarmd.sim.trace import Trace
 
 STANDING = 0.01
@@ -38,15 +38,12 @@ def millings(trace: Trace, standing: float = STANDING) -> Array:
     The group angular momentum of Couzin et al. 2002 (J. Theor. Biol. 218, 1) in the plane. NaN as
     in `polarisations`; a robot exactly at the centroid adds nothing.
     """
-    is_present = presence(trace)
     ahead = _directions(trace, standing)
-    place = trace.pose[..., :2]
-    centre = np.stack([row_means(place[..., axis], is_present) for axis in (0, 1)], axis=-1)
-    away = place - centre[:, None]
+    away = trace.pose[..., :2] - centroids(trace)[:, None]
     distance = np.hypot(away[..., 0], away[..., 1])
     out = away / np.where(distance > 0.0, distance, 1.0)[..., None]
     turn = out[..., 0] * ahead[..., 1] - out[..., 1] * ahead[..., 0]
-    momentum: Array = np.abs(row_means(turn, is_present))
+    momentum: Array = np.abs(row_means(turn, presence(trace)))
     return momentum
 
 
@@ -57,9 +54,7 @@ def centroid_path_lengths(trace: Trace, every: float = 1.0) -> Array:
     suppress jitter of the positions. A step in which the set of present robots changes, or is
     empty, adds nothing.
     """
-    is_present = presence(trace)
-    place = trace.pose[..., :2]
-    centre = np.stack([row_means(place[..., axis], is_present) for axis in (0, 1)], axis=-1)
+    is_present, centre = presence(trace), centroids(trace)
     lengths = np.zeros(len(trace.t))
     last = 0
     for at in range(1, len(trace.t)):

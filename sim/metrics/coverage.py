@@ -7,12 +7,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array
-from swarmd.sim.metrics.metric import Metric
-from swarmd.sim.metrics.window import last, presence
+from swarmd.sim.metrics.metric import Metric, at_end
+from swarmd.sim.metrics.window import arena_of, presence
 from swarmd.sim.trace import Trace
-from swarmd.sim.world.arena import parse_arena
 
 COVER = 0.5
 """Radius in m around the axle that a robot covers."""
@@ -86,18 +84,11 @@ def hull_areas(trace: Trace) -> Array:
     return areas
 
 
-def hull_area(trace: Trace) -> float | None:
-    """That area at the last instant."""
-    areas = hull_areas(last(trace))
-    return float(areas[0]) if len(areas) and not np.isnan(areas[0]) else None
-
-
 def _in_arena(
     trace: Trace, low: NDArray[np.int64], shape: tuple[int, ...], cell: float
 ) -> NDArray[np.bool_]:
-    try:
-        arena = parse_arena(str(trace.meta.get("arena", "")))
-    except ConfigError:  # a trace from elsewhere: no walls are known
+    arena = arena_of(trace)
+    if arena is None:
         return np.ones(shape, dtype=bool)
     x = (low[0] + np.arange(shape[0]) + 0.5) * cell
     y = (low[1] + np.arange(shape[1]) + 0.5) * cell
@@ -122,5 +113,5 @@ METRICS = (
     Metric("covered_area", "m2", "floor that has been within 0.5 m of a robot",
            "Gage 1992, AUVS (sweep coverage)", covered_area, covered_areas),
     Metric("hull_area_end", "m2", "convex hull of the robots at the end",
-           "Barber et al. 1996, ACM TOMS 22 (Qhull)", hull_area, hull_areas),
+           "Barber et al. 1996, ACM TOMS 22 (Qhull)", at_end(hull_areas), hull_areas),
 )  # fmt: skip

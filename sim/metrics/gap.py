@@ -12,6 +12,7 @@ from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.metrics.pairs import Pairs
+from swarmd.sim.metrics.window import reaches
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import gaps, transform
 
@@ -62,14 +63,14 @@ def _bounds(trace: Trace, span: slice) -> Array:
     place = trace.pose[span, :, :2]
     nearest = pairs.nearest(place, _is_in_arena(place))
     least = np.fmin.reduce(nearest, axis=1, initial=np.inf)
-    bounds: Array = least + 2.0 * _reach(trace).max(initial=0.0)
+    bounds: Array = least + 2.0 * reaches(trace).max(initial=0.0)
     return bounds
 
 
 def _candidates(trace: Trace, span: slice, bound: float) -> tuple[Pairs, Array]:
     """Pairs whose footprints may be as near as `bound`, and a lower bound of their distance."""
     place = trace.pose[span, :, :2]
-    reach = _reach(trace)
+    reach = reaches(trace)
     found = pairs.near(place, _is_in_arena(place), bound + 2.0 * reach.max(initial=0.0))
     found = pairs.chosen(found, found.distance - reach[found.a] - reach[found.b] <= bound)
     return found, _along(trace, span, found)
@@ -96,12 +97,6 @@ def _along(trace: Trace, span: slice, found: Pairs) -> Array:
             shadow[of] = np.max([x * cx + y * cy for cx, cy in corners], axis=0)
         total -= shadow
     return total
-
-
-def _reach(trace: Trace) -> Array:
-    """(n,) the distance of each robot's farthest corner from its frame's origin."""
-    reach = {name: np.hypot(*shape.T).max() for name, shape in trace.footprints.items()}
-    return np.array([reach[name] for name in trace.platforms], dtype=np.float64)
 
 
 def _exact(trace: Trace, span: slice, found: Pairs, chosen: pairs.Ints) -> Array:

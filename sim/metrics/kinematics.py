@@ -47,11 +47,7 @@ def mean_speed(trace: Trace, since: float = 0.0) -> float | None:
 
 def mean_speeds(trace: Trace) -> Array:
     """(T,) the mean speed in m/s of present robots since the instant before; NaN at the first."""
-    if len(trace.t) == 0:
-        return np.zeros(0)
-    seconds = _seconds(trace)
-    speed = _steps(trace) / np.where(seconds > 0.0, seconds, 1.0)
-    return np.concatenate((np.full(1, np.nan), row_means(speed, seconds > 0.0)))
+    return _mean_speeds(trace, np.ones(len(trace.ids)))
 
 
 def speed_share(trace: Trace, seconds: float = LATE) -> float | None:
@@ -70,11 +66,16 @@ def speed_share(trace: Trace, seconds: float = LATE) -> float | None:
 def speed_shares(trace: Trace) -> Array | None:
     """(T,) the mean speed since the instant before as a share of v_max; NaN at the first."""
     limits = by_platform(trace, "v_max")
-    if limits is None or len(trace.t) == 0:
-        return None
+    return None if limits is None else _mean_speeds(trace, limits)
+
+
+def _mean_speeds(trace: Trace, limits: Array) -> Array:
+    """(T,) the same as a share of the limits (n,) in m/s."""
+    if len(trace.t) == 0:
+        return np.zeros(0)
     seconds = _seconds(trace)
-    share = _steps(trace) / np.where(seconds > 0.0, seconds, 1.0) / limits
-    return np.concatenate((np.full(1, np.nan), row_means(share, seconds > 0.0)))
+    speed = _steps(trace) / np.where(seconds > 0.0, seconds, 1.0) / limits
+    return np.concatenate((np.full(1, np.nan), row_means(speed, seconds > 0.0)))
 
 
 def _both(trace: Trace) -> NDArray[np.bool_]:

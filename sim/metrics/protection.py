@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import Array
 from swarmd.sim.metrics.metric import Metric
-from swarmd.sim.metrics.window import by_platform, late, mean, presence, row_means
+from swarmd.sim.metrics.window import by_platform, late, mean, presence, reaches, row_means
 from swarmd.sim.trace import Trace
 
 HOLDS = (
@@ -70,10 +70,8 @@ def alterations(trace: Trace) -> Array | None:
     limits = by_platform(trace, "v_max")
     if trace.requested is None or limits is None:
         return None
-    corner = {name: np.hypot(*shape.T).max() for name, shape in trace.footprints.items()}
-    lever = np.array([corner[name] for name in trace.platforms])
     change = trace.safe - trace.requested
-    change = np.stack((change[..., 0], lever * change[..., 1], change[..., 2]), axis=-1)
+    change = np.stack((change[..., 0], reaches(trace) * change[..., 1], change[..., 2]), axis=-1)
     altered: Array = np.linalg.norm(change, axis=-1) / limits
     return np.where(_running(trace), altered, np.nan)
 

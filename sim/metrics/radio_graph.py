@@ -10,14 +10,12 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.metric import Metric, at_end
 from swarmd.sim.metrics.pairs import Pairs
-from swarmd.sim.metrics.window import cut, last, mean, presence
+from swarmd.sim.metrics.window import arena_of, cut, mean, presence
 from swarmd.sim.trace import Trace
-from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.radio import LineOfSight
 
@@ -87,11 +85,6 @@ def algebraic_connectivities(trace: Trace) -> Array:
     return np.array([_fiedler(cut(trace, at, at + 1)) for at in range(len(trace.t))])
 
 
-def algebraic_connectivity(trace: Trace) -> float | None:
-    """That eigenvalue at the last instant; None without a present robot."""
-    return mean(algebraic_connectivities(last(trace)))
-
-
 def _is_complete(trace: Trace) -> bool:
     return bool(np.isinf(radio_range(trace))) and _sight(trace) is None
 
@@ -101,10 +94,8 @@ def _sight(trace: Trace) -> LineOfSight | None:
     radio = trace.meta.get("radio")
     if not isinstance(radio, Mapping) or not radio.get("line_of_sight"):
         return None
-    try:
-        return LineOfSight(parse_arena(str(trace.meta.get("arena", ""))))
-    except ConfigError:
-        return None
+    arena = arena_of(trace)
+    return None if arena is None else LineOfSight(arena)
 
 
 def _seen(trace: Trace, sight: LineOfSight, links: Pairs) -> Pairs:
@@ -144,6 +135,6 @@ METRICS = (
            _ZAVLANOS, at_end(radio_components), radio_components, "less"),
     Metric("algebraic_connectivity_end", "",
            "second smallest eigenvalue of the radio graph's Laplacian at the end",
-           "Fiedler 1973, Czechoslovak Math. J. 23", algebraic_connectivity,
+           "Fiedler 1973, Czechoslovak Math. J. 23", at_end(algebraic_connectivities),
            algebraic_connectivities, "more"),
 )  # fmt: skip

@@ -8,12 +8,19 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array
 from swarmd.sim.trace import Trace
+from swarmd.sim.world.arena import Arena, parse_arena
+from swarmd.sim.world.geometry import radius
 
 LATE = 60.0
 """The last seconds of a run, in which a swarm is assumed to have settled."""
 _ROUNDING = 1e-9
+_OVER_TIME = (
+    *("t", "pose", "safe", "requested", "state", "reason", "active", "decided", "evaded", "gap"),
+    *("scan_age", "bound", "recovering", "present", "box_pose"),
+)
 
 
 def presence(trace: Trace) -> NDArray[np.bool_]:
@@ -47,29 +54,36 @@ def cut(trace: Trace, start: int, stop: int) -> Trace:
     # A run without instants has no contacts.
     ends = (t[0], t[-1]) if len(t) else (np.inf, -np.inf)
     is_in = (trace.contact_t >= ends[0] - _ROUNDING) & (trace.contact_t <= ends[1] + _ROUNDING)
+    parts = {name: getattr(trace, name) for name in _OVER_TIME}
     return replace(
         trace,
-        t=t,
-        pose=trace.pose[span],
-        safe=trace.safe[span],
         contact_t=trace.contact_t[is_in],
         contact_pair=trace.contact_pair[is_in],
         contact_speed=trace.contact_speed[is_in],
-        requested=None if trace.requested is None else trace.requested[span],
-        state=None if trace.state is None else trace.state[span],
-        reason=None if trace.reason is None else trace.reason[span],
-        active=None if trace.active is None else trace.active[span],
-        decided=None if trace.decided is None else trace.decided[span],
-        evaded=None if trace.evaded is None else trace.evaded[span],
-        gap=None if trace.gap is None else trace.gap[span],
-        scan_age=None if trace.scan_age is None else trace.scan_age[span],
-        bound=None if trace.bound is None else trace.bound[span],
-        recovering=None if trace.recovering is None else trace.recovering[span],
-        present=None if trace.present is None else trace.present[span],
         report={name: values[span] for name, values in trace.report.items()},
         words={name: values[span] for name, values in trace.words.items()},
-        box_pose=None if trace.box_pose is None else trace.box_pose[span],
+        **{name: None if values is None else values[span] for name, values in parts.items()},
     )
+
+
+def arena_of(trace: Trace) -> Arena | None:
+    """The arena that the trace names; None if it names none, as a trace from elsewhere."""
+    try:
+        return parse_arena(str(trace.meta.get("arena", "")))
+    except ConfigError:
+        return None
+
+
+def centroids(trace: Trace) -> Array:
+    """(T, 2) the mean position of the present robots' axle centres; NaN without one."""
+    is_present = presence(trace)
+    return np.stack([row_means(trace.pose[..., axis], is_present) for axis in (0, 1)], axis=-1)
+
+
+def reaches(trace: Trace) -> Array:
+    """(n,) the distance in m of each footprint's farthest corner from its frame's origin."""
+    reach = {name: radius(shape) for name, shape in trace.footprints.items()}
+    return np.array([reach[name] for name in trace.platforms], dtype=np.float64)
 
 
 def mean(values: Array, is_counted: NDArray[np.bool_] | None = None) -> float | None:

@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array
-from swarmd.sim.metrics.window import presence
+from swarmd.sim.metrics.window import arena_of, presence
 from swarmd.sim.plots.theme import ROBOT_COLOURS
 from swarmd.sim.trace import Trace
-from swarmd.sim.world.arena import Arena, parse_arena
 from swarmd.sim.world.geometry import radius, transform
 
 if TYPE_CHECKING:
@@ -66,14 +65,6 @@ def check_drawable(trace: Trace) -> None:
         raise SwarmError("the trace holds no instant: nothing to draw")
     if len(trace.ids) == 0:
         raise SwarmError("the trace holds no robot: nothing to draw")
-
-
-def arena_of(trace: Trace) -> Arena | None:
-    """The arena that the trace names; None if it names none."""
-    try:
-        return parse_arena(str(trace.meta.get("arena", "")))
-    except ConfigError:
-        return None
 
 
 def extent_of(trace: Trace) -> Extent:

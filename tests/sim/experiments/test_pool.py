@@ -86,18 +86,19 @@ def test_a_crashed_run_leaves_no_partial_trace(duo: Path, tmp_path: Path) -> Non
 @pytest.mark.parametrize("end", ["hang", "freeze"])
 def test_a_run_that_hangs_fails_and_the_others_go_on(duo: Path, tmp_path: Path, end: str) -> None:
     hanging = job(duo, 0, tmp_path / "s0.npz", {END: end})
-    with closing(run_jobs([hanging, job(duo, 1)], 1, timeout=3.0)) as listed:
+    with closing(run_jobs([hanging, job(duo, 1)], 1, timeout=8.0)) as listed:
+        # The limit also holds for the start of a worker, which takes 3 s on a busy machine.
         found = {result.run: result for result in listed}
-    assert found["s0"].reason.startswith("no progress in 3 s")
+    assert found["s0"].reason.startswith("no progress in 8 s")
     assert found["s1"].metrics is not None
 
 
 def test_a_slow_run_that_goes_on_may_take_longer_than_the_limit(duo: Path) -> None:
-    slow = job(duo, 0, None, {END: "slow"})
-    with closing(run_jobs([slow], 1, timeout=2.0)) as listed:
+    slow = job(duo, 0, None, {END: "slow", "duration": 2})
+    with closing(run_jobs([slow], 1, timeout=5.0)) as listed:
         (result,) = listed
     assert result.metrics is not None, result.reason
-    assert result.wall > 2.0
+    assert result.wall > 5.0
 
 
 def test_runs_do_not_share_process_state(duo: Path) -> None:

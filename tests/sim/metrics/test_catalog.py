@@ -138,7 +138,8 @@ def test_short_runs_and_lone_robots_break_nothing(full_run: Run, n: int, instant
             assert value is None or math.isfinite(value), name
         for name, metric in METRICS.items():
             if metric.series is not None and (values := catalog.series(trace, name)) is not None:
-                assert (values.shape, values.dtype) == (trace.t.shape, np.float64), name
+                assert values.shape == trace.t.shape, name
+                assert values.dtype == np.float64, name
             else:
                 assert metric.series is None or instants == 0, name
 

@@ -10,10 +10,12 @@ import pytest
 
 from swarmd.core.values import Array
 from swarmd.sim.metrics import coverage
+from swarmd.sim.metrics.metric import at_end
 from swarmd.sim.trace import Trace
 
 Run = Callable[..., Trace]
 Line = Callable[..., Array]
+hull_area = at_end(coverage.hull_areas)
 
 
 def test_a_robot_that_stands_covers_its_disc(run: Run, line: Line) -> None:
@@ -50,7 +52,7 @@ def test_absent_robots_cover_nothing(run: Run, line: Line) -> None:
     assert coverage.covered_area(trace, cell=0.02) == pytest.approx(math.pi / 4.0, rel=0.05)
     nobody = run(line(0.0), present=np.array([[False]]))
     assert coverage.covered_area(nobody) == 0.0
-    assert coverage.hull_area(nobody) is None
+    assert hull_area(nobody) is None
 
 
 def test_far_ways_are_counted_more_coarsely(run: Run, line: Line) -> None:
@@ -64,12 +66,12 @@ def test_hull_of_a_square_with_robots_in_it(run: Run) -> None:
     corners = [(0.0, 0.0), (2.0, 0.0), (2.0, 3.0), (0.0, 3.0), (1.0, 1.0), (1.0, 0.0), (2.0, 3.0)]
     pose = np.zeros((1, 7, 3))
     pose[0, :, :2] = corners
-    assert coverage.hull_area(run(pose)) == pytest.approx(6.0)
+    assert hull_area(run(pose)) == pytest.approx(6.0)
 
 
 @pytest.mark.parametrize("xs", [(1.0,), (1.0, 2.0), (1.0, 2.0, 3.0), (1.0, 1.0, 1.0)])
 def test_a_row_spans_no_area(run: Run, line: Line, xs: tuple[float, ...]) -> None:
-    assert coverage.hull_area(run(line(*xs))) == 0.0
+    assert hull_area(run(line(*xs))) == 0.0
 
 
 def test_areas_over_time(run: Run) -> None:

@@ -10,12 +10,14 @@ import pytest
 
 from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs, radio_graph
+from swarmd.sim.metrics.metric import at_end
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.radio import Radio, RadioSettings
 
 Run = Callable[..., Trace]
 Line = Callable[..., Array]
+algebraic_connectivity = at_end(radio_graph.algebraic_connectivities)
 
 
 def radio(reach: float | None = None, **more: Any) -> dict[str, Any]:
@@ -36,7 +38,7 @@ def test_without_a_range_everyone_hears_everyone(
 ) -> None:
     trace = run(line(0.0, 1e6, -1e6), meta=meta)
     assert radio_graph.radio_components(trace).tolist() == [1.0]
-    assert radio_graph.algebraic_connectivity(trace) == 3.0
+    assert algebraic_connectivity(trace) == 3.0
     assert radio_graph.radio_connected(trace) == 1.0
 
 
@@ -63,7 +65,7 @@ def test_algebraic_connectivity_of_paths(
     run: Run, line: Line, xs: tuple[float, ...], value: float
 ) -> None:
     trace = run(line(*xs), **radio(1.0))
-    assert radio_graph.algebraic_connectivity(trace) == pytest.approx(value, abs=1e-8)
+    assert algebraic_connectivity(trace) == pytest.approx(value, abs=1e-8)
     np.testing.assert_allclose(radio_graph.algebraic_connectivities(trace), [value], atol=1e-8)
 
 
@@ -71,13 +73,13 @@ def test_absent_robots_pass_nothing_on(run: Run, line: Line) -> None:
     present = np.array([[True, False, True]])
     trace = run(line(0.0, 1.0, 2.0), present=present, **radio(1.0))
     assert radio_graph.radio_components(trace).tolist() == [2.0]
-    assert radio_graph.algebraic_connectivity(trace) == 0.0
+    assert algebraic_connectivity(trace) == 0.0
     two = run(line(0.0, 9.0, 1.0), present=present, **radio(1.0))
-    assert radio_graph.algebraic_connectivity(two) == pytest.approx(2.0)
+    assert algebraic_connectivity(two) == pytest.approx(2.0)
     nobody = run(line(0.0, 1.0), present=np.zeros((1, 2), dtype=bool), **radio(1.0))
     assert np.isnan(radio_graph.radio_components(nobody)).all()
     assert radio_graph.radio_connected(nobody) is None
-    assert radio_graph.algebraic_connectivity(nobody) is None
+    assert algebraic_connectivity(nobody) is None
 
 
 def test_walls_cut_links_where_the_radio_wants_sight(run: Run, line: Line) -> None:
