@@ -25,9 +25,10 @@ from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.experiments.statistics import median_interval, summarize, wilson
 from swarmd.sim.metrics import aggregation
-from swarmd.sim.plots.bands import Series, draw_series
+from swarmd.sim.plots.bands import Series, series_figure
 from swarmd.sim.plots.select import typical_first
-from swarmd.sim.plots.trajectories import draw_trajectories
+from swarmd.sim.plots.theme import save
+from swarmd.sim.plots.trajectories import trajectories_figure
 from swarmd.sim.trace import Trace
 
 SCENARIOS = ("burger", "waffle_pi", "jackal", "hardware")
@@ -234,8 +235,9 @@ def draw(found: Mapping[tuple[str, str, bool], Results], out: Path) -> None:
                     label = f"{law}, {run.variant.values['lidar_visibility']}"
                     groups.setdefault(label, []).append((trace.t - trace.t[0], away))
         if groups:
-            draw_series(groups, out / f"paper_{name}_mdc.png", label="mean distance to centroid",
-                        unit="m", title=f"paper_exp1_{name}", target=MDC_LATE[name])  # fmt: skip
+            figure = series_figure(groups, label="mean distance to centroid", unit="m",
+                                   title=f"paper_exp1_{name}", target=MDC_LATE[name])  # fmt: skip
+            save(figure, out / f"paper_{name}_mdc.png")
     for law in DRAWN:
         results = found.get(("waffle_pi", law, False))
         if results is not None:
@@ -244,7 +246,8 @@ def draw(found: Mapping[tuple[str, str, bool], Results], out: Path) -> None:
             runs = [run for run in results.runs if run.variant.name == variant]
             run = runs[typical_first(values)[0]]
             title = f"law {law}, real visibility, seed {run.seed}"
-            draw_trajectories(results.traces[run.id], out / f"paper_waffle_pi_{law}.png", title)
+            figure = trajectories_figure(results.traces[run.id], title)
+            save(figure, out / f"paper_waffle_pi_{law}.png")
 
 
 def main(arguments: Sequence[str]) -> None:

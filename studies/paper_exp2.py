@@ -21,8 +21,9 @@ from swarmd.core.values import Array
 from swarmd.settings.settings import load_platform
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
-from swarmd.sim.plots.bands import Series, draw_series
-from swarmd.sim.plots.trajectories import draw_trajectories
+from swarmd.sim.plots.bands import Series, series_figure
+from swarmd.sim.plots.theme import save
+from swarmd.sim.plots.trajectories import trajectories_figure
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.geometry import apart, transform
@@ -234,11 +235,12 @@ def draw(found: Mapping[str, Results], out: Path) -> None:
         if groups:
             title = f"experiment 2, {TITLES[name]}"
             ordered = {label: groups[label] for label in sorted(groups)}
-            path = out / f"paper_exp2_{name}.png"
-            draw_series(ordered, path, label="least range of all", unit="m", title=title)
+            figure = series_figure(ordered, label="least range of all", unit="m", title=title)
+            save(figure, out / f"paper_exp2_{name}.png")
     for trace in traces_of(found.get("paper")):
         if judged(trace).opinion == 1:
-            draw_trajectories(trace, out / "paper_exp2_run.png", "experiment 2, opinion 1: 1.0 m")
+            figure = trajectories_figure(trace, "experiment 2, opinion 1: 1.0 m")
+            save(figure, out / "paper_exp2_run.png")
             break
 
 

@@ -115,11 +115,13 @@ def _draw(summary: Summary, folder: Path) -> None:
     if find_spec("matplotlib") is None:
         warn("no trajectories.png: matplotlib is missing; run: pip install 'swarmd[sim,plot]'")
         return
-    from swarmd.sim.plots.trajectories import draw_trajectories
+    from swarmd.sim.plots.theme import save
+    from swarmd.sim.plots.trajectories import trajectories_figure
     from swarmd.sim.trace import load_trace
 
     title = f"{summary.pattern}, {len(summary.robots)} {summary.platform}"
-    draw_trajectories(load_trace(folder / "trace.npz"), folder / "trajectories.png", title)
+    figure = trajectories_figure(load_trace(folder / "trace.npz"), title)
+    save(figure, folder / "trajectories.png")
 
 
 def new_folder(base: Path) -> Path:

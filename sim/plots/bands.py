@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array
 from swarmd.sim.experiments.statistics import wilson
-from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
+from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,37 +30,6 @@ _MAX_INNER = 7
 _PALE = {"facecolor": "white", "alpha": 0.7, "pad": 1.0, "linewidth": 0.0}
 
 
-def draw_series(
-    groups: Mapping[str, Sequence[Series]],
-    path: Path,
-    *,
-    label: str,
-    unit: str = "",
-    title: str = "",
-    target: float | None = None,
-    events: Sequence[tuple[float, str]] = (),
-    smoothing: float = 0.0,
-) -> None:
-    """Write a picture of a metric over time: .png, .svg or .pdf, by its suffix.
-
-    `groups`: the runs of each variant. A line is the median of its runs. A dark band holds half of
-    the runs, a pale band 95 % (all, if there are fewer than 20); with many variants there are
-    fewer bands. If all values are 0 or 1, the line is the share of runs at 1 and the band its
-    95 % interval. `target` is a dashed line, `events` are dotted lines at times in s, with a
-    label. `smoothing`: s over which each run is averaged first. SwarmError without values.
-    """
-    figure = series_figure(
-        groups,
-        label=label,
-        unit=unit,
-        title=title,
-        target=target,
-        events=events,
-        smoothing=smoothing,
-    )
-    save(figure, path)
-
-
 def series_figure(
     groups: Mapping[str, Sequence[Series]],
     *,
@@ -72,7 +40,14 @@ def series_figure(
     events: Sequence[tuple[float, str]] = (),
     smoothing: float = 0.0,
 ) -> Figure:
-    """The picture that `draw_series` writes."""
+    """A picture of a metric over time.
+
+    `groups`: the runs of each variant. A line is the median of its runs. A dark band holds half of
+    the runs, a pale band 95 % (all, if there are fewer than 20); with many variants there are
+    fewer bands. If all values are 0 or 1, the line is the share of runs at 1 and the band its
+    95 % interval. `target` is a dashed line, `events` are dotted lines at times in s, with a
+    label. `smoothing`: s over which each run is averaged first. SwarmError without values.
+    """
     kept = {name: runs for name, runs in groups.items() if any(len(t) for t, _ in runs)}
     if not kept:
         raise SwarmError(f"{label}: no run has values over time: nothing to draw")

@@ -14,9 +14,9 @@ from swarmd.core.values import Array
 from swarmd.sim.experiments.plan import Run
 from swarmd.sim.experiments.results import Results, load_results, unit_of
 from swarmd.sim.metrics.catalog import METRICS, is_time_to_event, metric_of
-from swarmd.sim.plots.bands import Series, draw_series
-from swarmd.sim.plots.intervals import Panel, draw_intervals
-from swarmd.sim.plots.overview import draw_overview
+from swarmd.sim.plots.bands import Series, series_figure
+from swarmd.sim.plots.intervals import Panel, intervals_figure
+from swarmd.sim.plots.overview import overview_figure
 from swarmd.sim.plots.select import (
     OVER_TIME,
     RUN_BY_RUN,
@@ -29,8 +29,9 @@ from swarmd.sim.plots.select import (
     typical_first,
     worst_first,
 )
-from swarmd.sim.plots.start_and_end import draw_start_and_end
-from swarmd.sim.plots.trajectories import draw_trajectories
+from swarmd.sim.plots.start_and_end import start_and_end_figure
+from swarmd.sim.plots.theme import save
+from swarmd.sim.plots.trajectories import trajectories_figure
 from swarmd.sim.trace import Trace
 
 _log = logging.getLogger(__name__)
@@ -117,9 +118,7 @@ class _Gallery:
                 )  # fmt: skip
         if not panels:
             return []
-        path = self._path("intervals")
-        draw_intervals(panels, path, self._scenario)
-        return [path]
+        return [save(intervals_figure(panels, self._scenario), self._path("intervals"))]
 
     def overview(self, variant: str) -> list[Path]:
         """All runs of a variant in one picture."""
@@ -129,10 +128,9 @@ class _Gallery:
             (f"seed {run.seed}{self._primary_value(run)}", lambda run=run: self._trace(run))
             for run in self._of(variant)
         ]
-        path = self._path("runs", variant)
         note = f"by seed: {label_of(self._primary)}" if self._primary else ""
-        draw_overview(runs, path, self._title(variant), note=note)
-        return [path]
+        figure = overview_figure(runs, self._title(variant), note=note)
+        return [save(figure, self._path("runs", variant))]
 
     def chosen_runs(self, variant: str) -> list[Path]:
         """Paths, start and end of a typical run and of the worst one."""
@@ -165,15 +163,18 @@ class _Gallery:
         made = []
         for name, groups in found.items():
             if _varies(groups) or (groups and self._metrics is not None):
-                path = self._path(f"over_time_{stem_of(name)}")
                 is_event = is_time_to_event(name)
                 label = label_of(stem_of(name))
-                draw_series(groups, path, label=f"{label} reached" if is_event else label,
-                            unit=unit_of(name), title=self._scenario,
-                            target=None if is_event else targets.get(name),
-                            events=next(iter(events)) if len(events) == 1 else (),
-                            smoothing=smoothing_of(name))  # fmt: skip
-                made.append(path)
+                figure = series_figure(
+                    groups,
+                    label=f"{label} reached" if is_event else label,
+                    unit=unit_of(name),
+                    title=self._scenario,
+                    target=None if is_event else targets.get(name),
+                    events=next(iter(events)) if len(events) == 1 else (),
+                    smoothing=smoothing_of(name),
+                )
+                made.append(save(figure, self._path(f"over_time_{stem_of(name)}")))
         return made
 
     def _first_of(self, runs: Sequence[Run], word: str) -> tuple[list[Path], Run | None]:
@@ -186,8 +187,8 @@ class _Gallery:
                 name = word.replace(" ", "_")
                 paths = self._path(f"{name}_trajectories", run.variant.name)
                 ends = self._path(f"{name}_start_and_end", run.variant.name)
-                draw_trajectories(trace, paths, title, has_links=True)
-                draw_start_and_end(trace, ends, title)
+                save(trajectories_figure(trace, title, has_links=True), paths)
+                save(start_and_end_figure(trace, title), ends)
                 return [paths, ends], run
         return [], None
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array
 from swarmd.sim.experiments.statistics import summarize
-from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, save, tidy
+from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -38,18 +37,13 @@ class Panel:
     is_time_to_event: bool = False
 
 
-def draw_intervals(panels: Sequence[Panel], path: Path, title: str = "") -> None:
-    """Write a picture of metrics by variant: .png, .svg or .pdf, by its suffix.
+def intervals_figure(panels: Sequence[Panel], title: str = "") -> Figure:
+    """A picture of metrics by variant.
 
     One panel a metric, one row a variant: a point for every run, above them the mean as a diamond
     with its 95 % interval (of a share: Wilson's). Times to an event that never happened in some
     runs have the median of all runs instead. SwarmError if there is nothing to draw.
     """
-    save(intervals_figure(panels, title), path)
-
-
-def intervals_figure(panels: Sequence[Panel], title: str = "") -> Figure:
-    """The picture that `draw_intervals` writes."""
     if not panels:
         raise SwarmError("no metric has values: nothing to draw")
     runs: dict[str, int] = {}

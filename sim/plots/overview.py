@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from swarmd.core.errors import SwarmError
 from swarmd.sim.plots.scene import Extent, check_drawable, extent_of, prepare
-from swarmd.sim.plots.theme import GUIDE_COLOUR, new_figure, save
+from swarmd.sim.plots.theme import GUIDE_COLOUR, new_figure
 from swarmd.sim.plots.trajectories import paint_run
 from swarmd.sim.trace import Trace
 
@@ -26,19 +25,12 @@ Load = Callable[[], Trace | None]
 """Loads a run's trace when it is drawn, so that the traces are not in memory together."""
 
 
-def draw_overview(
-    runs: Sequence[tuple[str, Load]], path: Path, title: str = "", *, note: str = ""
-) -> None:
-    """Write small pictures of up to 25 runs, each with its name: .png, .svg or .pdf, by its suffix.
+def overview_figure(runs: Sequence[tuple[str, Load]], title: str = "", *, note: str = "") -> Figure:
+    """Small pictures of up to 25 runs, each with its name.
 
-    A run whose trace is None is an empty frame that says so. Drawn as by `draw_trajectories`, but
+    A run whose trace is None is an empty frame that says so. Drawn as by `trajectories_figure`, but
     without legends and to one scale. `note` is text below. SwarmError if there is no run.
     """
-    save(overview_figure(runs, title, note=note), path)
-
-
-def overview_figure(runs: Sequence[tuple[str, Load]], title: str = "", *, note: str = "") -> Figure:
-    """The picture that `draw_overview` writes."""
     if not runs:
         raise SwarmError("there is no run: nothing to draw")
     shown = runs[:MAX_RUNS]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -24,7 +23,7 @@ from swarmd.sim.plots.scene import (
     paint_things,
     prepare,
 )
-from swarmd.sim.plots.theme import GUIDE_COLOUR, ROBOT_COLOURS, new_figure, save
+from swarmd.sim.plots.theme import GUIDE_COLOUR, ROBOT_COLOURS, new_figure
 from swarmd.sim.trace import Trace
 
 if TYPE_CHECKING:
@@ -38,22 +37,15 @@ SMALL_COLOUR = "0.6"
 _MAX_COUNTED = 4  # opinions in a title
 
 
-def draw_start_and_end(
-    trace: Trace, path: Path, title: str = "", *, link: float | None = None
-) -> None:
-    """Write a picture of the start beside the end: .png, .svg or .pdf, by its suffix.
+def start_and_end_figure(trace: Trace, title: str = "", *, link: float | None = None) -> Figure:
+    """A picture of the start beside the end.
 
     Robots of one cluster (single linkage) have one colour, and thin lines join robots within
     `link` m of each other. The largest clusters have colours of their own, further ones are grey,
     lone robots white. The default `link` is that of the metrics, twice the largest protection
     threshold; if the trace has no threshold, all robots have one colour. If robots report
-    opinions, the colours show opinions instead. Errors as for `draw_trajectories`.
+    opinions, the colours show opinions instead. SwarmError if there is nothing to draw.
     """
-    save(start_and_end_figure(trace, title, link=link), path)
-
-
-def start_and_end_figure(trace: Trace, title: str = "", *, link: float | None = None) -> Figure:
-    """The picture that `draw_start_and_end` writes."""
     check_drawable(trace)
     reach = cluster_link(trace) if link is None else link
     extent = extent_of(trace)

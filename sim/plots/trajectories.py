@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -28,7 +27,7 @@ from swarmd.sim.plots.scene import (
     robot_colour,
     robot_style,
 )
-from swarmd.sim.plots.theme import CONTACT_COLOUR, new_figure, save
+from swarmd.sim.plots.theme import CONTACT_COLOUR, new_figure
 from swarmd.sim.trace import Trace
 
 if TYPE_CHECKING:
@@ -41,23 +40,16 @@ MAX_NAMED = 20
 _COLUMNS = 4  # of a legend below
 
 
-def draw_trajectories(
-    trace: Trace, path: Path, title: str = "", *, has_links: bool = False
-) -> None:
-    """Write a picture of a run seen from above: .png, .svg or .pdf, by its suffix.
+def trajectories_figure(trace: Trace, title: str = "", *, has_links: bool = False) -> Figure:
+    """A picture of a run seen from above.
 
     Up to 20 robots have a colour and a line in the legend each; the paths of more are coloured by
     time. Footprints are hollow at the start and filled at the end, with a line from the axle to
     the front. Walls, boxes and poles are grey, movable boxes brown. Red-edged marks show contacts
     and which robots were moving. `has_links`: thin lines join robots that hear each other at the
-    end, if the radio has a range. SwarmError if matplotlib is not installed, there is nothing to
-    draw or the file cannot be written.
+    end, if the radio has a range. SwarmError if matplotlib is not installed or there is nothing to
+    draw.
     """
-    save(trajectories_figure(trace, title, has_links=has_links), path)
-
-
-def trajectories_figure(trace: Trace, title: str = "", *, has_links: bool = False) -> Figure:
-    """The picture that `draw_trajectories` writes."""
     check_drawable(trace)
     is_named = len(trace.ids) <= MAX_NAMED
     extent = extent_of(trace)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 
 from swarmd.core.errors import SwarmError
 from swarmd.sim.experiments.statistics import mean_interval, wilson
-from swarmd.sim.plots.intervals import Panel, draw_intervals, intervals_figure
+from swarmd.sim.plots.intervals import Panel, intervals_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -92,9 +91,9 @@ def test_a_target_is_a_labelled_line() -> None:
     assert axes.get_xlabel() == "m, target 0.65"
 
 
-def test_nothing_to_draw_is_one_clear_error(tmp_path: Path) -> None:
+def test_nothing_to_draw_is_an_error() -> None:
     with pytest.raises(SwarmError, match="no metric has values"):
-        draw_intervals([], tmp_path / "x.png")
+        intervals_figure([])
 
 
 @pytest.mark.parametrize(("metrics", "variants"), [(1, 1), (1, 3), (16, 2), (5, 12)])

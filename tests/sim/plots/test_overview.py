@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 from swarmd.core.errors import SwarmError
-from swarmd.sim.plots.overview import MAX_RUNS, draw_overview, overview_figure
+from swarmd.sim.plots.overview import MAX_RUNS, overview_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -60,6 +59,6 @@ def test_no_word_is_overlaps(walk: Walk, overlaps: Overlaps, runs: int, n: int) 
     assert overlaps(figure) == []
 
 
-def test_no_run_is_one_clear_error(tmp_path: Path) -> None:
+def test_no_run_is_an_error() -> None:
     with pytest.raises(SwarmError, match="there is no run"):
-        draw_overview([], tmp_path / "x.png")
+        overview_figure([])

@@ -15,11 +15,10 @@ from swarmd.sim.plots.start_and_end import (
     SMALL_COLOUR,
     by_cluster,
     by_opinion,
-    draw_start_and_end,
     opinions_of,
     start_and_end_figure,
 )
-from swarmd.sim.plots.theme import ROBOT_COLOURS
+from swarmd.sim.plots.theme import ROBOT_COLOURS, save
 from swarmd.sim.trace import Trace
 
 if TYPE_CHECKING:
@@ -106,7 +105,7 @@ def test_no_texts_overlap(full: Full, overlaps: Overlaps, arena: str) -> None:
 
 @pytest.mark.parametrize("n", [1, 7])
 def test_one_instant_is_a_picture(walk: Walk, n: int, tmp_path: Path) -> None:
-    draw_start_and_end(walk(n, 1), tmp_path / "run.png")
+    save(start_and_end_figure(walk(n, 1)), tmp_path / "run.png")
     assert (tmp_path / "run.png").stat().st_size > 5_000
 
 
