@@ -41,12 +41,12 @@ class Difference:
     unit: str
     n_a: int
     n_b: int
-    mean_a: float | None
-    mean_b: float | None
-    difference: float | None
-    interval: Interval | None
-    is_paired: bool
-    better: Literal["a", "b"] | None
+    mean_a: float | None = None
+    mean_b: float | None = None
+    difference: float | None = None
+    interval: Interval | None = None
+    is_paired: bool = False
+    better: Literal["a", "b"] | None = None
     never_a: int = 0
     never_b: int = 0
 
@@ -132,20 +132,8 @@ def _difference(a: Side, b: Side, name: str) -> Difference:
     left, right = a.results.metric(name, a.variant), b.results.metric(name, b.variant)
     never_a, never_b = int(np.isnan(left).sum()), int(np.isnan(right).sum())
     if is_time_to_event(name) and (never_a or never_b):
-        return Difference(
-            metric=name,
-            unit=unit_of(name),
-            n_a=left.size - never_a,
-            n_b=right.size - never_b,
-            mean_a=None,
-            mean_b=None,
-            difference=None,
-            interval=None,
-            is_paired=False,
-            better=None,
-            never_a=never_a,
-            never_b=never_b,
-        )
+        known_a, known_b = left.size - never_a, right.size - never_b
+        return Difference(name, unit_of(name), known_a, known_b, never_a=never_a, never_b=never_b)
     is_paired = set(a.results.plan.seeds) == set(b.results.plan.seeds)
     if is_paired:
         seeds = a.results.seeds(a.variant), b.results.seeds(b.variant)

@@ -20,14 +20,6 @@ NAME = "manifest.json"
 FORMAT = 1
 
 
-class VariantEntry(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A variant in a manifest."""
-
-    name: str
-    values: dict[str, Any]
-    effective: dict[str, Any]
-
-
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The runs of an experiment, and the software that made them.
 
@@ -49,7 +41,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     made_with: dict[str, str]
     git: dict[str, GitState | None]
     plugins: dict[str, str]
-    variants: list[VariantEntry]
+    variants: list[Variant]
 
     @property
     def plan(self) -> Plan:
@@ -57,7 +49,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         return Plan(
             scenario=self.scenario,
             seeds=check_seeds(self.seeds),
-            variants=tuple(Variant(v.name, v.values, v.effective) for v in self.variants),
+            variants=tuple(self.variants),
             sets=self.sets,
             sweep=self.sweep,
         )
@@ -81,10 +73,7 @@ def manifest_of(plan: Plan, *, traces: bool, command: list[str]) -> Manifest:
             "scenario": git_state(place.resolve().parent) if place.is_file() else None,
         },
         plugins=_plugins(plan),
-        variants=[
-            VariantEntry(name=v.name, values=plain(v.values), effective=plain(v.effective))
-            for v in plan.variants
-        ],
+        variants=[Variant(v.name, plain(v.values), plain(v.effective)) for v in plan.variants],
     )
 
 

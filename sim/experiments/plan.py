@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from numbers import Integral
 from typing import Any
 
+import msgspec
+
 from swarmd.core.errors import ConfigError
 
 MAX_RUNS = 100_000
@@ -18,8 +20,7 @@ MAX_SEED = 2**32 - 1
 _LONGEST = 120  # characters of a run's id, which is a file's name
 
 
-@dataclass(frozen=True, slots=True)
-class Variant:
+class Variant(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One point of a parameter sweep: `values` by key, `effective` its complete scenario.
 
     Its name is such as `speed=0.1,law=paper`, or empty where nothing is swept.
@@ -27,7 +28,7 @@ class Variant:
 
     name: str
     values: Mapping[str, Any]
-    effective: Mapping[str, Any] = field(default_factory=dict)
+    effective: Mapping[str, Any]
 
 
 @dataclass(frozen=True, slots=True)

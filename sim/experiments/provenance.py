@@ -65,10 +65,8 @@ def digest_of_code(folder: Path) -> str:
     return digest.hexdigest()
 
 
-def digests_of_plugins(folder: Path | None) -> dict[str, str]:
-    """The SHA-256 of each Python file and mission of a plugin folder, by name; {} without one."""
-    if folder is None:
-        return {}
+def digests_of_plugins(folder: Path) -> dict[str, str]:
+    """The SHA-256 of each Python file and mission of a plugin folder, by name."""
     try:
         return {
             path.relative_to(folder).as_posix(): hashlib.sha256(path.read_bytes()).hexdigest()

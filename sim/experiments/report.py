@@ -32,11 +32,6 @@ def summary_rows(summary: Mapping[str, Summary]) -> list[tuple[str, ...]]:
     ]
 
 
-def summary_lines(summary: Mapping[str, Summary]) -> list[str]:
-    """The same as lines of aligned columns."""
-    return aligned(HEADER, summary_rows(summary))
-
-
 def aligned(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of aligned columns."""
     widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]

@@ -13,7 +13,7 @@ from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.values import Array
 from swarmd.sim.experiments.manifest import read_manifest
 from swarmd.sim.experiments.plan import Plan, Run
-from swarmd.sim.experiments.report import summary_lines
+from swarmd.sim.experiments.report import HEADER, aligned, summary_rows
 from swarmd.sim.experiments.statistics import LEVEL, METHOD, Summary, summarize
 from swarmd.sim.experiments.store import Row, read_failures, read_table, trace_path
 from swarmd.sim.metrics.catalog import METRICS, is_time_to_event
@@ -160,7 +160,7 @@ class Results:
         yield f"{self.plan.scenario}: {len(self._rows)} of {len(self.plan.runs)} runs{failed}"
         for variant in self.variants:
             yield from (["", variant] if variant else [""])
-            yield from summary_lines(self.summary(variant))
+            yield from aligned(HEADER, summary_rows(self.summary(variant)))
 
     def _of(self, variant: str) -> Sequence[Row]:
         if variant not in self._rows_of:

@@ -117,7 +117,9 @@ def run_experiment(
         try:
             runs = [run for run in store.missing if only is None or run.id in only]
             jobs = [Job(r.id, r.variant.effective, r.seed, store.trace_of(r)) for r in runs]
-            found = _here(jobs) if is_here else run_jobs(jobs, processes, timeout)
+            found = (
+                (run_job(job) for job in jobs) if is_here else run_jobs(jobs, processes, timeout)
+            )
             _gather(store, runs, found, on_progress)
         except BaseException:
             with suppress(SwarmError, OSError):  # the first error is the one to report
@@ -148,11 +150,6 @@ def _gather(
             if on_progress is not None:
                 failed = len(store.failures)
                 on_progress(len(store.rows) + failed, total, failed)
-
-
-def _here(jobs: Iterable[Job]) -> Generator[JobResult, None, None]:
-    for job in jobs:
-        yield run_job(job)
 
 
 def _keep(store: Store, run: Run, outcome: JobResult) -> None:

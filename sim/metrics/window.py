@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +55,10 @@ def cut(trace: Trace, start: int, stop: int) -> Trace:
     # A run without instants has no contacts.
     ends = (t[0], t[-1]) if len(t) else (np.inf, -np.inf)
     is_in = (trace.contact_t >= ends[0] - _ROUNDING) & (trace.contact_t <= ends[1] + _ROUNDING)
-    parts = {name: getattr(trace, name) for name in _OVER_TIME}
+    parts: dict[str, Any] = {name: getattr(trace, name) for name in _OVER_TIME}
+    sliced: dict[str, Any] = {
+        name: None if values is None else values[span] for name, values in parts.items()
+    }
     return replace(
         trace,
         contact_t=trace.contact_t[is_in],
@@ -62,7 +66,7 @@ def cut(trace: Trace, start: int, stop: int) -> Trace:
         contact_speed=trace.contact_speed[is_in],
         report={name: values[span] for name, values in trace.report.items()},
         words={name: values[span] for name, values in trace.words.items()},
-        **{name: None if values is None else values[span] for name, values in parts.items()},
+        **sliced,
     )
 
 

@@ -30,7 +30,7 @@ def side(
     values: dict[int, float | None], metric: str = "minimum_gap", *, lost: tuple[int, ...] = ()
 ) -> Side:
     """One side whose metric has these values by seed; the runs of seeds `lost` have failed."""
-    plan = Plan("x", tuple(values), (Variant("", {}),))
+    plan = Plan("x", tuple(values), (Variant("", {}, {}),))
     runs = [run for run in plan.runs if run.seed not in lost]
     rows = [Row(run, {metric: values[run.seed]}, 0.1) for run in runs]
     return Side("x", Results(Path("x"), plan, rows, {}, (metric,)), "")

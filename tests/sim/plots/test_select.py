@@ -33,7 +33,7 @@ NAN = float("nan")
 
 def results(**columns: tuple[float | None, ...]) -> Results:
     count = len(next(iter(columns.values())))
-    plan = Plan("x", tuple(range(count)), (Variant("", {}),))
+    plan = Plan("x", tuple(range(count)), (Variant("", {}, {}),))
     rows = [
         Row(run, {name: values[k] for name, values in columns.items()}, 0.1)
         for k, run in enumerate(plan.runs)
