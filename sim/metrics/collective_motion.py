@@ -18,27 +18,27 @@ STANDING = 0.01
 """Speed in m/s below which a robot stands."""
 
 
-def polarisations(trace: Trace, standing: float = STANDING) -> Array:
+def polarisations(trace: Trace) -> Array:
     """(T,) the length of the mean direction of motion: 1 if all move in one direction.
 
     The order parameter of Vicsek et al. 1995 (Phys. Rev. Lett. 75, 1226), whose particles never
     stand. NaN while no robot is present, and in a trace of one instant.
     """
     is_present = presence(trace)
-    ahead = _directions(trace, standing)
+    ahead = _directions(trace)
     order: Array = np.hypot(
         row_means(ahead[..., 0], is_present), row_means(ahead[..., 1], is_present)
     )
     return order
 
 
-def millings(trace: Trace, standing: float = STANDING) -> Array:
+def millings(trace: Trace) -> Array:
     """(T,) the rotation of the robots about their centroid: 1 if all circle in one direction.
 
     The group angular momentum of Couzin et al. 2002 (J. Theor. Biol. 218, 1) in the plane. NaN as
     in `polarisations`; a robot exactly at the centroid adds nothing.
     """
-    ahead = _directions(trace, standing)
+    ahead = _directions(trace)
     away = trace.pose[..., :2] - centroids(trace)[:, None]
     distance = np.hypot(away[..., 0], away[..., 1])
     out = away / np.where(distance > 0.0, distance, 1.0)[..., None]
@@ -71,7 +71,7 @@ def centroid_path_length(trace: Trace) -> float | None:
     return float(centroid_path_lengths(trace)[-1]) if presence(trace).any() else None
 
 
-def _directions(trace: Trace, standing: float) -> Array:
+def _directions(trace: Trace) -> Array:
     """(T, n, 2) unit vectors of motion by central differences, 0 for a standing robot."""
     instants = len(trace.t)
     if instants < 2:
@@ -80,7 +80,7 @@ def _directions(trace: Trace, standing: float) -> Array:
     after = np.minimum(np.arange(instants) + 1, instants - 1)
     step = trace.pose[after, :, :2] - trace.pose[before, :, :2]
     length = np.hypot(step[..., 0], step[..., 1])
-    is_moving = length > standing * (trace.t[after] - trace.t[before])[:, None]
+    is_moving = length > STANDING * (trace.t[after] - trace.t[before])[:, None]
     unit: Array = np.where(is_moving, 1.0 / np.where(is_moving, length, 1.0), 0.0)[..., None] * step
     return unit
 

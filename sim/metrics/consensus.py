@@ -18,12 +18,12 @@ OPINION = "opinion"
 """The name of the opinion in the reports of voting patterns."""
 
 
-def consensus_shares(trace: Trace, name: str = OPINION) -> Array | None:
+def consensus_shares(trace: Trace) -> Array | None:
     """(T,) the share of the present robots that hold the most common opinion.
 
     NaN without a present robot; None if no robot ever reported an opinion.
     """
-    opinion = trace.report.get(name)
+    opinion = trace.report.get(OPINION)
     if opinion is None or np.isnan(opinion).all():
         return None
     is_present = presence(trace)
@@ -36,29 +36,29 @@ def consensus_shares(trace: Trace, name: str = OPINION) -> Array | None:
     return shares
 
 
-def consensus_share(trace: Trace, name: str = OPINION) -> float | None:
+def consensus_share(trace: Trace) -> float | None:
     """That share at the last instant."""
-    shares = consensus_shares(trace, name)
+    shares = consensus_shares(trace)
     return None if shares is None or np.isnan(shares[-1]) else float(shares[-1])
 
 
-def consensus_opinion(trace: Trace, name: str = OPINION) -> float | None:
+def consensus_opinion(trace: Trace) -> float | None:
     """The opinion of all present robots at the last instant; None if they do not agree."""
-    if consensus_share(trace, name) != 1.0:
+    if consensus_share(trace) != 1.0:
         return None
-    return float(trace.report[name][-1][presence(trace)[-1]][0])
+    return float(trace.report[OPINION][-1][presence(trace)[-1]][0])
 
 
-def consensus_time(trace: Trace, name: str = OPINION) -> float | None:
+def consensus_time(trace: Trace) -> float | None:
     """Seconds from the start until all present robots hold one opinion, and keep it to the end.
 
     A swarm that changes its opinion together starts again. None if they do not agree at the end.
     """
-    final = consensus_opinion(trace, name)
+    final = consensus_opinion(trace)
     if final is None:
         return None
     is_present = presence(trace)
-    agree = ((trace.report[name] == final) | ~is_present).all(axis=1) & is_present.any(axis=1)
+    agree = ((trace.report[OPINION] == final) | ~is_present).all(axis=1) & is_present.any(axis=1)
     broken = np.flatnonzero(~agree)
     since = int(broken[-1]) + 1 if len(broken) else 0
     return float(trace.t[since] - trace.t[0])

@@ -66,18 +66,6 @@ def draw_experiment(
     return made + gallery.over_time(targets or {})
 
 
-def draw_runs(
-    folder: Path,
-    out: Path | None = None,
-    *,
-    seeds: Iterable[int] | None = None,
-    suffix: str = ".png",
-) -> list[Path]:
-    """Draw one picture of up to 25 runs for each variant; otherwise as `draw_experiment`."""
-    gallery = _Gallery(folder, out, None, seeds, suffix)
-    return [path for variant in gallery.variants for path in gallery.overview(variant)]
-
-
 class _Gallery:
     """The pictures of one experiment."""
 

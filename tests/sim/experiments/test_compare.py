@@ -73,17 +73,6 @@ def test_pairs_go_by_seed_not_by_place() -> None:
     assert (found.interval.low, found.interval.high) == pytest.approx((0.5, 0.5))
 
 
-def test_runs_that_failed_leave_the_others_paired() -> None:
-    rng = np.random.default_rng(5)
-    worlds = rng.normal(5.0, 2.0, 20)
-    better = worlds + rng.normal(0.2, 0.1, 20)
-    found = only(side(of(worlds), lost=(4,)), side(of(better), lost=(9, 0)))
-    assert (found.is_paired, found.n_a, found.n_b) == (True, 17, 17)
-    kept = [i for i in range(20) if i not in (0, 4, 9)]
-    assert found.difference == pytest.approx((better - worlds)[kept].mean())
-    assert found.differs
-
-
 @pytest.mark.parametrize(
     ("a", "b", "n", "difference", "conclusion"),
     [

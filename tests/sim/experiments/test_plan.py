@@ -85,16 +85,6 @@ def test_a_sweep_that_cannot_be_is_one_line(
     assert fault in str(caught.value)
 
 
-def test_every_variant_is_asked_for_before_anything_runs() -> None:
-    def refuse(overrides: Mapping[str, Any]) -> Mapping[str, Any]:
-        if overrides["k"] == 3:
-            raise ConfigError("k: 3 is too much")
-        return overrides
-
-    with pytest.raises(ConfigError, match="too much"):
-        make_plan("x", (0,), {}, {"k": [1, 2, 3]}, refuse)
-
-
 @pytest.mark.parametrize("seeds", [(), (1, 1), (-1,), (True,), (0.5,)])
 def test_seeds_from_python_are_checked_too(seeds: tuple[Any, ...]) -> None:
     with pytest.raises(ConfigError, match="seeds: "):

@@ -199,7 +199,8 @@ def test_damaged_failures_are_one_line(tmp_path: Path, text: str) -> None:
 
 
 PLAN = Plan(
-    "duo", (4, 2), (Variant('law="a,b"', {"x.law": "a,b"}, {}), Variant("law=1.5", {"x.law": 1.5}, {})),
+    "duo", (4, 2),
+    (Variant('law="a,b"', {"x.law": "a,b"}, {}), Variant("law=1.5", {"x.law": 1.5}, {})),
     sweep={"x.law": ["a,b", 1.5]},
 )  # fmt: skip
 COLUMNS = ("gap", "time")

@@ -75,4 +75,3 @@ def test_without_opinions_there_is_no_number(run: Run) -> None:
         assert consensus.consensus_shares(trace) is None
         assert consensus.consensus_share(trace) is None
         assert consensus.consensus_time(trace) is None
-    assert consensus.consensus_time(votes(run, (1, 1)), name="choice") is None

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.plots.figures import draw_experiment, draw_runs
+from swarmd.sim.plots.figures import draw_experiment
 
 pytest.importorskip("matplotlib")
 
@@ -93,11 +93,6 @@ def test_without_traces_values_are_drawn_and_one_line_says_why_no_more(
     assert names(draw_experiment(experiment)) == {"intervals.png"}
     assert len(warnings(caplog)) == 1
     assert f"{experiment}: no traces were kept" in warnings(caplog)[0]
-
-
-def test_runs_at_a_glance_can_be_had_alone(experiment: Path, tmp_path: Path) -> None:
-    made = draw_runs(experiment, tmp_path, seeds=[0, 1])
-    assert names(made) == {"law=settling_runs.png", "law=paper_runs.png"}
 
 
 def test_an_unknown_metric_is_named_before_anything_is_drawn(experiment: Path) -> None:
