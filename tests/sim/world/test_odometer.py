@@ -66,6 +66,14 @@ def test_ideal_odometry_is_the_relative_pose_bit_by_bit() -> None:
     assert np.array_equal(measured, twists)
 
 
+def test_only_the_asked_for_rows_are_read() -> None:
+    starts = np.zeros((3, 3))
+    poses = np.array([[1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    got, measured = odometers(IDEAL.odometry, starts).read(np.array([2, 0]), poses, 10.0 * poses)
+    assert got[:, 0].tolist() == [3.0, 1.0]
+    assert measured[:, 0].tolist() == [30.0, 10.0]
+
+
 @pytest.mark.parametrize("twist", [(0.2, 0.0), (0.0, 1.5), (0.2, 1.0), (-0.1, -2.8)])
 def test_ideal_wheels_measure_the_truth_also_along_arcs(twist: tuple[float, float]) -> None:
     # Errors too small to matter, so that the way over wheels is gone.
