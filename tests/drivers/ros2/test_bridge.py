@@ -178,7 +178,7 @@ def test_a_base_that_leaves_while_its_lidar_stays_gets_zero_first() -> None:
 
 
 async def _spin(lidar: DdsNode) -> None:
-    """The sweeps of a lidar that is a node of its own."""
+    """The scans of a lidar that is a node of its own."""
     for count in itertools.count(100):
         stamp = dds_types.Time(count, 0)
         step = 2.0 * math.pi / 360

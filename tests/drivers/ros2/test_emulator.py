@@ -41,7 +41,7 @@ ENDS = (
 )
 
 
-def sweep(platform: Platform, seq: int = 1) -> Scan:
+def varied_scan(platform: Platform, seq: int = 1) -> Scan:
     """Ranges that differ from ray to ray, and all that is no distance."""
     spec = platform.scan
     nearest = max(spec.range_min, 0.09) + 0.01  # beyond the rim on which a Thymio's sensors sit
@@ -90,7 +90,7 @@ def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
 
 
 def test_a_laser_scan_is_what_an_lds_says() -> None:
-    said = sweep(BURGER)
+    said = varied_scan(BURGER)
     (message,) = LaserScanEncoder(RosOptions(), BURGER).encode(said)
     heard = second.LaserScan.deserialize(cdr.encode(message))
     assert heard.angle_min == 0.0
@@ -104,7 +104,7 @@ def test_a_laser_scan_is_what_an_lds_says() -> None:
 
 @pytest.mark.parametrize("hangs", [False, True])
 def test_a_lidar_however_mounted_is_heard_as_it_was_said(hangs: bool) -> None:
-    options, said = RosOptions(scan_yaw_deg=70.0, scan_upside_down=hangs), sweep(BURGER)
+    options, said = RosOptions(scan_yaw_deg=70.0, scan_upside_down=hangs), varied_scan(BURGER)
     (message,) = LaserScanEncoder(options, BURGER).encode(said)
     heard = CollectingSink()
     Subscriptions(options, BURGER).read("scan", cdr.encode(message), 0.0)(heard)
@@ -163,14 +163,14 @@ def test_a_driver_receives_its_robots_data_and_commands_no_other_robot(stage: St
             async with asyncio.timeout(60.0):
                 while len([t for _, t in stage.told if not t.is_zero]) < 3 or len(heard.scans) < 3:
                     seq += 1
-                    stage.side.scan("r-2", sweep(stage.platform, seq))
+                    stage.side.scan("r-2", varied_scan(stage.platform, seq))
                     stage.side.odometry("r-2", odometry(seq))
                     driver.send(Twist(0.1, 0.3), seq, seq)
                     await asyncio.sleep(0.05)
         finally:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
-        said, got = sweep(stage.platform), heard.scans[-1]
+        said, got = varied_scan(stage.platform), heard.scans[-1]
         assert np.allclose(got.ranges, said.ranges, atol=1e-5, equal_nan=True)
         apart = np.angle(np.exp(1j * (got.bearings - said.bearings)))
         assert np.abs(apart).max() < 1e-5
