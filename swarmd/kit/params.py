@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Annotated, Any, Literal, TypeVar, Union, cast, get_args, get_origin
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, cast, get_args, get_origin
 from typing import get_type_hints as type_hints
 
 import msgspec
@@ -150,7 +150,7 @@ def schema(params_type: type[Params]) -> list[ParamSpec]:
 
     PluginError for a type that neither YAML nor the command line can express.
     """
-    return list(_declared(params_type)[0].values())
+    return list(_declared(params_type).specs.values())
 
 
 def build(
@@ -162,7 +162,7 @@ def build(
     Text is converted ("0.15", "true"), since the command line sends text. ParameterError with one
     line for the first wrong value.
     """
-    specs, hints = _declared(params_type)
+    specs, hints, required, _ = _declared(params_type)
     values: dict[str, Any] = {}
     sources = dict.fromkeys(specs, "pattern")
     for source, given in layers:
@@ -171,10 +171,10 @@ def build(
                 raise ParameterError(f"{unknown('parameter', name, specs)} (from {source})", name)
             values[name] = _convert(value, hints[name], specs[name], source)
             sources[name] = source
-    for field in msgspec.structs.fields(params_type):
-        if field.required and field.name not in values:
-            text = f"has no default; give it {specs[field.name].wanted}"
-            raise ParameterError(f"parameter {field.name} {text}", field.name)
+    for name in required:
+        if name not in values:
+            wanted = specs[name].wanted
+            raise ParameterError(f"parameter {name} has no default; give it {wanted}", name)
     try:
         params = params_type(**values)
     except ValueError as error:
@@ -184,28 +184,35 @@ def build(
 
 def derived_defaults(params_type: type[Params], platform: Platform) -> dict[str, Value]:
     """The defaults that are computed from the platform; see `about`."""
-    found: dict[str, Value] = {}
-    hints = _declared(params_type)[1]
-    for field in msgspec.structs.fields(params_type):
-        compute = (_unwrap(hints[field.name])[1].extra or {}).get("derived")
-        if field.required and compute is not None:
-            found[field.name] = compute(platform)
-    return found
+    derived = _declared(params_type).derived
+    return {name: compute(platform) for name, compute in derived.items()}
+
+
+class _Declared(NamedTuple):
+    """The parameters by name, their type hints, those without a default, and those derived."""
+
+    specs: Mapping[str, ParamSpec]
+    hints: Mapping[str, Any]
+    required: Sequence[str]
+    derived: Mapping[str, Callable[[Platform], float]]
 
 
 @lru_cache(maxsize=64)  # evaluating annotations takes 1 ms, and each run needs them
-def _declared(params_type: type[Params]) -> tuple[Mapping[str, ParamSpec], Mapping[str, Any]]:
-    """The parameters by name, and their type hints."""
+def _declared(params_type: type[Params]) -> _Declared:
     hints = type_hints(params_type, include_extras=True)
     try:
         msgspec.inspect.type_info(params_type)
     except TypeError as error:
         raise PluginError(f"{params_type.__name__}: {error}") from error
-    specs = [_spec(params_type, field, hints[field.name]) for field in _fields(params_type)]
-    for spec, field in zip(specs, _fields(params_type), strict=True):
+    fields = _fields(params_type)
+    specs = [_spec(params_type, field, hints[field.name]) for field in fields]
+    for spec, field in zip(specs, fields, strict=True):
         if not field.required:
             _check_default(params_type, spec, hints[spec.name])
-    return {spec.name: spec for spec in specs}, hints
+    required = [field.name for field in fields if field.required]
+    computed = {name: (_unwrap(hints[name])[1].extra or {}).get("derived") for name in required}
+    derived = {name: compute for name, compute in computed.items() if compute is not None}
+    return _Declared({spec.name: spec for spec in specs}, hints, required, derived)
 
 
 def _check_default(params_type: type[Params], spec: ParamSpec, hint: Any) -> None:
