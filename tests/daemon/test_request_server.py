@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import msgpack
@@ -18,6 +19,7 @@ from swarmd.core.messages import (
     Reply,
     Request,
     RunRequest,
+    StopRequest,
 )
 from swarmd.daemon.request_server import MAX_PENDING, RequestServer, read_request
 
@@ -65,8 +67,11 @@ def test_a_request_arrives_as_it_was_sent(verb: str) -> None:
 
 @pytest.mark.parametrize("verb", ["stop", "estop"])
 def test_a_stop_with_unreadable_fields_is_obeyed(verb: str) -> None:
-    payload = raw(id="e" * 99, operator="a" * 999, verb=verb, reason="x" * 999, scope=[{}])
-    request = read_request(verb, payload)
+    taken: list[Request] = []
+    payload = raw(id="e" * 99, operator="a" * 999, verb=verb, reason=math.nan, scope=[{}])
+    RequestServer("tb3-01", taken.append).handle(verb, RecordingQuery(payload))
+    (request,) = taken
+    assert isinstance(request, StopRequest | EstopRequest)
     assert (request.verb, request.targets) == (verb, None)
     assert (len(request.id), len(request.operator)) == (63, 128)
 

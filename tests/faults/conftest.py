@@ -303,7 +303,7 @@ def _sensors(status: Status) -> bool:
 
 @pytest.fixture(scope="module")
 def shared(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
-    """A robot for all tests of a module, which thereby show that its guardian survives them."""
+    """A robot for all tests of a module, which thereby show that its daemon survives them."""
     with contextlib.closing(Bench(tmp_path_factory.mktemp("bench"))) as made:
         made.start()
         yield made

@@ -1,4 +1,4 @@
-"""A daemon that is killed, frozen, restarted or told to end, and the latch that outlives it."""
+"""A daemon that is killed, frozen, restarted or terminated, and the latch that outlives it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.integration
 
-QUIET = 0.5  # ten ticks without a command: nobody commands any more
+QUIET = 0.5  # ten ticks without a command
 
 
 def await_silence(bench: Bench) -> float:
@@ -217,7 +217,7 @@ def test_sigterm_zeroes_says_left_and_ends_with_0(bench: Bench) -> None:
     assert "Traceback" not in bench.daemon.text()
 
 
-def test_systemd_is_told_that_it_is_ready_alive_and_leaving(bench: Bench, tmp_path: Path) -> None:
+def test_systemd_is_notified_of_ready_alive_and_stopping(bench: Bench, tmp_path: Path) -> None:
     path = str(tmp_path / "notify")
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as systemd:
         systemd.bind(path)

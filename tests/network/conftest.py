@@ -16,7 +16,7 @@ Until = Callable[[Callable[[], bool]], Awaitable[None]]
 
 @pytest.fixture
 def settings() -> NetworkSettings:
-    """Profile dev in a swarm that nobody else is in."""
+    """Profile dev in a swarm of its own."""
     return NetworkSettings(swarm=f"test-{secrets.token_hex(6)}")
 
 

@@ -19,7 +19,6 @@ import sys
 import threading
 from collections.abc import Callable, Sequence
 from functools import partial
-from types import TracebackType
 from typing import Any, Self
 
 import msgspec
@@ -27,7 +26,6 @@ import zenoh
 
 from swarmd.core.codec import encode
 from swarmd.core.errors import CodecError
-from swarmd.core.keys import build
 from swarmd.core.messages import (
     AnyRequest,
     Code,
@@ -92,28 +90,20 @@ class FakeDaemon:
         *,
         answer: Answer = lambda _request: Code.APPLIED,
         roster: tuple[str, ...] = (),
-        is_claiming: bool = True,
     ) -> None:
-        """`is_claiming` False takes the id without asking, as two that met too late do."""
         self.robot = robot
         self.instance = secrets.token_hex(6)
         self.settings = settings
         self.requests: list[AnyRequest] = []
         self._answer = answer
         self._roster = roster
-        self._is_claiming = is_claiming
-        self._claim: Claim | zenoh.LivelinessToken | None = None
+        self._claim: Claim | None = None
 
     async def __aenter__(self) -> Self:
         await self.start()
         return self
 
-    async def __aexit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    async def __aexit__(self, *_: object) -> None:
         self.leave()
 
     async def start(self) -> None:
@@ -124,10 +114,6 @@ class FakeDaemon:
         for verb in VERBS:
             self.bus.serve("control", verb, partial(self._on_query, verb))
         self.bus.serve("safety", "estop", partial(self._on_query, "estop"))
-        if not self._is_claiming:
-            key = build(self.settings.swarm, self.robot, "alive", self.instance)
-            self._claim = self.session.liveliness().declare_token(key)
-            return
         try:
             self._claim = await claim_id(
                 self.session,
@@ -143,11 +129,10 @@ class FakeDaemon:
             raise
 
     def status(self) -> Status:
-        """What it says of itself."""
         return light_status(self.robot, self.instance)
 
     def leave(self) -> None:
-        """Say so, and go."""
+        """Publish `left`, and go."""
         left = msgspec.structs.replace(self.status(), has_left=True)
         self.bus.publish("state", "status", encode(left))
         self.vanish()
@@ -169,15 +154,10 @@ class FakeDaemon:
             query.drop()
             return
         self.requests.append(request)
-        code = self._answer(request)
+        code, epoch = self._answer(request), self.status().epoch
         if code is not None:
-            reply = Reply(
-                id=request.id,
-                robot=self.robot,
-                code=code,
-                refusal=Refusal.BUSY if code is Code.REFUSED else None,
-                epoch=self.status().epoch,
-            )
+            why = Refusal.BUSY if code is Code.REFUSED else None
+            reply = Reply(id=request.id, robot=self.robot, code=code, refusal=why, epoch=epoch)
             query.reply(encode(reply))
 
 
@@ -195,7 +175,7 @@ class FakeSwarm:
         return self._daemons[robot]
 
     def call(self, function: Callable[[], object]) -> None:
-        """Call it on the daemons' loop, and wait for it."""
+        """Call on the daemons' loop, and wait for it."""
 
         async def now() -> None:
             function()
@@ -213,7 +193,6 @@ class FakeSwarm:
         asyncio.run_coroutine_threadsafe(look(), self._loop).result()
 
     def close(self) -> None:
-        """Let all vanish."""
         for daemon in self._daemons.values():
             self.call(daemon.vanish)
         self._loop.call_soon_threadsafe(self._loop.stop)

@@ -12,7 +12,6 @@ import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
 
 import yaml
 
@@ -110,12 +109,7 @@ class DaemonProcess:
     def __enter__(self) -> DaemonProcess:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.kill()
         for pid in watchdogs(self.swarm, self.robot):
             os.kill(pid, signal.SIGKILL)
@@ -133,24 +127,19 @@ class DaemonProcess:
             return log.read().decode(errors="replace")
 
     def send(self, number: signal.Signals) -> None:
-        """Send it a signal."""
         self.process.send_signal(number)
 
     def freeze(self) -> None:
-        """SIGSTOP."""
         self.send(signal.SIGSTOP)
 
     def thaw(self) -> None:
-        """SIGCONT."""
         self.send(signal.SIGCONT)
 
     def terminate(self) -> int:
-        """SIGTERM; its exit code."""
         self.send(signal.SIGTERM)
         return self.process.wait(CAP)
 
     def kill(self) -> None:
-        """SIGKILL, unless it has ended."""
         if self.process.poll() is None:
             self.process.kill()
         self.process.wait(CAP)
@@ -179,7 +168,7 @@ def children(pid: int) -> list[int]:
 
 
 def watchdogs(swarm: str, robot: str) -> list[int]:
-    """The process ids of the stoppers that watch over a robot, or did."""
+    """The process ids of the watchdogs of a robot, also of one whose daemon has ended."""
     name, found = watchdog_name(swarm, robot).encode(), []
     for cmdline in Path("/proc").glob("[0-9]*/cmdline"):
         try:

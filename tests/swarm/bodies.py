@@ -1,4 +1,4 @@
-"""Bodies for robots in a network namespace; told by a test, one JSON line an answer.
+"""Simulated robots in a network namespace; a test asks, each answer is one JSON line.
 
 First {"endpoints": {robot: endpoint}}; then for each `mark` on standard input {"mark": {robot:
 true if it was commanded to move since the mark before}}, and for each `moving` and `standing` the

@@ -42,10 +42,14 @@ class Finished:
     err: str
 
     @property
-    def json(self) -> dict[str, Any]:
+    def outcome(self) -> tuple[int, str]:
+        """The exit code and the last line, which counts the robots."""
+        return self.code, self.out.splitlines()[-1]
+
+    @property
+    def json(self) -> Any:
         """Its answer with `-o json`."""
-        answer: dict[str, Any] = json.loads(self.out)
-        return answer
+        return json.loads(self.out)
 
 
 class Swarm:
@@ -73,13 +77,11 @@ class Swarm:
         self._operator: Operator | None = None
 
     def close(self) -> None:
-        """End everything, the latest first."""
         self._left.close()
 
     # Start
 
     def body(self, robot: str) -> Body:
-        """A simulated robot with clear scans."""
         body = Body(load_platform("waffle_pi"), swarm=self.name, robot=robot)
         return self._left.enter_context(body)
 
@@ -105,12 +107,10 @@ class Swarm:
     def start(
         self, robot: str, body: Body | None = None, options: Mapping[str, Value] | None = None
     ) -> DaemonProcess:
-        """A daemon that is ready."""
         return self.spawn(robot, body, options).wait_ready()
 
     @property
     def settings(self) -> NetworkSettings:
-        """The network settings of this swarm."""
         return NetworkSettings(swarm=self.name)
 
     @property
@@ -123,7 +123,6 @@ class Swarm:
 
     @property
     def operator(self) -> Operator:
-        """An operator in this process."""
         if self._operator is None:
             self._operator = self._left.enter_context(Operator(self.settings, name="zoe@test"))
         return self._operator
@@ -143,17 +142,14 @@ class Swarm:
         )
 
     def finish(self, process: subprocess.Popen[str]) -> Finished:
-        """Its exit code and output."""
         with process:
             out, err = process.communicate(timeout=CAP)
             return Finished(process.returncode, out, err)
 
     def ctl(self, *words: str, user: str = "anna") -> Finished:
-        """A `swarmctl` from start to end."""
         return self.finish(self.begin(*words, user=user))
 
     def run_drive(self, *robots: str) -> None:
-        """Run `drive` on these robots."""
         done = self.ctl("run", "drive", *robots)
         assert done.code == 0, done
 
@@ -171,19 +167,11 @@ class Swarm:
         return [decode(reply.ok.payload.to_bytes()) for reply in replies if reply.ok is not None]
 
     def statuses(self, robot: str) -> list[Status]:
-        """The statuses of all daemons that hold this id."""
         return self.look(robot, "state", "status", Status)
 
     def status(self, robot: str) -> Status:
         """The robot's status; waits until it answers."""
-        found: list[Status] = []
-
-        def look() -> bool:
-            found[:] = self.statuses(robot)
-            return bool(found)
-
-        wait_until(look, f"{robot} answers")
-        return found[0]
+        return self.await_status(robot, "there", lambda status: True)
 
     def conditions(self, peer: str) -> dict[str, Condition]:
         """The conditions of the others in the view of `peer`."""
@@ -211,25 +199,18 @@ class Swarm:
         return found[0]
 
     def await_state(self, robot: str, state: State) -> Status:
-        """The first status of the robot in this state."""
         return self.await_status(robot, state, lambda status: status.state is state)
 
 
 @pytest.fixture
 def swarm(tmp_path: Path) -> Iterator[Swarm]:
     """A swarm without robots yet, under a name of its own."""
-    made = Swarm(tmp_path)
-    try:
+    with contextlib.closing(Swarm(tmp_path)) as made:
         yield made
-    finally:
-        made.close()
 
 
 @pytest.fixture(scope="module")
 def shared_swarm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Swarm]:
     """A swarm for all tests of a module."""
-    made = Swarm(tmp_path_factory.mktemp("swarm"))
-    try:
+    with contextlib.closing(Swarm(tmp_path_factory.mktemp("swarm"))) as made:
         yield made
-    finally:
-        made.close()

@@ -39,25 +39,21 @@ class LineProcess:
         self._process = subprocess.Popen(command, stdin=pipe, stdout=pipe, text=True, cwd=ROOT)
 
     def say(self, word: str) -> None:
-        """Send a line without waiting."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{word}\n")
         self._process.stdin.flush()
 
     def hear(self) -> Any:
-        """Its next answer."""
         assert self._process.stdout is not None
         line = self._process.stdout.readline()
         assert line, f"it ended with {self._process.wait(CAP)}"
         return json.loads(line)
 
     def ask(self, word: str) -> Any:
-        """Its answer to this."""
         self.say(word)
         return self.hear()
 
     def close(self) -> None:
-        """End it by closing its input."""
         with self._process:
             self._process.communicate(timeout=CAP)
 
@@ -80,11 +76,9 @@ class Side:
         self._endpoints = self.bodies.hear()["endpoints"]
 
     def close(self) -> None:
-        """End all of it."""
         self._left.close()
 
     def talk(self, command: Sequence[str]) -> LineProcess:
-        """A process of this namespace."""
         made = LineProcess([*self._prefix, *command])
         self._left.callback(made.close)
         return made
@@ -122,7 +116,6 @@ def lease() -> float:
 
 @pytest.fixture
 def robots() -> dict[str, tuple[str, ...]]:
-    """The robots of each side."""
     return ROBOTS
 
 
@@ -150,7 +143,6 @@ def field(
 
 
 def start(field: Field) -> None:
-    """All daemons, ready."""
     daemons = [side.spawn(robot) for side in field.values() for robot in side.robots]
     for daemon in daemons:
         daemon.wait_ready()
@@ -166,21 +158,15 @@ def test_no_late_run_moves_a_swarm_that_was_cut_in_two(
     start(field)
     for side in (a, b):
         side.await_conditions(**ALL_ALIVE)
-    done = a.swarm.ctl("run", "drive", "--all")
-    assert (done.code, done.out.splitlines()[-1]) == (0, "4 targeted, 4 applied")
+    assert a.swarm.ctl("run", "drive", "--all").outcome == (0, "4 targeted, 4 applied")
     for side in (a, b):
         side.bodies.ask("moving")
     late = a.talk([sys.executable, "-m", "tests.swarm.late_operator", str(a.swarm.config)])
     assert late.ask("look") == {"seen": ["r1", "r2", "r3", "r4"]}
 
     namespaces.cut("b")
-    done = b.swarm.ctl(
-        "stop", "--timeout", "1s"
-    )  # the outcome names the robots that it did not reach
-    assert (done.code, done.out.splitlines()[-1]) == (
-        3,
-        "4 targeted, 2 applied, 2 no answer (r1, r2)",
-    )
+    stopped = b.swarm.ctl("stop", "--timeout", "1s").outcome
+    assert stopped == (3, "4 targeted, 2 applied, 2 no answer (r1, r2)")
     b.bodies.ask("standing")
     b.bodies.ask("mark")
     a.bodies.ask("moving")  # the other side is autonomous
@@ -195,11 +181,8 @@ def test_no_late_run_moves_a_swarm_that_was_cut_in_two(
         ]
         for look in looks:
             look.result()
-    done = a.swarm.ctl("stop", "--timeout", "1s")
-    assert (done.code, done.out.splitlines()[-1]) == (
-        3,
-        "4 targeted, 2 applied, 2 no answer (r3, r4)",
-    )
+    stopped = a.swarm.ctl("stop", "--timeout", "1s").outcome
+    assert stopped == (3, "4 targeted, 2 applied, 2 no answer (r3, r4)")
     a.bodies.ask("standing")
     a.bodies.ask("mark")
     assert late.ask("run 1").keys() == {"r1", "r2", "r3", "r4"}
@@ -214,8 +197,7 @@ def test_no_late_run_moves_a_swarm_that_was_cut_in_two(
     for side in (a, b):
         assert not any(side.bodies.ask("mark")["mark"].values())
 
-    done = b.swarm.ctl("run", "drive", "--all")
-    assert (done.code, done.out.splitlines()[-1]) == (0, "4 targeted, 4 applied")
+    assert b.swarm.ctl("run", "drive", "--all").outcome == (0, "4 targeted, 4 applied")
     for side in (a, b):
         side.bodies.ask("moving")
 

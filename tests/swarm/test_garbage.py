@@ -1,4 +1,4 @@
-"""Bad messages on every key that a daemon listens to: all are counted, and disturb nobody."""
+"""Bad messages on every key that a daemon listens to: all are counted, and disturb no robot."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class Target:
 
 
 class Vandal:
-    """A visitor of the mesh who says the wrong things to `r1`."""
+    """A session that sends wrong messages to `r1`."""
 
     def __init__(self, swarm: Swarm) -> None:
         self._swarm = swarm
@@ -76,7 +76,6 @@ class Vandal:
         self.session.get(key, _ignore, payload=payload, timeout=5.0, congestion_control=block)
 
     def flood(self, say: Callable[[str, bytes], None], target: Target, kind: Garbage) -> None:
-        """Many of one kind at once; returns when all have been counted."""
         payloads = (kind(self._rng, target.valid, target.limit) for _ in range(PER_KIND))
         self.count(say, target.key, payloads, target.counters)
 
@@ -233,7 +232,7 @@ def test_false_robots_do_not_hide_real_ones(swarm: Swarm, vandal: Vandal) -> Non
     wait_until(lambda: len(swarm.conditions("r1")) == MAX_MEMBERS, "the crowd is listed")
     assert swarm.ctl("members").code == 0
     done = swarm.ctl("stop", "r1")
-    assert (done.code, done.out.splitlines()[-1]) == (0, "1 targeted, 1 applied")
+    assert done.outcome == (0, "1 targeted, 1 applied")
     swarm.run_drive("r1")
     for token in tokens:
         token.undeclare()

@@ -79,7 +79,7 @@ def test_a_daemon_that_is_ended_commands_zero_and_is_listed_as_left(
     swarm.await_condition("r2", "r1", Condition.LEFT)
     assert body.commands[-1].twist.is_zero
     done = swarm.ctl("stop")  # does not wait for a robot that left
-    assert (done.code, done.out.splitlines()[-1]) == (0, "1 targeted, 1 applied")
+    assert done.outcome == (0, "1 targeted, 1 applied")
 
 
 def test_a_failed_robot_stays_listed_until_it_is_forgotten_everywhere(swarm: Swarm) -> None:

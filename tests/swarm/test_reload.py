@@ -138,7 +138,7 @@ def test_a_reload_stops_and_the_next_run_has_the_new_code(own: Own) -> None:
     assert own.at_version().report == {"version": 1}
     own.write(V2)
     done = own.reload()
-    assert (done.code, done.out.splitlines()[-1]) == (0, "1 targeted, 1 applied"), done
+    assert done.outcome == (0, "1 targeted, 1 applied"), done
     own.body.wait_zero(boottime())
     stopped = own.swarm.status("r1")
     assert (stopped.state, stopped.reason) == (S.STOPPED, Reason.RELOADED)

@@ -22,7 +22,7 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 
 def post_ahead(body: Body) -> ScanScript:
-    """Sweeps that show a post 6 cm before the front of a Waffle Pi, and else walls far away."""
+    """Scans that show a post 6 cm before the front of a Waffle Pi, and else walls far away."""
 
     def scan(seq: int, stamp: float) -> Scan:
         scan = body.clear(seq, stamp)

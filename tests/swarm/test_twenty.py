@@ -46,4 +46,4 @@ def test_every_robot_acks_each_of_many_cold_runs(swarm: Swarm, count: int, runs:
         assert status.generation == before[robot] + runs
         assert status.state in (State.RUNNING, State.STOPPED)
     done = swarm.ctl("stop")
-    assert (done.code, done.out.splitlines()[-1]) == (0, f"{count} targeted, {count} applied")
+    assert done.outcome == (0, f"{count} targeted, {count} applied")

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import pytest
-
-from swarmd.core.messages import Refusal, RunRequest
-from swarmd.network.operator import Operator
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Finished, Swarm
@@ -19,32 +15,6 @@ pytestmark = pytest.mark.integration
 ROBOTS = ("r1", "r2", "r3")
 CHANGED_BY = re.compile(r"(?:robot changed since you looked|still loading drive), by (\w+)@\w+")
 ROUNDS = 20
-
-
-@pytest.fixture
-def anna(swarm: Swarm) -> Iterator[Operator]:
-    """Robots and an operator."""
-    for robot in ROBOTS:
-        swarm.start(robot)
-    with Operator(swarm.settings, name="anna@desk") as made:
-        yield made
-
-
-@pytest.fixture
-def ben(swarm: Swarm) -> Iterator[Operator]:
-    """A second operator."""
-    with Operator(swarm.settings, name="ben@field") as made:
-        yield made
-
-
-def test_the_later_operator_learns_who_changed_the_robot(anna: Operator, ben: Operator) -> None:
-    looks = [(one, one.members().epochs(ROBOTS)) for one in (anna, ben)]
-    first, second = (one.request(RunRequest, epochs, pattern="drive") for one, epochs in looks)
-    assert first.applied == ROBOTS
-    assert second.refused == ROBOTS
-    assert {reply.refusal for reply in second.replies.values()} == {Refusal.STALE_EPOCH}
-    assert all("anna@desk" in reply.text for reply in second.replies.values())
-    assert ben.request(RunRequest, ben.members().epochs(ROBOTS), pattern="drive").applied == ROBOTS
 
 
 def test_the_loser_of_two_swarmctl_learns_the_winner(swarm: Swarm) -> None:
