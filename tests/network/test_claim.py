@@ -93,11 +93,11 @@ async def claim(
     )
 
 
-Sessions = Callable[[], zenoh.Session]
+OpenSession = Callable[[], zenoh.Session]
 
 
 @pytest.fixture
-def session(settings: NetworkSettings) -> Iterator[Sessions]:
+def new_session(settings: NetworkSettings) -> Iterator[OpenSession]:
     """Opens sessions, and closes them all."""
     with contextlib.ExitStack() as opened:
 
@@ -116,7 +116,7 @@ def session(settings: NetworkSettings) -> Iterator[Sessions]:
 @pytest.mark.parametrize("trial", range(3))
 async def test_of_several_at_once_exactly_one_owns_the_id(
     settings: NetworkSettings,
-    session: Sessions,
+    new_session: OpenSession,
     gap: float,
     count: int,
     is_fresh: bool,
@@ -127,10 +127,10 @@ async def test_of_several_at_once_exactly_one_owns_the_id(
     Each trial has its own sessions, as daemons have: Zenoh 1.10 may leave a token that is taken
     back while another session asks in that session's tables, until the owner's session closes.
     """
-    opened = [] if is_fresh else [await asyncio.to_thread(session) for _ in range(count)]
+    opened = [] if is_fresh else [await asyncio.to_thread(new_session) for _ in range(count)]
 
     async def start(number: int) -> Claim:
-        own = opened[number] if opened else await asyncio.to_thread(session)
+        own = opened[number] if opened else await asyncio.to_thread(new_session)
         await asyncio.sleep(gap * number)
         return await claim(own, settings, random.randbytes(6).hex())
 
@@ -140,27 +140,27 @@ async def test_of_several_at_once_exactly_one_owns_the_id(
 
 
 async def test_a_held_id_is_refused_in_one_line_and_nothing_is_left_behind(
-    settings: NetworkSettings, session: Sessions
+    settings: NetworkSettings, new_session: OpenSession
 ) -> None:
-    first = await claim(session(), settings, "aaaaaaaaaaaa")
-    loser = session()
+    first = await claim(new_session(), settings, "aaaaaaaaaaaa")
+    loser = new_session()
     with pytest.raises(NetworkError) as caught:
         await claim(loser, settings, "000000000000")
     assert "'tb3-01'" in str(caught.value)
     assert "aaaaaaaaaaaa" in str(caught.value)
     assert "\n" not in str(caught.value)
     first.release()
-    third = await claim(session(), settings, "cccccccccccc")
+    third = await claim(new_session(), settings, "cccccccccccc")
     assert not third.duplicates
 
 
 async def test_a_claim_waits_for_a_token_that_vanishes_soon(
-    settings: NetworkSettings, session: Sessions
+    settings: NetworkSettings, new_session: OpenSession
 ) -> None:
     """What is left of a machine that lost power goes with its lease."""
 
-    first = await claim(session(), settings, "aaaaaaaaaaaa")
-    second = asyncio.create_task(claim(session(), settings, "bbbbbbbbbbbb"))
+    first = await claim(new_session(), settings, "aaaaaaaaaaaa")
+    second = asyncio.create_task(claim(new_session(), settings, "bbbbbbbbbbbb"))
     await asyncio.sleep(3 * settings.settle)
     assert not second.done()
     first.release()
@@ -168,14 +168,14 @@ async def test_a_claim_waits_for_a_token_that_vanishes_soon(
 
 
 async def test_a_second_owner_is_reported_to_both(
-    settings: NetworkSettings, session: Sessions, until: Until
+    settings: NetworkSettings, new_session: OpenSession, until: Until
 ) -> None:
     """As when a cut heals: each claimed the id where it could not see the other."""
 
     heard: list[str] = []
-    mine = await claim(session(), settings, "aaaaaaaaaaaa", heard.append)
+    mine = await claim(new_session(), settings, "aaaaaaaaaaaa", heard.append)
     key = f"swarm/{settings.swarm}/tb3-01/alive/bbbbbbbbbbbb"
-    token = session().liveliness().declare_token(key)
+    token = new_session().liveliness().declare_token(key)
     await until(lambda: bool(heard))
     assert heard == ["bbbbbbbbbbbb"]
     assert list(mine.duplicates) == ["bbbbbbbbbbbb"]
