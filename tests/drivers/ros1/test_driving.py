@@ -167,8 +167,12 @@ def test_what_takes_the_base_away_ends_commands_at_once(
 def test_one_cause_of_a_loss_is_one_line_in_the_log(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    def now() -> float:
+        return asyncio.get_running_loop().time()
+
+    monkeypatch.setattr(ros1, "time", SimpleNamespace(monotonic=now))
+
     async def story(scene: Scene) -> None:
-        scene.rise()
         for _ in range(40):
             scene.tell(replace(WELL, publishers={}))
             await asyncio.sleep(0.1)
