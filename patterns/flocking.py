@@ -269,8 +269,9 @@ class Flocking(MovementPattern[FlockingParams]):
     def _look(self, scan: Scan) -> tuple[Array, Array]:
         """Robots (k, 2) and the closest points of walls (p, 2): range, bearing from the lidar.
 
-        Not from the axle: the others' lidars are behind their axles, so all would appear shifted
-        back a little, and that pull breaks the alignment of the headings.
+        Measured from the lidar, not from the axle. What a scan shows of a robot is its lidar, which
+        is behind its axle. From the axle all neighbours would appear shifted back, and that pull
+        breaks the alignment of the headings.
         """
         params = self.params
         objects = clusters(scan, within=scan.range_max)

@@ -76,7 +76,7 @@ class TopicStats:
         return count < 3 or self.stamps[-1] > self.stamps[-count]
 
     def stamps_go_back(self) -> bool:
-        """True if the stamps went back twice within SETBACK_WINDOW, as those of two publishers."""
+        """True if the stamps went back twice within SETBACK_WINDOW: a sign of two publishers."""
         return len(self.setbacks) == 2 and self.last_arrival() - self.setbacks[0] < SETBACK_WINDOW
 
     def elapsed(self) -> tuple[float, float]:

@@ -73,7 +73,11 @@ class PublisherLink(Struct, frozen=True, tag_field="event", tag="link"):
 
 
 class AdapterEnd(Struct, frozen=True, tag_field="event", tag="end"):
-    """Why the adapter ends; `kind`: `fatal` without rospy, `restart` with the master, `end`."""
+    """Why the adapter ends.
+
+    `kind`: `fatal`, rospy cannot be loaded; `restart`, the ROS master was restarted; `end`, any
+    other cause.
+    """
 
     kind: str
     text: str

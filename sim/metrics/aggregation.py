@@ -102,8 +102,8 @@ def is_one_cluster(trace: Trace, link: float) -> NDArray[np.bool_]:
 def gather_time(trace: Trace, link: float, share: float = 0.5) -> float | None:
     """Seconds until all robots first are in one cluster and close to their centroid.
 
-    Close: their mean distance is at most `share` of that at the start. Ours, to compare how fast
-    swarms gather; None if it never happens.
+    Close: their mean distance is at most `share` of that at the start. None if it never happens.
+    The metric is our own, to compare how fast swarms gather.
     """
     away = distance_to_centroid(trace)
     if len(away) == 0:

@@ -81,7 +81,11 @@ def _is_in_arena(place: Array) -> NDArray[np.bool_]:
 
 
 def _along(trace: Trace, span: slice, found: Pairs) -> Array:
-    """(p,) the distance of the footprints projected onto the line through both origins."""
+    """(p,) a lower bound in m of the distance of the footprints.
+
+    It is the gap of their projections onto the line through both origins; negative if these
+    overlap.
+    """
     pose = trace.pose[span]
     a, b = pose[found.instant, found.a], pose[found.instant, found.b]
     bearing = np.arctan2(b[:, 1] - a[:, 1], b[:, 0] - a[:, 0])

@@ -156,7 +156,7 @@ class Mission(CombinedPattern[Params]):
 
 
 def mission_class(path: Path, find: Find) -> type[Mission]:
-    """The class of a file, checked as far as possible without a robot.
+    """The pattern class made from a mission file, checked as far as possible without a robot.
 
     ConfigError for its first fault, with file and line.
     """

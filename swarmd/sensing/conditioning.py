@@ -147,7 +147,10 @@ class ScanConditioner:
         return turned
 
     def _is_newer(self, scan: Scan) -> bool:
-        """True if the scan is newer than all others, or in order after a restart of the sensor."""
+        """True if the scan is newer than every scan before, or the sensor has restarted.
+
+        A restart shows in consecutive scans whose numbers and stamps rise again. Keeps the scan.
+        """
         last, self._last = self._last, scan
         if not (scan.seq > self._newest[0] and scan.stamp > self._newest[1]):
             is_next = last is not None and scan.seq > last.seq and scan.stamp > last.stamp
@@ -255,7 +258,10 @@ class ScanConditioner:
 
 
 def _run_lengths(rays: Indices, n: int) -> Indices:
-    """(k,) the length of the run of neighbours around each of the rising `rays` (k,) of n."""
+    """(k,) how many consecutive ray indices the run around each of `rays` (k,) has.
+
+    `rays` ascend; ray n - 1 is beside ray 0.
+    """
     starts = np.flatnonzero(np.diff(rays, prepend=-2) > 1)
     lengths = np.diff(starts, append=len(rays))
     if len(starts) > 1 and rays[0] == 0 and rays[-1] == n - 1:
