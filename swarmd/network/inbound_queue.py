@@ -75,7 +75,7 @@ class InboundQueue:
         return True
 
     def offer(self, function: Callable[..., object], *args: Any) -> bool:
-        """Queue `function(*args)` to be called on the loop; False if the queue is full or closed."""
+        """Queue `function(*args)` for the loop; False if the queue is full or closed."""
         if self.is_full():
             return False
         with self._lock:
