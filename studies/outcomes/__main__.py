@@ -1,6 +1,6 @@
 """Every pattern's outcomes over many seeds: `python -m studies.outcomes [PATTERN ...]`.
 
-Prints a table; ends with 1 if one is not reached. The tests in tests/outcomes ask the same of a
+Prints a table; ends with 1 if one is not reached. `tests/studies/test_outcomes.py` tests a
 few seeds.
 """
 
