@@ -215,7 +215,7 @@ class Flocking(MovementPattern[FlockingParams]):
         self._seen: deque[tuple[float, NDArray[np.complex128]]] = deque()
 
     def report(self) -> Mapping[str, Scalar]:
-        """Its state: flock or alone; with law paper straight, left or right."""
+        """The state: `flock` or `alone`; with `law: paper` `straight`, `left` or `right`."""
         return {"state": self._state}
 
     def drive(self, inputs: Inputs) -> Twist:

@@ -47,12 +47,13 @@ class Endpoint:
 
 
 class Middleware(Protocol):
-    """The words of one way to speak ROS.
+    """The phrases of error messages about one ROS middleware.
 
     `hub` is what the driver connects to, `start` the step that starts it, and `endpoint_option` the
     option that says where it listens. `silent` says that the hub announces no topic, and the next
-    step. `silent_topic` is what to look at when a topic is announced and silent, with the command
-    that takes the topic's name last; `topic_info` is the command that names its publishers.
+    step. `silent_topic` says what to look at when an announced topic carries no messages; it ends
+    in a command to which the topic's name is appended. `topic_info` is the command that names the
+    publishers of a topic.
     """
 
     hub: str

@@ -46,9 +46,9 @@ class MasterState(Struct, frozen=True, tag_field="event", tag="state"):
     """What the master knows of our topics; `master` is False while it does not answer: see `text`.
 
     `publishers` and `types`: nodes and type by topic; `candidates`: published topics by type.
-    `others` are the other nodes that publish commands, `listeners` those that subscribe to them, of
-    which `connected` have a connection. `wants`: the type of each listener's subscription, known
-    only while some have no connection.
+    `others` are the other nodes that publish on our command topic. `listeners` are the nodes that
+    subscribe to it; `connected` is how many of those have a connection. `wants`: the type of each
+    listener's subscription, known only while some have no connection.
     """
 
     master: bool
@@ -177,7 +177,10 @@ class AdapterProcess:
         return self._ended.is_set()
 
     async def close(self, *, politely: bool) -> str:
-        """Let it send its zero and leave, or kill it; how it ended."""
+        """End the adapter process, and return how it ended.
+
+        `politely`: the process may send its zero and exit; it is killed only if it does not.
+        """
         try:
             if politely and not self._ended.is_set():
                 with contextlib.suppress(OSError):

@@ -17,10 +17,10 @@ MAX_LINES = 10  # where there is no terminal, besides the first two
 
 @contextmanager
 def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress]:
-    """A function that takes how many runs are finished, of how many, and how many failed.
+    """A function to call with the numbers of finished, planned and failed runs.
 
-    On a terminal it shows a bar, elsewhere a line for each tenth. Both show the time left, from
-    the first run on that finishes.
+    On a terminal it shows a bar, elsewhere a line for each tenth. Both show the time left once the
+    first run has finished.
     """
     left = _TimeLeft(clock)
     if not sys.stderr.isatty():

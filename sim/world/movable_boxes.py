@@ -75,9 +75,10 @@ class MovableBoxes:
     def apply_friction(self) -> None:
         """Set the floor's isotropic friction for the next step.
 
-        MuJoCo has a separate friction force for each coordinate of a body. They are set to one
-        point of an ellipsoid of force and torque (Howe and Cutkosky 1996), whose half axes are the
-        friction force and that force times a lever.
+        MuJoCo limits friction for each coordinate of a box separately. The three limits are set to
+        the point of an ellipsoid (Howe and Cutkosky 1996) in the direction of the force and torque
+        that would stop the box. Its half axes are the friction force and, for the torque, that
+        force times the lever of the box.
         """
         if not self.is_there.any():
             return

@@ -78,7 +78,7 @@ class Odometers:
         return np.stack((x, y, _wrapped(reported[:, 2])), axis=-1)
 
     def _slips(self, rows: Indices) -> Array:
-        """Random factors (m, 2) of one reading on linear and angular motion."""
+        """(m, 2) random slip factors near 1 on linear and angular motion, for one reading each."""
         slips = np.zeros((len(rows), 2))
         for place, row in enumerate(rows.tolist()):
             self._rngs[row].standard_normal(out=slips[place])

@@ -54,8 +54,9 @@ def report(rows: Constraints, tight: list[int], outline: Footprint) -> tuple[Row
     """The constraints that bind the command, those with the lowest caps first.
 
     The gap of a reported constraint is measured from the outline, also where the constraint is
-    that of one corner. Indices beyond `rows` belong to the envelope, and constraints with an
-    infinite gap to a touch zone; neither is reported.
+    that of one corner. `tight` are the indices of the binding constraints. Indices beyond
+    `rows` belong to the envelope and are not reported. Nor are constraints with an infinite gap,
+    which belong to a touch zone.
     """
     among = [i for i in tight if i < len(rows.caps)]
     seen = [i for i in among if rows.gaps[i] < math.inf]

@@ -51,7 +51,11 @@ class Recovery:
     """
 
     def __init__(self, clearance: Clearance, limits: Limits, seed: str) -> None:
-        """`clearance` is the room for nearly full speed; `seed` decides random choices."""
+        """`seed` seeds the random choices.
+
+        `clearance` is the room, ahead and to each side, that a corridor needs so that protection
+        allows nearly full speed.
+        """
         self.lookahead = clearance.ahead + _FOLLOW_TIME * limits.linear
         self._half_width = clearance.beside
         self._limits = limits

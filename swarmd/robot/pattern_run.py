@@ -23,7 +23,10 @@ ROUNDING = 1e-6  # s: a deadline must not be missed by the last bit of a float
 
 
 class RequestedCommand(Struct, frozen=True):
-    """The command that the pattern requests, its time, and the scan behind it (-1: none)."""
+    """The command that the pattern requests.
+
+    `at` is when the step that gave it began; `scan_seq` is the scan that it used (-1: none).
+    """
 
     twist: Twist | None
     at: float
