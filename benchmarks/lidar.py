@@ -54,13 +54,13 @@ def mujoco_sweep(world: World) -> Callable[[], None]:
     place = [*world.poses()[0, :2], 0.25]
     found, distance = np.zeros(rays, dtype=np.int32), np.zeros(rays)
 
-    def sweep() -> None:
+    def cast_scan() -> None:
         mujoco.mj_multiRay(
             world.model, world.data, place, vectors, groups, True, 1,
             found, distance, None, rays, 3.5,
         )  # fmt: skip
 
-    return sweep
+    return cast_scan
 
 
 def rows() -> Iterator[Row]:

@@ -156,7 +156,7 @@ def rows() -> Iterator[Row]:
 
 def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="benchmarks.ros2", description=__doc__)
-    parser.add_argument("--robot", metavar="DIALECT", help=argparse.SUPPRESS)
+    parser.add_argument("--robot", metavar="DRIVER", help=argparse.SUPPRESS)
     parser.add_argument("--seconds", type=float, default=SECONDS, help=argparse.SUPPRESS)
     read = parser.parse_args(arguments)
     if read.robot:

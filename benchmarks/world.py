@@ -52,7 +52,7 @@ def whole_rows(n: int) -> Iterator[Row]:
         yield Row(
             f"times real time, {n} robots, {name}",
             [1.0 / seconds for seconds in taken],
-            note=f"physics, {SCAN_RATE} sweeps and {ODOMETRY_RATE:.0f} odometries a second each,"
+            note=f"physics, {SCAN_RATE} scans and {ODOMETRY_RATE:.0f} odometries a second each,"
             " no patterns",
             unit="x",
         )

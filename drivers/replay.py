@@ -25,11 +25,11 @@ from swarmd.settings.layered import Layered
 
 log = logging.getLogger(__name__)
 
-LEAD = 0.5
+START_DELAY = 0.5
 """Seconds before the first entry, in which the base counts as lost."""
-PAUSE = 1.0
+LOOP_PAUSE = 1.0
 """Seconds between two rounds of a loop, in which the base counts as lost: its pose jumps."""
-MAX_TAKEN = 100
+MAX_COMMANDS = 100
 
 
 class ReplayOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -56,7 +56,7 @@ class ReplayDriver:
         self._after, self._span = _extent(self._path, self._recording, platform)
         self._gate = CommandGate()
         self._commands: Counter[str] = Counter()
-        self.taken: deque[Twist] = deque(maxlen=MAX_TAKEN)
+        self.taken: deque[Twist] = deque(maxlen=MAX_COMMANDS)
 
     async def run(self, sink: Sink) -> None:
         """Play it, once or in a loop, until cancelled."""
@@ -66,7 +66,7 @@ class ReplayDriver:
             )
         try:
             sink.state(False, f"{self._path.name} is about to begin")
-            await asyncio.sleep(LEAD)
+            await asyncio.sleep(START_DELAY)
             rounds = 0
             while True:
                 await self._play(sink, rounds)
@@ -74,7 +74,7 @@ class ReplayDriver:
                 if not self._options.loop:
                     break
                 self._lose(sink, f"{self._path.name} has ended and begins again")
-                await asyncio.sleep(PAUSE)
+                await asyncio.sleep(LOOP_PAUSE)
             self._lose(sink, f"{self._path.name} has ended; option loop=true plays it again")
             await asyncio.Event().wait()
         finally:
@@ -107,7 +107,7 @@ class ReplayDriver:
     async def _play(self, sink: Sink, rounds: int) -> None:
         """One round; stamps and sequences of later rounds continue those of the one before."""
         loop, speed = asyncio.get_running_loop(), self._options.speed
-        begin, shift = loop.time(), rounds * (self._span + PAUSE)
+        begin, shift = loop.time(), rounds * (self._span + LOOP_PAUSE)
         if not any(entry.kind == "state" for entry in self._recording.entries):
             self._connect(sink)
         for entry in self._recording.entries:

@@ -35,6 +35,9 @@ FORBIDDEN = {
 EXCEPTIONS: dict[tuple[str, str], str] = {
     ("sim/live/link.py", "zenoh"): "the world's own session, for the bodies of real-time mode",
 }
+# Packages that take the time as an argument, and read no clock.
+PURE = ("robot", "protection", "kit", "mission", "sensing")
+CLOCKS = ("time", "datetime", "asyncio", "swarmd.core.clock.boottime")
 # Layers of `swarmd/`, from the ground up. A module imports its own package and lower layers only.
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("config",),
@@ -104,6 +107,12 @@ def offences(path: Path, forbidden: tuple[str, ...]) -> list[str]:
 @pytest.mark.parametrize("folder", FORBIDDEN)
 def test_imports_point_one_way(folder: str) -> None:
     found = [line for path in sources(folder) for line in offences(path, FORBIDDEN[folder])]
+    assert found == []
+
+
+@pytest.mark.parametrize("package", PURE)
+def test_pure_packages_take_the_time_as_an_argument(package: str) -> None:
+    found = [line for path in sources(f"swarmd/{package}") for line in offences(path, CLOCKS)]
     assert found == []
 
 

@@ -40,7 +40,7 @@ from swarmd.drivers.ros1.options import read_options
 
 log = logging.getLogger(__name__)
 
-FIRST_PAUSE, LONGEST_PAUSE = 0.1, 5.0
+MIN_RESTART_DELAY, MAX_RESTART_DELAY = 0.1, 5.0
 """Seconds before an adapter that has ended is started again, doubled from the first to the last.
 
 An adapter that had connected to its base is replaced after the first pause: the base may keep its
@@ -87,7 +87,7 @@ class Ros1Driver:
 
     async def run(self, sink: Sink) -> None:
         """Feed the sink until cancelled; the adapter is started again as often as it ends."""
-        self._sink, pause = sink, FIRST_PAUSE
+        self._sink, pause = sink, MIN_RESTART_DELAY
         self._report_state(False, "its adapter is starting")
         try:
             while True:
@@ -96,9 +96,9 @@ class Ros1Driver:
                 self._report_state(False, end)
                 self._log(False, end)
                 if self._was_up or self._is_planned_end:
-                    pause = FIRST_PAUSE
+                    pause = MIN_RESTART_DELAY
                 await asyncio.sleep(pause)
-                pause = min(2.0 * pause, LONGEST_PAUSE)
+                pause = min(2.0 * pause, MAX_RESTART_DELAY)
         finally:
             self._sink, self._reported, self._logged = None, (False, ""), ""
             self._gate.end()

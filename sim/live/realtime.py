@@ -63,7 +63,7 @@ class RealTimeWorld:
         self._sent_seq = np.full(n, -1)
         self._too_old = np.array([p.scan.stale_after * p.scan.rate for p in world.platforms])
         self._unreadable = 0
-        self._sweeps: DelayQueue[tuple[int, Scan]] = DelayQueue()
+        self._scans_in_transit: DelayQueue[tuple[int, Scan]] = DelayQueue()
         self._scans_due = Staggered(np.array([p.scan.rate for p in world.platforms]), start)
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start)
         self._neighbors_due = Staggered(np.full(n, NEIGHBORS_RATE), start)
@@ -115,8 +115,8 @@ class RealTimeWorld:
         due = self._scans_due.due(world.time)
         if len(due):
             for row, scan in zip(due.tolist(), world.scans(due), strict=True):
-                self._sweeps.put(world.time + float(world.scan_latency[row]), (row, scan))
-        for row, scan in self._sweeps.due(world.time):
+                self._scans_in_transit.put(world.time + float(world.scan_latency[row]), (row, scan))
+        for row, scan in self._scans_in_transit.due(world.time):
             self._sent_seq[row] = scan.seq
             transport.scan(world.ids[row], scan)
         due = self._odometry_due.due(world.time)

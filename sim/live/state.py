@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from swarmd.core.codec import MAX_SENSE, Decoder
+from swarmd.core.codec import MAX_SENSOR_PAYLOAD, Decoder
 from swarmd.core.messages import Count, Line, Metres, Name, Rate, Seconds, Word
 
 Action = Literal["start", "finish", "poses", "place", "remove"]
@@ -59,9 +59,9 @@ class WorldReply(Struct, frozen=True, kw_only=True):
     path: Annotated[str, Meta(max_length=4096)] = ""
 
 
-decode_state = Decoder(WorldState, MAX_SENSE)
+decode_state = Decoder(WorldState, MAX_SENSOR_PAYLOAD)
 decode_request = Decoder(WorldRequest)
-decode_reply = Decoder(WorldReply, MAX_SENSE)
+decode_reply = Decoder(WorldReply, MAX_SENSOR_PAYLOAD)
 
 
 def state_key(swarm: str) -> str:

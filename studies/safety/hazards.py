@@ -123,7 +123,7 @@ class Obstacles:
 def room(platform: Platform) -> float:
     """How far in m from every robot a thing may appear so that none is asked for the impossible.
 
-    The blind zone, what the fastest robot drives until the next sweep has come and is acted on,
+    The blind zone, what the fastest robot drives until the next scan has come and is acted on,
     what it then brakes, and what others' bodies reach beyond what is seen.
     """
     barrier, speed = platform.protection["barrier"], platform.limits.linear

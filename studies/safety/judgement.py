@@ -25,7 +25,7 @@ class Judgement(Struct, frozen=True, kw_only=True):
     into which a robot was pushed.
     `goals` reached within `goal_seconds` of all of them together, `windows` of WINDOW s, and how
     many of them `stuck`: all 0 where there was no goal to reach. `altered`: mean change of the
-    wish, times `seconds`.
+    requested command, times `seconds`.
     `min_gap` m between two robots' outlines at the trace's instants.
     """
 

@@ -15,7 +15,7 @@ from swarmd.core.errors import CodecError
 
 VERSION = 1
 MAX_CONTROL = 64 * 1024
-MAX_SENSE = 128 * 1024
+MAX_SENSOR_PAYLOAD = 128 * 1024
 MAX_MESSAGE = 1024
 MAX_DEPTH = 16
 

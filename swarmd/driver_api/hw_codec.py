@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta, Struct
 
-from swarmd.core.codec import MAX_SENSE, Decoder, encode
+from swarmd.core.codec import MAX_SENSOR_PAYLOAD, Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.messages import Count, Metres, Name, Speed, Word
 from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, ScanSpec, Twist
@@ -82,7 +82,7 @@ class CommandWire(Struct, frozen=True, array_like=True):
     requested_scan_seq: Annotated[int, Meta(ge=-1, le=2**53)]
 
 
-_scan = Decoder(ScanWire, MAX_SENSE)
+_scan = Decoder(ScanWire, MAX_SENSOR_PAYLOAD)
 _odometry = Decoder(OdometryWire)
 _neighbors = Decoder(NeighborsWire)
 _readings = Decoder(ReadingsWire)

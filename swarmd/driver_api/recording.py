@@ -15,7 +15,7 @@ from typing import IO, Annotated, Literal, TypeVar
 from msgspec import Meta, Struct
 
 from swarmd.core.clock import boottime
-from swarmd.core.codec import MAX_SENSE, Decoder, encode
+from swarmd.core.codec import MAX_SENSOR_PAYLOAD, Decoder, encode
 from swarmd.core.errors import CodecError, ConfigError, DriverError
 from swarmd.core.values import Neighbor, Odometry, Scan, Twist
 from swarmd.driver_api.driver import Driver, Finding, Sink
@@ -33,7 +33,7 @@ from swarmd.driver_api.hw_codec import (
 log = logging.getLogger(__name__)
 
 MAGIC = b"swarmd recording 1\n"
-MAX_FRAME = MAX_SENSE + 1024
+MAX_FRAME = MAX_SENSOR_PAYLOAD + 1024
 T = TypeVar("T")
 EntryKind = Literal["scan", "odometry", "neighbors", "readings", "state", "command"]
 
@@ -192,7 +192,7 @@ class RecordingSink:
         """A scan."""
         self._sink.scan(scan)
         payload = encode_scan(scan)
-        if len(payload) <= MAX_SENSE:
+        if len(payload) <= MAX_SENSOR_PAYLOAD:
             self._recorder.add("scan", payload)
         else:
             self._sink.dropped("record/scan")

@@ -47,7 +47,7 @@ def steps(
 
 
 def requested(scan: Scan, *, count: int = 2, seed: int = 0, **params: Value) -> Twist:
-    """The wish after so many steps on one scan."""
+    """The requested command after so many steps on one scan."""
     return list(steps(*[scan] * count, seed=seed, params=params))[-1][0]
 
 

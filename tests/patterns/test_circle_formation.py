@@ -38,7 +38,7 @@ def seen_from(points: Array, robot: int) -> Array:
 
 
 def requested(scan: Scan, **params: Value) -> Twist:
-    """The first wish on a scan."""
+    """The first requested command on a scan."""
     pattern = Subject(CircleFormation, BURGER, params).make()
     odometry = Odometry(0.0, Pose(), Twist())
     twist = pattern.step(Inputs(0.0, 0.0, scan, is_new_scan=True, odometry=odometry)).twist

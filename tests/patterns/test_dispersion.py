@@ -29,7 +29,7 @@ class TestDispersionOfThePaper(PatternContract):
 
 
 def requested(scan: Scan, **params: Value) -> Twist:
-    """The first wish on a scan."""
+    """The first requested command on a scan."""
     pattern = Subject(Dispersion, WAFFLE, params).make()
     twist = pattern.step(Inputs(now=0.0, dt=0.0, scan=scan)).twist
     assert twist is not None

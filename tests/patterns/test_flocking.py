@@ -29,7 +29,7 @@ class TestFlockingOfThePaper(PatternContract):
 
 
 def requested(scan: Scan, *, seed: int = 0, **params: Value) -> Twist:
-    """The first wish on a scan."""
+    """The first requested command on a scan."""
     pattern = Subject(Flocking, BURGER, params).make(seed)
     twist = pattern.step(Inputs(now=0.0, dt=0.0, scan=scan, is_new_scan=True)).twist
     assert twist is not None

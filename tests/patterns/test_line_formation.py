@@ -62,7 +62,7 @@ def step(
     now: float = 0.0,
     pose: Pose | None = None,
 ) -> tuple[Twist, str]:
-    """The wish and the state."""
+    """The requested command and the state."""
     odometry = Odometry(now, pose or Pose(), Twist())
     outputs = pattern.step(
         Inputs(now, 0.1, scan, is_new_scan=True, odometry=odometry, neighbors=tuple(neighbors))

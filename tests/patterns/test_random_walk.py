@@ -30,7 +30,7 @@ class TestRandomWalkOfThePaper(PatternContract):
 def walk(
     see: Callable[[float], Scan], seconds: float, *, seed: int = 0, **params: Value
 ) -> list[Twist]:
-    """The wishes at 10 Hz."""
+    """The requested commands at 10 Hz."""
     pattern = Subject(RandomWalk, PLATFORM, params).make(seed)
     twists = []
     for now in np.arange(0.0, seconds, 0.1).tolist():

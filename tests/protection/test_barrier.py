@@ -115,8 +115,12 @@ def test_robot_can_stop_before_every_return(
     requested = Twist(straight.linear, straight.angular, aside * platform.limits.lateral)
     safe = decided(platform, scan, requested, age=age).safe
     speed = np.array([safe.linear, safe.lateral])
-    wished = np.array([requested.linear, requested.lateral])
-    along = wished / np.hypot(*wished) if wished.any() else np.array([1.0, 0.0])
+    requested_velocity = np.array([requested.linear, requested.lateral])
+    along = (
+        requested_velocity / np.hypot(*requested_velocity)
+        if requested_velocity.any()
+        else np.array([1.0, 0.0])
+    )
     free = settings["margin"] + settings["unseen_extent"]
     for point in points(platform, scan):
         gap, at, towards = outline_point(platform.footprint, point)

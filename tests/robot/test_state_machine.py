@@ -40,12 +40,12 @@ def test_only_a_reset_leaves_estopped_or_faulted() -> None:
 
 @pytest.mark.parametrize("event", [event for event in Trigger if event is not Trigger.RUN])
 def test_every_other_trigger_leaves_running(event: Trigger) -> None:
-    supervisor = StateMachine(0.0)
-    supervisor.apply(Trigger.RUN, None, "", 1.0)
-    supervisor.apply(event, Reason.OPERATOR, "why", 2.0)
+    machine = StateMachine(0.0)
+    machine.apply(Trigger.RUN, None, "", 1.0)
+    machine.apply(event, Reason.OPERATOR, "why", 2.0)
     if event is not Trigger.RESET:
-        assert supervisor.state is not State.RUNNING
-        assert (supervisor.reason, supervisor.detail, supervisor.since) == (
+        assert machine.state is not State.RUNNING
+        assert (machine.reason, machine.detail, machine.since) == (
             Reason.OPERATOR,
             "why",
             2.0,
@@ -53,8 +53,8 @@ def test_every_other_trigger_leaves_running(event: Trigger) -> None:
 
 
 def test_trigger_without_a_change_keeps_the_older_reason() -> None:
-    supervisor = StateMachine(0.0)
-    supervisor.apply(Trigger.ESTOP, Reason.ESTOP, "by alice", 1.0)
-    supervisor.apply(Trigger.STOP, Reason.OPERATOR, "by bob", 2.0)
-    assert (supervisor.state, supervisor.reason) == (State.ESTOPPED, Reason.ESTOP)
-    assert supervisor.detail == "by alice"
+    machine = StateMachine(0.0)
+    machine.apply(Trigger.ESTOP, Reason.ESTOP, "by alice", 1.0)
+    machine.apply(Trigger.STOP, Reason.OPERATOR, "by bob", 2.0)
+    assert (machine.state, machine.reason) == (State.ESTOPPED, Reason.ESTOP)
+    assert machine.detail == "by alice"

@@ -12,7 +12,7 @@ import pytest
 import zenoh
 
 from swarmd.core.clock import boottime
-from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSE, encode, encode_value
+from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSOR_PAYLOAD, encode, encode_value
 from swarmd.core.keys import build
 from swarmd.core.messages import REQUEST_TYPES, AnyRequest, Condition, Epoch, MembersQuery, State
 from swarmd.core.values import Neighbor, Odometry, Pose, Twist
@@ -150,7 +150,7 @@ def mesh_targets(swarm: str) -> Iterator[Target]:
 def body_targets(swarm: str, body: Body) -> Iterator[Target]:
     """Every key of the driver's session."""
     for name, valid, limit in (
-        ("scan", encode_scan(body.clear(1, 0.0)), MAX_SENSE),
+        ("scan", encode_scan(body.clear(1, 0.0)), MAX_SENSOR_PAYLOAD),
         ("odometry", encode_odometry(Odometry(1.0, Pose(), Twist())), MAX_CONTROL),
         ("neighbors", encode_neighbors((Neighbor("r2", 0.0),)), MAX_CONTROL),
         ("readings", encode_readings({"battery": 0.9}), MAX_CONTROL),

@@ -206,7 +206,7 @@ def test_an_adapter_that_had_its_base_is_replaced_after_the_first_pause(
             scene.rise()
             assert scene.command() == FIRST
             scene.adapter.is_dead = True
-            await asyncio.sleep(ros1.FIRST_PAUSE + 0.01)
+            await asyncio.sleep(ros1.MIN_RESTART_DELAY + 0.01)
             assert not scene.heard.is_up
             scene.driver.send(MOVING, 1, 1)
             await asyncio.sleep(0.19)

@@ -1,4 +1,4 @@
-"""Drives, then writes into every socket that it finds open: the guardian's among them."""
+"""Drives, then writes into every socket that it finds open: the daemon's among them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from swarmd.api import Inputs, MovementPattern, Params, Twist
 
 
 class Babbler(MovementPattern[Params]):
-    """From its fifth step on it says what the guardian cannot read."""
+    """From its fifth step on it says what the daemon cannot read."""
 
     count = 0
 

@@ -1,4 +1,4 @@
-"""Drives, and in a thread tells the guardian without end what is well-formed and for nobody."""
+"""Drives, and in a thread tells the daemon without end what is well-formed and for nobody."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Flooder(MovementPattern[Params]):
         return Twist(0.1)
 
     def flood(self) -> None:
-        """Write to every socket that is open, the guardian's among them."""
+        """Write to every socket that is open, the daemon's among them."""
         sockets = []
         for name in os.listdir("/proc/self/fd"):
             with contextlib.suppress(OSError):

@@ -116,7 +116,7 @@ def test_the_better_side_is_named_where_the_metric_has_one(
     assert (found.better, found.conclusion) == (better, conclusion)
 
 
-def test_what_chance_would_find_is_told() -> None:
+def test_what_chance_would_find_is_reported() -> None:
     found = compare(side(of(np.arange(8.0))), side(of(np.arange(8.0) + 1.0)))
     assert expected_by_chance(found) == 0.05
     plain = document(side({0: 1.0}), side({0: 1.0}), found)

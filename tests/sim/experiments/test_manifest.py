@@ -113,7 +113,7 @@ def test_the_same_experiment_has_no_differences(manifest: Manifest, duo: Path) -
         ({"variants": []}, "the scenario's contents have changed"),
     ],
 )
-def test_differences_are_told(manifest: Manifest, changes: dict[str, Any], line: str) -> None:
+def test_differences_are_reported(manifest: Manifest, changes: dict[str, Any], line: str) -> None:
     (found,) = differences(manifest, changed(manifest, **changes))
     assert line in found
 
@@ -127,7 +127,7 @@ def test_differences_are_told(manifest: Manifest, changes: dict[str, Any], line:
         ("new", "new was 1.0, now unknown"),
     ],
 )
-def test_other_software_is_told(manifest: Manifest, name: str, line: str) -> None:
+def test_other_software_is_reported(manifest: Manifest, name: str, line: str) -> None:
     old = changed(manifest, made_with={**manifest.made_with, name: "1.0"})
     (found,) = differences(old, manifest)
     assert found.startswith(line)

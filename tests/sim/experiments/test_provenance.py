@@ -48,7 +48,7 @@ def test_the_digest_follows_links_and_leaves_out_what_no_run_reads(tmp_path: Pat
     assert digest_of_code(package) != first
 
 
-def test_the_arithmetic_that_the_environment_chooses_is_told(
+def test_the_arithmetic_that_the_environment_chooses_is_reported(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.delenv("OPENBLAS_CORETYPE", raising=False)

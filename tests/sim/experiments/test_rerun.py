@@ -32,7 +32,7 @@ def test_every_run_is_identical_even_without_the_scenario(
     assert again(results, tmp_path) == {"s0000": "", "s0001": ""}
 
 
-def test_one_other_bit_is_told(results: Results, tmp_path: Path) -> None:
+def test_one_other_bit_is_reported(results: Results, tmp_path: Path) -> None:
     path = results.folder / "traces" / "s0001.npz"
     trace = load_trace(path)
     pose = trace.pose.copy()
@@ -51,7 +51,7 @@ def test_without_traces_the_metrics_are_compared(results: Results, tmp_path: Pat
     assert again(results, tmp_path) == {"s0000": "", "s0001": "metrics: minimum_gap"}
 
 
-def test_a_metric_that_does_not_belong_to_its_trace_is_told(
+def test_a_metric_that_does_not_belong_to_its_trace_is_reported(
     results: Results, tmp_path: Path
 ) -> None:
     table = results.folder / "runs.csv"
@@ -61,7 +61,7 @@ def test_a_metric_that_does_not_belong_to_its_trace_is_told(
     assert found == {"s0000": "metrics of the same trace: minimum_gap", "s0001": ""}
 
 
-def test_a_run_that_fails_now_is_told(results: Results, duo: Path, tmp_path: Path) -> None:
+def test_a_run_that_fails_now_is_reported(results: Results, duo: Path, tmp_path: Path) -> None:
     plugin = duo.parent / "plugins" / "moody.py"
     plugin.write_text(plugin.read_text().replace('self.params.end == "exit"', "True"))
     assert warnings(results.folder) == [f"plugin {duo.parent}/plugins/moody.py has changed"]

@@ -9,7 +9,7 @@ import pytest
 import zenoh
 from msgspec.structs import replace
 
-from swarmd.core.codec import MAX_SENSE, encode
+from swarmd.core.codec import MAX_SENSOR_PAYLOAD, encode
 from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.core.values import Twist
 from swarmd.driver_api.hw_codec import encode_command
@@ -144,4 +144,4 @@ def test_a_state_of_many_robots_stays_within_the_size_limit() -> None:
     three = (1.0 / 3.0, -1.0 / 3.0, 3.0)
     many = {"poses": (three,) * 500, "twists": (three,) * 500, "commanded": (True,) * 500}
     whole = replace(state(), ids=tuple(f"robot-{i:03d}" for i in range(500)), **many)
-    assert len(encode(whole)) < MAX_SENSE
+    assert len(encode(whole)) < MAX_SENSOR_PAYLOAD

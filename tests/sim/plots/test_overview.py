@@ -30,7 +30,7 @@ def test_each_run_has_its_place_and_name(walk: Walk) -> None:
     assert figure.get_suptitle() == "7 runs"
 
 
-def test_all_are_drawn_to_one_scale_which_is_told(walk: Walk) -> None:
+def test_all_are_drawn_to_one_scale_which_is_reported(walk: Walk) -> None:
     small, large = walk(1, arena="3x3"), walk(9, arena="6x4")
     figure = overview_figure([("a", lambda: small), ("b", lambda: large)], note="by seed")
     assert figure.axes[0].get_xlim() == figure.axes[1].get_xlim()

@@ -80,7 +80,7 @@ def test_what_touches_nothing_moves_by_its_own_drives() -> None:
     assert free[:, :, [0, 2]] == pytest.approx(0.0)
 
 
-def test_what_drives_can_do_lies_between_what_was_done_and_what_is_told() -> None:
+def test_what_drives_can_do_lies_between_what_was_done_and_what_is_reported() -> None:
     trace = run(commands(0.2, -0.1), 0.3)
     trace.pose[:, 0, 0] = np.minimum(0.2 * (T - TOUCH), 0.0)
     at = int(np.searchsorted(T, TOUCH + 0.1))

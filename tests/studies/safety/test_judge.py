@@ -94,7 +94,7 @@ def test_each_pair_counts_for_itself() -> None:
     assert (found.collisions, found.faults) == (2, 2)
 
 
-def test_the_fastest_own_surface_within_a_count_is_told() -> None:
+def test_the_fastest_own_surface_within_a_count_is_reported() -> None:
     found = collisions(
         run([(5.0, 0, 2, 0.0, 0.3), (5.1, 0, 2, 0.07, 0.0), (5.2, 0, 2, 0.03, 0.3)]), {"ram"}
     )
