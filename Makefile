@@ -64,9 +64,10 @@ safety: $(VENV)/tools
 	@$(BIN)/python -m studies.safety progress
 
 # Small changes of protection, robot and the ROS conversion, each with the tests that reach it. All
-# of them take a night; ARGS='swarmd.protection.projection*' selects some.
+# of them take a night; ARGS='swarmd.protection.projection*' selects some, and
+# studies/mutation_sample.py draws a sample.
 mutants: $(VENV)/tools
-	@$(PIP) install --constraint constraints.txt 'mutmut>=3.8,<4'
+	@$(PIP) install --constraint constraints.txt mutmut
 	@$(BIN)/mutmut run $(ARGS)
 	@$(BIN)/mutmut results
 
@@ -99,7 +100,7 @@ $(VENV)/tools: $(VENV)/installed
 lock:
 	rm -rf build/lock && $(PYTHON) -m venv build/lock
 	build/lock/bin/pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
-	build/lock/bin/pip install --quiet --disable-pip-version-check '.[sim,plot]' --group dev
+	build/lock/bin/pip install --quiet --disable-pip-version-check '.[sim,plot]' --group dev --group mutants
 	sed -n '/^#/p' constraints.txt > build/constraints.txt
 	build/lock/bin/pip freeze | grep -v '^swarmd' >> build/constraints.txt
 	mv build/constraints.txt constraints.txt

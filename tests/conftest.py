@@ -1,4 +1,4 @@
-"""What tests of several folders need: network namespaces, where they are permitted."""
+"""What tests of several folders need: hypothesis profiles, network namespaces where permitted."""
 
 from __future__ import annotations
 
@@ -13,6 +13,19 @@ import subprocess
 from collections.abc import Iterator
 
 import pytest
+from hypothesis import Phase, settings
+
+# A machine may be busy: how long an example takes is no property.
+settings.register_profile("calm", deadline=None)
+# Whether a mechanism is missing shows soon; which example shows it best does not matter.
+settings.register_profile(
+    "mutants",
+    deadline=None,
+    derandomize=True,
+    max_examples=25,
+    phases=(Phase.explicit, Phase.generate),
+)
+settings.load_profile("calm")
 
 
 def pytest_configure() -> None:
