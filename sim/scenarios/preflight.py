@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from swarmd.core.errors import unknown
-from swarmd.core.host_messages import Layers, Load, LoadRefused
+from swarmd.core.host_messages import REQUEST_LAYER, Layers, Load, LoadRefused
 from swarmd.core.values import Value
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
@@ -64,7 +64,7 @@ def check_patterns(
     for preflight in schedule.preflights:
         _check_name(layers, preflight.keys, preflight.pattern, origins)
         robot, pattern = preflight.robot, preflight.pattern
-        parameters = (*configured(robot, pattern), ("runtime", {**preflight.parameters}))
+        parameters = (*configured(robot, pattern), (REQUEST_LAYER, {**preflight.parameters}))
         platform = groups.robots[robot]
         # Robots of one platform with the same parameters give the same result.
         what = repr((pattern, platform.name, parameters))

@@ -93,7 +93,8 @@ def check(options: CommonOptions, file: Path) -> None:
     else:
         how = f"{results['fault']} faults" if results["fault"] != 1 else "1 fault"
         if results["repeated"]:
-            how += f", repeated at {results['repeated']} other points"
+            count = results["repeated"]
+            how += f", repeated at {count} other point{'s' if count > 1 else ''}"
         click.echo(f"{len(points)} checked, {how if bad else 'all well'}")
     click.get_current_context().exit(1 if bad else 0)
 

@@ -19,6 +19,9 @@ Layers = tuple[tuple[str, Mapping[str, Value]], ...]
 ParamSources = Mapping[str, tuple[Scalar | None, str]]
 """Parameters by name: the value, and the layer that it comes from."""
 
+REQUEST_LAYER = "request"
+"""The source of parameters that came with a request: the strongest of `Load.layers`."""
+
 
 class Load(Struct, frozen=True, eq=False, array_like=True, tag="load"):
     """Load a pattern. `layers`: parameters by source, weakest first, above its defaults.
@@ -76,7 +79,7 @@ class Loaded(Struct, frozen=True, eq=False, array_like=True, tag="loaded"):
     """The pattern is loaded and can be stepped.
 
     `rate`: steps per second. `touches`: the zone in which it asks to touch obstacles. `took`:
-    seconds that loading took.
+    seconds that loading took. `note`: speeds of the request that the base cannot reach.
     """
 
     generation: int
@@ -85,6 +88,7 @@ class Loaded(Struct, frozen=True, eq=False, array_like=True, tag="loaded"):
     params: ParamSources
     touches: TouchZone | None = None
     took: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
+    note: str = ""
 
 
 class LoadRefused(Struct, frozen=True, array_like=True, tag="refused"):

@@ -16,6 +16,8 @@ import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
+from swarmd.core.errors import unknown
+
 Array: TypeAlias = NDArray[np.float64]
 Scalar: TypeAlias = bool | int | float | str
 # A value of a parameter or message: MessagePack's own types.
@@ -202,6 +204,24 @@ class Platform:
     patterns: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
     drivers: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
     body: Mapping[str, float] = field(default_factory=dict)
+
+
+_INPUTS = (
+    "scan",
+    "odometry",
+    "neighbors",
+    "neighbors.distance",
+    "neighbors.bearing",
+    "neighbors.heading",
+)
+_READING = "reading:"
+
+
+def input_fault(word: str) -> str:
+    """Why no robot can provide the input `word` to a pattern; empty if one can."""
+    is_reading = word.startswith(_READING) and word.removeprefix(_READING).isidentifier()
+    known = word in _INPUTS or is_reading
+    return "" if known else unknown("input", word, (*_INPUTS, f"{_READING}<name>"))
 
 
 class Inputs(Struct, frozen=True, eq=False, array_like=True):

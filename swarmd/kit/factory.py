@@ -8,10 +8,10 @@ from typing import Any, TypeAlias
 
 from numpy.random import Generator
 
-from swarmd.core.errors import MissingSensorError
+from swarmd.core.errors import MissingSensorError, PluginError
 from swarmd.core.host_messages import Layers
 from swarmd.core.keys import check_id
-from swarmd.core.values import Platform, Scalar, Value
+from swarmd.core.values import Platform, Scalar, Value, input_fault
 from swarmd.kit.behavior import Context, Pattern
 from swarmd.kit.params import build
 from swarmd.kit.touch import check_zone
@@ -81,6 +81,10 @@ def _check_channels(name: str, channels: Mapping[str, type]) -> None:
 
 
 def _check_needs(name: str, needs: frozenset[str], platform: Platform) -> None:
+    for need in sorted(needs):
+        fault = input_fault(need)
+        if fault:
+            raise PluginError(f"`needs` of {name!r}: {fault}; to hear messages needs no entry")
     missing = sorted(needs - platform.provides)
     if missing:
         text = (

@@ -17,6 +17,7 @@ from msgspec.structs import replace
 
 from swarmd.core.errors import ParameterError, PluginError, SwarmError, named
 from swarmd.core.host_messages import (
+    REQUEST_LAYER,
     Load,
     Loaded,
     LoadRefused,
@@ -80,7 +81,9 @@ class PatternExecutor:
         pattern = assembled.pattern
         channels = frozenset(pattern.channels)
         rate = float(pattern.rate)
-        return Loaded(load.generation, rate, channels, assembled.params, pattern.touches)
+        asked = dict(load.layers).get(REQUEST_LAYER, {})
+        note = _beyond_limits(type(pattern).params_type, asked, assembled.params, load.platform)
+        return Loaded(load.generation, rate, channels, assembled.params, pattern.touches, note=note)
 
     def _on_step(self, step: Step) -> SentEvent:
         assert self._assembled is not None
@@ -98,7 +101,7 @@ class PatternExecutor:
         assert self._assembled is not None
         assert self._load is not None
         pattern, load = self._assembled.pattern, self._load
-        layers = (*load.layers, ("runtime", command.values))
+        layers = (*load.layers, (REQUEST_LAYER, command.values))
 
         def change() -> ParamSources:
             whole = full_layers(type(pattern), load.platform, layers)

@@ -9,6 +9,7 @@ this process, or keeps it. On SIGUSR1 and on a crash the lines of Python's stack
 from __future__ import annotations
 
 import argparse
+import ast
 import faulthandler
 import json
 import os
@@ -33,7 +34,7 @@ from swarmd.kit.behavior import MovementPattern, Pattern
 from swarmd.kit.combined import CombinedPattern
 from swarmd.kit.conditions import needs_of
 from swarmd.kit.factory import Find, assemble
-from swarmd.kit.params import schema
+from swarmd.kit.params import Params, schema
 from swarmd.kit.touch import check_zone, describe_zone
 from swarmd.kit.voting_pattern import VotingPattern
 from swarmd.mission.mission import Mission, mission_class, pattern_classes
@@ -276,13 +277,29 @@ def _in_one_line(error: BaseException, path: Path, kind: type[Pattern[Any]] | No
     if isinstance(error, SyntaxError) and error.filename == str(path):
         text, lines = error.msg, [error.lineno]
     elif not lines and kind is not None and isinstance(error, PluginError | AssertionError):
-        lines = _lines_of_step(kind, path)
+        lines = _lines_of_default(kind, text, path) or _lines_of_step(kind, path)
+    if isinstance(error, AttributeError) and type(error.obj) is Params:
+        text += "; is `params_type` missing in the class?"
     place = f" ({path.name}:{lines[-1]})" if lines else ""
     is_worded = isinstance(error, SwarmError) or (isinstance(error, AssertionError) and text)
     if isinstance(error, TimeoutError):
         is_worded = bool(text)
     name = type(error).__name__
     return (text if is_worded else f"{name}: {text}" if text else name) + place
+
+
+def _lines_of_default(kind: type[Pattern[Any]], text: str, path: Path) -> list[int | None]:
+    """Where the file declares the parameter, as `Params.name`, with which the text begins."""
+    name, _, field = text.partition(" ")[0].partition(".")
+    if name != kind.params_type.__name__:
+        return []
+    return [
+        node.lineno
+        for owner in ast.walk(ast.parse(path.read_bytes()))
+        if isinstance(owner, ast.ClassDef) and owner.name == name
+        for node in owner.body
+        if isinstance(node, ast.AnnAssign) and ast.unparse(node.target) == field
+    ]
 
 
 def _lines_of_step(kind: type[Pattern[Any]], path: Path) -> list[int | None]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from msgspec import structs
 
 from swarmd.core.host_messages import (
+    REQUEST_LAYER,
     CancelTrial,
     HostDied,
     HostEvent,
@@ -199,7 +200,8 @@ class Lifecycle:
             effects.is_new_run = True
             self.report = {}
             self.log(f"runs {loading.pattern}, by {loading.request.operator}", effects.now)
-            self.applied(effects, loading.request, f"runs {loading.pattern}")
+            text = f"runs {loading.pattern}"
+            self.applied(effects, loading.request, f"{text}; {event.note}" if event.note else text)
         # The touch zone is granted to this generation alone: it ends with `pattern_run.running`.
         assert self.pattern_run.running is not None
         granted = self.identity.settings.touch.get(loading.pattern)
@@ -354,7 +356,7 @@ class Lifecycle:
     def load_of(self, generation: int, pattern: str, params: Mapping[str, Scalar | None]) -> Load:
         """The command that loads a pattern for this robot; `params` form the strongest layer."""
         identity = self.identity
-        layers = (*identity.settings.layers(pattern), ("runtime", dict(params)))
+        layers = (*identity.settings.layers(pattern), (REQUEST_LAYER, dict(params)))
         seed = (identity.seed * 1_000_003 + generation) % 2**63
         return Load(generation, pattern, layers, identity.robot, identity.platform, seed)
 

@@ -13,7 +13,7 @@ from msgspec import Meta, Struct, to_builtins
 import swarmd.config
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.values import Array, Limits, Platform, ScanSpec, Value
+from swarmd.core.values import Array, Limits, Platform, ScanSpec, Value, input_fault
 from swarmd.protection.footprint import Footprint
 from swarmd.protection.settings import (
     BarrierSettings,
@@ -30,9 +30,6 @@ Coordinate = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Point = tuple[Coordinate, Coordinate]
 Bearing = Annotated[float, Meta(ge=-360.0, le=360.0)]
 Positive = Annotated[float, Meta(gt=0.0, le=1000.0)]
-_SENSED = ("scan", "odometry", "neighbors")
-_OF_NEIGHBORS = ("neighbors.distance", "neighbors.bearing", "neighbors.heading")
-_READING = "reading:"
 
 
 class LimitsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -191,9 +188,9 @@ def _check_file(file: PlatformFile) -> Iterator[Fault]:
         except ConfigError as error:
             yield ("drivers", name), str(error)
     for index, word in enumerate(file.provides):
-        if word not in (*_SENSED, *_OF_NEIGHBORS) and not _is_reading(word):
-            words = (*_SENSED, *_OF_NEIGHBORS, f"{_READING}<name>")
-            yield fault_at(("provides", index), f"names {unknown('word', word, words)}")
+        fault = input_fault(word)
+        if fault:
+            yield fault_at(("provides", index), f"names {fault}")
     fault = _shape_fault(file.footprint)
     if fault:
         text = f"{fault}; wanted a convex polygon in m, counter-clockwise seen from above"
@@ -234,10 +231,6 @@ def _check_ranges(file: PlatformFile) -> Iterator[Fault]:
             f" measures; wanted protection.stop_zone.stop of at least {wanted:g}, or another mode"
         )
         yield fault_at(("protection", "mode"), text)
-
-
-def _is_reading(word: str) -> bool:
-    return word.startswith(_READING) and word.removeprefix(_READING).isidentifier()
 
 
 def _shape_fault(points: list[Point]) -> str:

@@ -158,7 +158,16 @@ def test_json_holds_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     [
         ({"body": "return None"}, STEPS, "drive gave None"),
         ({"body": "import os; os._exit(3)"}, STEPS, "os._exit"),
-        ({"body": "return Twist(self.params.speed)"}, STEPS, "has no attribute 'speed'"),
+        ({"body": "return Twist(self.params.speed)"}, STEPS, "is `params_type` missing"),
+        (
+            {
+                "top": "import numpy as np\nRNG = np.random.default_rng()",
+                "body": "return Twist(0.1 * RNG.random() - 0.05)",
+            },
+            "the same seed gives the same run",
+            "two runs with one seed differ",
+        ),
+        ({"declared": "needs = frozenset({'messages'})"}, STEPS, "no input 'messages'"),
         (
             {
                 "declared": "channels = {'word': float}\n"
@@ -174,7 +183,7 @@ def test_json_holds_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str])
         ),
     ],
 )
-def test_a_mistake_is_told_once_with_its_line(
+def test_a_mistake_is_reported_once_with_its_line(
     tmp_path: Path, lines: dict[str, Any], point: str, text: str
 ) -> None:
     points = checked(tmp_path, **lines)
@@ -187,12 +196,12 @@ def test_a_mistake_is_told_once_with_its_line(
 @pytest.mark.parametrize(
     ("default", "base", "text"),
     [
-        ("'fast'", "OwnParams", "'fast'"),
-        ("9.0", "OwnParams", "9.0"),
+        ("'fast'", "OwnParams", "'fast'; wanted is a float from 0 to 1 m/s (own.py:5)"),
+        ("9.0", "OwnParams", "9.0; wanted is a float from 0 to 1 m/s (own.py:5)"),
         ("0.1", "Params", "add `params_type = OwnParams`"),
     ],
 )
-def test_a_wrong_default_or_params_type_is_told_once(
+def test_a_wrong_default_or_params_type_is_reported_once(
     tmp_path: Path, default: str, base: str, text: str
 ) -> None:
     code = CODE.replace("[Params]", "[OwnParams]").format(
@@ -252,7 +261,7 @@ def test_a_crash_fails_its_point_and_the_others_are_checked(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("hang", ["import threading; threading.Event().wait()", "input_loop()"])
-def test_a_hang_is_told_with_its_line_and_ends_the_check(tmp_path: Path, hang: str) -> None:
+def test_a_hang_is_reported_with_its_line_and_ends_the_check(tmp_path: Path, hang: str) -> None:
     """It waits for what never comes and uses no processor time, or loops for ever."""
     loop = "def input_loop():\n    import select; select.select([], [], [])"
     points = checked(tmp_path, 4.0, top=loop, body=f"if inputs.scan.seq == 9: {hang}")
@@ -272,7 +281,7 @@ def test_a_hang_is_told_with_its_line_and_ends_the_check(tmp_path: Path, hang: s
         ({"made": "import subprocess; subprocess.run(['true'])"}, NO_SIDE_EFFECTS, "subprocess"),
     ],
 )
-def test_a_side_effect_is_told_wherever_it_happens(
+def test_a_side_effect_is_reported_wherever_it_happens(
     tmp_path: Path, lines: dict[str, Any], point: str, text: str
 ) -> None:
     assert text in faults(checked(tmp_path, **lines))[point]

@@ -113,7 +113,7 @@ def test_run_ends_with_a_count(swarm: Swarm) -> None:
     done = swarm.ctl("run", "drive", "r1", "r[23]", "-p", "speed=0.1", "--for", "60s")
     assert (done.returncode, done.stderr) == (0, "")
     assert last_line(done) == "3 targeted, 3 applied"
-    assert swarm.status("r2")["params"]["speed"] == {"value": 0.1, "source": "runtime"}
+    assert swarm.status("r2")["params"]["speed"] == {"value": 0.1, "source": "request"}
 
 
 def test_a_run_ends_when_its_condition_holds(swarm: Swarm) -> None:
@@ -232,7 +232,7 @@ def test_param_set_changes_and_param_get_shows_the_source(
     look = ("param", "get", "--timeout", "10s")
     wait_until(lambda: "0.05" in swarm.ctl(*look, "r1").stdout, "speed 0.05 in force")
     rows = [line.split() for line in swarm.ctl(*look, "-k", "turn").stdout.splitlines()]
-    assert rows[1] == ["r1", "drive", "turn", "0.5", "runtime"]
+    assert rows[1] == ["r1", "drive", "turn", "0.5", "request"]
     assert rows[2][:4] == ["r2", "drive", "turn", "0"]
     assert swarm.ctl(*look, "-k", "trun").returncode == 2
     swarm.ctl("stop")

@@ -103,7 +103,7 @@ def test_inputs_arrive_bit_by_bit() -> None:
         LoadRefused(2, "no such pattern"),
         Stepped(3, Outputs(Twist(0.1, -0.2), {"a": 1}, {"state": "go"}, "done"), 9, 2),
         Stepped(3, Outputs(), -1),
-        ParamsSet(4, "r1", "", {"speed": (None, "runtime")}),
+        ParamsSet(4, "r1", "", {"speed": (None, "request")}),
         PatternFailed(5, "ZeroDivisionError"),
     ],
 )

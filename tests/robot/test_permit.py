@@ -204,4 +204,4 @@ def test_parameter_recovery_overrides_the_default(pattern: str, value: str) -> N
     harness.ask("param", params={"recovery": value})
     harness.advance(0.1)
     assert permit(harness).may_recover is (value == "true")
-    assert harness.status.params["recovery"].source == "runtime"
+    assert harness.status.params["recovery"].source == "request"

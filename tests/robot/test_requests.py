@@ -13,7 +13,7 @@ from tests.support.stub_patterns import PATTERNS, Forward, standing_state, start
 
 
 class NeedsRadio(Forward):
-    needs = frozenset({"radio"})
+    needs = frozenset({"reading:radio"})
 
 
 class Broken(Forward):
@@ -183,11 +183,18 @@ def test_speed_above_the_limit_is_noted_in_the_reply(speed: float, is_noted: boo
     assert ("waffle_pi is limited to 0.26 m/s" in reply.text) is is_noted
 
 
+def test_run_above_the_limit_is_noted_in_the_reply() -> None:
+    reply = started(speed=0.1).ask("run", pattern="forward", params={"speed": 0.9})
+    assert reply is not None
+    assert reply.code is Code.APPLIED
+    assert "waffle_pi is limited to 0.26 m/s" in reply.text
+
+
 def test_param_set_holds_until_the_next_run() -> None:
     harness = started(speed=0.1)
     harness.applied("param", params={"speed": "0.15"})
     assert harness.status.params["speed"].value == 0.15
-    assert harness.status.params["speed"].source == "runtime"
+    assert harness.status.params["speed"].source == "request"
     harness.advance(0.2)
     assert harness.twist == Twist(0.15)
     harness.ask("run", pattern="forward")

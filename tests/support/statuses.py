@@ -38,7 +38,7 @@ RUNNING = Status(
     changed_by="ann@desk (run drive)",
     latches={},
     labels=("red",),
-    params={"speed": Param(value=0.2, source="runtime"), "turn": Param(value=0.0, source="robot")},
+    params={"speed": Param(value=0.2, source="request"), "turn": Param(value=0.0, source="robot")},
     report={"opinion": 2},
     decision=DecisionSummary(requested_linear=0.2, safe_linear=0.1, is_active=True, min_gap=0.61),
     health=Health(scan_rate=4.96, loop_p99=0.0041, driver="answers", driver_up=True),

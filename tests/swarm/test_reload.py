@@ -153,7 +153,7 @@ def test_a_reload_with_run_keeps_the_parameters(own: Own) -> None:
     done = own.reload("--run")
     assert done.code == 0, done
     status = own.at_version(2)
-    assert (status.params["speed"].value, status.params["speed"].source) == (0.05, "runtime")
+    assert (status.params["speed"].value, status.params["speed"].source) == (0.05, "request")
     moving = own.body.wait_moving(boottime())
     assert moving.twist.linear == pytest.approx(0.05)
     texts = [event.text for event in status.events]

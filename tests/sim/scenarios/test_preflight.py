@@ -43,7 +43,7 @@ class Needy(MovementPattern[Params]):
             {"groups.red.touch": {"driev": {"half_width_deg": 9, "speed": 0.1}}},
             "groups.red.touch.driev: .*'drive'",
         ),
-        ({"events.0.parameters": {"speed": 100}}, r"events\[0\].parameters.speed: .*runtime"),
+        ({"events.0.parameters": {"speed": 100}}, r"events\[0\].parameters.speed: .*request"),
         (
             {"events.+": {"at": 20, "param": {"speeed": 1}, "targets": "blue"}},
             r"events\[1\].param.speeed: .*'speed'",
