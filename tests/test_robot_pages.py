@@ -17,7 +17,7 @@ from swarmd.drivers.ros.options import RmwOptions
 from swarmd.drivers.ros1.options import Ros1Options
 from swarmd.settings.driver_options import BaseOptions
 from swarmd.settings.platforms import load_platform, platform_names
-from swarmd.testing.driver_rig import DetachableRig, Rig, ScriptedRig
+from swarmd.testing.driver_contract import DetachableRig, Rig, ScriptedRig
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ROOT / "docs" / "robots"

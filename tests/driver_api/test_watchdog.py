@@ -28,7 +28,7 @@ from swarmd.settings.driver_options import (
     effective_command_timeout,
 )
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
-from swarmd.testing.driver_rig import CollectingSink
+from swarmd.testing.driver_contract import CollectingSink
 
 
 def sending(timer: WatchdogTimer, *times: float) -> list[bool]:

@@ -14,7 +14,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.values import Twist, Value
 from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
-from swarmd.testing.driver_rig import is_running
+from swarmd.testing.driver_contract import is_running
 from tests.drivers.ros2.dds_rig import DdsRobot
 from tests.drivers.ros2.robots import RAYS, BridgedRobot, Robot, ZenohRobot, odometry, scan
 from tests.support.drive_daemon import ROBOT, drive

@@ -12,7 +12,7 @@ import pytest
 
 from swarmd.core.clock import boottime
 from swarmd.core.messages import Code, Reason, RunRequest, State
-from swarmd.testing.driver_rig import is_running
+from swarmd.testing.driver_contract import is_running
 from tests.support.processes import wait_until
 
 if TYPE_CHECKING:

@@ -19,7 +19,7 @@ from swarmd.driver_api.driver import ZeroSenderSpec
 from swarmd.driver_api.watchdog import MIN_ZERO_TIME
 from swarmd.driver_api.watchdog_client import WatchdogProcess
 from swarmd.drivers.simulated import SimulatedDriver
-from swarmd.testing.driver_rig import is_running
+from swarmd.testing.driver_contract import is_running
 from tests.support.fake_body import Commanded
 from tests.support.processes import wait_until, watchdogs
 

@@ -17,7 +17,7 @@ import yaml
 
 from swarmd.core.values import Value
 from swarmd.driver_api.watchdog import watchdog_name
-from swarmd.testing.driver_rig import is_running
+from swarmd.testing.driver_contract import is_running
 
 CAP = 60.0
 

@@ -11,7 +11,7 @@ import time
 import xmlrpc.client
 from pathlib import Path
 
-from swarmd.testing.driver_rig import is_running
+from swarmd.testing.driver_contract import is_running
 from tests.support.processes import CAP, children, wait_until
 
 PYTHON = "/usr/bin/python3"

@@ -12,7 +12,7 @@ import pytest
 from swarmd.core.clock import boottime
 from swarmd.core.messages import Code, Reason, Status
 from swarmd.core.messages import State as S
-from swarmd.testing.driver_rig import is_running
+from swarmd.testing.driver_contract import is_running
 from tests.support.processes import DaemonProcess, children, wait_until
 
 if TYPE_CHECKING:

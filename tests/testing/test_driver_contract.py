@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.testing import driver_contract, driver_rig
+from swarmd.testing import driver_contract
 from swarmd.testing.driver_contract import DriverContract
 from tests.support import broken_drivers as broken
 from tests.support.wire import Good, Wire
@@ -26,9 +26,9 @@ BROKEN: dict[str, tuple[type[Good], ...]] = {
         broken.NeverLosesIt,
         broken.LosesItWithoutAWord,
         broken.GoesOnWhenItIsBack,
+        broken.FallsWithoutZero,
     ),
     "a_base_that_vanishes_and": (broken.GoesOnWhenItIsBack, broken.EndsWhenItIsLost),
-    "a_silent_base_gets_zero": (broken.FallsWithoutZero,),
     "slow_and_fast": (broken.CallsASlowSensorSilent, broken.HearsOneInThree),
     "the_last_command_is_zero_and": (
         broken.SendsAfterItsEnd,
@@ -76,8 +76,7 @@ class TestGood(DriverContract):
 def _short_timeout(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Wait less than elsewhere for what never happens."""
     if request.cls is None:
-        for module in (driver_rig, driver_contract):
-            monkeypatch.setattr(module, "TIMEOUT", SHORT_TIMEOUT)
+        monkeypatch.setattr(driver_contract, "TIMEOUT", SHORT_TIMEOUT)
 
 
 CASES = [(name, kind) for name, kinds in BROKEN.items() for kind in kinds]

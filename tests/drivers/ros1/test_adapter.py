@@ -18,8 +18,7 @@ from swarmd.drivers.ros1 import adapter as ros1_child
 from swarmd.drivers.ros1 import adapter_process as ros1_adapter
 from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.settings.platforms import load_platform
-from swarmd.testing.driver_contract import TIMEOUT, CollectingSink
-from swarmd.testing.driver_rig import is_running
+from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, is_running
 
 IMPOSTOR = Path(__file__).with_name("impostor.py")
 PLATFORM = load_platform("burger")

@@ -11,7 +11,7 @@ import pytest
 from swarmd.core.values import Twist, Value
 from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
-from swarmd.testing.driver_rig import is_running
+from swarmd.testing.driver_contract import is_running
 from tests.drivers.ros1.rig import RosRobot
 from tests.support.drive_daemon import ROBOT, drive
 from tests.support.processes import DaemonProcess, children, unique_swarm, wait_until

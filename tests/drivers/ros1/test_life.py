@@ -24,8 +24,7 @@ from swarmd.drivers.ros.messages import LaserScan
 from swarmd.drivers.ros1.adapter_process import SILENCE
 from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.drivers.ros1.serialization import definition, type_name
-from swarmd.testing.driver_contract import CollectingSink, DriverHarness, running_driver
-from swarmd.testing.driver_rig import is_running
+from swarmd.testing.driver_contract import CollectingSink, DriverHarness, is_running, running_driver
 from tests.drivers.ros1.rig import RosRobot
 from tests.support.processes import CAP
 from tests.support.roscore import RosCore

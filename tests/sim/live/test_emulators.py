@@ -19,7 +19,7 @@ from swarmd.sim.live.demo_run import WorldWatcher, statuses_of
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_command
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.state import WorldState
-from swarmd.testing.driver_rig import is_running
+from swarmd.testing.driver_contract import is_running
 from tests.support.processes import children, unique_swarm, wait_until, watchdogs
 
 LINKED = 0.8
