@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -21,26 +22,26 @@ from tests.support.wire import SPEC, Good
 # Beginnings
 
 
-class HandsOnTooEarly(Good):
+class DeliversTooEarly(Good):
     def hear(self, sink: Sink, name: str, payload: bytes) -> None:
         with contextlib.suppress(CodecError):
             self.deliver(sink, self.decode(name, payload))
         super().hear(sink, name, payload)
 
 
-class NeverSaysThere(Good):
+class NeverReportsUp(Good):
     def reconnect(self, sink: Sink) -> None:
         self.is_up = True
 
 
-class ThereFromTheFirst(Good):
+class ReportsUpAtOnce(Good):
     async def run(self, sink: Sink) -> None:
         sink.state(True, "surely there")
         self.is_up, self.heard_at = True, time.monotonic() + 60.0
         await super().run(sink)
 
 
-class KeepsForLater(Good):
+class QueuesCommands(Good):
     late: Twist | None = None
 
     def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
@@ -54,18 +55,18 @@ class KeepsForLater(Good):
             self.put(self.late)
 
 
-class BeginsAsTold(Good):
+class StartsWithoutZero(Good):
     def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         self.owes_zero = False
         super().send(twist, scan_seq, requested_scan_seq)
 
 
-class OwesZeroForEver(Good):
+class SendsOnlyZero(Good):
     def put(self, twist: Twist) -> None:
         super().put(ZERO)
 
 
-class TurnsTheOtherWay(Good):
+class ReversesTurns(Good):
     def put(self, twist: Twist) -> None:
         super().put(Twist(twist.linear, -twist.angular))
 
@@ -73,18 +74,18 @@ class TurnsTheOtherWay(Good):
 # Losses
 
 
-class NeverLosesIt(Good):
+class NeverReportsLost(Good):
     silence = 1e9
 
 
-class LosesItWithoutAWord(Good):
+class ReportsLostWithoutReason(Good):
     def fall(self, sink: Sink) -> None:
         self.is_up = False
         self.put(ZERO)
         sink.state(False, "")
 
 
-class GoesOnWhenItIsBack(Good):
+class ResumesWithoutZero(Good):
     was_up = False
 
     def reconnect(self, sink: Sink) -> None:
@@ -94,19 +95,19 @@ class GoesOnWhenItIsBack(Good):
         self.was_up = True
 
 
-class FallsWithoutZero(Good):
+class IsLostWithoutZero(Good):
     def fall(self, sink: Sink) -> None:
         self.is_up = False
         sink.state(False, "nothing heard for a while")
 
 
-class EndsWhenItIsLost(Good):
+class EndsWhenLost(Good):
     def fall(self, sink: Sink) -> None:
         super().fall(sink)
         self.fault = RuntimeError("lost")
 
 
-class CallsASlowSensorSilent(Good):
+class LosesSlowSensors(Good):
     def on_odometry(self, sink: Sink, odometry: Odometry) -> None:
         super().on_odometry(sink, odometry)
         if time.monotonic() - self.last_scan > 0.7:
@@ -119,7 +120,7 @@ class CallsASlowSensorSilent(Good):
         super().on_scan(sink, scan)
 
 
-class HearsOneInThree(Good):
+class DropsTwoScansOfThree(Good):
     count = 0
 
     def on_scan(self, sink: Sink, scan: Scan) -> None:
@@ -131,7 +132,7 @@ class HearsOneInThree(Good):
 # Ends
 
 
-class StopsOnlyIfCancelled(Good):
+class SendsZeroOnlyIfCancelled(Good):
     def leave(self, error: BaseException) -> None:
         if isinstance(error, asyncio.CancelledError):
             super().leave(error)
@@ -159,8 +160,8 @@ class SendsAfterItsEnd(Good):
         self.has_ended = True
 
 
-class RepeatsItself(Good):
-    """A helper of its own says the last command again and again, a little longer than `run`."""
+class RepeatsAfterItsEnd(Good):
+    """A timer of its own sends the last command once more, 0.1 s after the end of `run`."""
 
     last = ZERO
 
@@ -174,7 +175,7 @@ class RepeatsItself(Good):
         asyncio.get_running_loop().call_later(0.1, self.put, self.last)
 
 
-class WaitsForTheBase(Good):
+class BlocksInSend(Good):
     def put(self, twist: Twist) -> None:
         time.sleep(0.02)
         super().put(twist)
@@ -209,10 +210,10 @@ class LeavesAProcess(Good):
         await super().run(sink)
 
 
-# What it hears
+# Inputs
 
 
-class DiesOfGarbage(Good):
+class EndsOnGarbage(Good):
     def hear(self, sink: Sink, name: str, payload: bytes) -> None:
         try:
             self.decode(name, payload)
@@ -228,7 +229,7 @@ class CountsNoGarbage(Good):
             super().hear(sink, name, payload)
 
 
-class TakesGarbage(Good):
+class DeliversGarbage(Good):
     def hear(self, sink: Sink, name: str, payload: bytes) -> None:
         super().hear(sink, name, payload)
         if name == "scan" and len(payload) > 100 and payload[0] != 0xFF:
@@ -238,91 +239,76 @@ class TakesGarbage(Good):
             sink.scan(Scan(0, 0.0, np.ones(360), SPEC.bearings, SPEC.range_min, SPEC.range_max))
 
 
-class TakesUnknownForNothing(Good):
-    def on_scan(self, sink: Sink, scan: Scan) -> None:
-        ranges = np.where(np.isnan(scan.ranges), np.inf, scan.ranges)
-        sink.scan(replace(scan, ranges=ranges))
+def with_scans(name: str, change: Callable[[Scan], Scan]) -> type[Good]:
+    def on_scan(self: Good, sink: Sink, scan: Scan) -> None:
+        sink.scan(change(scan))
+
+    return type(name, (Good,), {"on_scan": on_scan})
 
 
-class DropsBlindSweeps(Good):
+def with_odometry(name: str, change: Callable[[Odometry], Odometry]) -> type[Good]:
+    def on_odometry(self: Good, sink: Sink, odometry: Odometry) -> None:
+        sink.odometry(change(odometry))
+
+    return type(name, (Good,), {"on_odometry": on_odometry})
+
+
+def with_findings(name: str, change: Callable[[Finding], Finding]) -> type[Good]:
+    async def check(self: Good, seconds: float) -> tuple[Finding, ...]:
+        return tuple(map(change, await Good.check(self, seconds)))
+
+    return type(name, (Good,), {"check": check})
+
+
+WRONG_SCANS = [
+    with_scans("same sequence", lambda scan: replace(scan, seq=1)),
+    with_scans("same stamp", lambda scan: replace(scan, stamp=1.0)),
+    with_scans("float32", lambda scan: replace(scan, ranges=scan.ranges.astype(np.float32))),
+    with_scans("range limit of the message", lambda scan: replace(scan, range_max=100.0)),
+]
+NAN_AS_INFINITY = with_scans(
+    "NaN as infinity",
+    lambda scan: replace(scan, ranges=np.where(np.isnan(scan.ranges), np.inf, scan.ranges)),
+)
+FIXED_COUNT = with_scans(
+    "fixed count of rays",
+    lambda scan: replace(scan, ranges=np.resize(scan.ranges, 360), bearings=SPEC.bearings),
+)
+FIXED_BEARINGS = with_scans(
+    "fixed bearings",
+    lambda scan: replace(scan, bearings=np.resize(SPEC.bearings, len(scan.ranges))),
+)
+WRONG_ODOMETRY = [
+    with_odometry("NaN pose", lambda one: Odometry(one.stamp, Pose(np.nan, 0.0, 0.0), one.twist)),
+    with_odometry("same stamp", lambda one: Odometry(1.0, one.pose, one.twist)),
+]
+ALWAYS_WELL = with_findings("always well", lambda one: replace(one, is_well=True))
+NEVER_WELL = with_findings("never well", lambda one: replace(one, is_well=False))
+NO_REASON = with_findings("no reason", lambda one: replace(one, text=""))
+
+
+class DropsScansWithoutReturns(Good):
     def on_scan(self, sink: Sink, scan: Scan) -> None:
         if np.isfinite(scan.ranges).any():
             sink.scan(scan)
 
 
-class KnowsHowManyRays(Good):
-    def on_scan(self, sink: Sink, scan: Scan) -> None:
-        ranges = np.resize(scan.ranges, 360)
-        sink.scan(replace(scan, ranges=ranges, bearings=SPEC.bearings))
-
-
-class KnowsTheBearings(Good):
-    def on_scan(self, sink: Sink, scan: Scan) -> None:
-        bearings = np.resize(SPEC.bearings, len(scan.ranges))
-        sink.scan(replace(scan, bearings=bearings))
-
-
-class CountsNothing(Good):
-    def on_scan(self, sink: Sink, scan: Scan) -> None:
-        sink.scan(replace(scan, seq=1))
-
-
-class HasNoClock(Good):
-    def on_scan(self, sink: Sink, scan: Scan) -> None:
-        sink.scan(replace(scan, stamp=1.0))
-
-
-class IsHalfPrecise(Good):
-    def on_scan(self, sink: Sink, scan: Scan) -> None:
-        sink.scan(replace(scan, ranges=scan.ranges.astype(np.float32)))
-
-
-class BelievesTheMessage(Good):
-    def on_scan(self, sink: Sink, scan: Scan) -> None:
-        sink.scan(replace(scan, range_max=100.0))
-
-
-class IsNowhere(Good):
-    def on_odometry(self, sink: Sink, odometry: Odometry) -> None:
-        sink.odometry(Odometry(odometry.stamp, Pose(np.nan, 0.0, 0.0), odometry.twist))
-
-
-class StandsStillInTime(Good):
-    def on_odometry(self, sink: Sink, odometry: Odometry) -> None:
-        sink.odometry(Odometry(1.0, odometry.pose, odometry.twist))
-
-
-class SpeaksFromAThread(Good):
+class DeliversFromAThread(Good):
     def on_scan(self, sink: Sink, scan: Scan) -> None:
         thread = threading.Thread(target=sink.scan, args=(scan,))
         thread.start()
         thread.join()
 
 
-# Looking, and options
+# Checks, and options
 
 
-class MovesWhenItLooks(Good):
+class SendsDuringCheck(Good):
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         self.put(ZERO)
         return await super().check(seconds)
 
 
-class SeesWhatIsNotThere(Good):
-    async def check(self, seconds: float) -> tuple[Finding, ...]:
-        return (Finding("scan", True, "arrives"),)
-
-
-class SeesNothing(Good):
-    async def check(self, seconds: float) -> tuple[Finding, ...]:
-        return (Finding("scan", False, "none; start the robot"),)
-
-
-class SaysNoWhy(Good):
-    async def check(self, seconds: float) -> tuple[Finding, ...]:
-        return tuple(Finding(f.subject, f.is_well, "") for f in await super().check(seconds))
-
-
-class TakesAnyOption(Good):
+class AcceptsAnyOption(Good):
     def refuse(self, name: str) -> None:
         pass
