@@ -21,12 +21,12 @@ from benchmarks.cdr import scan
 from benchmarks.ros1 import PLATFORM, field
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros import from_ros as conversion
-from tests.support import dds_types
+from tests.support import ros2_types as dds
 from tests.support.dds_node import DdsNode
 from tests.support.ros2_bridge import LOOPBACK, Bridge, free_domain
 
-SCAN = {"/scan": dds_types.LaserScan}
-COMMAND = {"/cmd_vel": dds_types.Twist}
+SCAN = {"/scan": dds.LaserScan}
+COMMAND = {"/cmd_vel": dds.Twist}
 
 
 @contextmanager
@@ -35,7 +35,7 @@ def robot() -> Iterator[tuple[str, Callable[[], float | None]]]:
     domain = free_domain()
     held = Domain(domain, LOOPBACK)  # ends when it is deleted
     node = DdsNode(domain, "base", says=SCAN, hears=COMMAND)
-    message: Any = dds_types.LaserScan.deserialize(cdr.encode(scan()))
+    message: Any = dds.LaserScan.deserialize(cdr.encode(scan()))
 
     def exchange() -> float | None:
         message.header.stamp.nanosec += 1
@@ -63,8 +63,8 @@ def answer(domain: int, until: Callable[[], str]) -> str:
             continue
         message.ranges = np.array(message.ranges)
         twist = field(conversion.scan_of(message, 1, PLATFORM.scan))
-        linear, angular = dds_types.Vector3(x=twist.linear), dds_types.Vector3(z=twist.angular)
-        node.say("/cmd_vel", dds_types.Twist(linear, angular))
+        linear, angular = dds.Vector3(x=twist.linear), dds.Vector3(z=twist.angular)
+        node.say("/cmd_vel", dds.Twist(linear, angular))
     node.close()
     del held
     return said[0]

@@ -15,7 +15,7 @@ from swarmd.network.settings import NetworkSettings
 from swarmd.settings.platforms import load_platform
 from tests.driver_api.test_watchdog_drivers import Course
 from tests.drivers.ros2.robots import BridgedRobot, odometry
-from tests.support import second_codec as second
+from tests.support import ros2_types as dds
 from tests.support.drive_daemon import ROBOT, drive, status
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 
@@ -41,9 +41,7 @@ class Thymio(BridgedRobot):
         stamp = 100.0 + 0.05 * count
         BridgedRobot.put(self, f"{NAMESPACE}/odom", odometry(stamp, x=0.005 * count))
         for name in (*FRONT, "rear_left", "rear_right") if count % 2 == 0 else ():
-            message = second.Range(
-                header=second.stamped(stamp), range=self.seen.get(name, math.inf)
-            )
+            message = dds.Range(header=dds.stamped(stamp), range=self.seen.get(name, math.inf))
             BridgedRobot.put(self, f"{NAMESPACE}/proximity/{name}", message)
 
 

@@ -12,14 +12,14 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
 
-from tests.support import dds_types
+from tests.support import ros2_types as dds
 
 SENSOR = Qos(Policy.Reliability.BestEffort, Policy.History.KeepLast(5))
 RELIABLE = Qos(Policy.Reliability.Reliable(10**8), Policy.History.KeepLast(10))
 _KEPT = Qos(
     Policy.Reliability.Reliable(10**8), Policy.Durability.TransientLocal, Policy.History.KeepLast(1)
 )
-_SENSORS = (dds_types.LaserScan,)
+_SENSORS = (dds.LaserScan,)
 
 
 class DdsNode:
@@ -46,7 +46,7 @@ class DdsNode:
             topic: DataReader(self._participant, self._topic(topic, kind))
             for topic, kind in self._hears.items()
         }
-        kept = dds_types.ParticipantEntitiesInfo
+        kept = dds.ParticipantEntitiesInfo
         about = Topic(self._participant, "ros_discovery_info", kept, _KEPT)
         self._about = DataWriter(self._participant, about)
         self._about.write(self._info(name))
@@ -78,14 +78,14 @@ class DdsNode:
         return Topic(self._participant, f"rt{name}", kind, qos)
 
     def _info(self, name: str) -> object:
-        node = dds_types.NodeEntitiesInfo(
+        node = dds.NodeEntitiesInfo(
             node_namespace="/",
             node_name=name,
             reader_gid_seq=[_gid(reader) for reader in self._readers.values()],
             writer_gid_seq=[_gid(writer) for writer in self._writers.values()],
         )
-        return dds_types.ParticipantEntitiesInfo(_gid(self._participant), [node])
+        return dds.ParticipantEntitiesInfo(_gid(self._participant), [node])
 
 
-def _gid(entity: Any) -> dds_types.Gid:
-    return dds_types.Gid(list(entity.guid.bytes))
+def _gid(entity: Any) -> dds.Gid:
+    return dds.Gid(list(entity.guid.bytes))

@@ -1,13 +1,14 @@
-"""The same messages through a second library, pycdr2: what stands in for a robot speaks with it."""
+"""ROS 2's messages as cyclonedds knows them: a second codec, and types for a DDS participant.
 
-# No `from __future__ import annotations`: pycdr2 reads the annotations as types.
+The simulated robots of the tests use it, so that the drivers are compared with a second library.
+"""
+
+# No `from __future__ import annotations`: cyclonedds reads the annotations as types.
 
 from dataclasses import dataclass, field
 
-from pycdr2 import Endianness, IdlStruct
-from pycdr2.types import array, float32, float64, int32, sequence, uint8, uint32
-
-BIG = Endianness.Big
+from cyclonedds.idl import IdlStruct
+from cyclonedds.idl.types import array, float32, float64, int32, sequence, uint8, uint32
 
 
 @dataclass
@@ -139,6 +140,33 @@ class BatteryState(IdlStruct, typename="sensor_msgs.msg.dds_.BatteryState_"):
     cell_temperature: sequence[float32] = field(default_factory=list)
     location: str = ""
     serial_number: str = ""
+
+
+@dataclass
+class Gid(IdlStruct, typename="rmw_dds_common.msg.dds_.Gid_"):
+    """Of 16 bytes since Iron."""
+
+    data: array[uint8, 16]
+
+
+@dataclass
+class NodeEntitiesInfo(IdlStruct, typename="rmw_dds_common.msg.dds_.NodeEntitiesInfo_"):
+    """rmw_dds_common/msg/NodeEntitiesInfo."""
+
+    node_namespace: str
+    node_name: str
+    reader_gid_seq: sequence[Gid]
+    writer_gid_seq: sequence[Gid]
+
+
+@dataclass
+class ParticipantEntitiesInfo(
+    IdlStruct, typename="rmw_dds_common.msg.dds_.ParticipantEntitiesInfo_"
+):
+    """What a ROS 2 process tells of its nodes on topic `ros_discovery_info`."""
+
+    gid: Gid
+    node_entities_info_seq: sequence[NodeEntitiesInfo]
 
 
 def stamped(seconds: float, frame: str = "base_link") -> Header:

@@ -13,7 +13,7 @@ from swarmd.core.values import Scan, Twist
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros import from_ros as conversion
 from tests.drivers.ros2 import robots
-from tests.support import second_codec as second
+from tests.support import ros2_types as dds
 
 SPEC = robots.PLATFORM.scan
 
@@ -22,7 +22,7 @@ def read(kind: Any, message: Any) -> Any:
     return cdr.decode(kind, message.serialize())
 
 
-def swept(message: second.LaserScan, yaw: float = 0.0) -> Scan:
+def swept(message: dds.LaserScan, yaw: float = 0.0) -> Scan:
     return conversion.scan_of(read(messages.LaserScan, message), 7, SPEC, yaw)
 
 
@@ -119,7 +119,7 @@ def test_an_orientation_that_is_none_is_refused() -> None:
 
 
 def test_imu_tells_yaw_unless_it_knows_no_orientation() -> None:
-    message = second.Imu(orientation=second.Quaternion(z=math.sin(0.25), w=math.cos(0.25)))
+    message = dds.Imu(orientation=dds.Quaternion(z=math.sin(0.25), w=math.cos(0.25)))
     assert conversion.imu_readings(read(messages.Imu, message)) == {"yaw": pytest.approx(0.5)}
     message.orientation_covariance[0] = -1.0
     assert conversion.imu_readings(read(messages.Imu, message)) == {}
@@ -129,22 +129,22 @@ def test_imu_tells_yaw_unless_it_knows_no_orientation() -> None:
     ("percentage", "wanted"), [(0.75, 0.75), (75.0, 0.75), (1.0, 1.0), (113.0, 1.0)]
 )
 def test_battery_is_a_share_of_one(percentage: float, wanted: float) -> None:
-    message = second.BatteryState(voltage=11.5, percentage=percentage)
+    message = dds.BatteryState(voltage=11.5, percentage=percentage)
     values = conversion.battery_readings(read(messages.BatteryState, message))
     assert values == {"battery": pytest.approx(wanted), "battery_voltage": pytest.approx(11.5)}
 
 
 def test_what_a_battery_does_not_measure_is_left_out() -> None:
     for unknown in (math.nan, math.inf, -1.0):
-        message = second.BatteryState(voltage=unknown, percentage=unknown)
+        message = dds.BatteryState(voltage=unknown, percentage=unknown)
         assert conversion.battery_readings(read(messages.BatteryState, message)) == {}
 
 
 def test_commands_are_those_of_the_second_library() -> None:
     twist = Twist(0.1, -0.2, 0.05)
-    wanted = second.Twist(second.Vector3(0.1, 0.05, 0.0), second.Vector3(0.0, 0.0, -0.2))
+    wanted = dds.Twist(dds.Vector3(0.1, 0.05, 0.0), dds.Vector3(0.0, 0.0, -0.2))
     assert cdr.encode(conversion.command_message(twist, messages.Twist, "x")) == wanted.serialize()
-    stamped = second.TwistStamped(second.stamped(0.0, "base_link"), wanted)
+    stamped = dds.TwistStamped(dds.stamped(0.0, "base_link"), wanted)
     assert (
         cdr.encode(conversion.command_message(twist, messages.TwistStamped, "base_link"))
         == stamped.serialize()
@@ -159,7 +159,7 @@ class TestRangeRing:
         return conversion.RangeRing(self.bearings, [distance] * 7, SPEC)
 
     def value(self, stamp: float, metres: float) -> messages.Range:
-        message = second.Range(header=second.stamped(stamp), range=metres)
+        message = dds.Range(header=dds.stamped(stamp), range=metres)
         value: messages.Range = read(messages.Range, message)
         return value
 
@@ -218,6 +218,6 @@ class TestRangeRing:
 @pytest.mark.parametrize("field", ["linear", "angular"])
 def test_a_twist_that_is_not_finite_is_refused(field: str) -> None:
     message = robots.odometry(1.0)
-    setattr(message.twist.twist, field, second.Vector3(math.nan, 0.0, math.inf))
+    setattr(message.twist.twist, field, dds.Vector3(math.nan, 0.0, math.inf))
     with pytest.raises(CodecError, match="not finite"):
         conversion.odometry_of(read(messages.Odometry, message))

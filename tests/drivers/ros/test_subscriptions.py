@@ -15,24 +15,24 @@ from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2 import robots
-from tests.support import second_codec as second
+from tests.support import ros2_types as dds
 
 OPTIONS = RosOptions(imu="imu", battery="battery")
 RING = RosOptions(ranges={"a": 0.0, "b": (90.0, 0.1)})
 singles, doubles = st.floats(width=32), st.floats()
-vectors = st.builds(second.Vector3, doubles, doubles, doubles)
-turned = st.builds(second.Quaternion, doubles, doubles, doubles, doubles)
-twists = st.builds(second.Twist, vectors, vectors)
+vectors = st.builds(dds.Vector3, doubles, doubles, doubles)
+turned = st.builds(dds.Quaternion, doubles, doubles, doubles, doubles)
+twists = st.builds(dds.Twist, vectors, vectors)
 messages = [
-    ("scan", st.builds(second.LaserScan, ranges=st.lists(singles), angle_min=singles,
+    ("scan", st.builds(dds.LaserScan, ranges=st.lists(singles), angle_min=singles,
                        angle_increment=singles)),
     ("odometry", st.builds(
-        second.Odometry,
-        pose=st.builds(second.PoseWithCovariance, st.builds(second.Pose, vectors, turned)),
-        twist=st.builds(second.TwistWithCovariance, twists),
+        dds.Odometry,
+        pose=st.builds(dds.PoseWithCovariance, st.builds(dds.Pose, vectors, turned)),
+        twist=st.builds(dds.TwistWithCovariance, twists),
     )),
-    ("imu", st.builds(second.Imu, orientation=turned)),
-    ("battery", st.builds(second.BatteryState, voltage=singles, percentage=singles)),
+    ("imu", st.builds(dds.Imu, orientation=turned)),
+    ("battery", st.builds(dds.BatteryState, voltage=singles, percentage=singles)),
 ]  # fmt: skip
 
 
@@ -55,7 +55,7 @@ def test_whatever_is_said_is_a_value_or_the_one_error(
 
 def test_only_what_moves_counts_as_a_sign_of_life() -> None:
     hearing = Subscriptions(OPTIONS, robots.PLATFORM)
-    hearing.read("battery", second.BatteryState().serialize(), 5.0)
+    hearing.read("battery", dds.BatteryState().serialize(), 5.0)
     assert hearing.last_arrival < 0.0
     hearing.read("odometry", robots.odometry(1.0).serialize(), 6.0)
     assert hearing.last_arrival == 6.0
@@ -73,15 +73,15 @@ def test_a_ring_stands_for_the_scan() -> None:
     hearing, heard = Subscriptions(RING, robots.PLATFORM), CollectingSink()
     assert "scan" not in hearing.topics
     for name, metres in (("ranges.a", 0.5), ("ranges.b", 0.25)):
-        message = second.OlderRange(header=second.stamped(1.0), range=metres)
+        message = dds.OlderRange(header=dds.stamped(1.0), range=metres)
         hearing.read(name, message.serialize(), 0.0)(heard)
     assert heard.scans[0].ranges.tolist() == pytest.approx([0.5, 0.35])
 
 
 def test_readings_of_several_sensors_are_delivered_together() -> None:
     hearing, heard = Subscriptions(OPTIONS, robots.PLATFORM), CollectingSink()
-    hearing.read("imu", second.Imu().serialize(), 0.0)(heard)
-    hearing.read("battery", second.BatteryState(percentage=0.5).serialize(), 0.0)(heard)
+    hearing.read("imu", dds.Imu().serialize(), 0.0)(heard)
+    hearing.read("battery", dds.BatteryState(percentage=0.5).serialize(), 0.0)(heard)
     assert heard.values[-1] == {"yaw": 0.0, "battery": 0.5, "battery_voltage": 0.0}
 
 

@@ -12,19 +12,19 @@ import time
 
 from cyclonedds.domain import Domain
 
-from tests.support import dds_types
+from tests.support import ros2_types as dds
 from tests.support.dds_node import DdsNode
 from tests.support.ros2_bridge import LOOPBACK
 
 
 def main(number: int) -> None:
     domain = Domain(number, LOOPBACK)
-    node = DdsNode(number, "base", {"/scan": dds_types.LaserScan}, {"/cmd_vel": dds_types.Twist})
+    node = DdsNode(number, "base", {"/scan": dds.LaserScan}, {"/cmd_vel": dds.Twist})
     last: float | None = None
     for count in itertools.count(100):
-        header = dds_types.Header(dds_types.Time(count, 0), "base_scan")
+        header = dds.Header(dds.Time(count, 0), "base_scan")
         ranges, step = [2.0] * 360, 2.0 * math.pi / 360
-        node.say("/scan", dds_types.LaserScan(header, angle_increment=step, ranges=ranges))
+        node.say("/scan", dds.LaserScan(header, angle_increment=step, ranges=ranges))
         for command in node.heard("/cmd_vel"):
             if command.linear.x != last:
                 last = command.linear.x

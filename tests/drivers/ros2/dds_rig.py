@@ -12,11 +12,11 @@ from cyclonedds.domain import Domain
 
 from swarmd.core.values import Twist, Value
 from tests.drivers.ros2.robots import BridgedRobot, open_session
-from tests.support import dds_types
+from tests.support import ros2_types as dds
 from tests.support.dds_node import DdsNode
 from tests.support.ros2_bridge import LOOPBACK, Bridge, free_domain
 
-SENSES: Mapping[str, Any] = {"scan": dds_types.LaserScan, "odom": dds_types.Odometry}
+SENSES: Mapping[str, Any] = {"scan": dds.LaserScan, "odom": dds.Odometry}
 
 
 class DdsRobot(BridgedRobot):
@@ -40,7 +40,7 @@ class DdsRobot(BridgedRobot):
     ) -> None:
         self.namespace, self.at = namespace, at
         self._says = says
-        self._command = dds_types.TwistStamped if is_stamped else dds_types.Twist
+        self._command = dds.TwistStamped if is_stamped else dds.Twist
         self._folder = tempfile.TemporaryDirectory()
         self.domain = free_domain()
         self._held = Domain(self.domain, LOOPBACK)  # ends, with all in it, when it is deleted

@@ -15,7 +15,7 @@ from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2 import rmw_zenoh
 from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.settings.platforms import load_platform
-from tests.support import second_codec as second
+from tests.support import ros2_types as dds
 from tests.support.processes import free_endpoint
 
 PLATFORM = load_platform("burger")
@@ -172,37 +172,37 @@ class ZenohRobot(Robot):
         self.hub.put(key, payload, attachment=struct.pack("<qqB16s", self._said, 1, 16, b"g" * 16))
 
 
-def scan(stamp: float, ranges: Sequence[float] | None = None, **angles: float) -> second.LaserScan:
+def scan(stamp: float, ranges: Sequence[float] | None = None, **angles: float) -> dds.LaserScan:
     values = [2.0] * RAYS if ranges is None else list(ranges)
     step = 2.0 * math.pi / max(len(values), 1)
     told = {"angle_min": 0.0, "angle_max": 2.0 * math.pi, "angle_increment": step, **angles}
-    return second.LaserScan(
-        header=second.stamped(stamp, "base_scan"), range_max=100.0, ranges=values, **told
+    return dds.LaserScan(
+        header=dds.stamped(stamp, "base_scan"), range_max=100.0, ranges=values, **told
     )
 
 
-def odometry(stamp: float, x: float = 0.5, yaw: float = 0.0, speed: float = 0.1) -> second.Odometry:
-    pose = second.Pose(
-        second.Vector3(x=x),
-        second.Quaternion(z=math.sin(0.5 * yaw), w=math.cos(0.5 * yaw)),
+def odometry(stamp: float, x: float = 0.5, yaw: float = 0.0, speed: float = 0.1) -> dds.Odometry:
+    pose = dds.Pose(
+        dds.Vector3(x=x),
+        dds.Quaternion(z=math.sin(0.5 * yaw), w=math.cos(0.5 * yaw)),
     )
-    moving = second.Twist(second.Vector3(x=speed, y=0.02), second.Vector3(z=0.3))
-    return second.Odometry(
-        second.stamped(stamp, "odom"),
+    moving = dds.Twist(dds.Vector3(x=speed, y=0.02), dds.Vector3(z=0.3))
+    return dds.Odometry(
+        dds.stamped(stamp, "odom"),
         "base_footprint",
-        second.PoseWithCovariance(pose),
-        second.TwistWithCovariance(moving),
+        dds.PoseWithCovariance(pose),
+        dds.TwistWithCovariance(moving),
     )
 
 
 def twist(payload: bytes, is_stamped: bool) -> Twist:
     message = (
-        second.TwistStamped.deserialize(payload).twist
+        dds.TwistStamped.deserialize(payload).twist
         if is_stamped
-        else second.Twist.deserialize(payload)
+        else dds.Twist.deserialize(payload)
     )
     return Twist(message.linear.x, message.angular.z, message.linear.y)
 
 
-def command(linear: float) -> second.Twist:
-    return second.Twist(linear=second.Vector3(x=linear))
+def command(linear: float) -> dds.Twist:
+    return dds.Twist(linear=dds.Vector3(x=linear))

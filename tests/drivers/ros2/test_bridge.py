@@ -23,7 +23,7 @@ from swarmd.testing.driver_contract import TIMEOUT, DriverContract, DriverHarnes
 from tests.drivers.ros2.dds_rig import DdsRobot
 from tests.drivers.ros2.robots import open_session
 from tests.drivers.ros2.stories import check, play, told
-from tests.support import dds_types
+from tests.support import ros2_types as dds
 from tests.support.dds_node import DdsNode
 from tests.support.processes import wait_until
 from tests.support.ros2_bridge import why_no_bridge
@@ -161,7 +161,7 @@ def base_process(domain: int, told_to: list[str]) -> Iterator[None]:
 
 def test_a_base_that_leaves_while_its_lidar_stays_gets_zero_first() -> None:
     robot = DdsRobot(says={})
-    lidar = DdsNode(robot.domain, "lidar", {"/scan": dds_types.LaserScan})
+    lidar = DdsNode(robot.domain, "lidar", {"/scan": dds.LaserScan})
 
     async def story(harness: DriverHarness) -> None:
         stop_speaking = asyncio.create_task(_spin(lidar))
@@ -180,12 +180,12 @@ def test_a_base_that_leaves_while_its_lidar_stays_gets_zero_first() -> None:
 async def _spin(lidar: DdsNode) -> None:
     """The scans of a lidar that is a node of its own."""
     for count in itertools.count(100):
-        stamp = dds_types.Time(count, 0)
+        stamp = dds.Time(count, 0)
         step = 2.0 * math.pi / 360
-        header = dds_types.Header(stamp, "base_scan")
+        header = dds.Header(stamp, "base_scan")
         lidar.say(
             "/scan",
-            dds_types.LaserScan(header=header, angle_increment=step, ranges=[2.0] * 360),
+            dds.LaserScan(header=header, angle_increment=step, ranges=[2.0] * 360),
         )
         await asyncio.sleep(0.02)
 
@@ -210,13 +210,13 @@ def test_a_base_that_wants_another_type_gets_no_command(is_stamped: bool) -> Non
 
 def test_another_nodes_command_is_reported() -> None:
     robot = DdsRobot()
-    joystick = DdsNode(robot.domain, "joystick", {"/cmd_vel": dds_types.Twist})
+    joystick = DdsNode(robot.domain, "joystick", {"/cmd_vel": dds.Twist})
 
     async def story(harness: DriverHarness) -> None:
         await moves(harness)
 
         def is_lost() -> bool:
-            joystick.say("/cmd_vel", dds_types.Twist(dds_types.Vector3(0.3)))
+            joystick.say("/cmd_vel", dds.Twist(dds.Vector3(0.3)))
             return not harness.sink.is_up
 
         await harness.until(is_lost, publishing=True)
@@ -228,7 +228,7 @@ def test_another_nodes_command_is_reported() -> None:
 
 
 def test_a_scan_of_another_type_is_reported() -> None:
-    robot = DdsRobot(says={"scan": dds_types.TwistStamped, "odom": dds_types.Odometry})
+    robot = DdsRobot(says={"scan": dds.TwistStamped, "odom": dds.Odometry})
 
     async def story(harness: DriverHarness) -> None:
         wanted = "/scan carries geometry_msgs/msg/TwistStamped; wanted is sensor_msgs/msg/LaserScan"
@@ -304,7 +304,7 @@ def test_a_restarted_bridges_announcements_are_gone_with_it() -> None:
             {"cmd_vel": "set driver_options.cmd_vel_type: twist_stamped"},
         ),
         (
-            lambda: DdsRobot(says={"scan": dds_types.Odometry, "odom": dds_types.Odometry}),
+            lambda: DdsRobot(says={"scan": dds.Odometry, "odom": dds.Odometry}),
             {},
             {"scan": "/scan carries nav_msgs/msg/Odometry; wanted is sensor_msgs/msg/LaserScan"},
         ),
@@ -335,12 +335,12 @@ def test_check_of_a_robot_that_is_off_says_to_start_it() -> None:
 @pytest.mark.parametrize("speed", [None, 0.3])
 def test_check_tells_a_publisher_of_commands_from_a_silent_one(speed: float | None) -> None:
     robot = DdsRobot()
-    joystick = DdsNode(robot.domain, "joystick", {"/cmd_vel": dds_types.Twist})
+    joystick = DdsNode(robot.domain, "joystick", {"/cmd_vel": dds.Twist})
 
     def speak() -> None:
         robot.publish()
         if speed is not None:
-            joystick.say("/cmd_vel", dds_types.Twist(dds_types.Vector3(speed)))
+            joystick.say("/cmd_vel", dds.Twist(dds.Vector3(speed)))
 
     others = check(robot, speak)["others"]
     joystick.close()

@@ -13,7 +13,7 @@ from swarmd.testing.driver_contract import DriverContract, DriverHarness
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.robots import BridgedRobot
 from tests.drivers.ros2.stories import announce, check, drive, play, told
-from tests.support import second_codec as second
+from tests.support import ros2_types as dds
 
 
 class TestContract(DriverContract):
@@ -33,8 +33,8 @@ def test_all_senses_arrive_with_their_meaning() -> None:
         ranges = [1.0 + 0.001 * i for i in range(250)]
         robot.put("scan", robots.scan(500.0, ranges))
         robot.put("odom", robots.odometry(501.0, x=2.0, yaw=1.0))
-        robot.put("imu", second.Imu(orientation=second.Quaternion(z=1.0, w=0.0)))
-        robot.put("battery_state", second.BatteryState(voltage=11.5, percentage=0.5))
+        robot.put("imu", dds.Imu(orientation=dds.Quaternion(z=1.0, w=0.0)))
+        robot.put("battery_state", dds.BatteryState(voltage=11.5, percentage=0.5))
         heard = harness.sink
         await harness.until(lambda: bool(heard.values) and "battery" in heard.values[-1])
         await harness.until(lambda: heard.odometries[-1].stamp == 501.0)
@@ -58,7 +58,7 @@ def test_stamped_commands_are_in_the_frame_asked_for() -> None:
         while not samples:
             await asyncio.sleep(0.01)
             samples = robot.samples()
-        message = second.TwistStamped.deserialize(samples[0].payload.to_bytes())
+        message = dds.TwistStamped.deserialize(samples[0].payload.to_bytes())
         assert message.header.frame_id == "base_footprint"
         assert (message.header.stamp.sec, message.header.stamp.nanosec) == (0, 0)
 

@@ -29,7 +29,7 @@ from swarmd.settings.driver_options import BaseOptions, stops_after
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2.robots import HASHES
-from tests.support import second_codec as second
+from tests.support import ros2_types as dds
 from tests.support.processes import wait_until
 
 ANY_PORT = "tcp/127.0.0.1:0"
@@ -92,7 +92,7 @@ def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
 def test_a_laser_scan_is_what_an_lds_says() -> None:
     said = varied_scan(BURGER)
     (message,) = LaserScanEncoder(RosOptions(), BURGER).encode(said)
-    heard = second.LaserScan.deserialize(cdr.encode(message))
+    heard = dds.LaserScan.deserialize(cdr.encode(message))
     assert heard.angle_min == 0.0
     assert heard.angle_increment == pytest.approx(math.radians(1.0), abs=1e-8)
     assert heard.angle_max == pytest.approx(math.radians(359.0), abs=1e-6)
@@ -113,7 +113,7 @@ def test_a_lidar_however_mounted_is_heard_as_it_was_said(hangs: bool) -> None:
 
 
 def test_odometry_is_that_of_nav_msgs() -> None:
-    heard = second.Odometry.deserialize(cdr.encode(odometry_message(odometry())))
+    heard = dds.Odometry.deserialize(cdr.encode(odometry_message(odometry())))
     at, moving = heard.pose.pose, heard.twist.twist
     assert (at.position.x, at.position.y) == (1.0, -2.0)
     assert 2.0 * math.atan2(at.orientation.z, at.orientation.w) == pytest.approx(2.5)
@@ -183,7 +183,10 @@ def test_a_driver_receives_its_robots_data_and_commands_no_other_robot(stage: St
 
 def test_what_no_base_could_follow_is_counted_and_left() -> None:
     stage = Stage("ros2dds", BURGER)
-    mad = second.Twist(linear=second.Vector3(x=math.nan)), second.Twist(second.Vector3(x=1e9))
+    mad = (
+        dds.Twist(linear=dds.Vector3(x=math.nan)),
+        dds.Twist(dds.Vector3(x=1e9)),
+    )
     session = open_session(str(stage.side.driver_options["endpoint"]), within=10.0)
     assert session is not None
     try:

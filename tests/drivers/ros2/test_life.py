@@ -22,7 +22,7 @@ from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2 import robots
 from tests.support import hand_clock as handclock
-from tests.support import second_codec as second
+from tests.support import ros2_types as dds
 
 MOVING = Twist(0.1)
 
@@ -235,7 +235,7 @@ def test_another_nodes_command_stops_the_driver_for_2_s(
     [
         (robots.command(0.0), None, False),
         (robots.command(-0.001), None, True),
-        (second.Twist(angular=second.Vector3(z=0.1)), None, True),
+        (dds.Twist(angular=dds.Vector3(z=0.1)), None, True),
         (b"\x00\x01\x00\x00no twist", None, True),
         (robots.command(0.0), "**", True),
     ],
@@ -281,12 +281,12 @@ def test_the_way_out_is_one_zero_and_none_if_nothing_was_commanded(
 
 def test_a_battery_alone_is_no_base(monkeypatch: pytest.MonkeyPatch) -> None:
     async def story(scene: Scene) -> None:
-        scene.session.speak("power", second.BatteryState(percentage=0.5))
+        scene.session.speak("power", dds.BatteryState(percentage=0.5))
         await handclock.settle()
         assert not scene.is_up
         assert not scene.heard.values
         await scene.move()
-        scene.session.speak("power", second.BatteryState(percentage=0.5))
+        scene.session.speak("power", dds.BatteryState(percentage=0.5))
         await handclock.settle()
         assert scene.heard.values[-1]["battery"] == 0.5
 

@@ -12,7 +12,7 @@ from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2 import rmw_zenoh
 from swarmd.drivers.ros2 import zero_sender as zero
 from tests.drivers.ros2.robots import HASHES
-from tests.support import second_codec as second
+from tests.support import ros2_types as dds
 from tests.support.processes import wait_until
 
 
@@ -47,7 +47,7 @@ def test_zero_goes_to_the_bridge_as_it_wants_it(hub: Hub) -> None:
     sender = ros2dds.make_zero_sender(robot="tb3-01", given={"namespace": "{robot}"})
     sender.open()
     sender.send_zero()
-    assert hub.said == [("tb3_01/cmd_vel", second.Twist().serialize(), None)]
+    assert hub.said == [("tb3_01/cmd_vel", dds.Twist().serialize(), None)]
     sender.close()
     sender.send_zero()
     assert len(hub.said) == 1
@@ -61,9 +61,9 @@ def test_zero_goes_out_on_the_keys_of_every_distribution(hub: Hub) -> None:
     prefix = "3/cmd_vel/geometry_msgs::msg::dds_::TwistStamped_/"
     keys = [key for key, _, _ in hub.said]
     assert sorted(keys) == [prefix + HASHES["TwistStamped"], prefix + "TypeHashNotSupported"]
-    wanted = second.TwistStamped(second.stamped(0.0, ""), second.Twist()).serialize()
+    wanted = dds.TwistStamped(dds.stamped(0.0, ""), dds.Twist()).serialize()
     assert all(payload == wanted for _, payload, _ in hub.said)
-    read = second.Twist.deserialize(wanted + bytes(48))  # as a base that takes it for a Twist
+    read = dds.Twist.deserialize(wanted + bytes(48))  # as a base that takes it for a Twist
     assert abs(read.linear.x) + abs(read.linear.y) + abs(read.angular.z) < 1e-300
     assert all(attachment is not None and len(attachment) == 33 for _, _, attachment in hub.said)
 
