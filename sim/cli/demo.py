@@ -17,8 +17,8 @@ import click
 
 from swarmd.cli.arguments import Duration, read_assignments
 from swarmd.cli.output import print_json, print_section, warn
-from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.cli.options import fleet_for, fleet_options, need, output_option
+from swarmd.core.errors import SwarmError
+from swarmd.sim.cli.options import fleet_for, fleet_options, need, new_folder, output_option
 
 if TYPE_CHECKING:
     from swarmd.sim.live.demo_run import DemoSettings
@@ -64,7 +64,8 @@ def demo(
     )
     find_pattern(pattern, world["plugin_dir"])
     fleet = fleet_for(f"demo-{secrets.token_hex(3)}", Path(), **world)
-    folder = new_folder(Path("runs"))
+    stamp = time.strftime("%Y%m%d-%H%M%S")
+    folder = new_folder(Path("runs"), (stamp, *(f"{stamp}-{n}" for n in range(2, 1000))))
     spec = replace(fleet, folder=folder / "logs", trace=folder / "trace.npz", seconds=seconds)
     summary = perform(spec, settings, is_live=sys.stdout.isatty() and not (headless or is_json))
     report(summary, folder, is_json=is_json)
@@ -122,22 +123,6 @@ def _draw(summary: Summary, folder: Path) -> None:
     title = f"{summary.pattern}, {len(summary.robots)} {summary.platform}"
     figure = trajectories_figure(load_trace(folder / "trace.npz"), title)
     save(figure, folder / "trajectories.png")
-
-
-def new_folder(base: Path) -> Path:
-    """A new folder named by the time; ConfigError if none can be made."""
-    stamp = time.strftime("%Y%m%d-%H%M%S")
-    for suffix in ("", *(f"-{i}" for i in range(2, 1000))):
-        folder = base / f"{stamp}{suffix}"
-        try:
-            folder.mkdir(parents=True)
-        except FileExistsError:
-            continue
-        except OSError as error:
-            text = f"{folder}/ cannot be made ({error.strerror})"
-            raise ConfigError(f"{text}; run the demo in a folder you may write to") from error
-        return folder
-    raise ConfigError(f"{base / stamp}/ exists a thousand times; remove some")
 
 
 @contextmanager

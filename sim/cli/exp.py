@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import re
+import itertools
 import shlex
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from swarmd.cli.output import print_json, print_table, warn
-from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.cli.options import chosen_metrics, need, output_option
+from swarmd.core.errors import SwarmError
+from swarmd.sim.cli.options import chosen_metrics, need, new_folder, output_option
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.compare import Difference, Side
@@ -110,7 +110,8 @@ def run(
 
     names = chosen_metrics(metrics)
     plan = plan_of(scenario, parse_seeds(seeds), parse_sets(sets), parse_sweeps(sweeps))
-    folder = out or new_folder(Path("experiments"), Path(scenario).stem)
+    stem = Path(scenario).stem
+    folder = out or new_folder(Path("experiments"), (f"{stem}-{n}" for n in itertools.count(1)))
     command = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]
     command += [word for value in sets for word in ("--set", value)]
     command += [word for value in sweeps for word in ("--sweep", value)]
@@ -229,8 +230,7 @@ def list_scenarios(is_json: bool) -> None:
              "description": texts[name]}
             for name, one in scenarios.items()
         ]  # fmt: skip
-        print_json("Scenarios", {"scenarios": found})
-        return
+        return print_json("Scenarios", {"scenarios": found})
     rows = [
         (name, str(len(one.robots)), f"{one.duration:g} s", texts[name])
         for name, one in scenarios.items()
@@ -286,23 +286,6 @@ def measure(files: tuple[Path, ...], metrics: str | None, is_json: bool) -> None
     print_table(("METRIC", "UNIT", *heads), rows)
 
 
-def new_folder(base: Path, stem: str) -> Path:
-    """A new folder `base/stem-N`, N above all existing; ConfigError if it cannot be made."""
-    names = [path.name for path in base.iterdir()] if base.is_dir() else []
-    found = [re.fullmatch(rf"{re.escape(stem)}-(\d+)", name) for name in names]
-    number = max((int(match[1]) for match in found if match), default=0) + 1
-    while True:
-        folder = base / f"{stem}-{number}"
-        try:
-            folder.mkdir(parents=True)
-            return folder
-        except OSError as error:
-            if not isinstance(error, FileExistsError) or not base.is_dir():
-                text = f"{folder}/ cannot be made ({error.strerror})"
-                raise ConfigError(f"{text}; name another folder with --out") from error
-        number += 1  # another swarmctl was faster
-
-
 def _do_runs(manifest: Manifest, folder: Path, processes: int, timeout: float | None) -> Results:
     """Do all runs; on Ctrl-C and SIGTERM print the command that resumes them."""
     from swarmd.sim.cli.progress import ends_on_sigterm, progress
@@ -330,17 +313,10 @@ def _do_runs(manifest: Manifest, folder: Path, processes: int, timeout: float | 
 
 def _print_results(results: Results, names: Sequence[str] | None, is_json: bool) -> None:
     """Print statistics on stdout, failures on stderr."""
-    from swarmd.sim.experiments.report import HEADER, summary_rows
-
     if is_json:
         print_json("ExperimentSummary", {**results.document(names), "folder": str(results.folder)})
     else:
-        total, failed = len(results.plan.runs), len(results.failures)
-        lost = f", {failed} failed" if failed else ""
-        click.echo(f"{results.plan.scenario}: {len(results.runs)} of {total} runs{lost}")
-        for variant in results.variants:
-            click.echo(f"\n{variant}" if variant else "")
-            print_table(HEADER, summary_rows(results.summary(variant, names)))
+        click.echo(results.text(names))
     _warn_of_few(len(results.seeds(variant)) for variant in results.variants)
     if "failed_patterns" in results.metrics:
         count = int((results.metric("failed_patterns") > 0.0).sum())
@@ -365,7 +341,7 @@ def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> N
          interval(d.interval), str(d.n_a) if d.n_a == d.n_b else f"{d.n_a}, {d.n_b}", d.conclusion)
         for d in differences
     ]  # fmt: skip
-    print_table(("METRIC", "UNIT", "MEAN A", "MEAN B", "B - A", "95 %", "RUNS", "VERDICT"), rows)
+    print_table(("METRIC", "UNIT", "MEAN A", "MEAN B", "B - A", "95 %", "RUNS", "RESULT"), rows)
     differing = sum(one.differs for one in differences)
     click.echo(f"\n{differing} of {len(differences)} metrics differ", nl=False)
     click.echo(f"; {expected_by_chance(differences):.2g} would by chance if nothing did\n")

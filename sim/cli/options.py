@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -161,6 +161,19 @@ def chosen_metrics(text: str | None) -> tuple[str, ...] | None:
     if not names:
         raise ConfigError("--metrics is empty; see `swarmctl exp metrics`")
     return tuple(metric_of(name).name for name in names)
+
+
+def new_folder(base: Path, names: Iterable[str]) -> Path:
+    """A new folder of `base`, with the first free name; ConfigError if none can be made."""
+    for name in names:
+        try:
+            (base / name).mkdir(parents=True)
+            return base / name
+        except OSError as error:
+            if not (base / name).exists():
+                text = f"{base / name}/ cannot be made ({error.strerror})"
+                raise ConfigError(f"{text}; work in another folder, or name one") from error
+    raise ConfigError(f"{base}/ has no free name left; remove some folders of it")
 
 
 def robots_for(platform: str, count: int) -> tuple[Platform, dict[str, str]]:

@@ -8,7 +8,7 @@ from typing import Any
 
 from swarmd.core.errors import ConfigError
 from swarmd.sim.experiments.plan import MAX_RUNS, check_seeds
-from swarmd.sim.scenarios.overrides import SWEEP_SOURCE, parse_override
+from swarmd.sim.scenarios.overrides import SOURCE, SWEEP_SOURCE, parse_override
 
 
 def parse_seeds(text: str) -> tuple[int, ...]:
@@ -31,47 +31,27 @@ def parse_seeds(text: str) -> tuple[int, ...]:
 
 def parse_sets(words: Iterable[str]) -> dict[str, Any]:
     """The values of `--set key=value`; ConfigError for an invalid or repeated one."""
-    found: dict[str, Any] = {}
-    for word in words:
-        key, value = parse_override(word)
-        if key in found:
-            raise ConfigError(f"--set {key} is given twice; keep one")
-        found[key] = value
-    return found
+    return _by_key(words, SOURCE, "{}")
 
 
 def parse_sweeps(words: Iterable[str]) -> dict[str, list[Any]]:
     """The values of `--sweep key=a,b,c` by key; ConfigError for an invalid or repeated one."""
-    found: dict[str, list[Any]] = {}
-    for word in words:
-        key, equals, text = word.partition("=")
-        if not equals or not all(key.strip().split(".")):
-            raise ConfigError(f"--sweep {word!r}: wanted is key=a,b,c, such as duration=30,60")
-        if key.strip() in found:
-            raise ConfigError(f"--sweep {key.strip()} is given twice; put all values in one")
-        values = split_values(key.strip(), text)
-        found[key.strip()] = [parse_override(f"{key}={value}", SWEEP_SOURCE)[1] for value in values]
+    words = list(words)
+    found = _by_key(words, SWEEP_SOURCE, "[{}]")
+    for (key, values), word in zip(found.items(), words, strict=True):
+        if not values or word.rstrip().endswith(","):  # which YAML allows
+            raise ConfigError(f"{SWEEP_SOURCE} {key}: a value is empty; wanted such as 0.1,0.2")
     return found
 
 
-def split_values(key: str, text: str) -> tuple[str, ...]:
-    """The values of a sweep from `a,b,c`; commas within brackets and quotes do not separate."""
-    parts, depth, quote = [""], 0, ""
-    for char in text:
-        if char == quote:
-            quote = ""
-        elif not quote and char in "'\"":
-            quote = char
-        elif not quote and char in "[]{}":
-            depth += 1 if char in "[{" else -1
-        if char == "," and not depth and not quote:
-            parts.append("")
-        else:
-            parts[-1] += char
-    values = tuple(part.strip() for part in parts)
-    if not all(values):
-        raise ConfigError(f"--sweep {key}={text}: a value is empty; wanted such as {key}=0.1,0.2")
-    return values
+def _by_key(words: Iterable[str], source: str, form: str) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for word in words:
+        key, value = parse_override(word, source, form)
+        if key in found:
+            raise ConfigError(f"{source} {key} is given twice; keep one")
+        found[key] = value
+    return found
 
 
 def _bounded(count: int, text: str) -> int:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -11,7 +10,6 @@ from typing import Any, Literal
 import numpy as np
 
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.values import Array
 from swarmd.sim.experiments.results import Results, load_results, unit_of
 from swarmd.sim.experiments.statistics import LEVEL, Interval, difference_interval, mean_interval
 from swarmd.sim.metrics.catalog import METRICS, is_time_to_event
@@ -145,8 +143,7 @@ def _difference(a: Side, b: Side, name: str) -> Difference:
     else:
         left, right = left[~np.isnan(left)], right[~np.isnan(right)]
         found = difference_interval(left, right)
-    mean_a, mean_b = _mean(left), _mean(right)
-    apart = None if mean_a is None or mean_b is None else mean_b - mean_a
+    mean_a, mean_b = (float(some.mean()) if some.size else None for some in (left, right))
     return Difference(
         metric=name,
         unit=unit_of(name),
@@ -154,7 +151,7 @@ def _difference(a: Side, b: Side, name: str) -> Difference:
         n_b=right.size,
         mean_a=mean_a,
         mean_b=mean_b,
-        difference=apart,
+        difference=None if mean_a is None or mean_b is None else mean_b - mean_a,
         interval=found,
         is_paired=is_paired,
         better=_better(found, METRICS[name].better if name in METRICS else None),
@@ -169,27 +166,15 @@ def _better(
     return "b" if (interval.low > 0.0) == (wanted == "more") else "a"
 
 
-def _mean(values: Array) -> float | None:
-    return float(values.mean()) if values.size else None
-
-
 def _sides_of(text: str) -> list[Side]:
     """The variants that one argument of the command line names."""
-    folder, variant = _split(text)
+    folder, variant = text, None
+    if not Path(text).is_dir() and ":" in text:
+        folder, _, variant = text.partition(":")
     results = load_results(folder)
     if not results.rows:
         raise ConfigError(f"{folder}: no run of it has finished; run it first")
     if variant is not None and variant not in results.variants:
         raise ConfigError(f"{folder}: {unknown('variant', variant, results.variants)}")
     wanted = results.variants if variant is None else (variant,)
-    return [Side(f"{folder}:{name}" if name else str(folder), results, name) for name in wanted]
-
-
-def _split(text: str) -> tuple[Path, str | None]:
-    """Folder and variant: the part before a colon is the folder, unless the whole is one."""
-    if Path(text).is_dir():
-        return Path(text), None
-    for colon in re.finditer(":", text):
-        if Path(text[: colon.start()]).is_dir():
-            return Path(text[: colon.start()]), text[colon.end() :]
-    return Path(text), None
+    return [Side(f"{folder}:{name}" if name else folder, results, name) for name in wanted]

@@ -20,6 +20,10 @@ NAME = "manifest.json"
 FORMAT = 1
 
 
+class _Format(msgspec.Struct):
+    format: int
+
+
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The runs of an experiment, and the software that made them.
 
@@ -99,38 +103,35 @@ def read_manifest(folder: Path) -> Manifest:
     """The manifest of an experiment's folder; ConfigError in one line without one."""
     path = folder / NAME
     try:
-        data = json.loads(path.read_bytes())
+        data = path.read_bytes()
+        found = msgspec.json.decode(data, type=_Format).format
+        if found == FORMAT:
+            manifest = msgspec.json.decode(data, type=Manifest)
+            if manifest.plan.runs:
+                return manifest
+            raise ConfigError("no variants")
     except FileNotFoundError:
         text = f"{folder}: no experiment: there is no {NAME}"
         raise ConfigError(f"{text}; name a folder that `swarmctl exp run` has made") from None
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: damaged: no JSON ({_brief(error)}); restore it") from error
-    if isinstance(data, dict) and isinstance(data.get("format"), int) and data["format"] != FORMAT:
-        text = f"{path}: format {data['format']}, and this swarmd reads {FORMAT}"
-        raise ConfigError(f"{text}; use the swarmd that has made it")
-    try:
-        manifest = msgspec.convert(data, Manifest)
-        assert manifest.plan.runs
-    except (msgspec.ValidationError, ConfigError, AssertionError) as error:
-        text = f"{path}: damaged: {_brief(error) or 'no variants'}"
+    except (msgspec.MsgspecError, ConfigError, RecursionError) as error:
+        text = f"{path}: damaged: {' '.join(str(error).split())[:200]}"
         raise ConfigError(f"{text}; restore it, or run the experiment anew") from error
-    return manifest
+    text = f"{path}: format {found}, and this swarmd reads {FORMAT}"
+    raise ConfigError(f"{text}; use the swarmd that has made it")
 
 
 def differences(old: Manifest, new: Manifest) -> Iterator[str]:
     """A text for each difference that changes results or files."""
-    if old.scenario != new.scenario:
-        yield f"the scenario was {old.scenario}, now {new.scenario}"
-    if old.seeds != new.seeds:
-        yield f"the seeds were {_seeds(old.seeds)}, now {_seeds(new.seeds)}"
-    if (old.sets, list(old.sweep.items())) != (new.sets, list(new.sweep.items())):
-        yield f"it was {_overrides(old)}, now {_overrides(new)}"
-    elif [v.effective for v in old.variants] != [v.effective for v in new.variants]:
+    for name in ("scenario", "seeds", "sets", "sweep", "traces"):
+        was, now = getattr(old, name), getattr(new, name)
+        if was != now or (name == "sweep" and list(was) != list(now)):  # its order is that of rows
+            yield f"{name} was {_clipped(was)}, now {_clipped(now)}"
+    if (old.sets, old.sweep) == (new.sets, new.sweep) and (
+        [v.effective for v in old.variants] != [v.effective for v in new.variants]
+    ):
         yield "the scenario's contents have changed"
-    if old.traces != new.traces:
-        yield "traces were kept, now they are not" if old.traces else "traces were not kept"
     yield from software_differences(old, new)
 
 
@@ -174,18 +175,6 @@ def _plugins(plan: Plan) -> dict[str, str]:
     }
 
 
-def _overrides(manifest: Manifest) -> str:
-    words = [f"--set {k}={v}" for k, v in manifest.sets.items()]
-    words += [f"--sweep {k}={','.join(map(str, v))}" for k, v in manifest.sweep.items()]
-    return " ".join(words) or "without --set and --sweep"
-
-
-def _seeds(seeds: list[int]) -> str:
-    if len(seeds) > 1 and seeds == list(range(seeds[0], seeds[-1] + 1)):
-        return f"{seeds[0]}-{seeds[-1]}"
-    text = ",".join(map(str, seeds))
-    return text if len(text) <= 40 else f"{text[:37]}..."
-
-
-def _brief(error: Exception) -> str:
-    return " ".join(str(error).split())[:200]
+def _clipped(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

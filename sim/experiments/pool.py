@@ -111,9 +111,15 @@ def run_jobs(
     """
     waiting = deque(jobs)
     workers: dict[Connection, _Worker] = {}
+
+    def start(job: Job) -> None:
+        worker = _Worker()
+        workers[worker.pipe] = worker
+        worker.assign(job)
+
     try:
         for _ in range(min(processes, len(waiting))):
-            _start_worker(workers, waiting.popleft())
+            start(waiting.popleft())
         before = time.monotonic()
         while workers:
             ready = wait(list(workers), _POLL_PERIOD)
@@ -129,18 +135,12 @@ def run_jobs(
                 else:
                     workers.pop(pipe).end()
                     if waiting:
-                        _start_worker(workers, waiting.popleft())
+                        start(waiting.popleft())
                 yield result
     finally:
         for worker in workers.values():
             worker.kill()
             worker.clean()
-
-
-def _start_worker(workers: dict[Connection, _Worker], job: Job) -> None:
-    worker = _Worker()
-    workers[worker.pipe] = worker
-    worker.assign(job)
 
 
 class _Worker:

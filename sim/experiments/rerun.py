@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
+import msgspec
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import manifest_of, read_manifest, software_differences
@@ -68,12 +68,10 @@ def rerun(
         return _comparisons(before, again(Path(place), only=only))
 
 
-def trace_differences(a: Trace, b: Trace) -> Iterator[str]:
+def trace_differences(a: Trace, b: Trace) -> list[str]:
     """The names of the fields that differ between two traces in at least one bit."""
-    for field in fields(Trace):
-        one, other = getattr(a, field.name), getattr(b, field.name)
-        if not _same(one, other):
-            yield field.name
+    names = [field.name for field in fields(Trace)]
+    return [name for name in names if _bits(getattr(a, name)) != _bits(getattr(b, name))]
 
 
 def _comparisons(before: Results, after: Results) -> list[RunComparison]:
@@ -101,11 +99,6 @@ def _difference(
     return f"trace: {found}" if found else differing and f"metrics of the same trace: {differing}"
 
 
-def _same(a: Any, b: Any) -> bool:
-    if isinstance(a, np.ndarray) and isinstance(b, np.ndarray):
-        return a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
-    if isinstance(a, dict) and isinstance(b, dict):
-        return a.keys() == b.keys() and all(_same(a[key], b[key]) for key in a)
-    if isinstance(a, Sequence) and isinstance(b, Sequence) and not isinstance(a, str):
-        return len(a) == len(b) and all(_same(*pair) for pair in zip(a, b, strict=True))
-    return type(a) is type(b) and a == b
+def _bits(value: Any) -> bytes:
+    """A field of a trace as bytes: equal for equal types, shapes and bits."""
+    return msgspec.msgpack.encode(value, enc_hook=lambda a: (a.dtype.str, a.shape, a.tobytes()))

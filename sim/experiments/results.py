@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 
@@ -23,29 +23,27 @@ YES_OR_NO = "0 or 1"
 """The unit of metrics that are true or false for a run."""
 
 
-class Traces(Sequence[Trace]):
+class Traces:
     """Traces of finished runs, by number or run id; each is read from the disk when accessed."""
 
     def __init__(self, folder: Path, runs: Sequence[Run]) -> None:
         self._folder = folder
-        self._runs = {run.id: run for run in runs}
+        self._ids = [run.id for run in runs]
+        self._runs = runs
 
     def __len__(self) -> int:
         return len(self._runs)
 
-    @overload
-    def __getitem__(self, which: int | str) -> Trace: ...
-    @overload
-    def __getitem__(self, which: slice) -> list[Trace]: ...
-    def __getitem__(self, which: int | str | slice) -> Trace | list[Trace]:
+    def __iter__(self) -> Iterator[Trace]:
+        return (self[number] for number in range(len(self)))
+
+    def __getitem__(self, which: int | str) -> Trace:
         """The trace of a run; SwarmError if it was not kept or is damaged."""
-        ids = list(self._runs)
-        if isinstance(which, slice):
-            return [self[run] for run in ids[which]]
-        if isinstance(which, str) and which not in self._runs:
-            raise ConfigError(unknown("run", which, ids))
-        run = self._runs[which if isinstance(which, str) else ids[which]]
-        path = trace_path(self._folder, run)
+        if isinstance(which, str):
+            if which not in self._ids:
+                raise ConfigError(unknown("run", which, self._ids))
+            which = self._ids.index(which)
+        path = trace_path(self._folder, self._runs[which])
         if not path.exists():
             raise SwarmError(f"{path}: there is no trace; it was not kept, or has been removed")
         return load_trace(path)
@@ -99,7 +97,7 @@ class Results:
         if name not in self.metrics:
             raise ConfigError(unknown("metric", name, self.metrics))
         rows = self._rows if variant is None else self._of(variant)
-        return np.array([_number(row.metrics[name]) for row in rows], dtype=np.float64)
+        return np.array([row.metrics[name] for row in rows], dtype=np.float64)  # None gives NaN
 
     def seeds(self, variant: str) -> tuple[int, ...]:
         """The seeds of the finished runs of a variant, in the order of `metric`."""
@@ -149,18 +147,17 @@ class Results:
             ],
         }
 
-    def __str__(self) -> str:
-        return "\n".join(self._lines())
-
-    def __repr__(self) -> str:
-        return f"<Results of {self.plan.scenario}: {len(self._rows)} runs in {self.folder}>"
-
-    def _lines(self) -> Iterator[str]:
+    def text(self, names: Sequence[str] | None = None) -> str:
+        """A table of each variant, of all metrics without `names`."""
         failed = f", {len(self.failures)} failed" if self.failures else ""
-        yield f"{self.plan.scenario}: {len(self._rows)} of {len(self.plan.runs)} runs{failed}"
+        found = [f"{self.plan.scenario}: {len(self._rows)} of {len(self.plan.runs)} runs{failed}"]
         for variant in self.variants:
-            yield from (["", variant] if variant else [""])
-            yield from aligned(HEADER, summary_rows(self.summary(variant)))
+            found += ["", variant] if variant else [""]
+            found += aligned(HEADER, summary_rows(self.summary(variant, names)))
+        return "\n".join(found)
+
+    def __str__(self) -> str:
+        return self.text()
 
     def _of(self, variant: str) -> Sequence[Row]:
         if variant not in self._rows_of:
@@ -183,10 +180,6 @@ def load_results(folder: str | Path) -> Results:
 def unit_of(metric: str) -> str:
     """The unit of a metric; empty for an unknown one, such as that of another version."""
     return METRICS[metric].unit if metric in METRICS else ""
-
-
-def _number(value: float | None) -> float:
-    return np.nan if value is None else value
 
 
 def _plain(summary: Summary) -> dict[str, Any]:

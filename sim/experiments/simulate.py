@@ -25,7 +25,7 @@ from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
 from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, run_job, run_jobs
 from swarmd.sim.experiments.results import Results
-from swarmd.sim.experiments.store import Store, gone, open_store
+from swarmd.sim.experiments.store import Store, open_store
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.scenarios.overrides import SOURCE, SWEEP_SOURCE
 from swarmd.sim.scenarios.scenario import Scenario
@@ -62,7 +62,8 @@ def simulate(
         raise ConfigError(f"jobs is {jobs}; wanted 1 or more")
     if not timeout >= 1.0:
         raise ConfigError(f"timeout is {timeout:g}; wanted 1 s or more")
-    plan = plan_of(scenario, _listed(seeds), set, sweep)
+    listed = range(int(seeds)) if isinstance(seeds, Integral) else cast("Iterable[int]", seeds)
+    plan = plan_of(scenario, listed, set, sweep)
     manifest = manifest_of(plan, traces=traces, command=[])
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
@@ -130,38 +131,28 @@ def run_experiment(
         return results
 
 
-def _listed(seeds: int | Iterable[int]) -> Iterable[int]:
-    return range(int(seeds)) if isinstance(seeds, Integral) else cast("Iterable[int]", seeds)
-
-
 def _gather(
     store: Store,
     runs: Sequence[Run],
     run_jobs: Generator[JobResult, None, None],
     on_progress: OnProgress | None,
 ) -> None:
+    """Keep each result as it arrives; SwarmError if one cannot be written."""
     by_id = {run.id: run for run in runs}
     total = len(store.rows) + len(runs)
+    report = on_progress or (lambda done, total, failed: None)
     with closing(run_jobs) as found:
-        if on_progress is not None:
-            on_progress(len(store.rows), total, 0)
-        for outcome in found:
-            _keep(store, by_id[outcome.run], outcome)
-            if on_progress is not None:
-                failed = len(store.failures)
-                on_progress(len(store.rows) + failed, total, failed)
-
-
-def _keep(store: Store, run: Run, outcome: JobResult) -> None:
-    if outcome.write_error and not store.is_whole:
-        raise gone(store.folder)
-    if outcome.write_error:
-        text = f"{outcome.write_error}; {len(store.rows)} finished runs are kept"
-        raise SwarmError(f"{text}: make room and give the same command again")
-    if outcome.metrics is None:
-        store.fail(run, outcome.reason)
-    else:
-        store.add(run, outcome.metrics, outcome.wall)
+        report(len(store.rows), total, 0)
+        for result in found:
+            if result.write_error:
+                text = f"{result.write_error}; {len(store.rows)} finished runs are kept"
+                raise SwarmError(f"{text}: mend it and give the same command again")
+            if result.metrics is None:
+                store.fail(by_id[result.run], result.reason)
+            else:
+                store.add(by_id[result.run], result.metrics, result.wall)
+            failed = len(store.failures)
+            report(len(store.rows) + failed, total, failed)
 
 
 def _results(store: Store) -> Results:

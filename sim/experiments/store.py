@@ -15,14 +15,13 @@ there.
 from __future__ import annotations
 
 import csv
-import errno
 import fcntl
 import io
 import json
 import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -39,7 +38,10 @@ from swarmd.sim.experiments.manifest import (
 from swarmd.sim.experiments.plan import Plan, Run, shown
 
 TABLE = "runs.csv"
-_FIRST, _LAST = ("run", "variant"), "wall"
+TRACES = "traces"
+FAILURES = "failures.json"
+SUMMARY = "summary.json"
+_HEAD = {"apiVersion": "swarm/v1", "kind": "ExperimentSummary"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,17 +55,20 @@ class Row:
     def plain(self) -> dict[str, Any]:
         """As a dict: run, variant, swept values, seed, metrics and wall."""
         about = {"run": self.run.id, "variant": self.run.variant.name, **self.run.variant.values}
-        return {**about, "seed": self.run.seed, **self.metrics, _LAST: self.wall}
+        return {**about, "seed": self.run.seed, **self.metrics, "wall": self.wall}
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """The cells of its line; numbers are read back as the same bits."""
+        variant = self.run.variant
+        values = ("" if value is None else repr(float(value)) for value in self.metrics.values())
+        swept = map(shown, variant.values.values())
+        return (self.run.id, variant.name, *swept, str(self.run.seed), *values, f"{self.wall:.3f}")
 
 
 def header(plan: Plan, metrics: Iterable[str]) -> tuple[str, ...]:
     """The columns of an experiment's table."""
-    return (*_FIRST, *plan.sweep, "seed", *metrics, _LAST)
-
-
-def line_of(row: Row) -> str:
-    """A row as a line; numbers are read back as the same bits."""
-    return lines([_cells(row)])
+    return ("run", "variant", *plan.sweep, "seed", *metrics, "wall")
 
 
 def lines(rows: Iterable[Sequence[str]]) -> str:
@@ -76,88 +81,46 @@ def lines(rows: Iterable[Sequence[str]]) -> str:
 def read_table(folder: Path, plan: Plan) -> tuple[tuple[str, ...], dict[str, Row]]:
     """The metrics' names and the rows by run, in the order of the plan.
 
-    ConfigError with file and line for anything that `line_of` does not write.
+    ConfigError with file and line for anything that `lines` of rows does not write.
     """
     path = folder / TABLE
-    text = _whole_lines(path)
     try:
-        records = list(csv.reader(io.StringIO(text), strict=True))
-    except csv.Error as error:
-        raise _damaged(path, 1, str(error)) from error
-    metrics = _metrics_of(path, records, plan)
+        text = path.read_bytes().decode(errors="replace")
+    except OSError as error:
+        fault = f"{path}: {error.strerror}"
+        raise ConfigError(f"{fault}; restore it, or run the experiment anew") from error
+    reader = csv.reader(io.StringIO(text[: text.rfind("\n") + 1]), strict=True)
     runs = {run.id: run for run in plan.runs}
     rows: dict[str, Row] = {}
-    for number, cells in enumerate(records[1:], start=2):
-        row = _row(path, number, cells, metrics, runs)
-        if row.run.id in rows:
-            raise _damaged(path, number, f"run {row.run.id} appears twice")
-        rows[row.run.id] = row
+    try:
+        head = tuple(next(reader, ()))
+        metrics = head[len(header(plan, ())) - 1 : -1]
+        if head != header(plan, metrics) or len(set(head)) < len(head):
+            raise ValueError(f"the columns are not those of its manifest: {','.join(head)}")
+        for cells in reader:
+            row = _row(cells, metrics, runs)
+            if row.run.id in rows:
+                raise ValueError(f"run {row.run.id} appears twice")
+            rows[row.run.id] = row
+    except (csv.Error, ValueError) as error:
+        fault = f"{path}:{reader.line_num or 1}: damaged: {' '.join(str(error).split())[:120]}"
+        raise ConfigError(f"{fault}; restore it, or run the experiment anew") from error
     return metrics, {name: rows[name] for name in runs if name in rows}
 
 
-def _whole_lines(path: Path) -> str:
-    try:
-        text = path.read_bytes().decode()
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: is missing; restore it, or run the experiment anew") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise _damaged(path, 1, "not UTF-8 text") from error
-    return text[: text.rfind("\n") + 1]
-
-
-def _metrics_of(path: Path, records: Sequence[Sequence[str]], plan: Plan) -> tuple[str, ...]:
-    found = tuple(records[0]) if records else ()
-    metrics = found[len(header(plan, ())) - 1 : -1]
-    if found != header(plan, metrics) or len(set(found)) < len(found):
-        raise _damaged(path, 1, f"the columns are not those of its manifest: {','.join(found)}")
-    return metrics
-
-
-def _row(
-    path: Path,
-    number: int,
-    cells: Sequence[str],
-    metrics: Sequence[str],
-    runs: Mapping[str, Run],
-) -> Row:
-    run = runs.get(cells[0]) if cells else None
-    if run is None:
-        raise _damaged(path, number, f"no run of its manifest: {cells[0] if cells else ''!r}")
-    about = _about(run)
-    if tuple(cells[: len(about)]) != about or len(cells) != len(about) + len(metrics) + 1:
-        raise _damaged(path, number, f"it does not match run {run.id} of the manifest")
-    try:
-        values = [float(cell) if cell else None for cell in cells[len(about) : -1]]
-        wall = float(cells[-1])
-    except ValueError as error:
-        raise _damaged(path, number, str(error)) from error
-    if not all(value is None or math.isfinite(value) for value in (*values, wall)):
-        raise _damaged(path, number, "a number is not finite")
-    return Row(run, dict(zip(metrics, values, strict=True)), wall)
-
-
-def _cells(row: Row) -> tuple[str, ...]:
-    values = ("" if value is None else repr(float(value)) for value in row.metrics.values())
-    return (*_about(row.run), *values, f"{row.wall:.3f}")
-
-
-def _about(run: Run) -> tuple[str, ...]:
-    values = (shown(value) for value in run.variant.values.values())
-    return (run.id, run.variant.name, *values, str(run.seed))
-
-
-def _damaged(path: Path, line: int, why: str) -> ConfigError:
-    text = " ".join(why.split())[:120]
-    return ConfigError(f"{path}:{line}: damaged: {text}; restore it, or run the experiment anew")
-
-
-TRACES = "traces"
-FAILURES = "failures.json"
-SUMMARY = "summary.json"
-_FULL = (errno.ENOSPC, errno.EDQUOT)
-_HEAD = {"apiVersion": "swarm/v1", "kind": "ExperimentSummary"}
+def _row(cells: Sequence[str], metrics: Sequence[str], runs: Mapping[str, Run]) -> Row:
+    """The row of a line; ValueError if it is not the line of a run of the manifest."""
+    name = cells[0] if cells else ""
+    if name not in runs:
+        raise ValueError(f"no run of its manifest: {name!r}")
+    texts = cells[len(cells) - len(metrics) - 1 :]
+    *values, wall = [float(text) if text else None for text in texts]
+    if wall is None or not all(v is None or math.isfinite(v) for v in (*values, wall)):
+        raise ValueError("a number is missing or not finite")
+    row = Row(runs[name], dict(zip(metrics, values, strict=True)), wall)
+    if row.cells != tuple(cells):
+        raise ValueError(f"it does not match run {name} of the manifest")
+    return row
 
 
 class Store:
@@ -182,19 +145,13 @@ class Store:
         """Where the trace of a run goes; None if traces are not kept."""
         return trace_path(self.folder, run) if self.manifest.traces else None
 
-    @property
-    def is_whole(self) -> bool:
-        """Whether the folder and its traces still exist."""
-        return (self.folder / (TRACES if self.manifest.traces else manifests.NAME)).exists()
-
     def add(self, run: Run, metrics: Mapping[str, float | None], wall: float) -> None:
         """Append a finished run; SwarmError if it cannot be written."""
         row = Row(run, metrics, round(wall, 3))
-        with _translate_errors(self.folder):
-            try:
-                _append(self.folder / TABLE, line_of(row))
-            except FileNotFoundError as error:
-                raise gone(self.folder) from error
+        # "r+" does not make a removed table again. A line torn by a full disk is cut at the start.
+        with _translate_errors(self.folder), (self.folder / TABLE).open("r+b") as file:
+            file.seek(0, os.SEEK_END)
+            file.write(lines([row.cells]).encode())
         self.rows[run.id] = row
 
     def fail(self, run: Run, reason: str) -> None:
@@ -208,9 +165,8 @@ class Store:
         rows = [self.rows[run.id] for run in self.plan.runs if run.id in self.rows]
         with _translate_errors(self.folder):
             if rows:
-                head = lines([header(self.plan, rows[0].metrics)])
-                text = head + "".join(map(line_of, rows))
-                write_whole(self.folder / TABLE, text)
+                head = header(self.plan, rows[0].metrics)
+                write_whole(self.folder / TABLE, lines([head, *(row.cells for row in rows)]))
             self._write_failures()
             write_json(self.folder / SUMMARY, {**_HEAD, **summary})
 
@@ -233,16 +189,10 @@ def open_store(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> It
     experiment or is in use.
     """
     with _translate_errors(folder):
-        made = not folder.is_dir()
         folder.mkdir(parents=True, exist_ok=True)
     with _locked(folder):
-        if (folder / manifests.NAME).exists():
-            store = _resumed(folder, manifest, metrics)
-        else:
-            if not made:
-                _refuse_other_files(folder)
-            _begin(folder, manifest, metrics)
-            store = Store(folder, manifest, {})
+        with _translate_errors(folder):
+            store = _opened(folder, manifest, metrics)
         yield store
 
 
@@ -260,48 +210,33 @@ def read_failures(folder: Path) -> dict[str, str]:
         raise ConfigError(f"{path}: damaged; remove it or restore it") from error
 
 
-def gone(folder: Path) -> SwarmError:
-    """The error that the folder, or a file of it, was removed."""
-    text = f"{folder}: the folder or a file of it was removed"
-    return SwarmError(f"{text}; restore it or remove the rest, and give the same command again")
-
-
 def trace_path(folder: Path, run: Run) -> Path:
     """Where the trace of a run is."""
     return folder / TRACES / f"{run.id}.npz"
 
 
-def _begin(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> None:
-    with _translate_errors(folder):
+def _opened(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Store:
+    table, traces = folder / TABLE, folder / TRACES
+    if (folder / manifests.NAME).exists():
+        new, manifest = manifest, read_manifest(folder)
+        differing = next(manifests.differences(manifest, new), None)
+        if differing is not None:
+            text = f"{folder}: holds another experiment: {differing}"
+            raise ConfigError(f"{text}; name another folder with --out, or remove this one")
+    else:
+        _refuse_other_files(folder)
         write_manifest(manifest, folder)  # first: it makes the folder that of an experiment
-        _begin_table(folder, manifest, metrics)
-
-
-def _begin_table(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> None:
-    write_whole(folder / TABLE, lines([header(manifest.plan, metrics)]))
-    if manifest.traces:
-        (folder / TRACES).mkdir(exist_ok=True)
-
-
-def _resumed(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Store:
-    old = read_manifest(folder)
-    differing = next(manifests.differences(old, manifest), None)
-    if differing is not None:
-        text = f"{folder}: holds another experiment: {differing}"
-        raise ConfigError(f"{text}; name another folder with --out, or remove this one")
-    if not (folder / TABLE).exists():  # interrupted between the two, or deleted
-        with _translate_errors(folder):
-            _begin_table(folder, old, metrics)
-    known, rows = read_table(folder, old.plan)
+    if not table.exists():  # new, interrupted between the two, or deleted
+        write_whole(table, lines([header(manifest.plan, metrics)]))
+    known, rows = read_table(folder, manifest.plan)
     if known != metrics:
         raise ConfigError(f"{folder}: holds other metrics; name another folder with --out")
-    with _translate_errors(folder):
-        for partial in (folder / TRACES).glob(".*.partial"):
-            partial.unlink()
-        _cut_torn_line(folder / TABLE)
-        if old.traces:
-            (folder / TRACES).mkdir(exist_ok=True)
-    return Store(folder, old, rows)
+    if manifest.traces:
+        traces.mkdir(exist_ok=True)
+    for partial in traces.glob(".*.partial"):
+        partial.unlink()
+    os.truncate(table, table.read_bytes().rfind(b"\n") + 1)
+    return Store(folder, manifest, rows)
 
 
 def _refuse_other_files(folder: Path) -> None:
@@ -310,28 +245,6 @@ def _refuse_other_files(folder: Path) -> None:
     if others:
         text = f"{folder}: is not the folder of an experiment: it holds {others[0]}"
         raise ConfigError(f"{text}; name a new or empty one with --out")
-
-
-def _append(path: Path, line: str) -> None:
-    """Append a line as a whole, or nothing."""
-    with path.open("r+b", buffering=0) as file:
-        size = file.seek(0, os.SEEK_END)
-        data = line.encode()
-        try:
-            written = 0
-            while written < len(data):
-                written += file.write(data[written:]) or 0
-        except BaseException:
-            with suppress(OSError):  # otherwise the torn line is removed at the next start
-                file.truncate(size)
-            raise
-
-
-def _cut_torn_line(path: Path) -> None:
-    data = path.read_bytes()
-    whole = data.rfind(b"\n") + 1
-    if whole < len(data):
-        os.truncate(path, whole)
 
 
 @contextmanager
@@ -357,9 +270,6 @@ def _translate_errors(folder: Path) -> Iterator[None]:
     except (FileExistsError, NotADirectoryError) as error:
         raise ConfigError(f"{error.filename}: is a file; name a folder with --out") from error
     except OSError as error:
-        text = f"{folder}: {error.strerror or error}"
-        if error.errno in _FULL:
-            raise SwarmError(
-                f"{text}; what was finished is kept, so make room and go on"
-            ) from error
-        raise SwarmError(f"{text}; name another folder with --out") from error
+        text = f"{folder}: {error.strerror or error}; finished runs are kept"
+        remedy = "give the same command again, or name another folder with --out"
+        raise SwarmError(f"{text}: mend it and {remedy}") from error

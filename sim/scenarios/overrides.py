@@ -13,16 +13,16 @@ SOURCE = "--set"
 SWEEP_SOURCE = "--sweep"
 
 
-def parse_override(text: str, source: str = SOURCE) -> tuple[str, Any]:
+def parse_override(text: str, source: str = SOURCE, form: str = "{}") -> tuple[str, Any]:
     """Key and value of `key=value`, the value read as YAML; ConfigError if malformed.
 
-    `null`, or nothing after the =, removes a value.
+    `null`, or nothing after the =, removes a value. With `form` "[{}]" it is the items of a list.
     """
     key, equals, value = text.partition("=")
     if not equals or not all(key.strip().split(".")):
-        raise ConfigError(f"{source} {text!r}: wanted is key=value, such as duration=30")
+        raise ConfigError(f"{source} {text!r}: wanted is key=value")
     try:
-        return key.strip(), read_value(value)
+        return key.strip(), read_value(form.format(value))
     except ConfigError as error:
         raise ConfigError(f"{source} {key.strip()}: {error}") from error
 

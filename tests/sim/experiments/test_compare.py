@@ -125,7 +125,7 @@ def test_what_chance_would_find_is_reported() -> None:
 
 
 def test_an_unknown_metric_is_one_line() -> None:
-    with pytest.raises(ConfigError, match="did you mean 'minimum_gap'"):
+    with pytest.raises(ConfigError, match="'minimum_gap'"):
         compare(side({0: 1.0}), side({0: 1.0}), ["minimum_gop"])
 
 
@@ -162,12 +162,12 @@ def test_sides_are_folders_or_variants(a: str, b: str, pairs: list[tuple[str, st
 @pytest.mark.parametrize(
     ("a", "b", "fault"),
     [
-        ("swept", "one", "swept: name one of its variants, as swept:speed=0.1: speed=0.1, speed="),
-        ("one", "swept", "swept: name one of its variants"),
-        ("swept", "other", "their variants are not the same; name one of each"),
-        ("swept:speed=0.11", "one", "swept: no variant 'speed=0.11'; did you mean 'speed=0.1'?"),
-        ("one", "empty", "empty: no run of it has finished"),
-        ("one", "nowhere", "nowhere: no experiment"),
+        ("swept", "one", "swept:speed=0.1"),
+        ("one", "swept", "swept:speed=0.1"),
+        ("swept", "other", "variants"),
+        ("swept:speed=0.11", "one", "'speed=0.1'"),
+        ("one", "empty", "empty: "),
+        ("one", "nowhere", "nowhere: "),
         ("one:x", "one", "one: no variant 'x'"),
     ],
 )

@@ -53,13 +53,13 @@ def test_says_what_it_was_made_with(manifest: Manifest, duo: Path) -> None:
 @pytest.mark.parametrize(
     ("path", "value", "fault"),
     [
-        (("format",), 99, "format 99, and this swarmd reads 1"),
-        (("seeds",), [], "damaged: seeds"),
-        (("seeds",), [1, 1], "damaged: seeds: 1"),
-        (("seeds",), "1", r"damaged: Expected `array`, got `str` - at `$.seeds`"),
-        (("variants",), [], "damaged: no variants"),
-        (("variants", 0, "effective"), 3, "damaged: Expected `object`"),
-        (("surprise",), 1, "damaged: Object contains unknown field `surprise`"),
+        (("format",), 99, "99"),
+        (("seeds",), [], "seeds"),
+        (("seeds",), [1, 1], "seeds: 1"),
+        (("seeds",), "1", "$.seeds"),
+        (("variants",), [], "variants"),
+        (("variants", 0, "effective"), 3, "$.variants"),
+        (("surprise",), 1, "surprise"),
     ],
 )
 def test_damage_is_one_line(
@@ -78,21 +78,13 @@ def test_damage_is_one_line(
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize("data", [b"", b"{", b"[]", b"3", b"\xff\xfe", b"[" * 100_000, b"{}"])
-def test_what_is_no_manifest_is_one_line(tmp_path: Path, data: bytes) -> None:
-    (tmp_path / NAME).write_bytes(data)
-    with pytest.raises(ConfigError, match="damaged") as caught:
+@pytest.mark.parametrize("data", [None, b"", b"{", b"[]", b"3", b"\xff\xfe", b"[" * 10**5, b"{}"])
+def test_what_is_no_manifest_is_one_line(tmp_path: Path, data: bytes | None) -> None:
+    if data is not None:
+        (tmp_path / NAME).write_bytes(data)
+    with pytest.raises(ConfigError, match=str(tmp_path)) as caught:
         read_manifest(tmp_path)
     assert "\n" not in str(caught.value)
-
-
-def test_a_folder_without_one_is_no_experiment(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"manifest\.json"):
-        read_manifest(tmp_path)
-
-
-def changed(manifest: Manifest, **changes: Any) -> Manifest:
-    return msgspec.structs.replace(manifest, **changes)
 
 
 def test_the_same_experiment_has_no_differences(manifest: Manifest, duo: Path) -> None:
@@ -102,35 +94,28 @@ def test_the_same_experiment_has_no_differences(manifest: Manifest, duo: Path) -
 
 
 @pytest.mark.parametrize(
-    ("changes", "line"),
+    ("changes", "subject"),
     [
-        ({"seeds": [0, 1, 2, 3]}, "the seeds were 3,1, now 0-3"),
-        ({"scenario": "other"}, "duo.yaml, now other"),
-        ({"sets": {}}, f"--set duration=1.5 --sweep {SPEED}=0.1,0.2, now --sweep"),
-        ({"sweep": {SPEED: [0.2, 0.1]}}, f"now --set duration=1.5 --sweep {SPEED}=0.2,0.1"),
-        ({"traces": False}, "traces were kept, now they are not"),
-        ({"plugins": {}}, "plugins/moody.py has changed"),
-        ({"variants": []}, "the scenario's contents have changed"),
+        ({"seeds": [0, 1, 2, 3]}, "seeds was [3, 1], now [0, 1, 2, 3]"),
+        ({"scenario": "other"}, "scenario"),
+        ({"sets": {}}, "sets"),
+        ({"sweep": {SPEED: [0.2, 0.1]}}, "sweep"),
+        ({"traces": False}, "traces"),
+        ({"plugins": {}}, "plugin"),
+        ({"variants": []}, "the scenario's contents"),
+        ({"made_with": {"numpy": "1.0"}}, "numpy"),
+        ({"made_with": {"code": "1.0"}}, "swarmd's code"),
+        ({"made_with": {"simd": "1.0"}}, "the processor"),
+        ({"made_with": {"new": "1.0"}}, "new was unknown, now 1.0"),
     ],
 )
-def test_differences_are_reported(manifest: Manifest, changes: dict[str, Any], line: str) -> None:
-    (found,) = differences(manifest, changed(manifest, **changes))
-    assert line in found
-
-
-@pytest.mark.parametrize(
-    ("name", "line"),
-    [
-        ("numpy", "numpy was 1.0, now "),
-        ("code", "swarmd's code has changed"),
-        ("simd", "the processor is another"),
-        ("new", "new was 1.0, now unknown"),
-    ],
-)
-def test_other_software_is_reported(manifest: Manifest, name: str, line: str) -> None:
-    old = changed(manifest, made_with={**manifest.made_with, name: "1.0"})
-    (found,) = differences(old, manifest)
-    assert found.startswith(line)
+def test_differences_are_reported(
+    manifest: Manifest, changes: dict[str, Any], subject: str
+) -> None:
+    if "made_with" in changes:
+        changes = {"made_with": {**manifest.made_with, **changes["made_with"]}}
+    (found,) = differences(manifest, msgspec.structs.replace(manifest, **changes))
+    assert subject in found
 
 
 @pytest.mark.parametrize("value", [float("inf"), float("nan"), {1, 2}, object()])

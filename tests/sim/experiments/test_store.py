@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import pytest
@@ -16,7 +17,6 @@ from swarmd.sim.experiments.store import (
     TABLE,
     Row,
     header,
-    line_of,
     lines,
     open_store,
     read_failures,
@@ -83,18 +83,13 @@ def test_goes_on_after_a_torn_line_and_a_partial_trace(folder: Path, manifest: M
         assert list(read_table(folder, store.plan)[1]) == ["s0000", "s0001"]
 
 
-@pytest.mark.parametrize("left", [[], [".manifest.json.partial"]])
-def test_begins_in_an_empty_folder(folder: Path, manifest: Manifest, left: list[str]) -> None:
+def test_begins_where_a_manifest_or_a_table_was_never_finished(
+    folder: Path, manifest: Manifest
+) -> None:
     folder.mkdir(parents=True)
-    for name in left:
-        (folder / name).touch()
+    (folder / ".manifest.json.partial").touch()
     with open_store(folder, manifest, METRICS) as store:
         assert len(store.missing) == 3
-
-
-def test_a_missing_table_is_begun_again(folder: Path, manifest: Manifest) -> None:
-    with open_store(folder, manifest, METRICS):
-        pass
     (folder / "runs.csv").unlink()
     (folder / "traces").rmdir()
     with open_store(folder, manifest, METRICS) as store:
@@ -117,35 +112,33 @@ def test_a_folder_with_other_files_is_not_changed(
     assert (folder / name).read_text() == "mine"
 
 
-def test_a_file_instead_of_a_folder_is_one_line(tmp_path: Path, manifest: Manifest) -> None:
+@pytest.mark.parametrize("place", ["file", "file/below", "/proc/nowhere"])
+def test_a_folder_that_cannot_be_made_is_named(
+    tmp_path: Path, manifest: Manifest, place: str
+) -> None:
     (tmp_path / "file").write_text("mine")
-    for place in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(ConfigError, match="is a file"), open_store(place, manifest, METRICS):
-            pass
-
-
-def test_a_folder_that_cannot_be_made_is_one_line(manifest: Manifest) -> None:
-    place = Path("/proc/nowhere")
     with (
-        pytest.raises(SwarmError, match="/proc/nowhere: No such file"),
-        open_store(place, manifest, METRICS),
+        pytest.raises(SwarmError, match=str(tmp_path / place.partition("/below")[0])),
+        open_store(tmp_path / place, manifest, METRICS),
     ):
         pass
 
 
-def test_another_experiment_is_refused(folder: Path, manifest: Manifest) -> None:
+@pytest.mark.parametrize(
+    ("changes", "metrics", "subject"),
+    [({"seeds": [0]}, METRICS, "seeds"), ({}, ("gap",), "metrics")],
+)
+def test_another_experiment_is_refused(
+    folder: Path,
+    manifest: Manifest,
+    changes: dict[str, Any],
+    metrics: tuple[str, ...],
+    subject: str,
+) -> None:
     with open_store(folder, manifest, METRICS):
         pass
-    other = msgspec.structs.replace(manifest, seeds=[0])
-    with (
-        pytest.raises(ConfigError, match="seeds"),
-        open_store(folder, other, METRICS),
-    ):
-        pass
-    with (
-        pytest.raises(ConfigError, match="metrics"),
-        open_store(folder, manifest, ("gap",)),
-    ):
+    other = msgspec.structs.replace(manifest, **changes)
+    with pytest.raises(ConfigError, match=subject), open_store(folder, other, metrics):
         pass
 
 
@@ -166,13 +159,13 @@ def test_a_full_disk_is_one_line_and_loses_no_row(folder: Path, manifest: Manife
         kept = (folder / "runs.csv").read_bytes()
         (folder / "runs.csv").unlink()
         (folder / "runs.csv").symlink_to("/dev/full")
-        with pytest.raises(SwarmError, match="No space left on device"):
+        with pytest.raises(SwarmError, match=str(folder)):
             store.add(store.missing[0], VALUES, 0.25)
         assert [run.id for run in store.missing] == ["s0001", "s0002"]
         (folder / "runs.csv").unlink()
         (folder / "runs.csv").write_bytes(kept)
         (folder / ".runs.csv.partial").symlink_to("/dev/full")
-        with pytest.raises(SwarmError, match="No space left on device"):
+        with pytest.raises(SwarmError, match=str(folder)):
             store.close({})
     assert (folder / "runs.csv").read_bytes() == kept
 
@@ -194,7 +187,7 @@ def test_failures_are_kept_in_order_and_run_again(folder: Path, manifest: Manife
 @pytest.mark.parametrize("text", ["", "[]", "{}", '{"failures": [3]}', '{"failures": 3}'])
 def test_damaged_failures_are_one_line(tmp_path: Path, text: str) -> None:
     (tmp_path / "failures.json").write_text(text)
-    with pytest.raises(ConfigError, match=r"failures\.json: damaged"):
+    with pytest.raises(ConfigError, match=r"failures\.json"):
         read_failures(tmp_path)
 
 
@@ -203,12 +196,11 @@ PLAN = Plan(
     (Variant('law="a,b"', {"x.law": "a,b"}, {}), Variant("law=1.5", {"x.law": 1.5}, {})),
     sweep={"x.law": ["a,b", 1.5]},
 )  # fmt: skip
-COLUMNS = ("gap", "time")
 
 
 def written(folder: Path, *rows: Row) -> Path:
     path = folder / TABLE
-    path.write_text(lines([header(PLAN, COLUMNS)]) + "".join(map(line_of, rows)))
+    path.write_text(lines([header(PLAN, METRICS), *(row.cells for row in rows)]))
     return path
 
 
@@ -220,13 +212,13 @@ def test_rows_are_read_bit_by_bit_in_the_order_of_the_plan(tmp_path: Path) -> No
     third, first = row(2, 0.1 + 0.2, -0.0), row(0, None, 5e-324)
     written(tmp_path, third, first)
     metrics, found = read_table(tmp_path, PLAN)
-    assert metrics == COLUMNS
+    assert metrics == METRICS
     assert list(found.values()) == [first, third]
     assert str(found[third.run.id].metrics["time"]) == "-0.0"
 
 
 def test_a_row_names_run_variant_values_and_seed(tmp_path: Path) -> None:
-    assert header(PLAN, COLUMNS) == ("run", "variant", "x.law", "seed", "gap", "time", "wall")
+    assert header(PLAN, METRICS) == ("run", "variant", "x.law", "seed", "gap", "time", "wall")
     assert row(3, 1.0, 2.0).plain() == {
         "run": "law=1.5_s0002", "variant": "law=1.5", "x.law": 1.5, "seed": 2,
         "gap": 1.0, "time": 2.0, "wall": 0.125,
@@ -244,8 +236,8 @@ def test_a_row_names_run_variant_values_and_seed(tmp_path: Path) -> None:
         (b",1.0,", b",one,", 2),
         (b",1.0,", b",inf,", 2),
         (b",1.0,", b",1.0,3.0,", 2),
-        (b",1.0,", b",\xff,", 1),
-        (b",1.0,", b',"1.0,', 1),
+        (b",1.0,", b",\xff,", 2),
+        (b",1.0,", b',"1.0,', 2),
         (b",0.125", b",", 2),
     ],
 )
@@ -254,21 +246,20 @@ def test_damage_is_one_line(tmp_path: Path, old: bytes, new: bytes, line: int) -
     data = path.read_bytes()
     assert old in data
     path.write_bytes(data.replace(old, new, 1))
-    with pytest.raises(ConfigError, match=rf"runs\.csv:{line}: damaged") as caught:
+    with pytest.raises(ConfigError, match=rf"runs\.csv:{line}:") as caught:
         read_table(tmp_path, PLAN)
     assert "\n" not in str(caught.value)
 
 
 def test_a_repeated_run_is_damage(tmp_path: Path) -> None:
     written(tmp_path, row(0, 1.0, 2.0), row(0, 1.0, 2.0))
-    with pytest.raises(ConfigError, match=r"runs\.csv:3: damaged"):
+    with pytest.raises(ConfigError, match=r"runs\.csv:3:"):
         read_table(tmp_path, PLAN)
 
 
-@pytest.mark.parametrize("text", ["", "\n", "run"])
-def test_an_empty_file_is_damage(tmp_path: Path, text: str) -> None:
-    with pytest.raises(ConfigError, match=r"runs\.csv"):  # without any
-        read_table(tmp_path, PLAN)
-    (tmp_path / TABLE).write_text(text)
-    with pytest.raises(ConfigError, match=r"runs\.csv:1: damaged"):
+@pytest.mark.parametrize("text", [None, "", "\n", "run"])
+def test_a_table_without_columns_is_damage(tmp_path: Path, text: str | None) -> None:
+    if text is not None:
+        (tmp_path / TABLE).write_text(text)
+    with pytest.raises(ConfigError, match=r"runs\.csv:"):
         read_table(tmp_path, PLAN)
