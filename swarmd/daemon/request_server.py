@@ -28,6 +28,7 @@ from swarmd.core.messages import (
 from swarmd.network.bus import Query, ZenohBus
 
 MAX_PENDING = 64
+MAX_REPLIES = 64  # kept for repeats; the epoch refuses what was carried out before those
 MAX_ID = 63
 MAX_OPERATOR = 128
 MAX_TEXT = 300
@@ -39,6 +40,8 @@ _header = Decoder(RequestHeader)
 class RequestServer:
     """Answers the requests to one robot. `on_request` carries one out; its reply may follow later.
 
+    An operator repeats a request until it has the reply. A repeat is not carried out again: it gets
+    the reply of its id, now or once there is one. Only a stop or estop is carried out each time.
     Beyond MAX_PENDING requests without a reply further ones are dropped, never a stop or estop.
     """
 
@@ -47,6 +50,7 @@ class RequestServer:
         self._on_request = on_request
         self._bus: ZenohBus | None = None
         self._pending: dict[str, Query] = {}
+        self._replies: dict[str, bytes] = {}  # the last MAX_REPLIES, by request id
 
     def serve(self, bus: ZenohBus, verbs: Iterable[str]) -> None:
         """Answer requests with these verbs."""
@@ -62,7 +66,10 @@ class RequestServer:
         if not is_stored:
             text = f"{reply.text}; not on disk, so a restart would forget it: see the log"
             reply = msgspec.structs.replace(reply, text=text)
-        query.reply(encode(reply))
+        payload = self._replies[reply.id] = encode(reply)
+        if len(self._replies) > MAX_REPLIES:
+            del self._replies[next(iter(self._replies))]
+        query.reply(payload)
 
     def handle(self, verb: str, query: Query) -> None:
         """Carry out or refuse the request in a query that came on the key of `verb`."""
@@ -75,14 +82,19 @@ class RequestServer:
             return
         is_for_this = request.targets is None or self._robot in request.targets
         is_stop = isinstance(request, StopRequest | EstopRequest)
-        is_known = request.id in self._pending
-        if not is_for_this or (not is_stop and (is_known or len(self._pending) >= MAX_PENDING)):
+        is_pending = request.id in self._pending
+        is_full = not is_pending and len(self._pending) >= MAX_PENDING
+        if not is_for_this or (is_full and not is_stop):
             query.drop()
-        elif isinstance(request, ForgetRequest):
-            self._forget(request, query)
+        elif request.id in self._replies and not is_stop:
+            query.reply(self._replies[request.id])
         else:
+            # The newest query of an id gets the reply: the link of an older one may be closed.
             self._pending[request.id] = query
-            self._on_request(request)
+            if isinstance(request, ForgetRequest):
+                self._forget(request)
+            elif is_stop or not is_pending:
+                self._on_request(request)
 
     def _refuse_malformed(self, query: Query, text: str) -> None:
         try:
@@ -90,26 +102,25 @@ class RequestServer:
         except CodecError:
             header = RequestHeader(id="", verb="")
         if 0 < len(header.id) <= MAX_ID and self._robot in (header.targets or ()):
-            text = f"{header.verb[:MAX_ID]}: {text}"
-            self._refuse(query, header.id, Refusal.INVALID_REQUEST, text)
+            reply = Reply(
+                id=header.id,
+                robot=self._robot,
+                code=Code.REFUSED,
+                refusal=Refusal.INVALID_REQUEST,
+                text=f"{header.verb[:MAX_ID]}: {text}"[:MAX_TEXT],
+            )
+            query.reply(encode(reply))
         else:
             query.drop()
 
-    def _forget(self, request: ForgetRequest, query: Query) -> None:
+    def _forget(self, request: ForgetRequest) -> None:
         assert self._bus is not None
         name = request.name
         if not self._bus.forget(name) and name in self._bus.members:
-            self._refuse(query, request.id, Refusal.MEMBER_ALIVE, f"{name} is alive")
+            code, refusal, text = Code.REFUSED, Refusal.MEMBER_ALIVE, f"{name} is alive"
         else:
-            reply = Reply(
-                id=request.id, robot=self._robot, code=Code.APPLIED, text=f"forgot {name}"
-            )
-            query.reply(encode(reply))
-
-    def _refuse(self, query: Query, id: str, refusal: Refusal, text: str) -> None:
-        text = text[:MAX_TEXT]
-        reply = Reply(id=id, robot=self._robot, code=Code.REFUSED, refusal=refusal, text=text)
-        query.reply(encode(reply))
+            code, refusal, text = Code.APPLIED, None, f"forgot {name}"
+        self.reply(Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text))
 
 
 def read_request(verb: str, payload: bytes) -> AnyRequest:

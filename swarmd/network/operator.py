@@ -51,6 +51,8 @@ STOP_TIMEOUT = 3.0
 FAST_POLL_PERIOD = 0.015
 SLOW_POLL_PERIOD = 0.1
 FAST_POLL_TIME = 0.2
+# A request without a reply is repeated after this time, in s: a congested or closing link loses it.
+REPEAT_PERIOD = 0.5
 # What a request may hold, in characters.
 MAX_OPERATOR = 128
 MAX_REASON = 256
@@ -137,22 +139,22 @@ class Operator:
     ) -> Outcome:
         """Send a request to the robots in `targets`, with the epoch that was seen of each.
 
-        `fields` are those of `kind`. Returns as soon as all have answered. `absent` count as
-        silent without being asked.
+        `fields` are those of `kind`. Repeated under one id to each robot without a reply. Returns
+        as soon as all have answered. `absent` count as silent without being asked.
         """
         request = self._new(kind, targets=dict(targets), **fields)
-        verb = request.verb
-        acks = Acks(request.id)
-        started = time.monotonic()
-        if targets:
-            self._get(ANY, "control", verb, encode(request), timeout, _collect(acks))
+        payload, acks = encode(request), Acks(request.id)
+        started = now = time.monotonic()
+        robots: tuple[str, ...] = (ANY,) if targets else ()
+        while robots and (left := started + timeout - now) > 0:
+            for robot in robots:
+                self._get(robot, "control", request.verb, payload, left, _collect(acks))
             with self._news:
-                self._news.wait_for(lambda: not acks.missing(targets), timeout)
+                self._news.wait_for(lambda: not acks.missing(targets), min(left, REPEAT_PERIOD))
+                robots, now = acks.missing(targets), time.monotonic()
         with self._news:
             return acks.outcome(
-                {*targets, *absent},
-                warnings=tuple(warnings),
-                seconds=time.monotonic() - started,
+                {*targets, *absent}, warnings=tuple(warnings), seconds=now - started
             )
 
     def halt(

@@ -129,6 +129,30 @@ def test_pending_requests_are_bounded_and_a_stop_is_always_taken() -> None:
     assert taken[-1].id == "e1"
 
 
+def test_a_repeated_request_is_carried_out_once_and_gets_the_same_reply() -> None:
+    taken: list[Request] = []
+    server = RequestServer("tb3-01", taken.append)
+    payload = encode(run_request())
+    first, waiting, late = (RecordingQuery(payload) for _ in range(3))
+    server.handle("run", first)
+    server.handle("run", waiting)
+    reply = Reply(id="r1", robot="tb3-01", code=Code.REFUSED, refusal=Refusal.BUSY)
+    server.reply(reply)
+    server.handle("run", late)
+    assert taken == [run_request()]
+    assert waiting.replies == late.replies == [reply]
+
+
+def test_a_repeated_stop_is_carried_out_each_time() -> None:
+    taken: list[Request] = []
+    server = RequestServer("tb3-01", taken.append)
+    stop = StopRequest(id="s1", operator="anna")
+    for _ in range(2):
+        server.handle("stop", RecordingQuery(encode(stop)))
+        server.reply(Reply(id="s1", robot="tb3-01", code=Code.APPLIED))
+    assert taken == [stop, stop]
+
+
 def test_a_reply_names_the_latches_that_are_not_on_disk() -> None:
     server = RequestServer("tb3-01", lambda request: None)
     query = RecordingQuery(encode(EstopRequest(id="e1", operator="anna")))

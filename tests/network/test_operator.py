@@ -93,6 +93,23 @@ def test_refusals_and_silence_are_named(settings: NetworkSettings, robots: Robot
     assert outcome.exit_code == PARTIAL
 
 
+def test_a_request_is_repeated_to_robots_without_a_reply(
+    settings: NetworkSettings, robots: Robots
+) -> None:
+    swarm = robots("a")
+    deaf = robots("deaf", answer=lambda request: Code.APPLIED if count() > 2 else None)
+
+    def count() -> int:
+        return len(deaf["deaf"].requests)
+
+    with Operator(settings) as operator:
+        targets = operator.members().epochs(["a", "deaf"])
+        outcome = operator.request(RunRequest, targets, pattern="x", timeout=20.0)
+    assert outcome.line == "2 targeted, 2 applied"
+    [request] = swarm["a"].requests
+    assert deaf["deaf"].requests == [request] * 3
+
+
 @pytest.mark.parametrize("verb", ["stop", "estop"])
 def test_a_stop_reaches_all_without_waiting_for_members(
     settings: NetworkSettings, robots: Robots, verb: StopVerb
