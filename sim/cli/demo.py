@@ -21,10 +21,9 @@ from swarmd.core.errors import SwarmError
 from swarmd.sim.cli.options import fleet_for, fleet_options, need, new_folder, output_option
 
 if TYPE_CHECKING:
-    from swarmd.sim.live.demo_run import DemoSettings
+    from swarmd.sim.live.demo_run import DemoSettings, Scene
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.live.summary import Summary
-    from swarmd.sim.live.view import Scene
 
 
 @click.command()

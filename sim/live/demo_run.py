@@ -25,12 +25,14 @@ from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.state import WorldState
 from swarmd.sim.live.summary import Summary, mean_duty, numbers_of, problems_of
 from swarmd.sim.live.trace_from_statuses import StatusLog
-from swarmd.sim.live.view import Scene
 from swarmd.sim.trace import load_trace
 
 STATUS_PERIOD = 0.5  # s between two rounds of statuses: what a terminal can show without much load
 STATUS_TIMEOUT = 3.0  # s for the statuses at the start and the end, which decide about problems
 WORLD_TIMEOUT = 5.0  # s without a state, after which the world counts as lost
+# s between two rounds while robots start. Without a pause the rounds take up to half a second of
+# processor time from seven daemons that start on two cores.
+UP_PERIOD = 0.05
 UP_TIMEOUT, UP_TIMEOUT_EACH = 20.0, 1.0  # s, and s more per robot: slow machines, cold disks
 # Twelve Burgers on a busy machine: four needed more than the 3 s in which a pattern must load.
 RUN_ATTEMPTS = 3
@@ -45,6 +47,21 @@ class DemoSettings:
     params: Mapping[str, Any]
     seconds: float
     platform: str
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """The state to show.
+
+    `poses` by robot: x, y in m and yaw in rad. The arena spans (width, height) m around the origin.
+    `statuses` lacks robots that did not answer.
+    """
+
+    title: str
+    arena: tuple[float, float]
+    poses: Mapping[str, tuple[float, float, float]]
+    statuses: Mapping[str, Status]
+    footer: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,6 +132,7 @@ def await_robots(operator: Operator, fleet: Fleet) -> MembersView:
             return view
         if is_over:
             raise NetworkError(f"no robot is up after {timeout:.0f} s (logs: {fleet.spec.folder})")
+        time.sleep(UP_PERIOD)
 
 
 def statuses_of(view: MembersView) -> dict[str, Status]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
 from swarmd.core.messages import State, Status
+from swarmd.sim.live.demo_run import Scene
 
 ARROWS = "→↗↑↖←↙↓↘"
 COLOURS = {
@@ -26,21 +26,6 @@ MAX_MAP = (48, 22)  # columns and rows
 MIN_MAP = (16, 4)
 FRAME = 2  # lines above and below the map
 CURSOR = 1  # the line of the cursor, below the view
-
-
-@dataclass(frozen=True, slots=True)
-class Scene:
-    """The state to show.
-
-    `poses` by robot: x, y in m and yaw in rad. The arena spans (width, height) m around the origin.
-    `statuses` lacks robots that did not answer.
-    """
-
-    title: str
-    arena: tuple[float, float]
-    poses: Mapping[str, tuple[float, float, float]]
-    statuses: Mapping[str, Status]
-    footer: str = ""
 
 
 def render(scene: Scene, width: int, height: int) -> RenderableType:

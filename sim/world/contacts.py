@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-import mujoco
 import numpy as np
 from msgspec import Struct
 from numpy.typing import NDArray
 
 from swarmd.core.values import Array
+
+if TYPE_CHECKING:  # metrics count episodes without a physics engine
+    import mujoco
 
 EPISODE_GAP = 0.5
 """Seconds without contact after which the same pair begins a new episode."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from collections.abc import Callable, Mapping
 from typing import Any, cast
 
@@ -157,3 +159,9 @@ def test_a_request_that_all_refuse_is_not_repeated() -> None:
     with pytest.raises(ConfigError, match="a: a says refused"):
         start(operator)
     assert len(operator.asked) == 1
+
+
+def test_a_demo_starts_without_the_libraries_that_only_its_world_or_its_view_needs() -> None:
+    code = "import sys, swarmd.sim.live.demo_run; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not {"mujoco", "scipy", "matplotlib", "rich"} & set(done.stdout.split())

@@ -9,7 +9,8 @@ import pytest
 from rich.console import Console
 
 from swarmd.core.messages import Reason, State
-from swarmd.sim.live.view import Scene, cell_of, map_of, map_size, render
+from swarmd.sim.live.demo_run import Scene
+from swarmd.sim.live.view import cell_of, map_of, map_size, render
 from tests.support.statuses import status
 
 ARENA = (6.0, 3.0)
