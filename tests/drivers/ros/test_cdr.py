@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cyclonedds.idl._support import Endianness
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -73,13 +72,6 @@ def test_bytes_are_those_of_the_second_library_both_ways(
         assert flat(theirs.deserialize(again)) == flat(value)
 
     check()
-
-
-@settings(max_examples=50, deadline=None)
-@given(scans)
-def test_big_endian_is_read_too(value: dds.LaserScan) -> None:
-    written = value.serialize(endianness=Endianness.Big)
-    assert flat(cdr.decode(messages.LaserScan, written)) == flat(value)
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Awaitable, Callable
-from contextlib import closing
 
 import numpy as np
 import pytest
@@ -58,14 +57,6 @@ async def says(harness: DriverHarness, *words: str, speaking: bool = True) -> st
     await harness.until(has_said, publishing=speaking)
     texts = [text for _, text in harness.sink.states]
     return next(text for text in texts if all(word in text for word in words))
-
-
-def check(rig: RosRobot, seconds: float = 20.0) -> dict[str, tuple[bool, str]]:
-    async def run() -> dict[str, tuple[bool, str]]:
-        findings = await rig.make({}).check(seconds)
-        return {finding.subject: (finding.is_well, finding.text) for finding in findings}
-
-    return asyncio.run(run())
 
 
 @pytest.mark.parametrize("hangs", [False, True])
@@ -136,18 +127,3 @@ def test_a_scan_of_another_type_is_named_and_nothing_moves(roscore: RosCore) -> 
         assert not harness.sink.scans
 
     play(RosRobot(roscore, "--scan-type", "Range"), story, connected=False)
-
-
-def test_check_of_half_a_robot_says_what_is_missing(roscore: RosCore) -> None:
-    with closing(RosRobot(roscore, "--no-base", "--scan-type", "Range")) as body:
-        body.do("rate", hz=10)
-        found = check(body, 5.0)
-    assert {subject: is_well for subject, (is_well, _) in found.items()} == {
-        "connection": True,
-        "scan": False,
-        "odometry": True,
-        "cmd_vel": False,
-        "others": True,
-    }
-    assert "wanted is sensor_msgs/LaserScan" in found["scan"][1]
-    assert "no node subscribes" in found["cmd_vel"][1]

@@ -21,11 +21,6 @@ class TestContract(DriverContract):
         return BridgedRobot()
 
 
-class TestStampedContract(DriverContract):
-    def rig(self) -> BridgedRobot:
-        return BridgedRobot(is_stamped=True)
-
-
 def test_all_senses_arrive_with_their_meaning() -> None:
     robot = BridgedRobot()
 

@@ -13,7 +13,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-import zenoh
 
 from swarmd.core.values import Platform, Twist, Value
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
@@ -163,24 +162,6 @@ def test_a_base_is_lost_after_1_s_of_silence_or_3_and_a_half_scans(
     play(monkeypatch, story, platform=slow(rate))
 
 
-def test_a_lost_base_gets_only_zeros_and_zero_first_when_it_is_back(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async def story(scene: Scene) -> None:
-        assert not scene.command(), "before it was ever heard"
-        await scene.move()
-        assert scene.command() == [Twist(), MOVING]
-        await scene.pass_time(1.2)
-        told = scene.session.taken()
-        assert told
-        assert all(twist.is_zero for twist in told)
-        assert not scene.command()
-        await scene.move()
-        assert scene.command() == [Twist(), MOVING]
-
-    play(monkeypatch, story)
-
-
 def test_a_link_that_is_cut_is_a_lost_base_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     async def story(scene: Scene) -> None:
         await scene.move()
@@ -253,32 +234,6 @@ def test_any_command_but_zero_counts_as_driving(
     play(monkeypatch, story)
 
 
-def test_the_driver_ignores_its_own_commands(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(scene: Scene) -> None:
-        assert scene.session.origins == [zenoh.Locality.REMOTE] * 3
-
-    play(monkeypatch, story)
-
-
-def test_the_way_out_is_one_zero_and_none_if_nothing_was_commanded(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async def story(scene: Scene) -> None:
-        await scene.move()
-        scene.command()
-        await scene.end()
-        assert scene.session.taken() == [Twist()]
-        assert not scene.command()
-
-    async def idle(scene: Scene) -> None:
-        await scene.move()
-        await scene.end()
-        assert not scene.session.taken()
-
-    play(monkeypatch, story)
-    play(monkeypatch, idle)
-
-
 def test_a_battery_alone_is_no_base(monkeypatch: pytest.MonkeyPatch) -> None:
     async def story(scene: Scene) -> None:
         scene.session.speak("power", dds.BatteryState(percentage=0.5))
@@ -303,20 +258,5 @@ def test_unreadable_samples_and_other_keys_are_counted_and_no_sign_of_life(
         assert sorted(scene.heard.lost) == ["odometry:type", "scan"]
         assert not scene.is_up
         assert scene.heard.order.count("odometry") == 0
-
-    play(monkeypatch, story)
-
-
-def test_after_a_stall_only_the_newest_of_each_topic_is_delivered(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    async def story(scene: Scene) -> None:
-        await scene.move()
-        for stamp in (5.0, 6.0, 7.0):
-            scene.session.moves(stamp)
-            scene.session.speak("scan", robots.scan(stamp))
-        await handclock.settle()
-        assert [odometry.stamp for odometry in scene.heard.odometries][1:] == [7.0]
-        assert [(scan.seq, scan.stamp) for scan in scene.heard.scans] == [(1, 7.0)]
 
     play(monkeypatch, story)

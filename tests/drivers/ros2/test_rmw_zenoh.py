@@ -24,9 +24,9 @@ class TestContract(DriverContract):
         return ZenohRobot()
 
 
-class TestHumbleContract(DriverContract):
+class TestHumbleStampedContract(DriverContract):
     def rig(self) -> ZenohRobot:
-        return ZenohRobot(domain=7, is_humble=True)
+        return ZenohRobot(domain=7, is_humble=True, is_stamped=True)
 
 
 def tokens(robot: ZenohRobot) -> list[str]:

@@ -43,16 +43,6 @@ def hub(monkeypatch: pytest.MonkeyPatch) -> Hub:
     return Hub(monkeypatch)
 
 
-def test_zero_goes_to_the_bridge_as_it_wants_it(hub: Hub) -> None:
-    sender = ros2dds.make_zero_sender(robot="tb3-01", given={"namespace": "{robot}"})
-    sender.open()
-    sender.send_zero()
-    assert hub.said == [("tb3_01/cmd_vel", dds.Twist().serialize(), None)]
-    sender.close()
-    sender.send_zero()
-    assert len(hub.said) == 1
-
-
 def test_zero_goes_out_on_the_keys_of_every_distribution(hub: Hub) -> None:
     given = {"domain": 3, "cmd_vel_type": "twist_stamped", "cmd_vel_frame": "base"}
     sender = rmw_zenoh.make_zero_sender(robot="r", given=given)  # type: ignore[arg-type]
