@@ -5,12 +5,12 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 
 import zenoh
+from msgspec import Struct
 
 from swarmd.core import keys
-from swarmd.core.errors import CodecError, ConfigError, unknown
+from swarmd.core.errors import CodecError
 from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
@@ -23,13 +23,20 @@ from swarmd.network.session import (
     open_with,
     realtime_publisher,
 )
+from swarmd.network.settings import parse_endpoint
+from swarmd.settings.layered import Layered
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7790"
-SILENCE = 1.0
+SENSOR_TIMEOUT = 1.0
 """Seconds without any sample after which the base counts as lost."""
 
-_OPTIONS = frozenset({"endpoint"})
 _WATCH_PERIOD = 0.1
+
+
+class SimulatedOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`endpoint`: where the world listens."""
+
+    endpoint: str = DEFAULT_ENDPOINT
 
 
 class SimulatedDriver:
@@ -40,9 +47,10 @@ class SimulatedDriver:
     def __init__(
         self, *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
     ) -> None:
-        """Not connected yet. Option `endpoint`: where the world listens."""
+        """Not connected yet. Options: `SimulatedOptions`."""
         self._robot, self._swarm, self._platform = robot, swarm, platform
-        self._endpoint = _endpoint(options)
+        self._endpoint = Layered(("driver simulated", options)).build(SimulatedOptions).endpoint
+        parse_endpoint(self._endpoint, "driver simulated: endpoint is ", DEFAULT_ENDPOINT)
         self._commands: zenoh.Publisher | None = None
         self._gate = CommandGate()
         self._last_sample = -math.inf
@@ -85,7 +93,8 @@ class SimulatedDriver:
         task = asyncio.create_task(self.run(seen))
         try:
             async with asyncio.timeout(seconds):
-                await seen.everything.wait()
+                while seen.last_scan is None or seen.last_odometry is None:
+                    await asyncio.sleep(_WATCH_PERIOD)
         except TimeoutError:
             pass  # the findings name what is missing
         finally:
@@ -136,10 +145,10 @@ class SimulatedDriver:
         deliver(sink, value)
 
     def _watch(self, sink: Sink, now: float) -> None:
-        if self._gate.is_open and now - self._last_sample > SILENCE:
+        if self._gate.is_open and now - self._last_sample > SENSOR_TIMEOUT:
             if self._gate.close(now):
                 self._put(ZERO, -1, -1)
-            sink.state(False, f"nothing from {self._endpoint} for {SILENCE:g} s")
+            sink.state(False, f"nothing from {self._endpoint} for {SENSOR_TIMEOUT:g} s")
 
 
 class SimulatedZeroSender:
@@ -163,27 +172,19 @@ class SimulatedZeroSender:
         self._session.close()
 
 
-@dataclass
 class _CheckSink(NullSink):
     """A sink that keeps the last scan and odometry."""
 
-    everything: asyncio.Event = field(default_factory=asyncio.Event)
     last_scan: Scan | None = None
     last_odometry: Odometry | None = None
 
     def scan(self, scan: Scan) -> None:
         """Keep the last one."""
         self.last_scan = scan
-        self._update()
 
     def odometry(self, odometry: Odometry) -> None:
         """Keep the last one."""
         self.last_odometry = odometry
-        self._update()
-
-    def _update(self) -> None:
-        if self.last_scan is not None and self.last_odometry is not None:
-            self.everything.set()
 
 
 def _session(endpoint: str, robot: str) -> zenoh.Session:
@@ -202,15 +203,3 @@ def _session(endpoint: str, robot: str) -> zenoh.Session:
         "transport/link/tx/lease": 60_000,
     }
     return open_with(options, what=f"the simulated robot {robot} at {endpoint}")
-
-
-def _endpoint(options: Mapping[str, Value]) -> str:
-    for name in options:
-        if name not in _OPTIONS:
-            raise ConfigError(f"driver simulated: {unknown('option', name, _OPTIONS)}")
-    endpoint = options.get("endpoint", DEFAULT_ENDPOINT)
-    if not isinstance(endpoint, str) or not endpoint.startswith("tcp/"):
-        raise ConfigError(
-            f"driver simulated: endpoint is {endpoint!r}; wanted is such as {DEFAULT_ENDPOINT}"
-        )
-    return endpoint

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Literal, TypeVar
 
 import msgspec
@@ -13,13 +13,13 @@ from msgspec import Meta, Struct
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Value
 from swarmd.drivers.ros.messages import Twist, TwistStamped
+from swarmd.network.settings import parse_endpoint
 from swarmd.settings.layered import Layered
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 MAX_BEARING, MAX_OFFSET = 360.0, 10.0
 """Bounds of a range sensor's place in `ranges`: degrees, and m from the scan's origin."""
 
-_ENDPOINT = re.compile(r"(tcp|tls|quic|udp)/(\[[0-9a-fA-F:.]+\]|[^/:#?\s]+):\d{1,5}([?#]\S*)?")
 _NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z0-9_]+)*")
 _ROBOT = "{robot}"
 
@@ -90,21 +90,19 @@ def read_options(kind: type[O], options: Mapping[str, Value], driver: str, robot
     read = Layered((f"driver {driver}", options)).build(kind)
     own_name = re.sub(r"[^A-Za-z0-9_]", "_", robot)
     filled = msgspec.structs.replace(read, namespace=read.namespace.replace(_ROBOT, own_name))
-    _check(filled, driver)
+    if isinstance(filled, RosOptions):
+        parse_endpoint(filled.endpoint, f"driver {driver}: endpoint is ", DEFAULT_ENDPOINT)
+    for fault in _faults(filled):
+        raise ConfigError(f"driver {driver}: {fault}")
     return filled
 
 
-def _check(options: TopicOptions, driver: str) -> None:
-    if isinstance(options, RosOptions) and _ENDPOINT.fullmatch(options.endpoint) is None:
-        raise ConfigError(
-            f"driver {driver}: endpoint is {options.endpoint!r}; wanted is such as"
-            f" {DEFAULT_ENDPOINT}"
-        )
+def _faults(options: TopicOptions) -> Iterator[str]:
     for sensor, place in options.ranges.items():
         degrees, distance = _place(place)
         if not (abs(degrees) <= MAX_BEARING and 0.0 <= distance <= MAX_OFFSET):
-            raise ConfigError(
-                f"driver {driver}: ranges.{sensor} is {place}; wanted is a bearing in degrees, or"
+            yield (
+                f"ranges.{sensor} is {place}; wanted is a bearing in degrees, or"
                 f" [bearing, distance] with 0 to {MAX_OFFSET:g} m"
             )
     names = {
@@ -116,28 +114,21 @@ def _check(options: TopicOptions, driver: str) -> None:
         "battery": options.battery,
         **{f"ranges.{name}": name for name in options.ranges},
     }
+    owners: dict[str, str] = {}
     for option, name in names.items():
-        if name is not None and _NAME.fullmatch(name) is None:
-            raise ConfigError(
-                f"driver {driver}: {option} is {name!r}; wanted is a ROS name such as tb3_01 or"
-                " front/scan (letters, digits, _ and /, a letter first)"
+        if name is None:
+            continue
+        if _NAME.fullmatch(name) is None:
+            yield (
+                f"{option} is {name!r}; wanted is a ROS name such as tb3_01 or front/scan"
+                " (letters, digits, _ and /, a letter first)"
             )
-    del names["namespace"]
-    if options.ranges:
-        del names["scan"]
-    _check_distinct({o: options.topic(n) for o, n in names.items() if n is not None}, driver)
-
-
-def _check_distinct(topics: Mapping[str, str], driver: str) -> None:
-    """ConfigError if two options name one topic, which carries one type. `topics`: by option."""
-    options: dict[str, str] = {}
-    for option, topic in topics.items():
-        if topic in options:
-            raise ConfigError(
-                f"driver {driver}: {options[topic]} and {option} are both {topic}; wanted is a"
-                " topic each"
-            )
-        options[topic] = option
+        if option == "namespace" or (option == "scan" and options.ranges):
+            continue
+        topic = options.topic(name)
+        owner = owners.setdefault(topic, option)  # a topic carries one type
+        if owner != option:
+            yield f"{owner} and {option} are both {topic}; wanted is a topic each"
 
 
 def _place(place: float | tuple[float, float]) -> tuple[float, float]:

@@ -20,12 +20,12 @@ from swarmd.core.errors import DriverError
 from swarmd.core.processes import how_it_ended
 from swarmd.drivers.ros1.adapter_process import (
     ALIVE,
-    BYE,
     COMMAND,
     COMMAND_HEAD,
     DATA,
     DATA_HEAD,
     EVENT,
+    FAREWELL,
 )
 
 ALIVE_TIMEOUT = 1.0
@@ -184,7 +184,7 @@ class AdapterProcess:
         try:
             if politely and not self._ended.is_set():
                 with contextlib.suppress(OSError):
-                    self._socket.send(BYE)
+                    self._socket.send(FAREWELL)
                 await self._wait(_LEAVE_TIMEOUT)
             elif politely:
                 await self._wait(_END_TIMEOUT)

@@ -9,7 +9,7 @@ are single packets:
                     J {...}                an event as JSON: state, link, end
                     H                      a sign of life
     to the adapter  C time bytes           a command, made at `time` on CLOCK_MONOTONIC
-                    B                      bye: send zero and leave
+                    B                      farewell: send zero and leave
 
 It outlives its daemon. When no command follows a non-zero one, or the first zeros after it, for
 0.4 s, it sends zeros until the daemon is back, for at least 2 s. At the end of the socket it sends
@@ -34,13 +34,13 @@ from glob import glob
 from typing import Any, Callable, Dict, List, Optional, Tuple  # noqa: UP035  (Python 3.8)
 
 DATA, EVENT, ALIVE = b"D", b"J", b"H"
-COMMAND, BYE = b"C", b"B"
+COMMAND, FAREWELL = b"C", b"B"
 DATA_HEAD = struct.Struct("<cId")
 COMMAND_HEAD = struct.Struct("<cd")
 
-SILENCE = 0.4
+COMMAND_TIMEOUT = 0.4
 """Seconds without a command after which the adapter itself sends zeros."""
-STOPPING = 2.0
+ZERO_TIME = 2.0
 """Seconds of zeros after the daemon has ended; at least as long after it was silent."""
 
 _PERIOD = 0.05
@@ -73,11 +73,11 @@ class Adapter:
         # daemon commands it again, other nodes may drive it after enough zeros.
         self._is_armed = self._holds = bool(config["holds"])
         self._holds_until = float("inf")
-        self._commanded_at = self._moved_at = self._stops_until = -SILENCE
+        self._commanded_at = self._moved_at = self._stops_until = -COMMAND_TIMEOUT
         self._reported: Any = None
 
     def run(self) -> None:
-        """Serve until the driver says bye or has ended, or the master was restarted."""
+        """Serve until the driver sends a farewell or has ended, or the master was restarted."""
         for work in (self._read, self._tick):
             threading.Thread(target=work, daemon=True).start()
         try:
@@ -180,7 +180,7 @@ class Adapter:
         self._master.forget()
         self._wake.set()
         if publish_to is not None and self._holds:
-            self._is_armed, self._holds_until = True, time.monotonic() + STOPPING
+            self._is_armed, self._holds_until = True, time.monotonic() + ZERO_TIME
         if publish_to is not None and self._publisher is not None and self._commanded_at > 0.0:
             message = self._message()
             message._buff = self._zero_bytes()
@@ -275,8 +275,8 @@ class Adapter:
                 frame = b""
             kind = frame[:1]
             if not kind:
-                return self.end(STOPPING)
-            if kind == BYE:
+                return self.end(ZERO_TIME)
+            if kind == FAREWELL:
                 return self.end(0.0)
             if kind == COMMAND and len(frame) > COMMAND_HEAD.size and self._ends_at is None:
                 now = time.monotonic()
@@ -302,10 +302,10 @@ class Adapter:
                 self._leave()
             if self._holds and now >= self._holds_until:
                 self._is_armed = False
-            is_silent = now - self._commanded_at > SILENCE or self._ends_at is not None
+            is_silent = now - self._commanded_at > COMMAND_TIMEOUT or self._ends_at is not None
             if self._is_armed and is_silent:
                 if not was_silent:
-                    self._stops_until = now + STOPPING
+                    self._stops_until = now + ZERO_TIME
                 self._zero()
             was_silent = is_silent
             if self._ends_at is not None and (now >= self._ends_at or not self._is_armed):
@@ -383,7 +383,7 @@ def main() -> None:
         return
     adapter = Adapter(config, sock, rospy, master)
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        signal.signal(number, lambda *_: adapter.end(STOPPING, "the adapter was ended by a signal"))
+        signal.signal(number, lambda *_: adapter.end(ZERO_TIME, "a signal ended the adapter"))
     adapter.run()
 
 

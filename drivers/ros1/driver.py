@@ -47,7 +47,7 @@ An adapter that had connected to its base is replaced after the first pause: the
 velocity until the next adapter.
 """
 
-SILENCE = 2.5
+TOPIC_TIMEOUT = 2.5
 """Seconds without a message after which a needed topic counts as lost; scans may come at 1 Hz."""
 
 _WATCH_PERIOD = 0.1
@@ -271,7 +271,7 @@ class Ros1Driver:
         if master.blocks:
             return driven_by_others(master.cmd_vel, state.others)
         graph = master.graph()
-        for stats in self._subscriptions.silent(now, SILENCE):
+        for stats in self._subscriptions.silent(now, TOPIC_TIMEOUT):
             is_unreadable = bool(stats.recent_fault(now))
             return graph.unreadable(stats) if is_unreadable else graph.silence(stats)
         if state.connected:

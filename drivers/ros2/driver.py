@@ -35,7 +35,7 @@ from swarmd.network.session import has_subscriber, open_in_thread
 
 log = logging.getLogger(__name__)
 
-SILENCE = 1.0
+SENSOR_TIMEOUT = 1.0
 """Seconds without scan or odometry after which the base counts as lost; longer for slow scans."""
 YIELD_TIME = 2.0
 """Seconds without commands after another node has published a non-zero one."""
@@ -68,7 +68,7 @@ class RosDriver:
         self._options, self._zero_sender = options, zero_sender
         self._cmd_vel = options.topic(options.cmd_vel)
         self._command_type = options.command_type
-        self._silence = max(SILENCE, 3.5 / platform.scan.rate)
+        self._sensor_timeout = max(SENSOR_TIMEOUT, 3.5 / platform.scan.rate)
         self._subscriptions = Subscriptions(options, platform)
         cdr.warm(self._command_type, *(t.message_type for t in self._subscriptions.topics.values()))
         self._reset()
@@ -270,7 +270,7 @@ class RosDriver:
             self._close_gate(sink, self._unreachable())
         elif self._gate.is_open and before and hubs != before:
             self._close_gate(sink, f"{self._place()} was started anew")
-        elif self._gate.is_open and silent > self._silence:
+        elif self._gate.is_open and silent > self._sensor_timeout:
             self._close_gate(
                 sink, f"no scan and no odometry from {self._place()} for {silent:.1f} s"
             )
@@ -284,7 +284,7 @@ class RosDriver:
     def _explain(self, sink: Sink, now: float, *, is_linked: bool) -> None:
         """Report anew why the base is lost, or what is missing although it is connected."""
         if is_linked:
-            is_alive = now - self._subscriptions.last_arrival <= self._silence
+            is_alive = now - self._subscriptions.last_arrival <= self._sensor_timeout
             obstacle = (
                 self._obstacle(now)
                 if is_alive or now - self._foreign_motion_at < YIELD_TIME
@@ -320,7 +320,7 @@ class RosDriver:
                 " driver's, such as those of the watchdog of an earlier daemon; end that node"
             )
         graph, topics = self._foreign_graph(), self._subscriptions.topics.values()
-        silent = self._subscriptions.silent(now, max(_EXPLAIN_PERIOD, self._silence))
+        silent = self._subscriptions.silent(now, max(_EXPLAIN_PERIOD, self._sensor_timeout))
         faults = (
             *(graph.unreadable(stats) for stats in topics if stats.recent_fault(now)),
             *(graph.silence(stats) for stats in silent),

@@ -40,11 +40,13 @@ class Endpoint(NamedTuple):
             return self.host == "localhost"
 
 
-def parse_endpoint(text: str) -> Endpoint:
-    """The parts of an endpoint. Raises ConfigError that says what was wanted."""
+def parse_endpoint(
+    text: str, prefix: str = "", example: str = f"tcp/10.0.0.5:{FIELD_PORT}"
+) -> Endpoint:
+    """The parts of an endpoint. Raises ConfigError: the prefix, the text, and a valid example."""
     match = _ENDPOINT.fullmatch(text)
     if match is None or int(match[3]) > 65535:
-        raise ConfigError(f"{text!r}; wanted an endpoint such as tcp/10.0.0.5:{FIELD_PORT}")
+        raise ConfigError(f"{prefix}{text!r}; wanted an endpoint such as {example}")
     return Endpoint(match[1], match[2].strip("[]"), int(match[3]), match[4] or "")
 
 

@@ -14,8 +14,6 @@ from swarmd.core.values import ZERO, Twist, Value
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.driver_api.driver import Finding, Sink
 from swarmd.driver_api.watchdog import (
-    MIN_ZERO_TIME,
-    TICK_TIMEOUT,
     ZERO_PERIOD,
     WatchdogTimer,
     watchdog_name,
@@ -39,10 +37,6 @@ def fed(until: float = 0.0) -> WatchdogTimer:
     timer = WatchdogTimer()
     timer.tick(until)
     return timer
-
-
-def test_the_numbers_are_those_promised() -> None:
-    assert (TICK_TIMEOUT, MIN_ZERO_TIME, ZERO_PERIOD) == (0.4, 2.0, 0.05)
 
 
 def test_begins_after_exactly_0_4_s_of_silence() -> None:

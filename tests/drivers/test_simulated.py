@@ -19,7 +19,7 @@ from swarmd.driver_api.hw_codec import (
     encode_readings,
     encode_scan,
 )
-from swarmd.drivers.simulated import SILENCE, SimulatedDriver
+from swarmd.drivers.simulated import SENSOR_TIMEOUT, SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
 from swarmd.testing.driver_contract import (
@@ -146,7 +146,7 @@ def test_says_where_it_looks_for_its_body_and_why_it_is_lost() -> None:
         assert body.endpoint in harness.sink.states[0][1]
         await harness.connect()
         await harness.until(lambda: not harness.sink.is_up)
-        assert f"for {SILENCE:g} s" in harness.sink.states[-1][1]
+        assert f"for {SENSOR_TIMEOUT:g} s" in harness.sink.states[-1][1]
 
     play(story, connected=False)
 
@@ -157,17 +157,6 @@ def test_a_command_carries_the_scans_it_rests_on() -> None:
         await harness.until(lambda: bool(body.link.payloads))
         command = decode_command(body.link.payloads[0])
         assert (command.scan_seq, command.requested_scan_seq) == (5, 4)
-
-    play(story)
-
-
-@pytest.mark.parametrize("payload", [b"", b"\x01", b"\x02\xc0", b"\x01" + b"\xff" * 200_000])
-@pytest.mark.parametrize("name", ["scan", "odometry", "neighbors", "readings"])
-def test_what_cannot_be_read_is_counted(name: str, payload: bytes) -> None:
-    async def story(harness: DriverHarness, body: Body) -> None:
-        body.send(name, payload)
-        await harness.until(lambda: bool(harness.sink.lost))
-        assert harness.sink.lost == [f"hw/{name}"]
 
     play(story)
 
@@ -205,8 +194,8 @@ def test_a_run_cancelled_while_it_opens_leaves_no_session_behind() -> None:
     ("options", "complaint"),
     [
         ({"endpont": "tcp/127.0.0.1:1"}, "did you mean 'endpoint'"),
-        ({"endpoint": 7790}, "endpoint is 7790; wanted is such as"),
-        ({"endpoint": "127.0.0.1:7790"}, "wanted is such as tcp/"),
+        ({"endpoint": 7790}, "endpoint is 7790; wanted"),
+        ({"endpoint": "127.0.0.1:7790"}, "wanted an endpoint such as tcp/"),
     ],
 )
 def test_options_it_does_not_know_are_refused(options: Mapping[str, Value], complaint: str) -> None:

@@ -21,7 +21,7 @@ import pytest
 from swarmd.core.values import Twist
 from swarmd.driver_api.command_gate import ZERO_REPEAT_TIME
 from swarmd.drivers.ros.messages import LaserScan
-from swarmd.drivers.ros1.adapter_process import SILENCE
+from swarmd.drivers.ros1.adapter_process import COMMAND_TIMEOUT
 from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.drivers.ros1.serialization import definition, type_name
 from swarmd.testing.driver_contract import CollectingSink, DriverHarness, is_running, running_driver
@@ -234,12 +234,12 @@ def test_another_driver_is_left_alone_after_zeros_and_logged_once(
         other = body.make({})
         second = asyncio.create_task(other.run(CollectingSink()))
         await moving(harness, 0.0, lambda: not harness.sink.is_up)
-        told = await moving(harness, ZERO_REPEAT_TIME + SILENCE, lambda: True)
+        told = await moving(harness, ZERO_REPEAT_TIME + COMMAND_TIMEOUT, lambda: True)
         while not told[0].is_zero:  # sent before
             del told[0]
         assert len(told) > 10
         assert all(twist.is_zero for twist in told)
-        assert not await moving(harness, 3.0 * SILENCE, lambda: not body.commands())
+        assert not await moving(harness, 3.0 * COMMAND_TIMEOUT, lambda: not body.commands())
         second.cancel()
         await asyncio.gather(second, return_exceptions=True)
         await harness.until(lambda: harness.sink.is_up)

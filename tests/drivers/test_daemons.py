@@ -1,0 +1,224 @@
+"""Whole daemons with the ROS drivers, killed and frozen while the robot moves without a timeout."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarmd.core.clock import boottime
+from swarmd.core.values import Twist, Value
+from swarmd.network.operator import Operator
+from swarmd.network.settings import NetworkSettings
+from swarmd.settings.platforms import load_platform
+from swarmd.testing.driver_contract import Rig, is_running
+from tests.drivers.ros1.rig import RosRobot
+from tests.drivers.ros2.dds_rig import DdsRobot
+from tests.drivers.ros2.robots import RAYS, BridgedRobot, Robot, ZenohRobot, odometry, scan
+from tests.support import ros2_types as dds
+from tests.support.drive_daemon import ROBOT, drive, status
+from tests.support.processes import (
+    DaemonProcess,
+    children,
+    unique_swarm,
+    wait_until,
+    watchdogs,
+)
+from tests.support.ros2_bridge import why_no_bridge
+
+pytestmark = pytest.mark.integration
+
+NO_BRIDGE = pytest.mark.skipif(bool(why_no_bridge()), reason=why_no_bridge())
+NAMESPACE = ROBOT.replace("-", "_")
+FRONT = ("left", "center_left", "center", "center_right", "right")
+
+
+@dataclass(frozen=True)
+class Setup:
+    """A robot and the daemon's options for it; `publish` is called every 50 ms with a count.
+
+    `zero_time`: seconds of zeros after the daemon's end. `slack`: seconds beyond the 0.6 promised,
+    for a starved machine.
+    """
+
+    driver: str
+    robot: Rig
+    options: Mapping[str, Value]
+    publish: Callable[[int], None]
+    platform: str = "burger"
+    zero_time: float = 3.0
+    slack: float = 1.0
+
+
+class Course:
+    """A robot that publishes, and the commands that reached it, with their times."""
+
+    def __init__(self, setup: Setup) -> None:
+        self.setup = setup
+        self.commands: list[tuple[float, Twist]] = []
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ending.set()
+        self._thread.join(30.0)
+        self.setup.robot.close()
+
+    def first(self, since: float, *, moving: bool) -> float:
+        """When the first command to move, or the first zero, came after `since`."""
+        found: list[float] = []
+
+        def has_come() -> bool:
+            found[:] = [t for t, twist in self.commands if t > since and twist.is_zero != moving]
+            return bool(found)
+
+        wait_until(has_come, "a command to move" if moving else "a zero")
+        return found[0]
+
+    def gets_only_zeros(self, since: float, seconds: float) -> None:
+        """Zeros, and again and again, for so long."""
+        wait_until(lambda: self.commands[-1][0] > since + seconds, "commands for long enough")
+        after = [(t - since, twist) for t, twist in self.commands if t >= since]
+        assert not [t for t, twist in after if not twist.is_zero]
+        assert len(after) > 5.0 * seconds
+
+    def _run(self) -> None:
+        count = 0
+        while not self._ending.wait(0.05):
+            count += 1
+            self.setup.publish(count)
+            self.commands += [(boottime(), twist) for twist in self.setup.robot.commands()]
+
+
+def ros2(driver: str, robot: Robot) -> Setup:
+    rng = np.random.default_rng(1)
+
+    def publish(count: int) -> None:
+        stamp = 100.0 + 0.05 * count
+        robot.put("odom", odometry(stamp, x=0.005 * count))
+        if count % 4 == 0:
+            ranges = 2.0 + 0.01 * rng.standard_normal(RAYS)
+            robot.put("scan", scan(stamp, ranges.tolist()))
+
+    domain: dict[str, Value] = {"domain": 0} if driver == "rmw_zenoh" else {}
+    return Setup(driver, robot, robot.options(domain), publish)
+
+
+def ros1(request: pytest.FixtureRequest) -> Setup:
+    robot = RosRobot(request.getfixturevalue("roscore"))
+    robot.do("rate", hz=10)
+    return Setup("ros1", robot, robot.options, lambda count: None, zero_time=1.0, slack=2.0)
+
+
+KINDS: dict[str, Callable[[pytest.FixtureRequest], Setup]] = {
+    "ros2dds": lambda request: ros2("ros2dds", BridgedRobot()),
+    "ros2dds, real bridge": lambda request: ros2("ros2dds", DdsRobot()),
+    "rmw_zenoh": lambda request: ros2("rmw_zenoh", ZenohRobot()),
+    "rmw_zenoh, Humble, stamped": lambda request: ros2(
+        "rmw_zenoh", ZenohRobot(is_humble=True, is_stamped=True)
+    ),
+    "ros1": ros1,
+}
+
+
+@contextlib.contextmanager
+def driven(setup: Setup, folder: Path) -> Iterator[tuple[Course, DaemonProcess, Operator]]:
+    """A robot that a daemon has made to move."""
+    swarm = unique_swarm()
+    options: dict[str, Value] = {
+        "platform": setup.platform,
+        "driver": setup.driver,
+        "driver_options": dict(setup.options),
+    }
+    with (
+        contextlib.closing(Course(setup)) as course,
+        DaemonProcess(folder, swarm=swarm, robot=ROBOT, endpoint="", options=options) as daemon,
+        Operator(NetworkSettings(swarm=swarm), name="zoe@test") as operator,
+    ):
+        daemon.wait_ready()
+        begun = boottime()
+        drive(operator)
+        course.first(begun, moving=True)
+        yield course, daemon, operator
+
+
+@pytest.fixture(
+    params=[pytest.param(kind, marks=NO_BRIDGE if "bridge" in kind else ()) for kind in KINDS]
+)
+def moving(
+    request: pytest.FixtureRequest, tmp_path: Path
+) -> Iterator[tuple[Course, DaemonProcess]]:
+    with driven(KINDS[request.param](request), tmp_path) as (course, daemon, _):
+        yield course, daemon
+
+
+def test_a_killed_daemon_is_stopped_for(moving: tuple[Course, DaemonProcess]) -> None:
+    course, daemon = moving
+    has_watchdog = course.setup.driver != "ros1"  # whose adapter ends after 2 s of zeros
+    assert bool(watchdogs(daemon.swarm, ROBOT)) == has_watchdog
+    started, killed = children(daemon.process.pid), boottime()
+    daemon.kill()
+    zero = course.first(killed, moving=False)
+    assert zero - killed < 0.6 + course.setup.slack
+    course.gets_only_zeros(zero, course.setup.zero_time)
+    assert bool(watchdogs(daemon.swarm, ROBOT)) == has_watchdog, "until a daemon is back"
+    wait_until(lambda: not any(map(is_running, started)), "its child processes have ended")
+
+
+def test_a_frozen_daemon_is_stopped_for(moving: tuple[Course, DaemonProcess]) -> None:
+    course, daemon = moving
+    frozen = boottime()
+    daemon.freeze()
+    try:
+        zero = course.first(frozen, moving=False)
+        assert 0.3 < zero - frozen < 0.6 + course.setup.slack
+        course.gets_only_zeros(zero, 3.0)
+        thawed = boottime()
+    finally:
+        daemon.thaw()
+    wait_until(lambda: course.commands[-1][0] > thawed + 1.0, "it commands again")
+    assert is_running(daemon.process.pid)
+    late = [t - thawed for t, twist in course.commands if t > thawed + 0.2 and not twist.is_zero]
+    assert not late, "a daemon that was frozen for so long does not drive on"
+
+
+class Thymio(BridgedRobot):
+    """Publishes as thymio_driver does, within its namespace: +inf is no return."""
+
+    platform = load_platform("thymio")
+
+    def __init__(self) -> None:
+        self.ranges: dict[str, float] = {}
+        super().__init__()
+
+    def command_key(self) -> str:
+        return f"{NAMESPACE}/cmd_vel"
+
+    def publish_count(self, count: int) -> None:
+        stamp = 100.0 + 0.05 * count
+        self.put(f"{NAMESPACE}/odom", odometry(stamp, x=0.005 * count))
+        for name in (*FRONT, "rear_left", "rear_right") if count % 2 == 0 else ():
+            message = dds.Range(header=dds.stamped(stamp), range=self.ranges.get(name, math.inf))
+            self.put(f"{NAMESPACE}/proximity/{name}", message)
+
+
+def test_a_thymio_drives_by_its_platform_file_and_keeps_off_a_hand(tmp_path: Path) -> None:
+    robot = Thymio()
+    options: dict[str, Value] = {"endpoint": robot.endpoint}
+    setup = Setup("ros2dds", robot, options, robot.publish_count, platform="thymio")
+    with driven(setup, tmp_path) as (course, _, operator):
+        wait_until(lambda: course.commands[-1][1].linear > 0.0, "it drives ahead")
+        robot.ranges = dict.fromkeys(FRONT, 0.03)  # a hand
+        wait_until(lambda: course.commands[-1][1].linear < 0.0, "it backs away")
+        now = status(operator)
+        assert now is not None
+        gap = now.decision.min_gap
+        assert gap is not None
+        assert 0.005 < gap < 0.035  # the hand is rounder than the outline
