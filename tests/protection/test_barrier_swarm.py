@@ -102,6 +102,36 @@ def test_rammed_robot_is_not_at_fault(kind: str, bearing: float) -> None:
     assert first_touch(trace) <= NO_FAULT
 
 
+def test_robot_stops_at_a_thin_pole() -> None:
+    arena = {"poles": [{"at": [0.0, 0.05], "radius": 0.03}]}
+    trace = meeting(group("burger", "a", (-1.2, 0.0, 0.0), 0.22), duration=6.0, arena=arena)
+    assert len(trace.contact_t) == 0
+    assert driven(trace) > 0.7
+
+
+def test_jackal_rammed_out_of_its_blind_zone_is_not_at_fault() -> None:
+    """Its lidar loses the rammer at 0.8 m."""
+    trace = meeting(
+        group("jackal", "a", (-1.0, 0.0, 0.0), 0.5),
+        group("ram-jackal", "b", (1.0, 0.1, math.pi), 0.5),
+        duration=6.0,
+    )
+    assert len(trace.contact_t) > 0
+    assert first_touch(trace) <= NO_FAULT
+
+
+def test_turning_robot_does_not_swing_into_one_that_passes() -> None:
+    """The other robot is unprotected; it passes within reach of the rear corners."""
+    trace = meeting(
+        group("burger", "a", (0.0, 0.0, 0.0), 0.0, 2.84),
+        group("ram-burger", "b", (-0.2, 1.5, -math.pi / 2), 0.22),
+        duration=8.0,
+    )
+    assert len(trace.contact_t) == 0
+    assert driven(trace, "b") > 1.5
+    assert np.ptp(np.cos(trace.pose[:, trace.ids.index("a"), 2])) > 1.0  # it has turned
+
+
 @pytest.mark.parametrize("seed", [1, 4])
 def test_two_robots_that_slide_to_the_same_place_keep_apart(seed: int) -> None:
     """Neither closes on the other as long as it stands; without a rule their corners would meet."""

@@ -1,0 +1,54 @@
+"""The deadlines of a pattern's load and run."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from swarmd.core.host_messages import Loaded
+from swarmd.robot.pattern_run import LOAD_TIMEOUT, MIN_EXPIRY, STEP_TIMEOUT, Loading, PatternRun
+
+
+def loading(seconds: float | None = None, since: float = 10.0) -> Loading:
+    return Loading(1, "drive", {}, seconds, since, request=None)
+
+
+def running(seconds: float | None = None) -> PatternRun:
+    """A run at 10 Hz since 10 s that has stepped once."""
+    run = PatternRun()
+    run.loading = loading(seconds)
+    run.ready(Loaded(1, 10.0, frozenset(), {}), 10.0)
+    run.stepping(10.0)
+    return run
+
+
+def with_values(run: PatternRun, **values: Any) -> PatternRun:
+    for name, value in values.items():
+        setattr(run, name, value)
+    return run
+
+
+@pytest.mark.parametrize(
+    ("run", "expected"),
+    [
+        (PatternRun(), []),
+        (with_values(PatternRun(), loading=loading()), [10.0 + LOAD_TIMEOUT]),
+        (running(), [10.0 + MIN_EXPIRY, 10.0 + STEP_TIMEOUT]),
+        (with_values(running(), awaiting_since=None), [10.1, 10.0 + MIN_EXPIRY]),
+        (running(seconds=0.7), [10.0 + MIN_EXPIRY, 10.7, 10.0 + STEP_TIMEOUT]),
+        (with_values(running(), restart_at=10.2, awaiting_since=None), [10.1, 10.2, 10.3]),
+        # While the next pattern is being loaded, no step is due.
+        (
+            with_values(running(), loading=loading(since=10.1), awaiting_since=None),
+            [10.0 + MIN_EXPIRY, 10.1 + LOAD_TIMEOUT],
+        ),
+    ],
+    ids=["nothing", "load", "step", "between steps", "seconds", "restart", "load during a run"],
+)
+def test_deadlines_come_in_order(run: PatternRun, expected: list[float]) -> None:
+    found, now = [], 10.0
+    while (now := run.next_deadline(now)) < math.inf:
+        found.append(now)
+    assert found == pytest.approx(expected)
