@@ -1,114 +1,71 @@
-"""Runs of any pattern that end by a condition: idle, finished, and why."""
+"""Conditions that end a run: evaluated at each step, and kept over a restart of the pattern."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
-
-import pytest
-
-from swarmd.core.messages import Code, Reason, State
-from swarmd.core.values import Inputs, Scalar, Twist
+from swarmd.core.messages import Reason, State
+from swarmd.core.values import Inputs, Outputs, Scalar, Twist
+from swarmd.kit.condition_state import UntilConditions
+from swarmd.kit.conditions import parse_conditions
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import Disc, scan_of
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, Forward, standing_state
 
-WAFFLE = load_platform("waffle_pi")
+BURGER = load_platform("burger")
 
 
-class Counter(Forward):
-    """Drives, and reports a word that changes twice."""
-
-    count = 0
-
-    def drive(self, inputs: Inputs) -> Twist:
-        self.count += 1
-        return Twist(0.05)
-
-    def report(self) -> Mapping[str, Scalar]:
-        return {"word": "abc"[min(self.count // 10, 2)]}
-
-
-class Fragile(Counter):
+class Fragile(Forward):
     """Fails once."""
 
     def drive(self, inputs: Inputs) -> Twist:
         if inputs.now < 1001.2:
             raise RuntimeError("not yet")
-        return super().drive(inputs)
+        return Twist(0.05)
 
 
-def story_of(until: Any, pattern: str = "counter") -> RobotHarness:
-    story = RobotHarness(patterns={**PATTERNS, "counter": Counter, "fragile": Fragile})
-    story.advance(1.0)
-    story.reply = story.ask("run", pattern=pattern, until=until)  # type: ignore[attr-defined]
-    return story
+def ends(
+    *until: str, seconds: float = 5.0, done: str | None = None, **report: Scalar
+) -> tuple[float, str | None]:
+    """When and why a pattern with this report ends; a disc is near from 2 s on."""
+    conditions = UntilConditions(parse_conditions(until))
+    for tick in range(round(10 * seconds) + 1):
+        now = 0.1 * tick
+        scan = scan_of(BURGER, [Disc(-0.5, 0.0)] if tick >= 20 else [])
+        outputs = Outputs(twist=Twist(0.05), report=report, done=done if tick >= 20 else None)
+        after = conditions.apply(Inputs(1000.0 + now, 0.1, scan), outputs)
+        if after.done is not None:
+            assert after.twist == Twist(0.05)
+            return round(now, 6), after.done
+    return seconds, None
 
 
-def seconds_until_idle(story: RobotHarness) -> float:
-    began = story.now
-    while story.status.state is State.RUNNING and story.now < began + 30.0:
-        story.advance(0.05)
-    return story.now - began
-
-
-def test_a_timeout_ends_the_run() -> None:
-    story = story_of(["timeout:2"])
-    assert seconds_until_idle(story) == pytest.approx(2.0, abs=0.2)
-    assert standing_state(story) == (State.IDLE, Reason.FINISHED)
-    assert story.status.detail == "until 2 s have passed"
-    assert story.twist.is_zero
-
-
-def test_an_obstacle_ends_the_run() -> None:
-    story = story_of(["nearer:0.5"])
-    story.advance(2.0)
-    assert story.status.state is State.RUNNING
-    near = scan_of(WAFFLE, [Disc(-0.5, 0.0)])
-    story.scans = lambda seq, now: replace(near, seq=seq, stamp=now)
-    assert seconds_until_idle(story) < 1.0
-    assert story.status.detail == "until something is nearer than 0.5 m"
+def test_a_condition_ends_the_run_and_is_named() -> None:
+    assert ends("timeout:2") == (2.0, "until 2 s have passed")
+    assert ends("nearer:0.6") == (2.0, "until something is nearer than 0.6 m")
+    assert ends("settled:word:3", word="a") == (3.0, "until word settled for 3 s")
+    assert ends("report:word=b", word="a") == (5.0, None)
 
 
 def test_the_first_of_several_conditions_ends_the_run() -> None:
-    story = story_of(["timeout:9", "report:word=c", "settled:word:8"])
-    assert seconds_until_idle(story) < 3.0
-    assert standing_state(story) == (State.IDLE, Reason.FINISHED)
-    assert story.status.detail == "until word is c"
+    assert ends("timeout:9", "report:word=c", word="c") == (0.0, "until word is c")
 
 
 def test_all_conditions_met_at_one_step_are_named() -> None:
-    story = story_of(["timeout:2", "timeout:9", "timeout:1.999"])
-    seconds_until_idle(story)
-    assert story.status.detail == "until 2 s have passed and 1.999 s have passed"
+    found = ends("timeout:2", "timeout:9", "timeout:1.999")
+    assert found == (2.0, "until 2 s have passed and 1.999 s have passed")
 
 
 def test_a_pattern_that_is_done_first_gives_the_reason() -> None:
-    story = story_of(["done", "timeout:9"], "finisher")
-    seconds_until_idle(story)
-    assert story.status.detail == "arrived"
+    assert ends("done", "timeout:9", done="arrived") == (2.0, "arrived")
 
 
-def test_conditions_survive_a_reload_of_a_failed_pattern() -> None:
-    story = story_of(["timeout:2"], "fragile")
-    assert seconds_until_idle(story) < 4.0
+def test_conditions_survive_a_restart_of_a_failed_pattern() -> None:
+    story = RobotHarness(patterns={**PATTERNS, "fragile": Fragile})
+    story.advance(1.0)
+    story.ask("run", pattern="fragile", until=["timeout:2"])
+    story.advance(1.0)
+    assert story.status.state is State.RUNNING
+    story.advance(3.0)
     assert standing_state(story) == (State.IDLE, Reason.FINISHED)
-
-
-@pytest.mark.parametrize(
-    ("until", "words"),
-    [
-        (["setled:opinion:5"], "'settled'"),
-        (["nearer:-1"], "'-1'"),
-        ("done", "'done'"),
-        ([1], "until"),
-    ],
-)
-def test_a_malformed_condition_refuses_the_run(until: Any, words: str) -> None:
-    story = story_of(until)
-    reply = story.reply  # type: ignore[attr-defined]
-    assert reply.code is Code.REFUSED
-    assert words in reply.text
-    assert standing_state(story) == (State.IDLE, Reason.NEVER_ASKED)
+    assert story.status.detail == "until 2 s have passed"
+    assert story.twist.is_zero

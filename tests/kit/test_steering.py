@@ -90,11 +90,3 @@ def test_a_point_ahead_limits_speed_while_it_turns() -> None:
 @pytest.mark.parametrize("vector", [(0.0, 0.0), (math.nan, 0.0), (0.0, math.inf)])
 def test_no_direction_is_no_motion(vector: tuple[float, float]) -> None:
     assert command(*vector) == Twist()
-
-
-@given(x=UNIT, y=UNIT, may_back=st.booleans())
-def test_left_and_right_are_mirrored(x: float, y: float, may_back: bool) -> None:
-    here, there = command(x, y, may_back=may_back), command(x, -y, may_back=may_back)
-    # Straight behind there are two equal ways round.
-    assert here.linear == there.linear
-    assert abs(here.angular) == abs(there.angular)

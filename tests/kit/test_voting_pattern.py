@@ -1,4 +1,4 @@
-"""What all voting patterns share: windows of each kind, sharing, what harms nobody."""
+"""Voting patterns: windows of each kind, sharing, and messages that must not count."""
 
 from __future__ import annotations
 
@@ -60,8 +60,8 @@ class Desk:
 KINDS: tuple[Windows, ...] = ("tumbling", "sliding", "rounds")
 WORDS: tuple[Value, ...] = (-1, 3, 2**70, True, 1.0, "1", None, b"1", {"opinion": 1})
 LISTS: tuple[Any, ...] = (
-    *([], [1], [0, 1], [0, 3, 0], [0, 1, 3]),
-    *([-1, 1, 1], [ROUNDS, 1, 1], [0, 1.0, 1], [0, 1, "1"]),
+    *([], [0, 1], [0, 1, 2, 0], [0, 3, 0], [0, 0, -1], [-1, 1, 1], [ROUNDS, 1, 1]),
+    *([0.0, 1, 1], [True, 1, 1], [0, None, 1], [0, 1, "1"], [[0], 1, 1]),
 )
 
 
