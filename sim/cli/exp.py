@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from swarmd.cli.options import VerbGroup
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import SwarmError
 from swarmd.sim.cli.options import chosen_metrics, need, new_folder, output_option
@@ -51,7 +52,7 @@ def _out(text: str) -> Callable[[Function], Function]:
     return click.option("--out", type=kind, metavar="DIR", help=text)
 
 
-@click.group()
+@click.group(cls=VerbGroup)
 def exp() -> None:
     """Run scenarios over many seeds; statistics, comparisons and plots."""
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from swarmd.cli.options import DEFAULT_SWARM, CommonOptions
+from swarmd.cli.options import DEFAULT_SWARM, CommonOptions, VerbGroup
 from swarmd.cli.output import print_section, warn
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
@@ -27,9 +27,9 @@ if TYPE_CHECKING:
 CHECK_PERIOD = 1.0  # s between two checks of the processes
 
 
-@click.group()
+@click.group(cls=VerbGroup)
 def sim() -> None:
-    """Keep a simulated swarm running, to be worked by the other verbs."""
+    """Keep a simulated swarm running, commanded with the other verbs."""
 
 
 @sim.command()

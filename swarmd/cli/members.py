@@ -10,7 +10,7 @@ from msgspec import to_builtins
 
 from swarmd.cli.arguments import Failure, check_known
 from swarmd.cli.explain import activity
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_table, printable, seconds
 from swarmd.cli.send import known_members, report
 from swarmd.core.messages import Condition, ForgetRequest, Member
@@ -27,7 +27,7 @@ HEADER = (
 _MAX_REPORT = 60
 
 
-@click.group(invoke_without_command=True)
+@click.group(cls=VerbGroup, invoke_without_command=True)
 @common_options
 def members(options: CommonOptions) -> None:
     """Print the robots of the swarm and their states.

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, cast
 import click
 
 from swarmd.cli.arguments import Duration
+from swarmd.core.errors import unknown
 
 if TYPE_CHECKING:
     from swarmd.network.operator import Operator
@@ -21,7 +22,7 @@ R = TypeVar("R")
 
 DEFAULT_SWARM = "default"
 
-_OPTIONS = (
+_NETWORK_OPTIONS = (
     click.option("--swarm", metavar="NAME", help="The swarm's name [$SWARM, or default]."),
     click.option(
         "--config",
@@ -42,11 +43,34 @@ _OPTIONS = (
         metavar="ENDPOINT",
         help="A robot to dial, such as tcp/10.0.0.5:7440; may be repeated.",
     ),
+)
+_LOCAL_OPTIONS = (
     click.option(
         "-o", "--output", type=click.Choice(["table", "json"]), help="Form of the answer [table]."
     ),
     click.option("--timeout", type=Duration(), help="How long to wait for answers, such as 3s."),
 )
+
+
+class VerbGroup(click.Group):
+    """A group of verbs: an unknown verb is refused with the nearest; help shows whole lines."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """The verb; UsageError with the nearest name if there is none."""
+        name = args[0]
+        if not name.startswith("-") and self.get_command(ctx, name) is None:
+            ctx.fail(unknown("verb", name, self.list_commands(ctx)))
+        return super().resolve_command(ctx, args)
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the first sentence of each verb, not cut short as click does."""
+        rows = [
+            (name, command.get_short_help_str(limit=300)) for name, command in self.commands.items()
+        ]
+        with formatter.section("Verbs"):
+            formatter.write_dl(rows)
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,16 +120,28 @@ class CommonOptions:
 
 def common_options(function: Callable[Concatenate[CommonOptions, P], R]) -> Callable[..., R]:
     """Give a verb the common options as its first argument; those before the verb are defaults."""
+    return _with_options(function, (*_NETWORK_OPTIONS, *_LOCAL_OPTIONS))
+
+
+def local_options(function: Callable[Concatenate[CommonOptions, P], R]) -> Callable[..., R]:
+    """As `common_options`, for a verb that uses no network."""
+    return _with_options(function, _LOCAL_OPTIONS)
+
+
+def _with_options(
+    function: Callable[Concatenate[CommonOptions, P], R],
+    options: tuple[Callable[[Callable[..., R]], Callable[..., R]], ...],
+) -> Callable[..., R]:
 
     @functools.wraps(function)
     def wrapper(*args: Any, **kwargs: Any) -> R:
         ctx, config = click.get_current_context(), os.environ.get("SWARM_CONFIG")
         above = ctx.find_object(CommonOptions)
         defaults = above or CommonOptions(config=Path(config) if config else None)
-        given = {name: kwargs.pop(name) for name in CommonOptions.__slots__}
+        given = {name: kwargs.pop(name, None) for name in CommonOptions.__slots__}
         ctx.obj = replace(defaults, **{name: value for name, value in given.items() if value})
         return function(ctx.obj, *args, **kwargs)
 
-    for option in reversed(_OPTIONS):
+    for option in reversed(options):
         wrapper = option(wrapper)
     return wrapper

@@ -11,14 +11,14 @@ from swarmd.cli.arguments import (
     takes_targets,
     target_options,
 )
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_table
 from swarmd.cli.send import known_members, send_to
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Member, Param, ParamRequest
 
 
-@click.group()
+@click.group(cls=VerbGroup)
 def param() -> None:
     """Get or set parameters of running patterns."""
 

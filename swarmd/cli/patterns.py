@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from swarmd.cli.inspect import Row, check_mission, describe_patterns
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import CommonOptions, VerbGroup, local_options
 from swarmd.cli.output import (
     NOTHING,
     number,
@@ -19,6 +19,7 @@ from swarmd.cli.output import (
     printable,
     warn,
 )
+from swarmd.core.errors import PluginError
 
 _plugin_dir = click.option(
     "--plugin-dir",
@@ -33,8 +34,8 @@ _platform = click.option(
 )
 
 
-@click.group(invoke_without_command=True)
-@common_options
+@click.group(cls=VerbGroup, invoke_without_command=True)
+@local_options
 def patterns(options: CommonOptions) -> None:
     """Print the patterns on this machine, or one with its parameters."""
     ctx = click.get_current_context()
@@ -45,7 +46,7 @@ def patterns(options: CommonOptions) -> None:
 @patterns.command("list")
 @_plugin_dir
 @_platform
-@common_options
+@local_options
 def list_patterns(options: CommonOptions, plugin_dir: Path | None, platform: str) -> None:
     """Print all patterns, a line each."""
     rows = describe_patterns((), plugin_dir, platform)
@@ -69,12 +70,12 @@ def list_patterns(options: CommonOptions, plugin_dir: Path | None, platform: str
 @click.argument("name")
 @_plugin_dir
 @_platform
-@common_options
+@local_options
 def show_pattern(options: CommonOptions, name: str, plugin_dir: Path | None, platform: str) -> None:
     """Print what a pattern needs and sends, and its parameters with their bounds."""
     (row,) = describe_patterns((name,), plugin_dir, platform)
     if "error" in row:
-        raise click.UsageError(row["error"])
+        raise PluginError(row["error"])
     if options.is_json:
         print_json("Pattern", {"pattern": row})
         return
@@ -86,7 +87,7 @@ def show_pattern(options: CommonOptions, name: str, plugin_dir: Path | None, pla
     print_table(header, [_param(spec) for spec in row["params"]])
 
 
-@click.group()
+@click.group(cls=VerbGroup)
 def mission() -> None:
     """Patterns composed of others in a YAML file."""
 
@@ -100,7 +101,7 @@ def mission() -> None:
     envvar="SWARM_PLUGIN_DIR",
     help="Folder of one-file patterns [$SWARM_PLUGIN_DIR, else the folder of FILE].",
 )
-@common_options
+@local_options
 def check(options: CommonOptions, file: Path, platform: str, plugin_dir: Path | None) -> None:
     """Check the mission in FILE; moves nothing and needs no network.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from swarmd.cli.arguments import Targets, takes_targets
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import CommonOptions, VerbGroup, common_options, local_options
 from swarmd.cli.output import print_json, printable
 from swarmd.cli.send import send_to
 from swarmd.core.keys import is_id
@@ -21,7 +21,7 @@ _MARKS = {"ok": "ok  ", "fault": "FAIL", "skipped": "skip"}
 _NAME_WIDTH = 43
 
 
-@click.group()
+@click.group(cls=VerbGroup)
 def plugin() -> None:
     """Patterns of your own, a file each."""
 
@@ -41,7 +41,7 @@ def plugin() -> None:
     default="movement",
     help="The kind of pattern [movement].",
 )
-@common_options
+@local_options
 def new(options: CommonOptions, name: str, folder: Path, kind: str) -> None:
     """Write a pattern, NAME.py, and its test, test_NAME.py: both pass as they are."""
     from swarmd.cli.plugin_template import write_plugin
@@ -65,7 +65,7 @@ def new(options: CommonOptions, name: str, folder: Path, kind: str) -> None:
 
 @plugin.command("check")
 @click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@common_options
+@local_options
 def check(options: CommonOptions, file: Path) -> None:
     """Check the pattern in FILE against the contract: a line for each point, each fault once.
 

@@ -149,7 +149,8 @@ def report(options: CommonOptions, outcome: Outcome) -> NoReturn:
         click.echo(outcome.line)
     if outcome.mistake:
         refusal = next(iter(outcome.replies.values())).refusal
-        see = f" (see {_HELP[refusal]})" if refusal in _HELP else ""
+        name = click.get_current_context().params.get("pattern", "NAME")
+        see = f" (see {_HELP[refusal]})".replace("NAME", name) if refusal in _HELP else ""
         raise Failure(f"{outcome.mistake}{see}", USAGE)
     click.get_current_context().exit(outcome.exit_code)
 

@@ -14,8 +14,8 @@ from typing import Any, NoReturn, cast
 
 import click
 
-from swarmd.cli.options import CommonOptions, common_options
-from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError, unknown
+from swarmd.cli.options import CommonOptions, VerbGroup, common_options
+from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError
 
 # Verb -> its function, and its line for --help, which must not import the verbs.
 VERBS = {
@@ -46,7 +46,7 @@ Exit codes:
   130  interrupted"""
 
 
-class Verbs(click.Group):
+class Verbs(VerbGroup):
     """The verbs: first those of the core, then those of plugins."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -80,15 +80,6 @@ class Verbs(click.Group):
             from swarmd import plugins
 
             raise click.ClickException(plugins.how_to_install(missing, verb)) from error
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        """The verb; UsageError with the nearest name if there is none."""
-        name = args[0]
-        if not name.startswith("-") and self.get_command(ctx, name) is None:
-            ctx.fail(unknown("verb", name, self.list_commands(ctx)))
-        return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write a line for each verb, without importing the verbs."""

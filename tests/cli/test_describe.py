@@ -21,7 +21,7 @@ def test_shows_the_status_in_groups() -> None:
         reason=Reason.NO_REQUESTED_COMMAND, detail="thinks", readings={"battery": 0.71}
     )
     groups = shown(member)
-    assert groups["Parameters"] == {"speed": "0.2  from runtime", "turn": "0    from robot"}
+    assert groups["Parameters"] == {"speed": "0.2  from request", "turn": "0    from robot"}
     assert groups["Readings"] == {"battery": "0.71"}
     assert groups["Events"] == {"3.0 s ago": "loading drive"}
     expected = {
