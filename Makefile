@@ -1,4 +1,4 @@
-# make demo | test | evidence | check | bench | lock | clean. Everything lands in .venv and build/.
+# `make help` lists the targets. Everything lands in .venv and build/.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -12,13 +12,19 @@ JOBS ?= 3
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make demo    seven simulated robots gather; about a minute and a half"
-	@echo "make test    all tests                 (ARGS='-k scan' picks some, JOBS=0 one by one)"
-	@echo "make evidence  long tests and studies of outcomes, safety and the paper; hours on two cores"
-	@echo "make check   format, lint, types, and the wheel tried in a fresh environment"
-	@echo "make mutants small changes of the code and the tests that notice them; a night"
-	@echo "make bench   the measurements, beside their budgets (ARGS=latency picks one)"
-	@echo "make clean   removes .venv, build and caches"
+	@echo "make demo      seven simulated robots gather; about a minute and a half"
+	@echo "make test      all tests                 (ARGS='-k scan' picks some, JOBS=0 one by one)"
+	@echo "make check     format, lint, types, and the wheel tried in a fresh environment"
+	@echo "make format    formats the code and applies the fixes of the linter"
+	@echo "make bench     the measurements, beside their budgets (ARGS=latency picks one)"
+	@echo "make evidence  long tests, then the four studies below; hours on two cores"
+	@echo "make outcomes    what each pattern brings about in a swarm, over twenty seeds"
+	@echo "make paper       the tables and figures of docs/paper.md; half an hour"
+	@echo "make voting      how voting scales with the number of robots; ten minutes"
+	@echo "make safety      robot-hours and progress under protection; hours"
+	@echo "make mutants   small changes of the code and the tests that notice them; a night"
+	@echo "make lock      writes constraints.txt anew, with the newest versions that fit"
+	@echo "make clean     removes .venv, build and caches"
 	@echo "PYTHON=python3.12 picks the interpreter."
 
 demo: $(VENV)/installed
