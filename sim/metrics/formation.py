@@ -104,7 +104,8 @@ def _around(place: Array) -> tuple[Array, Array]:
     """The bearings (k,) in rad from the best circle's centre, and the distances in m."""
     middle = place.mean(axis=0)
     points = place - middle
-    known = np.column_stack((2.0 * points, np.ones(len(points))))
+    known = np.ones((len(points), 3))
+    known[:, :2] = 2.0 * points
     centre = np.linalg.lstsq(known, (points**2).sum(axis=1), rcond=None)[0][:2]
     x, y = (points - centre).T
     return np.arctan2(y, x), np.hypot(x, y)

@@ -17,6 +17,8 @@ from swarmd.core.values import Array
 Ints = NDArray[np.int64]
 MAX_POINTS = 20_000
 """Points of all instants together that are processed at once; bounds the memory."""
+FEW = 40
+"""Up to this many points, comparing all pairs is faster than a tree."""
 _MARGIN = 1.0 + 1e-9  # the tree compares squared distances; `near` compares distances
 
 
@@ -39,6 +41,12 @@ def spans(instants: int, points: int) -> Iterator[slice]:
 
 def near(place: Array, is_in: NDArray[np.bool_], reach: float) -> Pairs:
     """The pairs of points (T, n, 2) within `reach` m at the same instant, of those in (T, n)."""
+    if place.shape[1] <= FEW:
+        a, b = np.triu_indices(place.shape[1], 1)
+        away = place[:, a] - place[:, b]
+        distance = np.hypot(away[..., 0], away[..., 1])
+        instant, pair = np.nonzero((distance <= reach) & is_in[:, a] & is_in[:, b])
+        return Pairs(instant, a[pair], b[pair], distance[instant, pair])
     instant, point = np.nonzero(is_in)
     where = place[instant, point]
     span = min(reach, _diagonal(where)) * _MARGIN
@@ -61,14 +69,18 @@ def nearest(place: Array, is_in: NDArray[np.bool_]) -> Array:
     """(T, n) distance to the nearest other point; NaN for a point not in, inf for a lone one."""
     best = np.where(is_in, np.inf, np.nan)
     for span in spans(*place.shape[:2]):
+        if place.shape[1] <= FEW:
+            found = near(place[span], is_in[span], np.inf)
+            np.minimum.at(best[span], (found.instant, found.a), found.distance)
+            np.minimum.at(best[span], (found.instant, found.b), found.distance)
+            continue
         instant, point = np.nonzero(is_in[span])
         where = place[span][instant, point]
         if len(where) < 2:
             continue
         tree = _tree(where, instant, _diagonal(where))
-        found = tree.query(tree.data, k=2)[1]
-        own = np.arange(len(where))
-        other = np.where(found[:, 1] == own, found[:, 0], found[:, 1])
+        first, second = tree.query(tree.data, k=2)[1].T
+        other = np.where(second == np.arange(len(where)), first, second)
         away = np.hypot(*(where - where[other]).T)
         best[span][instant, point] = np.where(instant[other] == instant, away, np.inf)
     return best
