@@ -40,7 +40,7 @@ class MoverParams(Params, frozen=True):
 
 
 class Mover(MovementPattern[MoverParams]):
-    """Drives as fast as it is told."""
+    """Drives at the speed of its parameter."""
 
     params_type = MoverParams
 

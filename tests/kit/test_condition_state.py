@@ -60,12 +60,12 @@ def test_a_pattern_that_is_done_first_gives_the_reason() -> None:
 
 
 def test_conditions_survive_a_restart_of_a_failed_pattern() -> None:
-    story = RobotHarness(patterns={**PATTERNS, "fragile": Fragile})
-    story.advance(1.0)
-    story.ask("run", pattern="fragile", until=["timeout:2"])
-    story.advance(1.0)
-    assert story.status.state is State.RUNNING
-    story.advance(3.0)
-    assert standing_state(story) == (State.IDLE, Reason.FINISHED)
-    assert story.status.detail == "until 2 s have passed"
-    assert story.twist.is_zero
+    harness = RobotHarness(patterns={**PATTERNS, "fragile": Fragile})
+    harness.advance(1.0)
+    harness.ask("run", pattern="fragile", until=["timeout:2"])
+    harness.advance(1.0)
+    assert harness.status.state is State.RUNNING
+    harness.advance(3.0)
+    assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
+    assert harness.status.detail == "until 2 s have passed"
+    assert harness.twist.is_zero

@@ -76,7 +76,7 @@ def test_it_rests_while_its_place_is_within_the_tolerance() -> None:
     assert twist.linear > 0.0
 
 
-def test_alone_it_stands() -> None:
+def test_alone_it_does_not_move() -> None:
     assert step(make()) == (Twist(), "alone")
     assert step(make(), [Neighbor("r1", 0.0)]) == (Twist(), "alone")
     assert step(make(), [Neighbor("r1", 0.0, math.nan, 0.0)]) == (Twist(), "alone")

@@ -29,14 +29,14 @@ class Listener(VotingPattern[VotingParams]):
 
 
 class Desk:
-    """One listener, stepped every 0.1 s, and what it said."""
+    """One listener, stepped every 0.1 s, and its messages."""
 
     def __init__(self, windows: Windows = "tumbling", **params: object) -> None:
         given = {"initial": 0, "staggered": False, "expiry": 60.0, **params}
         made = VotingParams(windows=windows, **given)  # type: ignore[arg-type]
         self.pattern = Listener(made, Context("me", PLATFORM, np.random.default_rng(0)))
         self.now = 100.0
-        self.said: list[tuple[float, str, Value]] = []
+        self.sent: list[tuple[float, str, Value]] = []
         self.report: Mapping[str, object] = {}
 
     def step(self, *heard: tuple[str, Value], age: float = 0.0, near: tuple[str, ...] = ()) -> None:
@@ -49,7 +49,7 @@ class Desk:
         inputs = Inputs(round(self.now, 3), 0.1, neighbors=neighbors, messages=messages)
         outputs = self.pattern.step(inputs)
         self.report = outputs.report
-        self.said += [(self.now - 100.0, key, value) for key, value in outputs.messages.items()]
+        self.sent += [(self.now - 100.0, key, value) for key, value in outputs.messages.items()]
         self.now += 0.1
 
     def wait(self, seconds: float, near: tuple[str, ...] = ()) -> None:
@@ -157,8 +157,8 @@ def test_under_rounds_the_round_vote_holds_the_vote_before() -> None:
     desk.step()
     desk.step(("b", [0, 2, 2]))
     desk.wait(1.1)
-    assert desk.said[0][1:] == ("round_vote", [0, 0, 0])
-    assert desk.said[-1][1:] == ("round_vote", [1, 2, 0])
+    assert desk.sent[0][1:] == ("round_vote", [0, 0, 0])
+    assert desk.sent[-1][1:] == ("round_vote", [1, 2, 0])
 
 
 def test_changed_windows_apply_at_once_and_keep_the_opinion() -> None:
@@ -168,7 +168,7 @@ def test_changed_windows_apply_at_once_and_keep_the_opinion() -> None:
     desk.pattern.update(VotingParams(windows="rounds"))
     desk.step(("b", [0, 2, 2]))
     desk.wait(1.0)
-    assert desk.said[-1][1:] == ("round_vote", [1, 2, 0])
+    assert desk.sent[-1][1:] == ("round_vote", [1, 2, 0])
 
 
 @pytest.mark.parametrize("windows", ["tumbling", "sliding"])

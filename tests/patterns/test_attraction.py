@@ -1,4 +1,4 @@
-"""Attraction: one step at a time, and seven robots on paper."""
+"""Attraction: one step at a time, and seven robots in the plane."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.support.flatland import Course, Flatland
 
 WAFFLE = load_platform("waffle_pi")
 BESIDE = Disc(0.72, 0.0)
-"""Where another robot stands when there is no pull left."""
+"""A robot at the distance at which the pull ends."""
 PLATFORMS = ("burger", "waffle_pi")
 
 
@@ -37,7 +37,7 @@ class TestAttractionOfThePaper(PatternContract):
 def steps(
     *scans: Scan, seed: int = 0, heard: int = 0, params: Mapping[str, Value] = MappingProxyType({})
 ) -> Iterator[tuple[Twist, Scalar]]:
-    """Wish and state at 10 Hz, one step a scan; `heard`: how many neighbours are heard."""
+    """Requested command and state at 10 Hz, one step a scan, with `heard` neighbours."""
     pattern = Subject(Attraction, WAFFLE, params).make(seed)
     neighbors = tuple(Neighbor(f"robot-{i + 2}", 0.1) for i in range(heard))
     for index, scan in enumerate(scans):
@@ -56,8 +56,8 @@ def state(scan: Scan, *, count: int = 2, heard: int = 0) -> Scalar:
     return list(steps(*[scan] * count, heard=heard))[-1][1]
 
 
-def story(scan: Scan, seconds: float, *, heard: int = 0) -> list[Scalar]:
-    """The states that follow each other while it sees but this scan."""
+def states_on(scan: Scan, seconds: float, *, heard: int = 0) -> list[Scalar]:
+    """The states that follow each other on one scan."""
     states = [state for _, state in steps(*[scan] * round(10 * seconds), heard=heard)]
     return [state for state, _ in groupby(states)]
 
@@ -110,7 +110,7 @@ def test_slows_down_as_it_comes_near() -> None:
     assert speeds[0] > speeds[1] > speeds[2] > 0.0
 
 
-def test_stands_at_its_spacing() -> None:
+def test_comes_to_rest_at_its_spacing() -> None:
     # Its nearest point is 0.62 m from the axle; the spacing is 0.613 m.
     scan = scan_of(WAFFLE, [BESIDE])
     assert requested(scan) == Twist()
@@ -130,7 +130,7 @@ def test_starts_at_a_stronger_pull_than_it_stops_at() -> None:
     assert list(steps(far, between))[-1][1] == "gather"
 
 
-def test_stands_between_two_robots_at_equal_distance() -> None:
+def test_rests_between_two_robots_at_equal_distance() -> None:
     assert requested(scan_of(WAFFLE, [Disc(1.5, 0.0), Disc(-1.5, 0.0)], noise=0.01)) == Twist()
 
 
@@ -170,20 +170,20 @@ def test_a_wall_segment_within_range_is_not_a_robot() -> None:
 def test_with_few_in_sight_it_rolls_then_leads_then_rests() -> None:
     beside = scan_of(WAFFLE, [BESIDE])
     looks = ["roll", "settled"] * 5 + ["lead", "settled"] * 2
-    assert story(beside, 300.0) == ["settled", *looks]
+    assert states_on(beside, 300.0) == ["settled", *looks]
 
 
 def test_its_rest_time_doubles_with_each_try() -> None:
     beside = scan_of(WAFFLE, [BESIDE])
     states = [state for _, state in steps(*[beside] * 1200)]
-    stands = [len(list(run)) for state, run in groupby(states) if state == "settled"]
-    np.testing.assert_allclose(stands[:4], [5, 10, 20, 40], atol=3)
+    rests = [len(list(run)) for state, run in groupby(states) if state == "settled"]
+    np.testing.assert_allclose(rests[:4], [5, 10, 20, 40], atol=3)
 
 
 def test_a_robot_that_sees_all_others_does_not_search() -> None:
     beside = scan_of(WAFFLE, [BESIDE])
-    assert story(beside, 60.0, heard=1) == ["settled"]
-    assert "lead" in story(beside, 90.0, heard=2)
+    assert states_on(beside, 60.0, heard=1) == ["settled"]
+    assert "lead" in states_on(beside, 90.0, heard=2)
 
 
 def test_it_leads_away_from_the_others() -> None:
@@ -210,16 +210,16 @@ def test_three_adjacent_robots_are_enough() -> None:
     angles = (-1.0, 0.0, 1.0)
     rim = [Disc(0.72 * math.cos(a), 0.72 * math.sin(a)) for a in angles]
     far = Disc(1.9 * math.cos(0.5), 1.9 * math.sin(0.5))
-    assert "roll" not in story(scan_of(WAFFLE, [*rim, far]), 60.0, heard=6)
-    assert "roll" in story(scan_of(WAFFLE, [rim[1], rim[2], far]), 60.0, heard=6)
+    assert "roll" not in states_on(scan_of(WAFFLE, [*rim, far]), 60.0, heard=6)
+    assert "roll" in states_on(scan_of(WAFFLE, [rim[1], rim[2], far]), 60.0, heard=6)
 
 
 def test_leaves_a_line_early_if_messages_come_from_more_robots() -> None:
     line = scan_of(WAFFLE, [Disc(0.0, 1.2), Disc(0.0, -1.0)])
-    assert "roll" in story(line, 1.0, heard=6)
-    assert "roll" not in story(line, 1.0, heard=2)
+    assert "roll" in states_on(line, 1.0, heard=6)
+    assert "roll" not in states_on(line, 1.0, heard=2)
     corner = scan_of(WAFFLE, [Disc(0.0, 1.2), Disc(1.0, 0.0)])
-    assert "roll" not in story(corner, 1.0, heard=6)
+    assert "roll" not in states_on(corner, 1.0, heard=6)
 
 
 def test_changed_parameters_apply_to_the_present_scan() -> None:

@@ -33,7 +33,7 @@ def made(platform: str = "waffle_pi", **params: Value) -> DiscussedDispersion:
 
 
 def step(pattern: DiscussedDispersion, now: float, *votes: tuple[str, int]) -> Outputs:
-    messages = tuple(Message(who, "majority_rule/opinion", vote, 0.0) for who, vote in votes)
+    messages = tuple(Message(sender, "majority_rule/opinion", vote, 0.0) for sender, vote in votes)
     near = scan_of(WAFFLE, [Disc(-0.7, 0.1)])
     return pattern.step(Inputs(now, 0.1, scan=near, is_new_scan=True, messages=messages))
 
@@ -53,7 +53,7 @@ def test_opinions_mean_the_distances_of_the_paper(
         assert pattern.parts["move"].params.distance == pytest.approx(distance)
 
 
-def test_it_stands_and_votes_for_the_time_to_discuss() -> None:
+def test_it_only_votes_for_the_time_to_discuss() -> None:
     pattern = made(initial=2)
     for now in (100.0, 110.0, 119.9):
         outputs = step(pattern, now)
@@ -67,10 +67,10 @@ def test_it_stands_and_votes_for_the_time_to_discuss() -> None:
 
 def test_it_shares_its_opinion_with_majority_rule_in_both_phases() -> None:
     pattern = made(initial=1, discuss=3.0)
-    said = [step(pattern, 0.5 * i).messages.get("majority_rule/opinion") for i in range(20)]
-    assert said[0] == 1
-    assert said[:6].count(1) >= 2
-    assert said[7:].count(1) >= 5
+    sent = [step(pattern, 0.5 * i).messages.get("majority_rule/opinion") for i in range(20)]
+    assert sent[0] == 1
+    assert sent[:6].count(1) >= 2
+    assert sent[7:].count(1) >= 5
 
 
 def test_a_change_of_opinion_changes_the_distance() -> None:

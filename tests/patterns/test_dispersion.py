@@ -1,4 +1,4 @@
-"""Dispersion: one step at a time, and seven robots on paper."""
+"""Dispersion: one step at a time, and seven robots in the plane."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def spread_out(platform: str, seed: int, *, room: float, **params: Value) -> Cou
     return Flatland(kind, patterns, poses, room=room, seed=seed).run(60.0)
 
 
-def test_stands_where_nothing_is_near() -> None:
+def test_rests_where_nothing_is_near() -> None:
     assert requested(scan_of(WAFFLE, [Disc(1.3, 0.0)], room=3.0)) == Twist()
 
 

@@ -136,7 +136,7 @@ def test_its_own_turn_is_not_motion_of_others(turned: float) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_left_and_right_are_alike(seed: int) -> None:
+def test_mirrored_scan_gives_the_mirrored_command(seed: int) -> None:
     rng = np.random.default_rng(seed)
     scan = of(*[(float(rng.uniform(0.5, 2.0)), 70.0 * i) for i in range(5)], room=4.0)
     here, there = requested(scan), requested(mirrored(scan))
@@ -185,14 +185,14 @@ def test_the_law_of_the_paper_turns_either_way_for_ahead_and_behind(
     assert {twist.linear for twist in turns} == {0.0 if arc[1] else 0.22}
 
 
-def test_the_law_of_the_paper_goes_on_turning_to_the_same_side() -> None:
+def test_the_law_of_the_paper_keeps_its_direction_of_turning() -> None:
     pattern = Subject(Flocking, BURGER, {"law": "paper"}).make(1)
     scan = _arcs([(3.0, 180.0, 3)], 360)
     steps = [pattern.step(Inputs(0.1 * k, 0.1, scan, True)).twist for k in range(20)]
     assert len({twist.angular for twist in steps if twist is not None}) == 1
 
 
-def test_the_law_of_the_paper_looks_at_each_new_scan() -> None:
+def test_the_law_of_the_paper_uses_each_new_scan() -> None:
     pattern = Subject(Flocking, BURGER, {"law": "paper"}).make()
     turns = []
     for k, side in enumerate((90.0, -90.0, 90.0)):

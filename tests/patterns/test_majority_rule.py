@@ -28,7 +28,7 @@ class TestMajorityRuleByRounds(PatternContract):
 
 
 def make(robot: str, seed: int = 0, **params: Value) -> MajorityRule:
-    """Its windows end in step unless told otherwise."""
+    """Its windows end in step by default."""
     pattern = assemble(
         "majority_rule",
         (("test", {"staggered": False, **params}),),

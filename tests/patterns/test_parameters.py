@@ -1,4 +1,4 @@
-"""What holds for the parameters of every built-in pattern."""
+"""The parameters of every built-in pattern."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def test_pattern_parameters_of_platform_files_are_valid(name: str, platform: str
     kind = FIND(name)
     layers = (("platform", robot.patterns.get(name, {})),)
     _, sources = build(kind.params_type, full_layers(kind, robot, layers))
-    said = robot.patterns.get(name, {})
-    assert {key for key, (_, source) in sources.items() if source == "platform"} == set(said)
+    given = robot.patterns.get(name, {})
+    assert {key for key, (_, source) in sources.items() if source == "platform"} == set(given)
 
 
 @pytest.mark.parametrize(

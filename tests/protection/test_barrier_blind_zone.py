@@ -19,11 +19,11 @@ AHEAD = Twist(0.5)
 NO_FAULT = 0.02
 
 
-def calm(platform: Platform, near: str = "lost", **told: object) -> Platform:
+def calm(platform: Platform, near: str = "lost", **more: object) -> Platform:
     """Obstacles are assumed to stand and to be fully visible; there is no keep-out circle."""
     scan = replace(platform.scan, near=near)  # type: ignore[arg-type]  # one of the two words
     settings = {"others_speed": 0.001, "surface_speed": 5.0, "unseen_extent": 0.0, "keep_out": None}
-    return under_barrier(replace(platform, scan=scan), **{**settings, **told})
+    return under_barrier(replace(platform, scan=scan), **{**settings, **more})
 
 
 def test_return_too_close_to_measure_counts_as_contact() -> None:

@@ -104,7 +104,7 @@ def test_lateral_motion_is_checked() -> None:
     assert cleared((0.2, 0.0), beside, along=(0.0, 1.0))[0] < 0.2
 
 
-def test_stands_between_walls() -> None:
+def test_gives_zero_between_walls() -> None:
     walls = [(x, y) for x in np.arange(-0.15, 0.1, 0.01) for y in (-HALF - 0.002, HALF + 0.002)]
     assert cleared((0.0, 1.0), *walls) == (0.0, 0.0)
 

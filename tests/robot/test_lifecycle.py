@@ -46,7 +46,7 @@ def test_load_in_a_silent_host_fails_after_3_s() -> None:
     assert standing_state(harness) == (State.STOPPED, Reason.LOAD_FAILED)
 
 
-def test_robot_stands_during_a_slow_load_and_then_runs() -> None:
+def test_command_is_zero_during_a_slow_load_until_the_next_run() -> None:
     harness = started()
     harness.is_hung = True
     run = harness.request("run", pattern="forward", params=BACK)

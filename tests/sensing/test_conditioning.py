@@ -1,3 +1,5 @@
+"""Conditioned scans: the meaning of each range, the memory of each ray, and rejected scans."""
+
 from __future__ import annotations
 
 import math
@@ -20,6 +22,19 @@ DRIVING = Odometry(0.0, Pose(), Twist(0.2))
 STANDING = Odometry(0.0, Pose(), Twist())
 
 
+LDS = replace(SPEC, zero="lds")
+LOST, NARROW = slice(5, 40), slice(100, 110)  # wider than may be bridged, and narrower
+Rays = int | slice | list[int] | Array
+
+
+def raw(fill: float, *changes: tuple[Rays, float]) -> Array:
+    """360 ranges, one a degree, that are `fill` but for some rays."""
+    ranges = np.full(360, fill)
+    for rays, value in changes:
+        ranges[rays] = value
+    return ranges
+
+
 def raw_scan(ranges: Array | float, seq: int, bearings: Array = BEARINGS) -> Scan:
     filled = np.broadcast_to(np.asarray(ranges, dtype=np.float64), bearings.shape).copy()
     return Scan(seq, seq * 0.2, filled, bearings, 0.0, 100.0)
@@ -32,8 +47,7 @@ def conditioned(conditioner: ScanConditioner, ranges: Array | float, seq: int) -
 
 
 def test_ranges_beyond_the_limits_become_infinite() -> None:
-    ranges = np.full(360, 1.0)
-    ranges[:4] = [0.05, 9.0, np.inf, -np.inf]
+    ranges = raw(1.0, (0, 0.05), (1, 9.0), (2, np.inf), (3, -np.inf))
     got = conditioned(ScanConditioner(SPEC), ranges, 1)
     assert got[:5].tolist() == [-np.inf, np.inf, np.inf, -np.inf, 1.0]
 
@@ -43,20 +57,13 @@ def test_ranges_beyond_the_limits_become_infinite() -> None:
 )
 def test_meaning_of_zero_comes_from_the_platform(zero: str, meaning: float) -> None:
     conditioner = ScanConditioner(replace(SPEC, zero=zero))
-    ranges = np.full(360, 1.0)
-    ranges[7] = 0.0
-    assert conditioned(conditioner, ranges, 1)[7] == meaning
+    assert conditioned(conditioner, raw(1.0, (7, 0.0)), 1)[7] == meaning
 
 
 def test_lds_zero_after_a_near_return_is_too_close() -> None:
-    conditioner = ScanConditioner(replace(SPEC, zero="lds"))
-    before = np.full(360, 2.0)
-    before[100] = 0.2
-    conditioned(conditioner, before, 1)
-    after = np.full(360, 2.0)
-    after[97:104] = 0.0
-    after[110] = 0.0
-    got = conditioned(conditioner, after, 2)
+    conditioner = ScanConditioner(LDS)
+    conditioned(conditioner, raw(2.0, (100, 0.2)), 1)
+    got = conditioned(conditioner, raw(2.0, (slice(97, 104), 0.0), (110, 0.0)), 2)
     assert (got[97:104] == -np.inf).all()
     assert got[110] == 2.0  # a drop-out: the ray had a return, so it keeps its last range
 
@@ -68,37 +75,28 @@ def test_lds_zero_after_a_near_return_is_too_close() -> None:
 def test_lost_lds_packet_beside_a_near_return_is_a_drop_out(
     first: int, width: int, is_lost: bool
 ) -> None:
-    conditioner = ScanConditioner(replace(SPEC, zero="lds"))
+    conditioner = ScanConditioner(LDS)
     rays = np.arange(first, first + width) % 360
-    before = np.full(360, 2.0)
-    before[(first + 3) % 360] = 0.2
-    conditioned(conditioner, before, 1)
-    after = before.copy()
-    after[rays] = 0.0
-    got = conditioned(conditioner, after, 2)
+    near = (first + 3) % 360, 0.2
+    before = conditioned(conditioner, raw(2.0, near), 1)
+    got = conditioned(conditioner, raw(2.0, near, (rays, 0.0)), 2)
     assert got[rays].tolist() == (before[rays] if is_lost else np.full(width, -np.inf)).tolist()
 
 
 def test_near_return_explains_lds_zeros_for_1_s() -> None:
-    conditioner = ScanConditioner(replace(SPEC, zero="lds"))
-    before = np.full(360, 2.0)
-    before[100] = 0.15
-    conditioned(conditioner, before, 1)
-    after = np.full(360, 2.0)
-    after[95:106] = 0.0
-    got = [conditioned(conditioner, after, seq) for seq in (2, 3, 4, 5, 7, 8)]
+    conditioner = ScanConditioner(LDS)
+    conditioned(conditioner, raw(2.0, (100, 0.15)), 1)
+    zeros = raw(2.0, (slice(95, 106), 0.0))
+    got = [conditioned(conditioner, zeros, seq) for seq in (2, 3, 4, 5, 7, 8)]
     assert [ranges[100] for ranges in got] == [-np.inf] * 4 + [np.inf] * 2
-    # What zeros are said to mean is no measurement, from which the next ray's would follow.
+    # A zero that counts as near does not make the zeros beside it near.
     assert [np.isneginf(ranges).sum() for ranges in got] == [7] * 4 + [0] * 2
 
 
 def test_lds_zero_without_a_recent_return_is_no_return() -> None:
-    conditioner = ScanConditioner(replace(SPEC, zero="lds"))
-    before = np.full(360, 2.0)
-    before[60] = np.inf
-    conditioned(conditioner, before, 1)
-    lost = np.full(360, 2.0)
-    lost[[50, 60]] = 0.0
+    conditioner = ScanConditioner(LDS)
+    conditioned(conditioner, raw(2.0, (60, np.inf)), 1)
+    lost = raw(2.0, ([50, 60], 0.0))
     got = [conditioned(conditioner, lost, seq) for seq in range(2, 7)]
     assert SPEC.stale_after == pytest.approx(0.7)
     assert [ranges[50] for ranges in got] == [2.0, 2.0, 2.0, np.inf, np.inf]
@@ -106,39 +104,32 @@ def test_lds_zero_without_a_recent_return_is_no_return() -> None:
 
 
 def test_ray_far_from_remembered_rays_has_no_memory() -> None:
-    """Half a turn was known; of the other half nothing is made up."""
+    """Only half a turn is remembered."""
     conditioner = ScanConditioner(replace(SPEC, bearings=BEARINGS[:180]))
     front = raw_scan(1.0, 1, BEARINGS[:180])
     assert isinstance(conditioner.take(front, DRIVING, 0.2), Scan)
-    ranges = np.full(360, 1.0)
-    ranges[186:201] = np.nan
-    assert conditioner.take(raw_scan(ranges, 2), DRIVING, 0.4) is Reason.INVALID_SCAN
+    lost = raw(1.0, (slice(186, 201), np.nan))
+    assert conditioner.take(raw_scan(lost, 2), DRIVING, 0.4) is Reason.INVALID_SCAN
 
 
 def facing(yaw: float) -> Odometry:
     return Odometry(0.0, Pose(0.0, 0.0, yaw), Twist(0.0, 1.0))
 
 
-def test_memory_turns_against_the_sensor() -> None:
-    conditioner = ScanConditioner(replace(SPEC, zero="lds"))
-    before = np.zeros(360)
-    before[60:80] = 1.0
-    before[200] = 0.15
+def test_memory_is_rotated_by_the_turn_of_the_robot() -> None:
+    conditioner = ScanConditioner(LDS)
+    before = raw(0.0, (slice(60, 80), 1.0), (200, 0.15))
     conditioner.take(raw_scan(before, 1), facing(3.0), 0.2)
-    after = np.zeros(360)
-    after[30:50] = 1.0
-    after[35:41] = 0.0  # a drop-out
+    after = raw(0.0, (slice(30, 50), 1.0), (slice(35, 41), 0.0))  # a drop-out
     scan = conditioner.take(raw_scan(after, 2), facing(3.0 + math.radians(30.0)), 0.4)
     assert isinstance(scan, Scan)
     assert np.flatnonzero(scan.ranges == 1.0).tolist() == list(range(30, 50))
     assert np.flatnonzero(np.isneginf(scan.ranges)).tolist() == list(range(167, 174))
 
 
-def test_slow_turns_add_up() -> None:
-    conditioner = ScanConditioner(replace(SPEC, zero="lds"))
-    ranges = np.zeros(360)
-    ranges[100] = 0.15
-    conditioner.take(raw_scan(ranges, 0), facing(0.0), 0.0)
+def test_memory_is_rotated_by_turns_of_less_than_a_ray() -> None:
+    conditioner = ScanConditioner(LDS)
+    conditioner.take(raw_scan(raw(0.0, (100, 0.15)), 0), facing(0.0), 0.0)
     for n in range(1, 10):
         scan = conditioner.take(raw_scan(np.zeros(360), n), facing(math.radians(0.3 * n)), 0.1 * n)
     assert isinstance(scan, Scan)
@@ -149,10 +140,8 @@ def test_slow_turns_add_up() -> None:
 def test_memory_stays_at_its_ray_without_a_heading(odometry: Odometry | None) -> None:
     conditioner = ScanConditioner(SPEC)
     conditioner.take(raw_scan(1.0, 1), facing(1.0), 0.2)
-    for seq, told in ((2, odometry), (3, facing(2.0))):
-        ranges = np.full(360, 2.0)
-        ranges[5] = np.nan
-        scan = conditioner.take(raw_scan(ranges, seq), told, 0.2 * seq)
+    for seq, measured in ((2, odometry), (3, facing(2.0))):
+        scan = conditioner.take(raw_scan(raw(2.0, (5, np.nan)), seq), measured, 0.2 * seq)
         assert isinstance(scan, Scan)
         assert scan.ranges[5] == 1.0
 
@@ -160,18 +149,14 @@ def test_memory_stays_at_its_ray_without_a_heading(odometry: Odometry | None) ->
 def test_unknown_ray_keeps_its_range_for_stale_after() -> None:
     conditioner = ScanConditioner(SPEC)
     conditioned(conditioner, 1.0, 1)
-    lost = np.full(360, 2.0)
-    lost[5:40] = np.nan  # wider than may be bridged
+    lost = raw(2.0, (LOST, np.nan))
     for seq in range(2, 5):
-        assert (conditioned(conditioner, lost, seq)[5:40] == 1.0).all()
+        assert (conditioned(conditioner, lost, seq)[LOST] == 1.0).all()
     assert conditioner.take(raw_scan(lost, 5), DRIVING, 1.0) is Reason.INVALID_SCAN
 
 
-LOST, NARROW = slice(5, 40), slice(100, 110)
-
-
 def ages(spec: ScanSpec, raws: list[Array]) -> list[float]:
-    """How old each scan is as it arrives, one every 0.2 s."""
+    """The age of each scan on arrival, one every 0.2 s."""
     conditioner, found = ScanConditioner(spec), []
     for seq, ranges in enumerate(raws):
         conditioned(conditioner, ranges, seq)
@@ -179,11 +164,8 @@ def ages(spec: ScanSpec, raws: list[Array]) -> list[float]:
     return found
 
 
-def lacking(*sectors: slice, what: float = np.nan) -> Array:
-    ranges = np.full(360, 2.0)
-    for sector in sectors:
-        ranges[sector] = what
-    return ranges
+def lacking(*sectors: slice, lost: float = np.nan) -> Array:
+    return raw(2.0, *((sector, lost) for sector in sectors))
 
 
 @pytest.mark.parametrize(
@@ -204,20 +186,19 @@ def test_scan_is_as_old_as_the_memory_of_its_lost_sector(
 
 
 def test_lds_zeros_do_not_age_a_scan() -> None:
-    """A zero that lasts stands for no return."""
-    raws = [lacking(), *[lacking(LOST, what=0.0)] * 5]
-    assert ages(replace(SPEC, zero="lds"), raws) == [0.0] * 6
+    """A zero that lasts means no return."""
+    raws = [lacking(), *[lacking(LOST, lost=0.0)] * 5]
+    assert ages(LDS, raws) == [0.0] * 6
     assert ages(replace(SPEC, zero="unknown"), raws[:4]) == [0.0, 0.2, 0.4, 0.6]
 
 
 def test_lost_sector_across_the_first_ray_ages_a_scan() -> None:
-    around = [slice(0, 10), slice(350, 360)]
-    assert ages(SPEC, [lacking(), lacking(*around)]) == [0.0, 0.2]
+    raws = [lacking(), lacking(slice(0, 10), slice(350, 360))]
+    assert ages(SPEC, raws) == [0.0, 0.2]
     clockwise = ScanConditioner(SPEC)
-    for seq, ranges in enumerate([lacking(), lacking(*around)]):
-        assert isinstance(
-            clockwise.take(raw_scan(ranges, seq, -BEARINGS), DRIVING, seq * 0.2), Scan
-        )
+    for seq, ranges in enumerate(raws):
+        got = clockwise.take(raw_scan(ranges, seq, -BEARINGS), DRIVING, seq * 0.2)
+        assert isinstance(got, Scan)
     assert clockwise.known_at == 0.0
 
 
@@ -232,15 +213,13 @@ def test_one_of_two_rays_is_a_lost_sector() -> None:
 @pytest.mark.parametrize("first", [20, 355], ids=["anywhere", "across the first ray"])
 @pytest.mark.parametrize("edge", [-1, 11])
 def test_narrow_unknown_sector_takes_the_nearer_edge(first: int, edge: int) -> None:
-    ranges, rays = np.full(360, 3.0), np.arange(first, first + 11) % 360
-    ranges[rays] = np.nan
-    ranges[(first + edge) % 360] = 1.5
+    rays = np.arange(first, first + 11) % 360
+    ranges = raw(3.0, (rays, np.nan), ((first + edge) % 360, 1.5))
     assert (conditioned(ScanConditioner(SPEC), ranges, 1)[rays] == 1.5).all()
 
 
 def test_at_least_half_of_the_rays_must_be_known() -> None:
-    ranges = np.full(360, 1.0)
-    ranges[::2] = np.nan
+    ranges = raw(1.0, (slice(None, None, 2), np.nan))
     conditioner = ScanConditioner(SPEC)
     assert (conditioned(conditioner, ranges, 1) == 1.0).all()
     ranges[1] = np.nan
@@ -249,17 +228,14 @@ def test_at_least_half_of_the_rays_must_be_known() -> None:
 
 @pytest.mark.parametrize("width", [12, 13])
 def test_sector_wider_than_max_gap_is_invalid(width: int) -> None:
-    ranges = np.full(360, 3.0)
-    ranges[20 : 20 + width - 1] = np.nan  # the gap reaches from known ray to known ray
+    ranges = raw(3.0, (slice(20, 20 + width - 1), np.nan))  # from known ray to known ray
     got = ScanConditioner(SPEC).take(raw_scan(ranges, 1), None, 0.0)
     assert isinstance(got, Scan) == (width <= 12)
 
 
 def test_memory_follows_the_bearing_when_the_rays_change() -> None:
     conditioner = ScanConditioner(SPEC)
-    before = np.full(360, 2.0)
-    before[90] = 0.5
-    conditioned(conditioner, before, 1)
+    conditioned(conditioner, raw(2.0, (90, 0.5)), 1)
     bearings = np.linspace(0.0, 2.0 * math.pi, 355, endpoint=False)
     ranges = np.full(355, 2.0)
     lost = int(np.argmin(np.abs(bearings - math.pi / 2)))
@@ -271,7 +247,7 @@ def test_memory_follows_the_bearing_when_the_rays_change() -> None:
 
 @pytest.mark.parametrize(("first", "last"), [(0, 90), (0, 1), (30, 347), (0, 345)])
 def test_scan_without_rays_in_a_sector_is_invalid(first: int, last: int) -> None:
-    """A sensor that looks all around has sent the beginning of a sweep, or some of it."""
+    """An incomplete revolution, unless the sensor never has rays there."""
     bearings = BEARINGS[first:last]
     got = ScanConditioner(SPEC).take(raw_scan(1.0, 1, bearings), None, 0.0)
     assert got is Reason.INVALID_SCAN
@@ -314,10 +290,8 @@ def test_repeated_scan_keeps_the_age_of_the_first() -> None:
 
 
 @pytest.mark.parametrize("odometry", [STANDING, None], ids=["standing", "unknown"])
-def test_repeats_of_a_standing_scene_are_frozen(
-    odometry: Odometry | None,
-) -> None:
-    """Else a robot that is set going would rest on a sweep from long ago."""
+def test_repeats_before_a_standing_robot_are_frozen(odometry: Odometry | None) -> None:
+    """Otherwise a robot that starts would rely on an old scan."""
     conditioner = ScanConditioner(NOISY)
     got = [conditioner.take(raw_scan(1.0, n), odometry, 7.0 + n * 0.2) for n in range(9)]
     assert got[3:] == [Reason.FROZEN_SCAN] * 6
@@ -325,8 +299,7 @@ def test_repeats_of_a_standing_scene_are_frozen(
 
 
 def test_few_equal_returns_are_valid_while_standing() -> None:
-    ranges = np.full(360, np.inf)
-    ranges[:7] = 1.0
+    ranges = raw(np.inf, (slice(7), 1.0))
     conditioner = ScanConditioner(NOISY)
     for n in range(9):
         assert isinstance(conditioner.take(raw_scan(ranges, n), STANDING, n * 0.2), Scan)
@@ -359,14 +332,11 @@ def test_restarted_sensor_is_accepted_after_3_scans() -> None:
 
 
 @pytest.mark.parametrize("nothing", [np.inf, 0.0])
-def test_sudden_loss_of_all_returns_is_invalid(
-    nothing: float,
-) -> None:
-    spec = replace(SPEC, zero="no_return")
-    conditioner, dark = ScanConditioner(spec), np.full(360, nothing)
-    some = np.where(np.arange(360) < 36, 2.0, np.inf)
+def test_sudden_loss_of_all_returns_is_invalid(nothing: float) -> None:
+    conditioner = ScanConditioner(replace(SPEC, zero="no_return"))
+    some = raw(np.inf, (slice(36), 2.0))
     assert isinstance(conditioner.take(raw_scan(some, 1), DRIVING, 0.2), Scan)
-    got = [conditioner.take(raw_scan(dark, n), DRIVING, n * 0.2) for n in range(2, 30)]
+    got = [conditioner.take(raw_scan(nothing, n), DRIVING, n * 0.2) for n in range(2, 30)]
     assert got == [Reason.INVALID_SCAN] * 28
     assert isinstance(conditioner.take(raw_scan(some, 30), DRIVING, 6.0), Scan)
 
@@ -374,7 +344,7 @@ def test_sudden_loss_of_all_returns_is_invalid(
 @pytest.mark.parametrize(("rays", "distance"), [(35, 2.0), (360, 3.2), (360, 0.2)])
 def test_few_or_near_returns_may_vanish_at_once(rays: int, distance: float) -> None:
     conditioner = ScanConditioner(SPEC)
-    some = np.where(np.arange(360) < rays, distance, np.inf)
+    some = raw(np.inf, (slice(rays), distance))
     assert isinstance(conditioner.take(raw_scan(some, 1), DRIVING, 0.2), Scan)
     assert isinstance(conditioner.take(raw_scan(np.inf, 2), DRIVING, 0.4), Scan)
 
