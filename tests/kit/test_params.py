@@ -70,7 +70,7 @@ def test_schema_has_types_choices_and_optionals() -> None:
 def test_a_parameter_without_default_is_required() -> None:
     required = [spec.name for spec in schema(Strict) if spec.is_required]
     assert required == ["high"]
-    with pytest.raises(ConfigError, match="high has no default; give it a float from 0 to 9"):
+    with pytest.raises(ConfigError, match="high has no default"):
         build(Strict, ())
 
 
@@ -146,7 +146,7 @@ def test_a_wrong_value_is_an_error_even_if_a_stronger_layer_replaces_it() -> Non
 
 
 def test_a_failed_post_init_check_is_a_config_error() -> None:
-    with pytest.raises(ConfigError, match="do not fit together: low is 3, high 2"):
+    with pytest.raises(ConfigError, match="low is 3, high 2"):
         build(Strict, (("test", {"low": 3.0, "high": 2.0}),))
 
 

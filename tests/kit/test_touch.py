@@ -127,7 +127,7 @@ def test_null_revokes_a_grant() -> None:
     ],
 )
 def test_a_zone_beyond_the_limits_is_refused(zone: object) -> None:
-    with pytest.raises(PluginError, match=r"pattern 'push': touches is .*; wanted a") as caught:
+    with pytest.raises(PluginError, match="'push': touches is") as caught:
         check_zone("push", zone)
     assert "\n" not in str(caught.value)
 

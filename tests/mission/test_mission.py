@@ -182,7 +182,7 @@ def test_a_change_that_breaks_a_map_value_is_refused(tmp_path: Path) -> None:
     )
     mission = made(tmp_path, text)
     mission.update(msgspec.structs.replace(mission.params, expiry=2.5))
-    with pytest.raises(ConfigError, match=r"tried.yaml:5: .* to 2.4 .* expiry is 2 s, less than"):
+    with pytest.raises(ConfigError, match=r"yaml:5: .* 2\.4 .* expiry is 2 s"):
         mission.update(msgspec.structs.replace(mission.params, expiry=2.0))
     assert mission.parts["vote"].params.expiry == 2.5
 
@@ -195,7 +195,7 @@ def test_a_refusal_at_run_time_does_not_need_the_file(tmp_path: Path, now: str) 
         path.write_text(now)
     else:
         path.unlink()
-    with pytest.raises(ConfigError, match="no value for opinion 3; vote has 4 opinions"):
+    with pytest.raises(ConfigError, match="no value for opinion 3"):
         mission.update(msgspec.structs.replace(mission.params, opinions=4))
 
 
@@ -266,5 +266,5 @@ def test_a_map_value_that_only_update_refuses_is_a_fault(
         "map: [{from: brief.count, to: vote.window, values: {a: 1.0}}]\n"
         "parallel: [vote, brief]\ndrives: brief\n"
     )
-    with pytest.raises(ConfigError, match=r"tried.yaml:5: .* sets vote.window to 1.0 .* not while"):
+    with pytest.raises(ConfigError, match=r"yaml:5: .* vote\.window to 1\.0"):
         made(tmp_path, text)

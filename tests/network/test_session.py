@@ -142,7 +142,7 @@ def test_loopback_that_is_down_is_reported_with_the_remedy() -> None:
 
 
 def test_an_unknown_interface_is_named_with_those_there_are(settings: NetworkSettings) -> None:
-    with pytest.raises(NetworkError, match=r"no network interface 'wlan9'.*\blo\b"):
+    with pytest.raises(NetworkError, match=r"'wlan9'.*\blo\b"):
         open_session(replace(settings, profile="field", interface="wlan9"))
 
 

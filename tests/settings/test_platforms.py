@@ -225,7 +225,7 @@ def test_refuses_unknown_names(name: str) -> None:
 def test_a_stop_zone_below_range_min_is_refused(folder: Path) -> None:
     zone = {"stop": 0.3, "slow": 0.9}
     blind = {"extends": "jackal", "protection": {"mode": "stop_zone", "stop_zone": zone}}
-    with pytest.raises(ConfigError, match=r"protection\.stop_zone\.stop of at least 0\.59"):
+    with pytest.raises(ConfigError, match=r"stop_zone\.stop .* 0\.59"):
         load_platform(write(folder, blind))
     zone["stop"] = 0.59
     assert load_platform(write(folder, blind)).protection["mode"] == "stop_zone"
@@ -234,7 +234,7 @@ def test_a_stop_zone_below_range_min_is_refused(folder: Path) -> None:
 def test_a_wrong_footprint_is_refused_in_every_mode(folder: Path) -> None:
     corners = [[0, 0], [1, 0], [1, 0], [0, 1]]
     bad = {"extends": "burger", "footprint": corners, "protection": {"mode": "stop_zone"}}
-    with pytest.raises(ConfigError, match="footprint has the same corner twice"):
+    with pytest.raises(ConfigError, match="footprint .* corner twice"):
         load_platform(write(folder, bad))
 
 

@@ -43,7 +43,7 @@ def test_without_file_and_options_a_robot_is_named_for_its_host(
 
 def test_an_invalid_host_name_requires_an_id(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "gethostname", lambda: "my robot")
-    with pytest.raises(ConfigError, match=r"taken from the host name .* --id.* 'my robot'; wanted"):
+    with pytest.raises(ConfigError, match="host name .* 'my robot'"):
         load()
 
 
@@ -77,7 +77,7 @@ def test_driver_options_of_the_platform_name_it_as_source(
 
 def test_an_included_file_may_not_set_the_id(folder: Path) -> None:
     (folder / "swarm.yaml").write_text("swarm: lab\nid: r1")
-    with pytest.raises(ConfigError, match=r"^swarm\.yaml: no key 'id'; there are: "):
+    with pytest.raises(ConfigError, match=r"^swarm\.yaml: no key 'id'"):
         load("swarm_file: swarm.yaml")
 
 

@@ -59,7 +59,7 @@ def test_a_wrong_name_or_value_is_found(load: Load, changes: dict[str, Any], fau
 
 def test_a_wrong_parameter_that_was_set_is_not_looked_for_in_the_file(load: Load) -> None:
     effective = load().effective
-    with pytest.raises(ConfigError, match=r"^--set: groups\.red\.parameters\.spaceing"):
+    with pytest.raises(ConfigError, match=r"^--set: groups\.red.*\.spaceing"):
         scenario_of(effective, {"groups.red.parameters.spaceing": 1})
 
 
@@ -67,7 +67,7 @@ def test_a_robot_must_sense_what_the_pattern_needs(load: Load, tmp_path: Path) -
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "needy.py").write_text(_NEEDY)
     changes = {"plugin_dir": "mine", "groups.blue.pattern": "needy"}
-    with pytest.raises(ConfigError, match=r"groups.blue.pattern: .*neighbors.distance"):
+    with pytest.raises(ConfigError, match=r"blue.*neighbors\.distance"):
         load(changes)
     assert load({**changes, "radio": {"range_and_bearing": True}}).plugin_dir == tmp_path / "mine"
 

@@ -125,7 +125,7 @@ def test_a_robot_without_room_is_named(load: Load, changes: dict[str, Any], faul
 
 def test_a_seed_without_room_is_refused(load: Load) -> None:
     crowd = load({"groups.red.count": 40, RED: {"layout": "random", "clearance": 0.6}})
-    with pytest.raises(ConfigError, match=r"here.yaml: groups.red.start: .*red-\d\d"):
+    with pytest.raises(ConfigError, match=r"groups\.red\.start: .*red-\d\d"):
         crowd.starts(0)
 
 
