@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, field
 
-from swarmd.core.messages import Scalar
+from swarmd.core.messages import BoundedScalar
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.sim.world.radio import RadioSettings
 
@@ -17,7 +17,7 @@ Degrees = Annotated[float, Meta(ge=-360.0, le=360.0)]
 Seconds = Annotated[float, Meta(gt=0.0, le=1e6)]
 Point = tuple[Coordinate, Coordinate]
 Placed = tuple[Coordinate, Coordinate, Degrees]
-Values = dict[str, Scalar | None]
+Values = dict[str, BoundedScalar | None]
 Targets = str | list[str]
 
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 
 from swarmd.cli.output import seconds
-from swarmd.core.messages import Condition, DecisionSummary, Member, Reason, Row, State
+from swarmd.core.messages import Condition, DecisionSummary, LimitingObstacle, Member, Reason, State
 
 _SAME_OBSTACLE = math.radians(10.0)
 _START = "start it with `swarmctl run PATTERN {robot}`"
@@ -82,12 +82,12 @@ def why(member: Member) -> str:
     return f"{status.state}: {sentence}"
 
 
-def obstacles(rows: Iterable[Row]) -> Iterator[tuple[str, Row]]:
+def obstacles(rows: Iterable[LimitingObstacle]) -> Iterator[tuple[str, LimitingObstacle]]:
     """Each obstacle as `an obstacle at -30 deg, 0.21 m`, with its first row.
 
     Rows within 10 deg of one another count as one obstacle.
     """
-    seen: list[Row] = []
+    seen: list[LimitingObstacle] = []
     for row in rows:
         if all(math.cos(row.bearing - one.bearing) <= math.cos(_SAME_OBSTACLE) for one in seen):
             seen.append(row)

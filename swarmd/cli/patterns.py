@@ -8,7 +8,6 @@ from typing import Any
 
 import click
 
-from swarmd.cli.inspect import Row, check_mission, describe_patterns
 from swarmd.cli.options import CommonOptions, VerbGroup, local_options
 from swarmd.cli.output import (
     NOTHING,
@@ -19,6 +18,7 @@ from swarmd.cli.output import (
     printable,
     warn,
 )
+from swarmd.cli.plugin_check import Record, check_mission, describe_patterns
 from swarmd.core.errors import PluginError
 
 _plugin_dir = click.option(
@@ -121,7 +121,7 @@ def check(options: CommonOptions, file: Path, platform: str, plugin_dir: Path | 
         click.get_current_context().exit(2)
 
 
-def _about(row: Row) -> list[tuple[str, str]]:
+def _about(row: Record) -> list[tuple[str, str]]:
     channels = (f"{name} ({kind})" for name, kind in row["channels"].items())
     lacking = f" (lacking: {', '.join(row['missing'])})" if row["missing"] else ""
     return [

@@ -71,7 +71,7 @@ def check(options: CommonOptions, file: Path) -> None:
 
     The file is imported in a process of its own. `--timeout` is for each point [30s].
     """
-    from swarmd.cli.inspect import check_file
+    from swarmd.cli.plugin_check import check_file
 
     if file.suffix != ".py":
         raise click.UsageError(

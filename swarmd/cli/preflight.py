@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from swarmd.cli.inspect import Row, describe_patterns
+from swarmd.cli.plugin_check import Record, describe_patterns
 from swarmd.core.errors import SwarmError, unknown
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.driver_api.driver import Driver, Finding, check_protected
@@ -143,7 +143,7 @@ def check_patterns(settings: DaemonSettings) -> Iterator[Finding]:
     yield from _check_touch(settings, by_name)
 
 
-def _check_parameters(settings: DaemonSettings, rows: Mapping[str, Row]) -> Iterator[Finding]:
+def _check_parameters(settings: DaemonSettings, rows: Mapping[str, Record]) -> Iterator[Finding]:
     """Faults in the configured parameters of this robot's patterns."""
     parameters = settings.parameters
     own = [parameters.labels.get(label, {}) for label in settings.labels]
@@ -159,7 +159,7 @@ def _check_parameters(settings: DaemonSettings, rows: Mapping[str, Row]) -> Iter
                     yield Finding("parameters", False, f"{source}: {name}: {fault}")
 
 
-def _check_touch(settings: DaemonSettings, rows: Mapping[str, Row]) -> Iterator[Finding]:
+def _check_touch(settings: DaemonSettings, rows: Mapping[str, Record]) -> Iterator[Finding]:
     """Each pattern with a touch zone, and whether the pattern asks for it."""
     for name, zone in settings.touch_zones.items():
         if name not in rows:
@@ -169,7 +169,7 @@ def _check_touch(settings: DaemonSettings, rows: Mapping[str, Row]) -> Iterator[
         yield Finding("touch", True, f"{name}: granted {describe_zone(zone)}; it asks for {asked}")
 
 
-def _parameter_fault(specs: Mapping[str, Row], key: str, value: object) -> str:
+def _parameter_fault(specs: Mapping[str, Record], key: str, value: object) -> str:
     """What is wrong with a parameter by its name, type and bounds; empty if nothing."""
     if key not in specs:
         return unknown("parameter", key, specs)

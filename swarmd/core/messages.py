@@ -21,7 +21,7 @@ Name = Annotated[str, Meta(min_length=1, max_length=63)]
 Word = Annotated[str, Meta(max_length=64)]
 Line = Annotated[str, Meta(max_length=1000)]
 ReasonText = Annotated[str, Meta(max_length=256)]
-Scalar = (
+BoundedScalar = (
     bool
     | Annotated[int, Meta(ge=-(2**53), le=2**53)]
     | Annotated[float, Meta(ge=-1e300, le=1e300)]
@@ -104,7 +104,7 @@ class Epoch(Struct, frozen=True):
 
 
 Epochs = dict[Name, Epoch | None]
-ParamValues = dict[Word, Scalar | None]
+ParamValues = dict[Word, BoundedScalar | None]
 
 
 class _AnyRequest(Struct, frozen=True, kw_only=True, tag_field="verb"):
@@ -207,7 +207,7 @@ class Reply(Struct, frozen=True, kw_only=True):
     epoch: Epoch | None = None
 
 
-class Row(Struct, frozen=True):
+class LimitingObstacle(Struct, frozen=True):
     """One obstacle that constrains the command.
 
     `bearing` in rad from the axle, `gap` in m to the footprint, `cap` in m/s: the highest speed
@@ -235,7 +235,7 @@ class DecisionSummary(Struct, frozen=True, kw_only=True):
     safe_angular: Speed = 0.0
     min_gap: Metres | None = None
     scan_age: Seconds | None = None
-    rows: tuple[Row, ...] = ()
+    rows: tuple[LimitingObstacle, ...] = ()
     is_recovering: bool = False
     duty: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     decisions: Count = 0
@@ -271,7 +271,7 @@ class LoggedEvent(Struct, frozen=True, kw_only=True):
 class Param(Struct, frozen=True, kw_only=True):
     """The value of a parameter and the layer it comes from."""
 
-    value: Scalar | None
+    value: BoundedScalar | None
     source: Word
 
 
@@ -299,11 +299,11 @@ class Status(Struct, frozen=True, kw_only=True):
     latches: dict[Name, Latch]
     labels: tuple[Word, ...]
     params: dict[Word, Param]
-    report: dict[Word, Scalar]
+    report: dict[Word, BoundedScalar]
     decision: DecisionSummary
     health: Health
     uptime: Seconds
-    readings: dict[Word, Scalar] = {}
+    readings: dict[Word, BoundedScalar] = {}
     events: tuple[LoggedEvent, ...] = ()
     has_left: bool = False
 

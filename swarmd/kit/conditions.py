@@ -14,7 +14,7 @@ from typing import Annotated, TypeAlias
 from msgspec import Meta, Struct, field
 
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.messages import Scalar
+from swarmd.core.messages import BoundedScalar
 
 MAX_SECONDS = 1e7
 MAX_CONDITIONS = 16
@@ -65,7 +65,7 @@ class Report(Struct, frozen=True, tag="report", forbid_unknown_fields=True):
     """A reported value equals a value, or is above or below a number; exactly one of them."""
 
     name: str = field(name="report")
-    value: Scalar | None = field(name="is", default=None)
+    value: BoundedScalar | None = field(name="is", default=None)
     above: Bound | None = None
     below: Bound | None = None
 
@@ -200,7 +200,7 @@ def _number(text: str, word: str) -> float:
     return value
 
 
-def _scalar(word: str) -> Scalar:
+def _scalar(word: str) -> BoundedScalar:
     if word in ("true", "false"):
         return word == "true"
     for kind in (int, float):

@@ -24,7 +24,7 @@ from swarmd.mission.schema import (
     Document,
     Element,
     Parallel,
-    Run,
+    RunPart,
     Sequence,
     Switch,
     conditions,
@@ -287,7 +287,7 @@ class _Node(ABC):
 
 
 class _RunNode(_Node):
-    def __init__(self, element: Run) -> None:
+    def __init__(self, element: RunPart) -> None:
         super().__init__(element)
         self._part = element.part
 
@@ -401,7 +401,7 @@ class _SwitchNode(_Node):
 
 def _node(element: Element) -> _Node:
     match element:
-        case Run():
+        case RunPart():
             return _RunNode(element)
         case Sequence():
             return _SequenceNode(element)

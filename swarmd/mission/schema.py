@@ -1,7 +1,8 @@
 """The file of a mission as tagged structs, and what can be checked in it without its patterns.
 
-An element is a Run, Sequence, Parallel or Switch; the key that names its kind (`part`, `sequence`,
-`parallel`, `switch`) is the tag. `swarmd.mission.validate` checks what needs the patterns.
+An element is a RunPart, Sequence, Parallel or Switch; the key that names its kind (`part`,
+`sequence`, `parallel`, `switch`) is the tag. `swarmd.mission.validate` checks what needs the
+patterns.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from msgspec import Meta, Struct
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import is_id
-from swarmd.core.messages import Scalar
+from swarmd.core.messages import BoundedScalar
 from swarmd.kit.conditions import Condition, Done, Report, Settled
 from swarmd.settings.layered import Fault, Keys, fault_at, read
 from swarmd.settings.yamlfile import key_lines, shown
@@ -50,7 +51,7 @@ class ElementBase(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
         return self.name
 
 
-class Run(ElementBase, frozen=True, tag="part"):
+class RunPart(ElementBase, frozen=True, tag="part"):
     """Steps one part, which drives."""
 
     part: Annotated[str, Meta(min_length=1, description="the name of a part")]
@@ -86,14 +87,14 @@ class Switch(ElementBase, frozen=True, tag="switch"):
     children: Elements = msgspec.field(name="switch")
 
 
-Element: TypeAlias = Run | Sequence | Parallel | Switch
+Element: TypeAlias = RunPart | Sequence | Parallel | Switch
 
 
 class Part(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """A pattern with its parameters; `private`: only robots of this mission hear its messages."""
 
     pattern: Annotated[str, Meta(min_length=1, description="the name of a pattern")]
-    params: dict[str, Scalar | None] = {}
+    params: dict[str, BoundedScalar | None] = {}
     private: bool = False
 
 
@@ -106,7 +107,9 @@ class Map(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     source: str = msgspec.field(name="from")
     target: str = msgspec.field(name="to")
-    values: Annotated[list[Scalar] | dict[str, Scalar], Meta(min_length=1)] | None = None
+    values: Annotated[list[BoundedScalar] | dict[str, BoundedScalar], Meta(min_length=1)] | None = (
+        None
+    )
     base: Number | None = None
     step: Number | None = None
     count: Annotated[int, Meta(ge=1, le=1000)] | None = None
@@ -222,12 +225,12 @@ def conditions(root: Element | None) -> Iterator[tuple[Keys, Condition]]:
 
 def parts_in(element: Element) -> set[str]:
     """The parts that it steps."""
-    return {one.part for _, one in elements(element) if isinstance(one, Run)}
+    return {one.part for _, one in elements(element) if isinstance(one, RunPart)}
 
 
 def driving_parts(element: Element) -> Iterator[str]:
     """The parts that may drive."""
-    if isinstance(element, Run):
+    if isinstance(element, RunPart):
         yield element.part
     for child in element.children:
         if not isinstance(element, Parallel) or child.label == element.drives:
@@ -277,7 +280,7 @@ def _can_end(element: Element) -> bool:
 def _check(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
     """What the types of a struct cannot express."""
     match value:
-        case Run():
+        case RunPart():
             yield from _check_part(value.part, (*keys, "part"), names)
         case Sequence():
             yield from _check_sequence(value, keys)

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from swarmd.core.errors import SwarmError, unknown
-from swarmd.core.messages import Scalar
+from swarmd.core.messages import BoundedScalar
 from swarmd.core.values import Inputs
 from swarmd.kit.behavior import Make, Pattern
 from swarmd.kit.combined import outer_name
@@ -21,7 +21,7 @@ from swarmd.mission.schema import Document, Map, Reference, conditions, report_o
 from swarmd.settings.layered import Fault, Keys, fault_at
 
 Parts = Mapping[str, Pattern[Any]]
-Table = Mapping[Scalar, Scalar]
+Table = Mapping[BoundedScalar, BoundedScalar]
 T = TypeVar("T")
 
 
@@ -86,7 +86,7 @@ def build_setters(
             continue
         count = (opinions or {}).get(source[0], getattr(parts[source[0]].params, "opinions", 0))
         is_opinion = isinstance(parts[source[0]], VotingPattern) and source[1] == OPINION
-        table: dict[Scalar, Scalar] = {}
+        table: dict[BoundedScalar, BoundedScalar] = {}
         for reported, value in _values(builder, keys, one, count if is_opinion else None).items():
             prefix = f"sets {one.target} to {value} where {one.source} is {reported}: "
             tried = _noting(builder, keys, partial(_tried, builder, target, value), prefix)
@@ -140,7 +140,7 @@ def _values(builder: PartBuilder, keys: Keys, one: Map, opinions: int | None) ->
 
     `opinions`: how many the source has; None if it is not the opinion of a vote.
     """
-    table: dict[Scalar, Scalar]
+    table: dict[BoundedScalar, BoundedScalar]
     if one.values is not None:
         rows = enumerate(one.values) if isinstance(one.values, list) else one.values.items()
         table = dict(rows)
@@ -159,7 +159,7 @@ def _values(builder: PartBuilder, keys: Keys, one: Map, opinions: int | None) ->
     return table
 
 
-def _tried(builder: PartBuilder, target: Reference, value: Scalar) -> Scalar:
+def _tried(builder: PartBuilder, target: Reference, value: BoundedScalar) -> BoundedScalar:
     """The value as the target's parameter holds it; SwarmError if it would be refused."""
     part, name = target
     started = builder(part, **{name: value})

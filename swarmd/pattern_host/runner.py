@@ -26,7 +26,7 @@ from swarmd.core.host_messages import (
     TrialDone,
     refusal_of,
 )
-from swarmd.pattern_host.process import HostProcess, Trial, trial_done, why_it_ended
+from swarmd.pattern_host.host_process import HostProcess, TrialProcess, trial_done, why_it_ended
 from swarmd.pattern_host.wire import decode_event, encode_command
 from swarmd.plugins import check_single, installed_patterns, pattern_names
 
@@ -90,7 +90,7 @@ class ProcessRunner:
         self._respawn: asyncio.TimerHandle | None = None
         self._is_closed = False
         self._dying: list[HostProcess] = []
-        self._trial: Trial | None = None
+        self._trial: TrialProcess | None = None
         self.dropped = 0
         self._host: HostProcess | None = HostProcess(loop, self)
 
@@ -194,7 +194,9 @@ class ProcessRunner:
         number = load.generation
         try:
             frame = encode_command(self._with_origins(load))
-            self._trial = Trial(self._loop, number, frame, self._on_trial_done, self.on_reaped)
+            self._trial = TrialProcess(
+                self._loop, number, frame, self._on_trial_done, self.on_reaped
+            )
         except (PluginError, CodecError, OSError) as error:
             self._events.append(TrialDone(number, str(error), refusal_of(error)))
             self._loop.call_soon(self._wake)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.core.messages import Row
+from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import Array, Limits, Platform, Pose, TouchZone, Twist
 from swarmd.protection.footprint import Footprint, Separations
 from swarmd.protection.projection import Point
@@ -50,7 +50,7 @@ def concatenated(one: Constraints, other: Constraints) -> Constraints:
     return Constraints(*(np.concatenate(pair) for pair in zip(one, other, strict=True)))
 
 
-def report(rows: Constraints, tight: list[int], outline: Footprint) -> tuple[Row, ...]:
+def report(rows: Constraints, tight: list[int], outline: Footprint) -> tuple[LimitingObstacle, ...]:
     """The constraints that bind the command, those with the lowest caps first.
 
     The gap of a reported constraint is measured from the outline, also where the constraint is
@@ -64,7 +64,9 @@ def report(rows: Constraints, tight: list[int], outline: Footprint) -> tuple[Row
     shown = order[:MAX_REPORTED]
     gaps = outline.gaps(np.stack((rows.x[shown], rows.y[shown]), axis=1)) if shown else ()
     return tuple(
-        Row(math.atan2(float(rows.y[i]), float(rows.x[i])), float(gap), float(rows.caps[i]))
+        LimitingObstacle(
+            math.atan2(float(rows.y[i]), float(rows.x[i])), float(gap), float(rows.caps[i])
+        )
         for i, gap in zip(shown, gaps, strict=True)
     )
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec import Struct
 
-from swarmd.core.messages import Reason, Row
+from swarmd.core.messages import LimitingObstacle, Reason
 from swarmd.core.values import Odometry, TouchZone, Twist
 
 
@@ -35,7 +35,7 @@ class ModeDecision(Struct, frozen=True):
 
     twist: Twist
     is_active: bool
-    rows: tuple[Row, ...] = ()
+    rows: tuple[LimitingObstacle, ...] = ()
 
 
 class Decision(Struct, frozen=True):
@@ -54,7 +54,7 @@ class Decision(Struct, frozen=True):
     safe: Twist
     reason: Reason | None
     is_active: bool
-    rows: tuple[Row, ...]
+    rows: tuple[LimitingObstacle, ...]
     min_gap: float | None
     scan_age: float | None
     scan_seq: int

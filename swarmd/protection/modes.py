@@ -8,7 +8,7 @@ from __future__ import annotations
 import msgspec
 import numpy as np
 
-from swarmd.core.messages import Row
+from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import ZERO, Platform, Scan, TouchZone, Twist
 from swarmd.protection.decision import DecisionContext, ModeDecision
 from swarmd.protection.footprint import Footprint, ScanGeometry
@@ -119,11 +119,13 @@ class StopZone:
             return ModeDecision(requested, is_active=False)
         gap, bearing = self._nearest
         if gap <= settings.stop:
-            return ModeDecision(ZERO, is_active=True, rows=(Row(bearing, gap, 0.0),))
+            return ModeDecision(ZERO, is_active=True, rows=(LimitingObstacle(bearing, gap, 0.0),))
         if gap > settings.slow:
             return ModeDecision(requested, is_active=False)
         share = settings.slow_share
         twist = Twist(
             share * requested.linear, share * requested.angular, share * requested.lateral
         )
-        return ModeDecision(twist, is_active=True, rows=(Row(bearing, gap, share * self._limit),))
+        return ModeDecision(
+            twist, is_active=True, rows=(LimitingObstacle(bearing, gap, share * self._limit),)
+        )

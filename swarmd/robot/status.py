@@ -8,8 +8,7 @@ from typing import Any
 
 import msgspec
 
-from swarmd.core.messages import DecisionSummary, Health, Param, Reason, Status
-from swarmd.core.messages import Scalar as BoundedScalar
+from swarmd.core.messages import BoundedScalar, DecisionSummary, Health, Param, Reason, Status
 from swarmd.core.values import Scalar
 from swarmd.protection.decision import Decision
 from swarmd.robot.lifecycle import Lifecycle

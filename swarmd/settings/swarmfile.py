@@ -13,15 +13,15 @@ from msgspec import Struct
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import check_id
-from swarmd.core.messages import Scalar
+from swarmd.core.messages import BoundedScalar
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.layered import Fault, Keys, Layered, dotted, fault_at
 from swarmd.settings.yamlfile import Data, read, shown
 
 DEFAULT = "default"
-Parameters = dict[str, dict[str, Scalar | None]]
-Option = Scalar | list[Scalar] | dict[str, Scalar | list[Scalar]] | None
+Parameters = dict[str, dict[str, BoundedScalar | None]]
+Option = BoundedScalar | list[BoundedScalar] | dict[str, BoundedScalar | list[BoundedScalar]] | None
 Options = dict[str, Option]
 
 # Command-line options that are not named like their key.

@@ -7,7 +7,7 @@ import math
 import msgspec
 
 from swarmd.cli.describe import sections
-from swarmd.core.messages import DecisionSummary, Member, Reason, Row, Status
+from swarmd.core.messages import DecisionSummary, LimitingObstacle, Member, Reason, Status
 from tests.support.statuses import ESTOPPED, make_member
 
 
@@ -41,9 +41,9 @@ def test_shows_the_status_in_groups() -> None:
 
 def test_shows_each_obstacle_that_limits_the_command() -> None:
     rows = (
-        Row(math.radians(-30.4), 0.208, 0.0),
-        Row(math.radians(-33.0), 0.208, 0.01),  # the same wall
-        Row(math.pi, 0.4, 0.123),
+        LimitingObstacle(math.radians(-30.4), 0.208, 0.0),
+        LimitingObstacle(math.radians(-33.0), 0.208, 0.01),  # the same wall
+        LimitingObstacle(math.pi, 0.4, 0.123),
     )
     decision = DecisionSummary(mode="barrier", is_active=True, is_recovering=True, rows=rows)
     member = make_member(decision=decision)
@@ -69,7 +69,7 @@ def test_shows_every_field_of_a_status() -> None:
 
 
 def test_shows_no_minus_zero() -> None:
-    rows = (Row(-0.001, -0.001, -0.001),)
+    rows = (LimitingObstacle(-0.001, -0.001, -0.001),)
     decision = DecisionSummary(requested_angular=-1e-5, safe_linear=-0.0, rows=rows)
     text = repr(shown(make_member(decision=decision, report={"turn": -0.0}, readings={"x": -0.0})))
     assert "-0" not in text

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from swarmd.cli.explain import obstacles, why
-from swarmd.core.messages import Condition, DecisionSummary, Health, Reason, Row, State
+from swarmd.core.messages import Condition, DecisionSummary, Health, LimitingObstacle, Reason, State
 from tests.support.statuses import ESTOPPED, make_member
 
 
@@ -52,7 +52,7 @@ def test_an_emergency_stop_names_its_issuer_and_the_reset() -> None:
 def test_the_obstacle_that_limits_a_robot_is_named(
     changes: dict[str, Any], is_held: bool, words: str
 ) -> None:
-    rows = (Row(math.radians(-30.2), 0.214, 0.0), Row(0.0, 0.3, 0.1))
+    rows = (LimitingObstacle(math.radians(-30.2), 0.214, 0.0), LimitingObstacle(0.0, 0.3, 0.1))
     decision = DecisionSummary(rows=rows if "is_active" in changes else (), **changes)
     text = why(make_member(decision=decision, reason=Reason.PROTECTION if is_held else None))
     assert text.startswith("running drive, not moving: " if is_held else "running drive, moving")
@@ -60,8 +60,12 @@ def test_the_obstacle_that_limits_a_robot_is_named(
 
 
 def test_each_obstacle_is_given_once_and_never_at_minus_zero() -> None:
-    rows = (Row(-0.001, -0.004, 0.0), Row(math.radians(9.0), 0.1, 0.1), Row(3.14, 0.2, 0.1),
-            Row(-3.14, 0.2, 0.1))  # fmt: skip
+    rows = [
+        LimitingObstacle(-0.001, -0.004, 0.0),
+        LimitingObstacle(math.radians(9.0), 0.1, 0.1),
+        LimitingObstacle(3.14, 0.2, 0.1),
+        LimitingObstacle(-3.14, 0.2, 0.1),
+    ]
     texts = [text for text, _ in obstacles(rows)]
     assert texts == ["an obstacle at 0 deg, 0.00 m", "an obstacle at 180 deg, 0.20 m"]
 

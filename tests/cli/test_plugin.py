@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from swarmd.cli.inspect import (
+from swarmd.cli.plugin_check import (
     NO_OUTPUT,
     NO_SIDE_EFFECTS,
     SKIPPED,
@@ -20,7 +20,7 @@ from swarmd.cli.inspect import (
 )
 from swarmd.cli.swarmctl import cli, run_cli
 from swarmd.core.errors import PluginError, SwarmError
-from swarmd.pattern_host.inspect import LOADING, MIRRORED
+from swarmd.pattern_host.plugin_inspector import LOADING, MIRRORED
 from swarmd.plugins import pattern_names
 from swarmd.testing.pattern_contract import PatternContract
 

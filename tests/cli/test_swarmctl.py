@@ -12,7 +12,7 @@ from pathlib import Path
 import click
 import pytest
 
-from swarmd.cli.inspect import describe_patterns
+from swarmd.cli.plugin_check import describe_patterns
 from swarmd.cli.swarmctl import VERBS, cli, exit_code_of, run_cli
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from tests.support.processes import run_command, unique_swarm

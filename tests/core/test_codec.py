@@ -9,7 +9,7 @@ from msgspec import Struct
 
 from swarmd.core.codec import MAX_DEPTH, MAX_MESSAGE, Decoder, decode_value, encode, encode_value
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import DecisionSummary, Epoch, RequestHeader, Row, RunRequest
+from swarmd.core.messages import DecisionSummary, Epoch, LimitingObstacle, RequestHeader, RunRequest
 
 OPEN = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text(),
@@ -61,7 +61,11 @@ def test_other_versions_truncated_and_oversized_bytes_are_unreadable(payload: by
         *(DecisionSummary(safe_linear=speed) for speed in (math.nan, math.inf, 1e9)),
         *(
             DecisionSummary(rows=(row,))
-            for row in (Row(9.0, 0.1, 0.1), Row(0.0, math.inf, 0.1), Row(0.0, 0.1, 1e9))
+            for row in (
+                LimitingObstacle(9.0, 0.1, 0.1),
+                LimitingObstacle(0.0, math.inf, 0.1),
+                LimitingObstacle(0.0, 0.1, 1e9),
+            )
         ),
     ],
 )
@@ -80,7 +84,10 @@ class OlderSummary(Struct):
 
 
 def test_a_summary_comes_through_as_it_was_and_one_of_an_older_peer_too() -> None:
-    summary = DecisionSummary(rows=(Row(-0.5, 0.21, 0.0), Row(3.0, 0.4, 0.1)), is_recovering=True)
+    summary = DecisionSummary(
+        rows=(LimitingObstacle(-0.5, 0.21, 0.0), LimitingObstacle(3.0, 0.4, 0.1)),
+        is_recovering=True,
+    )
     assert Decoder(DecisionSummary)(encode(summary)) == summary
     read = Decoder(DecisionSummary)(encode(OlderSummary()))
     assert (read.is_active, read.rows, read.is_recovering) == (True, (), False)

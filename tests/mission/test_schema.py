@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.pattern_host.inspect import check_mission
+from swarmd.pattern_host.plugin_inspector import check_mission
 from swarmd.plugins import pattern_names
 from tests.support.mission_parts import PLATFORM, made, mission_of
 

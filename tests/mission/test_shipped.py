@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.pattern_host.inspect import check_mission
+from swarmd.pattern_host.plugin_inspector import check_mission
 from swarmd.settings.settings import load_platform
 
 ROOT = Path(__file__).resolve().parents[2]

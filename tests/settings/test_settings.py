@@ -43,7 +43,7 @@ def test_without_file_and_options_a_robot_is_named_for_its_host(
 
 def test_an_invalid_host_name_requires_an_id(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(socket, "gethostname", lambda: "my robot")
-    with pytest.raises(ConfigError, match="host name .* 'my robot'"):
+    with pytest.raises(ConfigError, match=r"host name .* 'my robot'"):
         load()
 
 

@@ -6,7 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from swarmd.core.messages import Reason, Row, State, Status
+from swarmd.core.messages import LimitingObstacle, Reason, State, Status
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.trace_from_statuses import StatusLog
 from swarmd.sim.trace import Trace, TraceBuilder
@@ -28,7 +28,9 @@ def status() -> Status:
 
 
 def say(status: Status, robot: str, opinion: int, *, is_active: bool) -> Status:
-    rows = (Row(-0.5, 0.21, 0.05), Row(0.5, 0.4, 0.1)) if is_active else ()
+    rows = (
+        (LimitingObstacle(-0.5, 0.21, 0.05), LimitingObstacle(0.5, 0.4, 0.1)) if is_active else ()
+    )
     decision = msgspec.structs.replace(
         status.decision,
         is_active=is_active,

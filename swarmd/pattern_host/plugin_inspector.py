@@ -1,6 +1,6 @@
 """Inspects plugin code for tools: `describe`, `check` and `mission`, in a process that may be lost.
 
-Tools never import plugin code: they start this program and read JSON lines (`swarmd.cli.inspect`).
+Tools never import plugin code: `swarmd.cli.plugin_check` starts this program and reads JSON lines.
 `{"begin": item}` comes before each item and `{"result": item, ...}` after it, at last
 `{"end": true}`; `{"error": text}` if nothing can be inspected. So the tool knows which item ended
 this process, or keeps it. On SIGUSR1 and on a crash the lines of Python's stack follow.
@@ -87,8 +87,8 @@ class Answer:
 
 
 def main() -> None:
-    """Entry of `python -m swarmd.pattern_host.inspect`."""
-    parser = argparse.ArgumentParser(prog="swarmd.pattern_host.inspect", description=__doc__)
+    """Entry of `python -m swarmd.pattern_host.plugin_inspector`."""
+    parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--parent", type=int, required=True, help="end with this process")
     parser.add_argument("--platform", default="waffle_pi")
     parser.add_argument("--plugin-dir", type=Path, help="folder of one-file patterns")

@@ -1,7 +1,7 @@
 """Inspects plugin code in a child process: swarmctl and swarmd import none of it.
 
 Plugin code may end the child, or keep it for ever. Then that item is reported with the line of
-code, and another child goes on with the others (`swarmd.pattern_host.inspect`).
+code, and another child goes on with the others (`swarmd.pattern_host.plugin_inspector`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from swarmd.core.errors import PluginError
 from swarmd.core.processes import how_it_ended
 from swarmd.plugins import pattern_names
 
-Row = dict[str, Any]
+Record = dict[str, Any]
 DESCRIBE_TIMEOUT = 15.0
 """Seconds for one pattern; the first brings numpy, perhaps from a cold disk."""
 
@@ -57,7 +57,7 @@ def describe_patterns(
     plugin_dir: Path | None,
     platform: str,
     timeout: float = DESCRIBE_TIMEOUT,
-) -> list[Row]:
+) -> list[Record]:
     """The named patterns (none named: all), a row each.
 
     A pattern that cannot be loaded within `timeout` s has a row with `error`. Raises PluginError
@@ -65,7 +65,7 @@ def describe_patterns(
     """
     options = ["--platform", platform, *_plugin_dir_option(plugin_dir)]
     left = list(names or pattern_names(plugin_dir))
-    rows: list[Row] = []
+    rows: list[Record] = []
     while left:
         count = len(rows)
         for row in _inspect([*options, "describe", *left], timeout, plugin_dir):
@@ -128,7 +128,7 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
         yield Point(name, "fault" if found else "ok", _first_of(found))
 
 
-def _point(name: str, row: Row, faults: set[str]) -> Point:
+def _point(name: str, row: Record, faults: set[str]) -> Point:
     """The point, `repeated` if its fault differs from an earlier one in numbers at most."""
     fault = row.get("fault")
     if fault is None:
@@ -153,7 +153,7 @@ def _plugin_dir_option(plugin_dir: Path | None) -> list[str]:
 
 def _inspect(
     words: Sequence[str], timeout: float, folder: Path | None, log: IO[bytes] | None = None
-) -> Iterator[Row]:
+) -> Iterator[Record]:
     """The child's rows, each within `timeout` s.
 
     If the child ends or hangs in an item, the last row is that item's with `lost` (its name), `how`
@@ -161,7 +161,7 @@ def _inspect(
     the child reports as `error`, or if it ends or hangs before the first item.
     """
     # -P: a random.py in the current folder must not shadow a module.
-    command = [sys.executable, "-P", "-m", "swarmd.pattern_host.inspect"]
+    command = [sys.executable, "-P", "-m", "swarmd.pattern_host.plugin_inspector"]
     command += ["--parent", str(os.getpid()), *words]
     with contextlib.ExitStack() as stack:
         child = stack.enter_context(
@@ -175,12 +175,12 @@ def _inspect(
         )
         stack.callback(child.kill)
         assert child.stdout is not None
-        begun: Row | None = None
+        begun: Record | None = None
         place = ""
         hangs = False
         try:
             for line in _lines(child.stdout, timeout):
-                row = _row_of(line)
+                row = _record_of(line)
                 if "end" in row:
                     return
                 if "error" in row and "result" not in row:
@@ -223,7 +223,7 @@ def _lines(stream: IO[bytes], timeout: float) -> Iterator[bytes]:
     raise TimeoutError
 
 
-def _row_of(line: bytes) -> Row:
+def _record_of(line: bytes) -> Record:
     """The line as a row; empty for any other line, which plugin code may have written."""
     with contextlib.suppress(ValueError):
         row = json.loads(line)

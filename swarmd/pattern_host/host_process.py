@@ -132,7 +132,7 @@ def trial_done(generation: int, event: HostEvent | None) -> TrialDone:
     return TrialDone(generation, text if is_late else "")
 
 
-class Trial:
+class TrialProcess:
     """One Load in a process of its own, which stays until `end` or `hand_over`.
 
     `on_done` is called once, unless `end` comes first; `on_reaped` when the process has been
