@@ -16,16 +16,18 @@ from swarmd.protection.barrier import CREEP_SPEED, Barrier
 from swarmd.protection.constraints import (
     LIMIT_BOX,
     BindingRange,
+    Constraints,
     envelope,
     half_planes,
     linear_limit,
     passive_caps,
     reciprocal_caps,
+    report,
     touch_directions,
 )
 from swarmd.protection.dead_reckoning import REACTION_TIME
 from swarmd.protection.decision import DecisionContext
-from swarmd.protection.footprint import ScanGeometry
+from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.projection import nearest, nearest_feasible
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
@@ -223,6 +225,26 @@ def test_touch_directions_cover_the_zone_within_1_percent(
         nx, ny = math.cos(way), math.sin(way)
         x, y = max(BURGER_OUTLINE.tolist(), key=lambda corner: nx * corner[0] + ny * corner[1])
         assert nx * (v - w * y) + ny * w * x <= found + 0.01 * math.hypot(v - w * y, w * x) + 1e-9
+
+
+def test_reported_constraints_bind_and_have_a_return() -> None:
+    x, caps = np.array([1.0, 2.0, 3.0, 4.0]), np.array([0.3, 0.1, 0.2, 0.0])
+    gaps = np.array([0.9, 1.9, 2.9, math.inf])
+    rows = Constraints(np.ones(4), np.zeros(4), caps, x, np.zeros(4), gaps)
+    outline = Footprint(np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]))
+    found = report(rows, [0, 2, 3, 7], outline)
+    assert [(row.cap, row.bearing) for row in found] == [(0.2, 0.0), (0.3, 0.0)]
+    assert [row.gap for row in found] == pytest.approx([2.9, 0.9])
+
+
+@pytest.mark.parametrize("speed", [0.1, 0.2])
+def test_binding_range_ends_where_the_cap_reaches_the_speed(speed: float) -> None:
+    platform = under_barrier(load_platform("burger"), braking_angular=100.0)
+    settings = Barrier(platform)._settings
+    gap = BindingRange(platform, settings, TICK).for_fresh_scan(speed)
+    room = gap - settings.margin - settings.unseen_extent
+    reached = passive(room, settings.braking_linear, settings.others_speed, 0.0, TICK)
+    assert reached == pytest.approx(speed)
 
 
 KINDS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")]

@@ -18,6 +18,13 @@ def test_gap_equals_the_distance_to_an_axis_aligned_box(x: float, y: float) -> N
     assert BOX.gaps(np.array([[x, y]]))[0] == pytest.approx(np.hypot(dx, dy), abs=1e-9)
 
 
+@pytest.mark.parametrize("point", [(0.1, 0.0), (0.1, 0.1), (0.0, 0.1), (0.0, 0.0), (-0.19, 0.0)])
+def test_contact_has_a_unit_normal(point: tuple[float, float]) -> None:
+    found = BOX.separations(np.array([point[0]]), np.array([point[1]]))
+    assert found.gap[0] == 0.0
+    assert np.hypot(found.nx, found.ny)[0] == pytest.approx(1.0)
+
+
 def test_points_start_at_the_sensor() -> None:
     bearings = np.array([0.0, np.pi / 2, np.pi, -np.pi / 2])
     spec = ScanSpec(bearings, 5.0, 0.12, 3.5, offset=(-0.064, 0.0))

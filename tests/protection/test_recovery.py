@@ -4,17 +4,31 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from swarmd.core.messages import Reason
-from swarmd.core.values import ZERO, Platform, Pose, Twist
-from swarmd.protection.decision import Permit
+from swarmd.core.values import ZERO, Limits, Platform, Pose, Twist
+from swarmd.protection.decision import DecisionContext, Permit
+from swarmd.protection.recovery import Clearance, Recovery
 from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import FilterSim, RequestedCommand, Shape, box, pole, under_barrier
 
 BURGER, WAFFLE = under_barrier(load_platform("burger")), under_barrier(load_platform("waffle_pi"))
 MAY = Permit(may_recover=True)
 AHEAD = Twist(0.22)
+
+
+@pytest.mark.parametrize(("x", "way"), [(0.3, -1.0), (-0.3, 1.0)])
+def test_recovery_first_moves_to_the_side_with_more_room(x: float, way: float) -> None:
+    recovery = Recovery(Clearance(0.5, 0.2), Limits(0.22, 2.84), "seed")
+    twist = AHEAD
+    for now in (0.0, 0.1, 0.2):
+        twist = recovery.replacement(
+            AHEAD, ZERO, DecisionContext(now, 0.0), lambda: np.array([[x, 0.0]])
+        )
+    assert recovery.is_active
+    assert math.copysign(1.0, twist.linear) == way
 
 
 def still(platform: Platform) -> Platform:

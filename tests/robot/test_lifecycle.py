@@ -79,6 +79,18 @@ def test_param_request_overtaken_by_a_stop_is_answered(verb: str) -> None:
     assert harness.reply_to(change).code is Code.REFUSED
 
 
+def test_param_request_that_the_pattern_does_not_answer_fails_after_3_s() -> None:
+    harness = started()
+    change = harness.request("param", params={"speed": "0.1"})
+    harness.is_hung = True
+    harness.send(change)
+    harness.is_hung = False  # the pattern goes on, but the change is lost
+    harness.advance(2.9)
+    assert not harness.is_answered(change)
+    harness.advance(0.2)
+    assert harness.reply_to(change).code is Code.FAILED
+
+
 @pytest.mark.parametrize(
     ("late", "state"),
     [

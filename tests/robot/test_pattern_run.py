@@ -52,3 +52,11 @@ def test_deadlines_come_in_order(run: PatternRun, expected: list[float]) -> None
     while (now := run.next_deadline(now)) < math.inf:
         found.append(now)
     assert found == pytest.approx(expected)
+
+
+def test_step_knows_the_time_since_the_last_step_of_its_run() -> None:
+    run = running()
+    assert run.stepping(10.25) == pytest.approx(0.25)
+    run.loading = loading()
+    run.ready(Loaded(2, 10.0, frozenset(), {}), 12.0)
+    assert run.stepping(12.0) == 0.0

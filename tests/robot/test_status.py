@@ -66,6 +66,8 @@ def test_status_reports_protection_before_an_obstacle(harness: RobotHarness) -> 
     assert harness.status.reason is Reason.PROTECTION
     assert said.rows[0].bearing == pytest.approx(0.0, abs=0.3)
     assert said.rows[0].cap == 0.0
+    assert (said.requested_linear, said.requested_angular) == (0.2, 0.0)
+    assert (said.safe_linear, said.safe_angular) == (harness.twist.linear, harness.twist.angular)
 
 
 def test_status_reports_no_constraint_that_does_not_bind(harness: RobotHarness) -> None:
