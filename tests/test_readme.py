@@ -20,7 +20,8 @@ from swarmd.settings.platforms import platform_names
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
-LINK = re.compile(r"\]\(([^)#\s]+)[^)]*\)")
+LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]+))?\)")
+HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 EXAMPLE = "udp"  # the driver in examples/
 NAME = re.compile(r"`(swarmd(?:\.\w+)+)`")
 GROUPS = ("swarmd.patterns", "swarmd.drivers", "swarmd.emulators", "swarmd.commands")
@@ -42,6 +43,17 @@ def commands(page: Path, program: str = "swarmctl") -> list[list[str]]:
     return [shlex.split(match[1]) for match in map(pattern.match, lines) if match]
 
 
+def outgoing(page: Path) -> list[tuple[str, str]]:
+    """(file or empty, anchor or empty) of each link of the page into the repository."""
+    return [link for link in LINK.findall(BLOCK.sub("", page.read_text())) if "://" not in link[0]]
+
+
+def anchors(page: Path) -> set[str]:
+    """The anchors that a forge gives to the headings of a page."""
+    titles = HEADING.findall(BLOCK.sub("", page.read_text()))
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
 def test_the_pattern_in_the_readme_is_the_example() -> None:
     assert (ROOT / "examples" / "shy.py").read_text() in blocks(ROOT / "README.md", "python")
 
@@ -58,9 +70,10 @@ def test_that_pattern_is_at_most_15_lines_of_code() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_links_lead_to_files(page: Path) -> None:
-    targets = [target for target in LINK.findall(page.read_text()) if "://" not in target]
-    assert [t for t in targets if not (page.parent / t).exists()] == []
+def test_links_lead_to_files_and_headings(page: Path) -> None:
+    links = [(page.parent / to if to else page, anchor) for to, anchor in outgoing(page)]
+    assert [to for to, _ in links if not to.exists()] == []
+    assert [f"{to}#{anchor}" for to, anchor in links if anchor and anchor not in anchors(to)] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
