@@ -6,7 +6,7 @@ Keys and announcements as in the bridge's own source (eclipse-zenoh/zenoh-plugin
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from swarmd.core.values import Platform, Value
 from swarmd.driver_api.driver import ZeroSenderSpec
@@ -15,14 +15,11 @@ from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.diagnosis import Endpoint
 from swarmd.drivers.ros.options import RosOptions, read_options
 from swarmd.drivers.ros2.driver import RosDriver
-from swarmd.drivers.ros2.emulator import EmulatedEndpoint, EmulatedRobots, EmulatorSpec
-from swarmd.drivers.ros2.key_scheme import Ros2Middleware
+from swarmd.drivers.ros2.emulator import EmulatedRobots, EmulatorSpec
+from swarmd.drivers.ros2.key_scheme import Ros2Middleware, TopicEnd
 from swarmd.drivers.ros2.zero_sender import RosZeroSender, zero_sender_of
 
 NAME = "ros2dds"
-
-_BEST_EFFORT = ":0::0,5"
-_RELIABLE = ":1::0,10"
 
 
 def make_driver(
@@ -43,7 +40,7 @@ def make_robots(
     *, robots: Mapping[str, Platform], endpoint: str, on_command: OnCommand
 ) -> EmulatedRobots:
     """Robots, each in a namespace of its own, at one bridge that listens at `endpoint`."""
-    spec = EmulatorSpec(NAME, RosOptions, lambda options, index: EmulatedBridge())
+    spec = EmulatorSpec(NAME, RosOptions, lambda options, index: Ros2Dds())
     return EmulatedRobots(spec, robots, endpoint, on_command)
 
 
@@ -56,8 +53,9 @@ class Ros2Dds(Ros2Middleware):
         "announces no topic at all; start the robot's ROS 2 or, if it runs, the bridge anew, with"
         " its ROS_DOMAIN_ID, ROS_DISTRO and localhost settings"
     )
-    tokens = "@/*/@ros2_lv/**"
+    announcements = "@/*/@ros2_lv/**"
     nodes = "@/*/ros2/node/**"
+    is_node = False
     domain: int | None = None
 
     def subscription_key(self, topic: str) -> str:
@@ -76,45 +74,25 @@ class Ros2Dds(Ros2Middleware):
         topic, type_name = (part.replace("§", "/") for part in parts[4:6])
         return Endpoint(parts[3] == "MP", f"/{topic}", type_name, parts[1])
 
+    def key(self, topic: str, message_type: type) -> str:
+        """The one key of the topic."""
+        return self.subscription_key(topic)
+
     def command_keys(self, topic: str, message_type: type) -> tuple[str, ...]:
         """The one key of the topic."""
         return (self.subscription_key(topic),)
 
-    def command_key(self, topic: str, message_type: type) -> str:
-        """The one key of the topic."""
-        return self.subscription_key(topic)
+    def tokens(self, zid: str, ends: Sequence[TopicEnd]) -> tuple[str, ...]:
+        """The tokens of a bridge, one for each end."""
+        found = []
+        for end in ends:
+            direction = "MP" if end.is_publisher else "MS"
+            key = self.subscription_key(end.topic).replace("/", "§")
+            type_name = name_of(end.message_type).replace("/", "§")
+            qos = f":{int(end.is_reliable)}::0,{end.depth}"
+            found.append(f"@/{zid}/@ros2_lv/{direction}/{key}/{type_name}/{qos}")
+        return tuple(found)
 
-    def attachment(self) -> bytes | None:
-        """None: the bridge wants the payload alone."""
+    def attachment(self, token: str = "") -> bytes | None:
+        """None: the bridge sends and expects the payload alone."""
         return None
-
-    def own_tokens(self, zid: str, topics: Iterable[tuple[str, type]]) -> tuple[str, ...]:
-        """None: only a bridge announces itself to bridges."""
-        return ()
-
-
-class EmulatedBridge:
-    """The keys and announcements that a bridge makes of a robot's topics."""
-
-    def key(self, topic: str, message_type: type) -> str:
-        """The topic without its first slash."""
-        return topic.removeprefix("/")
-
-    def tokens(
-        self, zid: str, ends: Sequence[EmulatedEndpoint]
-    ) -> tuple[Sequence[str], Sequence[str]]:
-        """No token of a node; of each endpoint as `Ros2Dds.parse_token` reads it."""
-        return (), tuple(self._token(zid, end) for end in ends)
-
-    def attachment(self, token: str) -> bytes | None:
-        """None: a bridge sends the payload alone."""
-        return None
-
-    def _token(self, zid: str, end: EmulatedEndpoint) -> str:
-        key, type_name = (
-            text.replace("/", "§")
-            for text in (self.key(end.topic, end.message_type), name_of(end.message_type))
-        )
-        direction = "MP" if end.is_publisher else "MS"
-        qos = _BEST_EFFORT if end.is_sensor else _RELIABLE
-        return f"@/{zid}/@ros2_lv/{direction}/{key}/{type_name}/{qos}"

@@ -29,7 +29,7 @@ from swarmd.drivers.ros.diagnosis import (
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros2.duplicate_nodes import DuplicateNodes
-from swarmd.drivers.ros2.key_scheme import KeyScheme
+from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 from swarmd.drivers.ros2.session import command_publisher, linked_hubs, open_session
 from swarmd.network.session import has_subscriber, open_in_thread
 
@@ -122,6 +122,7 @@ class RosDriver:
         self._session: zenoh.Session | None = None
         self._publishers: dict[str, zenoh.Publisher] = {}
         self._tokens: list[zenoh.LivelinessToken] = []
+        self._command_token = ""
         self._endpoints: dict[str, Endpoint] = {}
         self._hubs: frozenset[str] = frozenset()
         self._duplicates = DuplicateNodes(self._scheme.nodes, self._cmd_vel)
@@ -175,7 +176,7 @@ class RosDriver:
             hand_over(loop, self._on_token, str(sample.key_expr), is_there)
 
         # Before the topics: the base's command type is known when its first message arrives.
-        session.liveliness().declare_subscriber(self._scheme.tokens, on_token, history=True)
+        session.liveliness().declare_subscriber(self._scheme.announcements, on_token, history=True)
         topics = [(t.name, t.topic, t.message_type) for t in self._subscriptions.topics.values()]
         for name, topic, message_type in (
             *topics,
@@ -246,13 +247,17 @@ class RosDriver:
             return
         self._gate.open()
         self._report_state(sink, True, self._place())
-        if not is_check and not self._tokens and self._session is not None:
-            topics = [(t.topic, t.message_type) for t in self._subscriptions.topics.values()]
-            zid = str(self._session.info.zid())
-            for token in self._scheme.own_tokens(
-                zid, [*topics, (self._cmd_vel, self._command_type)]
-            ):
-                self._tokens.append(self._session.liveliness().declare_token(token))
+        if self._scheme.is_node and not is_check and not self._tokens and self._session is not None:
+            ends = [
+                TopicEnd(t.topic, t.message_type, is_publisher=False, is_reliable=False, depth=1)
+                for t in self._subscriptions.topics.values()
+            ]
+            command = TopicEnd(
+                self._cmd_vel, self._command_type, is_publisher=True, is_reliable=True, depth=1
+            )
+            tokens = self._scheme.tokens(str(self._session.info.zid()), [*ends, command])
+            self._command_token = tokens[-1]
+            self._tokens += map(self._session.liveliness().declare_token, tokens)
 
     def _close_gate(self, sink: Sink, text: str) -> None:
         if self._gate.close(asyncio.get_running_loop().time()):
@@ -353,13 +358,11 @@ class RosDriver:
         sink.state(is_up, text)
 
     def _put(self, twist: Twist, frame: str) -> None:
-        publisher = self._publishers.get(
-            self._scheme.command_key(self._cmd_vel, self._command_type)
-        )
+        publisher = self._publishers.get(self._scheme.key(self._cmd_vel, self._command_type))
         if publisher is None:
             return
         message = from_ros.command_message(twist, self._command_type, frame)
-        publisher.put(cdr.encode(message), attachment=self._scheme.attachment())
+        publisher.put(cdr.encode(message), attachment=self._scheme.attachment(self._command_token))
 
 
 def _receiver(

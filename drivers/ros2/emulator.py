@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import contextlib
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import zenoh
 
@@ -22,6 +21,7 @@ from swarmd.drivers.ros import cdr, from_ros
 from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.options import RosOptions, read_options
 from swarmd.drivers.ros.to_ros import odometry_message, scan_encoder
+from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
 from swarmd.network.session import PROMPT_OPTIONS, open_listening, realtime_publisher
 from swarmd.settings.driver_options import BaseOptions
 
@@ -37,37 +37,12 @@ _OPTIONS: dict[str, object] = {
 
 
 @dataclass(frozen=True, slots=True)
-class EmulatedEndpoint:
-    """One end of a topic at a robot: a publisher or a subscription. `topic` is the full name."""
-
-    topic: str
-    message_type: type
-    is_publisher: bool
-    is_sensor: bool = False
-
-
-class EmulatedKeys(Protocol):
-    """Keys, announcements and attachments of one robot."""
-
-    def key(self, topic: str, message_type: type) -> str:
-        """The key of a topic."""
-
-    def tokens(
-        self, zid: str, ends: Sequence[EmulatedEndpoint]
-    ) -> tuple[Sequence[str], Sequence[str]]:
-        """The liveliness tokens that announce the node, and those of each endpoint."""
-
-    def attachment(self, token: str) -> bytes | None:
-        """The attachment of the next message of the endpoint that this token announces."""
-
-
-@dataclass(frozen=True, slots=True)
 class EmulatorSpec:
-    """What differs between the drivers' emulators; `keys` takes options and the robot's number."""
+    """What differs between the emulators; `scheme` takes options and the robot's number."""
 
     driver: str
     options: type[RosOptions]
-    keys: Callable[[RosOptions, int], EmulatedKeys]
+    scheme: Callable[[RosOptions, int], KeyScheme]
 
 
 class EmulatedRobots:
@@ -94,7 +69,7 @@ class EmulatedRobots:
         }
         try:
             self._robots = {
-                robot: self._start(robot, platform, read[robot], spec.keys(read[robot], index))
+                robot: self._start(robot, platform, read[robot], spec.scheme(read[robot], index))
                 for index, (robot, platform) in enumerate(robots.items())
             }
         except BaseException:
@@ -114,7 +89,7 @@ class EmulatedRobots:
         self._hub.close()
 
     def _start(
-        self, robot: str, platform: Platform, options: RosOptions, keys: EmulatedKeys
+        self, robot: str, platform: Platform, options: RosOptions, scheme: KeyScheme
     ) -> _Robot:
         command_type, topic = options.command_type, options.topic(options.cmd_vel)
 
@@ -127,9 +102,9 @@ class EmulatedRobots:
                 return
             self._on_command(robot, twist)
 
-        self._hub.declare_subscriber(keys.key(topic, command_type), on_sample)
-        command = EmulatedEndpoint(topic, command_type, is_publisher=False)
-        return _Robot(self._hub, platform, options, keys, command)
+        self._hub.declare_subscriber(scheme.key(topic, command_type), on_sample)
+        command = TopicEnd(topic, command_type, is_publisher=False, is_reliable=True, depth=10)
+        return _Robot(self._hub, platform, options, scheme, command)
 
 
 class _Robot:
@@ -140,22 +115,23 @@ class _Robot:
         hub: zenoh.Session,
         platform: Platform,
         options: RosOptions,
-        keys: EmulatedKeys,
-        command: EmulatedEndpoint,
+        scheme: KeyScheme,
+        command: TopicEnd,
     ) -> None:
-        self._keys, self._encoder = keys, scan_encoder(options, platform)
+        self._scheme, self._encoder = scheme, scan_encoder(options, platform)
         published = [
-            EmulatedEndpoint(topic, message_type, is_publisher=True, is_sensor=True)
+            TopicEnd(topic, message_type, is_publisher=True, is_reliable=False, depth=5)
             for topic, message_type in self._encoder.topics
         ]
+        topic = options.topic(options.odometry)
         published.append(
-            EmulatedEndpoint(options.topic(options.odometry), ros.Odometry, is_publisher=True)
+            TopicEnd(topic, ros.Odometry, is_publisher=True, is_reliable=True, depth=10)
         )
-        nodes, self._ends = keys.tokens(str(hub.info.zid()), [*published, command])
-        liveliness = hub.liveliness()
-        self._tokens = [liveliness.declare_token(token) for token in (*nodes, *self._ends)]
+        tokens = scheme.tokens(str(hub.info.zid()), [*published, command])
+        self._announced = [hub.liveliness().declare_token(token) for token in tokens]
+        self._tokens = tokens[-1 - len(published) :]
         self._publishers = [
-            realtime_publisher(hub, keys.key(end.topic, end.message_type)) for end in published
+            realtime_publisher(hub, scheme.key(end.topic, end.message_type)) for end in published
         ]
 
     def scan(self, scan: Scan) -> None:
@@ -166,7 +142,7 @@ class _Robot:
         self._put(len(self._publishers) - 1, odometry_message(odometry))
 
     def _put(self, index: int, message: object) -> None:
-        attachment = self._keys.attachment(self._ends[index])
+        attachment = self._scheme.attachment(self._tokens[index])
         with contextlib.suppress(zenoh.ZError):
             self._publishers[index].put(cdr.encode(message), attachment=attachment)
 

@@ -2,11 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Protocol
 
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.diagnosis import Endpoint, Middleware
+
+
+@dataclass(frozen=True, slots=True)
+class TopicEnd:
+    """A publisher or a subscription of this process. `topic` is the full name."""
+
+    topic: str
+    message_type: type
+    is_publisher: bool
+    is_reliable: bool
+    depth: int
 
 
 class Ros2Middleware:
@@ -24,12 +36,14 @@ class Ros2Middleware:
 class KeyScheme(Middleware, Protocol):
     """Keys and framing of one way of speaking ROS 2 over Zenoh.
 
-    `tokens` is the key expression of the announcements and `nodes` that of a bridge's answers about
-    its nodes, empty where there is no bridge.
+    `announcements` is the key expression of the tokens and `nodes` that of a bridge's answers about
+    its nodes, empty where there is no bridge. `is_node`: whether the driver announces itself; only
+    a bridge announces itself to bridges.
     """
 
-    tokens: str
+    announcements: str
     nodes: str
+    is_node: bool
 
     def subscription_key(self, topic: str) -> str:
         """The key expression to subscribe to for a topic."""
@@ -40,14 +54,14 @@ class KeyScheme(Middleware, Protocol):
     def parse_token(self, token: str) -> Endpoint | None:
         """The endpoint that a liveliness token announces; None if it announces no topic."""
 
+    def key(self, topic: str, message_type: type) -> str:
+        """The key to publish on, as far as the robot's samples tell."""
+
     def command_keys(self, topic: str, message_type: type) -> tuple[str, ...]:
         """All keys on which a robot may subscribe to commands."""
 
-    def command_key(self, topic: str, message_type: type) -> str:
-        """The one of them that this robot uses, as far as its samples tell."""
+    def tokens(self, zid: str, ends: Sequence[TopicEnd]) -> tuple[str, ...]:
+        """The tokens that announce a node with these ends; those of the ends come last."""
 
-    def attachment(self) -> bytes | None:
-        """The attachment of the next command."""
-
-    def own_tokens(self, zid: str, topics: Iterable[tuple[str, type]]) -> tuple[str, ...]:
-        """The tokens that announce the driver as a node with these topics, commands last."""
+    def attachment(self, token: str = "") -> bytes | None:
+        """The attachment of the next message of the publisher that this token announces."""

@@ -17,8 +17,8 @@ import zenoh
 
 from swarmd.core.values import Twist
 from swarmd.drivers.ros import cdr, messages
-from swarmd.drivers.ros2.dds_bridge import EmulatedBridge
-from swarmd.drivers.ros2.emulator import EmulatedEndpoint
+from swarmd.drivers.ros2.dds_bridge import Ros2Dds
+from swarmd.drivers.ros2.key_scheme import TopicEnd
 from swarmd.testing.driver_contract import TIMEOUT, DriverContract, DriverHarness
 from tests.drivers.ros2.dds_rig import DdsRobot
 from tests.drivers.ros2.robots import open_session
@@ -237,9 +237,9 @@ def test_the_bridge_announces_and_says_what_the_stand_in_does() -> None:
     )
     session.declare_subscriber("scan", samples.append)
     ends = (
-        EmulatedEndpoint("/scan", messages.LaserScan, is_publisher=True, is_sensor=True),
-        EmulatedEndpoint("/odom", messages.Odometry, is_publisher=True),
-        EmulatedEndpoint("/cmd_vel", messages.Twist, is_publisher=False),
+        TopicEnd("/scan", messages.LaserScan, is_publisher=True, is_reliable=False, depth=5),
+        TopicEnd("/odom", messages.Odometry, is_publisher=True, is_reliable=True, depth=10),
+        TopicEnd("/cmd_vel", messages.Twist, is_publisher=False, is_reliable=True, depth=10),
     )
 
     def is_all_there() -> bool:
@@ -248,7 +248,7 @@ def test_the_bridge_announces_and_says_what_the_stand_in_does() -> None:
 
     wait_until(is_all_there, "three tokens and a scan")
     zid = next(iter(tokens)).split("/")[1]
-    assert tokens == set(EmulatedBridge().tokens(zid, ends)[1])
+    assert tokens == set(Ros2Dds().tokens(zid, ends))
     assert samples[0].attachment is None
     assert len(cdr.decode(messages.LaserScan, samples[0].payload.to_bytes()).ranges) == 360
     session.close()

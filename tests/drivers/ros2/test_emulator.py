@@ -20,9 +20,9 @@ from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros.to_ros import LaserScanEncoder, odometry_message
-from swarmd.drivers.ros2.dds_bridge import EmulatedBridge, Ros2Dds
-from swarmd.drivers.ros2.emulator import EmulatedEndpoint
-from swarmd.drivers.ros2.rmw_zenoh import EmulatedNode, RmwZenoh, gid_of
+from swarmd.drivers.ros2.dds_bridge import Ros2Dds
+from swarmd.drivers.ros2.key_scheme import TopicEnd
+from swarmd.drivers.ros2.rmw_zenoh import RmwZenoh, gid_of
 from swarmd.drivers.ros2.session import open_session
 from swarmd.plugins import load_driver, load_emulator
 from swarmd.settings.driver_options import BaseOptions, stops_after
@@ -35,9 +35,9 @@ from tests.support.processes import wait_until
 ANY_PORT = "tcp/127.0.0.1:0"
 BURGER = load_platform("burger")
 ENDS = (
-    EmulatedEndpoint("/a/scan", messages.LaserScan, is_publisher=True, is_sensor=True),
-    EmulatedEndpoint("/a/odom", messages.Odometry, is_publisher=True),
-    EmulatedEndpoint("/a/cmd_vel", messages.Twist, is_publisher=False),
+    TopicEnd("/a/scan", messages.LaserScan, is_publisher=True, is_reliable=False, depth=5),
+    TopicEnd("/a/odom", messages.Odometry, is_publisher=True, is_reliable=True, depth=10),
+    TopicEnd("/a/cmd_vel", messages.Twist, is_publisher=False, is_reliable=True, depth=10),
 )
 
 
@@ -122,7 +122,7 @@ def test_odometry_is_that_of_nav_msgs() -> None:
 
 
 def test_a_bridges_tokens_are_those_that_the_driver_knows() -> None:
-    _, tokens = EmulatedBridge().tokens("ab12", ENDS)
+    tokens = Ros2Dds().tokens("ab12", ENDS)
     assert tokens[0] == "@/ab12/@ros2_lv/MP/a§scan/sensor_msgs§msg§LaserScan/:0::0,5"
     found = [Ros2Dds().parse_token(token) for token in tokens]
     assert [(e.topic, e.is_publisher) for e in found if e] == [
@@ -133,7 +133,7 @@ def test_a_bridges_tokens_are_those_that_the_driver_knows() -> None:
 
 
 def test_a_nodes_tokens_are_those_that_the_driver_knows() -> None:
-    (node,), tokens = EmulatedNode(30, "a", 2).tokens("ab12", ENDS)
+    node, *tokens = RmwZenoh(30, "/a/cmd_vel", "/a", "base", 2).tokens("ab12", ENDS)
     assert node == "@ros2_lv/30/ab12/2/200/NN/%/%a/base"
     kind = f"sensor_msgs::msg::dds_::LaserScan_/{HASHES['LaserScan']}"
     assert tokens[0] == f"@ros2_lv/30/ab12/2/201/MP/%/%a/base/%a%scan/{kind}/2::,5:,:,:,,"
@@ -146,8 +146,8 @@ def test_a_nodes_tokens_are_those_that_the_driver_knows() -> None:
 
 
 def test_each_publisher_of_a_node_counts_for_itself() -> None:
-    node = EmulatedNode(0, "a", 0)
-    _, (scans, poses, _) = node.tokens("ab12", ENDS)
+    node = RmwZenoh(0, "/a/cmd_vel", "/a", "base")
+    _, scans, poses, _ = node.tokens("ab12", ENDS)
     payloads = [node.attachment(token) for token in (scans, poses, scans)]
     read = [struct.unpack("<qqB16s", payload or b"") for payload in payloads]
     assert [sequence for sequence, *_ in read] == [1, 1, 2]

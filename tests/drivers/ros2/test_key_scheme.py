@@ -14,6 +14,7 @@ from zenoh.ext import Int64, z_serialize
 from swarmd.drivers.ros import messages
 from swarmd.drivers.ros.diagnosis import Endpoint
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
+from swarmd.drivers.ros2.key_scheme import TopicEnd
 from swarmd.drivers.ros2.rmw_zenoh import NO_HASH, RmwZenoh, gid_of
 from tests.drivers.ros2.robots import HASHES
 
@@ -28,6 +29,8 @@ LISTENER = (
     f"/{STRING_HASH}/::,10:,:,:,,"
 )
 LASER = "sensor_msgs::msg::dds_::LaserScan_"
+SCAN = TopicEnd("/scan", messages.LaserScan, is_publisher=False, is_reliable=False, depth=1)
+COMMAND = TopicEnd("/cmd_vel", messages.Twist, is_publisher=True, is_reliable=True, depth=1)
 
 
 def scheme(domain: int = 0) -> RmwZenoh:
@@ -59,18 +62,15 @@ def test_other_tokens_announce_no_topic(token: str) -> None:
 
 def test_our_tokens_have_the_published_form_and_are_understood_again() -> None:
     ours = scheme(2)
-    node, hears, says = ours.own_tokens(
-        "aac3178e146ba6f1fc6e6a4085e77f21",
-        [("/scan", messages.LaserScan), ("/cmd_vel", messages.Twist)],
-    )
+    node, subscription, publisher = ours.tokens("aac3178e146ba6f1fc6e6a4085e77f21", [SCAN, COMMAND])
     assert node == "@ros2_lv/2/aac3178e146ba6f1fc6e6a4085e77f21/0/0/NN/%/%/swarmd"
-    assert [part.count("/") for part in (hears, says)] == [LISTENER.count("/")] * 2
-    assert hears.split("/")[:9] == [*LISTENER.split("/")[:4], "1", "MS", "%", "%", "swarmd"]
-    end = ours.parse_token(says)
+    assert [part.count("/") for part in (subscription, publisher)] == [LISTENER.count("/")] * 2
+    assert subscription.split("/")[:9] == [*LISTENER.split("/")[:4], "1", "MS", "%", "%", "swarmd"]
+    end = ours.parse_token(publisher)
     assert end is not None
     assert (end.is_publisher, end.topic, end.type) == (True, "/cmd_vel", "geometry_msgs/msg/Twist")
-    assert says.endswith(f"/{HASHES['Twist']}/::,1:,:,:,,")
-    assert hears.endswith(f"/{HASHES['LaserScan']}/2::,1:,:,:,,")
+    assert publisher.endswith(f"/{HASHES['Twist']}/::,1:,:,:,,")
+    assert subscription.endswith(f"/{HASHES['LaserScan']}/2::,1:,:,:,,")
 
 
 def test_the_gid_is_the_tokens_hash() -> None:
@@ -82,13 +82,13 @@ def test_the_gid_is_the_tokens_hash() -> None:
 
 def test_the_attachment_is_sequence_time_and_gid() -> None:
     ours = scheme()
-    tokens = ours.own_tokens("ab", [("/cmd_vel", messages.Twist)])
-    first, second = ours.attachment(), ours.attachment()
+    *_, token = ours.tokens("ab", [COMMAND])
+    first, second = ours.attachment(token), ours.attachment(token)
     assert first is not None
     assert second is not None
     assert len(first) == 33
     sequence, time, length, gid = struct.unpack("<qqB16s", first)
-    assert (sequence, length, gid) == (1, 16, gid_of(tokens[-1]))
+    assert (sequence, length, gid) == (1, 16, gid_of(token))
     assert struct.unpack("<qqB16s", second)[0] == 2
     assert time > 1_600_000_000 * 10**9
     # What Zenoh's own serialisation makes of the same three, as rmw_zenoh uses it.
@@ -118,9 +118,9 @@ def test_type_and_hash_of_a_key_are_checked(key: str, complaint: str) -> None:
 def test_commands_go_out_as_the_robots_distribution_names_them() -> None:
     ours = scheme(3)
     prefix = "3/cmd_vel/geometry_msgs::msg::dds_::Twist_/"
-    assert ours.command_key("/cmd_vel", messages.Twist) == prefix + HASHES["Twist"]
+    assert ours.key("/cmd_vel", messages.Twist) == prefix + HASHES["Twist"]
     assert ours.key_fault(f"3/scan/{LASER}/{NO_HASH}", "/scan", messages.LaserScan) == ""
-    assert ours.command_key("/cmd_vel", messages.Twist) == prefix + NO_HASH
+    assert ours.key("/cmd_vel", messages.Twist) == prefix + NO_HASH
     assert set(ours.command_keys("/cmd_vel", messages.Twist)) == {
         prefix + HASHES["Twist"],
         prefix + NO_HASH,
@@ -129,10 +129,10 @@ def test_commands_go_out_as_the_robots_distribution_names_them() -> None:
 
 def test_what_others_command_says_nothing_of_the_robots_distribution() -> None:
     ours = scheme()
-    mine = ours.command_key("/cmd_vel", messages.Twist)
+    mine = ours.key("/cmd_vel", messages.Twist)
     for key in ours.command_keys("/cmd_vel", messages.Twist):  # a watchdog's zeros go out on each
         assert ours.key_fault(key, "/cmd_vel", messages.Twist) == ""
-        assert ours.command_key("/cmd_vel", messages.Twist) == mine
+        assert ours.key("/cmd_vel", messages.Twist) == mine
 
 
 def test_the_bridges_keys_are_topics_without_their_first_slash() -> None:
