@@ -20,7 +20,7 @@ from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, is_running
 
-IMPOSTOR = Path(__file__).with_name("impostor.py")
+FAKE_ADAPTER = Path(__file__).with_name("fake_adapter.py")
 PLATFORM = load_platform("burger")
 
 
@@ -34,8 +34,8 @@ def play(
     story: Callable[[Ros1Driver, CollectingSink], Awaitable[None]],
     **options: Value,
 ) -> None:
-    monkeypatch.setattr(ros1_adapter, "__file__", str(IMPOSTOR))
-    monkeypatch.setenv("IMPOSTOR", kind)
+    monkeypatch.setattr(ros1_adapter, "__file__", str(FAKE_ADAPTER))
+    monkeypatch.setenv("FAKE_ADAPTER", kind)
 
     async def run() -> None:
         driver, heard = make(**{"python": sys.executable, **options}), CollectingSink()
@@ -65,7 +65,7 @@ def test_garbage_is_counted_and_what_follows_is_understood(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
-        await until(lambda: any("an impostor" in text for text in texts(heard)))
+        await until(lambda: any("a fake adapter" in text for text in texts(heard)))
         assert heard.lost.count("ros1/garbage") >= 60
         assert not heard.is_up
         assert not heard.scans
@@ -92,7 +92,7 @@ def test_an_adapter_that_says_nothing_is_killed(monkeypatch: pytest.MonkeyPatch)
 
 def test_an_adapter_that_does_not_leave_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
-        await until(lambda: any("an impostor" in text for text in texts(heard)))
+        await until(lambda: any("a fake adapter" in text for text in texts(heard)))
         assert driver.adapter_pid is not None  # `play` sees that it has ended
 
     play(monkeypatch, "deaf", story)

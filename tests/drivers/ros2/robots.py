@@ -1,4 +1,4 @@
-"""A robot in a test's hand: a Zenoh session that speaks a ROS 2 dialect through a second codec."""
+"""A robot that a test controls: a Zenoh session that publishes as one of the ROS 2 middlewares."""
 
 from __future__ import annotations
 

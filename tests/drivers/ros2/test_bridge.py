@@ -21,8 +21,8 @@ from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.key_scheme import TopicEnd
 from swarmd.testing.driver_contract import TIMEOUT, DriverContract, DriverHarness
 from tests.drivers.ros2.dds_rig import DdsRobot
+from tests.drivers.ros2.harness import check, play, told
 from tests.drivers.ros2.robots import open_session
-from tests.drivers.ros2.stories import check, play, told
 from tests.support import ros2_types as dds
 from tests.support.dds_node import DdsNode
 from tests.support.processes import wait_until

@@ -11,8 +11,8 @@ import pytest
 from swarmd.core.values import Twist
 from swarmd.testing.driver_contract import DriverContract, DriverHarness
 from tests.drivers.ros2 import robots
+from tests.drivers.ros2.harness import announce, check, drive, play, told
 from tests.drivers.ros2.robots import BridgedRobot
-from tests.drivers.ros2.stories import announce, check, drive, play, told
 from tests.support import ros2_types as dds
 
 

@@ -10,8 +10,8 @@ import zenoh
 from swarmd.core.values import Twist
 from swarmd.drivers.ros2.duplicate_nodes import duplicate_of
 from swarmd.testing.driver_contract import DriverHarness
+from tests.drivers.ros2.harness import play, told
 from tests.drivers.ros2.robots import BridgedRobot
-from tests.drivers.ros2.stories import play, told
 
 BASE = json.dumps(
     {"publishers": [], "subscribers": [{"name": "/cmd_vel", "type": "geometry_msgs/msg/Twist"}]}

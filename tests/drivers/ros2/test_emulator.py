@@ -1,4 +1,4 @@
-"""Bodies that speak as ROS 2 robots: their words by a second codec, and each driver at them."""
+"""Emulated ROS 2 robots: their messages through a second codec, and each driver with them."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def odometry(seq: int = 1) -> Odometry:
 
 
 class Stage:
-    """Two robots of a platform that speak a dialect, and what they were told."""
+    """Two emulated robots of a platform, and the commands that reached them."""
 
     def __init__(self, scheme: str, platform: Platform) -> None:
         self.scheme, self.platform = scheme, platform

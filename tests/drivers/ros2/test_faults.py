@@ -1,4 +1,4 @@
-"""What a robot in either ROS 2 dialect does wrong: told once, with the next step, and it stands."""
+"""Faults of a robot on either ROS 2 middleware: each is reported once, and the robot stops."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from swarmd.drivers.ros2 import driver as ros_driver
 from swarmd.drivers.ros2.session import open_session
 from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, DriverHarness
 from tests.drivers.ros2 import robots
+from tests.drivers.ros2.harness import announce, check, play, told
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
-from tests.drivers.ros2.stories import announce, check, play, told
 
 LASER, TWIST = "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/Twist"
 STAMPED = "geometry_msgs/msg/TwistStamped"
@@ -200,17 +200,6 @@ def test_check_without_a_hub_tells_what_to_start(make: Callable[[], Robot], step
     assert list(found) == ["connection"]
     assert step in found["connection"].text
     assert robot.endpoint in found["connection"].text
-
-
-@pytest.mark.parametrize("make", MAKERS)
-def test_check_names_a_node_that_may_command_too(make: Callable[[], Robot]) -> None:
-    robot = make()
-    announce(robot, "MP", "cmd_vel", TWIST)
-    announce(robot, "MS", "cmd_vel", TWIST)
-    others = check(robot, robot.publish)["others"]
-    assert others.is_well
-    wanted = "/base" if isinstance(robot, ZenohRobot) else f"bridge {str(robot.hub.zid())[:8]}"
-    assert f"{wanted} may publish /cmd_vel" in others.text
 
 
 def test_the_command_type_of_a_base_is_known_before_its_first_message() -> None:

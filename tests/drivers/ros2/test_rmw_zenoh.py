@@ -13,8 +13,8 @@ from swarmd.drivers.ros.messages import dds_name
 from swarmd.drivers.ros2 import rmw_zenoh
 from swarmd.testing.driver_contract import DriverContract, DriverHarness
 from tests.drivers.ros2 import robots
+from tests.drivers.ros2.harness import announce, check, play, told
 from tests.drivers.ros2.robots import ZenohRobot
-from tests.drivers.ros2.stories import announce, check, play, told
 
 LASER = "sensor_msgs/msg/LaserScan"
 

@@ -13,8 +13,8 @@ from swarmd.core.values import Twist
 from swarmd.drivers.ros2.session import open_session
 from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2 import robots
+from tests.drivers.ros2.harness import drive, play, told
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
-from tests.drivers.ros2.stories import drive, play, told
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
-"""What stands in for the adapter in tests without ROS: says what it is told to, then waits.
+"""Plays the adapter in tests without ROS: sends what FAKE_ADAPTER names, then waits.
 
-Its behaviour is in IMPOSTOR: `garbage` sends packets that are none, and after them a state; `dies`
-ends with a line on standard error; `mute` says nothing; `deaf` does not end when asked.
+`garbage`: malformed packets, then a state. `dies`: ends with a line on standard error. `mute`:
+sends nothing. `deaf`: does not end on a farewell.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import struct
 import sys
 import time
 
-STATE = {"event": "state", "master": False, "text": "an impostor"}
+STATE = {"event": "state", "master": False, "text": "a fake adapter"}
 
 
 def main() -> None:
-    kind = os.environ["IMPOSTOR"]
+    kind = os.environ["FAKE_ADAPTER"]
     sock = socket.socket(fileno=os.dup(0))
     if kind == "dies":
         sys.exit("it cannot go on")
