@@ -103,3 +103,8 @@ def test_a_refused_change_leaves_the_pattern_unchanged() -> None:
     assert step(pattern, 0.0).report["distance"] == pytest.approx(0.8)
     assert pattern.parts["vote"].params.window == 2.0
     assert math.isclose(pattern.parts["move"].params.speed, 0.1)
+
+
+def test_an_initial_opinion_out_of_range_is_refused() -> None:
+    with pytest.raises(ConfigError, match="initial"):
+        made(initial=3)

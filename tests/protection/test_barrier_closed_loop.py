@@ -12,7 +12,7 @@ from numpy.random import Generator
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Platform, Pose, Scan, TouchZone, Twist
-from swarmd.protection.decision import Permit
+from swarmd.protection.decision import NO_PERMIT, Permit
 from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import (
     HERE,
@@ -129,11 +129,11 @@ def test_frozen_lidar_stops_the_robot_in_time() -> None:
     assert sim.run(Twist(0.22), 1.0).twists[-1].linear == pytest.approx(0.22)
     sim.has_lidar = False
     run = sim.run(Twist(0.22), 1.5)
-    stopped_at = next(
+    still_at = next(
         t for t, twist in zip(run.times, run.twists, strict=True) if twist.linear == 0.0
     )
     ages = BURGER.scan.latency + 1.0 / BURGER.scan.rate  # the last scan may be that new
-    assert stopped_at <= 1.0 + ages + BURGER.scan.stale_after + 0.05 + 0.04 + 0.22
+    assert still_at <= 1.0 + ages + BURGER.scan.stale_after + 0.05 + 0.04 + 0.22
     assert run.decisions[-1][1].reason is Reason.STALE_SCAN
 
 
@@ -147,22 +147,25 @@ def test_lost_odometry_stops_the_robot_with_the_margin_left(at: float) -> None:
     assert run.decisions[-1][1].reason is Reason.STALE_ODOMETRY
 
 
+TOUCH_SPEED = 0.05
+ZONE_AHEAD = Permit(touch=TouchZone(0.0, math.radians(20.0), TOUCH_SPEED))
+
+
+@pytest.mark.parametrize("permit", [NO_PERMIT, ZONE_AHEAD], ids=["no touch", "touch ahead"])
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize("distance", [1.0, 1.1, 1.2, 1.3, 1.4])
-def test_spinning_robot_stops_before_its_corner_can_hit(side: float, distance: float) -> None:
+def test_spinning_robot_stops_before_its_corner_can_hit(
+    side: float, distance: float, permit: Permit
+) -> None:
     """A corner 0.135 m from the axle moves at 0.38 m/s in the fastest turn of a Burger.
 
     A linear constraint does not see the corner swing out during the stop; the stop check does.
     """
     comes = box(0.3, 0.2, Pose(-0.03, side * distance), velocity=(0.0, side * -0.30))
-    run = FilterSim(BURGER, [comes]).run(Twist(0.0, 2.84), 6.0)
+    run = FilterSim(BURGER, [comes]).run(Twist(0.0, 2.84), 6.0, permit)
     assert run.touch is not None
     assert run.touch.speed <= NO_FAULT
     assert max(abs(twist.angular) for twist in run.twists) > 1.5
-
-
-TOUCH_SPEED = 0.05
-ZONE_AHEAD = Permit(touch=TouchZone(0.0, math.radians(20.0), TOUCH_SPEED))
 
 
 def test_touches_in_its_sector_at_its_speed() -> None:

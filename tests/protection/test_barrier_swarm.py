@@ -134,7 +134,7 @@ def test_turning_robot_does_not_swing_into_one_that_passes() -> None:
 
 @pytest.mark.parametrize("seed", [1, 4])
 def test_two_robots_that_slide_to_the_same_place_keep_apart(seed: int) -> None:
-    """Neither closes on the other while the other one stands; without a rule their corners would meet."""
+    """Neither would close on a standing other; without a rule their corners would meet."""
     trace = meeting(
         group("seeing-waffle_pi", "a", (0.0, 0.296, -0.24), 0.2),
         group("seeing-waffle_pi", "b", (0.1, -0.296, 0.37), 0.2),

@@ -1,4 +1,4 @@
-"""What a robot says of its protection and its sensors."""
+"""The status of a robot: protection and readings."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def harness(tmp_path: Path) -> RobotHarness:
 def summary(
     harness: RobotHarness, bearing_deg: float, distance: float, *, recovery: bool = False
 ) -> DecisionSummary:
-    """What it says after a context with something 20 degrees wide in the way."""
+    """The reported decision with an obstacle 20 degrees wide in the way."""
 
     def scans(seq: int, now: float) -> Scan:
         scan = empty_scan(harness.platform, seq, now)
@@ -50,38 +50,33 @@ def summary(
 
 
 def test_status_reports_the_tightest_constraint_first(harness: RobotHarness) -> None:
-    said = summary(harness, -20.0, 0.45)
-    assert (said.mode, said.is_active) == ("barrier", True)
-    assert 1 <= len(said.rows) <= MAX_ROWS
-    assert [row.cap for row in said.rows] == sorted(row.cap for row in said.rows)
-    tightest = said.rows[0]
+    shown = summary(harness, -20.0, 0.45)
+    assert (shown.mode, shown.is_active) == ("barrier", True)
+    assert 1 <= len(shown.rows) <= MAX_ROWS
+    tightest = shown.rows[0]
+    assert tightest.cap == min(row.cap for row in shown.rows)
     assert math.radians(-40.0) < tightest.bearing < math.radians(-5.0)
-    assert said.min_gap is not None
-    assert tightest.gap == pytest.approx(said.min_gap, abs=0.05)
-    assert said.scan_age is not None
-
-
-def test_status_reports_protection_before_an_obstacle(harness: RobotHarness) -> None:
-    said = summary(harness, 0.0, 0.3)
-    assert harness.status.reason is Reason.PROTECTION
-    assert said.rows[0].bearing == pytest.approx(0.0, abs=0.3)
-    assert said.rows[0].cap == 0.0
-    assert (said.requested_linear, said.requested_angular) == (0.2, 0.0)
-    assert (said.safe_linear, said.safe_angular) == (harness.twist.linear, harness.twist.angular)
+    assert tightest.gap == pytest.approx(shown.min_gap, abs=0.05)
+    assert shown.scan_age is not None
 
 
 def test_status_reports_no_constraint_that_does_not_bind(harness: RobotHarness) -> None:
-    said = summary(harness, 180.0, 2.0)
-    assert (said.is_active, said.rows, said.is_recovering) == (False, (), False)
+    shown = summary(harness, 180.0, 2.0)
+    assert (shown.is_active, shown.rows, shown.is_recovering) == (False, (), False)
 
 
 def test_status_reports_recovery(harness: RobotHarness) -> None:
-    assert not summary(harness, 0.0, 0.3).is_recovering
+    blocked = summary(harness, 0.0, 0.3)
+    assert harness.status.reason is Reason.PROTECTION
+    assert (blocked.is_recovering, blocked.rows[0].cap) == (False, 0.0)
+    assert (blocked.requested_linear, blocked.requested_angular) == (0.2, 0.0)
+    commanded = harness.twist
+    assert (blocked.safe_linear, blocked.safe_angular) == (commanded.linear, commanded.angular)
     assert summary(harness, 0.0, 0.3, recovery=True).is_recovering
 
 
 def test_status_reports_finite_readings(harness: RobotHarness) -> None:
-    told = {"battery": 0.71, "yaw": -1.5, "odd": math.nan}
-    harness.robot.on_readings(told)
+    readings = {"battery": 0.71, "yaw": -1.5, "odd": math.nan}
+    harness.robot.on_readings(readings)
     assert harness.status.readings == {"battery": 0.71, "yaw": -1.5}
     assert decode(encode(harness.status)).readings == harness.status.readings
