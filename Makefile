@@ -23,7 +23,7 @@ help:
 	@echo "make voting      how voting scales with the number of robots; ten minutes"
 	@echo "make safety      robot-hours and progress under protection; hours"
 	@echo "make mutants   small changes of the code and the tests that notice them; a night"
-	@echo "make lock      writes constraints.txt anew, with the newest versions that fit"
+	@echo "make lock      writes constraints.txt again, with the newest versions that fit"
 	@echo "make clean     removes .venv, build and caches"
 	@echo "PYTHON=python3.12 picks the interpreter."
 

@@ -120,8 +120,8 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
             return ZERO
         blocking = None if is_original else self._blocking(inputs)
         is_over = self._until is None or inputs.now >= self._until
-        goes_straight = self._is_turning or self._until is None
-        if goes_straight and is_over and blocking is None:
+        may_go_straight = self._is_turning or self._until is None
+        if may_go_straight and is_over and blocking is None:
             self._go_straight(inputs.now)
         elif not self._is_turning and (blocking is not None or is_over):
             self._start_turn(inputs.now, blocking)

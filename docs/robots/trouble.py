@@ -35,13 +35,13 @@ ENDPOINT, MASTER = "tcp/127.0.0.1:7447", "http://127.0.0.1:11311"
 SCAN, ODOM, STAMPED = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "TwistStamped"
 
 HEAD = """\
-# When a robot is not there
+# Usual problems
 
 <!-- Written by docs/robots/trouble.py from the drivers' own messages. -->
 
 `swarmd ... --check` reports what it finds within 5 s and moves nothing; `members` and `describe`
-report the same of a running daemon, under `driver lost`. The robot stands meanwhile. The tables
-list the messages of one robot; `FAIL` and the subject precede each.
+report the same of a running daemon, under `driver lost`. Meanwhile the robot is held at zero.
+The tables list the messages of one robot; `FAIL` and the subject precede each.
 
 Check before the daemon is started: a check counts the commands of a running daemon, and after a
 crash those of its watchdog, as commands of another node.

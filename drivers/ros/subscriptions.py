@@ -22,7 +22,7 @@ _SIGNS_OF_LIFE = (LaserScan, Range, Odometry)
 
 
 class Subscriptions:
-    """Reads a robot's topics. A driver makes one for each run: scan sequences begin anew with it.
+    """Reads a robot's topics. A driver makes one for each run: scan sequences begin again with it.
 
     `topics`: the statistics of each topic by its name in this driver, such as `scan`.
     `last_arrival`: of a scan, a range or odometry. `scan`: the last one, None before the first.

@@ -21,7 +21,7 @@ class TopicStats:
     """One subscribed topic and what arrived on it.
 
     `topic` is the full name and `option` the driver option that names it. `times` are arrivals in
-    s on the loop's clock and `stamps` those of the sender. Both begin anew when stamps go back, as
+    s on the loop's clock and `stamps` those of the sender. Both begin again when stamps go back, as
     they do when a robot restarts; `setbacks` holds the last two times of that.
     """
 

@@ -52,7 +52,7 @@ class Master:
         return answer
 
     def forget(self) -> None:
-        """Ask each node anew: a node has come or gone."""
+        """Ask each node again: a node has come or gone."""
         self._alive = {}
 
     def wants(self, node: str, topic: str) -> str:

@@ -50,7 +50,7 @@ class Ros2Dds(Ros2Middleware):
     hub = "zenoh-bridge-ros2dds"
     start = "start zenoh-bridge-ros2dds on the robot"
     silent = (
-        "announces no topic at all; start the robot's ROS 2 or, if it runs, the bridge anew, with"
+        "announces no topic at all; start the robot's ROS 2 or, if it runs, the bridge again, with"
         " its ROS_DOMAIN_ID, ROS_DISTRO and localhost settings"
     )
     announcements = "@/*/@ros2_lv/**"

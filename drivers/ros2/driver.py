@@ -274,7 +274,7 @@ class RosDriver:
         if self._gate.is_open and not hubs:
             self._close_gate(sink, self._unreachable())
         elif self._gate.is_open and before and hubs != before:
-            self._close_gate(sink, f"{self._place()} was started anew")
+            self._close_gate(sink, f"{self._place()} was started again")
         elif self._gate.is_open and silent > self._sensor_timeout:
             self._close_gate(
                 sink, f"no scan and no odometry from {self._place()} for {silent:.1f} s"
@@ -287,7 +287,7 @@ class RosDriver:
             self._explain(sink, now, is_linked=bool(hubs))
 
     def _explain(self, sink: Sink, now: float, *, is_linked: bool) -> None:
-        """Report anew why the base is lost, or what is missing although it is connected."""
+        """Report again why the base is lost, or what is missing although it is connected."""
         if is_linked:
             is_alive = now - self._subscriptions.last_arrival <= self._sensor_timeout
             obstacle = (
@@ -307,7 +307,7 @@ class RosDriver:
             return driven_by_others(self._cmd_vel)
         if self._duplicates.duplicate:
             node, hub = self._duplicates.duplicate, self._scheme.hub
-            return f"{node} crashed and is back; {hub} will forget it: start that anew"
+            return f"{node} crashed and is back; {hub} will forget it: start that again"
         graph = self._foreign_graph()
         # Without announcements the subscribers of the base are unknown.
         has_subscriber = not graph.endpoints or self._has_subscriber()

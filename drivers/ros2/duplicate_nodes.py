@@ -38,7 +38,7 @@ class DuplicateNodes:
         self.duplicate = ""
 
     def query(self, session: zenoh.Session, now: float) -> None:
-        """Query anew each PERIOD, and evaluate the answers to the query before."""
+        """Query again each PERIOD, and evaluate the answers to the query before."""
         if not self._selector or now - self._begun < PERIOD:
             return
         self._begun, self.duplicate = now, duplicate_of(self._known.copy(), self._topic)

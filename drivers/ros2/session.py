@@ -14,7 +14,7 @@ from swarmd.core.errors import NetworkError
 from swarmd.network.session import PROMPT_OPTIONS, open_with, realtime_publisher, tune_sockets
 
 LINK_TIMEOUT = 5.0
-"""Seconds without an acknowledgement after which a link is given up and dialled anew."""
+"""Seconds without an acknowledgement after which a link is given up and dialled again."""
 
 
 def open_session(endpoint: str, *, within: float = 1.0) -> zenoh.Session | None:

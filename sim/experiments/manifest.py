@@ -117,7 +117,7 @@ def read_manifest(folder: Path) -> Manifest:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
     except (msgspec.MsgspecError, ConfigError, RecursionError) as error:
         text = f"{path}: damaged: {' '.join(str(error).split())[:200]}"
-        raise ConfigError(f"{text}; restore it, or run the experiment anew") from error
+        raise ConfigError(f"{text}; restore it, or run the experiment again") from error
     text = f"{path}: format {found}, and this swarmd reads {FORMAT}"
     raise ConfigError(f"{text}; use the swarmd that has made it")
 

@@ -88,7 +88,7 @@ def read_table(folder: Path, plan: Plan) -> tuple[tuple[str, ...], dict[str, Row
         text = path.read_bytes().decode(errors="replace")
     except OSError as error:
         fault = f"{path}: {error.strerror}"
-        raise ConfigError(f"{fault}; restore it, or run the experiment anew") from error
+        raise ConfigError(f"{fault}; restore it, or run the experiment again") from error
     reader = csv.reader(io.StringIO(text[: text.rfind("\n") + 1]), strict=True)
     runs = {run.id: run for run in plan.runs}
     rows: dict[str, Row] = {}
@@ -104,7 +104,7 @@ def read_table(folder: Path, plan: Plan) -> tuple[tuple[str, ...], dict[str, Row
             rows[row.run.id] = row
     except (csv.Error, ValueError) as error:
         fault = f"{path}:{reader.line_num or 1}: damaged: {' '.join(str(error).split())[:120]}"
-        raise ConfigError(f"{fault}; restore it, or run the experiment anew") from error
+        raise ConfigError(f"{fault}; restore it, or run the experiment again") from error
     return metrics, {name: rows[name] for name in runs if name in rows}
 
 

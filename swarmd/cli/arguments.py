@@ -159,7 +159,7 @@ def read_assignments(words: Iterable[str], option: str = "-p") -> dict[str, Valu
         try:
             size += len(word.encode())
         except UnicodeEncodeError:
-            raise click.UsageError(f"{shown} is not UTF-8; type it anew") from None
+            raise click.UsageError(f"{shown} is not UTF-8; type it again") from None
         if key in values:
             raise click.UsageError(f"{option} {key} is given twice; keep one")
         for part, limit in ((key, _MAX_KEY), (text, _MAX_TEXT)):

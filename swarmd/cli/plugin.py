@@ -14,7 +14,7 @@ from swarmd.cli.send import send_to
 from swarmd.core.keys import is_id
 from swarmd.core.messages import ReloadRequest
 
-# A trial on a robot may take 10 s, and loading anew 3 s more.
+# A trial on a robot may take 10 s, and loading again 3 s more.
 RELOAD_TIMEOUT = 15.0
 CHECK_TIMEOUT = 30.0  # s for one point
 _MARKS = {"ok": "ok  ", "fault": "FAIL", "skipped": "skip"}

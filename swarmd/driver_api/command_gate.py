@@ -60,7 +60,7 @@ class CommandGate:
         return is_wanted
 
     def repeat_zero(self, now: float) -> None:
-        """Begin ZERO_REPEAT_TIME anew: a link that was cut is back, so zeros arrive again."""
+        """Begin ZERO_REPEAT_TIME again: a link that was cut is back, so zeros arrive again."""
         self._repeat_until = now + ZERO_REPEAT_TIME
 
     def repeats_zero(self, now: float) -> bool:
@@ -72,7 +72,7 @@ class CommandGate:
         self._is_open, self._repeat_until = False, -math.inf
 
     def end(self) -> bool:
-        """The driver ends. True if it has to publish zero now; a later `run` begins anew."""
+        """The driver ends. True if it has to publish zero now; a later `run` begins again."""
         has_sent = self._has_sent
         self.cut()
         self._has_sent = False

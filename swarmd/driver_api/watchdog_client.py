@@ -209,7 +209,7 @@ async def _while_watched(run: Coroutine[Any, Any, None], watchdog: WatchdogProce
     try:
         await asyncio.wait({running, losing}, return_when=asyncio.FIRST_COMPLETED)
         if not running.done():
-            raise DriverError(f"the watchdog {losing.result()}; it is started anew")
+            raise DriverError(f"the watchdog {losing.result()}; it is started again")
         running.result()
     finally:
         for task in (running, losing):

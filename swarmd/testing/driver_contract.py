@@ -298,7 +298,7 @@ class DriverContract:
     async def test_a_silent_base_is_lost_and_gets_zero_first_when_back(
         self, harness: DriverHarness
     ) -> None:
-        """A base without sensors may still drive; one that is back starts anew."""
+        """A base without sensors may still drive; one that is back starts again."""
         taken = await _moving(harness)
         await harness.until(lambda: not harness.sink.is_up)
         assert harness.sink.states[-1][1], "the reason"

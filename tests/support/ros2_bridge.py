@@ -70,7 +70,7 @@ class Bridge:
         self.kill()
 
     def start(self) -> Bridge:
-        """Start it, also anew at the same endpoint, and wait until it listens."""
+        """Start it, also again at the same endpoint, and wait until it listens."""
         with self.log.open("ab") as log:
             self._process = subprocess.Popen(
                 self._command, env=self._environ, stdin=subprocess.DEVNULL, stdout=log, stderr=log

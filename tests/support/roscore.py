@@ -63,7 +63,7 @@ class RosCore:
         self.kill()
 
     def start(self) -> RosCore:
-        """Start it, also anew on the same port, and wait until it answers."""
+        """Start it, also again on the same port, and wait until it answers."""
         command = ["roscore"] if self._is_whole else ["rosmaster", "--core"]
         self._process = subprocess.Popen(
             [*command, "-p", str(self.port)],

@@ -35,7 +35,7 @@ class RosRobot:
         self.reconnect()
 
     def reconnect(self) -> None:
-        """Start its nodes, also anew, and wait until they are registered."""
+        """Start its nodes, also again, and wait until they are registered."""
         self._process = subprocess.Popen(
             [PYTHON, str(SCRIPT), *self._words],
             env={**self.core.environ, "ROS_NAMESPACE": self.namespace},

@@ -136,7 +136,9 @@ def test_the_first_command_after_an_instant_restart_of_the_hub_is_zero(
             await asyncio.sleep(0.01)
         robot.disconnect()
         robot.reconnect()
-        await harness.until(lambda: told(harness, "was started anew", is_up=False), publishing=True)
+        await harness.until(
+            lambda: told(harness, "was started again", is_up=False), publishing=True
+        )
         await harness.until(lambda: harness.sink.is_up, publishing=True)
         robot.commands()
         harness.driver.send(Twist(0.1), 2, 2)
