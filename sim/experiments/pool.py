@@ -28,7 +28,8 @@ from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.scenarios.scenariofile import scenario_of
 
 STEP_TIMEOUT = 60.0
-"""Limit in s of wall time for one step of a simulation, or for its set-up."""
+"""Limit in s of wall time for one step of a simulation, or for its set-up, and for the start of a
+worker, which takes 3 s on a busy machine."""
 _EXIT_TIMEOUT = 2.0  # s for a worker without work to end by itself
 _POLL_PERIOD = 0.5  # s between two checks of workers that report nothing
 _PROGRESS_PERIOD = 0.25  # s between two reports of a worker
@@ -148,6 +149,7 @@ class _Worker:
 
     def __init__(self) -> None:
         self.is_alive = True
+        self._has_started = False
         self.pipe, theirs = Pipe()
         self._log = tempfile.TemporaryFile()  # noqa: SIM115  # closed by `kill`
         with theirs:
@@ -185,6 +187,7 @@ class _Worker:
             return self._failed(f"its process {how_it_ended(code)}{hint}")
         if isinstance(received, JobResult):
             return received
+        self._has_started = True
         self._silence = 0.0 if received < 1.0 else None  # from here on no pattern runs
         return None
 
@@ -193,7 +196,7 @@ class _Worker:
         if self._silence is None:
             return None
         self._silence += seconds
-        if self._silence < timeout:
+        if self._silence < (timeout if self._has_started else max(timeout, STEP_TIMEOUT)):
             return None
         self._end_group()
         return self._failed(f"no progress in {timeout:g} s; a pattern may not return")
@@ -244,6 +247,7 @@ def main(descriptor: int, parent: int) -> None:
     import swarmd.sim.experiments.pool  # noqa: F401
 
     with Connection(descriptor) as connection:
+        connection.send(0.0)  # started
         while True:
             try:
                 job = connection.recv()

@@ -121,12 +121,12 @@ def test_a_hanging_run_fails_and_the_others_go_on(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl
 ) -> None:
     sweep = f"{END}=hang,none"
-    done = swarmctl("exp", "run", duo, "--seeds", 1, "--sweep", sweep, "--timeout", 8, "--out", "x")
+    done = swarmctl("exp", "run", duo, "--seeds", 1, "--sweep", sweep, "--timeout", 3, "--out", "x")
     assert done.returncode == 3
     assert [row["run"] for row in rows(tmp_path / "x")] == ["end=none_s0000"]
     for one in (done, swarmctl("exp", "show", "x")):
         assert "1 of 2 runs, 1 failed" in one.stdout
-        assert "failed: end=hang_s0000: no progress in 8 s" in one.stderr
+        assert "failed: end=hang_s0000: no progress in 3 s" in one.stderr
         assert "only 1 run" in one.stderr
 
 
