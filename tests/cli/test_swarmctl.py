@@ -34,6 +34,7 @@ class Own(MovementPattern[Params]):
     def drive(self, inputs: Inputs) -> Twist:
         return Twist()
 '''
+SOON = ("--timeout", "200ms")
 HEAVY = {"numpy", "rich", "yaml", "asyncio", "mujoco", "matplotlib", "swarmd.patterns"}
 
 
@@ -128,12 +129,12 @@ def test_a_wrong_option_is_one_line_and_exit_2(
     "args",
     [
         ["members"],
-        ["describe", "r1"],
-        ["run", "drive", "--all"],
-        ["stop"],
-        ["estop", "r1"],
-        ["reset", "--all", "--yes"],
-        ["param", "set", "--all", "speed=1"],
+        ["describe", "r1", *SOON],
+        ["run", "drive", "--all", *SOON],
+        ["stop", *SOON],
+        ["estop", "r1", *SOON],
+        ["reset", "--all", "--yes", *SOON],
+        ["param", "set", "--all", "speed=1", *SOON],
     ],
 )
 def test_without_a_daemon_verbs_end_with_6_and_write_nothing(
@@ -155,13 +156,12 @@ def test_an_unknown_network_interface_ends_with_6(capsys: pytest.CaptureFixture[
 @pytest.mark.integration
 def test_the_swarm_is_that_of_the_file_given(tmp_path: Path) -> None:
     (tmp_path / "swarm.yaml").write_text("swarm: from-file")
-    named = run_command("swarmctl", "members", "--config", "swarm.yaml", cwd=tmp_path)
+    command = ("swarmctl", "members", *SOON)
+    named = run_command(*command, "--config", "swarm.yaml", cwd=tmp_path)
     assert "'from-file'" in named.stderr
-    by_environment = run_command("swarmctl", "members", cwd=tmp_path, SWARM_CONFIG="swarm.yaml")
+    by_environment = run_command(*command, cwd=tmp_path, SWARM_CONFIG="swarm.yaml")
     assert "'from-file'" in by_environment.stderr
-    overridden = run_command(
-        "swarmctl", "members", "--config", "swarm.yaml", "--swarm", "other", cwd=tmp_path
-    )
+    overridden = run_command(*command, "--config", "swarm.yaml", "--swarm", "other", cwd=tmp_path)
     assert "'other'" in overridden.stderr
 
 

@@ -164,14 +164,21 @@ def test_no_late_run_moves_a_swarm_that_was_cut_in_two(
     late = a.talk([sys.executable, "-m", "tests.swarm.late_operator", str(a.swarm.config)])
     assert late.ask("look") == {"seen": ["r1", "r2", "r3", "r4"]}
 
+    # A swarmctl takes 4.5 s to give unreachable seeds up: both sides wait for it at once.
     namespaces.cut("b")
-    stopped = b.swarm.ctl("stop", "--timeout", "1s").outcome
-    assert stopped == (3, "4 targeted, 2 applied, 2 no answer (r1, r2)")
+    stop_b = b.swarm.begin("stop", "--timeout", "1s")
     b.bodies.ask("standing")
     b.bodies.ask("mark")
     a.bodies.ask("moving")  # the other side is autonomous
-
-    # A swarmctl takes 4.5 s to give unreachable seeds up: both sides look at once.
+    stop_a = a.swarm.begin("stop", "--timeout", "1s")
+    a.bodies.ask("standing")
+    a.bodies.ask("mark")
+    outcomes = [side.swarm.finish(stop).outcome for side, stop in ((a, stop_a), (b, stop_b))]
+    assert outcomes == [
+        (3, "4 targeted, 2 applied, 2 no answer (r3, r4)"),
+        (3, "4 targeted, 2 applied, 2 no answer (r1, r2)"),
+    ]
+    late.say("run 1")
     with ThreadPoolExecutor(2) as pool:
         seen_by_a = {"r1": "alive", "r2": "alive", "r3": "failed", "r4": "failed"}
         seen_by_b = {"r1": "failed", "r2": "failed", "r3": "alive", "r4": "alive"}
@@ -181,11 +188,7 @@ def test_no_late_run_moves_a_swarm_that_was_cut_in_two(
         ]
         for look in looks:
             look.result()
-    stopped = a.swarm.ctl("stop", "--timeout", "1s").outcome
-    assert stopped == (3, "4 targeted, 2 applied, 2 no answer (r3, r4)")
-    a.bodies.ask("standing")
-    a.bodies.ask("mark")
-    assert late.ask("run 1").keys() == {"r1", "r2", "r3", "r4"}
+    assert late.hear().keys() == {"r1", "r2", "r3", "r4"}
 
     namespaces.heal("b")
     for side in (a, b):
@@ -239,8 +242,9 @@ def test_an_id_on_both_sides_of_a_cut_is_faulted_after_it_heals(
     namespaces.cut("b")
     start(field)
     sides = list(field.values())
-    for side in sides:
-        assert side.swarm.ctl("run", "drive", "r1").code == 0
+    runs = [side.swarm.begin("run", "drive", "r1") for side in sides]
+    for side, run in zip(sides, runs, strict=True):
+        assert side.swarm.finish(run).code == 0
         side.bodies.ask("moving")
 
     healed = time.monotonic()

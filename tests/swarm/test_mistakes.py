@@ -96,7 +96,7 @@ def test_swarmctl_reports_a_mistake_in_one_line(
 
 def test_an_unknown_swarm_is_reported_with_those_in_reach(driving: Driving) -> None:
     for verb in ("members", "estop"):
-        done = driving.swarm.ctl(verb, "--swarm", "nowhere")
+        done = driving.swarm.ctl(verb, "--swarm", "nowhere", "--timeout", "200ms")
         assert (done.code, done.out, done.err.count("\n")) == (6, "", 1)
         there = re.fullmatch(
             r"error: no daemon of swarm 'nowhere' .* swarms: (.*) \(see .*\n", done.err

@@ -188,6 +188,7 @@ def test_code_that_does_not_load_is_refused_without_effect(own: Own) -> None:
         assert is_running(host)
 
 
+@pytest.mark.evidence  # waits TRIAL_TIMEOUT; in the suite: tests/robot/test_requests_reload.py
 def test_code_that_hangs_is_refused_and_its_process_ended(own: Own) -> None:
     before = own.run()
     moving = own.body.wait_stepped(boottime())
