@@ -40,7 +40,7 @@ def differences(shown: Any, real: Any, where: str = "") -> list[str]:
     return [] if shown == real else [f"{where}: {shown} is {real}"]
 
 
-def test_the_variant_loads_as_it_stands(tmp_path: Path) -> None:
+def test_the_variant_loads_unchanged(tmp_path: Path) -> None:
     (tmp_path / "my_robot.yaml").write_text(blocks("new_robot.md")[0])
     platform = load_platform("my_robot.yaml", tmp_path)
     assert len(platform.scan.bearings) == 720
@@ -102,7 +102,7 @@ def test_each_shipped_robot_has_a_page() -> None:
     assert not [name for name in platform_names() if f"`{name}`" not in text]
 
 
-def test_each_robot_says_how_it_is_stopped() -> None:
+def test_each_page_explains_how_its_robot_is_stopped() -> None:
     robots = [page for page in PAGES.glob("*.md") if page.name not in GENERAL]
     wanted = (
         "On the robot",
@@ -116,7 +116,7 @@ def test_each_robot_says_how_it_is_stopped() -> None:
     assert not lacking
 
 
-def test_what_a_driver_offers_and_tells_is_explained() -> None:
+def test_methods_and_inputs_of_a_driver_are_explained() -> None:
     text = (ROOT / "docs" / "drivers.md").read_text()
     said = {
         name

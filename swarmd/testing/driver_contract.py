@@ -411,7 +411,7 @@ class DriverContract:
 
         asyncio.run(run())
 
-    def test_check_of_a_silent_base_says_what_to_do(self) -> None:
+    def test_check_of_a_silent_base_names_the_remedy(self) -> None:
         """The findings name what is missing, within the time given."""
 
         async def run() -> None:

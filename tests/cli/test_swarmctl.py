@@ -207,7 +207,7 @@ def test_show_lists_parameters_with_their_bounds(tmp_path: Path) -> None:
     assert "a float from -2 to 2 m/s" in speed
 
 
-def test_a_verb_that_lacks_a_library_says_how_to_install_it(tmp_path: Path) -> None:
+def test_a_verb_that_lacks_a_library_names_its_installation(tmp_path: Path) -> None:
     info = tmp_path / "outsider-1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text(

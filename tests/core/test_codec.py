@@ -42,7 +42,7 @@ def test_what_nests_as_deep_as_allowed_is_read() -> None:
 
 
 @pytest.mark.parametrize("value", [object(), "x" * MAX_MESSAGE, {1, 2}, 2**70])
-def test_what_cannot_be_sent_is_said(value: object) -> None:
+def test_an_unsendable_value_is_an_error(value: object) -> None:
     with pytest.raises(CodecError):
         encode_value(value)
 

@@ -53,7 +53,7 @@ def test_a_lost_base_is_sent_zero_and_again_for_a_while() -> None:
     assert not gate.repeats_zero(10.0 + ZERO_REPEAT_TIME)
 
 
-def test_zeros_begin_anew_when_a_link_is_back() -> None:
+def test_zeros_restart_when_a_link_is_back() -> None:
     gate = moving_gate()
     gate.close(10.0)
     gate.repeat_zero(20.0)

@@ -97,7 +97,7 @@ class TestContract(DriverContract):
     def rig(self) -> Deck:
         return Deck(self._tmp / f"{next(self._count)}.rec")
 
-    def test_check_of_a_silent_base_says_what_to_do(self) -> None:
+    def test_check_of_a_silent_base_names_the_remedy(self) -> None:
         empty = record(self._tmp / "empty.rec", [])
         findings = asyncio.run(make(empty).check(0.5))
         unwell = [finding for finding in findings if not finding.is_well]
@@ -119,7 +119,7 @@ def test_what_can_be_no_file_is_refused_before_anything_starts(tmp_path: Path, n
             make_driver(load_daemon_settings(None, values))
 
 
-def test_a_file_that_cannot_be_made_is_said_in_a_line(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "taken").touch()
     for path in (tmp_path / f"{'x' * 255}.rec", tmp_path / "taken" / "x.rec"):
         with pytest.raises(DriverError, match=r"^record: .* cannot be written: "):

@@ -198,7 +198,7 @@ def test_an_estop_that_cannot_be_written_down_latches_all_the_same(bench: Bench)
     bench.moves_not(zero.at)
 
 
-def test_sigterm_zeroes_says_left_and_ends_with_0(bench: Bench) -> None:
+def test_sigterm_sends_zero_reports_left_and_exits_with_0(bench: Bench) -> None:
     bench.start()
     bench.drive()
     host = bench.daemon.host_pid()

@@ -149,7 +149,7 @@ def test_asked_to_end_the_watchdog_sends_zeros_for_2_s_and_ends(guarded: Bench) 
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_without_its_watchdog_the_robot_stands_until_there_is_one_again(
+def test_without_its_watchdog_the_robot_is_held_until_a_new_one_runs(
     guarded: Bench, number: signal.Signals
 ) -> None:
     guarded.drive()

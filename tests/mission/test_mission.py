@@ -93,7 +93,7 @@ def test_in_a_parallel_one_drives_and_all_send_messages(tmp_path: Path) -> None:
     assert found[4].report["go.steps"] == 5
 
 
-def test_a_parallel_without_a_driver_stands(tmp_path: Path) -> None:
+def test_a_parallel_without_drives_sends_no_command(tmp_path: Path) -> None:
     text = parts("vote", "go") + "parallel: [vote, go]\ndrives: none\n"
     assert speeds(steps(made(tmp_path, text), 0.0, 1.0)) == [None, None]
 
@@ -120,7 +120,7 @@ def test_a_switch_takes_the_first_branch_whose_condition_holds(tmp_path: Path) -
     assert speeds(steps(mission, 2.0)) == [0.2]
 
 
-def test_a_switch_without_a_branch_stands(tmp_path: Path) -> None:
+def test_a_switch_without_a_branch_sends_no_command(tmp_path: Path) -> None:
     text = parts("go") + "switch: [{when: {reading: light, above: 2}, part: go}]\n"
     kind = mission_of(tmp_path, text)
     assert kind.needs == {"scan", "reading:light"}
@@ -224,7 +224,7 @@ def test_a_repeating_sequence_continues_after_a_done_part(tmp_path: Path) -> Non
     assert [one.report["brief.count"] for one in found] == [1, 2, 3, 4, 5]
 
 
-def test_a_branch_restarts_when_chosen_and_stands_when_ended(
+def test_a_branch_restarts_when_chosen_and_rests_when_ended(
     tmp_path: Path,
 ) -> None:
     text = parts("go", "other") + (

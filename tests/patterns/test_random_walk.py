@@ -50,7 +50,7 @@ def straights(twists: Sequence[Twist]) -> list[float]:
     ]
 
 
-def test_straights_last_as_long_as_the_parameters_say() -> None:
+def test_straights_last_within_the_bounds_of_the_parameters() -> None:
     lengths = straights(walk(lambda now: FREE, 300.0, straight_min=2.0, straight_max=4.0))
     assert len(lengths) > 20
     assert all(1.9 <= length <= 4.1 for length in lengths)

@@ -72,7 +72,7 @@ def test_keeps_reports_and_words(tmp_path: Path) -> None:
     assert again.box_pose.shape == (10, 1, 3)
 
 
-def test_clearing_begins_anew() -> None:
+def test_clearing_restarts_the_trace() -> None:
     recorder = TraceBuilder(IDS, [load_platform("burger")] * 2, {})
     recorder.add(0.0, np.zeros((2, 3)), np.zeros((2, 3)))
     recorder.add_contact(0.0, "a", "b", 0.0, 0.0)
@@ -91,7 +91,7 @@ def test_recorder_keeps_copies() -> None:
     np.testing.assert_array_equal(recorder.trace().pose, 0.0)
 
 
-def test_a_trace_of_another_version_is_said_to_be_one(tmp_path: Path) -> None:
+def test_a_trace_of_another_version_is_refused_by_its_version(tmp_path: Path) -> None:
     recorded().save(tmp_path / "run.npz")
     with np.load(tmp_path / "run.npz") as file:
         whole = dict(file)

@@ -118,7 +118,7 @@ def test_an_orientation_that_is_none_is_refused() -> None:
         conversion.yaw_of(messages.Quaternion(x=0.0, y=0.0, z=0.0, w=0.0))
 
 
-def test_imu_tells_yaw_unless_it_knows_no_orientation() -> None:
+def test_imu_gives_yaw_unless_it_has_no_orientation() -> None:
     message = dds.Imu(orientation=dds.Quaternion(z=math.sin(0.25), w=math.cos(0.25)))
     assert conversion.imu_readings(read(messages.Imu, message)) == {"yaw": pytest.approx(0.5)}
     message.orientation_covariance[0] = -1.0
@@ -209,7 +209,7 @@ class TestRangeRing:
         assert not np.isnan(made[0].ranges).any()
         assert all(np.flatnonzero(np.isnan(scan.ranges)).tolist() == [2] for scan in made[1:])
 
-    def test_sensors_that_begin_anew_are_heard_again(self) -> None:
+    def test_sensors_that_restart_are_received_again(self) -> None:
         ring = self.ring()
         scans = [ring.take(i % 7, self.value(9.0 - i // 7, 0.2)) for i in range(21)]
         assert len([scan for scan in scans if scan is not None]) == 3

@@ -61,7 +61,7 @@ def test_the_default_endpoint_is_not_the_port_of_the_field_profile() -> None:
         ("lab/{robot}", "odom", "/lab/tb3_01/odom"),
     ],
 )
-def test_the_namespace_stands_before_relative_names(
+def test_the_namespace_precedes_relative_names(
     read_any: ReadAny, namespace: str, name: str, wanted: str
 ) -> None:
     assert read_any({"namespace": namespace}).topic(name) == wanted

@@ -37,9 +37,7 @@ messages = [
 
 
 @pytest.mark.parametrize(("name", "values"), messages)
-def test_whatever_is_said_is_a_value_or_the_one_error(
-    name: str, values: st.SearchStrategy[Any]
-) -> None:
+def test_any_payload_gives_a_value_or_one_error(name: str, values: st.SearchStrategy[Any]) -> None:
     @settings(max_examples=150, deadline=None)
     @given(values)
     def check(value: Any) -> None:
@@ -69,7 +67,7 @@ def test_what_is_needed_and_silent_is_missing() -> None:
     assert [sense.name for sense in hearing.silent(3.0, 2.0)] == ["scan", "odometry"]
 
 
-def test_a_ring_stands_for_the_scan() -> None:
+def test_a_ring_replaces_the_scan() -> None:
     hearing, heard = Subscriptions(RING, robots.PLATFORM), CollectingSink()
     assert "scan" not in hearing.topics
     for name, metres in (("ranges.a", 0.5), ("ranges.b", 0.25)):

@@ -80,7 +80,7 @@ def test_the_last_words_of_an_adapter_are_reported(monkeypatch: pytest.MonkeyPat
     play(monkeypatch, "dies", story)
 
 
-def test_an_adapter_that_says_nothing_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_silent_adapter_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ros1_child, "START_TIMEOUT", 0.3)
 
     async def story(driver: Ros1Driver, heard: CollectingSink) -> None:

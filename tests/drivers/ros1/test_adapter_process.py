@@ -176,7 +176,7 @@ def test_an_adapter_whose_stderr_is_not_read_still_leaves(tmp_path: Path, master
     assert process.returncode == 0
 
 
-def test_an_adapter_that_could_join_only_in_part_ends_and_says_why(
+def test_an_adapter_that_joins_only_in_part_ends_with_the_reason(
     tmp_path: Path, master: str
 ) -> None:
     half = ROSPY + '\ndef Subscriber(*args, **kwargs): raise ConnectionRefusedError("gone")\n'

@@ -98,7 +98,7 @@ def test_a_master_that_comes_late_goes_and_comes_back(roscore: RosCore, tmp_path
     asyncio.run(run())
 
 
-def test_a_master_started_anew_at_once_is_noticed(roscore: RosCore, tmp_path: Path) -> None:
+def test_a_master_that_restarts_at_once_is_noticed(roscore: RosCore, tmp_path: Path) -> None:
     with RosCore(tmp_path, is_whole=False) as core:
 
         async def story(harness: DriverHarness, body: RosRobot) -> None:
@@ -355,7 +355,7 @@ def test_a_message_without_an_end_fills_no_memory(roscore: RosCore) -> None:
     play(RosRobot(roscore), story)
 
 
-def test_an_address_that_is_a_nodes_and_no_masters_is_said(roscore: RosCore) -> None:
+def test_an_address_of_a_node_instead_of_a_master_is_reported(roscore: RosCore) -> None:
     with closing(RosRobot(roscore)) as body:
         with xmlrpc.client.ServerProxy(roscore.uri) as master:
             node = str(_value(master.lookupNode("/test", f"{body.namespace}/robot")))

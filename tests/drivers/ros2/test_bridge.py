@@ -227,7 +227,7 @@ def test_another_nodes_command_is_reported() -> None:
     joystick.close()
 
 
-def test_the_bridge_announces_and_says_what_the_stand_in_does() -> None:
+def test_the_bridge_and_its_stand_in_announce_and_send_the_same() -> None:
     robot = DdsRobot()
     session = open_session("client", "connect/endpoints", robot.endpoint)
     tokens: set[str] = set()
@@ -281,7 +281,7 @@ def test_a_restarted_bridges_announcements_are_gone_with_it() -> None:
     ],
     ids=["well", "domain", "distro"],
 )
-def test_check_tells(make: Callable[[], DdsRobot], wanted: dict[str, str]) -> None:
+def test_check_reports_the_cause(make: Callable[[], DdsRobot], wanted: dict[str, str]) -> None:
     robot = make()
     found = check(robot, robot.publish, seconds=3.0 if wanted else TIMEOUT)
     assert found["connection"].is_well
@@ -292,7 +292,7 @@ def test_check_tells(make: Callable[[], DdsRobot], wanted: dict[str, str]) -> No
         assert all(finding.is_well for finding in found.values()), found
 
 
-def test_check_of_a_robot_that_is_off_says_to_start_it() -> None:
+def test_check_of_a_robot_that_is_off_asks_to_start_it() -> None:
     robot = DdsRobot()
     robot.stop()
     found = check(robot, seconds=2.0)

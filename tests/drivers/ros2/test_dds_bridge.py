@@ -60,7 +60,7 @@ def test_stamped_commands_are_in_the_frame_asked_for() -> None:
     play(robot, story, cmd_vel_frame="base_footprint")
 
 
-def test_a_base_that_is_started_anew_in_no_time_gets_zero_first() -> None:
+def test_a_base_that_restarts_at_once_gets_zero_first() -> None:
     robot = BridgedRobot()
     announce(robot, "MS", "cmd_vel", "geometry_msgs/msg/Twist")
 

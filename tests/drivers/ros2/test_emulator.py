@@ -89,7 +89,7 @@ def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
     one.side.close()
 
 
-def test_a_laser_scan_is_what_an_lds_says() -> None:
+def test_a_laser_scan_is_as_an_lds_sends_it() -> None:
     said = varied_scan(BURGER)
     (message,) = LaserScanEncoder(RosOptions(), BURGER).encode(said)
     heard = dds.LaserScan.deserialize(cdr.encode(message))
@@ -103,7 +103,7 @@ def test_a_laser_scan_is_what_an_lds_says() -> None:
 
 
 @pytest.mark.parametrize("hangs", [False, True])
-def test_a_lidar_however_mounted_is_heard_as_it_was_said(hangs: bool) -> None:
+def test_a_scan_is_the_same_however_the_lidar_is_mounted(hangs: bool) -> None:
     options, said = RosOptions(scan_yaw_deg=70.0, scan_upside_down=hangs), varied_scan(BURGER)
     (message,) = LaserScanEncoder(options, BURGER).encode(said)
     heard = CollectingSink()
@@ -242,7 +242,9 @@ def test_an_endpoint_in_use_is_one_clear_error() -> None:
     ("command_timeout", "seconds"),
     [("none", math.inf), (None, math.inf), ("base", 0.5), (0.25, 0.25)],
 )
-def test_a_body_stops_by_itself_as_its_platform_says(command_timeout: Any, seconds: float) -> None:
+def test_a_base_stops_by_itself_as_its_platform_declares(
+    command_timeout: Any, seconds: float
+) -> None:
     assert (
         stops_after({} if command_timeout is None else {"command_timeout": command_timeout}, "x")
         == seconds

@@ -195,7 +195,7 @@ def test_scans_that_cannot_be_relied_on_are_reported_while_the_driver_runs(
 @pytest.mark.parametrize(
     ("make", "step"), [(BridgedRobot, "start zenoh-bridge-ros2dds"), (ZenohRobot, "rmw_zenohd")]
 )
-def test_check_without_a_hub_tells_what_to_start(make: Callable[[], Robot], step: str) -> None:
+def test_check_without_a_hub_names_what_to_start(make: Callable[[], Robot], step: str) -> None:
     robot = make()
     robot.disconnect()
     found = check(robot, seconds=1.2)

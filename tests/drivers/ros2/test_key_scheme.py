@@ -127,7 +127,7 @@ def test_commands_go_out_as_the_robots_distribution_names_them() -> None:
     }
 
 
-def test_what_others_command_says_nothing_of_the_robots_distribution() -> None:
+def test_foreign_commands_do_not_reveal_the_robots_distribution() -> None:
     ours = scheme()
     mine = ours.key("/cmd_vel", messages.Twist)
     for key in ours.command_keys("/cmd_vel", messages.Twist):  # a watchdog's zeros go out on each

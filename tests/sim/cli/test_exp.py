@@ -131,7 +131,7 @@ def test_a_hanging_run_fails_and_the_others_go_on(
 
 
 @pytest.mark.integration
-def test_a_rerun_tells_which_runs_are_identical_also_with_another_hash_seed(
+def test_a_rerun_lists_identical_runs_also_with_another_hash_seed(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl
 ) -> None:
     swarmctl("exp", "run", duo, "--seeds", "7-9", "--out", "a", PYTHONHASHSEED="1")
@@ -199,7 +199,7 @@ def test_no_worker_outlives_a_killed_parent(tmp_path: Path, duo: Path) -> None:
 
 @pytest.mark.integration
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
-def test_a_signal_keeps_finished_runs_and_says_how_to_resume(
+def test_a_signal_keeps_finished_runs_and_prints_how_to_resume(
     tmp_path: Path, duo: Path, number: signal.Signals, code: int
 ) -> None:
     folder = tmp_path / "x"

@@ -41,7 +41,7 @@ def test_without_a_sweep_there_is_one_variant_without_a_name() -> None:
     assert [run.id for run in plan.runs] == ["s0500"]
 
 
-def test_keys_that_end_alike_are_told_apart() -> None:
+def test_keys_with_equal_ends_get_distinct_names() -> None:
     plan = planned((0,), sweep={"a.count": [1], "b.count": [2]})
     assert plan.variants[0].name == "a.count=1,b.count=2"
 

@@ -79,7 +79,7 @@ def test_plugins_are_listed_with_their_digests(tmp_path: Path) -> None:
         digests_of_plugins(tmp_path)
 
 
-def test_git_tells_commit_and_whether_files_have_changed(tmp_path: Path) -> None:
+def test_git_gives_the_commit_and_whether_files_have_changed(tmp_path: Path) -> None:
     git(tmp_path, "init", "-q")
     inside = tmp_path / "scenarios"
     inside.mkdir()

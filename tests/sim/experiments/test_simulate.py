@@ -126,7 +126,7 @@ def test_seeds_may_be_numbers_of_numpy(duo: Path) -> None:
     assert metrics(some) == metrics(three)[1:]
 
 
-def test_failed_runs_are_told_and_the_others_are_there(duo: Path) -> None:
+def test_failed_runs_are_reported_and_the_others_kept(duo: Path) -> None:
     results = small(duo, seeds=1, sweep={END: ["exit", "none"]}, jobs=2)
     assert list(results.failures) == ["end=exit_s0000"]
     assert [row["run"] for row in results.rows] == ["end=none_s0000"]

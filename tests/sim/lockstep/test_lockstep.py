@@ -193,7 +193,7 @@ def test_a_removed_robot_is_absent_invisible_and_untouched() -> None:
     assert (numbers["clearance"] or 0.0) > 1.0
 
 
-def test_a_robot_that_joins_later_stands_at_its_start_pose() -> None:
+def test_a_robot_that_joins_later_waits_at_its_start_pose() -> None:
     joining = scenario(
         events=[{"at": 1.0, "join": ["r-01"]}, {"at": 2.0, "run": "drive", "targets": ["r-01"]}]
     )

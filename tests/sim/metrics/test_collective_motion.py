@@ -91,7 +91,7 @@ def test_the_way_of_the_centroid(run: Run) -> None:
     assert collective_motion.centroid_path_length(run(np.zeros((0, 3, 3)))) is None
 
 
-def test_who_comes_or_goes_does_not_move_the_centroid(run: Run) -> None:
+def test_a_robot_that_joins_or_leaves_does_not_move_the_centroid(run: Run) -> None:
     present: NDArray[np.bool_] = np.ones((21, 2), dtype=bool)
     present[5:, 1] = False
     trace = run(moving((0.0, 0.0), (0.0, 0.0)), present=present)

@@ -47,7 +47,7 @@ def test_shares_are_of_the_most_common_opinion(run: Run) -> None:
     assert shares.tolist() == [0.5, 0.5, 1.0]
 
 
-def test_who_holds_no_opinion_does_not_agree(run: Run) -> None:
+def test_a_robot_without_an_opinion_does_not_agree(run: Run) -> None:
     trace = votes(run, (NONE, NONE), (1, NONE), (1, 1))
     assert consensus.consensus_time(trace) == pytest.approx(0.2)
     shares = consensus.consensus_shares(trace)

@@ -39,7 +39,7 @@ def test_a_robot_called_arena_is_not_taken_for_the_walls(run: Run) -> None:
     assert contacts.contacts_with_arena(trace) == 0
 
 
-def test_movable_boxes_are_told_from_the_arena(run: Run) -> None:
+def test_movable_boxes_are_counted_apart_from_the_arena(run: Run) -> None:
     steps = [(0.0, 0, ARENA - 1), (0.0, 1, ARENA - 2), (0.0, 2, ARENA)]
     trace = run(STILL, steps, movable_boxes=("crate", "chest"))
     assert [(one.a, one.b, one.kind) for one in contacts.contact_list(trace)] == [
@@ -51,7 +51,7 @@ def test_movable_boxes_are_told_from_the_arena(run: Run) -> None:
     assert contacts.contacts_with_arena(trace) == 1
 
 
-def test_the_list_tells_who_moved_and_how_fast_they_met(run: Run) -> None:
+def test_the_list_has_the_moving_robots_and_the_closing_speed(run: Run) -> None:
     # Given once from the other side: its speeds belong to the robots all the same.
     steps = [(1.0, 0, 2, 0.2, 0.005), (1.1, 2, 0, 0.01, 0.25), (1.2, 0, 2, -0.1, 0.0)]
     (contact,) = contacts.contact_list(run(STILL, steps))

@@ -18,7 +18,7 @@ Line = Callable[..., Array]
 hull_area = at_end(coverage.hull_areas)
 
 
-def test_a_robot_that_stands_covers_its_disc(run: Run, line: Line) -> None:
+def test_a_robot_at_rest_covers_its_disc(run: Run, line: Line) -> None:
     disc = pytest.approx(math.pi / 4.0, rel=0.01)
     assert coverage.covered_area(run(line(0.0)), radius=0.5, cell=0.01) == disc
     assert coverage.covered_area(run(line(0.0, 0.0, 0.0)), radius=0.5, cell=0.01) == disc

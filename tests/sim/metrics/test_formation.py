@@ -74,7 +74,7 @@ def test_angular_gaps_are_held_against_equal_ones(run: Run) -> None:
     assert formation.circle_offsets(trace)[0] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_who_is_not_present_does_not_count(run: Run) -> None:
+def test_an_absent_robot_does_not_count(run: Run) -> None:
     pose = poses((0.0, 0.0), (1.0, 0.0), (1.5, 7.0), (2.0, 0.0))
     trace = run(pose, present=np.array([[True, True, False, True]]))
     assert formation.line_errors(trace, 1.0)[0] == pytest.approx(0.0, abs=1e-9)

@@ -65,7 +65,7 @@ def test_a_way_counts_only_while_present(run: Run) -> None:
     np.testing.assert_allclose(kinematics.path_lengths(joins), np.array([0.4, 0.0]))
 
 
-def test_who_was_never_there_is_not_in_the_mean(run: Run) -> None:
+def test_a_robot_that_was_never_present_is_not_in_the_mean(run: Run) -> None:
     present = np.ones((11, 2), dtype=bool)
     present[:, 1] = False
     assert kinematics.path_length(half_way(run, present=present)) == pytest.approx(1.0)

@@ -16,7 +16,7 @@ Run = Callable[..., Trace]
 STILL = np.zeros((4, 2, 3))
 
 
-def test_duty_is_of_judged_sweeps(run: Run) -> None:
+def test_duty_counts_scans_with_a_decision(run: Run) -> None:
     decided = np.array([[0, 0], [2, 1], [2, 1], [0, 2]])
     evaded = np.array([[0, 0], [2, 0], [0, 0], [0, 2]])
     trace = run(STILL, decided=decided, evaded=evaded, active=np.ones((4, 2), dtype=bool))
@@ -90,7 +90,7 @@ def test_alteration_is_of_running_robots(run: Run) -> None:
     assert protection.command_alteration(replace(trace, present=present)) == pytest.approx(1.0)
 
 
-def test_alteration_needs_wishes_and_limits(run: Run) -> None:
+def test_alteration_needs_requested_commands_and_limits(run: Run) -> None:
     assert protection.command_alteration(run(STILL)) is None
     assert protection.command_alteration(run(STILL, requested=STILL, meta={})) is None
     assert protection.mean_alterations(run(STILL)) is None

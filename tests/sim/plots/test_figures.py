@@ -51,7 +51,7 @@ def test_of_one_run_there_is_no_worst(experiment: Path) -> None:
     } | {"intervals.svg", "over_time_minimum_gap.svg"}
 
 
-def test_pictures_tell_scenario_variant_seed_and_value(experiment: Path) -> None:
+def test_pictures_name_scenario_variant_seed_and_value(experiment: Path) -> None:
     made = draw_experiment(
         experiment, metrics=["minimum_gap"], seeds=[0, 2], targets={"minimum_gap": 0.25},
         suffix=".svg",
@@ -86,7 +86,7 @@ def test_a_damaged_and_a_missing_trace_are_one_line_each_and_the_rest_is_drawn(
     assert any(str(traces / "law=paper_s0001.npz") in line for line in told)
 
 
-def test_without_traces_values_are_drawn_and_one_line_says_why_no_more(
+def test_without_traces_values_are_drawn_and_one_line_gives_the_reason(
     experiment: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     shutil.rmtree(experiment / "traces")

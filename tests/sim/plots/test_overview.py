@@ -37,7 +37,7 @@ def test_all_are_drawn_to_one_scale_which_is_reported(walk: Walk) -> None:
     assert note(figure).startswith("by seed; each frame 6.24 m x 4.24 m; outlines: starts;")
 
 
-def test_a_run_without_a_trace_is_said_to_be_one(walk: Walk) -> None:
+def test_a_run_without_a_trace_is_named(walk: Walk) -> None:
     trace = walk(3)
     figure = overview_figure([("a", lambda: None), ("b", lambda: trace)])
     assert [len(axes.texts) for axes in figure.axes] == [1, 0]

@@ -47,7 +47,7 @@ def test_shows_the_whole_arena_that_robots_use(walk: Walk) -> None:
     assert cut_note(walk(9, arena="6x4")) == ""
 
 
-def test_shows_the_part_of_a_large_arena_that_robots_use_and_says_so(walk: Walk) -> None:
+def test_shows_and_names_the_used_part_of_a_large_arena(walk: Walk) -> None:
     trace = walk(4, arena="40x30")
     extent = extent_of(trace)
     assert extent.width < 6.0

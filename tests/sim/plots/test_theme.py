@@ -16,7 +16,7 @@ pytest.importorskip("matplotlib")
 @pytest.mark.parametrize(
     ("suffix", "start"), [(".png", b"\x89PNG"), (".svg", b"<?xml"), (".pdf", b"%PDF")]
 )
-def test_the_suffix_says_the_format(tmp_path: Path, suffix: str, start: bytes) -> None:
+def test_the_suffix_selects_the_format(tmp_path: Path, suffix: str, start: bytes) -> None:
     path = tmp_path / "deep" / f"x{suffix}"
     assert save(new_figure(3.0, 2.0), path) == path
     assert path.read_bytes().startswith(start)
@@ -50,7 +50,9 @@ def test_another_suffix_is_refused(tmp_path: Path) -> None:
         save(new_figure(3.0, 2.0), tmp_path / "x.bmp")
 
 
-def test_without_matplotlib_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_matplotlib_the_error_names_what_to_install(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(SwarmError, match=r"pip install 'swarmd\[plot\]'"):
         new_figure(3.0, 2.0)

@@ -50,7 +50,7 @@ def test_each_robot_has_its_line_in_the_legend(walk: Walk) -> None:
     assert labels(without_range)[2:] == ["tb3-02 (never present)", "start", "end"]
 
 
-def test_the_legend_tells_who_came_and_went_and_what_marks_mean(full: Full) -> None:
+def test_the_legend_names_robots_that_joined_or_left_and_explains_marks(full: Full) -> None:
     assert labels(trajectories_figure(full(3), has_links=True)) == [
         *("tb3-00 (from 1 s)", "tb3-01 (to 1.5 s)", "tb3-02", "start", "end", "joins", "leaves"),
         *("movable box", "radio, 1.5 m", "contact, both moving: 1"),

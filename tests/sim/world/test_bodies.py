@@ -100,7 +100,7 @@ def test_two_pass_if_one_is_a_ghost(first: float, second: float, passes: bool) -
         ("6x6,segment:1:-1:1:1", "segment/0"),
     ],
 )
-def test_a_ghost_stops_at_what_stands_in_the_arena(arena: str, obstacle: str) -> None:
+def test_a_ghost_stops_at_obstacles_of_the_arena(arena: str, obstacle: str) -> None:
     world = World({"a": burger(0.0)}, parse_arena(arena), np.zeros((1, 3)))
     world, touched = after_driving(world, 8.0)
     assert touched == {obstacle}

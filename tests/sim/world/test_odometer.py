@@ -135,7 +135,7 @@ def test_slip_is_a_share_of_each_readings_motion() -> None:
     assert abs((off[:, 0] * off[:, 1]).mean()) / 0.02**2 < 5.0 / math.sqrt(len(off))
 
 
-def test_a_robot_that_stands_does_not_drift() -> None:
+def test_a_robot_at_rest_does_not_drift() -> None:
     got = told(odometers(REALISTIC.odometry, START), np.tile(START, (50, 1, 1)), (0.0, 0.0, 0.0))
     assert not got.any()
 

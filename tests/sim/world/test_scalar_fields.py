@@ -49,7 +49,7 @@ def test_readings_stay_within_the_bounds_of_the_wire() -> None:
     np.testing.assert_array_equal(sample([field], np.array([[9.0, 0.0]]))["light"], [1e6])
 
 
-def test_a_robot_reads_the_fields_where_it_stands_now() -> None:
+def test_a_robot_reads_the_fields_at_its_present_position() -> None:
     fields = (LinearField(name="light", slope=2.0), UniformField(name="quality", value=0.5))
     starts = np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, math.pi]])
     robots = dict.fromkeys(("a", "b"), load_platform("burger"))

@@ -103,7 +103,7 @@ def test_a_nan_command_stops_the_robot() -> None:
     np.testing.assert_array_equal(world.poses(), 0.0)
 
 
-def test_stands_perfectly_still_after_driving() -> None:
+def test_is_exactly_at_rest_after_driving() -> None:
     # A stiff servo with a force limit used to chatter here.
     world = alone("waffle_pi")
     drive(world, (0.26, 1.0, 0.0), 2.0)

@@ -46,21 +46,21 @@ def own_speeds(trace: Trace) -> list[float]:
     return [fault.own_speed for fault in faults(trace, {"ram"})]
 
 
-def test_who_has_come_to_a_stop_and_is_thrown_by_a_ram_is_at_no_fault() -> None:
+def test_a_stopped_robot_thrown_by_a_ram_is_not_at_fault() -> None:
     assert own_speeds(run(commands(0.1, 0.0), 0.3)) == []
 
 
-def test_who_is_told_to_drive_on_is_at_fault_by_that_much_at_most() -> None:
+def test_fault_is_at_most_the_commanded_speed() -> None:
     assert own_speeds(run(commands(0.0, 0.1), 0.3)) == pytest.approx([0.1])
     assert own_speeds(run(commands(0.0, 0.2), 0.05)) == pytest.approx([0.05])
 
 
-def test_who_is_thrown_against_what_it_backs_away_from_is_at_no_fault() -> None:
+def test_a_robot_thrown_against_what_it_backs_from_is_not_at_fault() -> None:
     assert own_speeds(run(commands(-0.1, -0.1), 0.3)) == []
 
 
 @pytest.mark.parametrize(("after", "expected"), [(0.02, [0.88 * SIDE]), (0.4, [])])
-def test_who_still_turns_is_at_fault_until_it_has_braked(
+def test_a_turning_robot_is_at_fault_until_it_has_braked(
     after: float, expected: list[float]
 ) -> None:
     """At 1 rad/s until the touch, though told to stop: it brakes at 3 rad/s2 at least.

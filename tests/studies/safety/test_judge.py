@@ -74,7 +74,7 @@ def test_nothing_touched_is_nothing_found() -> None:
         ((5.0, 2, 0, 0.3, -0.1), 1, 0),
     ],
 )
-def test_who_is_at_fault_is_who_came(touch: Row, collided: int, at_fault: int) -> None:
+def test_the_robot_that_closes_is_at_fault(touch: Row, collided: int, at_fault: int) -> None:
     found = judged(touch)
     assert (found.collisions, found.faults) == (collided, at_fault)
 
@@ -102,7 +102,7 @@ def test_the_fastest_own_surface_within_a_count_is_reported() -> None:
     assert found[0].own_speed == pytest.approx(0.07)
 
 
-def test_who_was_told_to_stand_and_moves_is_pushed_and_at_no_fault() -> None:
+def test_a_pushed_robot_with_command_zero_is_not_at_fault() -> None:
     trace = run([(5.0, 0, 1, 0.2, 0.0), (8.0, 0, ARENA, 0.2, 0.0)], told=0.0)
     found = judge(trace)
     assert (found.collisions, found.touches) == (1, 1)
@@ -134,7 +134,7 @@ def test_a_command_is_no_excuse_for_another_robot() -> None:
     assert [one.is_pushed for one in collisions(trace)] == [True]
 
 
-def test_who_drives_on_after_a_push_is_at_fault_within_the_same_count() -> None:
+def test_a_robot_that_drives_on_after_a_push_is_at_fault() -> None:
     trace = run([(5.0, 0, 1, 0.3, 0.0), (5.5, 0, 1, 0.1, 0.0)], told=0.0)
     trace.safe[np.isclose(trace.t, 5.5), 0, 0] = 0.1
     (found,) = collisions(trace)
@@ -151,15 +151,13 @@ def test_who_drives_on_after_a_push_is_at_fault_within_the_same_count() -> None:
         ([(5.0 + 0.1 * i, 0, 2, 0.1, 0.0) for i in range(11)], [True, False]),
     ],
 )
-def test_who_runs_into_another_does_so_at_the_first_step_of_a_touch(
-    touches: list[Row], hits: list[bool]
-) -> None:
+def test_fault_is_judged_at_the_first_step_of_a_touch(touches: list[Row], hits: list[bool]) -> None:
     trace = run(touches)
     assert [one.is_hit for one in collisions(trace, {"ram"})] == hits
     assert judge(trace, {"ram"}).hits == sum(hits)
 
 
-def test_a_rammers_speed_is_nobodys_fault() -> None:
+def test_the_speed_of_a_rammer_is_no_fault() -> None:
     found = judged((5.0, 0, 2, -0.2, 0.6))
     assert (found.faults, found.worst) == (0, 0.0)
 
@@ -173,7 +171,7 @@ def test_walls_and_boxes_count_apart_from_robots(other: int, name: str) -> None:
     assert collisions(run(touches))[0].b == name
 
 
-def test_a_box_that_is_pushed_into_a_robot_that_stands_is_no_fault() -> None:
+def test_a_box_pushed_into_a_robot_at_rest_is_no_fault() -> None:
     assert judged((5.0, 1, ARENA - 1, 0.0, 0.5)).touch_faults == 0
 
 
@@ -209,7 +207,7 @@ def test_goals_are_the_last_counts_of_the_protected() -> None:
     assert found.goal_seconds == pytest.approx(40.0)
 
 
-def test_without_goals_nobody_is_stuck() -> None:
+def test_without_goals_no_robot_is_stuck() -> None:
     found = judged()
     assert (found.goals, found.goal_seconds, found.windows, found.stuck) == (0, 0.0, 0, 0)
 

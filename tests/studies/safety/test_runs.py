@@ -53,7 +53,7 @@ def test_what_was_done_is_not_done_again(tmp_path: Path, jobs: int) -> None:
     assert len(file.read_text().splitlines()) == 2
 
 
-def test_a_run_is_the_same_whoever_does_it(tmp_path: Path) -> None:
+def test_a_run_is_the_same_in_any_process(tmp_path: Path) -> None:
     tasks = [Task(Scene("goals", "burger", mode="potential_field", duration=5.0), 3)] * 1
     here, elsewhere = (carry_out(tasks, tmp_path / f"{n}.jsonl", n) for n in (1, 2))
     assert here[0].found == elsewhere[0].found
@@ -74,7 +74,7 @@ def test_a_file_that_is_none_of_ours_is_refused_by_name(tmp_path: Path) -> None:
         carry_out([Task(SHORT, 0)], file, 1)
 
 
-def test_a_scene_that_cannot_be_is_told_before_anything_runs(tmp_path: Path) -> None:
+def test_an_impossible_scene_is_refused_before_anything_runs(tmp_path: Path) -> None:
     tasks = [Task(SHORT, 0), Task(Scene("goals", "mixed", "real"), 0)]
     with pytest.raises(ConfigError, match="visibility body"):
         carry_out(tasks, tmp_path / "some.jsonl", 1)
@@ -99,7 +99,7 @@ def test_bounds_are_those_of_poisson(count: int, bound: float) -> None:
     assert upper_bound(count, 10.0) == pytest.approx(bound / 10.0, rel=0.015)
 
 
-def test_rates_are_told_with_what_they_are_below() -> None:
+def test_rates_come_with_their_upper_bound() -> None:
     assert rate(0, 100 * 3600.0) == "0 (< 0.03)"
     assert rate(3, 10 * 3600.0) == "3 (0.3, < 0.77)"
 
@@ -117,7 +117,7 @@ def test_a_plan_has_the_hours_asked_for_over_all_scenes_with_fresh_seeds() -> No
     )
 
 
-def test_tables_tell_swarms_from_those_among_rammers() -> None:
+def test_tables_separate_swarms_with_and_without_rammers() -> None:
     text = hours.tables(
         [
             record(Scene("goals", "burger"), 0, changed(goals=60, goal_seconds=3600.0)),

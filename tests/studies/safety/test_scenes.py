@@ -49,7 +49,7 @@ def test_sparse_scenes_have_more_room(platform: str) -> None:
 
 
 @pytest.mark.parametrize("mode", MODES)
-def test_robots_are_protected_as_the_scene_says(mode: str) -> None:
+def test_robots_have_the_protection_mode_of_the_scene(mode: str) -> None:
     scene = Scene("goals", "burger", mode=mode)
     protection = next(iter(scenario(scene).robots.values())).protection
     words = {"ghost": "off", "reciprocal": "barrier"}
@@ -59,7 +59,7 @@ def test_robots_are_protected_as_the_scene_says(mode: str) -> None:
 
 
 @pytest.mark.parametrize("visibility", VISIBILITIES)
-def test_what_lidars_see_is_as_the_scene_says(visibility: str) -> None:
+def test_lidars_have_the_visibility_of_the_scene(visibility: str) -> None:
     assert scenario(Scene("goals", "burger", visibility)).visibility == visibility
 
 
@@ -113,7 +113,7 @@ def test_ghosts_swap_places_and_swap_back() -> None:
     assert (across.min(axis=0) < 0.25).all()
 
 
-def test_who_rushes_gathers_at_the_centre_and_has_no_goals_to_count() -> None:
+def test_rushing_robots_gather_at_the_centre_and_count_no_goals() -> None:
     trace = run(Scene("rush", "burger", mode="ghost", duration=30.0))
     assert np.hypot(*trace.pose[-1, :, :2].T).max() < 0.4
     assert "goals" not in trace.report
