@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -31,6 +32,7 @@ def look(
     ahead: float = 0.0,
     seconds: float = PERIOD,
     beyond: float = 3.0,
+    geometry: ScanGeometry = GEOMETRY,
 ) -> list[int]:
     """Take in one more scan; returns the bearings of hidden obstacles in whole degrees.
 
@@ -41,7 +43,7 @@ def look(
     ranges[list(empty)] = math.inf
     ranges[list(near)] = distance
     scan = scan_from(JACKAL, ranges, JACKAL.scan.bearings)
-    memory.update(scan, GEOMETRY, Pose(ahead, 0.0, math.radians(turned)), seconds)
+    memory.update(scan, geometry, Pose(ahead, 0.0, math.radians(turned)), seconds)
     return sorted(round(degrees) for degrees in np.degrees(memory.bearings).tolist())
 
 
@@ -125,6 +127,19 @@ def test_far_obstacle_that_vanishes_is_not_hidden(distance: float) -> None:
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, distance=distance)
     assert look(memory, empty=WIDE) == []
+
+
+@pytest.mark.parametrize(("distance", "is_hidden"), [(0.85, True), (1.1, False)])
+@pytest.mark.parametrize("bearing", [45, 135, 225, 315])
+def test_the_blind_zone_is_around_the_lidar_not_the_axle(
+    bearing: int, distance: float, is_hidden: bool
+) -> None:
+    geometry = ScanGeometry(replace(JACKAL.scan, offset=(0.3, 0.2)))
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    rays = range(bearing - 4, bearing + 5)
+    look(memory, rays, distance=distance, geometry=geometry)
+    hidden = look(memory, empty=rays, geometry=geometry)
+    assert [degrees % 360 for degrees in hidden] == (list(rays) if is_hidden else [])
 
 
 def test_nothing_is_hidden_without_an_earlier_obstacle() -> None:

@@ -168,6 +168,14 @@ def test_actions_hold_the_scan_behind_the_command() -> None:
     assert 0 <= actions.requested_scan_seq < actions.decision.scan_seq
 
 
+def test_actions_are_idle_before_a_run_while_the_base_is_there() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    assert harness.robot.tick(harness.now).is_idle
+    assert not harness.robot.on_driver(False, "gone", harness.now).is_idle
+    running = started()
+    assert not running.robot.tick(running.now).is_idle
+
+
 def test_pattern_steps_at_its_rate_and_on_every_new_scan() -> None:
     harness = started()
     harness.sent.clear()

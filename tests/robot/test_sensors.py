@@ -85,6 +85,17 @@ def test_zeros_beside_near_rays_count_as_near_unless_in_barrier(mode: Mode) -> N
     assert np.isneginf(senses.scan.ranges[97:104]).all() == (mode != "barrier")
 
 
+def test_lost_rays_keep_their_obstacle_while_the_robot_turns(senses: Sensors) -> None:
+    platform, ranges = load_platform("waffle_pi"), np.full(360, 2.0)
+    ranges[95:106] = 1.0
+    for now, yaw_deg in ((0.0, 0.0), (0.2, 30.0)):
+        senses.on_odometry(Odometry(now, Pose(yaw=math.radians(yaw_deg)), Twist()), now)
+        senses.on_scan(replace(empty_scan(platform, round(now * 5), now), ranges=ranges), now)
+        ranges = np.where(np.abs(np.arange(360) - 70) <= 5, np.nan, 2.5)
+    assert senses.scan is not None
+    assert senses.scan.ranges[65:76] == pytest.approx(np.full(11, 1.0))
+
+
 @pytest.mark.parametrize(
     "odometry",
     [

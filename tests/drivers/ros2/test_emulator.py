@@ -100,6 +100,7 @@ def test_a_laser_scan_is_as_an_lds_sends_it() -> None:
     assert heard.scan_time == pytest.approx(0.2)
     assert np.array_equal(np.array(heard.ranges), said.ranges.astype("<f4"), equal_nan=True)
     assert (heard.header.stamp.sec, heard.header.stamp.nanosec) == (0, 100_000_000)
+    assert heard.header.frame_id == "base_scan"
 
 
 @pytest.mark.parametrize("hangs", [False, True])
