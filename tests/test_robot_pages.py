@@ -13,8 +13,7 @@ import yaml
 
 from swarmd.driver_api.driver import Driver, Sink, ZeroSenderProvider
 from swarmd.drivers.replay import ReplayOptions
-from swarmd.drivers.ros.options import RmwOptions
-from swarmd.drivers.ros1.options import Ros1Options
+from swarmd.drivers.ros.options import RmwOptions, Ros1Options
 from swarmd.settings.driver_options import BaseOptions
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.testing.driver_contract import DetachableRig, Rig, ScriptedRig

@@ -6,6 +6,7 @@ rosbags reads a 360-ray LaserScan within its budget of 10 us and writes a Twist 
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import lru_cache
 from typing import Any, TypeVar, cast
 
@@ -14,7 +15,7 @@ from rosbags.typesys import Stores, get_typestore
 from rosbags.typesys.store import Typestore
 
 from swarmd.core.errors import CodecError
-from swarmd.drivers.ros.messages import OlderRange, Range
+from swarmd.drivers.ros.messages import Range
 
 MAX_PAYLOAD = 256 * 1024
 DISTROS = (Stores.ROS2_HUMBLE, Stores.ROS2_IRON, Stores.ROS2_JAZZY, Stores.ROS2_KILTED,
@@ -24,14 +25,18 @@ M = TypeVar("M")
 
 
 def decode(kind: type[M], payload: bytes) -> M:
-    """The message; arrays are views of `payload`. CodecError if the bytes are malformed."""
+    """The message; arrays are views of `payload`. CodecError if the bytes are malformed.
+
+    A Range of Humble or Iron has no variance.
+    """
     if len(payload) > MAX_PAYLOAD:
         raise CodecError(f"{len(payload)} bytes; wanted are at most {MAX_PAYLOAD}")
     try:
         return cast(M, store().deserialize_cdr(payload, name_of(kind)))
     except SerdeError as error:
         if cast(Any, kind) is Range:
-            return cast(M, _decode_older_range(payload, str(error)))
+            with suppress(SerdeError):
+                return cast(M, store(Stores.ROS2_HUMBLE).deserialize_cdr(payload, name_of(kind)))
         raise CodecError(str(error)) from error
 
 
@@ -60,32 +65,10 @@ def type_hash(kind: type) -> str:
 def known_hashes(kind: type) -> frozenset[str]:
     """The hashes that the type has in any distribution from Humble on."""
     name = name_of(kind)
-    return frozenset(get_typestore(distro).hash_rihs01(name) for distro in DISTROS)
+    return frozenset(store(distro).hash_rihs01(name) for distro in DISTROS)
 
 
-@lru_cache(maxsize=1)
-def store() -> Typestore:
-    """The definitions in force; loading them takes some tens of milliseconds."""
-    return get_typestore(Stores.ROS2_JAZZY)
-
-
-@lru_cache(maxsize=1)
-def _older_store() -> Typestore:
-    return get_typestore(Stores.ROS2_HUMBLE)
-
-
-def _decode_older_range(payload: bytes, fault: str) -> Range:
-    """Humble's and Iron's Range has no variance."""
-    try:
-        older = cast(OlderRange, _older_store().deserialize_cdr(payload, name_of(Range)))
-    except SerdeError:
-        raise CodecError(fault) from None
-    return Range(
-        older.header,
-        older.radiation_type,
-        older.field_of_view,
-        older.min_range,
-        older.max_range,
-        older.range,
-        0.0,
-    )
+@lru_cache(maxsize=len(Stores))
+def store(distro: Stores = Stores.ROS2_JAZZY) -> Typestore:
+    """The definitions of a distribution, also of ROS 1; loading takes some tens of milliseconds."""
+    return get_typestore(distro)

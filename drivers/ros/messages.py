@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-from rosbags.typesys.stores import ros2_humble, ros2_jazzy
+from rosbags.typesys.stores import ros2_jazzy
 
 Time: TypeAlias = ros2_jazzy.builtin_interfaces__msg__Time
 Header: TypeAlias = ros2_jazzy.std_msgs__msg__Header
@@ -21,7 +21,6 @@ TwistStamped: TypeAlias = ros2_jazzy.geometry_msgs__msg__TwistStamped
 TwistWithCovariance: TypeAlias = ros2_jazzy.geometry_msgs__msg__TwistWithCovariance
 LaserScan: TypeAlias = ros2_jazzy.sensor_msgs__msg__LaserScan
 Range: TypeAlias = ros2_jazzy.sensor_msgs__msg__Range
-OlderRange: TypeAlias = ros2_humble.sensor_msgs__msg__Range
 Imu: TypeAlias = ros2_jazzy.sensor_msgs__msg__Imu
 BatteryState: TypeAlias = ros2_jazzy.sensor_msgs__msg__BatteryState
 Odometry: TypeAlias = ros2_jazzy.nav_msgs__msg__Odometry

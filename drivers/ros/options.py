@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Literal, TypeVar
@@ -17,10 +18,12 @@ from swarmd.network.settings import parse_endpoint
 from swarmd.settings.layered import Layered
 
 DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+DEFAULT_MASTER = "http://127.0.0.1:11311"
 MAX_BEARING, MAX_OFFSET = 360.0, 10.0
 """Bounds of a range sensor's place in `ranges`: degrees, and m from the scan's origin."""
 
 _NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z0-9_]+)*")
+_MASTER = re.compile(r"http://[^/:]+:\d+/?")
 _ROBOT = "{robot}"
 
 Degrees = Annotated[float, Meta(ge=-360.0, le=360.0)]
@@ -82,6 +85,33 @@ class RmwOptions(RosOptions, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     domain: Annotated[int, Meta(ge=0, le=232)] = 0
 
 
+class Ros1Options(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Options of driver `ros1`.
+
+    `master` and `ip` override ROS_MASTER_URI and ROS_IP. `shared_cmd_vel`: other nodes may publish
+    commands too, as behind a multiplexer of the base. `python`: an interpreter that has rospy.
+    """
+
+    master: str | None = None
+    ip: str | None = None
+    shared_cmd_vel: bool = False
+    python: Name = "/usr/bin/python3"
+
+    @property
+    def master_uri(self) -> str:
+        """Where the master is."""
+        return self.master or os.environ.get("ROS_MASTER_URI") or DEFAULT_MASTER
+
+    @property
+    def environ(self) -> dict[str, str]:
+        """The adapter's environment."""
+        own = {"ROS_MASTER_URI": self.master_uri, **({"ROS_IP": self.ip} if self.ip else {})}
+        environ = {**os.environ, **own}
+        if self.ip:
+            environ.pop("ROS_HOSTNAME", None)  # it would win
+        return environ
+
+
 O = TypeVar("O", bound=TopicOptions)  # noqa: E741
 
 
@@ -98,6 +128,11 @@ def read_options(kind: type[O], options: Mapping[str, Value], driver: str, robot
 
 
 def _faults(options: TopicOptions) -> Iterator[str]:
+    if isinstance(options, Ros1Options) and _MASTER.fullmatch(options.master_uri) is None:
+        yield (
+            f"master is {options.master_uri!r}; wanted is such as {DEFAULT_MASTER}"
+            " (without it, $ROS_MASTER_URI counts)"
+        )
     for sensor, place in options.ranges.items():
         degrees, distance = _place(place)
         if not (abs(degrees) <= MAX_BEARING and 0.0 <= distance <= MAX_OFFSET):

@@ -31,7 +31,7 @@ import sys
 import threading
 import time
 from glob import glob
-from typing import Any, Callable, Dict, List, Optional, Tuple  # noqa: UP035  (Python 3.8)
+from typing import Any, Dict, List, Optional, Tuple  # noqa: UP035  (Python 3.8)
 
 DATA, EVENT, ALIVE = b"D", b"J", b"H"
 COMMAND, FAREWELL = b"C", b"B"
@@ -92,7 +92,10 @@ class Adapter:
             try:
                 if not self._is_joined:
                     self._master.call("getSystemState")  # nodes have no such thing
-                    self._join_once()
+                    try:
+                        self._join()
+                    except OSError as error:  # rospy does not undo a partial registration
+                        raise RuntimeError(f"it could not join the master: {error}") from error
                 self._report(self._state())
             except OSError as error:
                 self._report({"event": "state", "master": False, "text": str(error)})
@@ -107,13 +110,6 @@ class Adapter:
 
     # To ROS
 
-    def _join_once(self) -> None:
-        """Join, or end: rospy does not undo a partial registration."""
-        try:
-            self._join()
-        except OSError as error:
-            raise RuntimeError(f"it could not join the master: {error}") from error
-
     def _join(self) -> None:
         rospy, config = self._rospy, self._config
         rospy.init_node(config["name"], argv=[], anonymous=True, disable_signals=True,
@@ -125,7 +121,7 @@ class Adapter:
             kind = {f"_{k}": self._command[k] for k in ("type", "md5sum", "full_text")}
             self._message = type("Command", (rospy.AnyMsg,), kind)
             self._publisher = rospy.Publisher(
-                self._command["topic"], self._message, subscriber_listener=_Listener(self._on_base),
+                self._command["topic"], self._message, subscriber_listener=self,
                 tcp_nodelay=True, queue_size=1,
             )  # fmt: skip
             self._publisher.impl.set_queue_size(None)  # written at once, by the publishing thread
@@ -164,9 +160,6 @@ class Adapter:
         except Exception as error:  # rospy may be closing its topics
             sys.stderr.write(f"a command could not be sent: {error}\n")
 
-    def _zero(self) -> None:
-        self._publish(self._zero_bytes())
-
     def _zero_bytes(self) -> bytes:
         if self._command is None or not self._command["type"].endswith("Stamped"):
             return bytes(_TWIST.size)
@@ -175,13 +168,18 @@ class Adapter:
         stamp = now // 1_000_000_000, now % 1_000_000_000
         return struct.pack("<4I", 0, *stamp, len(frame)) + frame + bytes(_TWIST.size)
 
-    def _on_base(self, publish_to: Any) -> None:
-        """A base has connected, or left (None); one that connects while driving gets zero first."""
+    def peer_unsubscribe(self, topic: str, peers: int) -> None:
+        """A base has left; called by rospy."""
         self._master.forget()
         self._wake.set()
-        if publish_to is not None and self._holds:
+
+    def peer_subscribe(self, topic: str, publish: Any, publish_to: Any) -> None:
+        """A base has connected; called by rospy. While the robot is driven it gets zero first."""
+        self._master.forget()
+        self._wake.set()
+        if self._holds:
             self._is_armed, self._holds_until = True, time.monotonic() + ZERO_TIME
-        if publish_to is not None and self._publisher is not None and self._commanded_at > 0.0:
+        if self._publisher is not None and self._commanded_at > 0.0:
             message = self._message()
             message._buff = self._zero_bytes()
             self._publisher.impl.acquire()
@@ -193,7 +191,7 @@ class Adapter:
     def _on_shutdown(self) -> None:
         self.end(0.0, "ROS has shut the adapter's node down")
         if self._is_armed:
-            self._zero()
+            self._publish(self._zero_bytes())
 
     # From ROS
 
@@ -306,7 +304,7 @@ class Adapter:
             if self._is_armed and is_silent:
                 if not was_silent:
                     self._stops_until = now + ZERO_TIME
-                self._zero()
+                self._publish(self._zero_bytes())
             was_silent = is_silent
             if self._ends_at is not None and (now >= self._ends_at or not self._is_armed):
                 self._leave()
@@ -324,21 +322,6 @@ class Adapter:
             while not self._rospy.is_shutdown() and time.monotonic() < deadline:
                 time.sleep(0.01)
         os._exit(0)
-
-
-class _Listener:
-    """Called by rospy when bases connect and leave."""
-
-    def __init__(self, changed: Callable[[Any], None]) -> None:
-        self._changed = changed
-
-    def peer_subscribe(self, topic: str, publish: Any, publish_to: Any) -> None:
-        """A base has connected."""
-        self._changed(publish_to)
-
-    def peer_unsubscribe(self, topic: str, peers: int) -> None:
-        """A base has left."""
-        self._changed(None)
 
 
 class _Errors(io.TextIOBase):

@@ -27,6 +27,7 @@ from swarmd.drivers.ros.diagnosis import (
     unconnected,
     unreachable,
 )
+from swarmd.drivers.ros.options import Ros1Options, read_options
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros1 import adapter_process, serialization
 from swarmd.drivers.ros1.adapter import (
@@ -36,7 +37,6 @@ from swarmd.drivers.ros1.adapter import (
     PublisherLink,
 )
 from swarmd.drivers.ros1.master_graph import MasterGraph, Ros1
-from swarmd.drivers.ros1.options import read_options
 
 log = logging.getLogger(__name__)
 
@@ -63,7 +63,7 @@ class Ros1Driver:
         self, *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
     ) -> None:
         """Not connected yet. Options: `Ros1Options`."""
-        self._options = read_options(options, robot)
+        self._options = read_options(Ros1Options, options, "ros1", robot)
         self._platform = platform
         self._node = "swarmd_" + re.sub(r"[^A-Za-z0-9_]", "_", robot)
         self._script = str(Path(adapter_process.__file__).resolve())

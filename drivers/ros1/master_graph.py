@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from swarmd.drivers.ros.diagnosis import Endpoint, Graph
+from swarmd.drivers.ros.options import Ros1Options
 from swarmd.drivers.ros.topic_stats import TopicStats
 from swarmd.drivers.ros1 import serialization
 from swarmd.drivers.ros1.adapter import MasterState, PublisherLink
-from swarmd.drivers.ros1.options import Ros1Options
 
 
 class Ros1:

@@ -11,13 +11,12 @@ from functools import lru_cache
 from typing import TypeVar, cast
 
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_typestore
-from rosbags.typesys.store import Typestore
+from rosbags.typesys import Stores
 from rosbags.typesys.stores import ros1_noetic
 
 from swarmd.core.errors import CodecError
 from swarmd.core.values import Twist
-from swarmd.drivers.ros.cdr import name_of
+from swarmd.drivers.ros.cdr import name_of, store
 from swarmd.drivers.ros.from_ros import twist_message
 from swarmd.drivers.ros.messages import TwistStamped
 
@@ -27,14 +26,14 @@ M = TypeVar("M")
 def decode(message_type: type[M], data: bytes) -> M:
     """The message; arrays are views of `data`. CodecError if the bytes are no such message."""
     try:
-        return cast(M, _store().deserialize_ros1(data, name_of(message_type)))
+        return cast(M, store(Stores.ROS1_NOETIC).deserialize_ros1(data, name_of(message_type)))
     except SerdeError as error:
         raise CodecError(str(error)) from error
 
 
 def encode(message: object) -> bytes:
     """The bytes of a message; its header, if it has one, is ROS 1's with a `seq`."""
-    return bytes(_store().serialize_ros1(message, name_of(type(message))))
+    return bytes(store(Stores.ROS1_NOETIC).serialize_ros1(message, name_of(type(message))))
 
 
 def encode_twist(twist: Twist) -> bytes:
@@ -57,10 +56,5 @@ def type_name(message_type: type) -> str:
 @lru_cache(maxsize=32)
 def definition(message_type: type) -> tuple[str, str]:
     """The type's definition, which publishers announce, and its md5 sum: ROS Noetic's."""
-    text, md5sum = _store().generate_msgdef(name_of(message_type), ros_version=1)
+    text, md5sum = store(Stores.ROS1_NOETIC).generate_msgdef(name_of(message_type), ros_version=1)
     return text, md5sum
-
-
-@lru_cache(maxsize=1)
-def _store() -> Typestore:
-    return get_typestore(Stores.ROS1_NOETIC)

@@ -13,12 +13,11 @@ from swarmd.core.values import Scan, Value
 from swarmd.driver_api.driver import Finding
 from swarmd.drivers.ros import messages
 from swarmd.drivers.ros.diagnosis import Endpoint, Graph, Middleware, Report, has_enough
-from swarmd.drivers.ros.options import TopicOptions
+from swarmd.drivers.ros.options import Ros1Options, TopicOptions, read_options
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros.topic_stats import TopicStats
 from swarmd.drivers.ros1.adapter import MasterState, PublisherLink
 from swarmd.drivers.ros1.master_graph import MasterGraph, Ros1
-from swarmd.drivers.ros1.options import read_options
 from swarmd.drivers.ros1.serialization import definition, type_name
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.settings.platforms import load_platform
@@ -205,7 +204,7 @@ MASTER = MasterState(
 
 
 def master_graph(state: MasterState = MASTER, **options: Value) -> MasterGraph:
-    read = read_options(options, "r")
+    read = read_options(Ros1Options, options, "ros1", "r")
     made = MasterGraph(read, Subscriptions(read, BURGER).topics)
     made.state = state
     return made

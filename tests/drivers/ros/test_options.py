@@ -13,12 +13,11 @@ from swarmd.core.values import Value
 from swarmd.drivers.ros.options import (
     DEFAULT_ENDPOINT,
     RmwOptions,
+    Ros1Options,
     RosOptions,
     TopicOptions,
     read_options,
 )
-from swarmd.drivers.ros1 import options as ros1
-from swarmd.drivers.ros1.options import Ros1Options
 from swarmd.drivers.ros2.session import open_session
 from swarmd.network.settings import FIELD_PORT
 from swarmd.settings.driver_options import BaseOptions
@@ -32,7 +31,7 @@ def read(options: Mapping[str, Value], robot: str = "tb3-01") -> RmwOptions:
 
 
 def read_ros1(options: Mapping[str, Value]) -> Ros1Options:
-    return ros1.read_options(options, "tb3-01")
+    return read_options(Ros1Options, options, "ros1", "tb3-01")
 
 
 both = pytest.mark.parametrize("read_any", [read, read_ros1], ids=["rmw_zenoh", "ros1"])

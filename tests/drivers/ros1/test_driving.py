@@ -18,12 +18,12 @@ from msgspec.structs import replace
 
 from swarmd.core.values import Twist, Value
 from swarmd.drivers.ros.messages import LaserScan, Odometry
+from swarmd.drivers.ros.options import Ros1Options, read_options
 from swarmd.drivers.ros1 import adapter as ros1_child
 from swarmd.drivers.ros1 import adapter_process as ros1_adapter
 from swarmd.drivers.ros1 import driver as ros1
 from swarmd.drivers.ros1.adapter import AdapterEnd, MasterState, PublisherLink
 from swarmd.drivers.ros1.driver import Ros1Driver
-from swarmd.drivers.ros1.options import read_options
 from swarmd.drivers.ros1.serialization import definition, encode_twist, type_name
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink
@@ -297,8 +297,9 @@ def test_of_waiting_messages_only_the_newest_of_each_link_is_delivered(
 def test_the_adapters_environment_is_that_of_the_options(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_MASTER_URI", "http://robot:11311")
     monkeypatch.setenv("ROS_HOSTNAME", "desk")
-    usual = read_options({}, "r")
+    usual = read_options(Ros1Options, {}, "ros1", "r")
     assert (usual.master_uri, usual.environ["ROS_HOSTNAME"]) == ("http://robot:11311", "desk")
-    told = read_options({"master": "http://127.0.0.1:9", "ip": "10.0.0.7"}, "r").environ
+    given = {"master": "http://127.0.0.1:9", "ip": "10.0.0.7"}
+    told = read_options(Ros1Options, given, "ros1", "r").environ
     assert (told["ROS_MASTER_URI"], told["ROS_IP"]) == ("http://127.0.0.1:9", "10.0.0.7")
     assert "ROS_HOSTNAME" not in told, "it would win"

@@ -76,6 +76,9 @@ def test_bytes_are_little_endian_and_fields_in_their_order() -> None:
     [
         (ros.LaserScan, "90c7ef2dc6895d81024acba2ac42f369"),
         (ros.Odometry, "cd5e73d190d741a2f92e81eda573aca7"),
+        (ros.Imu, "6a62c6daae103f4ff57a132d6f95cec2"),
+        (ros.BatteryState, "4ddae7f048e32fda22cac764685e3974"),
+        (ros.Range, "c005c34273dc426c67a020a87bc24148"),
         (ros.Twist, "9f195f881246fdfa2798d1d3eebca84a"),
         (ros.TwistStamped, "98d34b0043a2093cf9d9345ab6eef12e"),
     ],

@@ -170,7 +170,7 @@ def test_a_robot_of_an_earlier_adapter_gets_zeros_for_2_s_after_it_connects(
     scene = Scene(monkeypatch, holds=True)
 
     def connect() -> None:
-        scene.adapter._on_base(lambda message: None)
+        scene.adapter.peer_subscribe("/cmd_vel", None, lambda message: None)
 
     zeros = scene.pass_time(10.0, {1.0: connect})
     assert zeros[-1] == pytest.approx(3.0, abs=0.06), "whoever else drives may have it"
@@ -247,8 +247,12 @@ def test_zeros_of_its_own_are_of_the_bases_type(monkeypatch: pytest.MonkeyPatch)
 
 def test_a_base_that_connects_while_it_is_driven_gets_zero_first(scene: Scene) -> None:
     given: list[bytes] = []
-    scene.adapter._on_base(lambda message: given.append(message._buff))
+
+    def keep(message: Any) -> None:
+        given.append(message._buff)
+
+    scene.adapter.peer_subscribe("/cmd_vel", None, keep)
     assert not given, "nobody has driven yet: a joystick may"
     scene.command(MOVING)
-    scene.adapter._on_base(lambda message: given.append(message._buff))
+    scene.adapter.peer_subscribe("/cmd_vel", None, keep)
     assert given == [ZERO]
