@@ -1,145 +1,73 @@
 """ROS 2's messages as cyclonedds knows them: a second codec, and types for a DDS participant.
 
 The simulated robots of the tests use it, so that the drivers are compared with a second library.
+Only the definitions come from rosbags; `tests/drivers/ros/test_cdr.py` compares their hashes with
+ROS's.
 """
 
 # No `from __future__ import annotations`: cyclonedds reads the annotations as types.
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
+from types import new_class
+from typing import Any
 
-from cyclonedds.idl import IdlStruct
-from cyclonedds.idl.types import array, float32, float64, int32, sequence, uint8, uint32
-
-
-@dataclass
-class Time(IdlStruct, typename="builtin_interfaces.msg.dds_.Time_"):
-    sec: int32 = 0
-    nanosec: uint32 = 0
-
-
-@dataclass
-class Header(IdlStruct, typename="std_msgs.msg.dds_.Header_"):
-    stamp: Time = field(default_factory=Time)
-    frame_id: str = ""
+from cyclonedds.idl import IdlStruct, types
+from cyclonedds.idl.types import array, sequence, uint8
+from rosbags.interfaces import Nodetype
+from rosbags.typesys import Stores, get_typestore
 
 
-@dataclass
-class Vector3(IdlStruct, typename="geometry_msgs.msg.dds_.Vector3_"):
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
+@cache
+def _message(name: str, distro: Stores = Stores.ROS2_JAZZY) -> Any:
+    """The class of a message; a field is zero or empty by default, the w of a quaternion 1."""
+    hints: dict[str, Any] = {}
+    members: dict[str, Any] = {"__annotations__": hints, "__doc__": name}
+    for key, node in get_typestore(distro).get_msgdef(name).fields:
+        hints[key], make = _field(node)
+        members[key] = field(default_factory=make)
+    if name.endswith("/Quaternion"):
+        members["w"] = 1.0
+    package, _, kind = name.split("/")
+    head = {"typename": f"{package}.msg.dds_.{kind}_"}
+    return dataclass(new_class(kind, (IdlStruct,), head, lambda own: own.update(members)))
 
 
-@dataclass
-class Quaternion(IdlStruct, typename="geometry_msgs.msg.dds_.Quaternion_"):
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-    w: float64 = 1.0
+def _field(node: Any) -> tuple[Any, Callable[[], Any]]:
+    """The type of a field, and what makes its default."""
+    match node:
+        case Nodetype.NAME, name:
+            return _message(name), _message(name)
+        case Nodetype.SEQUENCE, (item, _):
+            return sequence[_field(item)[0]], list
+        case Nodetype.ARRAY, (item, length):
+            kind, make = _field(item)
+            return array[kind, length], lambda: [make() for _ in range(length)]
+        case _, ("string", _):
+            return str, str
+        case _, ("bool", _):
+            return bool, bool
+        case _, (base, _):
+            return getattr(types, base), float if base.startswith("float") else int
+    raise TypeError(f"{node} is no field of a message")
 
 
-@dataclass
-class Twist(IdlStruct, typename="geometry_msgs.msg.dds_.Twist_"):
-    linear: Vector3 = field(default_factory=Vector3)
-    angular: Vector3 = field(default_factory=Vector3)
-
-
-@dataclass
-class TwistStamped(IdlStruct, typename="geometry_msgs.msg.dds_.TwistStamped_"):
-    header: Header = field(default_factory=Header)
-    twist: Twist = field(default_factory=Twist)
-
-
-@dataclass
-class LaserScan(IdlStruct, typename="sensor_msgs.msg.dds_.LaserScan_"):
-    header: Header = field(default_factory=Header)
-    angle_min: float32 = 0.0
-    angle_max: float32 = 0.0
-    angle_increment: float32 = 0.0
-    time_increment: float32 = 0.0
-    scan_time: float32 = 0.0
-    range_min: float32 = 0.0
-    range_max: float32 = 0.0
-    ranges: sequence[float32] = field(default_factory=list)
-    intensities: sequence[float32] = field(default_factory=list)
-
-
-@dataclass
-class Pose(IdlStruct, typename="geometry_msgs.msg.dds_.Pose_"):
-    position: Vector3 = field(default_factory=Vector3)
-    orientation: Quaternion = field(default_factory=Quaternion)
-
-
-@dataclass
-class PoseWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.PoseWithCovariance_"):
-    pose: Pose = field(default_factory=Pose)
-    covariance: array[float64, 36] = field(default_factory=lambda: [0.0] * 36)
-
-
-@dataclass
-class TwistWithCovariance(IdlStruct, typename="geometry_msgs.msg.dds_.TwistWithCovariance_"):
-    twist: Twist = field(default_factory=Twist)
-    covariance: array[float64, 36] = field(default_factory=lambda: [0.0] * 36)
-
-
-@dataclass
-class Odometry(IdlStruct, typename="nav_msgs.msg.dds_.Odometry_"):
-    header: Header = field(default_factory=Header)
-    child_frame_id: str = ""
-    pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
-    twist: TwistWithCovariance = field(default_factory=TwistWithCovariance)
-
-
-@dataclass
-class OlderRange(IdlStruct, typename="sensor_msgs.msg.dds_.Range_"):
-    header: Header = field(default_factory=Header)
-    radiation_type: uint8 = 1
-    field_of_view: float32 = 0.0
-    min_range: float32 = 0.0
-    max_range: float32 = 0.0
-    range: float32 = 0.0
-
-
-@dataclass
-class Range(IdlStruct, typename="sensor_msgs.msg.dds_.Range_"):
-    header: Header = field(default_factory=Header)
-    radiation_type: uint8 = 1
-    field_of_view: float32 = 0.0
-    min_range: float32 = 0.0
-    max_range: float32 = 0.0
-    range: float32 = 0.0
-    variance: float32 = 0.0
-
-
-@dataclass
-class Imu(IdlStruct, typename="sensor_msgs.msg.dds_.Imu_"):
-    header: Header = field(default_factory=Header)
-    orientation: Quaternion = field(default_factory=Quaternion)
-    orientation_covariance: array[float64, 9] = field(default_factory=lambda: [0.0] * 9)
-    angular_velocity: Vector3 = field(default_factory=Vector3)
-    angular_velocity_covariance: array[float64, 9] = field(default_factory=lambda: [0.0] * 9)
-    linear_acceleration: Vector3 = field(default_factory=Vector3)
-    linear_acceleration_covariance: array[float64, 9] = field(default_factory=lambda: [0.0] * 9)
-
-
-@dataclass
-class BatteryState(IdlStruct, typename="sensor_msgs.msg.dds_.BatteryState_"):
-    header: Header = field(default_factory=Header)
-    voltage: float32 = 0.0
-    temperature: float32 = 0.0
-    current: float32 = 0.0
-    charge: float32 = 0.0
-    capacity: float32 = 0.0
-    design_capacity: float32 = 0.0
-    percentage: float32 = 0.0
-    power_supply_status: uint8 = 0
-    power_supply_health: uint8 = 0
-    power_supply_technology: uint8 = 0
-    present: bool = True
-    cell_voltage: sequence[float32] = field(default_factory=list)
-    cell_temperature: sequence[float32] = field(default_factory=list)
-    location: str = ""
-    serial_number: str = ""
+Time = _message("builtin_interfaces/msg/Time")
+Header = _message("std_msgs/msg/Header")
+Vector3 = _message("geometry_msgs/msg/Vector3")
+Quaternion = _message("geometry_msgs/msg/Quaternion")
+Twist = _message("geometry_msgs/msg/Twist")
+TwistStamped = _message("geometry_msgs/msg/TwistStamped")
+Pose = _message("geometry_msgs/msg/Pose")
+PoseWithCovariance = _message("geometry_msgs/msg/PoseWithCovariance")
+TwistWithCovariance = _message("geometry_msgs/msg/TwistWithCovariance")
+Odometry = _message("nav_msgs/msg/Odometry")
+LaserScan = _message("sensor_msgs/msg/LaserScan")
+Range = _message("sensor_msgs/msg/Range")
+OlderRange = _message("sensor_msgs/msg/Range", Stores.ROS2_HUMBLE)
+Imu = _message("sensor_msgs/msg/Imu")
+BatteryState = _message("sensor_msgs/msg/BatteryState")
 
 
 @dataclass
@@ -169,6 +97,6 @@ class ParticipantEntitiesInfo(
     node_entities_info_seq: sequence[NodeEntitiesInfo]
 
 
-def stamped(seconds: float, frame: str = "base_link") -> Header:
+def stamped(seconds: float, frame: str = "base_link") -> Any:
     whole = int(seconds)
     return Header(Time(whole, round((seconds - whole) * 1e9) % 10**9), frame)
