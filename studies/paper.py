@@ -10,7 +10,6 @@ tables and figures of docs/paper.md to OUT. Runs that OUT already holds are not 
 
 from __future__ import annotations
 
-import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -18,11 +17,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.table import markdown
 from studies import paper_exp2
+from studies.paper_exp2 import out_of, results_of
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array
-from swarmd.sim.experiments.results import Results, load_results
-from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.statistics import median_interval, summarize, wilson
 from swarmd.sim.metrics import aggregation
 from swarmd.sim.plots.bands import Series, series_figure
@@ -56,23 +56,6 @@ MDC_LATE = {"burger": 0.65, "waffle_pi": 0.75}
 """Upper bounds in m of the mean distance to the centroid after 30 s and at the end."""
 
 Column = tuple[str, Callable[[Results, str, str], str]]
-
-
-def folder_of(out: Path, name: str, law: str, seeds: Sequence[int]) -> Path:
-    """The folder of the runs of a scenario and law, with both visibilities."""
-    return out / f"{name}-{law}{'-fresh' if seeds is FRESH else ''}"
-
-
-def experiment(out: Path, name: str, law: str, seeds: Sequence[int]) -> Results:
-    """The runs of one scenario with one law, both visibilities."""
-    return simulate(
-        f"paper_exp1_{name}",
-        seeds,
-        set=changes(name, law),
-        sweep={"lidar_visibility": list(VISIBILITIES)},
-        out=folder_of(out, name, law, seeds),
-        jobs=os.cpu_count() or 1,
-    )
 
 
 def changes(name: str, law: str) -> Mapping[str, str]:
@@ -160,39 +143,27 @@ def groups_of_three(trace: Trace, link: float, by: float = 10.0) -> bool:
 def hardware_rows(results: Results) -> Iterator[tuple[str, list[str]]]:
     """The statements of the paper on its hardware experiment, with links of 1.0 m and 0.8 m."""
     for visibility in VISIBILITIES:
-        runs = [run for run in results.runs if run.variant.name == variant_of(visibility)]
+        variant = variant_of(visibility)
+        runs = [run for run in results.runs if run.variant.name == variant]
         traces = [results.traces[run.id] for run in runs]
         for link in (1.0, 0.8):
-            largest = [aggregation.largest_cluster(trace, link) for trace in traces]
-            since = [trace.t - trace.t[0] > 10.0 for trace in traces]
-            late = [trace.t >= trace.t[-1] - 60.0 for trace in traces]
+            most = [(trace, aggregation.largest_cluster(trace, link)) for trace in traces]
+            after = [size[trace.t - trace.t[0] > 10.0].max() for trace, size in most]
+            late = [size[trace.t >= trace.t[-1] - 60.0].mean() for trace, size in most]
             yield (
                 f"{visibility}, {link:g} m",
                 [
                     share(np.array([groups_of_three(trace, link) for trace in traces])),
-                    share(
-                        np.array(
-                            [one[far].max() >= 6 for one, far in zip(largest, since, strict=True)]
-                        )
-                    ),
-                    share(np.array([one[-1] >= 6 for one in largest])),
-                    median(
-                        np.array([one[end].mean() for one, end in zip(largest, late, strict=True)])
-                    ),
-                    _contacts(results, variant_of(visibility), ""),
+                    share(np.array(after) >= 6),
+                    share(np.array([size[-1] >= 6 for _, size in most])),
+                    median(np.array(late)),
+                    _contacts(results, variant, ""),
                 ],
             )
 
 
-HARDWARE = ("groups of three by 10 s", "six together after 10 s", "at most one lost at 120 s",
+HARDWARE = ("", "groups of three by 10 s", "six together after 10 s", "at most one lost at 120 s",
             "late largest group", "contacts")  # fmt: skip
-
-
-def table(head: Sequence[str], rows: Mapping[str, Sequence[str]]) -> str:
-    """A Markdown table."""
-    lines = ["| " + " | ".join(("", *head)) + " |", "|---" * (len(head) + 1) + "|"]
-    lines += ["| " + " | ".join((name, *row)) + " |" for name, row in rows.items()]
-    return "\n".join(lines)
 
 
 def tables(found: Mapping[tuple[str, str, bool], Results]) -> str:
@@ -202,23 +173,22 @@ def tables(found: Mapping[tuple[str, str, bool], Results]) -> str:
         ("Gathering", CLUSTER, SCENARIOS[:3]),
         ("Contacts, rest and time", BEHAVIOUR, SCENARIOS),
     ):
-        rows = {
-            f"{name}, {visibility}, {law}{', fresh' if is_fresh else ''}": [
-                cell(results, variant_of(visibility), name) for _, cell in columns
-            ]
+        rows = [
+            [f"{name}, {visibility}, {law}{', fresh' if is_fresh else ''}"]
+            + [cell(results, variant_of(visibility), name) for _, cell in columns]
             for (name, law, is_fresh), results in found.items()
             if name in names
             for visibility in VISIBILITIES
             if results.seeds(variant_of(visibility))
-        }
-        parts += [f"## {title}", table([head for head, _ in columns], rows)]
-    rows = {
-        f"{row}, {law}{', fresh' if is_fresh else ''}": cells
+        ]
+        parts += [f"## {title}", markdown([["", *(head for head, _ in columns)], *rows])]
+    rows = [
+        [f"{row}, {law}{', fresh' if is_fresh else ''}", *cells]
         for (name, law, is_fresh), results in found.items()
         if name == "hardware"
         for row, cells in hardware_rows(results)
-    }
-    return "\n\n".join([*parts, "## Hardware", table(HARDWARE, rows)]) + "\n"
+    ]
+    return "\n\n".join([*parts, "## Hardware", markdown([HARDWARE, *rows])]) + "\n"
 
 
 def draw(found: Mapping[tuple[str, str, bool], Results], out: Path) -> None:
@@ -228,12 +198,12 @@ def draw(found: Mapping[tuple[str, str, bool], Results], out: Path) -> None:
         groups: dict[str, list[Series]] = {}
         for law in DRAWN:
             results = found.get((name, law, False))
-            for run in results.runs if results else ():
-                trace = results.traces[run.id] if results else None
-                if trace is not None:
-                    away = aggregation.distance_to_centroid(trace)
-                    label = f"{law}, {run.variant.values['lidar_visibility']}"
-                    groups.setdefault(label, []).append((trace.t - trace.t[0], away))
+            if results is None:
+                continue
+            for run, trace in zip(results.runs, results.traces, strict=True):
+                away = aggregation.distance_to_centroid(trace)
+                label = f"{law}, {run.variant.values['lidar_visibility']}"
+                groups.setdefault(label, []).append((trace.t - trace.t[0], away))
         if groups:
             figure = series_figure(groups, label="mean distance to centroid", unit="m",
                                    title=f"paper_exp1_{name}", target=MDC_LATE[name])  # fmt: skip
@@ -252,18 +222,20 @@ def draw(found: Mapping[tuple[str, str, bool], Results], out: Path) -> None:
 
 def main(arguments: Sequence[str]) -> None:
     """All runs, in the order in which they matter, then tables and figures."""
-    is_drawing = "--draw" in arguments
-    places = [one for one in arguments if not one.startswith("-")]
-    out = Path(places[0] if places else "build/paper")
+    out, is_drawing = out_of(arguments, "build/paper")
     found: dict[tuple[str, str, bool], Results] = {}
     for law, seeds, names in PLAN:
         for name in names:
-            folder = folder_of(out, name, law, seeds)
-            if is_drawing and not (folder / "runs.csv").exists():
-                continue
-            results = load_results(folder) if is_drawing else experiment(out, name, law, seeds)
-            found[name, law, seeds is FRESH] = results
-            print(f"{folder}: {len(results.runs)} runs", file=sys.stderr, flush=True)
+            results = results_of(
+                out / f"{name}-{law}{'-fresh' if seeds is FRESH else ''}",
+                is_drawing,
+                f"paper_exp1_{name}",
+                seeds,
+                set=changes(name, law),
+                sweep={"lidar_visibility": list(VISIBILITIES)},
+            )
+            if results:
+                found[name, law, seeds is FRESH] = results
     (out / "tables.md").write_text(tables(found))
     draw(found, out / "figures")
 

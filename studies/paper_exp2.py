@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.table import markdown
 from swarmd.core.values import Array
 from swarmd.settings.settings import load_platform
 from swarmd.sim.experiments.results import Results, load_results
@@ -173,7 +174,13 @@ def joined(trace: Trace, at: float = JOINED) -> Joining:
 
 
 HEAD = (
-    *("runs", "all agree from 20 s on", "moved before 20 s [m]", "every range kept from 40 s on"),
+    *(
+        "",
+        "runs",
+        "all agree from 20 s on",
+        "moved before 20 s [m]",
+        "every range kept from 40 s on",
+    ),
     *("kept since [s]", "least range 40 to 70 s [m]", "standing 40 to 70 s", "strayed [m]"),
     "contacts",
 )
@@ -206,66 +213,65 @@ def row(courses: Sequence[Course]) -> list[str]:
 def tables(found: Mapping[str, Results]) -> str:
     """All tables, of the runs that exist."""
     rows: dict[str, list[str]] = {}
-    for name in ("paper", "larger"):
-        courses = [judged(trace) for trace in traces_of(found.get(name))]
+    for name in [name for name in ("paper", "larger") if name in found]:
+        courses = [judged(trace) for trace in found[name].traces]
         for opinion in sorted({course.opinion for course in courses}):
             some = [course for course in courses if course.opinion == opinion]
             rows[f"{TITLES[name]}, f({opinion}) = {some[0].wanted:.1f} m"] = row(some)
-    lines = [table(HEAD, rows)]
+    lines = [markdown([HEAD, *([name, *cells] for name, cells in rows.items())])]
     if "late" in found:
-        lines += [str(joined(trace)) for trace in traces_of(found["late"])]
+        lines += [str(joined(trace)) for trace in found["late"].traces]
     return "\n\n".join(lines) + "\n"
-
-
-def traces_of(results: Results | None) -> list[Trace]:
-    """The traces in the order of the seeds."""
-    return [] if results is None else [results.traces[run.id] for run in results.runs]
 
 
 def draw(found: Mapping[str, Results], out: Path) -> None:
     """The least range of each run over time, by opinion, and a typical run."""
     out.mkdir(parents=True, exist_ok=True)
-    for name in ("paper", "larger"):
+    for name in [name for name in ("paper", "larger") if name in found]:
         groups: dict[str, list[Series]] = {}
-        for trace in traces_of(found.get(name)):
+        is_run_drawn = name != "paper"
+        for trace in found[name].traces:
             course = judged(trace)
             label = f"opinion {course.opinion}: {course.wanted:.1f} m wanted"
             series = (trace.t - trace.t[0], ranges(trace).min(axis=1))
             groups.setdefault(label, []).append(series)
-        if groups:
-            title = f"experiment 2, {TITLES[name]}"
-            ordered = {label: groups[label] for label in sorted(groups)}
-            figure = series_figure(ordered, label="least range of all", unit="m", title=title)
-            save(figure, out / f"paper_exp2_{name}.png")
-    for trace in traces_of(found.get("paper")):
-        if judged(trace).opinion == 1:
-            figure = trajectories_figure(trace, "experiment 2, opinion 1: 1.0 m")
-            save(figure, out / "paper_exp2_run.png")
-            break
+            if course.opinion == 1 and not is_run_drawn:
+                figure = trajectories_figure(trace, "experiment 2, opinion 1: 1.0 m")
+                is_run_drawn = bool(save(figure, out / "paper_exp2_run.png"))
+        title = f"experiment 2, {TITLES[name]}"
+        ordered = {label: groups[label] for label in sorted(groups)}
+        figure = series_figure(ordered, label="least range of all", unit="m", title=title)
+        save(figure, out / f"paper_exp2_{name}.png")
 
 
 def main(arguments: Sequence[str]) -> None:
     """Do all runs, then write tables and figures."""
-    is_drawing = "--draw" in arguments
-    places = [one for one in arguments if not one.startswith("-")]
-    out = Path(places[0] if places else "build/paper_exp2")
+    out, is_drawing = out_of(arguments, "build/paper_exp2")
     found: dict[str, Results] = {}
     for name, scenario, changes in PLAN:
-        folder = out / name
-        if is_drawing and not (folder / "runs.csv").exists():
-            continue
-        if is_drawing:
-            found[name] = load_results(folder)
-        else:
-            jobs = os.cpu_count() or 1
-            found[name] = simulate(scenario, SEEDS, set=changes, out=folder, jobs=jobs)
-        print(f"{folder}: {len(found[name].runs)} runs", file=sys.stderr, flush=True)
+        if results := results_of(out / name, is_drawing, scenario, SEEDS, set=changes):
+            found[name] = results
     (out / "tables.md").write_text(tables(found))
     draw(found, out / "figures")
 
 
-def table(head: Sequence[str], rows: Mapping[str, Sequence[str]]) -> str:
-    """A Markdown table."""
-    lines = ["| " + " | ".join(("", *head)) + " |", "|---" * (len(head) + 1) + "|"]
-    lines += ["| " + " | ".join((name, *row)) + " |" for name, row in rows.items()]
-    return "\n".join(lines)
+def out_of(arguments: Sequence[str], usual: str) -> tuple[Path, bool]:
+    """The folder among the arguments, or the usual one, and whether `--draw` is among them."""
+    places = [one for one in arguments if not one.startswith("-")]
+    return Path(places[0] if places else usual), "--draw" in arguments
+
+
+def results_of(
+    folder: Path, is_drawing: bool, scenario: str, seeds: Sequence[int], **options: Any
+) -> Results | None:
+    """The runs of a scenario, kept in `folder`; if `is_drawing`, those that it holds or None."""
+    if is_drawing and not (folder / "runs.csv").exists():
+        return None
+    jobs = os.cpu_count() or 1
+    results = (
+        load_results(folder)
+        if is_drawing
+        else simulate(scenario, seeds, out=folder, jobs=jobs, **options)
+    )
+    print(f"{folder}: {len(results.runs)} runs", file=sys.stderr, flush=True)
+    return results

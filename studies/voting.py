@@ -35,21 +35,20 @@ def motions(
     pattern: str, count: int, params: Mapping[str, Value], held: Sequence[int] | None = None
 ) -> list[Motion]:
     """`RUNS` debates; first opinions `held` are given to the robots in a random order."""
+    settled = 2.0 * float(str(params.get("window", 5.0)))
     made = []
     for seed in range(FIRST, FIRST + RUNS):
-        order = None
-        if held is not None:
-            order = tuple(int(one) for one in np.random.default_rng(seed).permutation(held))
-        settled = 2.0 * float(str(params.get("window", 5.0)))
-        made.append(Motion(pattern, count, seed, 600.0, params, order, LOSSY, settled))
+        order = np.random.default_rng(seed).permutation(held).tolist() if held else ()
+        made.append(
+            Motion(pattern, count, seed, 600.0, params, tuple(order) or None, LOSSY, settled)
+        )
     return made
 
 
 def hold(groups: Mapping[K, list[Motion]]) -> dict[K, list[Result]]:
     """All debates of all groups, in as many processes as there are processors."""
-    results = iter(
-        hold_all([one for group in groups.values() for one in group], os.cpu_count() or 1)
-    )
+    motions = [one for group in groups.values() for one in group]
+    results = iter(hold_all(motions, os.cpu_count() or 1))
     return {key: [next(results) for _ in group] for key, group in groups.items()}
 
 
@@ -63,11 +62,13 @@ def majority_rule(out: Path) -> None:
     every = hold(groups)
     for kind, colour in zip(KINDS, VARIANT_COLOURS, strict=False):
         found = {n: every[kind, n] for n in SIZES}
-        low, middle, high = _spread(found)
+        # Debates without agreement are the longest.
+        times = [[min(result.agreed_at, 600.0) for result in some] for some in found.values()]
+        low, middle, high = np.quantile(times, (0.05, 0.5, 0.95), axis=1)
         bars = (middle - low, high - middle)
         left.errorbar(SIZES, middle, bars, color=colour, marker="o", ms=4, capsize=2, label=kind)
-        times = np.sort([result.agreed_at for result in found[7]])
-        right.step(times, np.arange(1, len(times) + 1) / len(times), color=colour, where="post")
+        seven = np.sort([result.agreed_at for result in found[7]])
+        right.step(seven, np.arange(1, len(seven) + 1) / len(seven), color=colour, where="post")
         for n, a, b, c in zip(SIZES, low, middle, high, strict=True):
             print(f"majority_rule {kind} {n} robots: {a:.1f} / {b:.1f} / {c:.1f} s", flush=True)
     left.set(xlabel="robots", ylabel="time until all agree, s", ylim=(0.0, None))
@@ -91,11 +92,9 @@ def voters(out: Path) -> None:
         wins = sum(result.winner == 1 for result in results)
         within = wilson(wins, len(results))
         share = wins / len(results)
+        bars = ([share - within.low], [within.high - share])
         left.errorbar(
-            first / 10,
-            share,
-            ([share - within.low], [within.high - share]),
-            **{"color": VARIANT_COLOURS[0], "marker": "o", "ms": 4, "capsize": 2},
+            first / 10, share, bars, color=VARIANT_COLOURS[0], marker="o", ms=4, capsize=2
         )
         print(f"voter_model {first} of 10: won {wins} of {len(results)}", flush=True)
     left.plot((0.0, 1.0), (0.0, 1.0), color=GUIDE_COLOUR, linestyle=":")
@@ -129,12 +128,6 @@ def _voting_times(axes: Any) -> None:
     axes.plot(VOTERS, theory, color=GUIDE_COLOUR, linestyle=":", label="theory of rounds")
     axes.set(xlabel="robots", ylabel="windows or rounds until all agree", ylim=(0.0, None))
     axes.legend(frameon=False, fontsize=9)
-
-
-def _spread(found: Mapping[int, Sequence[Result]]) -> Any:
-    """(3, sizes) the 5 %, 50 % and 95 % of times; those that never agree are the longest."""
-    times = [[min(result.agreed_at, 600.0) for result in results] for results in found.values()]
-    return np.array([np.quantile(some, (0.05, 0.5, 0.95)) for some in times]).T
 
 
 def _keep(figure: Any, axes: Sequence[Any], path: Path) -> None:

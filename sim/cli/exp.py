@@ -114,8 +114,8 @@ def run(
     stem = Path(scenario).stem
     folder = out or new_folder(Path("experiments"), (f"{stem}-{n}" for n in itertools.count(1)))
     command = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]
-    command += [word for value in sets for word in ("--set", value)]
-    command += [word for value in sweeps for word in ("--sweep", value)]
+    for option, values in (("--set", sets), ("--sweep", sweeps)):
+        command += [word for value in values for word in (option, value)]
     command += ["--jobs", str(jobs), "--out", str(folder), *(["--no-traces"] * no_traces)]
     command += [] if timeout is None else ["--timeout", f"{timeout:g}"]
     manifest = manifest_of(plan, traces=not no_traces, command=command)
@@ -223,20 +223,17 @@ def list_scenarios(is_json: bool) -> None:
     need("mujoco")
     from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
 
-    scenarios = {name: load_scenario(name) for name in scenario_names()}
-    texts = {name: " ".join(one.description.split()) for name, one in scenarios.items()}
-    if is_json:
-        found = [
-            {"name": name, "robots": len(one.robots), "duration": one.duration,
-             "description": texts[name]}
-            for name, one in scenarios.items()
-        ]  # fmt: skip
-        return print_json("Scenarios", {"scenarios": found})
-    rows = [
-        (name, str(len(one.robots)), f"{one.duration:g} s", texts[name])
-        for name, one in scenarios.items()
+    scenarios = [(name, load_scenario(name)) for name in scenario_names()]
+    found = [
+        (name, len(one.robots), one.duration, " ".join(one.description.split()))
+        for name, one in scenarios
     ]
-    print_table(("NAME", "ROBOTS", "DURATION", "DESCRIPTION"), rows)
+    keys = ("name", "robots", "duration", "description")
+    if is_json:
+        print_json("Scenarios", {"scenarios": [dict(zip(keys, row, strict=True)) for row in found]})
+        return
+    rows = [(name, str(robots), f"{end:g} s", text) for name, robots, end, text in found]
+    print_table([*map(str.upper, keys)], rows)
 
 
 @exp.command("metrics")
@@ -245,16 +242,12 @@ def list_metrics(is_json: bool) -> None:
     """List the metrics of every run."""
     from swarmd.sim.metrics.catalog import METRICS
 
+    keys = ("name", "unit", "better", "meaning", "source")
+    listed = [{key: getattr(m, key) for key in keys} for m in METRICS.values()]
     if is_json:
-        listed = [
-            {"name": m.name, "unit": m.unit, "better": m.better, "meaning": m.meaning,
-             "source": m.source}
-            for m in METRICS.values()
-        ]  # fmt: skip
         print_json("Metrics", {"metrics": listed})
         return
-    rows = [(m.name, m.unit or "-", m.better or "-", m.meaning, m.source) for m in METRICS.values()]
-    print_table(("NAME", "UNIT", "BETTER", "MEANING", "SOURCE"), rows)
+    print_table([*map(str.upper, keys)], [[*(v or "-" for v in m.values())] for m in listed])
 
 
 @exp.command()

@@ -20,19 +20,31 @@ def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress
     """A function to call with the numbers of finished, planned and failed runs.
 
     On a terminal it shows a bar, elsewhere a line for each tenth. Both show the time left once the
-    first run has finished.
+    first run has finished, from the mean over the runs since the start: Rich's own estimate needs
+    two samples some time apart, so with few long runs it comes late.
     """
-    left = _TimeLeft(clock)
+    start: tuple[float, int] | None = None
+
+    def notes(done: int, total: int, failed: int) -> str:
+        nonlocal start
+        now = clock()
+        start = start or (now, done)  # those of before, if an experiment is resumed
+        began, before = start
+        text = f", {failed} failed" if failed else ""
+        if not before < done < total:
+            return text
+        return f"{text}, about {seconds((now - began) / (done - before) * (total - done))} left"
+
     if not sys.stderr.isatty():
         part = -1
 
         def show_lines(done: int, total: int, failed: int) -> None:
             nonlocal part
-            text = left.text(done, total)
+            text = notes(done, total, failed)
             now = MAX_LINES * done // total if total else MAX_LINES
-            if now > part or left.is_first(done):
+            if now > part or (start is not None and done == start[1] + 1):
                 part = now
-                warn(f"{done} of {total} runs{_failed(failed)}{text}")
+                warn(f"{done} of {total} runs{text}")
 
         yield show_lines
         return
@@ -43,12 +55,9 @@ def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("runs{task.fields[notes]}"))
     with Progress(*columns, console=console, transient=True) as bar:
         task = bar.add_task("", total=None, notes="")
-
-        def show(done: int, total: int, failed: int) -> None:
-            notes = _failed(failed) + left.text(done, total)
-            bar.update(task, completed=done, total=total, notes=notes)
-
-        yield show
+        yield lambda done, total, failed: bar.update(
+            task, completed=done, total=total, notes=notes(done, total, failed)
+        )
 
 
 @contextmanager
@@ -66,32 +75,3 @@ def ends_on_sigterm() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-class _TimeLeft:
-    """The time left, from the mean over the runs that have finished since the start.
-
-    Rich's own estimate needs two samples some time apart: with few long runs it comes late.
-    """
-
-    def __init__(self, clock: Callable[[], float]) -> None:
-        self._clock = clock
-        self._start: tuple[float, int] | None = None
-
-    def text(self, done: int, total: int) -> str:
-        """Such as `, about 5 min left`; empty before the first run and after the last."""
-        now = self._clock()
-        if self._start is None:
-            self._start = now, done  # those of before, if an experiment is resumed
-        began, before = self._start
-        if done <= before or done >= total:
-            return ""
-        return f", about {seconds((now - began) / (done - before) * (total - done))} left"
-
-    def is_first(self, done: int) -> bool:
-        """True for the first run that finishes after the start."""
-        return self._start is not None and done == self._start[1] + 1
-
-
-def _failed(count: int) -> str:
-    return f", {count} failed" if count else ""

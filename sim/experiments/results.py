@@ -26,10 +26,9 @@ YES_OR_NO = "0 or 1"
 class Traces:
     """Traces of finished runs, by number or run id; each is read from the disk when accessed."""
 
-    def __init__(self, folder: Path, runs: Sequence[Run]) -> None:
-        self._folder = folder
-        self._ids = [run.id for run in runs]
-        self._runs = runs
+    def __init__(self, results: Results) -> None:
+        self._results = results  # without it, its temporary folder would be removed
+        self._runs = results.runs
 
     def __len__(self) -> int:
         return len(self._runs)
@@ -40,10 +39,11 @@ class Traces:
     def __getitem__(self, which: int | str) -> Trace:
         """The trace of a run; SwarmError if it was not kept or is damaged."""
         if isinstance(which, str):
-            if which not in self._ids:
-                raise ConfigError(unknown("run", which, self._ids))
-            which = self._ids.index(which)
-        path = trace_path(self._folder, self._runs[which])
+            ids = [run.id for run in self._runs]
+            if which not in ids:
+                raise ConfigError(unknown("run", which, ids))
+            which = ids.index(which)
+        path = trace_path(self._results.folder, self._runs[which])
         if not path.exists():
             raise SwarmError(f"{path}: there is no trace; it was not kept, or has been removed")
         return load_trace(path)
@@ -87,7 +87,7 @@ class Results:
     @property
     def traces(self) -> Traces:
         """The traces of the finished runs, in the order of `rows`."""
-        return Traces(self.folder, self.runs)
+        return Traces(self)
 
     def metric(self, name: str, variant: str | None = None) -> Array:
         """The values (runs,) of a metric, NaN where it has none; of all variants if None.

@@ -7,7 +7,7 @@ Nothing sleeps or reads a clock, and every random number comes from the seed.
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -50,16 +50,12 @@ def simulate_run(
 
     `on_progress` is called after every step with the share done, and with 1 at the end.
     """
-    report = on_progress or _ignore
     run, duration = Lockstep(scenario, seed), scenario.duration
-
-    def on_step(now: float) -> None:
-        report(min(now / duration, 0.99))
-
-    share = 0.0
-    while share < 1.0:
-        share = min(share + 0.02, 1.0)
-        run.advance(share * duration - run.world.time, on_step)
+    report = on_progress or (lambda share: None)
+    for part in range(1, 51):  # garbage is collected between two parts
+        run.advance(
+            part / 50.0 * duration - run.world.time, lambda now: report(min(now / duration, 0.99))
+        )
     report(1.0)
     return run.trace()
 
@@ -143,7 +139,7 @@ class Lockstep:
         shell, now = self.shells[row], self.world.time
         assert shell is not None
         if in_order:
-            shell.leave(now)
+            shell.apply(shell.robot.on_leave(now), now)
         else:
             self._silent_at[row] = now + BASE_TIMEOUT
         self._latches[row] = shell.latches
@@ -184,11 +180,11 @@ class Lockstep:
 
         `on_step` is called after each step with the time in s.
         """
-        report = on_step or _ignore
         with _without_collection():
             for _ in range(round(seconds / self.world.dt)):
                 self._step()
-                report(self.world.time)
+                if on_step is not None:
+                    on_step(self.world.time)
 
     def trace(self) -> Trace:
         """The trace up to now."""
@@ -215,8 +211,8 @@ class Lockstep:
                 shell.robot.on_message(self.world.ids[sender], name, value, now)
         received, self._new_latches = self._new_latches, []
         for row, latches in received:
-            for shell in self.shells:
-                if shell is not None and shell.row != row:
+            for shell in self._present(range(len(self.shells))):
+                if shell.row != row:
                     shell.apply(shell.robot.on_latches(latches, now), now)
         for row in self._neighbors_due.due(now):
             self._update_neighbors(int(row))
@@ -242,10 +238,8 @@ class Lockstep:
             shell = self.shells[row]
             if shell is not None:
                 shell.scan(scan, now)
-        for row in self._readings_due.due(now):
-            shell = self.shells[row]
-            if shell is not None:
-                shell.robot.on_readings(world.readings(int(row)))
+        for shell in self._present(self._readings_due.due(now).tolist()):
+            shell.robot.on_readings(world.readings(shell.row))
 
     def _tick(self, now: float) -> None:
         if len(self._odometry_due.due(now)):
@@ -253,18 +247,18 @@ class Lockstep:
             for shell, odometry in zip(self.shells, self.world.odometry(), strict=True):
                 if shell is not None:
                     shell.robot.on_odometry(odometry, now)
-        for row in self._ticks.due(now).tolist():
-            shell = self.shells[row]
-            if shell is not None:
-                shell.tick(now)
-        for row in self._alarms.due(self._steps):
-            shell = self.shells[row]
-            if shell is not None:
-                shell.tick(now)
+        for shell in self._present(self._ticks.due(now).tolist()):
+            shell.tick(now)
+        for shell in self._present(self._alarms.due(self._steps)):
+            shell.tick(now)
         for row, at in list(self._silent_at.items()):
             if now >= at:
                 self._commands[row] = 0.0
                 del self._silent_at[row]
+
+    def _present(self, rows: Iterable[int]) -> list[RobotShell]:
+        """The shells of those robots that have a daemon."""
+        return [shell for row in rows if (shell := self.shells[row]) is not None]
 
     def _boxes(self) -> Array | None:
         """The corners (m, 4, 2) of movable boxes, if they can block the radio."""
@@ -296,10 +290,6 @@ def _with_scan_noise(platform: Platform, realism: Realism) -> Platform:
     """The platform; without scan noise, repeated scans do not mean a frozen sensor."""
     is_noisy = platform.scan.is_noisy and realism.lidar.differs_each_time
     return replace(platform, scan=replace(platform.scan, is_noisy=is_noisy))
-
-
-def _ignore(now: float) -> None:
-    """Do nothing with the progress."""
 
 
 @contextmanager

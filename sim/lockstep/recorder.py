@@ -30,8 +30,7 @@ class LockstepRecorder:
         )
         self._samples = 0
         self._rows: dict[str, list[NDArray[Any]]] = {}
-        self._reports: dict[str, list[tuple[int, int, float]]] = {}
-        self._words: dict[str, list[tuple[int, int, str]]] = {}
+        self._reports: dict[tuple[str, str], list[tuple[int, int, float | str]]] = {}
 
     def record_contacts(self, now: float) -> None:
         """Record the contacts of the step that ended at `now`."""
@@ -45,7 +44,7 @@ class LockstepRecorder:
         for row, shell in enumerate(shells):
             if shell is not None:
                 _enter(kept, row, shell)
-                self._note(shell.robot.report, self._samples, row)
+                self._note(shell.robot.report, row)
         self._samples += 1
         for name, values in kept.items():
             self._rows.setdefault(name, []).append(values)
@@ -54,25 +53,19 @@ class LockstepRecorder:
         """The trace of all samples."""
         shape = (self._samples, len(self._world.ids))
         known: dict[str, Any] = {name: np.array(rows) for name, rows in self._rows.items()}
-        return replace(
-            self._builder.trace(**meta),
-            report={
-                name: _filled(entries, np.full(shape, np.nan))
-                for name, entries in sorted(self._reports.items())
-            },
-            words={
-                name: _filled(entries, np.full(shape, "", dtype=WORD))
-                for name, entries in sorted(self._words.items())
-            },
-            **known,
-        )
+        known |= {"report": {}, "words": {}}
+        for (kind, name), entries in sorted(self._reports.items()):
+            samples, rows, items = zip(*entries, strict=True)
+            blank = np.full(shape, "", dtype=WORD) if kind == "words" else np.full(shape, np.nan)
+            blank[list(samples), list(rows)] = items
+            known[kind][name] = blank
+        return replace(self._builder.trace(**meta), **known)
 
-    def _note(self, report: Mapping[str, Any], record_instant: int, row: int) -> None:
+    def _note(self, report: Mapping[str, Any], row: int) -> None:
         for name, value in report.items():
-            if isinstance(value, str):
-                self._words.setdefault(name, []).append((record_instant, row, value))
-            else:
-                self._reports.setdefault(name, []).append((record_instant, row, float(value)))
+            key = ("words" if isinstance(value, str) else "report", name)
+            item = value if isinstance(value, str) else float(value)
+            self._reports.setdefault(key, []).append((self._samples, row, item))
 
 
 def _blank(n: int) -> dict[str, NDArray[Any]]:
@@ -94,10 +87,3 @@ def _enter(kept: Mapping[str, NDArray[Any]], row: int, shell: RobotShell) -> Non
     kept["requested"][row] = astuple(decision.requested)
     kept["decided"][row], kept["evaded"][row] = shell.decided, shell.evaded
     shell.decided = shell.evaded = 0
-
-
-def _filled(entries: Sequence[tuple[int, int, Any]], values: NDArray[Any]) -> NDArray[Any]:
-    """Enter (sample, row, value) into `values`."""
-    samples, rows, items = zip(*entries, strict=True)
-    values[list(samples), list(rows)] = items
-    return values

@@ -54,10 +54,6 @@ class RobotShell:
         self.apply(self.robot.on_request(request, now), now)
         return next((reply for reply in self.replies if reply.id == request.id), None)
 
-    def leave(self, now: float) -> None:
-        """End the daemon in order."""
-        self.apply(self.robot.on_leave(now), now)
-
     def apply(self, actions: Actions, now: float) -> None:
         """Carry out the actions and set the alarm."""
         self._carry_out(actions, now)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import (
@@ -66,10 +66,6 @@ class Timeline:
             what = f"{event.action} {event.pattern}".rstrip()
             raise SwarmError(f"at {event.at:g} s {what}: {shell.robot.id}: {answer}")
 
-    def _is_for_all(self, event: ScheduledEvent) -> bool:
-        chosen = frozenset(event.robots)
-        return all(one is None or one.robot.id in chosen for one in self._swarm.shells)
-
     def _request(self, event: ScheduledEvent, shell: RobotShell, now: float) -> Request:
         robot = shell.robot
         common: dict[str, Any] = {
@@ -90,6 +86,6 @@ class Timeline:
         if event.action == "reset":
             return ResetRequest(**common, ids=tuple(robot.status(now).latches))
         if event.action == "estop":
-            scope: Literal["swarm", "robots"] = "swarm" if self._is_for_all(event) else "robots"
-            return EstopRequest(**common, scope=scope)
+            others = {s.robot.id for s in self._swarm.shells if s is not None} - {*event.robots}
+            return EstopRequest(**common, scope="robots" if others else "swarm")
         return StopRequest(**common)

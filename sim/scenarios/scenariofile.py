@@ -20,7 +20,7 @@ from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import Data, read_extended, shown
 from swarmd.sim.scenarios.environment import arena_of, blamed, fields_of
 from swarmd.sim.scenarios.groups import Groups, groups_of, platform_name
-from swarmd.sim.scenarios.overrides import SOURCE, nested, parse_override
+from swarmd.sim.scenarios.overrides import SOURCE, nested
 from swarmd.sim.scenarios.preflight import ConfiguredParameters, check_patterns
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.schedule import schedule_of
@@ -30,8 +30,6 @@ from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.radio import check_radio
 from swarmd.sim.world.realism import realism_of
 from swarmd.sim.world.scalar_fields import Field
-
-__all__ = ["load_scenario", "parse_override", "scenario_names", "scenario_of"]
 
 
 def scenario_names() -> tuple[str, ...]:
@@ -112,10 +110,6 @@ def _overridden(
     if "groups" not in layers.data:
         wanted = "groups: {tb3: {platform: burger, count: 5}}"
         raise layers.error(("groups",), f"groups is missing; wanted is such as {wanted}")
-    return _built(layers, name)
-
-
-def _built(layers: Layered, name: str) -> Scenario:
     file = layers.build(ScenarioFile)
     if file.extends is not None:
         raise layers.error(("extends",), "extends is for files alone; leave it out here")

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from swarmd.core.errors import ConfigError, unknown
@@ -143,23 +143,17 @@ def schedule_of(layers: Layered, file: ScenarioFile, groups: Groups) -> Schedule
     order = sorted(range(len(read)), key=lambda index: read[index].at)
     absent = _absent([read[index] for index in order])
     checker = _ScheduleChecker(layers, file, groups, absent)
-    begun = list(_beginnings(file, groups, absent))
-    for keys, event in begun:
-        checker.run(keys, event)
-    for index in order:
-        checker.apply(("events", index, read[index].action), read[index])
-    events = (*(event for _, event in begun), *(read[index] for index in order))
-    return Schedule(events, absent, tuple(checker.preflights))
-
-
-def _beginnings(
-    file: ScenarioFile, groups: Groups, absent: frozenset[str]
-) -> Iterator[tuple[Keys, ScheduledEvent]]:
+    events = []
     for name, group in file.groups.items():
         robots = tuple(robot for robot in groups.groups[name] if robot not in absent)
         if group.pattern is not None and robots:
             event = ScheduledEvent(at=0.0, action="run", robots=robots, pattern=group.pattern)
-            yield ("groups", name, "pattern"), event
+            checker.run(("groups", name, "pattern"), event)
+            events.append(event)
+    for index in order:
+        checker.apply(("events", index, read[index].action), read[index])
+        events.append(read[index])
+    return Schedule(tuple(events), absent, tuple(checker.preflights))
 
 
 def _absent(events: Sequence[ScheduledEvent]) -> frozenset[str]:
@@ -198,7 +192,9 @@ class _ScheduleChecker:
     def apply(self, keys: Keys, event: ScheduledEvent) -> None:
         """Apply an event; ConfigError if it is impossible."""
         if event.box:
-            self._place_or_remove_box(keys, event)
+            if event.action == "remove" and not self._movable_boxes[event.box]:
+                raise self._error(keys, f"{event.box} is not in the arena at {event.at:g} s")
+            self._movable_boxes[event.box] = event.action == "place"
         elif event.action in (*_MEMBERSHIP, "remove"):
             self._come_or_go(keys, event)
         else:
@@ -229,11 +225,6 @@ class _ScheduleChecker:
             if event.action != "reset":
                 state.pattern = ""
 
-    def _place_or_remove_box(self, keys: Keys, event: ScheduledEvent) -> None:
-        if event.action == "remove" and not self._movable_boxes[event.box]:
-            raise self._error(keys, f"{event.box} is not in the arena at {event.at:g} s")
-        self._movable_boxes[event.box] = event.action == "place"
-
     def _come_or_go(self, keys: Keys, event: ScheduledEvent) -> None:
         is_joining, is_removed = event.action == "join", event.action == "remove"
         for robot in event.robots:
@@ -245,9 +236,8 @@ class _ScheduleChecker:
                 raise self._error(keys, f"{robot} is {there} at {event.at:g} s")
             state.is_there, state.is_out, state.pattern = is_joining, is_removed, ""
 
-    def _present(self, event: ScheduledEvent) -> Iterator[tuple[str, _Robot]]:
-        robots = ((robot, self._robots[robot]) for robot in event.robots)
-        return ((robot, state) for robot, state in robots if state.is_there)
+    def _present(self, event: ScheduledEvent) -> list[tuple[str, _Robot]]:
+        return [(r, self._robots[r]) for r in event.robots if self._robots[r].is_there]
 
     def _check_there(self, keys: Keys, event: ScheduledEvent) -> None:
         """Check that a named robot is present, and that a group has a robot that is."""

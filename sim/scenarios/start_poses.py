@@ -8,7 +8,6 @@ from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.random import Generator
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import Array
@@ -138,32 +137,26 @@ def _misfit(layout: str, start: StartSection, n: int) -> str:
 
 
 def _place(placement: Placement, part: StartGroup, seed: int) -> None:
-    try:
-        if layout_of(part.start) in _SEEDED:
-            _place_seeded(placement, part, generator(seed, "starts", part.key))
-        else:
-            placement.place_all(part.rows, _fixed(part.start, len(part.rows)))
-    except ConfigError as error:
-        raise ConfigError(f"{part.where}: {error}") from error
-
-
-def _place_seeded(placement: Placement, part: StartGroup, rng: Generator) -> None:
-    start, rows = part.start, part.rows
+    start, rows, layout = part.start, part.rows, layout_of(part.start)
     center = start.center or (0.0, 0.0)
     heading = None if start.heading_deg is None else math.radians(start.heading_deg)
-    if start.near is not None and start.far is not None:
-        chain(placement, rows, rng, near=start.near, far=start.far, center=center, heading=heading)
-        return
-    apart = _CLEARANCE if start.clearance is None else start.clearance
-    scatter(placement, rows, rng, clearance=apart, center=center, size=start.size, heading=heading)
-
-
-def _fixed(start: StartSection, n: int) -> Array:
-    layout = layout_of(start)
-    if layout == "list":
-        poses = np.array(start.poses, dtype=np.float64)
-        poses[:, 2] = np.radians(poses[:, 2])
-        return poses
-    size = start.radius or _RADIUS if layout == "ring" else start.spacing or _SPACING
-    heading = math.radians(start.heading_deg or 0.0)
-    return moved(REGULAR[layout](n, size), start.center or (0.0, 0.0), heading)
+    rng = generator(seed, "starts", part.key)
+    try:
+        if layout == "chain":
+            near, far = start.near or 0.0, start.far or 0.0
+            chain(placement, rows, rng, near=near, far=far, center=center, heading=heading)
+        elif layout == "random":
+            gap = _CLEARANCE if start.clearance is None else start.clearance
+            scatter(
+                placement, rows, rng, clearance=gap, center=center, size=start.size, heading=heading
+            )
+        elif layout == "list":
+            poses = np.array(start.poses, dtype=np.float64)
+            poses[:, 2] = np.radians(poses[:, 2])
+            placement.place_all(rows, poses)
+        else:
+            size = start.radius or _RADIUS if layout == "ring" else start.spacing or _SPACING
+            poses = moved(REGULAR[layout](len(rows), size), center, heading or 0.0)
+            placement.place_all(rows, poses)
+    except ConfigError as error:
+        raise ConfigError(f"{part.where}: {error}") from error

@@ -14,8 +14,6 @@ from studies.paper_exp2 import (
     MOVING,
     STRAYED,
     TOLERANCE,
-    Course,
-    Joining,
     joined,
     judged,
 )
@@ -30,23 +28,9 @@ _JOINED = 8.0
 
 def outcomes(seeds: Sequence[int], jobs: int = 1, seconds: float = 72.0) -> list[Outcome]:
     """All outcomes, of one run for each seed; `seconds` is the duration of a run."""
-    courses = courses_of(seeds, jobs, seconds)
-    late = joinings_of(seeds, jobs)
-    return [*_of_courses(courses), *_of_joinings(late)]
-
-
-def courses_of(seeds: Sequence[int], jobs: int = 1, seconds: float = 72.0) -> list[Course]:
-    """The courses of seven robots with random opinions."""
-    some = {"arena.size": list(LARGER), "duration": seconds}
-    results = simulate("paper_exp2", seeds, set=some, jobs=jobs)
-    return [judged(results.traces[run.id]) for run in results.runs]
-
-
-def joinings_of(seeds: Sequence[int], jobs: int = 1) -> list[Joining]:
-    """The courses of an eighth robot that joins while the others disperse.
-
-    The others disperse after 3 s already, so that a run is short.
-    """
+    larger = {"arena.size": list(LARGER), "duration": seconds}
+    courses = [judged(t) for t in simulate("paper_exp2", seeds, set=larger, jobs=jobs).traces]
+    # An eighth robot joins while the others disperse, after 3 s already, so that a run is short.
     robot = "tb3-08"
     events = [
         {"at": _JOINED, "join": robot},
@@ -54,36 +38,25 @@ def joinings_of(seeds: Sequence[int], jobs: int = 1) -> list[Joining]:
     ]
     some = {f"parameters.{_NAME}.discuss": 3.0, "events": events, "duration": _JOINED + 12.0}
     results = simulate("paper_exp2_late", seeds, set=some, jobs=jobs)
-    return [joined(results.traces[run.id], _JOINED) for run in results.runs]
-
-
-def _of_courses(courses: Sequence[Course]) -> list[Outcome]:
-    agreed = [float(course.opinion >= 0) for course in courses]
-    moved = [course.moved for course in courses]
+    late = [joined(trace, _JOINED) for trace in results.traces]
     over = [course.least - course.wanted for course in courses]
-    strayed = [course.strayed for course in courses]
-    moving = [course.moving for course in courses]
-    contacts = [float(course.contacts) for course in courses]
     least, that = "least range from 40 s on, over f(opinion) [m]", "the same, of that opinion [m]"
     stand = "ours: the robots stand, but for corrections"
+    paper = "paper: they go on voting, so that the swarm can change its opinion when robots join"
     return [
-        at_least(_NAME, "all hold one opinion from 20 s on", 1.0, agreed, _PAPER),
-        at_most(_NAME, "farthest before 20 s [m]", 0.02, moved, _PAPER),
+        at_least(_NAME, "all hold one opinion from 20 s on", 1.0,
+                 [float(course.opinion >= 0) for course in courses], _PAPER),
+        at_most(_NAME, "farthest before 20 s [m]", 0.02, [c.moved for c in courses], _PAPER),
         at_least(_NAME, least, -TOLERANCE, over, _PAPER),
         at_most(_NAME, that, FARTHER, over, _OURS),
-        at_most(_NAME, "farthest from 40 to 70 s [m]", STRAYED, strayed, stand),
-        at_most(_NAME, "share of that time in which one moves", MOVING, moving, stand),
-        at_most(_NAME, "contacts", 0.0, contacts, _PAPER),
-    ]
-
-
-def _of_joinings(late: Sequence[Joining]) -> list[Outcome]:
-    adopted = [one.adopted for one in late]
-    swayed = [float(one.is_swayed) for one in late]
-    paper = "paper: they go on voting, so that the swarm can change its opinion when robots join"
-    holds = "time until a late robot holds the opinion of the seven [s]"
-    return [
-        at_most(_NAME, holds, 11.0, adopted, f"{paper}; 11 s are two windows"),
-        at_most(_NAME, "runs in which it changes another's opinion", 0.0, swayed,
+        at_most(_NAME, "farthest from 40 to 70 s [m]", STRAYED,
+                [course.strayed for course in courses], stand),
+        at_most(_NAME, "share of that time in which one moves", MOVING,
+                [course.moving for course in courses], stand),
+        at_most(_NAME, "contacts", 0.0, [float(c.contacts) for c in courses], _PAPER),
+        at_most(_NAME, "time until a late robot holds the opinion of the seven [s]", 11.0,
+                [one.adopted for one in late], f"{paper}; 11 s are two windows"),
+        at_most(_NAME, "runs in which it changes another's opinion", 0.0,
+                [float(one.is_swayed) for one in late],
                 "ours: it is one of six neighbours that are counted"),
     ]  # fmt: skip

@@ -7,16 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from studies.outcomes.outcome import Outcome, at_least, at_most, metric, no_contacts
+from studies.paper_exp2 import ranges
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.metrics.window import late
 from swarmd.sim.trace import Trace
-from swarmd.sim.world.geometry import gaps, transform
 
 NAME = "dispersion"
 DISTANCE, TOLERANCE, TOO_FAR = 1.0, 0.03, 1.3
 """In m: the distance to keep, three standard deviations of the lidar, and the upper bound."""
-LIDAR = (-0.032, 0.0)
-"""Position of a Burger's lidar from its axle, in m."""
 SETTING = {"groups.tb3.count": 5, "duration": 40}
 SPEED, PATH = 0.03, 0.73
 _PAPER = "Kaiser et al. 2022, experiment 2"
@@ -39,23 +37,6 @@ def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
 
 
 def late_ranges(trace: Trace, seconds: float = 10.0) -> tuple[float, float]:
-    """The least and the median range in m to the nearest robot or wall in the last seconds.
-
-    True ranges, from the position of each lidar to the outlines of the others and to the walls.
-    """
-    part = late(trace, seconds)
-    n = len(part.ids)
-    outlines = np.stack([transform(part.footprint(i), part.pose[:, i]) for i in range(n)], axis=1)
-    lidars = np.stack([transform(np.array([LIDAR]), part.pose[:, i]) for i in range(n)], axis=1)
-    # A lidar is a very small square.
-    square = 1e-6 * np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
-    ranges = np.full((len(part.t), n), np.inf)
-    for i in range(n):
-        for j in range(n):
-            if i != j:
-                seen = gaps(lidars[:, i] + square, outlines[:, j])
-                ranges[:, i] = np.minimum(ranges[:, i], seen)
-    half = 0.5 * float(str(trace.meta["arena"]).split(",")[0].split("x")[0])
-    walls = half - np.abs(lidars[:, :, 0]).max(axis=-1)
-    ranges = np.minimum(ranges, walls)
-    return float(ranges.min()), float(np.median(ranges))
+    """The least and the median true range in m to the nearest robot or wall, at the end."""
+    found = ranges(late(trace, seconds))
+    return float(found.min()), float(np.median(found))

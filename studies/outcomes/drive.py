@@ -23,13 +23,20 @@ _SAFE = "docs/safety.md"
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
-    """All outcomes, of one run for each seed."""
+    """All outcomes, of one run for each seed; of three robots ahead, and one on a circle."""
     results = simulate(NAME, seeds, jobs=jobs)
-    rows = [
-        (straightness(trace), speed_error(trace), stand(trace), radius_error(trace), room(trace))
-        for trace in results.traces
-    ]
-    aside, off, still, circle, left = (tuple(values) for values in zip(*rows, strict=True))
+    aside, off, still, circle, left = [], [], [], [], []
+    for trace in results.traces:
+        paths = {name: _path(trace, name) for name in LIMITS}
+        since, until, late = np.searchsorted(trace.t, (*_UNDER_WAY, trace.t[-1] - 5.0))
+        seconds = float(trace.t[until] - trace.t[since])
+        speeds = {n: float(path[until, 0] - path[since, 0]) / seconds for n, path in paths.items()}
+        aside.append(max(float(np.abs(path[:, 1]).max()) for path in paths.values()))
+        off.append(max(abs(speeds[name] / limit - 1.0) for name, limit in LIMITS.items()))
+        still.append(max(float(np.hypot(*(path[-1] - path[late]))) for path in paths.values()))
+        left.append(number(clearance(trace)))
+        around = _path(trace, "circle") - (0.0, CIRCLE)
+        circle.append(float(np.abs(np.hypot(*around.T) / CIRCLE - 1.0).max()))
     return [
         at_most(NAME, "most aside of its line [m]", 0.05, aside, "geometry"),
         at_most(NAME, "relative error of the speed", 0.05, off, _SPEEDS),
@@ -38,40 +45,6 @@ def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
         no_contacts(NAME, results),
         at_most(NAME, "circle: relative error of the radius", 0.1, circle, "v / w"),
     ]
-
-
-def straightness(trace: Trace) -> float:
-    """The largest lateral offset in m of the three robots from their lines."""
-    return max(float(np.abs(_path(trace, name)[:, 1]).max()) for name in LIMITS)
-
-
-def speed_error(trace: Trace) -> float:
-    """The largest relative error of the forward speed against the limit, from 2 to 6 s."""
-    since, until = np.searchsorted(trace.t, _UNDER_WAY)
-    seconds = float(trace.t[until] - trace.t[since])
-    errors = []
-    for name, limit in LIMITS.items():
-        path = _path(trace, name)
-        errors.append(abs(float(path[until, 0] - path[since, 0]) / seconds / limit - 1.0))
-    return max(errors)
-
-
-def stand(trace: Trace) -> float:
-    """The largest distance in m that one of the three moves in the last 5 s."""
-    at = int(np.searchsorted(trace.t, trace.t[-1] - 5.0))
-    return max(float(np.hypot(*(_path(trace, n)[-1] - _path(trace, n)[at]))) for n in LIMITS)
-
-
-def room(trace: Trace) -> float:
-    """The smallest distance in m of a footprint from a wall."""
-    return number(clearance(trace))
-
-
-def radius_error(trace: Trace) -> float:
-    """The largest relative error of the radius of the robot that drives a circle to the left."""
-    path = _path(trace, "circle")
-    distance = np.hypot(path[:, 0], path[:, 1] - CIRCLE)
-    return float(np.abs(distance / CIRCLE - 1.0).max())
 
 
 def _path(trace: Trace, name: str) -> Array:

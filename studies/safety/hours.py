@@ -45,10 +45,10 @@ def tables(records: Sequence[Record]) -> str:
     parts = []
     for title, is_ram in (("Everybody is protected", False), ("A third rams the others", True)):
         groups: dict[str, list[Record]] = {}
-        for name_of in (_family_and_platform, _platform_and_visibility, _all):
+        for form in ("{0.family}, {0.platform}", "all, {0.platform}, {0.visibility}", "all"):
             for one in records:
                 if (one.task.scene.family == RAM) == is_ram:
-                    groups.setdefault(name_of(one.task.scene), []).append(one)
+                    groups.setdefault(form.format(one.task.scene), []).append(one)
         if groups:
             parts.append(f"### {title}\n\n{markdown(rows(_ordered(groups), {}))}")
     return "\n\n".join(parts)
@@ -60,15 +60,3 @@ _ORDER = {name: number for number, name in enumerate(FAMILIES)}
 def _ordered(groups: dict[str, list[Record]]) -> dict[str, list[Record]]:
     """Sorted by family; names without a family come last, in their order."""
     return dict(sorted(groups.items(), key=lambda item: _ORDER.get(item[0].partition(",")[0], 99)))
-
-
-def _family_and_platform(scene: Scene) -> str:
-    return f"{scene.family}, {scene.platform}"
-
-
-def _platform_and_visibility(scene: Scene) -> str:
-    return f"all, {scene.platform}, {scene.visibility}"
-
-
-def _all(scene: Scene) -> str:
-    return "all"

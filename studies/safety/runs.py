@@ -6,14 +6,14 @@ import hashlib
 import os
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from functools import reduce
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import msgspec
-from msgspec import Struct
+from msgspec import Struct, structs
 
 import swarmd
 import swarmd.config
@@ -97,8 +97,13 @@ def read(file: Path) -> list[Record]:
 
 
 def total(found: Iterable[Judgement]) -> Judgement:
-    """The numbers of several runs together."""
-    return reduce(_sum, found)
+    """The numbers of several runs together: sums, the worst speeds and the smallest gap."""
+    some = [structs.asdict(one) for one in found]
+
+    def merge(name: str) -> Callable[[Iterable[Any]], Any]:
+        return max if name.startswith("worst") else min if name == "min_gap" else sum
+
+    return Judgement(**{name: merge(name)(one[name] for one in some) for name in some[0]})
 
 
 def _done(tasks: Sequence[Task], code: str, jobs: int) -> Iterator[Record]:
@@ -112,27 +117,6 @@ def _done(tasks: Sequence[Task], code: str, jobs: int) -> Iterator[Record]:
                 yield future.result()
         finally:
             pool.shutdown(cancel_futures=True)
-
-
-def _sum(a: Judgement, b: Judgement) -> Judgement:
-    return Judgement(
-        seconds=a.seconds + b.seconds,
-        collisions=a.collisions + b.collisions,
-        faults=a.faults + b.faults,
-        worst=max(a.worst, b.worst),
-        hits=a.hits + b.hits,
-        worst_hit=max(a.worst_hit, b.worst_hit),
-        touches=a.touches + b.touches,
-        touch_faults=a.touch_faults + b.touch_faults,
-        worst_touch=max(a.worst_touch, b.worst_touch),
-        pushed=a.pushed + b.pushed,
-        goals=a.goals + b.goals,
-        goal_seconds=a.goal_seconds + b.goal_seconds,
-        windows=a.windows + b.windows,
-        stuck=a.stuck + b.stuck,
-        altered=a.altered + b.altered,
-        min_gap=min(a.min_gap, b.min_gap),
-    )
 
 
 def _line(record: Record) -> str:

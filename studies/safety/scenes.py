@@ -103,40 +103,41 @@ class Scene(Struct, frozen=True, order=True):
 
 def scenario(scene: Scene) -> Scenario:
     """The scene as a scenario; ConfigError if there is no such scene."""
-    for word, value, known in (
-        ("family", scene.family, FAMILIES),
-        ("platform", scene.platform, PLATFORMS),
-        ("visibility", scene.visibility, VISIBILITIES),
-        ("mode", scene.mode, MODES),
+    for word, known in (
+        ("family", FAMILIES),
+        ("platform", PLATFORMS),
+        ("visibility", VISIBILITIES),
+        ("mode", MODES),
     ):
-        if value not in known:
-            raise ConfigError(f"scene {scene.name}: {unknown(word, value, known)}")
+        if getattr(scene, word) not in known:
+            fault = unknown(word, getattr(scene, word), known)
+            raise ConfigError(f"scene {scene.name}: {fault}")
     if scene.platform == "mixed" and scene.visibility == "real":
         raise ConfigError(
             f"scene {scene.name}: a Jackal's lidar looks over TurtleBots; wanted is visibility body"
         )
-    return scenario_of(mapping(scene))
-
-
-def mapping(scene: Scene) -> dict[str, Any]:
-    """The scene as a scenario's file would hold it."""
     room = scene.room
-    return {
-        "name": scene.name,
-        "duration": scene.duration,
-        "trace_rate": 20.0,
-        "lidar_visibility": scene.visibility,
-        "realism": "realistic",
-        "arena": {"size": [room.side, room.side]},
-        "fields": [
-            {"kind": "linear", "name": "x", "slope": 1.0},
-            {"kind": "linear", "name": "y", "slope": 1.0, "direction_deg": 90.0},
-        ],
-        "plugin_dir": str(PLUGINS),
-        "platforms": _platforms(scene),
-        "groups": _groups(scene),
-        "start": _start(scene),
-    }
+    starts: dict[str, Any] = {"layout": "random", "clearance": room.clearance}
+    if scene.family == "swap":
+        starts = {"layout": "ring", "radius": room.radius}
+    return scenario_of(
+        {
+            "name": scene.name,
+            "duration": scene.duration,
+            "trace_rate": 20.0,
+            "lidar_visibility": scene.visibility,
+            "realism": "realistic",
+            "arena": {"size": [room.side, room.side]},
+            "fields": [
+                {"kind": "linear", "name": "x", "slope": 1.0},
+                {"kind": "linear", "name": "y", "slope": 1.0, "direction_deg": 90.0},
+            ],
+            "plugin_dir": str(PLUGINS),
+            "platforms": _platforms(scene),
+            "groups": _groups(scene),
+            "start": starts,
+        }
+    )
 
 
 def kinds_of(platform: str) -> tuple[str, ...]:
@@ -168,8 +169,8 @@ def _groups(scene: Scene) -> dict[str, dict[str, Any]]:
     kinds = kinds_of(scene.platform)
     count = scene.room.robots // len(kinds)
     groups: dict[str, dict[str, Any]] = {}
+    pattern, parameters = _task(scene)
     for kind in kinds:
-        pattern, parameters = _task(scene)
         groups[kind] = {
             "platform": kind,
             "count": count - scene.rammers,
@@ -178,20 +179,15 @@ def _groups(scene: Scene) -> dict[str, dict[str, Any]]:
             "parameters": parameters,
         }
         if scene.rammers:
+            barrier = load_platform(kind).protection["barrier"]
+            speed = _MIXED_SPEED if scene.platform == "mixed" else barrier["others_speed"]
             groups[f"{RAMMERS}-{kind}"] = {
                 "platform": f"{RAMMERS}-{kind}",
                 "count": scene.rammers,
                 "pattern": "ram",
-                "parameters": {"surface_speed": _others_speed(scene, kind)},
+                "parameters": {"surface_speed": float(speed)},
             }
     return groups
-
-
-def _others_speed(scene: Scene, kind: str) -> float:
-    """What a robot assumes of the others in m/s."""
-    if scene.platform == "mixed":
-        return _MIXED_SPEED
-    return float(load_platform(kind).protection["barrier"]["others_speed"])
 
 
 def _task(scene: Scene) -> tuple[str, dict[str, Any]]:
@@ -207,9 +203,3 @@ def _task(scene: Scene) -> tuple[str, dict[str, Any]]:
         "twists": ("random_twists", {}),
     }
     return tasks.get(scene.family, (scene.family, {}))
-
-
-def _start(scene: Scene) -> dict[str, Any]:
-    if scene.family == "swap":
-        return {"layout": "ring", "radius": scene.room.radius}
-    return {"layout": "random", "clearance": scene.room.clearance}

@@ -29,8 +29,10 @@ def test_every_run_is_identical_even_without_the_scenario(
     results: Results, duo: Path, tmp_path: Path
 ) -> None:
     duo.unlink()
+    before = {path: path.stat().st_mtime_ns for path in results.folder.rglob("*")}
     assert warnings(results.folder) == []
     assert again(results, tmp_path) == {"s0000": "", "s0001": ""}
+    assert {path: path.stat().st_mtime_ns for path in results.folder.rglob("*")} == before
 
 
 def test_one_other_bit_is_reported(results: Results, tmp_path: Path) -> None:

@@ -52,10 +52,11 @@ def test_without_a_folder_nothing_stays(
     temporary = tmp_path / "temporary"
     temporary.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(temporary))
-    results = small(duo)
-    assert results.folder.parent == temporary
-    assert results.folder.is_dir()
-    del results
+    traces = small(duo).traces  # which keep the folder
+    gc.collect()
+    assert [path.is_dir() for path in temporary.iterdir()] == [True]
+    assert len(list(traces)) == 2
+    del traces
     gc.collect()
     assert list(temporary.iterdir()) == []
     with pytest.raises(SwarmError, match="s0000"):

@@ -131,26 +131,6 @@ def test_stop_stops_the_named_robot_alone_and_run_starts_it_again() -> None:
     assert trace.reason[at(trace, 2.5), 1] == "operator"
 
 
-def test_an_estop_of_all_holds_later_robots_until_a_reset() -> None:
-    trace = simulate_run(
-        scenario(
-            duration=6.0,
-            events=[
-                {"at": 0.5, "kill": ["r-03"]},
-                {"at": 1.0, "estop": "all"},
-                {"at": 2.0, "join": ["r-03"]},
-                {"at": 4.0, "reset": "all"},
-                {"at": 4.5, "run": "drive"},
-            ],
-        ),
-        0,
-    )
-    assert trace.state is not None
-    assert set(trace.state[at(trace, 3.5)]) == {"estopped"}
-    assert (speeds(trace)[at(trace, 2.0) : at(trace, 4.4)] < 1e-6).all()
-    assert (speeds(trace)[-1] > 0.1).all()
-
-
 def test_a_leaving_robot_stops_at_once_a_killed_one_by_its_timeout() -> None:
     trace = simulate_run(events({"at": 2.0, "leave": ["r-01"]}, {"at": 2.0, "kill": ["r-02"]}), 0)
     moving = speeds(trace)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import pickle
 import re
 from dataclasses import asdict
 from pathlib import Path
@@ -79,19 +78,6 @@ def test_plain_values_need_no_file_any_more(load: Load, tmp_path: Path) -> None:
     limits = scenario_of(effective).robots["red-01"].limits
     assert (limits.linear, limits.angular) == (0.2, 1.0)
     assert str(tmp_path) not in json.dumps(effective)
-
-
-def test_plain_values_can_be_overridden_too(load: Load) -> None:
-    scenario = scenario_of(load().effective, {"groups.red.start.layout": "ring", "duration": 30})
-    assert scenario.duration == 30.0
-    np.testing.assert_allclose(np.hypot(*scenario.starts(0)[:2, :2].T), 1.5)
-    with pytest.raises(ConfigError, match=r"--set: .*'duraton'.*'duration'"):
-        scenario_of(load().effective, {"duraton": 30})
-
-
-def test_a_scenario_can_be_sent_to_another_process(load: Load) -> None:
-    scenario = load()
-    assert same(scenario, pickle.loads(pickle.dumps(scenario)))
 
 
 def test_experiment_1_starts_as_in_the_paper() -> None:
